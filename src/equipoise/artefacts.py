@@ -1,0 +1,250 @@
+"""Files that Equipoise writes: readable JSON with a format, a version, a digest and a history.
+
+A file is `{format, version, digest, provenance, body}`. The body is a frozen pydantic model; the
+digest is the SHA-256 of its canonical JSON, so that a file that was cut, damaged or edited is
+refused with one sentence (it finds corruption, not forgery). NaN and infinity are not allowed.
+Older versions are read through upgrade functions; newer ones are refused. A file is written whole
+or not at all.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from equipoise.errors import ArtefactError, OutsideError
+
+DIGEST_PREFIX = "sha256:"
+
+
+class Value(BaseModel):
+    """A frozen value that files hold: unknown fields, NaN and infinity are refused."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+class Estimate(Value):
+    """A number with its uncertainty and where it comes from."""
+
+    value: float
+    """Best value."""
+    low: float
+    """Lower end of the 95 % interval."""
+    high: float
+    """Upper end of the 95 % interval."""
+    source: Literal["identified", "given", "assumed"]
+    """How the number was found."""
+
+    @classmethod
+    def normal(
+        cls, value: float, sigma: float, source: Literal["identified", "given", "assumed"]
+    ) -> Self:
+        """Return an estimate whose error is normal with standard deviation `sigma`."""
+        return cls(value=value, low=value - 1.96 * sigma, high=value + 1.96 * sigma, source=source)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval."""
+        return self.low, self.high
+
+
+class Provenance(Value):
+    """Where a file comes from."""
+
+    created: str
+    """When it was written, UTC, ISO 8601."""
+    command: str
+    """The verb or function that made it."""
+    software: dict[str, str]
+    """Versions of Equipoise, Python and the libraries that decide about the bits."""
+    inputs: dict[str, str] = {}
+    """Digest of each value it was made from, by name."""
+
+
+class Artefact(Value):
+    """A value with a file of its own."""
+
+    FORMAT: ClassVar[str]
+    """Name of the format, written in the file."""
+    VERSION: ClassVar[int]
+    """Version of the format; raised with any change of the fields."""
+    UPGRADES: ClassVar[Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]]] = {}
+    """For each older version, a pure function from its body to the next version's."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the canonical JSON of the value."""
+        return _digest(self.model_dump(mode="json"))
+
+    def save(self, path: Path, *, command: str, inputs: Mapping[str, str] | None = None) -> None:
+        """Write the value to `path`, whole or not at all.
+
+        Args:
+            path: The file; its folder is made if it is missing.
+            command: The verb or function that made the value.
+            inputs: Digests of the values it was made from, by name.
+
+        Raises:
+            OutsideError: The disk refuses.
+        """
+        provenance = Provenance(
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+            command=command,
+            software=_software(),
+            inputs=dict(inputs or {}),
+        )
+        body = self.model_dump(mode="json")
+        document = {
+            "format": self.FORMAT,
+            "version": self.VERSION,
+            "digest": _digest(body),
+            "provenance": provenance.model_dump(mode="json"),
+            "body": body,
+        }
+        write_whole(path, _readable(document) + "\n")
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a value from `path`.
+
+        Raises:
+            ArtefactError: The file is missing, corrupt, edited, of another format or newer.
+        """
+        document = read_document(path)
+        if document["format"] != cls.FORMAT:
+            raise ArtefactError(
+                f"{path} holds {document['format']!r}, expected {cls.FORMAT!r}; "
+                "give a file of that kind"
+            )
+        version, body = document["version"], document["body"]
+        if version > cls.VERSION:
+            raise ArtefactError(
+                f"{path} has version {version} of {cls.FORMAT!r}, this Equipoise reads up to "
+                f"{cls.VERSION}; upgrade Equipoise"
+            )
+        for older in range(version, cls.VERSION):
+            if older not in cls.UPGRADES:
+                raise ArtefactError(
+                    f"{path} has version {older} of {cls.FORMAT!r}, which can no longer be read; "
+                    "make the file again"
+                )
+            body = cls.UPGRADES[older](body)
+        try:
+            return cls.model_validate_json(json.dumps(body), strict=True)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"]) or "body"
+            raise ArtefactError(
+                f"{path} is not a valid {cls.FORMAT!r} file: {where}: {first['msg']}; "
+                "make the file again"
+            ) from None
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Read a file of ours without knowing its kind, and check that it is what was written.
+
+    Returns:
+        The keys format, version, digest, provenance and body.
+
+    Raises:
+        ArtefactError: The file is missing, not ours, or does not match its digest.
+    """
+    try:
+        document: Any = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse)
+    except FileNotFoundError:
+        raise ArtefactError(f"there is no file {path}; check the path") from None
+    except OSError as error:
+        raise ArtefactError(f"cannot read {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise ArtefactError(
+            f"{path} is not a file of Equipoise, or was cut short ({error}); make the file again"
+        ) from None
+    kinds = {"format": str, "version": int, "digest": str, "provenance": dict, "body": dict}
+    if not isinstance(document, dict) or any(
+        not isinstance(document.get(key), kind) for key, kind in kinds.items()
+    ):
+        raise ArtefactError(
+            f"{path} is not a file of Equipoise: expected the keys {', '.join(kinds)}; "
+            "give a file that Equipoise wrote"
+        )
+    if document["digest"] != _digest(document["body"]):
+        raise ArtefactError(
+            f"{path} does not match its digest: it was edited or damaged after it was written; "
+            "make the file again"
+        )
+    return document
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file under a temporary name, then rename it: it is there whole or not at all.
+
+    Raises:
+        OutsideError: The disk refuses.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes."""
+    return DIGEST_PREFIX + hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def value_digest(value: BaseModel) -> str:
+    """Return the SHA-256 of the canonical JSON of any frozen value."""
+    return _digest(value.model_dump(mode="json"))
+
+
+def _digest(body: Any) -> str:
+    canonical = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return DIGEST_PREFIX + hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _refuse(constant: str) -> float:
+    raise ValueError(f"{constant} is not allowed")
+
+
+def _software() -> dict[str, str]:
+    packages = ("equipoise", "numpy", "numba", "scipy", "mujoco")
+    versions = {"python": platform.python_version(), "machine": platform.machine()}
+    for package in packages:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = "not installed"
+    return versions | {"system": sys.platform}
+
+
+def _readable(value: Any, indent: int = 0) -> str:
+    """Return JSON with one line per field, and lists of numbers on one line each."""
+    pad = " " * (indent + 1)
+    if isinstance(value, dict) and value:
+        fields = (f"{pad}{json.dumps(k)}: {_readable(v, indent + 1)}" for k, v in value.items())
+        return "{\n" + ",\n".join(fields) + "\n" + " " * indent + "}"
+    if isinstance(value, list) and any(isinstance(item, list | dict) for item in value):
+        rows = (pad + _readable(item, indent + 1) for item in value)
+        return "[\n" + ",\n".join(rows) + "\n" + " " * indent + "]"
+    return json.dumps(value, allow_nan=False, ensure_ascii=False)

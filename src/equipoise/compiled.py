@@ -1,0 +1,147 @@
+"""One way to compile a kernel, and one place where the machine code is kept.
+
+`@kernel` is `numba.njit` with the project's choices: lazily typed, so that importing a module
+compiles nothing; `nogil`, so that threads run side by side; never `fastmath`, so that equal input
+gives equal bits; and cached on disk.
+
+Numba's own cache looks at the file of a kernel only, while a kernel also contains the code of the
+kernels that it calls. Ours is keyed by a digest of *all* files that hold kernels, lies in the
+user's cache directory (`EQUIPOISE_CACHE_DIR` moves it), and where that is not writable the kernels
+compile anew in each process, after one warning.
+
+`function_pointer` compiles a function of fixed signature that kernels take as an *argument*: this
+is how one training loop serves every arm (a dispatcher passed as an argument would never be found
+in the cache).
+"""
+
+import functools
+import hashlib
+import logging
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+import platformdirs
+from numba.core import caching, config
+
+logger = logging.getLogger(__name__)
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+PACKAGE = Path(__file__).parent
+KERNEL_ROOMS = ("model", "control", "learning")
+"""Folders of the package whose files hold kernels."""
+
+
+def cache_directory() -> Path:
+    """Return the directory for what can be made again: machine code, generated arms."""
+    moved = os.environ.get("EQUIPOISE_CACHE_DIR")
+    return Path(moved) if moved else Path(platformdirs.user_cache_dir("equipoise", appauthor=False))
+
+
+@functools.cache
+def kernel_sources_digest() -> str:
+    """Return a digest of every file that holds kernels, and of this one."""
+    files = [Path(__file__), *(f for room in KERNEL_ROOMS for f in (PACKAGE / room).rglob("*.py"))]
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        digest.update(str(file.relative_to(PACKAGE)).encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _machine_code_directory() -> Path | None:
+    path = cache_directory() / "kernels" / kernel_sources_digest()
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=path).close()
+    except OSError as error:
+        logger.warning(
+            "cannot write %s (%s): kernels are compiled anew in each process; "
+            "set EQUIPOISE_CACHE_DIR to a folder that can be written",
+            path,
+            error.strerror,
+        )
+        return None
+    return path
+
+
+class _Locator(caching._CacheLocator):
+    """Tells Numba where the machine code of one function lies and when it is stale.
+
+    Numba's own methods only raise: that they return anything is not in their types.
+    """
+
+    def __init__(self, py_func: Callable[..., Any], py_file: str, directory: Path) -> None:
+        self._directory = directory
+        # Files of one name in two folders share the directory: the path tells them apart.
+        place = hashlib.sha256(py_file.encode()).hexdigest()[:8]
+        self._place = f"{py_func.__code__.co_firstlineno}-{place}"
+        self._stamp = hashlib.sha256(Path(py_file).read_bytes()).hexdigest()
+
+    def get_cache_path(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return str(self._directory)
+
+    def get_source_stamp(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self._stamp
+
+    def get_disambiguator(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self._place
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "_Locator | None":
+        directory = _machine_code_directory()
+        return None if directory is None else cls(py_func, py_file, directory)
+
+
+class _CacheImpl(caching.CompileResultCacheImpl):
+    _locator_classes = [_Locator]  # noqa: RUF012  (the name and type are Numba's)
+
+
+class _KernelCache(caching.FunctionCache):
+    _impl_class = _CacheImpl
+
+
+def _cached(compiled: Any) -> None:
+    if _machine_code_directory() is not None:
+        compiled._cache = _KernelCache(
+            compiled.py_func if hasattr(compiled, "py_func") else compiled._pyfunc
+        )
+
+
+def _disabled() -> bool:
+    return bool(vars(config)["DISABLE_JIT"])  # set by Numba from NUMBA_DISABLE_JIT
+
+
+def kernel(function: F) -> F:
+    """Compile `function` on its first call; with `NUMBA_DISABLE_JIT=1` leave it as it is."""
+    if _disabled():
+        return function
+    dispatcher: Any = numba.njit(nogil=True, error_model="numpy")(function)
+    _cached(dispatcher)
+    return dispatcher
+
+
+@functools.cache
+def function_pointer(function: F, signature: Any) -> F:
+    """Compile `function` for one `signature`, as a value that kernels take as an argument.
+
+    Args:
+        function: A plain function of a real `.py` file.
+        signature: Numba signature, e.g. `void(float64[::1], float64[::1])`.
+
+    Returns:
+        The compiled function; with `NUMBA_DISABLE_JIT=1`, `function` itself.
+    """
+    if _disabled():
+        return function
+    from numba.core.ccallback import CFunc
+    from numba.core.sigutils import normalize_signature
+
+    pointer: Any = CFunc(function, normalize_signature(signature), {}, {"error_model": "numpy"})
+    _cached(pointer)
+    pointer.compile()
+    return pointer

@@ -1,0 +1,1 @@
+"""A measurement becomes a command: boxes, policy, closed-loop inverse kinematics, yardsticks."""

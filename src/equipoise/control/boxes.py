@@ -1,0 +1,160 @@
+"""The 270 boxes of the paper: which one holds a state, and what its mirror image is.
+
+Section 4.1. The intervals come from `equipoise.paper`, ends included, converted to radians. An
+inner edge belongs to exactly one of its two neighbours; the outer limits of phi and x belong to
+none: a state on them is a failure. Index of a box: ((i_phi * 5 + i_phi_dot) * 3 + i_x) * 3 +
+i_x_dot, each axis counted from its lowest interval.
+
+Mirror symmetry (x, phi -> -x, -phi) is a map of *indices*. Re-binning -phi is not the same, since
+the intervals of phi are half open.
+"""
+
+from collections.abc import Sequence
+from math import radians
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise import paper
+from equipoise.artefacts import Value
+from equipoise.compiled import kernel
+
+SHAPE: Final = (6, 5, 3, 3)
+"""Number of intervals of phi, phi_dot, x, x_dot."""
+COUNT: Final = 270
+ACTIONS: Final = len(paper.ACTIONS)
+
+
+class Axis(NamedTuple):
+    """The inner edges of one axis."""
+
+    edges: npt.NDArray[np.float64]
+    """Rising, in SI units."""
+    upper: npt.NDArray[np.bool_]
+    """Whether the edge itself belongs to the interval above it."""
+
+
+class Boxes(NamedTuple):
+    """The four axes and the limits of the outermost intervals."""
+
+    phi: Axis
+    phi_dot: Axis
+    x: Axis
+    x_dot: Axis
+    phi_limit: float
+    """[rad]"""
+    x_limit: float
+    """[m]"""
+
+
+class BoxDescription(Value):
+    """The boxes as a policy's file states them, in the paper's notation and units."""
+
+    phi_deg: tuple[str, ...]
+    """Intervals of the angle from upright [deg]."""
+    phi_dot_deg: tuple[str, ...]
+    """Intervals of the angular velocity [deg/s]."""
+    x: tuple[str, ...]
+    """Intervals of the displacement [m]."""
+    x_dot: tuple[str, ...]
+    """Intervals of the velocity [m/s]."""
+
+
+def describe() -> BoxDescription:
+    """Return the paper's boxes for a file."""
+    return BoxDescription(
+        phi_deg=tuple(str(i) for i in paper.PHI_INTERVALS_DEG),
+        phi_dot_deg=tuple(str(i) for i in paper.PHI_DOT_INTERVALS_DEG),
+        x=tuple(str(i) for i in paper.X_INTERVALS),
+        x_dot=tuple(str(i) for i in paper.X_DOT_INTERVALS),
+    )
+
+
+def boxes() -> Boxes:
+    """Return the paper's boxes in SI units, for kernels."""
+    return Boxes(
+        phi=_axis(paper.PHI_INTERVALS_DEG, degrees=True),
+        phi_dot=_axis(paper.PHI_DOT_INTERVALS_DEG, degrees=True),
+        x=_axis(paper.X_INTERVALS, degrees=False),
+        x_dot=_axis(paper.X_DOT_INTERVALS, degrees=False),
+        phi_limit=radians(paper.PHI_LIMIT_DEG),
+        x_limit=paper.X_LIMIT,
+    )
+
+
+def _axis(intervals: Sequence[paper.Interval], *, degrees: bool) -> Axis:
+    edges = [interval.low for interval in intervals[1:]]
+    for below, above in zip(intervals[:-1], intervals[1:], strict=True):
+        # The paper prints ]-11, -5[ beside [-5, -1[: each inner edge has exactly one owner.
+        if below.high != above.low or below.high_closed == above.low_closed:
+            raise ValueError(f"{below} and {above} do not share one edge with one owner")
+    return Axis(
+        edges=np.array([radians(edge) if degrees else edge for edge in edges]),
+        upper=np.array([interval.low_closed for interval in intervals[1:]]),
+    )
+
+
+@kernel
+def interval_index(value: float, axis: Axis) -> int:
+    """Return the interval of an axis that holds `value`."""
+    index = 0
+    for i in range(axis.edges.size):
+        edge = axis.edges[i]
+        if value > edge or (value == edge and axis.upper[i]):
+            index += 1
+    return index
+
+
+@kernel
+def box_index(x: float, x_dot: float, phi: float, phi_dot: float, boxes: Boxes) -> int:
+    """Return the box that holds a state; states beyond a limit fall in the outermost box.
+
+    Args:
+        x: Displacement of the flange [m].
+        x_dot: Its velocity [m/s].
+        phi: Angle of the pendulum from upright [rad].
+        phi_dot: Its angular velocity [rad/s].
+        boxes: From `boxes()`.
+    """
+    i = interval_index(phi, boxes.phi)
+    j = interval_index(phi_dot, boxes.phi_dot)
+    k = interval_index(x, boxes.x)
+    m = interval_index(x_dot, boxes.x_dot)
+    return ((i * 5 + j) * 3 + k) * 3 + m
+
+
+@kernel
+def mirrored_box(box: int) -> int:
+    """Return the box of the mirror image: each axis is counted from its other end."""
+    m = box % 3
+    k = box // 3 % 3
+    j = box // 9 % 5
+    i = box // 45
+    return (((5 - i) * 5 + 4 - j) * 3 + 2 - k) * 3 + 2 - m
+
+
+@kernel
+def greedy_actions(Q: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
+    """Return the index of the best action of each box, ties broken mirror-symmetrically.
+
+    Of equal values the lowest action wins in a box of the lower half (phi < 0) and the highest in
+    its mirror image, so that a table that is symmetric gives a policy that is.
+
+    Args:
+        Q: State-action values, shape (270, 8).
+
+    Returns:
+        Indices of actions, shape (270,).
+    """
+    best = np.zeros(Q.shape[0], np.int64)
+    last = Q.shape[1] - 1
+    for box in range(Q.shape[0]):
+        lower_half = box < mirrored_box(box)
+        action = 0 if lower_half else last
+        for i in range(last + 1):
+            candidate = i if lower_half else last - i
+            if Q[box, candidate] > Q[box, action]:
+                action = candidate
+        best[box] = action
+    return best

@@ -1,0 +1,204 @@
+"""What decides: a policy maps the state (x, x_dot, phi, phi_dot) to an acceleration u.
+
+`Policy` is the protocol that anything can meet; `TabularPolicy` is the paper's table as a file.
+The compiled loops call `act`, with a `PolicyKernel` made from a table or from a yardstick.
+"""
+
+import functools
+from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import model_validator
+
+from equipoise import paper
+from equipoise.artefacts import Artefact, Value
+from equipoise.compiled import kernel
+from equipoise.control import boxes
+from equipoise.control.boxes import BoxDescription, Boxes, box_index, greedy_actions
+from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import Pendulum
+from equipoise.settings import Settings
+
+Array = npt.NDArray[np.float64]
+
+TABLE: Final = 0
+LINEAR: Final = 1
+SNAPPED: Final = 2
+RANDOM: Final = 3
+
+
+class Policy(Protocol):
+    """Anything that balances: any callable of this shape can be evaluated."""
+
+    def act(self, state: Array) -> float:
+        """Return u [m/s^2] for the state (x, x_dot, phi, phi_dot) in SI units, shape (4,)."""
+        ...
+
+
+class PolicyKernel(NamedTuple):
+    """A policy as compiled loops take it."""
+
+    kind: int
+    """TABLE, LINEAR (clipped to the range of the actions), SNAPPED (to an action) or RANDOM."""
+    u_of_box: Array
+    """Acceleration of each box [m/s^2], shape (270,); for TABLE."""
+    gains: Array
+    """u = gains . (x, x_dot, phi, phi_dot), shape (4,); for LINEAR and SNAPPED."""
+    actions: Array
+    """The eight accelerations [m/s^2], shape (8,)."""
+    boxes: Boxes
+    """Edges of the boxes."""
+
+
+@kernel
+def act(
+    policy: PolicyKernel, x: float, x_dot: float, phi: float, phi_dot: float, chance: float
+) -> float:
+    """Return the acceleration that a policy commands.
+
+    Args:
+        policy: Table or yardstick.
+        x: Displacement of the flange [m].
+        x_dot: Its velocity [m/s].
+        phi: Angle of the pendulum from upright [rad].
+        phi_dot: Its angular velocity [rad/s].
+        chance: Uniform number in [0, 1), for RANDOM.
+
+    Returns:
+        Acceleration u of the flange along x [m/s^2].
+    """
+    if policy.kind == TABLE:
+        return policy.u_of_box[box_index(x, x_dot, phi, phi_dot, policy.boxes)]
+    actions = policy.actions
+    if policy.kind == RANDOM:
+        return actions[int(chance * actions.size)]
+    g = policy.gains
+    u = g[0] * x + g[1] * x_dot + g[2] * phi + g[3] * phi_dot
+    if policy.kind == LINEAR:
+        return min(max(u, actions[0]), actions[-1])
+    nearest = actions[0]
+    for i in range(1, actions.size):
+        if abs(actions[i] - u) < abs(nearest - u):
+            nearest = actions[i]
+    return nearest
+
+
+def policy_kernel(
+    kind: int, *, u_of_box: Array | None = None, gains: Array | None = None
+) -> PolicyKernel:
+    """Return a `PolicyKernel`; what its kind does not use stays zero."""
+    return PolicyKernel(
+        kind=kind,
+        u_of_box=np.zeros(boxes.COUNT) if u_of_box is None else np.array(u_of_box),
+        gains=np.zeros(4) if gains is None else np.array(gains),
+        actions=np.array(paper.ACTIONS),
+        boxes=boxes.boxes(),
+    )
+
+
+class LearningPoint(Value):
+    """The training as it stood after some episodes."""
+
+    episodes: int
+    """Episodes so far."""
+    steps: int
+    """Control steps so far."""
+    duration: float
+    """Mean duration of the training episodes since the last point [s]."""
+    survival: float | None = None
+    """Share of the screening trials that the greedy policy of this moment lasted."""
+
+
+class Candidate(Value):
+    """A greedy policy of some moment of the training, and how it did on selection seeds."""
+
+    episodes: int
+    """When it was taken."""
+    trials: int
+    """How many selection trials it ran."""
+    survived: int
+    """How many of them it lasted."""
+    mean_duration: float
+    """Mean balance [s]."""
+    rms_x: float
+    """Root mean square of x over the trials [m]."""
+    score: float
+    """What was compared: mean duration over the longest possible, less a penalty on rms_x."""
+
+
+class TabularPolicy(Artefact):
+    """A trained table and all that is needed to run it and to train it again."""
+
+    FORMAT: ClassVar[str] = "equipoise-policy"
+    VERSION: ClassVar[int] = 1
+
+    boxes: BoxDescription
+    """The boxes, in the paper's notation."""
+    actions: tuple[float, ...]
+    """Accelerations [m/s^2]."""
+    Q: tuple[tuple[float, ...], ...]
+    """State-action values, 270 x 8."""
+    visits: tuple[tuple[int, ...], ...]
+    """How often each value was updated, 270 x 8."""
+    h: float
+    """Time step [s]."""
+    pendulum: Pendulum
+    """The pendulum it was trained for."""
+    arm: Arm
+    """The arm it was trained on, with its home posture."""
+    actuator: Literal["ideal"] = "ideal"
+    """The actuator it was trained with."""
+    recipe: str
+    """Name of the training recipe."""
+    settings: Settings
+    """Resolved settings of the training."""
+    seed: int
+    """Master seed."""
+    learner: int
+    """Which of the learners of that seed."""
+    episodes: int
+    """Episodes trained."""
+    steps: int
+    """Control steps trained."""
+    learning_curve: tuple[LearningPoint, ...]
+    """The course of the training."""
+    candidates: tuple[Candidate, ...]
+    """The finalists of the selection, the chosen one first; empty if the last table was taken."""
+
+    @model_validator(mode="after")
+    def _fits_the_boxes(self) -> Self:
+        if self.boxes != boxes.describe() or self.actions != paper.ACTIONS:
+            raise ValueError(
+                "the boxes or actions are not the ones of this Equipoise (the paper's 270 and 8)"
+            )
+        shape = (boxes.COUNT, boxes.ACTIONS)
+        for name, table in (("Q", self.Q), ("visits", self.visits)):
+            if len(table) != shape[0] or any(len(row) != shape[1] for row in table):
+                raise ValueError(f"{name} must have {shape[0]} rows of {shape[1]} numbers")
+        return self
+
+    @functools.cached_property
+    def table(self) -> Array:
+        """Q as an array that cannot be written, shape (270, 8)."""
+        return _read_only(np.array(self.Q))
+
+    @functools.cached_property
+    def u_of_box(self) -> Array:
+        """The greedy acceleration of each box [m/s^2], shape (270,)."""
+        return _read_only(np.array(self.actions)[greedy_actions(self.table)])
+
+    @functools.cached_property
+    def kernel(self) -> PolicyKernel:
+        """The greedy policy for compiled loops."""
+        return policy_kernel(TABLE, u_of_box=self.u_of_box)
+
+    def act(self, state: Array) -> float:
+        """Return u [m/s^2] for the state (x, x_dot, phi, phi_dot), shape (4,)."""
+        x, x_dot, phi, phi_dot = (float(value) for value in state)
+        return float(act(self.kernel, x, x_dot, phi, phi_dot, 0.0))
+
+
+def _read_only(array: Any) -> Any:
+    array.flags.writeable = False
+    return array

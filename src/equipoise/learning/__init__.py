@@ -1,0 +1,1 @@
+"""The closed loop of controller and plant, and tabular Q-learning in it."""

@@ -1,0 +1,1 @@
+"""A command becomes a measurement: pendulum, arms, encoder."""

@@ -1,0 +1,1 @@
+"""Serial arms: their numbers, and kinematics compiled from them."""

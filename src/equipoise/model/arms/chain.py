@@ -1,0 +1,105 @@
+"""The constants of a chain of joints: rotations and translations from one axis to the next.
+
+Held joints are folded in, and every frame is laid so that its joint turns about the frame's own z:
+what is left are six free joints that all turn alike, and seven constant steps between them.
+"""
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from equipoise.model.arms.arm import Arm
+
+Floats = npt.NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+ROUNDING: Final = 1e-15
+"""An entry of a constant rotation this close to -1, 0 or 1 is meant to be that number."""
+MEETING: Final = 1e-12
+"""Axes that pass this close to one point meet in it [m]."""
+
+
+class Link(NamedTuple):
+    """A constant step of the chain, from one free joint's turned frame to the next frame."""
+
+    rotation: Floats
+    """Axes of the next frame in this one, shape (3, 3)."""
+    translation: Floats
+    """Origin of the next frame in this one [m], shape (3,)."""
+
+
+def links(arm: "Arm") -> list[Link]:
+    """Return the constants of the chain: a step to each of the six free joints and the flange."""
+    chain: list[Link] = []
+    rotation, offset = np.eye(3), np.zeros(3)  # since the last free joint
+    for number, joint in enumerate(arm.joints, start=1):
+        offset = offset + rotation @ joint.xyz
+        rotation = rotation @ rotation_from_rpy(joint.rpy)
+        if number == arm.held_joint:
+            rotation = rotation @ rotation_about(np.array(joint.axis), arm.held_angle)
+        else:
+            along_z = _turned_to(np.array(joint.axis))
+            chain.append(Link(_exact(rotation @ along_z), offset))
+            rotation, offset = along_z.T, np.zeros(3)
+    offset = offset + rotation @ arm.flange_xyz
+    return [*chain, Link(_exact(rotation @ rotation_from_rpy(arm.flange_rpy)), offset)]
+
+
+def rotation_about(axis: Floats, angle: float) -> Floats:
+    """Return the rotation by `angle` [rad] about `axis`, shape (3, 3)."""
+    x, y, z = axis / np.linalg.norm(axis)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return _exact(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K)
+
+
+def rotation_from_rpy(rpy: Triple) -> Floats:
+    """Return the rotation by roll, pitch and yaw [rad] about fixed axes, shape (3, 3)."""
+    x, y, z = (rotation_about(axis, angle) for axis, angle in zip(np.eye(3), rpy, strict=True))
+    return _exact(z @ y @ x)
+
+
+def rpy_from_rotation(R: Floats) -> Triple:
+    """Return roll, pitch and yaw [rad] of a rotation.
+
+    Roll is read off what is left once yaw is undone, so that the three together are exact also
+    near a pitch of 90 degrees, where roll and yaw alone are not.
+    """
+    yaw = np.arctan2(R[1, 0], R[0, 0])
+    level = rotation_about(np.eye(3)[2], -yaw) @ R
+    pitch = np.arctan2(-level[2, 0], level[0, 0])
+    roll = np.arctan2(-level[1, 2], level[1, 1])
+    return float(roll), float(pitch), float(yaw)
+
+
+def _exact(R: Floats) -> Floats:
+    """Return `R` with the entries that are -1, 0 or 1 up to rounding made so."""
+    return np.where(np.abs(R - np.round(R)) < ROUNDING, np.round(R) + 0.0, R)
+
+
+def _turned_to(axis: Floats) -> Floats:
+    """Return the smallest rotation that takes z to `axis`."""
+    x, y, z = axis / np.linalg.norm(axis)
+    across = np.array([-y, x, 0.0])  # z cross axis
+    return rotation_about(across if across.any() else np.eye(3)[0], np.arctan2(np.hypot(x, y), z))
+
+
+def wrist_centre(arm: "Arm") -> Floats:
+    """Return where the last three axes meet, in the flange frame; NaN where they do not.
+
+    They meet at every q if they meet at one: the point lies on the fifth axis and on the sixth,
+    so that neither turn moves it.
+    """
+    rotation, origin = np.eye(3), np.zeros(3)  # in the frame of the fourth axis
+    axes, origins = [rotation[:, 2]], [origin]
+    for link in links(arm)[4:]:
+        origin = origin + rotation @ link.translation
+        rotation = rotation @ link.rotation
+        axes.append(rotation[:, 2])
+        origins.append(origin)
+    across = [np.eye(3) - np.outer(axis, axis) for axis in axes[:3]]
+    offsets = [P @ origin for P, origin in zip(across, origins[:3], strict=True)]
+    point = np.linalg.lstsq(np.vstack(across), np.concatenate(offsets))[0]
+    missed = [np.linalg.norm(P @ point - o) for P, o in zip(across, offsets, strict=True)]
+    return rotation.T @ (point - origin) if max(missed) < MEETING else np.full(3, np.nan)

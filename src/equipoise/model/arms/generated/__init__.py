@@ -1,0 +1,1 @@
+"""Kinematics generated from the arms of the package: `make generated` writes it again."""

@@ -1,0 +1,112 @@
+"""The KUKA LBR iiwa 7 R800 and iiwa 14 R820, the arms of the experiment.
+
+Both are one chain with other lengths: seven joints whose axes alternate between along the link
+and across it, a spherical shoulder, elbow and wrist (modified Denavit-Hartenberg, all a = 0).
+Speeds and torques are KUKA's. KUKA publishes no limits of the accelerations; 10 rad/s^2 is what
+MoveIt configurations of the iiwa use.
+
+The paper holds joint 3 (section 3.1); it does not say which iiwa, nor the posture. Our home
+(90, 30, 0, -70, 0, 80, 0) degrees holds the flange pointing down in front of the arm, so that
+x is tangential: A1 does most of the motion and the arm is far from its limits over all of the
+track. "Outward", away from the base, is base +y there and -x of the flange frame.
+"""
+
+from math import radians
+from typing import Final, Literal, NamedTuple
+
+from equipoise.errors import ArmError
+from equipoise.model.arms.arm import Arm, Joint
+from equipoise.paper import HELD_JOINT
+
+ALPHA_DEG: Final = (0.0, -90.0, 90.0, 90.0, -90.0, -90.0, 90.0)
+"""Twist from each joint's axis to the next [deg]."""
+LIMIT_DEG: Final = (170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0)
+"""Position limits, both ways [deg]."""
+ACCELERATION: Final = 10.0
+"""Acceleration limit of every joint [rad/s^2]."""
+HOME_DEG: Final = (90.0, 30.0, 0.0, -70.0, 0.0, 80.0, 0.0)
+"""Home posture [deg]."""
+PIVOT_OUTWARD: Final = 0.13
+"""From the axis of A7 to the plane in which the pendulum turns [m]: it passes in front of the
+wrist, which is a ball of less than 0.1 m."""
+MEDIA_FLANGES: Final = (0.0, 0.035, 0.061)
+"""Heights of KUKA's media flanges: none, electric or pneumatic, touch pneumatic [m]."""
+
+
+class _Model(NamedTuple):
+    d: tuple[float, float, float, float]
+    """Base to shoulder, shoulder to elbow, elbow to wrist, wrist to flange [m]."""
+    speed_deg: tuple[float, ...]
+    """Velocity limits [deg/s]."""
+    torque: tuple[float, ...]
+    """Torque limits [N m]."""
+
+
+_MODELS: Final = {
+    7: _Model(
+        d=(0.34, 0.40, 0.40, 0.126),
+        speed_deg=(98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0),
+        torque=(176.0, 176.0, 110.0, 110.0, 110.0, 40.0, 40.0),
+    ),
+    14: _Model(
+        d=(0.36, 0.42, 0.40, 0.126),
+        speed_deg=(85.0, 85.0, 100.0, 75.0, 130.0, 135.0, 135.0),
+        torque=(320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
+    ),
+}
+
+
+def iiwa(size: Literal[7, 14], *, media_flange: float = 0.0) -> Arm:
+    """Return an iiwa with joint 3 held straight and the pendulum beside its flange.
+
+    The media flange moves the pivot only. CLIK regulates the bare flange, 0.126 m from the wrist:
+    it keeps its orientation, so every point fixed to it moves alike, and one policy serves every
+    media flange.
+
+    Args:
+        size: 7 or 14.
+        media_flange: Height of the media flange: 0, 0.035 or 0.061 m.
+
+    Raises:
+        ArmError: There is no such iiwa or media flange.
+    """
+    if size not in _MODELS:
+        raise ArmError(f"there is no iiwa {size}; choose 7 or 14")
+    if media_flange not in MEDIA_FLANGES:
+        heights = ", ".join(f"{height:g}" for height in MEDIA_FLANGES)
+        raise ArmError(f"media flange of {media_flange:g} m; choose one of {heights} m")
+    model = _MODELS[size]
+    base, upper_arm, forearm, hand = model.d
+    # d runs along the joint's own axis, which is the twisted z of the frame before it.
+    places = (
+        (0.0, 0.0, base),
+        (0.0, 0.0, 0.0),
+        (0.0, -upper_arm, 0.0),
+        (0.0, 0.0, 0.0),
+        (0.0, forearm, 0.0),
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+    )
+    joints = tuple(
+        Joint(
+            name=f"A{number}",
+            xyz=xyz,
+            rpy=(radians(alpha), 0.0, 0.0),
+            lower=-radians(limit),
+            upper=radians(limit),
+            velocity=radians(speed),
+            acceleration=ACCELERATION,
+            torque=torque,
+        )
+        for number, (xyz, alpha, limit, speed, torque) in enumerate(
+            zip(places, ALPHA_DEG, LIMIT_DEG, model.speed_deg, model.torque, strict=True), start=1
+        )
+    )
+    return Arm(
+        name=f"iiwa{size}",
+        joints=joints,
+        held_joint=HELD_JOINT,
+        flange_xyz=(0.0, 0.0, hand),
+        pivot=(-PIVOT_OUTWARD, 0.0, media_flange),
+        home=tuple(radians(angle) for angle in HOME_DEG),
+    )

@@ -1,0 +1,121 @@
+"""Postures: where the joints are when the flange is somewhere on its line, and which home is good.
+
+The flange moves along base x and keeps the orientation that it has at home.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from equipoise.errors import ArmError
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.arms.chain import Floats
+from equipoise.paper import X_LIMIT
+
+DAMPING = 1e-9
+"""Added to J J^T in a Newton step, so that a singular posture is no division by zero."""
+
+
+def along_x(arm: Arm, displacements: Sequence[float] | Floats) -> Floats:
+    """Return the postures that carry the flange along base x from home, its orientation held.
+
+    Damped Newton steps outwards from home, each posture the start of the next.
+
+    Args:
+        arm: The arm.
+        displacements: x of the flange from home [m], shape (n,).
+
+    Returns:
+        Free joints [rad], shape (n, 6).
+
+    Raises:
+        ArmError: The flange does not get there within the limits of the joints.
+    """
+    home = arm.pose(arm.home_free)
+    places = [float(x) for x in displacements]
+    postures: dict[float, Floats] = {}
+    for side in (1.0, -1.0):
+        q = arm.home_free
+        for x in sorted({x for x in places if x * side >= 0.0}, key=abs):
+            q = postures[x] = _reach(arm, home.position + x * np.eye(3)[0], home.rotation, q)
+    return np.array([postures[x] for x in places])
+
+
+def condition(arm: Arm, q: Floats) -> float:
+    """Return the condition number of J (metres and radians) at the free joints `q` [rad]."""
+    return float(np.linalg.cond(arm.kinematics(q).jacobian))
+
+
+def x_speed_limit(arm: Arm, q: Floats) -> float:
+    r"""Return how fast the joints can carry the flange along x [m/s], being at `q` [rad].
+
+    .. math:: \min_i \dot q_{i,\max} / |J^{-1} e_x|_i
+    """
+    rates = np.linalg.solve(arm.kinematics(q).jacobian, np.eye(6)[0])
+    limits = [joint.velocity for joint in arm.free_joints]
+    return float(1.0 / np.max(np.abs(rates) / limits))
+
+
+def limit_margin(arm: Arm, q: Floats) -> float:
+    """Return how far the nearest limit of a joint is [rad] at the free joints `q` [rad]."""
+    joints = arm.free_joints
+    return min(
+        min(angle - joint.lower, joint.upper - angle)
+        for angle, joint in zip(q.tolist(), joints, strict=True)
+    )
+
+
+def search_home(arm: Arm, *, lowest: float = 0.3, candidates: int = 2000) -> Arm:
+    """Return `arm` with a home from which the whole track is far from singular postures.
+
+    Random postures (seed 0) in the middle of the joints' ranges, the flange at least `lowest`
+    [m] above the base plane; of the twenty best conditioned the one whose worst place on the
+    track is best. It knows nothing of the surroundings: check it with `scene.clearance`.
+
+    Raises:
+        ArmError: No candidate can carry the flange along the track.
+    """
+    rng = np.random.default_rng(0)
+    ranges = np.clip([(joint.lower, joint.upper) for joint in arm.free_joints], -np.pi, np.pi)
+    middle, half = ranges.mean(axis=1), 0.35 * np.ptp(ranges, axis=1)
+    drawn = middle + half * rng.uniform(-1.0, 1.0, (candidates, FREE_JOINTS))
+    high = [q for q in drawn if arm.pose(q).position[2] > lowest]
+    best: tuple[float, Arm | None] = (np.inf, None)
+    for q in sorted(high, key=lambda q: condition(arm, q))[:20]:
+        there = arm.model_copy(update={"home": tuple(arm.with_held(q).tolist())})
+        try:
+            track = along_x(there, np.linspace(-X_LIMIT, X_LIMIT, 5))
+        except ArmError:
+            continue
+        worst = max(condition(there, place) for place in track)
+        if worst < best[0]:
+            best = worst, there
+    if best[1] is None:
+        raise ArmError(
+            f"no posture found from which {arm.name} carries its flange {X_LIMIT} m both ways "
+            "along base x; give a home posture"
+        )
+    return best[1]
+
+
+def _reach(arm: Arm, position: Floats, rotation: Floats, q: Floats) -> Floats:
+    for _ in range(100):
+        flange = arm.kinematics(q)
+        turn = 0.5 * np.cross(flange.rotation, rotation, axis=0).sum(axis=1)
+        error = np.concatenate([position - flange.position, turn])
+        if np.abs(error).max() < 1e-10:
+            break
+        J = flange.jacobian
+        q = q + J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), error)
+    else:
+        raise ArmError(
+            f"{arm.name} cannot carry its flange to {np.round(position, 3).tolist()} m with the "
+            "orientation of home; give another home posture"
+        )
+    if limit_margin(arm, q) < 0.0:
+        raise ArmError(
+            f"{arm.name} leaves the limits of its joints with the flange at "
+            f"{np.round(position, 3).tolist()} m: {np.round(np.degrees(q), 1).tolist()} degrees; "
+            "give another home posture"
+        )
+    return q

@@ -1,0 +1,220 @@
+"""An arm, its pendulum and the table in MuJoCo, in simple geometry that errs on the thick side.
+
+A link is a capsule from joint to joint, as wide as the link bulges anywhere, and pulled in at its
+ends; a joint that turns across its links has a housing, a capsule along its axis. The sizes are our
+own reading of public models of the iiwa; connectors and cables are not drawn. The pendulum sits on
+a bracket from the flange and turns about base y: its joint angle is phi, zero upright, positive
+towards +x. MuJoCo is imported where it is used.
+"""
+
+import importlib
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from equipoise.model.arms.arm import Arm
+from equipoise.model.arms.chain import Floats, rotation_from_rpy
+from equipoise.model.arms.posture import along_x
+from equipoise.paper import X_LIMIT
+
+
+class Sizes(NamedTuple):
+    """How thick things are drawn; the defaults are for the iiwas."""
+
+    link: float = 0.11
+    """Radius of a link [m]."""
+    pulled_in: float = 0.03
+    """By how much a link's capsule ends before its joints [m]."""
+    housing: float = 0.09
+    """Radius of the housing of a joint that turns across its links [m]."""
+    housing_reach: float = 0.05
+    """From the centre of a housing to the centre of its round end [m]."""
+    hand: float = 0.07
+    """Radius of the last link, which ends in the flange [m]."""
+    bracket: float = 0.015
+    """Radius of what carries the pendulum [m]."""
+    rod: float = 0.01
+    """Radius of the pendulum [m]."""
+    rod_length: float = 0.21
+    """Length of the pendulum [m]: a uniform rod with the paper's period of 0.75 s."""
+
+
+SIZES: Final = Sizes()
+
+
+class Clearance(NamedTuple):
+    """Smallest distances over the track and a full turn of the pendulum; negative is overlap."""
+
+    arm: float
+    """Between parts of the arm, the bracket and the pendulum that are not joined [m]."""
+    table: float
+    """Between the table and all that moves [m]."""
+
+
+class _Part(NamedTuple):
+    """What is drawn between two joints that are apart, with the housings at its root."""
+
+    geoms: list[str]
+    length: float
+    radius: float
+
+
+def scene(arm: Arm, *, table_height: float = 0.0, sizes: Sizes = SIZES) -> Any:
+    """Return a MuJoCo model of the rig: every joint of the arm, then the pendulum.
+
+    Its keyframe `home` has the arm at home and the pendulum hanging. Nothing collides in it, and
+    its masses are those of the drawing, not of the robot.
+
+    Args:
+        arm: The arm.
+        table_height: Top of the table above the arm's base plane [m].
+        sizes: How thick things are drawn.
+
+    Returns:
+        A `mujoco.MjSpec`.
+    """
+    return _drawn(arm, table_height, sizes)[0]
+
+
+def clearance(
+    arm: Arm, *, table_height: float = 0.0, sizes: Sizes = SIZES, track: float = X_LIMIT
+) -> Clearance:
+    """Return how close things come: flange anywhere within `track`, pendulum at any angle.
+
+    Steps of 20 mm and 5 degrees.
+
+    Args:
+        arm: The arm.
+        table_height: Top of the table above the arm's base plane [m].
+        sizes: How thick things are drawn.
+        track: Largest |x| [m].
+
+    Raises:
+        ArmError: The arm cannot reach the ends of the track.
+    """
+    mujoco = _mujoco()
+    spec, parts = _drawn(arm, table_height, sizes)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    nowhere = np.zeros(6)
+
+    def distance(some: _Part, others: list[_Part]) -> float:
+        return min(
+            mujoco.mj_geomDistance(model, data, model.geom(a).id, model.geom(b).id, 10.0, nowhere)
+            for other in others
+            for a in some.geoms
+            for b in other.geoms
+        )
+
+    *body, rod = parts
+    apart = [(part, _not_joined(i, body, sizes)) for i, part in enumerate(body)]
+    table = _Part(["table"], 0.0, 0.0)
+    closest, lowest = np.inf, np.inf
+    for q in along_x(arm, np.linspace(-track, track, round(track / 0.01) + 1)):
+        data.qpos[: len(arm.joints)] = arm.with_held(q)
+        mujoco.mj_kinematics(model, data)
+        closest = min([closest, *(distance(part, others) for part, others in apart if others)])
+        lowest = min(lowest, distance(table, body[1:]))
+        for phi in np.arange(0.0, 2.0 * np.pi, np.radians(5.0)):
+            data.qpos[-1] = phi
+            mujoco.mj_kinematics(model, data)
+            closest = min(closest, distance(rod, body[:-1]))
+            lowest = min(lowest, distance(table, [rod]))
+    return Clearance(float(closest), float(lowest))
+
+
+def _mujoco() -> Any:
+    return importlib.import_module("mujoco")  # it has no types
+
+
+def _drawn(arm: Arm, table_height: float, sizes: Sizes) -> tuple[Any, list[_Part]]:
+    """Return the model, and its parts from the base to the pendulum."""
+    mujoco = _mujoco()
+    spec = mujoco.MjSpec()
+    spec.modelname = arm.name
+    spec.compiler.degree = False
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6  # of frames without geometry
+    spec.worldbody.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[1.5, 1.5, 0.05],
+        pos=[0.0, 0.0, table_height - 0.05],
+        contype=0,
+        conaffinity=0,
+    )
+
+    def capsule(body: Any, name: str, start: Floats, end: Floats, radius: float) -> str:
+        ends = np.concatenate([start, end])
+        size = [radius, 0.0, 0.0]
+        shape = mujoco.mjtGeom.mjGEOM_CAPSULE
+        body.add_geom(name=name, type=shape, fromto=ends, size=size, contype=0, conaffinity=0)
+        return name
+
+    def child(body: Any, name: str, xyz: Any, rotation: Floats) -> Any:
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, rotation.ravel())
+        return body.add_body(name=name, pos=xyz, quat=quaternion)
+
+    steps = [np.array(joint.xyz) for joint in arm.joints] + [np.array(arm.flange_xyz)]
+    last = max(number for number, step in enumerate(steps) if step.any())
+    across = _across(arm, steps)
+    body, parts, housings = spec.worldbody, list[_Part](), list[str]()
+    for number, step in enumerate(steps):
+        if step.any():
+            length = float(np.linalg.norm(step))
+            radius = sizes.hand if number == last else sizes.link
+            inset = step * min(sizes.pulled_in / length, 0.5)
+            name = capsule(body, f"link {number}", inset, step - inset, radius)
+            parts.append(_Part([name, *housings], length, radius))
+            housings = []
+        if number < len(arm.joints):
+            joint = arm.joints[number]
+            body = child(body, f"frame {number + 1}", step, rotation_from_rpy(joint.rpy))
+            hinge = mujoco.mjtJoint.mjJNT_HINGE
+            limits = [joint.lower, joint.upper]
+            body.add_joint(name=joint.name, type=hinge, axis=joint.axis, range=limits)
+            if across[number]:
+                reach = sizes.housing_reach * np.array(joint.axis) / np.linalg.norm(joint.axis)
+                name = f"housing {number + 1}"
+                housings.append(capsule(body, name, -reach, reach, sizes.housing))
+
+    flange = child(body, "flange", steps[-1], rotation_from_rpy(arm.flange_rpy))
+    pivot = np.array(arm.pivot)
+    if pivot.any():
+        name = capsule(flange, "bracket", np.zeros(3), pivot, sizes.bracket)
+        parts.append(_Part([name], float(np.linalg.norm(pivot)), sizes.bracket))
+    pendulum = child(flange, "pendulum", pivot, arm.pose(arm.home_free).rotation.T)
+    pendulum.add_joint(name="phi", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 1.0, 0.0])
+    top = np.array([0.0, 0.0, sizes.rod_length])
+    name = capsule(pendulum, "rod", np.zeros(3), top, sizes.rod)
+    parts.append(_Part([name], sizes.rod_length, sizes.rod))
+    spec.add_key(name="home", qpos=[*arm.home, np.pi])
+    return spec, parts
+
+
+def _across(arm: Arm, steps: list[Floats]) -> list[bool]:
+    """Tell for each joint whether it turns across the links that it joins, not along one."""
+    rotation, axes, directions = np.eye(3), list[Floats](), list[Floats]()
+    for joint, step in zip(arm.joints, steps, strict=False):
+        directions.append(rotation @ step)
+        rotation = rotation @ rotation_from_rpy(joint.rpy)
+        axes.append(rotation @ joint.axis / np.linalg.norm(joint.axis))
+    directions.append(rotation @ steps[-1])
+    links = [(number, d / np.linalg.norm(d)) for number, d in enumerate(directions) if d.any()]
+    result: list[bool] = []
+    for number, axis in enumerate(axes):
+        before = [direction for place, direction in links if place <= number][-1:]
+        after = [direction for place, direction in links if place > number][:1]
+        result.append(all(abs(axis @ direction) < 0.9 for direction in before + after))
+    return result
+
+
+def _not_joined(i: int, parts: list[_Part], sizes: Sizes) -> list[_Part]:
+    """Return the later parts that are kept from part `i` by more than their own thickness."""
+    others: list[_Part] = []
+    between = sizes.pulled_in
+    for nearer, other in zip(parts[i + 1 :], parts[i + 2 :], strict=False):
+        between += nearer.length
+        if between > parts[i].radius + other.radius:
+            others.append(other)
+    return others

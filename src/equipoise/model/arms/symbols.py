@@ -1,0 +1,166 @@
+"""Expressions that simplify themselves while they are written down.
+
+A `Tape` records sums and products of inputs and numbers. Numbers are folded, signs are moved
+outwards and cancelled, the operands of + and * are kept in one order, and equal expressions are
+one object: so each is computed once. `Tape.python` prints what the outputs need, and no more.
+"""
+
+from collections.abc import Iterator, Mapping
+
+Vector = tuple["Symbol", "Symbol", "Symbol"]
+
+
+class Symbol:
+    """A number, an input, or an operation on other symbols."""
+
+    def __init__(
+        self, tape: "Tape", operation: str, operands: "tuple[Symbol, ...]", number: float = 0.0
+    ) -> None:
+        self.tape, self.operation, self.operands, self.number = tape, operation, operands, number
+        self.order, self.block = len(tape.symbols), tape.block
+        self.name = ""
+
+    def __neg__(self) -> "Symbol":
+        if self.operation == "number":
+            return self.tape.number(-self.number)
+        return self.operands[0] if self.operation == "neg" else self.tape.symbol("neg", self)
+
+    def __mul__(self, other: "Symbol") -> "Symbol":
+        a, b = sorted((self, other), key=lambda s: (s.operation != "number", s.order))
+        if a.operation == "number":
+            if b.operation == "number":
+                return self.tape.number(a.number * b.number)
+            if a.number == 0.0:
+                return a
+            if a.number == 1.0:
+                return b
+            if a.number < 0.0:
+                return -(-a * b)
+            if b.operation == "*" and b.operands[0].operation == "number":
+                return (a * b.operands[0]) * b.operands[1]
+        if a.operation == "neg":
+            return -(a.operands[0] * b)
+        if b.operation == "neg":
+            return -(a * b.operands[0])
+        return self.tape.symbol("*", a, b)
+
+    def __add__(self, other: "Symbol") -> "Symbol":
+        a, b = sorted((self, other), key=lambda s: (s.operation != "number", s.order))
+        if b.operation == "number":
+            return self.tape.number(a.number + b.number)
+        if a.operation == "number" and a.number == 0.0:
+            return b
+        if a.operation == "neg":
+            return b - a.operands[0]
+        if b.operation == "neg":
+            return a - b.operands[0]
+        return self.tape.symbol("+", a, b)
+
+    def __sub__(self, other: "Symbol") -> "Symbol":
+        a, b = self, other
+        if a is b:
+            return self.tape.number(0.0)
+        if b.operation in ("number", "neg"):
+            return a + -b
+        if a.operation == "number" and a.number == 0.0:
+            return -b
+        if a.operation == "neg":
+            return -(a.operands[0] + b)
+        if self.tape.has("-", b, a):
+            return -(b - a)
+        return self.tape.symbol("-", a, b)
+
+    def __str__(self) -> str:
+        """Return the name, or the formula where it has none."""
+        return self.name or self.formula()
+
+    def formula(self) -> str:
+        """Return the expression itself as Python."""
+        match self.operation, self.operands:
+            case "number", _:
+                return repr(self.number)
+            case formula, ():
+                return formula
+            case "neg", (a,):
+                return f"-{a._inside('+-')}"
+            case "*", (a, b):
+                return f"{a._inside('+-')} * {b._inside('+-')}"
+            case "-", (a, b):
+                return f"{a} - {b._inside('+-')}"
+            case _:
+                a, b = self.operands
+                return f"{a} + {b._inside('+-')}"
+
+    def _inside(self, weaker: str) -> str:
+        bare = self.name or self.operation not in weaker
+        return str(self) if bare else f"({self})"
+
+
+class Tape:
+    """The symbols of one computation, in the order in which they came up, in titled blocks."""
+
+    def __init__(self) -> None:
+        self.symbols: dict[tuple[object, ...], Symbol] = {}
+        self.block = ""
+
+    def number(self, value: float) -> Symbol:
+        """Return a constant."""
+        key = ("number", float(value) + 0.0)  # no negative zero
+        if key not in self.symbols:
+            self.symbols[key] = Symbol(self, "number", (), key[1])
+        return self.symbols[key]
+
+    def input(self, name: str, formula: str) -> Symbol:
+        """Return a symbol whose value is read by `formula`, a piece of Python."""
+        symbol = self.symbols[("input", formula)] = Symbol(self, formula, ())
+        symbol.name = name
+        return symbol
+
+    def symbol(self, operation: str, *operands: Symbol) -> Symbol:
+        """Return the one symbol of this operation on these operands."""
+        key = (operation, *operands)
+        if key not in self.symbols:
+            self.symbols[key] = Symbol(self, operation, operands)
+        return self.symbols[key]
+
+    def has(self, operation: str, *operands: Symbol) -> bool:
+        """Tell whether the operation is on the tape."""
+        return (operation, *operands) in self.symbols
+
+    def named(self, name: str, vector: Vector) -> Vector:
+        """Name the components of a vector, where they are worth one; return the vector."""
+        for symbol, component in zip(vector, "xyz", strict=True):
+            negated = symbol.operation == "neg"
+            if negated:
+                symbol = symbol.operands[0]
+            better = symbol.name.startswith("neg_") and not negated
+            if symbol.operation in "+-*" and (better or not symbol.name):
+                symbol.name = f"{'neg_' if negated else ''}{name}_{component}"
+        return vector
+
+    def python(self, record: Mapping[str, Mapping[str, Symbol]]) -> Iterator[str]:
+        """Yield the lines that compute a record: for each title, its targets and their symbols.
+
+        What is used more than once has a line of its own; what nobody uses has none.
+        """
+        users: dict[Symbol, int] = {}
+        pending = [symbol for entries in record.values() for symbol in entries.values()]
+        while pending:
+            symbol = pending.pop()
+            users[symbol] = users.get(symbol, 0) + 1
+            if users[symbol] == 1:
+                pending.extend(symbol.operands)
+        needed = sorted(users, key=lambda symbol: symbol.order)
+        shared = (s for s in needed if s.operation in "+-*" and users[s] > 1 and not s.name)
+        for count, symbol in enumerate(shared, start=1):
+            symbol.name = f"t{count}"
+        block = ""
+        for symbol in needed:
+            if symbol.name:
+                if symbol.block != block:
+                    block = symbol.block
+                    yield f"# {block}"
+                yield f"{symbol.name} = {symbol.formula()}"
+        for title, entries in record.items():
+            yield f"# {title}"
+            yield from (f"{target} = {symbol}" for target, symbol in entries.items())

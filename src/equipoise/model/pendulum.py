@@ -1,0 +1,325 @@
+r"""Dynamics of a pendulum whose pivot accelerates along x, and the file that describes one.
+
+Symbols follow Safeea & Neto, section 3.2. phi is measured from upright, positive towards +x;
+theta is measured from hanging; theta + phi = pi. A free swing identifies ratios only:
+w2 = m g l / I, k = m l / I = w2 / g, c = b / I; control needs nothing else. The moment of inertia
+I and the friction b in SI units need m and l measured apart, where l reaches from the axis to the
+centre of mass of all that rotates.
+
+Equation (8) is the special case u = 0 written in theta; equation (7) is the linearisation at
+phi = 0. Coulomb friction and quadratic drag go beyond the paper; they are zero by default.
+"""
+
+from math import cos, pi, sin
+from typing import ClassVar, Literal, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.artefacts import Artefact, Estimate, Value
+from equipoise.compiled import kernel
+from equipoise.settings import GRAVITY, Friction, IdentificationSettings
+
+
+class PendulumParameters(NamedTuple):
+    """What a free swing identifies of a rigid pendulum on a frictional pivot.
+
+    A `NamedTuple` so that compiled kernels can take it as an argument.
+    """
+
+    w2: float
+    """Gravity over inertia, m g l / I [1/s^2]."""
+    k: float
+    """Coupling to the pivot's acceleration, m l / I [1/m]."""
+    c: float
+    """Viscous friction over inertia, b / I [1/s]."""
+    coulomb: float = 0.0
+    """Coulomb friction over inertia [1/s^2]."""
+    drag: float = 0.0
+    """Quadratic drag over inertia [1/rad]."""
+    linearised: bool = False
+    """Use sin(phi) = phi, cos(phi) = 1, as equation (7) is printed."""
+
+
+@kernel
+def _acceleration(
+    phi: float, phi_dot: float, u: float, dry: float, pendulum: PendulumParameters
+) -> float:
+    """Return the angular acceleration [rad/s^2]; `dry` is f sign(phi_dot), known beforehand."""
+    friction = pendulum.c * phi_dot + pendulum.drag * abs(phi_dot) * phi_dot + dry
+    if pendulum.linearised:
+        return pendulum.w2 * phi - friction - pendulum.k * u
+    return pendulum.w2 * sin(phi) - friction - pendulum.k * u * cos(phi)
+
+
+@kernel
+def angular_acceleration(
+    phi: float, phi_dot: float, u: float, pendulum: PendulumParameters
+) -> float:
+    r"""Return the angular acceleration of the pendulum.
+
+    .. math:: \ddot\varphi = w_2 \sin\varphi - c\,\dot\varphi - k\,u \cos\varphi
+              - f \,\mathrm{sign}\,\dot\varphi - d\,|\dot\varphi|\dot\varphi
+
+    Args:
+        phi: Angle from upright [rad].
+        phi_dot: Angular velocity [rad/s].
+        u: Acceleration of the pivot along x [m/s^2].
+        pendulum: Physical parameters.
+
+    Returns:
+        Angular acceleration [rad/s^2].
+
+    Example:
+        >>> pendulum = PendulumParameters(w2=70.2, k=7.15, c=0.15)
+        >>> float(angular_acceleration(0.0, 0.0, 1.0, pendulum))
+        -7.15
+    """
+    dry = 0.0
+    if phi_dot > 0.0:
+        dry = pendulum.coulomb
+    elif phi_dot < 0.0:
+        dry = -pendulum.coulomb
+    return _acceleration(phi, phi_dot, u, dry, pendulum)
+
+
+@kernel
+def _runge_kutta(
+    phi: float, phi_dot: float, u: float, h: float, dry: float, pendulum: PendulumParameters
+) -> tuple[float, float]:
+    """Advance by one Runge-Kutta step of fourth order, with u and dry friction held."""
+    v1 = phi_dot
+    a1 = _acceleration(phi, v1, u, dry, pendulum)
+    v2 = phi_dot + 0.5 * h * a1
+    a2 = _acceleration(phi + 0.5 * h * v1, v2, u, dry, pendulum)
+    v3 = phi_dot + 0.5 * h * a2
+    a3 = _acceleration(phi + 0.5 * h * v2, v3, u, dry, pendulum)
+    v4 = phi_dot + h * a3
+    a4 = _acceleration(phi + h * v3, v4, u, dry, pendulum)
+    return (
+        phi + h * (v1 + 2.0 * v2 + 2.0 * v3 + v4) / 6.0,
+        phi_dot + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0,
+    )
+
+
+@kernel
+def _step_with_dry_friction(
+    phi: float, phi_dot: float, u: float, h: float, pendulum: PendulumParameters
+) -> tuple[float, float]:
+    """Advance by `h`, turning round (or coming to rest) exactly where the rate is zero.
+
+    A Runge-Kutta step across the jump of the dry friction would lose its order, and chatter at
+    rest.
+    """
+    f = pendulum.coulomb
+    left = h
+    # A step turns round at most once; the third pass only ends what the second began.
+    for _ in range(3):
+        direction = 1.0 if phi_dot > 0.0 else -1.0
+        if phi_dot == 0.0:
+            drive = _acceleration(phi, 0.0, u, 0.0, pendulum)
+            if abs(drive) <= f:
+                return phi, 0.0
+            direction = 1.0 if drive > 0.0 else -1.0
+        end, end_dot = _runge_kutta(phi, phi_dot, u, left, f * direction, pendulum)
+        if end_dot * direction >= 0.0 or phi_dot == 0.0:
+            return end, end_dot
+        # Newton's iteration for the moment of the turn: the rate is almost a straight line.
+        until = left * phi_dot / (phi_dot - end_dot)
+        turn = phi
+        for _ in range(4):
+            turn, turn_dot = _runge_kutta(phi, phi_dot, u, until, f * direction, pendulum)
+            slope = _acceleration(turn, turn_dot, u, f * direction, pendulum)
+            until = min(max(until - turn_dot / slope, 0.0), left) if slope != 0.0 else until
+        phi, phi_dot, left = turn, 0.0, left - until
+    return phi, phi_dot
+
+
+@kernel
+def step(
+    phi: float, phi_dot: float, u: float, h: float, pendulum: PendulumParameters
+) -> tuple[float, float]:
+    """Advance the pendulum by one Runge-Kutta step of fourth order, u held.
+
+    With Coulomb friction the step is split where the pendulum turns round; there it stays at rest
+    while dry friction holds it.
+
+    Args:
+        phi: Angle from upright [rad].
+        phi_dot: Angular velocity [rad/s].
+        u: Acceleration of the pivot along x over the step [m/s^2].
+        h: Length of the step [s].
+        pendulum: Physical parameters.
+
+    Returns:
+        Angle [rad] and angular velocity [rad/s] at the end of the step.
+    """
+    if pendulum.coulomb == 0.0:
+        return _runge_kutta(phi, phi_dot, u, h, 0.0, pendulum)
+    return _step_with_dry_friction(phi, phi_dot, u, h, pendulum)
+
+
+@kernel
+def swing(
+    time: npt.NDArray[np.float64],
+    theta: float,
+    theta_dot: float,
+    h: float,
+    pendulum: PendulumParameters,
+    thetas: npt.NDArray[np.float64],
+    theta_dots: npt.NDArray[np.float64],
+) -> None:
+    """Swing freely from hanging's side, and write the motion at any increasing times.
+
+    Steps of fixed length `h` from `time[0]` on; between them a cubic through angle and rate at
+    both ends, so that uneven time stamps and gaps cost nothing and the result depends smoothly on
+    the parameters (which finite differences for a fit need).
+
+    Args:
+        time: When to write [s], increasing, shape (n,).
+        theta: Angle from hanging at `time[0]` [rad].
+        theta_dot: Its rate [rad/s].
+        h: Length of the steps [s].
+        pendulum: Physical parameters.
+        thetas: Receives the angle from hanging [rad], shape (n,).
+        theta_dots: Receives its rate [rad/s], shape (n,).
+    """
+    phi, phi_dot = pi - theta, -theta_dot
+    before, before_dot = phi, phi_dot
+    node = 0
+    for i in range(len(time)):
+        while time[i] - time[0] > node * h:
+            before, before_dot = phi, phi_dot
+            phi, phi_dot = step(before, before_dot, 0.0, h, pendulum)
+            node += 1
+        if node == 0:
+            thetas[i], theta_dots[i] = theta, theta_dot
+            continue
+        # The share of the last step that has gone by.
+        s = 1.0 + (time[i] - time[0] - node * h) / h
+        if pendulum.coulomb != 0.0 and before_dot * phi_dot <= 0.0:
+            # Dry friction bends the motion where it turns round: no cubic fits there.
+            phi_now, phi_dot_now = step(before, before_dot, 0.0, s * h, pendulum)
+            thetas[i], theta_dots[i] = pi - phi_now, -phi_dot_now
+            continue
+        rise, m0, m1 = phi - before, h * before_dot, h * phi_dot
+        c2, c3 = 3.0 * rise - 2.0 * m0 - m1, m0 + m1 - 2.0 * rise
+        thetas[i] = pi - (before + s * (m0 + s * (c2 + s * c3)))
+        theta_dots[i] = -(m0 + s * (2.0 * c2 + s * 3.0 * c3)) / h
+
+
+class SwingFit(Value):
+    """How a free swing was explained: what, from where to where, and how well."""
+
+    source: str
+    """Name of the recording."""
+    sha256: str
+    """Digest of the recording."""
+    quantity: Literal["angle", "rate"]
+    """What was recorded: theta [rad], or theta_dot [rad/s] from a gyro."""
+    window: tuple[float, float]
+    """First and last time of the swing that was fitted [s]."""
+    release: float | None
+    """Time from which the pendulum was found to swing freely [s]; none where it was told, or
+    where the recording is free from its first sample."""
+    samples: int
+    """Samples in the window."""
+    periods: float
+    """Length of the window in periods of the swing."""
+    rms: float
+    """Root mean square of recording minus fit [rad], or [rad/s] for a rate."""
+    noise: float
+    """The part of it that changes from one sample to the next, as noise does; same unit."""
+    offset: float
+    """Recorded minus true: zero offset of the encoder [rad], or bias of the gyro [rad/s]."""
+    theta: float
+    """Angle from hanging at the first time of the window [rad]."""
+    theta_dot: float
+    """Its rate [rad/s]."""
+    settings: IdentificationSettings
+    """How it was fitted."""
+    warnings: tuple[str, ...] = ()
+    """Where the model does not explain the recording, and what to try."""
+
+    @property
+    def rms_deg(self) -> float:
+        """Root mean square of recording minus fit [deg], or [deg/s] for a rate."""
+        return float(np.rad2deg(self.rms))
+
+
+class Pendulum(Artefact):
+    """A pendulum as a free swing identifies it, with its uncertainty."""
+
+    FORMAT: ClassVar[str] = "equipoise-pendulum"
+    VERSION: ClassVar[int] = 1
+
+    w2: Estimate
+    """Gravity over inertia, m g l / I [1/s^2]."""
+    k: Estimate
+    """Coupling to the pivot's acceleration, m l / I = w2 / g [1/m]."""
+    c: Estimate
+    """Viscous friction over inertia, b / I [1/s]."""
+    coulomb: Estimate
+    """Coulomb friction over inertia [1/s^2]."""
+    drag: Estimate
+    """Quadratic drag over inertia [1/rad]."""
+    covariance: tuple[tuple[float, float, float, float], ...]
+    """Covariance of w2, c, coulomb and drag, in their units; zero where one was not fitted."""
+    friction_model: Friction
+    """Which of the three frictions were fitted."""
+    g: float = GRAVITY
+    """Acceleration of gravity [m/s^2]."""
+    mass: Estimate | None = None
+    """Mass m of all that rotates, measured apart [kg]."""
+    length: Estimate | None = None
+    """Distance l from the axis to the centre of mass of all that rotates, measured apart [m]."""
+    inertia: Estimate | None = None
+    """Moment of inertia I = m g l / w2 about the axis [kg m^2]."""
+    friction: Estimate | None = None
+    """Viscous friction b = c I [N m s]."""
+    fit: SwingFit | None = None
+    """The swing it was identified from, if any."""
+
+    @classmethod
+    def assumed(cls, w2: float, c: float, *, g: float = GRAVITY) -> Self:
+        """Return a pendulum that nobody measured: its intervals have no width.
+
+        Args:
+            w2: Gravity over inertia [1/s^2].
+            c: Viscous friction over inertia [1/s].
+            g: Acceleration of gravity [m/s^2].
+        """
+
+        def exactly(value: float) -> Estimate:
+            return Estimate(value=value, low=value, high=value, source="assumed")
+
+        return cls(
+            w2=exactly(w2),
+            k=exactly(w2 / g),
+            c=exactly(c),
+            coulomb=exactly(0.0),
+            drag=exactly(0.0),
+            covariance=((0.0, 0.0, 0.0, 0.0),) * 4,
+            friction_model="viscous",
+            g=g,
+        )
+
+    @property
+    def period(self) -> float:
+        """Period of a small free swing [s]."""
+        return 2.0 * pi / float(np.sqrt(self.w2.value))
+
+    def parameters(self, *, linearised: bool = False) -> PendulumParameters:
+        """Return the best values, as kernels take them.
+
+        Args:
+            linearised: Use sin(phi) = phi, cos(phi) = 1, as equation (7) is printed.
+        """
+        return PendulumParameters(
+            w2=self.w2.value,
+            k=self.k.value,
+            c=self.c.value,
+            coulomb=self.coulomb.value,
+            drag=self.drag.value,
+            linearised=linearised,
+        )

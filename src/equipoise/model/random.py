@@ -1,0 +1,61 @@
+"""Counter-based random numbers for kernels: equal key and counter give equal bits.
+
+Philox 4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011). Nothing is
+carried from call to call: any episode of any learner can be replayed alone, and results do not
+depend on how many workers share the work. Who draws is said by the key and the counter::
+
+    key      seed (64 bits)
+    counter  step, index (episode or trial), learner, stream
+"""
+
+from math import cos, log, pi, sin, sqrt
+from typing import Final
+
+from equipoise.compiled import kernel
+
+Words = tuple[int, int, int, int]
+
+MASK: Final = 0xFFFFFFFF
+TO_UNIT: Final = 1.0 / 4294967296.0
+
+# Streams: no two purposes share a counter, and training, selection and test never share numbers.
+TRAINING_EPISODE: Final = 1
+TRAINING_START: Final = 2
+TRAINING_ACTION: Final = 3
+TRAINING_NOISE: Final = 4
+SELECTION_NOISE: Final = 8
+TEST_NOISE: Final = 12
+
+
+@kernel
+def philox(seed: int, step: int, index: int, learner: int, stream: int) -> Words:
+    """Return four random words of 32 bits."""
+    # Written so that 64-bit wrap-around in compiled code and Python's long integers agree.
+    c0, c1, c2, c3 = step & MASK, index & MASK, learner & MASK, stream & MASK
+    k0, k1 = seed & MASK, (seed >> 32) & MASK
+    for _ in range(10):
+        product0 = 0xD2511F53 * c0
+        product1 = 0xCD9E8D57 * c2
+        c0, c1, c2, c3 = (
+            ((product1 >> 32) & MASK) ^ c1 ^ k0,
+            product1 & MASK,
+            ((product0 >> 32) & MASK) ^ c3 ^ k1,
+            product0 & MASK,
+        )
+        k0 = (k0 + 0x9E3779B9) & MASK
+        k1 = (k1 + 0xBB67AE85) & MASK
+    return c0, c1, c2, c3
+
+
+@kernel
+def uniform(word: int, low: float, high: float) -> float:
+    """Map a word to a uniform number in [low, high)."""
+    return low + (high - low) * (word * TO_UNIT)
+
+
+@kernel
+def normal_pair(word0: int, word1: int) -> tuple[float, float]:
+    """Map two words to two independent standard normal numbers (Box and Muller)."""
+    radius = sqrt(-2.0 * log((word0 + 1.0) * TO_UNIT))
+    angle = 2.0 * pi * (word1 * TO_UNIT)
+    return radius * cos(angle), radius * sin(angle)

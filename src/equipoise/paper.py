@@ -1,0 +1,96 @@
+"""The numbers that the paper publishes, and nothing else.
+
+Safeea & Neto, "A Q-learning approach to the continuous control problem of robot inverted pendulum
+balancing", Intelligent Systems with Applications. Each number carries its section. Units are the
+paper's own (degrees, where a name ends in `_DEG`); the rest of the project converts them once.
+What the paper leaves open is a choice of ours, with its reason, in `equipoise.settings`.
+"""
+
+from typing import Final, NamedTuple
+
+
+class Interval(NamedTuple):
+    """An interval as printed: `]a, b]` is open at a and closed at b."""
+
+    low: float
+    high: float
+    low_closed: bool
+    high_closed: bool
+
+    def __contains__(self, value: object) -> bool:
+        """Tell whether `value` lies in the interval."""
+        if not isinstance(value, (int, float)):
+            return False
+        above = value >= self.low if self.low_closed else value > self.low
+        below = value <= self.high if self.high_closed else value < self.high
+        return above and below
+
+    def __str__(self) -> str:
+        """Return the paper's notation."""
+        left = "[" if self.low_closed else "]"
+        right = "]" if self.high_closed else "["
+        return f"{left}{self.low:g}, {self.high:g}{right}"
+
+
+def _interval(text: str) -> Interval:
+    """Read the paper's notation: `_interval("]-5, -1]")`."""
+    low, high = text[1:-1].split(",")
+    return Interval(
+        float(low), float(high), low_closed=text[0] == "[", high_closed=text[-1] == "]"
+    )
+
+
+# Section 3.1: acceleration tracking.
+HELD_JOINT: Final = 3
+"""The redundant joint that is held, counted from one."""
+
+# Section 3.2: the pendulum.
+FREE_SWING_PERIOD: Final = 0.75
+"""Period of the free oscillation, "around 0.75 seconds" [s]."""
+
+# Section 4.1: discretization.
+ACTIONS: Final = (-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0)
+"""Accelerations of the flange along x [m/s^2]; there is no zero."""
+
+PHI_INTERVALS_DEG: Final = tuple(
+    _interval(text) for text in ("]-11,-5[", "[-5,-1[", "[-1,0[", "[0,1[", "[1,5[", "[5,11[")
+)
+"""Angle of the pendulum from upright [deg]."""
+
+PHI_DOT_INTERVALS_DEG: Final = tuple(
+    _interval(text) for text in ("]-inf,-50]", "]-50,-10]", "]-10,10[", "[10,50[", "[50,+inf[")
+)
+"""Angular velocity of the pendulum [deg/s]."""
+
+X_INTERVALS: Final = tuple(
+    _interval(text) for text in ("]-0.22,-0.08]", "]-0.08,0.08[", "[0.08,0.22[")
+)
+"""Displacement of the flange along x [m]."""
+
+X_DOT_INTERVALS: Final = tuple(
+    _interval(text) for text in ("]-inf,-0.5]", "]-0.5,0.5[", "[0.5,+inf[")
+)
+"""Velocity of the flange along x [m/s]."""
+
+PHI_LIMIT_DEG: Final = 11.0
+"""A failure is declared when |phi| reaches this angle [deg]."""
+
+X_LIMIT: Final = 0.22
+"""A failure is declared when |x| reaches this displacement [m]."""
+
+# Section 4.2: simulation.
+EPISODES: Final = 10_000
+"""Episodes of training."""
+
+STEP: Final = 0.01
+"""Time step h [s]."""
+
+# Section 4.3: the real robot.
+SECONDS_BALANCED: Final = 5.0
+"""How long the pendulum stood on the real robot [s]."""
+
+X_AT_FAILURE: Final = -0.22
+"""Displacement of the flange at the failure [m]."""
+
+PHI_AT_FAILURE_DEG: Final = -3.44
+"""Angle of the pendulum at the failure [deg]."""

@@ -1,0 +1,298 @@
+"""Choices that the paper leaves open: one home for each, with its unit and its reason.
+
+The defaults here are what an `equipoise` command uses; the report's table "left open by the
+paper" is made from them. Named sets (recipes) are differences to the defaults. The order is
+defaults < named set < a TOML file < single settings such as `training.gamma=0.98`. Resolved
+settings go into every artefact.
+"""
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from math import radians
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError
+
+from equipoise import paper
+from equipoise.artefacts import Value
+from equipoise.errors import SettingsError
+
+GRAVITY = 9.80665
+"""Standard acceleration of gravity [m/s^2]."""
+
+
+Friction = Literal["viscous", "coulomb", "quadratic"]
+"""Friction models: the paper's; with dry friction; with dry friction and air drag."""
+
+
+class IdentificationSettings(Value):
+    """How a free swing is fitted."""
+
+    friction: Friction = "viscous"
+    """Friction model. `viscous` is the paper's; `coulomb` adds dry friction, `quadratic` adds
+    dry friction and air drag. All are kept at zero or above."""
+    g: float = Field(default=GRAVITY, gt=0.0)
+    """Acceleration of gravity [m/s^2]; the standard value is within 0.3 % of any place on earth."""
+    steps_per_period: int = Field(default=128, ge=32)
+    """Runge-Kutta steps in a period of the swing; over 60 periods of a large one they are wrong by
+    less than 1e-5 rad."""
+    horizons: tuple[float, ...] = (0.08, 0.25, 1.0)
+    """Shares of the window that are fitted one after the other: fitted at once, a long window has
+    false minima, where the fit loses count of the periods."""
+    first_horizon_periods: float = Field(default=1.5, gt=0.0)
+    """The first horizon holds at least so many periods, or period and friction are not seen."""
+    samples_per_period: float = Field(default=10.0, ge=4.0)
+    """Fewer samples than this in a period are refused: turning points would be guessed."""
+    noise_multiple: float = Field(default=8.0, gt=0.0)
+    """A turning point is one where the motion comes back by so many standard deviations of the
+    noise: noise alone does not within the samples around a turn."""
+    turn_share: float = Field(default=0.02, gt=0.0, lt=1.0)
+    """... and by this share of the whole range, so that a tremor makes no turning points."""
+    local_periods: float = Field(default=1 / 6, gt=0.0, le=0.5)
+    """Half width, in periods, of the windows over which angle, rate and acceleration are taken by
+    a local polynomial: wide enough for an encoder's steps, narrow enough to see a hand let go."""
+    release_share: float = Field(default=0.25, gt=0.0)
+    """A hand is on the pendulum where gravity and friction leave more than this share of the
+    nearby peak acceleration unexplained. Hands showed 0.5 and more on recorded swings, faults of
+    the recorder's time stamps up to 0.18."""
+    release_noise: float = Field(default=5.0, gt=0.0)
+    """... and more than so many standard deviations of what stays unexplained in a free swing."""
+    rest_share: float = Field(default=0.02, ge=0.0, lt=1.0)
+    """The swing is over where its amplitude has fallen to this share of its largest: the rest says
+    more about stiction than about the swing."""
+    least_blocks: int = Field(default=8, ge=3)
+    """Errors of the fit are independent between blocks of a period, and of this part of the window
+    where it holds fewer periods: with fewer blocks their spread says nothing."""
+    unexplained: float = Field(default=0.5, gt=0.0, lt=1.0)
+    """A recording is refused where the fit leaves more than this share of its standard deviation:
+    it is not a free swing."""
+    misfit_share: float = Field(default=0.005, gt=0.0)
+    """A warning is given where the residual, noise apart, is above this share of the amplitude:
+    a well-modelled pivot leaves 0.1 to 0.4 %."""
+    better_share: float = Field(default=0.8, gt=0.0, lt=1.0)
+    """A richer friction model is recommended where it leaves less than this share of the
+    residual."""
+
+
+class ClikSettings(Value):
+    """Gains of the closed-loop inverse kinematics; the paper names them but gives no values."""
+
+    K_p: float = Field(400.0, gt=0.0)
+    """Gain on the pose error [1/s^2]. With K_d a critically damped loop of 20 rad/s: errors decay
+    within 0.15 s, slow beside the 0.01 s step and fast beside the 15 s of a long run."""
+    K_d: float = Field(40.0, gt=0.0)
+    """Gain on the twist error [1/s]; 2 sqrt(K_p) is critical damping."""
+    singular_share: float = Field(0.05, gt=0.0, lt=1.0)
+    """The inverse is damped where the manipulability is below this share of its value at home."""
+    damping: float = Field(0.05, gt=0.0)
+    """Damping factor at a singularity."""
+
+
+class PlantSettings(Value):
+    """The simulated plant and its noise; the paper calls the noise "small"."""
+
+    linearised: bool = False
+    """Use the linearised equation (7) for the pendulum, as the paper does. The nonlinear form
+    costs nothing and is exact."""
+    inertia_sigma: float = Field(0.02, ge=0.0, lt=0.25)
+    """Standard deviation of the factor on I, once per episode. A free swing gives I to better
+    than 1 %; the rest is for what changes between swing and run."""
+    friction_sigma: float = Field(0.2, ge=0.0, lt=1.0)
+    """Standard deviation of the factor on b, once per episode. Friction of real pivots varies
+    that much with amplitude."""
+    position_error_sigma: float = Field(1e-4, ge=0.0)
+    """Standard deviation of the noise on the position part of e, per step [m]."""
+    orientation_error_sigma: float = Field(radians(0.02), ge=0.0)
+    """Standard deviation of the noise on the orientation part of e, per step [rad]."""
+
+
+class LearningSettings(Value):
+    """Q-learning, equation (1), and its episodes."""
+
+    episodes: int = Field(paper.EPISODES, ge=1)
+    """Episodes of training; the paper's number."""
+    episode_duration: float = Field(30.0, gt=0.0)
+    """An episode that lasts this long ends without a failure [s]."""
+    gamma: float = Field(0.98, gt=0.0, lt=1.0)
+    """Discount. Its horizon of 0.5 s spans four unstable time constants of the pendulum; longer
+    horizons blur the table, in which a box holds many states."""
+    alpha_initial: float = Field(1.0, gt=0.0, le=1.0)
+    """Learning rate at the first visit of a state-action pair."""
+    alpha_decay: float = Field(0.02, ge=0.0)
+    """Learning rate after N visits: alpha_initial / (1 + alpha_decay N), so that early guesses are
+    forgotten and later values are averages; 0 is a constant rate."""
+    alpha_minimum: float = Field(0.02, ge=0.0, le=1.0)
+    """The rate never falls below this: the states seen in a box change with the policy, so old
+    experience has to fade."""
+    epsilon_initial: float = Field(0.05, ge=0.0, le=1.0)
+    """Probability of a random action in the first episode."""
+    epsilon_until: float = Field(0.8, ge=0.0, le=1.0)
+    """Share of the episodes over which that probability falls linearly to zero; 0 keeps it."""
+    reward_failure: float = -1.0
+    """Reward of a step that ends in failure; every other reward is zero."""
+    mirrored: bool = True
+    """Update the mirror image with every update: the task is symmetric, experience counts twice."""
+    start_x: float = Field(0.2, ge=0.0, lt=paper.X_LIMIT)
+    """Episodes start with x uniform within plus and minus this [m]: exploring starts show every
+    box, also those that a good policy seldom sees."""
+    start_x_dot: float = Field(0.6, ge=0.0)
+    """... x_dot within this [m/s] ..."""
+    start_phi: float = Field(radians(8.0), ge=0.0)
+    """... phi within this [rad] ..."""
+    start_phi_dot: float = Field(radians(50.0), ge=0.0)
+    """... and phi_dot within this [rad/s]."""
+
+
+class SelectionSettings(Value):
+    """Which greedy policy of a training is kept.
+
+    A table changes its greedy policy until the last episode, and a later one is not always better.
+    Candidates run trials on seeds that neither training nor test uses, on plants that vary more
+    than the trained ones; the best go on to a longer round.
+    """
+
+    every: int = Field(50, ge=0)
+    """A candidate is taken after each so many episodes; 0 takes the last table."""
+    screening_trials: int = Field(40, ge=1)
+    """Trials of every candidate."""
+    finalists: int = Field(12, ge=1)
+    """Candidates that go on to the final round."""
+    final_trials: int = Field(400, ge=1)
+    """Trials of each finalist."""
+    duration: float = Field(60.0, gt=0.0)
+    """Length of a selection trial [s]."""
+    spread: float = Field(2.0, ge=0.0)
+    """Factor on the plant's standard deviations of I and b: a policy that stands on worse plants
+    has margin."""
+    rms_x_weight: float = Field(0.1, ge=0.0)
+    """Score = mean duration / duration - weight * rms(x) / 0.22 m. Survival alone saturates; a
+    policy that uses less track has more of it left."""
+
+
+class EvaluationSettings(Value):
+    """Trials as a release leaves them: x = x_dot = 0, the pendulum already falling."""
+
+    trials: int = Field(200, ge=1)
+    """Number of trials."""
+    duration: float = Field(60.0, gt=0.0)
+    """Length of a trial [s]."""
+    phi_low: float = Field(radians(1.5), ge=0.0)
+    """Smallest |phi| at the start [rad]; its sign is random."""
+    phi_high: float = Field(radians(2.5), ge=0.0)
+    """Largest |phi| at the start [rad]."""
+    phi_dot_low: float = Field(radians(8.0), ge=0.0)
+    """Smallest |phi_dot| at the start, of the same sign as phi [rad/s]."""
+    phi_dot_high: float = Field(radians(18.0), ge=0.0)
+    """Largest |phi_dot| at the start [rad/s]."""
+
+
+class Settings(Value):
+    """All settings, resolved."""
+
+    identification: IdentificationSettings = IdentificationSettings()
+    clik: ClikSettings = ClikSettings()
+    plant: PlantSettings = PlantSettings()
+    learning: LearningSettings = LearningSettings()
+    selection: SelectionSettings = SelectionSettings()
+    evaluation: EvaluationSettings = EvaluationSettings()
+
+
+RECIPES: Mapping[str, Mapping[str, Any]] = {
+    "robust": {},
+    "paper": {
+        "plant.linearised": True,
+        "learning.gamma": 0.99,
+        "learning.alpha_initial": 0.1,
+        "learning.alpha_decay": 0.0,
+        "learning.alpha_minimum": 0.0,
+        "learning.epsilon_initial": 0.1,
+        "learning.epsilon_until": 0.0,
+        "learning.mirrored": False,
+        "learning.start_x": 0.0,
+        "learning.start_x_dot": 0.0,
+        "learning.start_phi": radians(2.5),
+        "learning.start_phi_dot": 0.0,
+        "selection.every": 0,
+    },
+}
+"""Named differences to the defaults. `robust` is the default; `paper` is the barest reading of the
+paper's text: textbook constants for what it leaves open, starts near upright, no symmetry, and the
+last table is the policy."""
+
+
+def resolve(
+    recipe: str = "robust", file: Path | None = None, overrides: Iterable[str] = ()
+) -> Settings:
+    """Return the settings: defaults < recipe < TOML file < single settings.
+
+    Args:
+        recipe: A name in `RECIPES`.
+        file: TOML with a table for each section, e.g. `[learning]` with `gamma = 0.97`.
+        overrides: Single settings such as `learning.gamma=0.97`.
+
+    Raises:
+        SettingsError: A name is unknown or a value impossible.
+
+    Example:
+        >>> resolve("paper", overrides=["learning.gamma=0.97"]).learning.gamma
+        0.97
+    """
+    if recipe not in RECIPES:
+        raise SettingsError(f"there is no recipe {recipe!r}; choose one of {', '.join(RECIPES)}")
+    tree = Settings().model_dump()
+    for name, value in RECIPES[recipe].items():
+        _put(tree, name, value)
+    if file is not None:
+        for name, value in _flat(_read_toml(file)):
+            _put(tree, name, value)
+    for override in overrides:
+        name, sign, text = override.partition("=")
+        if not sign:
+            raise SettingsError(
+                f"{override!r} is no setting; expected NAME=VALUE, e.g. learning.gamma=0.98"
+            )
+        _put(tree, name.strip(), _toml_value(text.strip()))
+    try:
+        return Settings.model_validate(tree)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        raise SettingsError(f"setting {name}: {first['msg']}, got {first['input']!r}") from None
+
+
+def _put(tree: dict[str, Any], name: str, value: Any) -> None:
+    section, _, key = name.partition(".")
+    if section not in tree or key not in tree[section]:
+        known = tree.get(section, tree)
+        close = difflib.get_close_matches(key if section in tree else section, known, n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else f"; known: {', '.join(known)}"
+        raise SettingsError(f"there is no setting {name!r}{hint}")
+    tree[section][key] = value
+
+
+def _flat(tree: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
+    for section, fields in tree.items():
+        if not isinstance(fields, dict):
+            raise SettingsError(
+                f"{section!r} stands outside a section; expected e.g. [learning] above gamma = 0.98"
+            )
+        for key, value in fields.items():
+            yield f"{section}.{key}", value
+
+
+def _read_toml(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"cannot read the settings {file}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingsError(f"the settings {file} are not valid TOML: {error}") from None
+
+
+def _toml_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text

@@ -1,0 +1,206 @@
+"""The generator: what it simplifies, and the files that it writes and finds again."""
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from equipoise.model.arms import compiler
+from equipoise.model.arms.arm import FRAME_SIZE
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.symbols import Tape
+
+INPUTS = {"a": 0.7, "b": -1.3, "c": 2.1}
+NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 0.5, -2.5])
+
+
+def expressions(tape, leaves):
+    """Pairs of a symbol and the number that it stands for."""
+    operations = {
+        "+": lambda x, y: (x[0] + y[0], x[1] + y[1]),
+        "-": lambda x, y: (x[0] - y[0], x[1] - y[1]),
+        "*": lambda x, y: (x[0] * y[0], x[1] * y[1]),
+        "neg": lambda x, _: (-x[0], -x[1]),
+    }
+    leaf = st.one_of(st.sampled_from(leaves), NUMBERS.map(lambda n: (tape.number(n), n)))
+    return st.recursive(
+        leaf,
+        lambda inner: st.builds(
+            lambda operation, x, y: operations[operation](x, y),
+            st.sampled_from(sorted(operations)),
+            inner,
+            inner,
+        ),
+        max_leaves=30,
+    )
+
+
+@settings(deadline=None, max_examples=300)
+@given(data=st.data())
+def test_what_is_printed_computes_what_was_written(data):
+    tape = Tape()
+    leaves = [(tape.input(name, f"inputs['{name}']"), value) for name, value in INPUTS.items()]
+    symbol, value = data.draw(expressions(tape, leaves))
+    record = {}
+    lines = tape.python({"result": {"record['out']": symbol}})
+    exec("\n".join(lines), {"inputs": INPUTS, "record": record})
+    # Terms are added in another order: rounding of values that may reach 1e6 and cancel.
+    assert record["out"] == pytest.approx(value, rel=1e-9, abs=1e-9)
+
+
+def test_constants_are_folded_signs_cancelled_and_equal_expressions_shared():
+    tape = Tape()
+    a, b = tape.input("a", "inputs[0]"), tape.input("b", "inputs[1]")
+    zero, one, half = tape.number(0.0), tape.number(1.0), tape.number(0.5)
+    assert a * zero is zero
+    assert a * one is a
+    assert a + zero is a
+    assert a - a is zero
+    negative = -a
+    assert -negative is a
+    assert (-a) * (-b) is b * a
+    assert a + b is b + a
+    assert b - a is -(a - b) or a - b is -(b - a)
+    assert half * (half * a) is a * tape.number(0.25)
+    assert str(tape.number(-0.0)) == "0.0"
+
+
+def test_what_no_output_needs_is_not_written():
+    tape = Tape()
+    a, b = tape.input("a", "inputs[0]"), tape.input("b", "inputs[1]")
+    _ = tape.named("unused", (a * b, b * b, a + b))
+    assert list(tape.python({"result": {"out": a * a}})) == [
+        "a = inputs[0]",
+        "# result",
+        "out = a * a",
+    ]
+
+
+@pytest.mark.parametrize("size", [7, 14])
+def test_the_committed_modules_are_what_the_generator_writes(size):
+    arm = iiwa(size)
+    path = compiler.COMMITTED_ROOM / f"{arm.name}.py"
+    assert path.read_text(encoding="utf-8") == compiler.source(arm), "run: make generated"
+    module = importlib.import_module(f"equipoise.model.arms.generated.{arm.name}")
+    assert arm.geometry_digest == module.DIGEST
+    assert compiler.load(arm) is module.kinematics
+    assert compiler.load(iiwa(size, media_flange=0.061)) is module.kinematics
+
+
+@pytest.mark.parametrize("size", [7, 14])
+def test_an_iiwa_takes_about_three_hundred_operations(size):
+    lines = compiler.source(iiwa(size)).splitlines()
+    code = [line for line in lines if " = " in line and "#" not in line]
+    operations = sum(line.count(f" {sign} ") for line in code for sign in "+-*")
+    assert operations < 300
+    assert sum(line.count("sin(") + line.count("cos(") for line in code) == 12
+
+
+def shorter(length, name="iiwa7"):
+    """An iiwa 7 with another hand: no module of it is part of the package."""
+    return iiwa(7).model_copy(update={"name": name, "flange_xyz": (0.0, 0.0, length)})
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("EQUIPOISE_CACHE_DIR", str(tmp_path))
+    return tmp_path / "arms"
+
+
+def test_another_arm_is_written_to_the_cache_once_and_used_again(cache):
+    arm = shorter(0.2)
+    kinematics = compiler.load(arm)
+    (file,) = cache.iterdir()
+    assert file.name == arm.geometry_digest.removeprefix("sha256:") + ".py"
+    stamp = file.stat().st_mtime_ns
+    compiler.load.cache_clear()
+    assert compiler.load(arm) is kinematics
+    assert file.stat().st_mtime_ns == stamp
+    assert arm.pose(np.zeros(6)).position[2] == pytest.approx(0.34 + 0.4 + 0.4 + 0.2)
+
+
+@pytest.mark.parametrize("damage", ["raise SystemExit\n", "", "def kinematics(q, dq, frame): ..."])
+def test_a_damaged_file_in_the_cache_is_written_again(cache, damage):
+    arm = shorter(0.21 + len(damage) / 1000)
+    file = cache / (arm.geometry_digest.removeprefix("sha256:") + ".py")
+    cache.mkdir()
+    file.write_text(damage)
+    compiler.load(arm)
+    assert file.read_text() == compiler.source(arm)
+
+
+def test_where_the_cache_cannot_be_written_one_warning_is_given(tmp_path, monkeypatch, caplog):
+    occupied = tmp_path / "file"
+    occupied.write_text("a folder cannot be made here")
+    monkeypatch.setenv("EQUIPOISE_CACHE_DIR", str(occupied))
+    for length in (0.31, 0.32):
+        arm = shorter(length)
+        assert arm.pose(np.zeros(6)).position[2] == pytest.approx(1.14 + length)
+    (warning,) = (r.getMessage() for r in caplog.records if r.name == compiler.__name__)
+    assert "set EQUIPOISE_CACHE_DIR to a folder that can be written" in warning
+
+
+# Two arms that are not part of the package and one that is, through one compiled loop.
+SESSION = """
+import sys
+import numba, numpy as np
+from equipoise.model.arms.arm import FRAME_SIZE
+from equipoise.model.arms.iiwa import iiwa
+sys.path.insert(0, {folder!r})
+from kernels_of_test import height
+
+arms = [iiwa(7), *(iiwa(7).model_copy(update={{"flange_xyz": (0, 0, d)}}) for d in (0.2, 0.3))]
+kernels = [arm.compiled() for arm in arms]
+print(*(round(height(kernel, np.zeros(6), np.zeros(6)), 12) for kernel in kernels))
+if not numba.config.DISABLE_JIT:
+    hits = [kernel.kinematics.cache_hits for kernel in kernels]
+    print(*hits, sum(height.stats.cache_hits.values()))
+"""
+KERNELS = f"""
+import numpy as np
+from equipoise.compiled import kernel
+
+@kernel
+def height(arm, q, dq):
+    frame = np.zeros({FRAME_SIZE})
+    arm.kinematics(q, dq, frame)
+    return frame[2]
+"""
+
+
+def test_arms_have_their_own_results_in_one_process_and_from_the_cache_in_the_next(tmp_path):
+    (tmp_path / "kernels_of_test.py").write_text(KERNELS)
+    environment = {**os.environ, "EQUIPOISE_CACHE_DIR": str(tmp_path / "cache")}
+    script = SESSION.format(folder=str(tmp_path))
+
+    def session():
+        run = subprocess.run(
+            [sys.executable, "-c", script],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=300,
+        )
+        return run.stdout.splitlines()
+
+    first, second = session(), session()
+    assert first[0] == second[0] == "1.266 1.34 1.44"
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
+        assert first[1] == "0 0 0 0"  # nothing is in the cache
+        assert second[1] == "1 1 1 1"  # everything is
+
+
+def test_main_writes_nothing_new(tmp_path, monkeypatch):
+    monkeypatch.setattr(compiler, "COMMITTED_ROOM", tmp_path)
+    compiler.main()
+    committed = Path(compiler.__file__).parent / "generated"
+    for name in compiler.COMMITTED:
+        written = (tmp_path / f"{name}.py").read_text()
+        assert written == (committed / f"{name}.py").read_text()

@@ -1,0 +1,102 @@
+"""The iiwas against KUKA's numbers, and the home posture against what is claimed of it."""
+
+import numpy as np
+import pytest
+
+from equipoise.errors import ArmError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.posture import along_x, condition, limit_margin, x_speed_limit
+from equipoise.paper import HELD_JOINT, X_LIMIT
+
+# Radians as others print them, to the third decimal.
+LIMITS = (2.967, 2.094, 2.967, 2.094, 2.967, 2.094, 3.054)
+SPEEDS = {
+    7: (1.710, 1.710, 1.745, 2.269, 2.443, 3.142, 3.142),
+    14: (1.484, 1.484, 1.745, 1.309, 2.269, 2.356, 2.356),
+}
+TORQUES = {7: (176, 176, 110, 110, 110, 40, 40), 14: (320, 320, 176, 176, 110, 40, 40)}
+# Height of the flange at zero: the sum of the lengths.
+UPRIGHT = {7: 1.266, 14: 1.306}
+
+TRACK = np.linspace(-X_LIMIT, X_LIMIT, 23)
+
+
+@pytest.mark.parametrize("size", [7, 14])
+def test_limits_are_those_of_the_model(size):
+    joints = iiwa(size).joints
+    assert [joint.upper for joint in joints] == pytest.approx(LIMITS, abs=5e-4)
+    assert [joint.lower for joint in joints] == [-joint.upper for joint in joints]
+    assert [joint.velocity for joint in joints] == pytest.approx(SPEEDS[size], abs=5e-4)
+    assert tuple(joint.torque for joint in joints) == TORQUES[size]
+    assert iiwa(size).held_joint == HELD_JOINT
+
+
+@pytest.mark.parametrize("size", [7, 14])
+def test_the_arm_stands_upright_at_zero(size):
+    pose = iiwa(size).pose(np.zeros(6))
+    assert pose.position == pytest.approx([0.0, 0.0, UPRIGHT[size]], abs=1e-15)
+    assert np.array_equal(pose.rotation, np.eye(3))
+
+
+@pytest.mark.parametrize(("size", "height"), [(7, 0.49), (14, 0.53)])
+def test_home_points_down_with_outward_along_base_y(size, height):
+    arm = iiwa(size, media_flange=0.035)
+    position, rotation = arm.pose(arm.home_free)
+    assert position[2] == pytest.approx(height, abs=0.005)
+    assert rotation[:, 2] == pytest.approx([0.0, 0.0, -1.0], abs=1e-15)
+    pivot = position + rotation @ arm.pivot
+    assert pivot - position == pytest.approx([0.0, 0.13, -0.035], abs=1e-15)
+    assert position[1] > 0.5  # the base is on the other side
+
+
+@pytest.mark.parametrize(("size", "speed"), [(7, 1.01), (14, 0.87)])
+def test_the_track_is_far_from_singularities_and_limits(size, speed):
+    arm = iiwa(size)
+    track = along_x(arm, TRACK)
+    assert max(condition(arm, q) for q in track) <= 11.4
+    assert np.degrees(min(limit_margin(arm, q) for q in track)) >= 36.5
+    assert min(x_speed_limit(arm, q) for q in track) == pytest.approx(speed, abs=0.01)
+    # A1 is the joint that limits the speed at home: x is tangential.
+    rates = np.linalg.solve(arm.kinematics(arm.home_free).jacobian, np.eye(6)[0])
+    assert np.argmax(np.abs(rates) / [joint.velocity for joint in arm.free_joints]) == 0
+
+
+def test_an_arm_in_the_plane_of_motion_would_be_slower_and_not_reach():
+    for size in (7, 14):
+        arm = iiwa(size)
+        inward = arm.model_copy(update={"home": (0.0, *arm.home[1:])})
+        home = arm.home_free, inward.home_free
+        assert x_speed_limit(inward, home[1]) < 0.6 * x_speed_limit(arm, home[0])
+        with pytest.raises(ArmError, match="cannot carry its flange"):
+            along_x(inward, [0.1, X_LIMIT])
+
+
+def test_postures_along_x_hold_the_orientation():
+    arm = iiwa(14)
+    home = arm.pose(arm.home_free)
+    for x, q in zip(TRACK, along_x(arm, TRACK), strict=True):
+        pose = arm.pose(q)
+        assert pose.position == pytest.approx(home.position + np.array([x, 0.0, 0.0]), abs=1e-9)
+        assert pose.rotation == pytest.approx(home.rotation, abs=1e-9)
+
+
+def test_a_place_out_of_reach_is_refused():
+    with pytest.raises(ArmError, match="give another home posture"):
+        along_x(iiwa(7), [0.0, 0.3, 0.6, 0.9])
+
+
+def test_the_media_flange_moves_the_pivot_only():
+    bare, high = iiwa(7), iiwa(7, media_flange=0.061)
+    assert high == bare.model_copy(update={"pivot": (-0.13, 0.0, 0.061)})
+
+
+@pytest.mark.parametrize(
+    ("build", "says"),
+    [
+        (lambda: iiwa(10), "there is no iiwa 10; choose 7 or 14"),
+        (lambda: iiwa(7, media_flange=0.05), "media flange of 0.05 m; choose one of 0, 0.035"),
+    ],
+)
+def test_another_iiwa_is_refused(build, says):
+    with pytest.raises(ArmError, match=says):
+        build()

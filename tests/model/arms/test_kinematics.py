@@ -1,0 +1,131 @@
+"""Compiled kinematics against Pinocchio, MuJoCo, slow loops and finite differences.
+
+States are random over the limits of the joints, velocities up to 3 rad/s. The tolerance of 1e-9 is
+far above the rounding of some hundred operations on numbers of order 1 to 100 (1e-13) and far
+below any error of a formula.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from tests.model.arms.witnesses import ARMS, MuJoCo, Pinocchio
+from tests.reference import kinematics as reference
+
+from equipoise.compiled import kernel
+from equipoise.model.arms.arm import BIAS, FRAME_SIZE, JACOBIAN, POSITION, ROTATION, TWIST
+from equipoise.model.arms.iiwa import iiwa
+
+STATES = 1000
+TOLERANCE = 1e-9
+
+
+@kernel
+def frames_of(arm, q, dq, frames):
+    for i in range(q.shape[0]):
+        arm.kinematics(q[i], dq[i], frames[i])
+
+
+def random_states(arm, count=STATES, seed=1):
+    rng = np.random.default_rng(seed)
+    limits = np.array([(joint.lower, joint.upper) for joint in arm.free_joints])
+    q = rng.uniform(*limits.T, (count, 6))
+    return q, rng.uniform(-3.0, 3.0, (count, 6))
+
+
+@pytest.fixture(params=ARMS, scope="module")
+def case(request):
+    """An arm, states, the record of each state, and what the held joint does to others' records."""
+    arm, urdf = ARMS[request.param]
+    q, dq = random_states(arm)
+    frames = np.zeros((STATES, FRAME_SIZE))
+    frames_of(arm.compiled(), q, dq, frames)
+    return arm, urdf, q, dq, frames
+
+
+@pytest.mark.parametrize("library", [Pinocchio, MuJoCo])
+def test_pose_jacobian_and_bias_equal_those_of_an_independent_library(case, library):
+    arm, urdf, q, dq, frames = case
+    robot = library(urdf)
+    free = [i for i in range(len(arm.joints)) if i + 1 != arm.held_joint]
+    for q_i, dq_i, frame in zip(q, dq, frames, strict=True):
+        dq_all = np.zeros(len(arm.joints))
+        dq_all[free] = dq_i
+        flange = robot.flange(arm.with_held(q_i), dq_all)
+        J = flange.jacobian[:, free]
+        assert frame[POSITION:ROTATION] == pytest.approx(flange.position, abs=TOLERANCE)
+        assert frame[ROTATION:TWIST] == pytest.approx(flange.rotation.ravel(), abs=TOLERANCE)
+        assert frame[TWIST:BIAS] == pytest.approx(J @ dq_i, abs=TOLERANCE)
+        assert frame[BIAS:JACOBIAN] == pytest.approx(flange.bias, abs=TOLERANCE)
+        assert frame[JACOBIAN:] == pytest.approx(J.ravel(), abs=TOLERANCE)
+
+
+def test_every_entry_equals_the_slow_reference(case):
+    arm, _, q, dq, frames = case
+    for q_i, dq_i, frame in zip(q[:100], dq[:100], frames[:100], strict=True):
+        parts = reference.kinematics(arm, q_i, dq_i)
+        assert frame == pytest.approx(np.concatenate([p.ravel() for p in parts]), abs=TOLERANCE)
+
+
+def test_python_and_compiled_kinematics_agree(case):
+    arm, _, q, dq, frames = case
+    for q_i, dq_i, frame in zip(q[:20], dq[:20], frames[:20], strict=True):
+        parts = arm.kinematics(q_i, dq_i)
+        assert frame == pytest.approx(np.concatenate([p.ravel() for p in parts]), abs=1e-13)
+
+
+@pytest.mark.parametrize("name", ARMS)
+@settings(deadline=None, max_examples=50)  # the first example may compile
+@given(data=st.data())
+def test_twist_and_bias_are_the_rates_of_pose_and_twist(name, data):
+    arm, _ = ARMS[name]
+    vectors = arrays(np.float64, 6, elements=st.floats(-2.0, 2.0, width=32))
+    q, dq = data.draw(vectors), data.draw(vectors)
+    now = arm.kinematics(q, dq)
+    # Central differences of fourth order: the step of 1e-3 leaves an error of about 1e-10.
+    h = 1e-3
+    weights = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
+    there = {k: arm.kinematics(q + k * h * dq, dq) for k in weights}
+
+    def rate(of):
+        return sum(w * of(there[k]) for k, w in weights.items()) / h
+
+    spin = rate(lambda flange: flange.rotation) @ now.rotation.T  # the matrix of w x
+    assert rate(lambda flange: flange.position) == pytest.approx(now.twist[:3], abs=1e-6)
+    assert np.array([spin[2, 1], spin[0, 2], spin[1, 0]]) == pytest.approx(now.twist[3:], abs=1e-6)
+    assert rate(lambda flange: flange.twist) == pytest.approx(now.bias, abs=1e-6)
+    assert now.rotation.T @ now.rotation == pytest.approx(np.eye(3), abs=1e-12)
+
+
+def test_the_wrist_centre_is_where_the_last_three_joints_leave_a_point():
+    for name in ("iiwa7", "iiwa14"):
+        arm = ARMS[name][0]
+        wrist = arm.compiled().wrist
+        assert wrist == pytest.approx([0.0, 0.0, -0.126], abs=1e-15)
+        q, dq = random_states(arm, 50)
+        dq[:, :3] = 0.0
+        for q_i, dq_i in zip(q, dq, strict=True):
+            flange = arm.kinematics(q_i, dq_i)
+            at_wrist = flange.twist[:3] + np.cross(flange.twist[3:], flange.rotation @ wrist)
+            assert at_wrist == pytest.approx(np.zeros(3), abs=1e-13)
+    assert np.isnan(ARMS["elbow6"][0].compiled().wrist).all()
+
+
+def test_kernels_get_the_limits_of_the_free_joints():
+    arm, _ = ARMS["iiwa14"]
+    limits = arm.compiled()
+    assert np.degrees(limits.upper) == pytest.approx([170, 120, 120, 170, 120, 175])
+    assert np.array_equal(limits.lower, -limits.upper)
+    assert np.degrees(limits.max_velocity) == pytest.approx([85, 85, 75, 130, 135, 135])
+    assert np.array_equal(limits.max_acceleration, np.full(6, 10.0))
+
+
+def test_two_arms_in_one_process_have_their_own_kinematics():
+    q, dq = np.full((1, 6), 0.4), np.zeros((1, 6))
+    seven, fourteen = np.zeros((1, FRAME_SIZE)), np.zeros((1, FRAME_SIZE))
+    frames_of(iiwa(7).compiled(), q, dq, seven)
+    frames_of(iiwa(14).compiled(), q, dq, fourteen)
+    assert seven[0, :3] == pytest.approx(iiwa(7).pose(q[0]).position, abs=1e-13)
+    assert fourteen[0, :3] == pytest.approx(iiwa(14).pose(q[0]).position, abs=1e-13)
+    assert abs(seven[0, 2] - fourteen[0, 2]) > 0.01

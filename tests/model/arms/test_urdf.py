@@ -1,0 +1,135 @@
+"""Arms from URDF files: the same robot by another description, and what is refused."""
+
+import numpy as np
+import pytest
+from tests.model.arms.witnesses import ELBOW, ELBOW_HOME, iiwa_urdf
+
+from equipoise.errors import ArmError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.posture import along_x, condition
+from equipoise.model.arms.urdf import read_urdf
+from equipoise.paper import X_LIMIT
+
+
+@pytest.fixture
+def edited(tmp_path):
+    """The test arm's file with one text replaced by another."""
+
+    def write(old="", new=""):
+        text = ELBOW.read_text()
+        assert old in text
+        path = tmp_path / "arm.urdf"
+        path.write_text(text.replace(old, new))
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("size", [7, 14])
+def test_a_urdf_of_the_iiwa_is_the_iiwa(size, tmp_path):
+    path = tmp_path / "iiwa.urdf"
+    path.write_text(iiwa_urdf(size))
+    arm = iiwa(size)
+    read = read_urdf(path, held="A3", home=arm.home)
+    assert read == read_urdf(path, held=3, home=arm.home)
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        q, dq = rng.uniform(-1.5, 1.5, (2, 6))
+        for ours, theirs in zip(arm.kinematics(q, dq), read.kinematics(q, dq), strict=True):
+            assert ours == pytest.approx(theirs, abs=1e-12)
+    assert read.compiled().wrist == pytest.approx(arm.compiled().wrist, abs=1e-15)
+
+
+def test_names_and_limits_are_read():
+    arm = read_urdf(ELBOW, home=ELBOW_HOME, acceleration=4.0, pivot=(0.0, 0.1, 0.0))
+    assert arm.name == "elbow 6"
+    names = ["pan", "shoulder", "elbow", "lift", "slant", "spin"]
+    assert [joint.name for joint in arm.joints] == names
+    assert [joint.velocity for joint in arm.joints] == [2.5, 2.5, 3.0, 3.5, 3.5, 3.5]
+    assert [joint.torque for joint in arm.joints] == [150, 150, 100, 30, 30, 30]
+    assert {joint.acceleration for joint in arm.joints} == {4.0}
+    assert (arm.joints[1].lower, arm.joints[1].upper) == (-2.2, 2.2)
+    assert arm.joints[3].upper > 50.0  # continuous: no limit to speak of
+    assert arm.pivot == (0.0, 0.1, 0.0)
+
+
+def test_base_and_tip_cut_the_chain():
+    whole = read_urdf(ELBOW, home=ELBOW_HOME)
+    part = read_urdf(ELBOW, base="pedestal", tip="wrist_3", home=ELBOW_HOME)
+    assert part.joints[0].xyz == (0.0, 0.0, 0.12)
+    assert part.flange_xyz == (0.0, 0.0, 0.0)
+    assert whole.joints[1:] == part.joints[1:]
+
+
+def test_a_home_is_searched_where_none_is_given():
+    arm = read_urdf(ELBOW)
+    assert arm == read_urdf(ELBOW)
+    assert arm.pose(arm.home_free).position[2] > 0.3
+    track = along_x(arm, np.linspace(-X_LIMIT, X_LIMIT, 23))
+    assert max(condition(arm, q) for q in track) < 20.0
+
+
+def test_a_name_is_made_harmless(edited):
+    path = edited('robot name="elbow 6"', 'robot name="a&quot;&quot;&quot;\\n; b"')
+    assert read_urdf(path, home=ELBOW_HOME).name == "a____n_ b"
+
+
+LIMIT_OF_PAN = '<limit lower="-3.1" upper="3.1" velocity="2.5" effort="150"/>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("</robot>", "", "is not XML"),
+        ("robot", "model", "starts with <model>, expected <robot>"),
+        ('type="continuous"', 'type="prismatic"', "joint lift is prismatic; between base and tip"),
+        (LIMIT_OF_PAN, "", "joint pan has no limit of velocity, effort, lower, upper; add it"),
+        (LIMIT_OF_PAN, LIMIT_OF_PAN.replace('lower="-3.1" ', ""), "pan has no limit of lower"),
+        ('lower="-3.1"', 'lower="wide"', "joint pan has 'wide' where 1 number"),
+        ('lower="-3.1"', 'lower="nan"', "joint pan has 'nan' where 1 number"),
+        ('upper="3.1"', 'upper="-4"', "the lower must be below the upper"),
+        ('axis xyz="0 2 0"', 'axis xyz="0 2"', "joint lift has '0 2' where 3 number"),
+        ('axis xyz="0 2 0"', 'axis xyz="0 0 0"', "joint lift: axis 0 0 0"),
+        ('<parent link="wrist_2"/>', "", "joint spin has no <parent"),
+        ('"lift" type="continuous"', '"lift" type="fixed"', "5 free joints, expected six"),
+        ('link name="adapter"', 'link name="spare"', "could be floor, spare; say which with base="),
+        ('<child link="flange"/>', '<child link="adapter"/>', "could be floor, flange"),
+        ('<link name="adapter"/>', '<link name="adapter"/><link name="x"/>', "could be floor, x"),
+    ],
+)
+def test_what_is_not_an_arm_is_refused(edited, old, new, says):
+    with pytest.raises(ArmError, match=says):
+        read_urdf(edited(old, new), home=ELBOW_HOME)
+
+
+def test_two_ends_are_a_question(edited):
+    camera = (
+        '<link name="camera"/><joint name="mount" type="fixed"><parent link="wrist_3"/>'
+        '<child link="camera"/></joint></robot>'
+    )
+    path = edited("</robot>", camera)
+    with pytest.raises(ArmError, match="its tip could be flange, camera; say which with tip="):
+        read_urdf(path, home=ELBOW_HOME)
+    assert read_urdf(path, tip="flange", home=ELBOW_HOME) == read_urdf(ELBOW, home=ELBOW_HOME)
+    with pytest.raises(ArmError, match="has no chain from adapter to camera"):
+        read_urdf(path, base="adapter", tip="camera")
+
+
+def test_seven_joints_need_one_to_hold(tmp_path):
+    path = tmp_path / "iiwa.urdf"
+    path.write_text(iiwa_urdf(7))
+    with pytest.raises(ArmError, match=r"7 free joints, expected six; hold one of 1 \(A1\), 2"):
+        read_urdf(path)
+    with pytest.raises(ArmError, match="no joint elbow to hold; choose one of A1, A2"):
+        read_urdf(path, held="elbow")
+    with pytest.raises(ArmError, match="held joint is 9; give a number from 1 to 7"):
+        read_urdf(path, held=9)
+
+
+def test_wrong_links_and_paths_are_named(tmp_path):
+    with pytest.raises(ArmError, match=r"has no link hand; its links are floor, pedestal"):
+        read_urdf(ELBOW, tip="hand")
+    with pytest.raises(ArmError, match=r"cannot read .*nowhere\.urdf: No such file"):
+        read_urdf(tmp_path / "nowhere.urdf")
+    with pytest.raises(ArmError, match="is not XML"):
+        read_urdf(ELBOW.parents[1] / "model" / "arms" / "test_urdf.py")
