@@ -125,6 +125,19 @@ def kernel(function: F) -> F:
     return dispatcher
 
 
+def inlined(function: F) -> F:
+    """Compile `function` into each kernel that calls it.
+
+    For the formulas inside loops over lanes: a processor runs such a loop many numbers at a time
+    only if nothing is called in it.
+    """
+    if _disabled():
+        return function
+    dispatcher: Any = numba.njit(nogil=True, error_model="numpy", forceinline=True)(function)
+    _cached(dispatcher)
+    return dispatcher
+
+
 @functools.cache
 def function_pointer(function: F, signature: Any) -> F:
     """Compile `function` for one `signature`, as a value that kernels take as an argument.

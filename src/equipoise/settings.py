@@ -38,9 +38,9 @@ class IdentificationSettings(Value):
     steps_per_period: int = Field(default=128, ge=32)
     """Runge-Kutta steps in a period of the swing; over 60 periods of a large one they are wrong by
     less than 1e-5 rad."""
-    horizons: tuple[float, ...] = (0.08, 0.25, 1.0)
-    """Shares of the window that are fitted one after the other: fitted at once, a long window has
-    false minima, where the fit loses count of the periods."""
+    horizons: tuple[float, ...] = (0.08, 0.25)
+    """Shares of the window that are fitted one after the other before the whole: fitted at once, a
+    long window has false minima, where the fit loses count of the periods."""
     first_horizon_periods: float = Field(default=1.5, gt=0.0)
     """The first horizon holds at least so many periods, or period and friction are not seen."""
     samples_per_period: float = Field(default=10.0, ge=4.0)
@@ -65,9 +65,9 @@ class IdentificationSettings(Value):
     least_blocks: int = Field(default=8, ge=3)
     """Errors of the fit are independent between blocks of a period, and of this part of the window
     where it holds fewer periods: with fewer blocks their spread says nothing."""
-    unexplained: float = Field(default=0.5, gt=0.0, lt=1.0)
-    """A recording is refused where the fit leaves more than this share of its standard deviation:
-    it is not a free swing."""
+    unexplained: float = Field(default=0.25, gt=0.0, lt=1.0)
+    """A recording is refused where the residual, noise apart, is above this share of its standard
+    deviation: it is not a free swing. A long swing with the wrong friction leaves 5 %."""
     misfit_share: float = Field(default=0.005, gt=0.0)
     """A warning is given where the residual, noise apart, is above this share of the amplitude:
     a well-modelled pivot leaves 0.1 to 0.4 %."""

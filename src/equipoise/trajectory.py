@@ -132,8 +132,8 @@ def read_swing(
     if late.size:
         i = int(late[0]) + 1
         raise RecordingError(
-            f"{path}, line {lines[i]}: time does not increase, {stamps[i]:g} s comes after "
-            f"{stamps[i - 1]:g} s; remove repeated samples or sort the recording"
+            f"{path}, line {lines[i]}: time does not increase, {stamps[i]:.10g} s comes after "
+            f"{stamps[i - 1]:.10g} s; remove repeated samples or sort the recording"
         )
     values, unit = recorded, 1.0
     if quantity == "theta_deg":
@@ -153,8 +153,8 @@ def read_swing(
     if time.size < 2:
         raise RecordingError(
             f"{path} has {time.size} samples between {start if start is not None else 'its start'} "
-            f"and {end if end is not None else 'its end'}; it lasts from {stamps[0]:g} s to "
-            f"{stamps[-1]:g} s: choose --start and --end inside"
+            f"and {end if end is not None else 'its end'}; it lasts from {stamps[0]:.10g} s to "
+            f"{stamps[-1]:.10g} s: choose --start and --end inside"
         )
     if not is_rate:
         values = np.unwrap(values)

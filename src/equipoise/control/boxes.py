@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.artefacts import Value
-from equipoise.compiled import kernel
+from equipoise.compiled import inlined, kernel
 
 SHAPE: Final = (6, 5, 3, 3)
 """Number of intervals of phi, phi_dot, x, x_dot."""
@@ -29,9 +29,9 @@ ACTIONS: Final = len(paper.ACTIONS)
 class Axis(NamedTuple):
     """The inner edges of one axis."""
 
-    edges: npt.NDArray[np.float64]
+    edges: tuple[float, ...]
     """Rising, in SI units."""
-    upper: npt.NDArray[np.bool_]
+    upper: tuple[bool, ...]
     """Whether the edge itself belongs to the interval above it."""
 
 
@@ -90,23 +90,22 @@ def _axis(intervals: Sequence[paper.Interval], *, degrees: bool) -> Axis:
         if below.high != above.low or below.high_closed == above.low_closed:
             raise ValueError(f"{below} and {above} do not share one edge with one owner")
     return Axis(
-        edges=np.array([radians(edge) if degrees else edge for edge in edges]),
-        upper=np.array([interval.low_closed for interval in intervals[1:]]),
+        edges=tuple(radians(edge) if degrees else edge for edge in edges),
+        upper=tuple(interval.low_closed for interval in intervals[1:]),
     )
 
 
-@kernel
+@inlined
 def interval_index(value: float, axis: Axis) -> int:
     """Return the interval of an axis that holds `value`."""
     index = 0
-    for i in range(axis.edges.size):
+    for i in range(len(axis.edges)):
         edge = axis.edges[i]
-        if value > edge or (value == edge and axis.upper[i]):
-            index += 1
+        index += (value > edge) | ((value == edge) & axis.upper[i])
     return index
 
 
-@kernel
+@inlined
 def box_index(x: float, x_dot: float, phi: float, phi_dot: float, boxes: Boxes) -> int:
     """Return the box that holds a state; states beyond a limit fall in the outermost box.
 
@@ -124,7 +123,7 @@ def box_index(x: float, x_dot: float, phi: float, phi_dot: float, boxes: Boxes) 
     return ((i * 5 + j) * 3 + k) * 3 + m
 
 
-@kernel
+@inlined
 def mirrored_box(box: int) -> int:
     """Return the box of the mirror image: each axis is counted from its other end."""
     m = box % 3

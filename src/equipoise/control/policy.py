@@ -5,6 +5,7 @@ The compiled loops call `act`, with a `PolicyKernel` made from a table or from a
 """
 
 import functools
+from importlib import resources
 from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -43,10 +44,10 @@ class PolicyKernel(NamedTuple):
     """TABLE, LINEAR (clipped to the range of the actions), SNAPPED (to an action) or RANDOM."""
     u_of_box: Array
     """Acceleration of each box [m/s^2], shape (270,); for TABLE."""
-    gains: Array
-    """u = gains . (x, x_dot, phi, phi_dot), shape (4,); for LINEAR and SNAPPED."""
-    actions: Array
-    """The eight accelerations [m/s^2], shape (8,)."""
+    gains: tuple[float, float, float, float]
+    """u = gains . (x, x_dot, phi, phi_dot); for LINEAR and SNAPPED."""
+    actions: tuple[float, ...]
+    """The eight accelerations [m/s^2]."""
     boxes: Boxes
     """Edges of the boxes."""
 
@@ -72,27 +73,30 @@ def act(
         return policy.u_of_box[box_index(x, x_dot, phi, phi_dot, policy.boxes)]
     actions = policy.actions
     if policy.kind == RANDOM:
-        return actions[int(chance * actions.size)]
+        return actions[int(chance * len(actions))]
     g = policy.gains
     u = g[0] * x + g[1] * x_dot + g[2] * phi + g[3] * phi_dot
     if policy.kind == LINEAR:
         return min(max(u, actions[0]), actions[-1])
     nearest = actions[0]
-    for i in range(1, actions.size):
+    for i in range(1, len(actions)):
         if abs(actions[i] - u) < abs(nearest - u):
             nearest = actions[i]
     return nearest
 
 
 def policy_kernel(
-    kind: int, *, u_of_box: Array | None = None, gains: Array | None = None
+    kind: int,
+    *,
+    u_of_box: Array | None = None,
+    gains: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
 ) -> PolicyKernel:
     """Return a `PolicyKernel`; what its kind does not use stays zero."""
     return PolicyKernel(
         kind=kind,
         u_of_box=np.zeros(boxes.COUNT) if u_of_box is None else np.array(u_of_box),
-        gains=np.zeros(4) if gains is None else np.array(gains),
-        actions=np.array(paper.ACTIONS),
+        gains=gains,
+        actions=paper.ACTIONS,
         boxes=boxes.boxes(),
     )
 
@@ -197,6 +201,13 @@ class TabularPolicy(Artefact):
         """Return u [m/s^2] for the state (x, x_dot, phi, phi_dot), shape (4,)."""
         x, x_dot, phi, phi_dot = (float(value) for value in state)
         return float(act(self.kernel, x, x_dot, phi, phi_dot, 0.0))
+
+
+@functools.cache
+def shipped_policy() -> TabularPolicy:
+    """Return the policy that ships with Equipoise, trained for the shipped pendulum."""
+    with resources.as_file(resources.files("equipoise") / "data" / "policy.json") as path:
+        return TabularPolicy.load(path)
 
 
 def _read_only(array: Any) -> Any:

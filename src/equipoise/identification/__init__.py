@@ -86,7 +86,6 @@ def identify(
     start = np.array([free.w2, free.c, 0.0, 0.0, free.theta, free.theta_dot, free.offset])
     fit = fit_growing(recording, start, rough.period, settings)
     residual = recording.residual(fit.unknowns)
-    _refuse_unexplained(trajectory.source, recording, residual, settings)
     periods = float(np.ptp(recording.time)) / rough.period
     swing_fit = SwingFit(
         source=trajectory.source,
@@ -103,6 +102,7 @@ def identify(
         theta_dot=float(fit.unknowns[THETA_DOT]),
         settings=settings,
     )
+    _refuse_unexplained(recording, swing_fit)
     warnings = _warnings(recording, fit, free, swing_fit)
     blocks = max(round(periods), settings.least_blocks)
     return _pendulum(
@@ -151,16 +151,21 @@ def simulate_fit(trajectory: Trajectory, pendulum: Pendulum) -> Array:
     return curve
 
 
-def _refuse_unexplained(
-    name: str, recording: Recording, residual: Array, settings: IdentificationSettings
-) -> None:
-    left = rms(residual) / float(np.std(recording.values))
-    if not left < settings.unexplained:
+def _refuse_unexplained(recording: Recording, swing_fit: SwingFit) -> None:
+    settings, spread = swing_fit.settings, float(np.std(recording.values))
+    left = _misfit(swing_fit) / spread
+    if left > settings.unexplained:
+        begin, end = swing_fit.window
         raise RecordingError(
-            f"{name} is not a free swing: the pendulum's equation leaves {left:.0%} of the motion "
-            f"from {recording.time[0]:.3g} s to {recording.time[-1]:.3g} s unexplained, expected "
-            f"less than {settings.unexplained:.0%}; choose a free swing with --start and --end"
+            f"{swing_fit.source} is not a free swing: the pendulum's equation leaves {left:.0%} of "
+            f"the motion from {begin:.2f} s to {end:.2f} s unexplained, expected less than "
+            f"{settings.unexplained:.0%}; choose a free swing with --start and --end"
         )
+
+
+def _misfit(swing_fit: SwingFit) -> float:
+    """Return the part of the residual that is not noise, in the recording's unit."""
+    return sqrt(max(swing_fit.rms**2 - swing_fit.noise**2, 0.0))
 
 
 def _noise(residual: Array, resolution: float) -> float:
@@ -177,7 +182,7 @@ def _warnings(
     better = _better_friction(recording, fit, left, settings)
     warnings = list(free.warnings)
     amplitude = float(np.max(np.abs(recording.values - swing_fit.offset)))
-    misfit = sqrt(max(left**2 - swing_fit.noise**2, 0.0)) / amplitude
+    misfit = _misfit(swing_fit) / amplitude
     if misfit > settings.misfit_share:
         warnings.append(
             f"{settings.friction} friction does not explain the recording: it leaves {residual}, "

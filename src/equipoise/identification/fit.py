@@ -77,7 +77,7 @@ def fit_growing(
     time = recording.time
     length = float(np.ptp(time))
     fit = Fit(start, [], [])
-    for share in settings.horizons:
+    for share in (*settings.horizons, 1.0):
         horizon = max(share * length, min(settings.first_horizon_periods * period, length))
         n = int(np.searchsorted(time, time[0] + horizon, side="right"))
         part = recording._replace(time=time[:n], values=recording.values[:n])
@@ -110,9 +110,12 @@ def fit_bounded(recording: Recording, friction: Friction, start: Array) -> Fit:
             J[:, :-1] * scales[others], J[:, -1] * unknowns[worst], rcond=None
         )[0]
         unknowns[others] += change * scales[others]
-        unknowns[worst] = 0.0
         frictions.remove(worst)
         bound.append(worst)
+        unknowns[bound] = 0.0
+        if not np.all(np.isfinite(recording.predict(unknowns))):
+            unknowns = start.copy()
+            unknowns[bound] = 0.0
 
 
 def _least_squares(recording: Recording, start: Array, fitted: list[int]) -> Array:

@@ -5,7 +5,7 @@ and acceleration; where gravity and friction do not explain the acceleration, a 
 pendulum.
 """
 
-from math import pi
+from math import ceil, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -80,12 +80,17 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
     turns = _turning_points(values, max(least, 2.0 * trajectory.resolution))
     if len(turns) < 2 and trajectory.theta is not None and spread > 2.0 * pi:
         raise _over_the_top(name, float(time[-1]))
-    period = 2.0 * float(np.median(np.diff(time[turns]))) if len(turns) > 1 else np.inf
-    if (lasts := float(np.ptp(time))) < period:
+    lasts = float(np.ptp(time))
+    if len(turns) < 2:
         raise RecordingError(
-            f"{name} is shorter than one period: it lasts {lasts:.3g} s"
-            + (f", and a period is about {period:.3g} s" if period < np.inf else "")
-            + "; record at least three periods, better ten"
+            f"{name} holds less than one period of a swing: in {lasts:.3g} s it turns round "
+            f"{len(turns)} times; record at least three periods, better ten"
+        )
+    period = 2.0 * float(np.median(np.diff(time[turns])))
+    if lasts < period:
+        raise RecordingError(
+            f"{name} holds less than one period of a swing: it lasts {lasts:.3g} s, and a period "
+            f"is about {period:.3g} s; record at least three periods, better ten"
         )
     if (rate := len(time) * period / lasts) < settings.samples_per_period:
         raise RecordingError(
@@ -222,7 +227,7 @@ def find_free_swing(
         if end < len(touched):
             last = int(np.searchsorted(time, motion.time[end] - half)) - 1
             warnings.append(
-                f"something touched the pendulum at about {motion.time[end]:.3g} s: the recording "
+                f"something touched the pendulum at about {motion.time[end]:.2f} s: the recording "
                 "is used up to there; choose the window with --start and --end"
             )
     if (over := _last_over_the_top(trajectory, law, theta, slice(first, last + 1))) is not None:
@@ -230,8 +235,9 @@ def find_free_swing(
     last = _last_before_rest(time, np.abs(theta), first, last, rough.period, settings.rest_share)
     if (lasts := float(time[last] - time[first]) if last > first else 0.0) < rough.period:
         raise RecordingError(
-            f"{name} swings freely for less than one period: for {lasts:.3g} s, and a period is "
-            f"about {rough.period:.3g} s; record at least three periods after the hand lets go"
+            f"{name} holds less than one period of a free swing: it is free for {lasts:.3g} s, and "
+            f"a period is about {rough.period:.3g} s; record at least three periods after the hand "
+            "lets go"
         )
     keep = slice(first, last + 1)
     # A cubic over the first window gives the first state.
@@ -321,15 +327,14 @@ def _rough_law(motion: _Motion, rough: Oscillation, is_rate: bool) -> _Law:
 
 def _rough_w2(rough: Oscillation, is_rate: bool) -> float:
     """Return w2 from period and amplitude A: T = 4 K(m) / sqrt(w2), with m = sin^2(A/2)."""
-    from scipy.optimize import brentq
     from scipy.special import ellipk
 
-    m = float(np.sin(0.5 * min(rough.amplitude, 0.97 * pi)) ** 2)
-    if is_rate:
-        # The largest rate is 2 sqrt(m w2).
-        travel = rough.amplitude * rough.period / 8.0
-        m = float(brentq(lambda m: np.sqrt(m) * ellipk(m) - travel, 0.0, 1.0 - 1e-9))
-    return (4.0 * float(ellipk(m)) / rough.period) ** 2
+    m = np.sin(0.5 * np.linspace(0.0, 0.97 * pi, 400)) ** 2
+    K = np.asarray(ellipk(m))
+    # A rate has the amplitude 2 sqrt(m w2).
+    known = np.sqrt(m) * K if is_rate else np.sqrt(m)
+    seen = rough.amplitude * rough.period / 8.0 if is_rate else np.sin(0.5 * rough.amplitude)
+    return (4.0 * float(np.interp(seen, known, K)) / rough.period) ** 2
 
 
 def _touched(
@@ -388,7 +393,9 @@ def _last_before_rest(
 
 
 def _over_the_top(name: str, until: float) -> RecordingError:
+    # Rounded up, so that a window from there is free of it.
+    after = ceil(100.0 * until + 1.0) / 100.0
     return RecordingError(
-        f"{name}: the pendulum goes over the top until {until:.3g} s, expected a swing to and "
-        f"fro below it; give --start after {until:.3g} s or release it from a smaller angle"
+        f"{name}: the pendulum goes over the top, the last time before {after:.2f} s, expected a "
+        f"swing to and fro below it; give --start {after:.2f} or release it from a smaller angle"
     )

@@ -5,8 +5,9 @@ reference moves along base x only; u' = n^T Gamma' is the change of the flange's
 over the step, divided by h, and drives the pendulum (section 3.2). Noise is the paper's: on I and b
 once per episode, on the pose error e in every step.
 
-Training, evaluation, the recorded run and any policy written in Python call the `step` below. A
-trial ends with the cause of its failure, or lasts.
+Kernels advance a block of independent states at once, one to a lane (`equipoise.model.elementary`).
+Training, evaluation, the recorded run and any policy written in Python call the `step` below; what
+happens in a lane does not depend on the others.
 """
 
 from typing import Any, Final, NamedTuple
@@ -20,8 +21,6 @@ from equipoise.control.clik import (
     GAMMA,
     REFERENCE_SIZE,
     ClikParameters,
-    Point,
-    Twist,
     joint_acceleration,
     manipulability,
     pose_error,
@@ -29,10 +28,11 @@ from equipoise.control.clik import (
 )
 from equipoise.control.policy import RANDOM, PolicyKernel, act
 from equipoise.errors import ArmError
-from equipoise.model import pendulum as pendulum_model
 from equipoise.model.arms.arm import FRAME_SIZE, POSITION, TWIST, Arm, KinematicsFunction
-from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.random import normal_pair, philox, uniform
+from equipoise.model.elementary import LANES, at, put, sincos
+from equipoise.model.pendulum import PendulumParameters, runge_kutta
+from equipoise.model.pendulum import step as pendulum_step
+from equipoise.model.random import normal_radius, philox, turn, uniform
 from equipoise.settings import Settings
 
 Array = npt.NDArray[np.float64]
@@ -49,27 +49,30 @@ LEAST_MANIPULABILITY: Final = 1e-6
 POSE_ITERATIONS: Final = 20
 POSE_TOLERANCE: Final = 1e-12
 
+# Rows of the block of states.
+X: Final = 0
+X_DOT: Final = 1
+PHI: Final = 2
+PHI_DOT: Final = 3
+TRACKED: Final = 4
+STATE_SIZE: Final = 5
+PARAMETERS: Final = 5
+"""Rows of the block of pendulums: the numbers of `PendulumParameters`."""
+
 
 class Plant(NamedTuple):
-    """What does not change during an episode.
-
-    Flat, with few arrays: taking an array out of a tuple costs a kernel about as much as a sine.
-    """
+    """What does not change during an episode."""
 
     kinematics: KinematicsFunction
     """The arm's kinematics."""
-    wrist: Point
-    """Where the last three axes meet, in the flange frame [m]; NaN if they do not."""
-    limits: Array
-    """Lower, upper, velocity and acceleration limits of the free joints, shape (4, 6)."""
     clik: ClikParameters
     """Gains and damping."""
+    limits: Array
+    """Lower, upper, velocity and acceleration limits of the free joints, shape (4, 6)."""
     home: Array
     """Free joints at x = 0 [rad], shape (6,)."""
     home_reference: Array
-    """Record of the flange at home, at rest."""
-    home_x: float
-    """Where x = 0 is in the base [m]."""
+    """Pose of the flange at home, at rest, as a reference, shape (24,)."""
     h: float
     """Time step [s]."""
     phi_limit: float
@@ -80,34 +83,37 @@ class Plant(NamedTuple):
     """Standard deviation of the noise on the position part of e [m]."""
     orientation_noise: float
     """Standard deviation of the noise on the orientation part of e [rad]."""
+    linearised: bool
+    """Whether the pendulum is that of equation (7)."""
 
 
-class Memory(NamedTuple):
-    """What a step changes, in place."""
+class Block(NamedTuple):
+    """The states of `LANES` closed loops, which a step changes in place; each a block of rows."""
 
     q: Array
-    """Free joints [rad], shape (6,)."""
+    """Free joints [rad], 6 rows."""
     dq: Array
-    """Their velocities [rad/s], shape (6,)."""
+    """Their velocities [rad/s], 6 rows."""
     ddq: Array
-    """Their accelerations over the last step [rad/s^2], shape (6,)."""
+    """Their accelerations over the last step [rad/s^2], 6 rows."""
     frame: Array
     """Record of the kinematics at q, dq."""
     reference: Array
     """Record of where the flange shall be."""
+    e: Array
+    """Room for the pose error, 6 rows."""
+    noise: Array
+    """Standard normal numbers for the next step, 6 rows."""
+    pendula: Array
+    """Numbers of `PendulumParameters`, 5 rows."""
     state: Array
-    """x, x_dot, phi, phi_dot in SI units, shape (4,)."""
-
-
-class Outcome(NamedTuple):
-    """What a step came to."""
-
-    cause: int
-    """Cause of failure, `LASTED` if none."""
-    tracked: float
-    """u', what the flange's acceleration along x really was [m/s^2]."""
-    damped: bool
-    """Whether the arm was near a singularity, where the inverse is damped."""
+    """x, x_dot, phi, phi_dot, and u' of the last step, in SI units, 5 rows."""
+    u: Array
+    """Commanded acceleration of the next step [m/s^2], 1 row."""
+    cause: npt.NDArray[np.int64]
+    """Cause of failure in the last step, 1 row."""
+    damped: npt.NDArray[np.int64]
+    """How often the inverse was damped near a singularity, in all lanes, shape (1,)."""
 
 
 def make_plant(arm: Arm, settings: Settings, h: float) -> Plant:
@@ -122,9 +128,10 @@ def make_plant(arm: Arm, settings: Settings, h: float) -> Plant:
         ArmError: Home is a singular posture.
     """
     kernel_arm = arm.compiled()
-    frame = np.zeros(FRAME_SIZE)
-    kernel_arm.kinematics(arm.home_free, np.zeros(6), frame)
-    w = float(manipulability(frame))
+    q, frame = np.zeros(6 * LANES), np.zeros(FRAME_SIZE * LANES)
+    q[::LANES] = arm.home_free
+    kernel_arm.kinematics(q, np.zeros(6 * LANES), frame, 1)
+    w = float(manipulability(frame, 0))
     if w < LEAST_MANIPULABILITY:
         raise ArmError(
             f"the home posture of {arm.name} is singular (|det J| = {w:.1e} m^3); choose another"
@@ -133,7 +140,13 @@ def make_plant(arm: Arm, settings: Settings, h: float) -> Plant:
     wrist_x, wrist_y, wrist_z = (float(value) for value in kernel_arm.wrist)
     return Plant(
         kinematics=kernel_arm.kinematics,
-        wrist=(wrist_x, wrist_y, wrist_z),
+        clik=ClikParameters(
+            K_p=settings.clik.K_p,
+            K_d=settings.clik.K_d,
+            w_0=settings.clik.singular_share * w,
+            lambda_0=settings.clik.damping,
+            wrist=(wrist_x, wrist_y, wrist_z),
+        ),
         limits=np.array(
             [
                 kernel_arm.lower,
@@ -142,143 +155,251 @@ def make_plant(arm: Arm, settings: Settings, h: float) -> Plant:
                 kernel_arm.max_acceleration,
             ]
         ),
-        clik=ClikParameters(
-            K_p=settings.clik.K_p,
-            K_d=settings.clik.K_d,
-            w_0=settings.clik.singular_share * w,
-            lambda_0=settings.clik.damping,
-        ),
         home=arm.home_free,
-        home_reference=frame[:REFERENCE_SIZE].copy(),
-        home_x=float(frame[POSITION]),
+        home_reference=frame[: REFERENCE_SIZE * LANES : LANES].copy(),
         h=h,
         phi_limit=limits.phi_limit,
         x_limit=limits.x_limit,
         position_noise=settings.plant.position_error_sigma,
         orientation_noise=settings.plant.orientation_error_sigma,
+        linearised=settings.plant.linearised,
     )
 
 
-@kernel
-def new_memory() -> Memory:
-    """Return a memory for `reset`."""
-    return Memory(
-        q=np.zeros(6),
-        dq=np.zeros(6),
-        ddq=np.zeros(6),
-        frame=np.zeros(FRAME_SIZE),
-        reference=np.zeros(REFERENCE_SIZE),
-        state=np.zeros(4),
+def new_block() -> Block:
+    """Return a block for `reset`."""
+    rows = (6, 6, 6, FRAME_SIZE, REFERENCE_SIZE, 6, 6, PARAMETERS, STATE_SIZE, 1)
+    return Block(
+        *(np.zeros(count * LANES) for count in rows),
+        cause=np.zeros(LANES, np.int64),
+        damped=np.zeros(1, np.int64),
     )
 
 
 @kernel
 def reset(
-    plant: Plant, memory: Memory, x: float, x_dot: float, phi: float, phi_dot: float
+    plant: Plant,
+    block: Block,
+    pendulum: PendulumParameters,
+    start: tuple[float, float, float, float],
+    n: int,
 ) -> None:
-    """Place arm, reference and pendulum at a state, the arm on its track without error.
+    """Place lane `n` at a state: the arm on its track without error, the pendulum as given.
 
     Args:
         plant: Constants.
-        memory: Changed in place.
-        x: Displacement of the flange from home along base x [m].
-        x_dot: Its velocity [m/s].
-        phi: Angle of the pendulum from upright [rad].
-        phi_dot: Its angular velocity [rad/s].
+        block: Changed in place.
+        pendulum: Physical parameters of this lane until its next reset.
+        start: Displacement of the flange from home along base x [m], its velocity [m/s], angle of
+            the pendulum from upright [rad] and its angular velocity [rad/s].
+        n: Lane.
     """
-    q, dq, ddq, frame, reference, state = memory
-    q[:] = plant.home
-    dq[:] = 0.0
-    reference[:] = plant.home_reference
-    reference[POSITION] += x
-    for _ in range(POSE_ITERATIONS):
-        plant.kinematics(q, dq, frame)
-        e = pose_error(frame, reference)
-        if max(abs(e[0]), abs(e[1]), abs(e[2]), abs(e[3]), abs(e[4]), abs(e[5])) < POSE_TOLERANCE:
-            break
-        solve(frame, e, plant.clik, plant.wrist, ddq)
-        q += ddq
-    reference[TWIST] = x_dot
-    solve(frame, (x_dot, 0.0, 0.0, 0.0, 0.0, 0.0), plant.clik, plant.wrist, dq)
-    ddq[:] = 0.0
-    plant.kinematics(q, dq, frame)
-    state[0] = frame[POSITION] - plant.home_x
-    state[1] = frame[TWIST]
-    state[2] = phi
-    state[3] = phi_dot
-
-
-@kernel
-def step(
-    plant: Plant, memory: Memory, u: float, noise: Twist, pendulum: PendulumParameters
-) -> Outcome:
-    """Advance arm and pendulum by one time step.
-
-    Args:
-        plant: Constants.
-        memory: Changed in place.
-        u: Commanded acceleration of the flange along x [m/s^2].
-        noise: Six standard normal numbers, scaled here and added to e.
-        pendulum: Physical parameters of this episode.
-
-    Returns:
-        What the step came to.
-    """
-    q, dq, ddq, frame, reference, state = memory
-    h, limits = plant.h, plant.limits
-    reference[GAMMA] = u
-    e = pose_error(frame, reference)
-    sigma_p, sigma_o = plant.position_noise, plant.orientation_noise
-    e = (
-        e[0] + sigma_p * noise[0],
-        e[1] + sigma_p * noise[1],
-        e[2] + sigma_p * noise[2],
-        e[3] + sigma_o * noise[3],
-        e[4] + sigma_o * noise[4],
-        e[5] + sigma_o * noise[5],
-    )
-    damped = joint_acceleration(frame, reference, e, plant.clik, plant.wrist, ddq)
-    within = True
+    x, x_dot, phi, phi_dot = start
+    # The arm is placed in the first lane of blocks of its own, by Newton's method.
+    q, dq, dy = np.zeros(6 * LANES), np.zeros(6 * LANES), np.zeros(6 * LANES)
+    e, frame = np.zeros(6 * LANES), np.zeros(FRAME_SIZE * LANES)
+    reference = np.zeros(REFERENCE_SIZE * LANES)
+    for i in range(REFERENCE_SIZE):
+        put(reference, i, 0, plant.home_reference[i])
+        put(block.reference, i, n, plant.home_reference[i])
     for i in range(6):
-        q[i] += dq[i] * h + 0.5 * ddq[i] * h * h
-        dq[i] += ddq[i] * h
-        within &= (
-            (limits[0, i] <= q[i])
-            & (q[i] <= limits[1, i])
-            & (abs(dq[i]) <= limits[2, i])
-            & (abs(ddq[i]) <= limits[3, i])
-        )
-    reference[POSITION] += reference[TWIST] * h + 0.5 * u * h * h
-    reference[TWIST] += u * h
-
-    x_dot_before = frame[TWIST]
-    plant.kinematics(q, dq, frame)
-    tracked = (frame[TWIST] - x_dot_before) / h
-    phi, phi_dot = pendulum_model.step(state[2], state[3], tracked, h, pendulum)
-    x = frame[POSITION] - plant.home_x
-    state[0] = x
-    state[1] = frame[TWIST]
-    state[2] = phi
-    state[3] = phi_dot
-    cause = LASTED
-    if abs(phi) >= plant.phi_limit:
-        cause = ANGLE
-    elif abs(x) >= plant.x_limit:
-        cause = TRACK
-    elif not within:
-        cause = JOINT_LIMIT
-    return Outcome(cause, tracked, damped)
+        put(q, i, 0, plant.home[i])
+    put(reference, POSITION, 0, plant.home_reference[POSITION] + x)
+    for _ in range(POSE_ITERATIONS):
+        plant.kinematics(q, dq, frame, 1)
+        error = pose_error(frame, reference, 0)
+        largest = 0.0
+        for i in range(6):
+            put(e, i, 0, error[i])
+            largest = max(largest, abs(error[i]))
+        if largest < POSE_TOLERANCE:
+            break
+        solve(frame, e, plant.clik, dy, 1)
+        q += dy
+    e[:] = 0.0
+    put(e, 0, 0, x_dot)
+    solve(frame, e, plant.clik, dq, 1)
+    plant.kinematics(q, dq, frame, 1)
+    for i in range(6):
+        put(block.q, i, n, at(q, i, 0))
+        put(block.dq, i, n, at(dq, i, 0))
+        put(block.ddq, i, n, 0.0)
+    for i in range(FRAME_SIZE):
+        put(block.frame, i, n, at(frame, i, 0))
+    put(block.reference, POSITION, n, at(reference, POSITION, 0))
+    put(block.reference, TWIST, n, x_dot)
+    put(block.pendula, 0, n, pendulum.w2)
+    put(block.pendula, 1, n, pendulum.k)
+    put(block.pendula, 2, n, pendulum.c)
+    put(block.pendula, 3, n, pendulum.coulomb)
+    put(block.pendula, 4, n, pendulum.drag)
+    put(block.state, X, n, at(frame, POSITION, 0) - plant.home_reference[POSITION])
+    put(block.state, X_DOT, n, at(frame, TWIST, 0))
+    put(block.state, PHI, n, phi)
+    put(block.state, PHI_DOT, n, phi_dot)
+    put(block.state, TRACKED, n, 0.0)
+    block.cause[n] = LASTED
 
 
 @kernel
-def draw_noise(seed: int, tick: int, index: int, learner: int, stream: int) -> Twist:
-    """Return six standard normal numbers from `stream` and the one after it."""
-    w0, w1, w2, w3 = philox(seed, tick, index, learner, stream)
-    n0, n1 = normal_pair(w0, w1)
-    n2, n3 = normal_pair(w2, w3)
-    w0, w1, w2, w3 = philox(seed, tick, index, learner, stream + 1)
-    n4, n5 = normal_pair(w0, w1)
-    return n0, n1, n2, n3, n4, n5
+def step(plant: Plant, block: Block, lanes: int) -> None:
+    """Advance arm and pendulum of the first lanes by one time step.
+
+    Reads `block.u` and `block.noise`; everything else of the block is brought up to date, with the
+    cause of failure of each lane, `LASTED` if none.
+
+    Args:
+        plant: Constants.
+        block: Changed in place.
+        lanes: How many lanes.
+    """
+    q, dq, ddq, frame, reference, e, noise, pendula, state, u, cause, damped = block
+    h, limits, home_x = plant.h, plant.limits, plant.home_reference[POSITION]
+    sigma_p, sigma_o = plant.position_noise, plant.orientation_noise
+    for n in range(lanes):
+        e0, e1, e2, e3, e4, e5 = pose_error(frame, reference, n)
+        put(e, 0, n, e0 + sigma_p * at(noise, 0, n))
+        put(e, 1, n, e1 + sigma_p * at(noise, 1, n))
+        put(e, 2, n, e2 + sigma_p * at(noise, 2, n))
+        put(e, 3, n, e3 + sigma_o * at(noise, 3, n))
+        put(e, 4, n, e4 + sigma_o * at(noise, 4, n))
+        put(e, 5, n, e5 + sigma_o * at(noise, 5, n))
+        put(reference, GAMMA, n, u[n])
+    damped[0] += joint_acceleration(frame, reference, e, plant.clik, ddq, lanes)
+    for n in range(lanes):
+        cause[n] = LASTED
+        # u' starts as minus the velocity before the step.
+        put(state, TRACKED, n, -at(frame, TWIST, n))
+        move = at(reference, TWIST, n) * h + 0.5 * u[n] * h * h
+        put(reference, POSITION, n, at(reference, POSITION, n) + move)
+        put(reference, TWIST, n, at(reference, TWIST, n) + u[n] * h)
+    for i in range(6):
+        lower, upper = limits[0, i], limits[1, i]
+        max_velocity, max_acceleration = limits[2, i], limits[3, i]
+        for n in range(lanes):
+            a, v = at(ddq, i, n), at(dq, i, n)
+            angle = at(q, i, n) + v * h + 0.5 * a * h * h
+            v += a * h
+            put(q, i, n, angle)
+            put(dq, i, n, v)
+            within = (
+                (lower <= angle)
+                & (angle <= upper)
+                & (abs(v) <= max_velocity)
+                & (abs(a) <= max_acceleration)
+            )
+            cause[n] = cause[n] if within else JOINT_LIMIT
+    plant.kinematics(q, dq, frame, lanes)
+    for n in range(lanes):
+        tracked = (at(frame, TWIST, n) + at(state, TRACKED, n)) / h
+        put(state, TRACKED, n, tracked)
+        put(state, X, n, at(frame, POSITION, n) - home_x)
+        put(state, X_DOT, n, at(frame, TWIST, n))
+    advance_pendula(state, pendula, h, plant.linearised, lanes)
+    for n in range(lanes):
+        on_track = abs(at(state, X, n)) < plant.x_limit
+        upright = abs(at(state, PHI, n)) < plant.phi_limit
+        cause[n] = (cause[n] if on_track else TRACK) if upright else ANGLE
+
+
+@kernel
+def advance_pendula(
+    state: Array, pendula: Array, h: float, linearised: bool, lanes: int
+) -> None:
+    """Advance the pendulums of the first lanes by one time step, driven by u'."""
+    dry = 0.0
+    for n in range(lanes):
+        dry = max(dry, at(pendula, 3, n))
+    if dry == 0.0:
+        for n in range(lanes):
+            own = PendulumParameters(
+                at(pendula, 0, n),
+                at(pendula, 1, n),
+                at(pendula, 2, n),
+                0.0,
+                at(pendula, 4, n),
+                linearised,
+            )
+            phi, phi_dot = runge_kutta(
+                at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n), h, 0.0, own
+            )
+            put(state, PHI, n, phi)
+            put(state, PHI_DOT, n, phi_dot)
+        return
+    for n in range(lanes):
+        own = PendulumParameters(
+            at(pendula, 0, n),
+            at(pendula, 1, n),
+            at(pendula, 2, n),
+            at(pendula, 3, n),
+            at(pendula, 4, n),
+            linearised,
+        )
+        phi, phi_dot = pendulum_step(
+            at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n), h, own
+        )
+        put(state, PHI, n, phi)
+        put(state, PHI_DOT, n, phi_dot)
+
+
+@kernel
+def draw_noise(
+    noise: Array,
+    seed: int,
+    tick: npt.NDArray[np.int64],
+    index: npt.NDArray[np.int64],
+    learner: int,
+    stream: int,
+    lanes: int,
+) -> None:
+    """Write six standard normal numbers for each lane, from `stream` and the one after it.
+
+    Args:
+        noise: A block of 6 rows.
+        seed: Master seed.
+        tick: Step of each lane within its episode or trial.
+        index: Episode or trial of each lane.
+        learner: Which learner.
+        stream: Purpose of the numbers.
+        lanes: How many lanes.
+    """
+    for n in range(lanes):
+        w0, w1, w2, w3 = philox(seed, tick[n], index[n], learner, stream)
+        v0, v1, _, _ = philox(seed, tick[n], index[n], learner, stream + 1)
+        put(noise, 0, n, uniform(w0, 1.0, 0.0))
+        put(noise, 1, n, turn(w1))
+        put(noise, 2, n, uniform(w2, 1.0, 0.0))
+        put(noise, 3, n, turn(w3))
+        put(noise, 4, n, uniform(v0, 1.0, 0.0))
+        put(noise, 5, n, turn(v1))
+    # The logarithm is a call, and has a loop of its own so that the others run in lanes.
+    for i in range(0, 6, 2):
+        for n in range(lanes):
+            put(noise, i, n, normal_radius(at(noise, i, n)))
+    for i in range(0, 6, 2):
+        for n in range(lanes):
+            radius = at(noise, i, n)
+            sine, cosine = sincos(at(noise, i + 1, n))
+            put(noise, i, n, radius * cosine)
+            put(noise, i + 1, n, radius * sine)
+
+
+@kernel
+def copy_lane(block: Block, source: int, target: int) -> None:
+    """Copy the state of one lane to another, which closes the gap that a finished one leaves."""
+    for i in range(6):
+        put(block.q, i, target, at(block.q, i, source))
+        put(block.dq, i, target, at(block.dq, i, source))
+        put(block.ddq, i, target, at(block.ddq, i, source))
+    for i in range(FRAME_SIZE):
+        put(block.frame, i, target, at(block.frame, i, source))
+    for i in range(REFERENCE_SIZE):
+        put(block.reference, i, target, at(block.reference, i, source))
+    for i in range(PARAMETERS):
+        put(block.pendula, i, target, at(block.pendula, i, source))
+    for i in range(STATE_SIZE):
+        put(block.state, i, target, at(block.state, i, source))
+    block.cause[target] = block.cause[source]
 
 
 @kernel
@@ -314,8 +435,19 @@ class Trials(NamedTuple):
 
 
 @kernel
+def place_trial(
+    plant: Plant, block: Block, pendulum: PendulumParameters, trials: Trials, i: int, n: int
+) -> None:
+    """Place trial `i` in lane `n`."""
+    own = scaled(pendulum, trials.inertia_factor[i], trials.friction_factor[i])
+    x, x_dot, phi, phi_dot = trials.start[i]
+    reset(plant, block, own, (x, x_dot, phi, phi_dot), n)
+
+
+@kernel
 def run_trials(
     plant: Plant,
+    block: Block,
     policy: PolicyKernel,
     pendulum: PendulumParameters,
     trials: Trials,
@@ -329,6 +461,7 @@ def run_trials(
 
     Args:
         plant: Constants.
+        block: Room for the states.
         policy: What decides.
         pendulum: The centre that the factors of each trial scale.
         trials: Conditions, and arrays that are written.
@@ -338,27 +471,47 @@ def run_trials(
         seed: Seed of the noise.
         stream: Stream of the noise: selection or test.
     """
-    memory = new_memory()
-    state = memory.state
-    for i in range(first, last):
-        x, x_dot, phi, phi_dot = trials.start[i]
-        reset(plant, memory, x, x_dot, phi, phi_dot)
-        own = scaled(pendulum, trials.inertia_factor[i], trials.friction_factor[i])
-        cause = LASTED
-        sum_x2 = 0.0
-        tick = 0
-        while tick < longest and cause == LASTED:
-            noise = draw_noise(seed, tick, i, 0, stream)
+    state, u, cause = block.state, block.u, block.cause
+    index = np.zeros(LANES, np.int64)
+    tick = np.zeros(LANES, np.int64)
+    sum_x2 = np.zeros(LANES)
+    waiting = first
+    lanes = 0
+    while lanes < LANES and waiting < last:
+        index[lanes] = waiting
+        place_trial(plant, block, pendulum, trials, waiting, lanes)
+        waiting += 1
+        lanes += 1
+    while lanes > 0:
+        for n in range(lanes):
             chance = 0.0
             if policy.kind == RANDOM:
-                chance = uniform(philox(seed, tick, i, 1, stream)[0], 0.0, 1.0)
-            u = act(policy, state[0], state[1], state[2], state[3], chance)
-            cause = step(plant, memory, u, noise, own).cause
-            sum_x2 += state[0] * state[0]
-            tick += 1
-        trials.steps[i] = tick
-        trials.cause[i] = cause
-        trials.sum_x2[i] = sum_x2
+                chance = uniform(philox(seed, tick[n], index[n], 1, stream)[0], 0.0, 1.0)
+            u[n] = act(
+                policy,
+                at(state, X, n),
+                at(state, X_DOT, n),
+                at(state, PHI, n),
+                at(state, PHI_DOT, n),
+                chance,
+            )
+        draw_noise(block.noise, seed, tick, index, 0, stream, lanes)
+        step(plant, block, lanes)
+        for n in range(lanes - 1, -1, -1):
+            tick[n] += 1
+            sum_x2[n] += at(state, X, n) ** 2
+            if cause[n] == LASTED and tick[n] < longest:
+                continue
+            i = index[n]
+            trials.steps[i], trials.cause[i], trials.sum_x2[i] = tick[n], cause[n], sum_x2[n]
+            if waiting < last:
+                index[n], tick[n], sum_x2[n] = waiting, 0, 0.0
+                place_trial(plant, block, pendulum, trials, waiting, n)
+                waiting += 1
+            else:
+                lanes -= 1
+                copy_lane(block, lanes, n)
+                index[n], tick[n], sum_x2[n] = index[lanes], tick[lanes], sum_x2[lanes]
 
 
 class Recording(NamedTuple):
@@ -403,19 +556,21 @@ def record_trial(
     Returns:
         Cause of the end, and the recording.
     """
-    memory = new_memory()
-    reset(plant, memory, *(float(value) for value in start))
+    block = new_block()
+    reset(plant, block, pendulum, tuple(float(value) for value in start), 0)
     rows = Recording(
         *(np.zeros((longest, width)) if width else np.zeros(longest) for width in (4, 0, 0, 6, 6))
     )
-    cause, tick = LASTED, 0
-    while tick < longest and cause == LASTED:
-        noise = draw_noise(seed, tick, index, 0, stream)
-        rows.state[tick] = memory.state
-        u = float(policy.act(memory.state.copy()))
-        cause, rows.tracked[tick], _ = step(plant, memory, u, noise, pendulum)
-        rows.u[tick] = u
-        rows.q[tick] = memory.q
-        rows.dq[tick] = memory.dq
+    now, at_index = np.zeros(LANES, np.int64), np.full(LANES, index, np.int64)
+    tick = 0
+    while tick < longest and block.cause[0] == LASTED:
+        now[0] = tick
+        draw_noise(block.noise, seed, now, at_index, 0, stream, 1)
+        state = block.state[: 4 * LANES : LANES].copy()
+        block.u[0] = float(policy.act(state))
+        rows.state[tick], rows.u[tick] = state, block.u[0]
+        step(plant, block, 1)
+        rows.tracked[tick] = block.state[TRACKED * LANES]
+        rows.q[tick], rows.dq[tick] = block.q[::LANES], block.dq[::LANES]
         tick += 1
-    return int(cause), Recording(*(row[:tick] for row in rows))
+    return int(block.cause[0]), Recording(*(row[:tick] for row in rows))

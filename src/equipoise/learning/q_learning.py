@@ -2,30 +2,37 @@ r"""Tabular Q-learning over the full closed loop: the paper's equation (1).
 
 .. math:: Q(s, a) = (1 - \alpha) Q(s, a) + \alpha (r + \gamma \max_{a'} Q(s', a'))
 
-One compiled loop runs whole episodes; a failure is terminal, so its target is the reward alone.
-With `mirrored`, the mirror image of each update is made with it, so that the table stays exactly
+One compiled loop runs whole episodes, `LANES` of them at once, all learning on the one table: in
+each step every lane acts by the table as it stands, then the updates are made one after the other.
+A failure is terminal, so its target is the reward alone. With `mirrored`, the mirror image of each update is made with it, so that the table stays exactly
 symmetric. Ties between best actions are broken at random.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import kernel
-from equipoise.control.boxes import Boxes, box_index, mirrored_box
+from equipoise.compiled import inlined, kernel
+from equipoise.control.boxes import ACTIONS, COUNT, Boxes, box_index, mirrored_box
 from equipoise.learning.closed_loop import (
     LASTED,
+    PHI,
+    PHI_DOT,
+    X_DOT,
+    Block,
     Plant,
+    X,
+    copy_lane,
     draw_noise,
-    new_memory,
+    new_block,
     reset,
     scaled,
     step,
 )
+from equipoise.model.elementary import LANES, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
-    TO_UNIT,
     TRAINING_ACTION,
     TRAINING_EPISODE,
     TRAINING_NOISE,
@@ -36,6 +43,12 @@ from equipoise.model.random import (
 )
 
 Array = npt.NDArray[np.float64]
+
+
+BEGUN: Final = 0
+ENDED: Final = 1
+IN_USE: Final = 2
+STEPS: Final = 3
 
 
 class Learner(NamedTuple):
@@ -52,23 +65,23 @@ class Learner(NamedTuple):
     epsilon_until: float
     reward_failure: float
     mirrored: bool
-    start: Array
-    """Half widths of x, x_dot, phi, phi_dot at the start, shape (4,)."""
+    start: tuple[float, float, float, float]
+    """Half widths of x, x_dot, phi, phi_dot at the start."""
     inertia_sigma: float
     friction_sigma: float
     boxes: Boxes
-    actions: Array
-    """Accelerations [m/s^2], shape (8,)."""
+    actions: tuple[float, ...]
+    """Accelerations [m/s^2]."""
 
 
-@kernel
+@inlined
 def learning_rate(visits: float, learner: Learner) -> float:
     """Return alpha of a state-action pair that was visited so often before."""
     rate = learner.alpha_initial / (1.0 + learner.alpha_decay * visits)
     return max(rate, learner.alpha_minimum)
 
 
-@kernel
+@inlined
 def exploration(episode: int, learner: Learner) -> float:
     """Return the probability of a random action in an episode."""
     if learner.epsilon_until <= 0.0:
@@ -77,27 +90,33 @@ def exploration(episode: int, learner: Learner) -> float:
     return learner.epsilon_initial * max(0.0, 1.0 - done)
 
 
-@kernel
-def best_action(values: Array, word: int) -> int:
-    """Return the index of the largest value, a random one of them (by `word`) if it is shared."""
-    best = values[0]
-    for i in range(1, values.size):
-        if values[i] > best:
-            best = values[i]
+@inlined
+def best_value(Q: Array, box: int) -> float:
+    """Return the largest value of a box."""
+    best = Q[box, 0]
+    for i in range(1, Q.shape[1]):
+        best = max(best, Q[box, i])
+    return best
+
+
+@inlined
+def best_action(Q: Array, box: int, word: int) -> int:
+    """Return the action of the largest value of a box, a random one (by `word`) if it is shared."""
+    best = best_value(Q, box)
     ties = 0
-    for i in range(values.size):
-        if values[i] == best:
-            ties += 1
-    chosen = 0 if ties == 1 else int(word * TO_UNIT * ties)
-    for i in range(values.size):
-        if values[i] == best:
-            if chosen == 0:
-                return i
-            chosen -= 1
-    return 0  # a table never holds NaN, so some value equals the largest
+    for i in range(Q.shape[1]):
+        ties += Q[box, i] == best
+    skip = int(uniform(word, 0.0, ties))
+    action = 0
+    for i in range(Q.shape[1]):
+        if Q[box, i] == best:
+            if skip == 0:
+                action = i
+            skip -= 1
+    return action
 
 
-@kernel
+@inlined
 def update(
     Q: Array,
     visits: npt.NDArray[np.int64],
@@ -125,68 +144,136 @@ def update(
         visits[box_m, action_m] = visits[box, action]
 
 
+class Progress(NamedTuple):
+    """A training under way: the table, and the episodes that its lanes are in."""
+
+    Q: Array
+    """State-action values, shape (270, 8)."""
+    visits: npt.NDArray[np.int64]
+    """Updates of each, shape (270, 8)."""
+    block: Block
+    """States of the running episodes."""
+    episode: npt.NDArray[np.int64]
+    """Episode of each lane, shape (LANES,)."""
+    tick: npt.NDArray[np.int64]
+    """Its step, shape (LANES,)."""
+    box: npt.NDArray[np.int64]
+    """Its box, shape (LANES,)."""
+    count: npt.NDArray[np.int64]
+    """Episodes begun, episodes ended, lanes in use, steps; shape (4,)."""
+
+
+def new_progress() -> Progress:
+    """Return a training that has not begun: a table of zeros."""
+    lanes = (np.zeros(LANES, np.int64) for _ in range(3))
+    return Progress(
+        np.zeros((COUNT, ACTIONS)),
+        np.zeros((COUNT, ACTIONS), np.int64),
+        new_block(),
+        *lanes,
+        np.zeros(4, np.int64),
+    )
+
+
+@kernel
+def begin_episode(
+    plant: Plant,
+    pendulum: PendulumParameters,
+    learner: Learner,
+    progress: Progress,
+    seed: int,
+    number: int,
+    n: int,
+) -> None:
+    """Begin the next episode in lane `n`: its pendulum and its start are drawn."""
+    state, episode = progress.block.state, progress.count[BEGUN]
+    w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_EPISODE)
+    inertia_noise, friction_noise = normal_pair(w0, w1)
+    own = scaled(
+        pendulum,
+        1.0 + learner.inertia_sigma * inertia_noise,
+        max(0.0, 1.0 + learner.friction_sigma * friction_noise),
+    )
+    w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_START)
+    x, x_dot, phi, phi_dot = learner.start
+    start = (
+        uniform(w0, -x, x),
+        uniform(w1, -x_dot, x_dot),
+        uniform(w2, -phi, phi),
+        uniform(w3, -phi_dot, phi_dot),
+    )
+    reset(plant, progress.block, own, start, n)
+    progress.episode[n] = episode
+    progress.tick[n] = 0
+    progress.box[n] = box_index(
+        at(state, X, n), at(state, X_DOT, n), at(state, PHI, n), at(state, PHI_DOT, n), learner.boxes
+    )
+    progress.count[BEGUN] += 1
+
+
 @kernel
 def train_episodes(
     plant: Plant,
     pendulum: PendulumParameters,
     learner: Learner,
-    Q: Array,
-    visits: npt.NDArray[np.int64],
-    first: int,
-    last: int,
+    progress: Progress,
+    until: int,
     seed: int,
     number: int,
-) -> int:
-    """Train through the episodes first <= i < last.
+) -> None:
+    """Train until so many episodes have ended.
+
+    Must equal `tests/reference/q_learning.py`.
 
     Args:
         plant: Constants of the closed loop.
         pendulum: The centre that each episode varies.
         learner: Constants of the training.
-        Q: State-action values, shape (270, 8), changed in place.
-        visits: Updates so far, shape (270, 8), changed in place.
-        first: First episode.
-        last: One past the last episode.
+        progress: Changed in place; a later call goes on where this one stopped.
+        until: Number of ended episodes at which to stop, at most `learner.episodes`.
         seed: Master seed.
-        number: Which learner of that seed; each has numbers of its own.
-
-    Returns:
-        Steps taken.
+        number: Which learner of that seed; each has random numbers of its own.
     """
-    memory = new_memory()
-    state = memory.state
-    start = np.empty(4)
-    steps = 0
-    for episode in range(first, last):
-        w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_EPISODE)
-        inertia_noise, friction_noise = normal_pair(w0, w1)
-        own = scaled(
-            pendulum,
-            1.0 + learner.inertia_sigma * inertia_noise,
-            max(0.0, 1.0 + learner.friction_sigma * friction_noise),
-        )
-        w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_START)
-        start[0] = uniform(w0, -learner.start[0], learner.start[0])
-        start[1] = uniform(w1, -learner.start[1], learner.start[1])
-        start[2] = uniform(w2, -learner.start[2], learner.start[2])
-        start[3] = uniform(w3, -learner.start[3], learner.start[3])
-        reset(plant, memory, start[0], start[1], start[2], start[3])
-        epsilon = exploration(episode, learner)
-        box = box_index(state[0], state[1], state[2], state[3], learner.boxes)
-        for tick in range(learner.longest):
-            w0, w1, w2, w3 = philox(seed, tick, episode, number, TRAINING_ACTION)
-            if w0 * TO_UNIT < epsilon:
-                action = int(w1 * TO_UNIT * learner.actions.size)
+    Q, visits, block, episode, tick, box, count = progress
+    state, u, cause = block.state, block.u, block.cause
+    action = np.zeros(LANES, np.int64)
+    lanes = count[IN_USE]
+    while lanes < LANES and count[BEGUN] < learner.episodes:
+        begin_episode(plant, pendulum, learner, progress, seed, number, lanes)
+        lanes += 1
+    while count[ENDED] < until:
+        for n in range(lanes):
+            w0, w1, _, _ = philox(seed, tick[n], episode[n], number, TRAINING_ACTION)
+            if uniform(w0, 0.0, 1.0) < exploration(episode[n], learner):
+                action[n] = int(uniform(w1, 0.0, len(learner.actions)))
             else:
-                action = best_action(Q[box], w1)
-            noise = draw_noise(seed, tick, episode, number, TRAINING_NOISE)
-            cause = step(plant, memory, learner.actions[action], noise, own).cause
-            steps += 1
-            if cause != LASTED:
-                update(Q, visits, box, action, learner.reward_failure, learner)
-                break
-            box_next = box_index(state[0], state[1], state[2], state[3], learner.boxes)
-            target = learner.gamma * np.max(Q[box_next])
-            update(Q, visits, box, action, target, learner)
-            box = box_next
-    return steps
+                action[n] = best_action(Q, box[n], w1)
+            u[n] = learner.actions[action[n]]
+        draw_noise(block.noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
+        step(plant, block, lanes)
+        count[STEPS] += lanes
+        for n in range(lanes - 1, -1, -1):
+            tick[n] += 1
+            if cause[n] == LASTED:
+                box_next = box_index(
+                    at(state, X, n),
+                    at(state, X_DOT, n),
+                    at(state, PHI, n),
+                    at(state, PHI_DOT, n),
+                    learner.boxes,
+                )
+                target = learner.gamma * best_value(Q, box_next)
+                update(Q, visits, box[n], action[n], target, learner)
+                box[n] = box_next
+                if tick[n] < learner.longest:
+                    continue
+            else:
+                update(Q, visits, box[n], action[n], learner.reward_failure, learner)
+            count[ENDED] += 1
+            if count[BEGUN] < learner.episodes:
+                begin_episode(plant, pendulum, learner, progress, seed, number, n)
+            else:
+                lanes -= 1
+                copy_lane(block, lanes, n)
+                episode[n], tick[n], box[n] = episode[lanes], tick[lanes], box[lanes]
+    count[IN_USE] = lanes

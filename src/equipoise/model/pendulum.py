@@ -10,14 +10,17 @@ Equation (8) is the special case u = 0 written in theta; equation (7) is the lin
 phi = 0. Coulomb friction and quadratic drag go beyond the paper; they are zero by default.
 """
 
-from math import cos, pi, sin
+import functools
+from importlib import resources
+from math import pi
 from typing import ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import Artefact, Estimate, Value
-from equipoise.compiled import kernel
+from equipoise.compiled import inlined, kernel
+from equipoise.model.elementary import sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 
 
@@ -41,7 +44,7 @@ class PendulumParameters(NamedTuple):
     """Use sin(phi) = phi, cos(phi) = 1, as equation (7) is printed."""
 
 
-@kernel
+@inlined
 def _acceleration(
     phi: float, phi_dot: float, u: float, dry: float, pendulum: PendulumParameters
 ) -> float:
@@ -49,7 +52,8 @@ def _acceleration(
     friction = pendulum.c * phi_dot + pendulum.drag * abs(phi_dot) * phi_dot + dry
     if pendulum.linearised:
         return pendulum.w2 * phi - friction - pendulum.k * u
-    return pendulum.w2 * sin(phi) - friction - pendulum.k * u * cos(phi)
+    sine, cosine = sincos(phi)
+    return pendulum.w2 * sine - friction - pendulum.k * u * cosine
 
 
 @kernel
@@ -83,8 +87,8 @@ def angular_acceleration(
     return _acceleration(phi, phi_dot, u, dry, pendulum)
 
 
-@kernel
-def _runge_kutta(
+@inlined
+def runge_kutta(
     phi: float, phi_dot: float, u: float, h: float, dry: float, pendulum: PendulumParameters
 ) -> tuple[float, float]:
     """Advance by one Runge-Kutta step of fourth order, with u and dry friction held."""
@@ -121,14 +125,14 @@ def _step_with_dry_friction(
             if abs(drive) <= f:
                 return phi, 0.0
             direction = 1.0 if drive > 0.0 else -1.0
-        end, end_dot = _runge_kutta(phi, phi_dot, u, left, f * direction, pendulum)
+        end, end_dot = runge_kutta(phi, phi_dot, u, left, f * direction, pendulum)
         if end_dot * direction >= 0.0 or phi_dot == 0.0:
             return end, end_dot
         # Newton's iteration for the moment of the turn: the rate is almost a straight line.
         until = left * phi_dot / (phi_dot - end_dot)
         turn = phi
         for _ in range(4):
-            turn, turn_dot = _runge_kutta(phi, phi_dot, u, until, f * direction, pendulum)
+            turn, turn_dot = runge_kutta(phi, phi_dot, u, until, f * direction, pendulum)
             slope = _acceleration(turn, turn_dot, u, f * direction, pendulum)
             until = min(max(until - turn_dot / slope, 0.0), left) if slope != 0.0 else until
         phi, phi_dot, left = turn, 0.0, left - until
@@ -155,7 +159,7 @@ def step(
         Angle [rad] and angular velocity [rad/s] at the end of the step.
     """
     if pendulum.coulomb == 0.0:
-        return _runge_kutta(phi, phi_dot, u, h, 0.0, pendulum)
+        return runge_kutta(phi, phi_dot, u, h, 0.0, pendulum)
     return _step_with_dry_friction(phi, phi_dot, u, h, pendulum)
 
 
@@ -323,3 +327,10 @@ class Pendulum(Artefact):
             drag=self.drag.value,
             linearised=linearised,
         )
+
+
+@functools.cache
+def shipped_pendulum() -> Pendulum:
+    """Return the pendulum that ships with Equipoise, for whoever has none yet."""
+    with resources.as_file(resources.files("equipoise") / "data" / "pendulum.json") as path:
+        return Pendulum.load(path)

@@ -8,10 +8,11 @@ depend on how many workers share the work. Who draws is said by the key and the 
     counter  step, index (episode or trial), learner, stream
 """
 
-from math import cos, log, pi, sin, sqrt
+from math import log, pi, sqrt
 from typing import Final
 
-from equipoise.compiled import kernel
+from equipoise.compiled import inlined
+from equipoise.model.elementary import sincos
 
 Words = tuple[int, int, int, int]
 
@@ -27,7 +28,7 @@ SELECTION_NOISE: Final = 8
 TEST_NOISE: Final = 12
 
 
-@kernel
+@inlined
 def philox(seed: int, step: int, index: int, learner: int, stream: int) -> Words:
     """Return four random words of 32 bits."""
     # Written so that 64-bit wrap-around in compiled code and Python's long integers agree.
@@ -47,15 +48,31 @@ def philox(seed: int, step: int, index: int, learner: int, stream: int) -> Words
     return c0, c1, c2, c3
 
 
-@kernel
+@inlined
 def uniform(word: int, low: float, high: float) -> float:
-    """Map a word to a uniform number in [low, high)."""
+    """Map a word to a uniform number in [low, high); (0, 1] is `uniform(word, 1.0, 0.0)`."""
     return low + (high - low) * (word * TO_UNIT)
 
 
-@kernel
+@inlined
+def turn(word: int) -> float:
+    """Map a word to a uniform angle in [0, 2 pi)."""
+    return 2.0 * pi * (word * TO_UNIT)
+
+
+@inlined
+def normal_radius(unit: float) -> float:
+    """Map a uniform number in (0, 1] to the radius of two standard normal numbers.
+
+    Box and Muller: with a uniform angle, radius * cos(angle) and radius * sin(angle) are two
+    independent standard normal numbers.
+    """
+    return sqrt(-2.0 * log(unit))
+
+
+@inlined
 def normal_pair(word0: int, word1: int) -> tuple[float, float]:
-    """Map two words to two independent standard normal numbers (Box and Muller)."""
-    radius = sqrt(-2.0 * log((word0 + 1.0) * TO_UNIT))
-    angle = 2.0 * pi * (word1 * TO_UNIT)
-    return radius * cos(angle), radius * sin(angle)
+    """Map two words to two independent standard normal numbers."""
+    radius = normal_radius(uniform(word0, 1.0, 0.0))
+    sine, cosine = sincos(turn(word1))
+    return radius * cosine, radius * sine

@@ -5,7 +5,8 @@ Each joint frame is placed in the one before it as a URDF does: `xyz`, then the 
 there are seven joints one is held at a fixed angle and becomes part of the constants: kernels see
 the six *free* joints only, so that J is 6x6 (Safeea & Neto, section 3.1).
 
-The compiled kinematics writes one record of `FRAME_SIZE` numbers, all in base axes::
+The compiled kinematics writes one record of `FRAME_SIZE` rows, all in base axes, for each lane of
+a block (see `equipoise.model.elementary`)::
 
     POSITION  0:3    the flange [m]
     ROTATION  3:12   R, flange to base, row by row
@@ -27,10 +28,12 @@ from equipoise.artefacts import Value, value_digest
 from equipoise.compiled import function_pointer
 from equipoise.errors import ArmError
 from equipoise.model.arms.chain import Floats, Triple, wrist_centre
+from equipoise.model.elementary import LANES
 
 T = TypeVar("T")
-KinematicsFunction = Callable[[Any, Any, Any], None]
-"""Called as kinematics(q, dq, frame): reads the first two, writes the record."""
+KinematicsFunction = Callable[[Any, Any, Any, int], None]
+"""Called as kinematics(q, dq, frame, lanes): reads the first two, writes the record of so many
+lanes of the block."""
 
 POSITION: Final = 0
 ROTATION: Final = 3
@@ -129,7 +132,7 @@ class ArmKernel(NamedTuple):
     """What kernels take of an arm; a `NamedTuple` because they cannot take a model."""
 
     kinematics: KinematicsFunction
-    """kinematics(q, dq, frame), compiled for float64[::1] of lengths 6, 6 and `FRAME_SIZE`."""
+    """kinematics(q, dq, frame, lanes), compiled for blocks of 6, 6 and `FRAME_SIZE` rows."""
     wrist: Floats
     """Point where the last three axes meet, in the flange frame [m], shape (3,); NaN if none."""
     lower: Floats
@@ -235,9 +238,11 @@ class Arm(_Described):
         """
         from equipoise.model.arms.compiler import load
 
-        frame = [0.0] * FRAME_SIZE
-        load(self)([float(angle) for angle in q], [float(rate) for rate in dq], frame)
-        record = np.array(frame)
+        blocks = [[0.0] * (rows * LANES) for rows in (FREE_JOINTS, FREE_JOINTS, FRAME_SIZE)]
+        blocks[0][::LANES] = (float(angle) for angle in q)
+        blocks[1][::LANES] = (float(rate) for rate in dq)
+        load(self)(*blocks, 1)
+        record = np.array(blocks[2][::LANES])
         return Kinematics(
             position=record[POSITION:ROTATION],
             rotation=record[ROTATION:TWIST].reshape(3, 3),
@@ -280,7 +285,7 @@ def _compiled(arm: Arm) -> ArmKernel:
     limits = np.array([(j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints])
     lower, upper, velocity, acceleration = np.ascontiguousarray(limits.T)
     return ArmKernel(
-        kinematics=function_pointer(load(arm), numba.void(array, array, array)),
+        kinematics=function_pointer(load(arm), numba.void(array, array, array, numba.int64)),
         wrist=wrist_centre(arm),
         lower=lower,
         upper=upper,

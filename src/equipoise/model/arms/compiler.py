@@ -3,8 +3,8 @@
 `trace` runs a plainly written recursion from the base to the flange, on symbols instead of
 numbers. As it goes, constants are folded (most entries of an arm's constant rotations are 0, 1 or
 -1), equal expressions become one, and what no entry of the record needs is never written.
-`source` prints the rest as a Python module with one function, `kinematics(q, dq, frame)`, without
-loops and small matrices: some 300 operations and twelve sines and cosines for an iiwa.
+`source` prints the rest as a Python module with one function, `kinematics(q, dq, frame, lanes)`, without
+inner loops and small matrices: some 300 operations and twelve sines and cosines for an iiwa.
 
 The modules of the iiwas are part of the package (`python -m equipoise.model.arms.compiler`, or
 `make generated`, writes them again); that of any other arm is written to the user's cache
@@ -38,6 +38,7 @@ from equipoise.model.arms.arm import (
 )
 from equipoise.model.arms.chain import Floats, links
 from equipoise.model.arms.symbols import Symbol, Tape, Vector
+from equipoise.model.elementary import LANES
 
 logger = logging.getLogger(__name__)
 
@@ -59,16 +60,16 @@ r_i goes from joint i-1 to joint i; w is angular velocity, v velocity, w_dot and
 their rates at q_ddot = 0; reach_i goes from joint i to the flange; neg_ before a name is a minus.
 """
 
-from math import cos, sin
-
 from equipoise.model.arms.chain import Floats
+from equipoise.model.elementary import sincos
 
 DIGEST = "{arm.geometry_digest}"
 """Digest of the geometry that these lines belong to."""
 
 
-def kinematics(q: Floats, dq: Floats, frame: Floats) -> None:
+def kinematics(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
     """Write pose, J dq, J_dot dq and J of the flange to `frame`; see `equipoise.model.arms.arm`."""
+    for n in range(lanes):
 '''
 
 
@@ -83,9 +84,11 @@ def trace(arm: Arm) -> tuple[Tape, dict[str, dict[str, Symbol]]]:
     tape = Tape()
     tape.block = "The state"
     numbers = range(1, FREE_JOINTS + 1)
-    s = [tape.input(f"s_{i}", f"sin(q[{i - 1}])") for i in numbers]
-    c = [tape.input(f"c_{i}", f"cos(q[{i - 1}])") for i in numbers]
-    dq = [tape.input(f"dq_{i}", f"dq[{i - 1}]") for i in numbers]
+    s, c = zip(
+        *(tape.pair((f"s_{i}", f"c_{i}"), f"sincos(q[{_entry(i - 1)}])") for i in numbers),
+        strict=True,
+    )
+    dq = [tape.input(f"dq_{i}", f"dq[{_entry(i - 1)}]") for i in numbers]
 
     zero = _constant(tape, (0.0, 0.0, 0.0))
     axes: Axes = (
@@ -145,7 +148,7 @@ def trace(arm: Arm) -> tuple[Tape, dict[str, dict[str, Symbol]]]:
         "J": (JACOBIAN, [column[row] for row in range(6) for column in columns]),
     }
     return tape, {
-        title: {f"frame[{entry}]": symbol for entry, symbol in enumerate(symbols, first)}
+        title: {f"frame[{_entry(row)}]": symbol for row, symbol in enumerate(symbols, first)}
         for title, (first, symbols) in parts.items()
     }
 
@@ -155,13 +158,13 @@ def source(arm: Arm) -> str:
     tape, record = trace(arm)
     lines = list(tape.python(record))
     operations = sum(line.count(f" {sign} ") for line in lines for sign in "+-*" if "#" not in line)
-    body = "".join(f"    {line}\n" for line in lines)
+    body = "".join(f"        {line}\n" for line in lines)
     return HEADER.format(arm=arm, operations=operations) + body
 
 
 @functools.lru_cache(maxsize=64)
 def load(arm: Arm) -> KinematicsFunction:
-    """Return `kinematics(q, dq, frame)` of `arm`: a plain function of a real file."""
+    """Return `kinematics(q, dq, frame, lanes)` of `arm`: a plain function of a real file."""
     if arm.name in COMMITTED:
         module = importlib.import_module(f"equipoise.model.arms.generated.{arm.name}")
         if arm.geometry_digest == module.DIGEST:
@@ -208,6 +211,11 @@ def _imported(path: Path) -> Any:
     sys.modules[spec.name] = module  # where Numba looks when it loads the machine code again
     spec.loader.exec_module(module)
     return module
+
+
+def _entry(row: int) -> str:
+    """Return the index of a row of a block, in lane n."""
+    return f"{row * LANES} + n" if row else "n"
 
 
 def _place(i: int) -> str:

@@ -116,6 +116,13 @@ class Tape:
         symbol.name = name
         return symbol
 
+    def pair(self, names: tuple[str, str], formula: str) -> "tuple[Symbol, Symbol]":
+        """Return two symbols that one piece of Python gives together."""
+        both = self.input(", ".join(names), formula)
+        first, second = (self.symbol(f"part {i}", both) for i in range(2))
+        first.name, second.name = names
+        return first, second
+
     def symbol(self, operation: str, *operands: Symbol) -> Symbol:
         """Return the one symbol of this operation on these operands."""
         key = (operation, *operands)
@@ -156,7 +163,7 @@ class Tape:
             symbol.name = f"t{count}"
         block = ""
         for symbol in needed:
-            if symbol.name:
+            if symbol.name and not symbol.operation.startswith("part"):
                 if symbol.block != block:
                     block = symbol.block
                     yield f"# {block}"

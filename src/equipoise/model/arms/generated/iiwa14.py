@@ -2,247 +2,241 @@
 
 Do not edit: `make generated` writes this file again.
 
-292 operations besides the sines and cosines. Joints i are the free ones, counted from one,
+361 operations besides the sines and cosines. Joints i are the free ones, counted from one,
 7 is the flange; vectors are in base axes. s_i and c_i are sine and cosine of q_i; x_i, y_i, z_i the
 axes of the link that joint i turns, rest_x_i and rest_y_i before it turns, z_i its axis;
 r_i goes from joint i-1 to joint i; w is angular velocity, v velocity, w_dot and v_dot
 their rates at q_ddot = 0; reach_i goes from joint i to the flange; neg_ before a name is a minus.
 """
 
-from math import cos, sin
-
 from equipoise.model.arms.chain import Floats
+from equipoise.model.elementary import sincos
 
 DIGEST = "sha256:d0499a00c411dd2f93624a7213237a89269e673e8fd5fd12e44fc1f39991365a"
 """Digest of the geometry that these lines belong to."""
 
 
-def kinematics(q: Floats, dq: Floats, frame: Floats) -> None:
+def kinematics(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
     """Write pose, J dq, J_dot dq and J of the flange to `frame`; see `equipoise.model.arms.arm`."""
-    # The state
-    s_1 = sin(q[0])
-    s_2 = sin(q[1])
-    s_3 = sin(q[2])
-    s_4 = sin(q[3])
-    s_5 = sin(q[4])
-    s_6 = sin(q[5])
-    c_1 = cos(q[0])
-    c_2 = cos(q[1])
-    c_3 = cos(q[2])
-    c_4 = cos(q[3])
-    c_5 = cos(q[4])
-    c_6 = cos(q[5])
-    dq_1 = dq[0]
-    dq_2 = dq[1]
-    dq_3 = dq[2]
-    dq_4 = dq[3]
-    dq_5 = dq[4]
-    dq_6 = dq[5]
-    # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 2 turns)
-    neg_z_dq_2_x = s_1 * dq_2
-    z_dq_2_y = c_1 * dq_2
-    neg_wxz_dq_2_x = dq_1 * z_dq_2_y
-    neg_wxz_dq_2_y = dq_1 * neg_z_dq_2_x
-    x_2_x = c_1 * c_2
-    x_2_y = s_1 * c_2
-    rest_y_3_x = s_2 * c_1
-    rest_y_3_y = s_1 * s_2
-    # r_3 = R r'; v += w x r; v_dot += w_dot x r + w x (w x r)  (to joint 3, r' = 0 -0.42 0)
-    r_3_x = 0.42 * rest_y_3_x
-    r_3_y = 0.42 * rest_y_3_y
-    r_3_z = 0.42 * c_2
-    wxr_3_x = z_dq_2_y * r_3_z - dq_1 * r_3_y
-    wxr_3_y = dq_1 * r_3_x + neg_z_dq_2_x * r_3_z
-    neg_wxr_3_z = neg_z_dq_2_x * r_3_y + z_dq_2_y * r_3_x
-    neg_w_dotxr_3_x = neg_wxz_dq_2_y * r_3_z
-    w_dotxr_3_y = neg_wxz_dq_2_x * r_3_z
-    w_dotxr_3_z = neg_wxz_dq_2_y * r_3_x - neg_wxz_dq_2_x * r_3_y
-    neg_wxwxr_3_x = z_dq_2_y * neg_wxr_3_z + dq_1 * wxr_3_y
-    wxwxr_3_y = dq_1 * wxr_3_x - neg_z_dq_2_x * neg_wxr_3_z
-    neg_wxwxr_3_z = neg_z_dq_2_x * wxr_3_y + z_dq_2_y * wxr_3_x
-    neg_v_dot_3_x = neg_w_dotxr_3_x + neg_wxwxr_3_x
-    v_dot_3_y = w_dotxr_3_y + wxwxr_3_y
-    v_dot_3_z = w_dotxr_3_z - neg_wxwxr_3_z
-    # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 3 turns)
-    z_dq_3_x = s_1 * dq_3
-    neg_z_dq_3_y = c_1 * dq_3
-    wxz_dq_3_x = dq_1 * neg_z_dq_3_y
-    wxz_dq_3_y = dq_1 * z_dq_3_x
-    wxz_dq_3_z = neg_z_dq_2_x * neg_z_dq_3_y - z_dq_2_y * z_dq_3_x
-    w_dot_3_x = wxz_dq_3_x - neg_wxz_dq_2_x
-    w_dot_3_y = wxz_dq_3_y - neg_wxz_dq_2_y
-    w_3_x = z_dq_3_x - neg_z_dq_2_x
-    w_3_y = z_dq_2_y - neg_z_dq_3_y
-    x_3_x = c_3 * x_2_x + s_3 * rest_y_3_x
-    x_3_y = c_3 * x_2_y + s_3 * rest_y_3_y
-    x_3_z = s_3 * c_2 - s_2 * c_3
-    y_3_x = c_3 * rest_y_3_x - s_3 * x_2_x
-    y_3_y = c_3 * rest_y_3_y - s_3 * x_2_y
-    y_3_z = c_2 * c_3 + s_2 * s_3
-    # r_4 = R r'; v += w x r; v_dot += w_dot x r + w x (w x r)  (to joint 4, r' = 0 0.4 0)
-    r_4_x = 0.4 * y_3_x
-    r_4_y = 0.4 * y_3_y
-    r_4_z = 0.4 * y_3_z
-    wxr_4_x = w_3_y * r_4_z - dq_1 * r_4_y
-    wxr_4_y = dq_1 * r_4_x - w_3_x * r_4_z
-    wxr_4_z = w_3_x * r_4_y - w_3_y * r_4_x
-    w_dotxr_4_x = w_dot_3_y * r_4_z - wxz_dq_3_z * r_4_y
-    w_dotxr_4_y = wxz_dq_3_z * r_4_x - w_dot_3_x * r_4_z
-    w_dotxr_4_z = w_dot_3_x * r_4_y - w_dot_3_y * r_4_x
-    wxwxr_4_x = w_3_y * wxr_4_z - dq_1 * wxr_4_y
-    wxwxr_4_y = dq_1 * wxr_4_x - w_3_x * wxr_4_z
-    wxwxr_4_z = w_3_x * wxr_4_y - w_3_y * wxr_4_x
-    v_4_x = wxr_3_x + wxr_4_x
-    v_4_y = wxr_3_y + wxr_4_y
-    v_4_z = wxr_4_z - neg_wxr_3_z
-    v_dot_4_x = w_dotxr_4_x + wxwxr_4_x - neg_v_dot_3_x
-    v_dot_4_y = v_dot_3_y + (w_dotxr_4_y + wxwxr_4_y)
-    v_dot_4_z = v_dot_3_z + (w_dotxr_4_z + wxwxr_4_z)
-    # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 4 turns)
-    z_dq_4_x = dq_4 * y_3_x
-    z_dq_4_y = dq_4 * y_3_y
-    z_dq_4_z = dq_4 * y_3_z
-    wxz_dq_4_x = w_3_y * z_dq_4_z - dq_1 * z_dq_4_y
-    wxz_dq_4_y = dq_1 * z_dq_4_x - w_3_x * z_dq_4_z
-    wxz_dq_4_z = w_3_x * z_dq_4_y - w_3_y * z_dq_4_x
-    w_dot_4_x = w_dot_3_x + wxz_dq_4_x
-    w_dot_4_y = w_dot_3_y + wxz_dq_4_y
-    w_dot_4_z = wxz_dq_3_z + wxz_dq_4_z
-    w_4_x = w_3_x + z_dq_4_x
-    w_4_y = w_3_y + z_dq_4_y
-    w_4_z = dq_1 + z_dq_4_z
-    x_4_z = c_4 * x_3_z
-    x_4_x = c_4 * x_3_x - s_1 * s_4
-    x_4_y = c_4 * x_3_y + s_4 * c_1
-    neg_y_4_z = s_4 * x_3_z
-    neg_y_4_x = s_1 * c_4 + s_4 * x_3_x
-    y_4_y = c_1 * c_4 - s_4 * x_3_y
-    # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 5 turns)
-    neg_z_dq_5_x = dq_5 * neg_y_4_x
-    z_dq_5_y = dq_5 * y_4_y
-    neg_z_dq_5_z = dq_5 * neg_y_4_z
-    neg_wxz_dq_5_x = w_4_y * neg_z_dq_5_z + w_4_z * z_dq_5_y
-    wxz_dq_5_y = w_4_x * neg_z_dq_5_z - w_4_z * neg_z_dq_5_x
-    wxz_dq_5_z = w_4_x * z_dq_5_y + w_4_y * neg_z_dq_5_x
-    w_dot_5_x = w_dot_4_x - neg_wxz_dq_5_x
-    w_dot_5_y = w_dot_4_y + wxz_dq_5_y
-    w_dot_5_z = w_dot_4_z + wxz_dq_5_z
-    w_5_x = w_4_x - neg_z_dq_5_x
-    w_5_y = w_4_y + z_dq_5_y
-    w_5_z = w_4_z - neg_z_dq_5_z
-    x_5_x = c_5 * x_4_x - s_5 * y_3_x
-    x_5_y = c_5 * x_4_y - s_5 * y_3_y
-    x_5_z = c_5 * x_4_z - s_5 * y_3_z
-    z_6_x = c_5 * y_3_x + s_5 * x_4_x
-    z_6_y = c_5 * y_3_y + s_5 * x_4_y
-    z_6_z = c_5 * y_3_z + s_5 * x_4_z
-    # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 6 turns)
-    z_dq_6_x = dq_6 * z_6_x
-    z_dq_6_y = dq_6 * z_6_y
-    z_dq_6_z = dq_6 * z_6_z
-    wxz_dq_6_x = w_5_y * z_dq_6_z - w_5_z * z_dq_6_y
-    wxz_dq_6_y = w_5_z * z_dq_6_x - w_5_x * z_dq_6_z
-    wxz_dq_6_z = w_5_x * z_dq_6_y - w_5_y * z_dq_6_x
-    w_dot_6_x = w_dot_5_x + wxz_dq_6_x
-    w_dot_6_y = w_dot_5_y + wxz_dq_6_y
-    w_dot_6_z = w_dot_5_z + wxz_dq_6_z
-    w_6_x = w_5_x + z_dq_6_x
-    w_6_y = w_5_y + z_dq_6_y
-    w_6_z = w_5_z + z_dq_6_z
-    x_6_x = c_6 * x_5_x - s_6 * neg_y_4_x
-    x_6_y = c_6 * x_5_y + s_6 * y_4_y
-    x_6_z = c_6 * x_5_z - s_6 * neg_y_4_z
-    neg_y_6_x = c_6 * neg_y_4_x + s_6 * x_5_x
-    y_6_y = c_6 * y_4_y - s_6 * x_5_y
-    neg_y_6_z = c_6 * neg_y_4_z + s_6 * x_5_z
-    # r_7 = R r'; v += w x r; v_dot += w_dot x r + w x (w x r)  (to the flange, r' = 0 0 0.126)
-    r_7_x = 0.126 * z_6_x
-    r_7_y = 0.126 * z_6_y
-    r_7_z = 0.126 * z_6_z
-    wxr_7_x = w_6_y * r_7_z - w_6_z * r_7_y
-    wxr_7_y = w_6_z * r_7_x - w_6_x * r_7_z
-    wxr_7_z = w_6_x * r_7_y - w_6_y * r_7_x
-    w_dotxr_7_x = w_dot_6_y * r_7_z - w_dot_6_z * r_7_y
-    w_dotxr_7_y = w_dot_6_z * r_7_x - w_dot_6_x * r_7_z
-    w_dotxr_7_z = w_dot_6_x * r_7_y - w_dot_6_y * r_7_x
-    wxwxr_7_x = w_6_y * wxr_7_z - w_6_z * wxr_7_y
-    wxwxr_7_y = w_6_z * wxr_7_x - w_6_x * wxr_7_z
-    wxwxr_7_z = w_6_x * wxr_7_y - w_6_y * wxr_7_x
-    v_7_x = v_4_x + wxr_7_x
-    v_7_y = v_4_y + wxr_7_y
-    v_7_z = v_4_z + wxr_7_z
-    v_dot_7_x = v_dot_4_x + (w_dotxr_7_x + wxwxr_7_x)
-    v_dot_7_y = v_dot_4_y + (w_dotxr_7_y + wxwxr_7_y)
-    v_dot_7_z = v_dot_4_z + (w_dotxr_7_z + wxwxr_7_z)
-    # reach_i = r_i+1 + ... + r_7; column i of J = z_i x reach_i over z_i
-    reach_3_x = r_4_x + r_7_x
-    reach_3_y = r_4_y + r_7_y
-    reach_3_z = r_4_z + r_7_z
-    reach_2_x = r_3_x + reach_3_x
-    reach_2_y = r_3_y + reach_3_y
-    reach_2_z = r_3_z + reach_3_z
-    # Position
-    frame[0] = reach_2_x
-    frame[1] = reach_2_y
-    frame[2] = 0.36 + reach_2_z
-    # R
-    frame[3] = x_6_x
-    frame[4] = -neg_y_6_x
-    frame[5] = z_6_x
-    frame[6] = x_6_y
-    frame[7] = y_6_y
-    frame[8] = z_6_y
-    frame[9] = x_6_z
-    frame[10] = -neg_y_6_z
-    frame[11] = z_6_z
-    # J dq: v, w
-    frame[12] = v_7_x
-    frame[13] = v_7_y
-    frame[14] = v_7_z
-    frame[15] = w_6_x
-    frame[16] = w_6_y
-    frame[17] = w_6_z
-    # J_dot dq: v_dot, w_dot
-    frame[18] = v_dot_7_x
-    frame[19] = v_dot_7_y
-    frame[20] = v_dot_7_z
-    frame[21] = w_dot_6_x
-    frame[22] = w_dot_6_y
-    frame[23] = w_dot_6_z
-    # J
-    frame[24] = -reach_2_y
-    frame[25] = c_1 * reach_2_z
-    frame[26] = -c_1 * reach_3_z
-    frame[27] = y_3_y * r_7_z - y_3_z * r_7_y
-    frame[28] = y_4_y * r_7_z + neg_y_4_z * r_7_y
-    frame[29] = z_6_y * r_7_z - z_6_z * r_7_y
-    frame[30] = reach_2_x
-    frame[31] = s_1 * reach_2_z
-    frame[32] = -s_1 * reach_3_z
-    frame[33] = y_3_z * r_7_x - y_3_x * r_7_z
-    frame[34] = neg_y_4_x * r_7_z - neg_y_4_z * r_7_x
-    frame[35] = z_6_z * r_7_x - z_6_x * r_7_z
-    frame[36] = 0.0
-    frame[37] = -(s_1 * reach_2_y + c_1 * reach_2_x)
-    frame[38] = s_1 * reach_3_y + c_1 * reach_3_x
-    frame[39] = y_3_x * r_7_y - y_3_y * r_7_x
-    frame[40] = -(neg_y_4_x * r_7_y + y_4_y * r_7_x)
-    frame[41] = z_6_x * r_7_y - z_6_y * r_7_x
-    frame[42] = 0.0
-    frame[43] = -s_1
-    frame[44] = s_1
-    frame[45] = y_3_x
-    frame[46] = -neg_y_4_x
-    frame[47] = z_6_x
-    frame[48] = 0.0
-    frame[49] = c_1
-    frame[50] = -c_1
-    frame[51] = y_3_y
-    frame[52] = y_4_y
-    frame[53] = z_6_y
-    frame[54] = 1.0
-    frame[55] = 0.0
-    frame[56] = 0.0
-    frame[57] = y_3_z
-    frame[58] = -neg_y_4_z
-    frame[59] = z_6_z
+    for n in range(lanes):
+        # The state
+        s_1, c_1 = sincos(q[n])
+        s_2, c_2 = sincos(q[16 + n])
+        s_3, c_3 = sincos(q[32 + n])
+        s_4, c_4 = sincos(q[48 + n])
+        s_5, c_5 = sincos(q[64 + n])
+        s_6, c_6 = sincos(q[80 + n])
+        dq_1 = dq[n]
+        dq_2 = dq[16 + n]
+        dq_3 = dq[32 + n]
+        dq_4 = dq[48 + n]
+        dq_5 = dq[64 + n]
+        dq_6 = dq[80 + n]
+        # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 2 turns)
+        neg_z_dq_2_x = s_1 * dq_2
+        z_dq_2_y = c_1 * dq_2
+        neg_wxz_dq_2_x = dq_1 * z_dq_2_y
+        neg_wxz_dq_2_y = dq_1 * neg_z_dq_2_x
+        x_2_x = c_1 * c_2
+        x_2_y = s_1 * c_2
+        rest_y_3_x = c_1 * s_2
+        rest_y_3_y = s_1 * s_2
+        # r_3 = R r'; v += w x r; v_dot += w_dot x r + w x (w x r)  (to joint 3, r' = 0 -0.42 0)
+        r_3_x = 0.42 * rest_y_3_x
+        r_3_y = 0.42 * rest_y_3_y
+        r_3_z = 0.42 * c_2
+        wxr_3_x = z_dq_2_y * r_3_z - dq_1 * r_3_y
+        wxr_3_y = dq_1 * r_3_x + neg_z_dq_2_x * r_3_z
+        neg_wxr_3_z = neg_z_dq_2_x * r_3_y + z_dq_2_y * r_3_x
+        neg_w_dotxr_3_x = neg_wxz_dq_2_y * r_3_z
+        w_dotxr_3_y = neg_wxz_dq_2_x * r_3_z
+        w_dotxr_3_z = neg_wxz_dq_2_y * r_3_x - neg_wxz_dq_2_x * r_3_y
+        neg_wxwxr_3_x = z_dq_2_y * neg_wxr_3_z + dq_1 * wxr_3_y
+        wxwxr_3_y = dq_1 * wxr_3_x - neg_z_dq_2_x * neg_wxr_3_z
+        neg_wxwxr_3_z = neg_z_dq_2_x * wxr_3_y + z_dq_2_y * wxr_3_x
+        neg_v_dot_3_x = neg_w_dotxr_3_x + neg_wxwxr_3_x
+        v_dot_3_y = w_dotxr_3_y + wxwxr_3_y
+        v_dot_3_z = w_dotxr_3_z - neg_wxwxr_3_z
+        # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 3 turns)
+        z_dq_3_x = s_1 * dq_3
+        neg_z_dq_3_y = c_1 * dq_3
+        wxz_dq_3_x = dq_1 * neg_z_dq_3_y
+        wxz_dq_3_y = dq_1 * z_dq_3_x
+        wxz_dq_3_z = neg_z_dq_2_x * neg_z_dq_3_y - z_dq_2_y * z_dq_3_x
+        w_dot_3_x = wxz_dq_3_x - neg_wxz_dq_2_x
+        w_dot_3_y = wxz_dq_3_y - neg_wxz_dq_2_y
+        w_3_x = z_dq_3_x - neg_z_dq_2_x
+        w_3_y = z_dq_2_y - neg_z_dq_3_y
+        x_3_x = c_3 * x_2_x + s_3 * rest_y_3_x
+        x_3_y = c_3 * x_2_y + s_3 * rest_y_3_y
+        x_3_z = c_2 * s_3 - s_2 * c_3
+        y_3_x = c_3 * rest_y_3_x - s_3 * x_2_x
+        y_3_y = c_3 * rest_y_3_y - s_3 * x_2_y
+        y_3_z = c_2 * c_3 + s_2 * s_3
+        # r_4 = R r'; v += w x r; v_dot += w_dot x r + w x (w x r)  (to joint 4, r' = 0 0.4 0)
+        r_4_x = 0.4 * y_3_x
+        r_4_y = 0.4 * y_3_y
+        r_4_z = 0.4 * y_3_z
+        wxr_4_x = w_3_y * r_4_z - dq_1 * r_4_y
+        wxr_4_y = dq_1 * r_4_x - w_3_x * r_4_z
+        wxr_4_z = w_3_x * r_4_y - w_3_y * r_4_x
+        w_dotxr_4_x = w_dot_3_y * r_4_z - wxz_dq_3_z * r_4_y
+        w_dotxr_4_y = wxz_dq_3_z * r_4_x - w_dot_3_x * r_4_z
+        w_dotxr_4_z = w_dot_3_x * r_4_y - w_dot_3_y * r_4_x
+        wxwxr_4_x = w_3_y * wxr_4_z - dq_1 * wxr_4_y
+        wxwxr_4_y = dq_1 * wxr_4_x - w_3_x * wxr_4_z
+        wxwxr_4_z = w_3_x * wxr_4_y - w_3_y * wxr_4_x
+        v_4_x = wxr_3_x + wxr_4_x
+        v_4_y = wxr_3_y + wxr_4_y
+        v_4_z = wxr_4_z - neg_wxr_3_z
+        v_dot_4_x = w_dotxr_4_x + wxwxr_4_x - neg_v_dot_3_x
+        v_dot_4_y = v_dot_3_y + (w_dotxr_4_y + wxwxr_4_y)
+        v_dot_4_z = v_dot_3_z + (w_dotxr_4_z + wxwxr_4_z)
+        # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 4 turns)
+        z_dq_4_x = dq_4 * y_3_x
+        z_dq_4_y = dq_4 * y_3_y
+        z_dq_4_z = dq_4 * y_3_z
+        wxz_dq_4_x = w_3_y * z_dq_4_z - dq_1 * z_dq_4_y
+        wxz_dq_4_y = dq_1 * z_dq_4_x - w_3_x * z_dq_4_z
+        wxz_dq_4_z = w_3_x * z_dq_4_y - w_3_y * z_dq_4_x
+        w_dot_4_x = w_dot_3_x + wxz_dq_4_x
+        w_dot_4_y = w_dot_3_y + wxz_dq_4_y
+        w_dot_4_z = wxz_dq_3_z + wxz_dq_4_z
+        w_4_x = w_3_x + z_dq_4_x
+        w_4_y = w_3_y + z_dq_4_y
+        w_4_z = dq_1 + z_dq_4_z
+        x_4_z = c_4 * x_3_z
+        x_4_x = c_4 * x_3_x - s_1 * s_4
+        x_4_y = c_4 * x_3_y + c_1 * s_4
+        neg_y_4_z = s_4 * x_3_z
+        neg_y_4_x = s_1 * c_4 + s_4 * x_3_x
+        y_4_y = c_1 * c_4 - s_4 * x_3_y
+        # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 5 turns)
+        neg_z_dq_5_x = dq_5 * neg_y_4_x
+        z_dq_5_y = dq_5 * y_4_y
+        neg_z_dq_5_z = dq_5 * neg_y_4_z
+        neg_wxz_dq_5_x = w_4_y * neg_z_dq_5_z + w_4_z * z_dq_5_y
+        wxz_dq_5_y = w_4_x * neg_z_dq_5_z - w_4_z * neg_z_dq_5_x
+        wxz_dq_5_z = w_4_x * z_dq_5_y + w_4_y * neg_z_dq_5_x
+        w_dot_5_x = w_dot_4_x - neg_wxz_dq_5_x
+        w_dot_5_y = w_dot_4_y + wxz_dq_5_y
+        w_dot_5_z = w_dot_4_z + wxz_dq_5_z
+        w_5_x = w_4_x - neg_z_dq_5_x
+        w_5_y = w_4_y + z_dq_5_y
+        w_5_z = w_4_z - neg_z_dq_5_z
+        x_5_x = c_5 * x_4_x - s_5 * y_3_x
+        x_5_y = c_5 * x_4_y - s_5 * y_3_y
+        x_5_z = c_5 * x_4_z - s_5 * y_3_z
+        z_6_x = c_5 * y_3_x + s_5 * x_4_x
+        z_6_y = c_5 * y_3_y + s_5 * x_4_y
+        z_6_z = c_5 * y_3_z + s_5 * x_4_z
+        # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 6 turns)
+        z_dq_6_x = dq_6 * z_6_x
+        z_dq_6_y = dq_6 * z_6_y
+        z_dq_6_z = dq_6 * z_6_z
+        wxz_dq_6_x = w_5_y * z_dq_6_z - w_5_z * z_dq_6_y
+        wxz_dq_6_y = w_5_z * z_dq_6_x - w_5_x * z_dq_6_z
+        wxz_dq_6_z = w_5_x * z_dq_6_y - w_5_y * z_dq_6_x
+        w_dot_6_x = w_dot_5_x + wxz_dq_6_x
+        w_dot_6_y = w_dot_5_y + wxz_dq_6_y
+        w_dot_6_z = w_dot_5_z + wxz_dq_6_z
+        w_6_x = w_5_x + z_dq_6_x
+        w_6_y = w_5_y + z_dq_6_y
+        w_6_z = w_5_z + z_dq_6_z
+        x_6_x = c_6 * x_5_x - s_6 * neg_y_4_x
+        x_6_y = c_6 * x_5_y + s_6 * y_4_y
+        x_6_z = c_6 * x_5_z - s_6 * neg_y_4_z
+        neg_y_6_x = c_6 * neg_y_4_x + s_6 * x_5_x
+        y_6_y = c_6 * y_4_y - s_6 * x_5_y
+        neg_y_6_z = c_6 * neg_y_4_z + s_6 * x_5_z
+        # r_7 = R r'; v += w x r; v_dot += w_dot x r + w x (w x r)  (to the flange, r' = 0 0 0.126)
+        r_7_x = 0.126 * z_6_x
+        r_7_y = 0.126 * z_6_y
+        r_7_z = 0.126 * z_6_z
+        wxr_7_x = w_6_y * r_7_z - w_6_z * r_7_y
+        wxr_7_y = w_6_z * r_7_x - w_6_x * r_7_z
+        wxr_7_z = w_6_x * r_7_y - w_6_y * r_7_x
+        w_dotxr_7_x = w_dot_6_y * r_7_z - w_dot_6_z * r_7_y
+        w_dotxr_7_y = w_dot_6_z * r_7_x - w_dot_6_x * r_7_z
+        w_dotxr_7_z = w_dot_6_x * r_7_y - w_dot_6_y * r_7_x
+        wxwxr_7_x = w_6_y * wxr_7_z - w_6_z * wxr_7_y
+        wxwxr_7_y = w_6_z * wxr_7_x - w_6_x * wxr_7_z
+        wxwxr_7_z = w_6_x * wxr_7_y - w_6_y * wxr_7_x
+        v_7_x = v_4_x + wxr_7_x
+        v_7_y = v_4_y + wxr_7_y
+        v_7_z = v_4_z + wxr_7_z
+        v_dot_7_x = v_dot_4_x + (w_dotxr_7_x + wxwxr_7_x)
+        v_dot_7_y = v_dot_4_y + (w_dotxr_7_y + wxwxr_7_y)
+        v_dot_7_z = v_dot_4_z + (w_dotxr_7_z + wxwxr_7_z)
+        # reach_i = r_i+1 + ... + r_7; column i of J = z_i x reach_i over z_i
+        reach_3_x = r_4_x + r_7_x
+        reach_3_y = r_4_y + r_7_y
+        reach_3_z = r_4_z + r_7_z
+        reach_2_x = r_3_x + reach_3_x
+        reach_2_y = r_3_y + reach_3_y
+        reach_2_z = r_3_z + reach_3_z
+        # Position
+        frame[n] = reach_2_x
+        frame[16 + n] = reach_2_y
+        frame[32 + n] = 0.36 + reach_2_z
+        # R
+        frame[48 + n] = x_6_x
+        frame[64 + n] = -neg_y_6_x
+        frame[80 + n] = z_6_x
+        frame[96 + n] = x_6_y
+        frame[112 + n] = y_6_y
+        frame[128 + n] = z_6_y
+        frame[144 + n] = x_6_z
+        frame[160 + n] = -neg_y_6_z
+        frame[176 + n] = z_6_z
+        # J dq: v, w
+        frame[192 + n] = v_7_x
+        frame[208 + n] = v_7_y
+        frame[224 + n] = v_7_z
+        frame[240 + n] = w_6_x
+        frame[256 + n] = w_6_y
+        frame[272 + n] = w_6_z
+        # J_dot dq: v_dot, w_dot
+        frame[288 + n] = v_dot_7_x
+        frame[304 + n] = v_dot_7_y
+        frame[320 + n] = v_dot_7_z
+        frame[336 + n] = w_dot_6_x
+        frame[352 + n] = w_dot_6_y
+        frame[368 + n] = w_dot_6_z
+        # J
+        frame[384 + n] = -reach_2_y
+        frame[400 + n] = c_1 * reach_2_z
+        frame[416 + n] = -c_1 * reach_3_z
+        frame[432 + n] = y_3_y * r_7_z - y_3_z * r_7_y
+        frame[448 + n] = y_4_y * r_7_z + neg_y_4_z * r_7_y
+        frame[464 + n] = z_6_y * r_7_z - z_6_z * r_7_y
+        frame[480 + n] = reach_2_x
+        frame[496 + n] = s_1 * reach_2_z
+        frame[512 + n] = -s_1 * reach_3_z
+        frame[528 + n] = y_3_z * r_7_x - y_3_x * r_7_z
+        frame[544 + n] = neg_y_4_x * r_7_z - neg_y_4_z * r_7_x
+        frame[560 + n] = z_6_z * r_7_x - z_6_x * r_7_z
+        frame[576 + n] = 0.0
+        frame[592 + n] = -(s_1 * reach_2_y + c_1 * reach_2_x)
+        frame[608 + n] = s_1 * reach_3_y + c_1 * reach_3_x
+        frame[624 + n] = y_3_x * r_7_y - y_3_y * r_7_x
+        frame[640 + n] = -(neg_y_4_x * r_7_y + y_4_y * r_7_x)
+        frame[656 + n] = z_6_x * r_7_y - z_6_y * r_7_x
+        frame[672 + n] = 0.0
+        frame[688 + n] = -s_1
+        frame[704 + n] = s_1
+        frame[720 + n] = y_3_x
+        frame[736 + n] = -neg_y_4_x
+        frame[752 + n] = z_6_x
+        frame[768 + n] = 0.0
+        frame[784 + n] = c_1
+        frame[800 + n] = -c_1
+        frame[816 + n] = y_3_y
+        frame[832 + n] = y_4_y
+        frame[848 + n] = z_6_y
+        frame[864 + n] = 1.0
+        frame[880 + n] = 0.0
+        frame[896 + n] = 0.0
+        frame[912 + n] = y_3_z
+        frame[928 + n] = -neg_y_4_z
+        frame[944 + n] = z_6_z

@@ -1,0 +1,44 @@
+# One word each. `make check` before a commit, `make test` before a push; `.ci/run` runs all of it.
+
+PYTHON ?= python
+# Rooms whose tests take seconds, compiled or not.
+QUICK = $(wildcard tests/test_*.py) $(wildcard tests/model tests/control tests/identification)
+PLAIN = $(wildcard tests/test_*.py) $(wildcard tests/model tests/control)
+
+.DEFAULT_GOAL := help
+.PHONY: help install check lint quick plain test slow generated demo bench
+
+help:  ## list these words
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+install:  ## install for development, in the active virtual environment
+	$(PYTHON) -m pip install --editable '.[dev]'
+
+check: lint quick  ## format, lint, types, imports and the quick tests, in a minute
+
+lint:  ## format, lint, types and imports
+	ruff format --check .
+	ruff check .
+	pyright
+	lint-imports
+
+quick:  ## the tests of the lower rooms
+	$(PYTHON) -m pytest -q $(QUICK)
+
+plain:  ## the same without compilation: the kernels as the Python that one reads
+	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q -m 'not slow and not compiled_only' $(PLAIN)
+
+test:  ## every test but the full statistics
+	$(PYTHON) -m pytest
+
+slow:  ## the full statistics
+	$(PYTHON) -m pytest -m slow
+
+generated:  ## write the kinematics of the iiwas again; git must see no difference
+	$(PYTHON) -m equipoise.model.arms.compiler
+
+demo:  ## a first look at the whole paper, in a minute
+	$(PYTHON) -m equipoise reproduce --quick
+
+bench:  ## steps per second beside Pinocchio and Gymnasium
+	$(PYTHON) benchmarks/bench.py

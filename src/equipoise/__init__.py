@@ -1,0 +1,98 @@
+"""Equipoise teaches a robot arm to balance an inverted pendulum: identify, train, evaluate.
+
+All that a program needs is here by name; each name is imported from its own module when it is
+first used, so that `import equipoise` costs nothing. Values are immutable, units are SI and
+radians::
+
+    Trajectory -> identify -> Pendulum -> train -> TabularPolicy -> evaluate -> Evaluation
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from equipoise.artefacts import Estimate
+    from equipoise.control.policy import Policy, TabularPolicy, shipped_policy
+    from equipoise.control.python_policy import PythonPolicy
+    from equipoise.errors import EquipoiseError
+    from equipoise.evaluation import Evaluation, evaluate, evaluate_function
+    from equipoise.identification import identify
+    from equipoise.model.arms.arm import Arm
+    from equipoise.model.arms.iiwa import iiwa
+    from equipoise.model.arms.urdf import read_urdf
+    from equipoise.model.encoder import simulate_swing
+    from equipoise.model.pendulum import Pendulum, PendulumParameters, shipped_pendulum
+    from equipoise.settings import Settings, resolve
+    from equipoise.studies.reproduction import reproduce
+    from equipoise.studies.verification import verify
+    from equipoise.training import train, train_several
+    from equipoise.trajectory import Trajectory, read_swing, write_swing
+
+    __version__: str
+
+__all__ = [
+    "Arm",
+    "EquipoiseError",
+    "Estimate",
+    "Evaluation",
+    "Pendulum",
+    "PendulumParameters",
+    "Policy",
+    "PythonPolicy",
+    "Settings",
+    "TabularPolicy",
+    "Trajectory",
+    "__version__",
+    "evaluate",
+    "evaluate_function",
+    "identify",
+    "iiwa",
+    "read_swing",
+    "read_urdf",
+    "reproduce",
+    "resolve",
+    "shipped_pendulum",
+    "shipped_policy",
+    "simulate_swing",
+    "train",
+    "train_several",
+    "verify",
+    "write_swing",
+]
+
+_HOMES = {
+    "artefacts": ("Estimate",),
+    "control.policy": ("Policy", "TabularPolicy", "shipped_policy"),
+    "control.python_policy": ("PythonPolicy",),
+    "errors": ("EquipoiseError",),
+    "evaluation": ("Evaluation", "evaluate", "evaluate_function"),
+    "identification": ("identify",),
+    "model.arms.arm": ("Arm",),
+    "model.arms.iiwa": ("iiwa",),
+    "model.arms.urdf": ("read_urdf",),
+    "model.encoder": ("simulate_swing",),
+    "model.pendulum": ("Pendulum", "PendulumParameters", "shipped_pendulum"),
+    "settings": ("Settings", "resolve"),
+    "studies.reproduction": ("reproduce",),
+    "studies.verification": ("verify",),
+    "training": ("train", "train_several"),
+    "trajectory": ("Trajectory", "read_swing", "write_swing"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: Any = version("equipoise")
+    elif name in _HOME_OF:
+        value = getattr(import_module(f"equipoise.{_HOME_OF[name]}"), name)
+    else:
+        raise AttributeError(f"module 'equipoise' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(__all__))

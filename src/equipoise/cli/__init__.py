@@ -1,0 +1,33 @@
+"""The `equipoise` command: parse, call, print.
+
+Each verb has a file of its own. Nothing here computes: a verb reads its inputs, calls one stage or
+study, prints what came of it, and names the next command. What takes long to import (Numba, SciPy,
+MuJoCo, Matplotlib) is imported by the verb that needs it, after its first words.
+"""
+
+import sys
+from collections.abc import Sequence
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: What follows `equipoise`; by default what the shell gave.
+
+    Returns:
+        The exit code: 0 done, 1 the result is bad, 2 wrong use or bad input, 3 the outside world
+        failed, 130 interrupted.
+    """
+    try:
+        from equipoise.cli.app import app
+
+        app(args=None if arguments is None else list(arguments), prog_name="equipoise")
+    except KeyboardInterrupt:
+        return 130
+    except SystemExit as end:
+        if end.code is None or isinstance(end.code, int):
+            return end.code or 0
+        print(end.code, file=sys.stderr)
+        return 1
+    return 0

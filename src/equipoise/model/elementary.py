@@ -1,0 +1,72 @@
+"""Sine and cosine as polynomials, and blocks of lanes: what lets kernels run many states at once.
+
+A processor computes several numbers with one instruction, if the same straight-line code runs over
+neighbouring numbers. So kernels advance a *block* of `LANES` independent states (episodes,
+trials) together: row i of a block is `LANES` neighbouring numbers, entry (i, n) lies at
+i * LANES + n, and each formula stands in a loop over n. A call into a mathematics library would
+break that loop; the polynomials below do not. They are also what makes results the same bits in
+any lane of a block, alone or in company.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.compiled import inlined
+
+LANES: Final = 16
+"""States in a block: enough for the widest registers and to hide the time of a division."""
+
+TWO_OVER_PI: Final = 0.6366197723675814
+# pi/2 in three parts; k * HALF_PI_1 is exact for |k| < 2^20.
+HALF_PI_1: Final = 1.57079632673412561417e00
+HALF_PI_2: Final = 6.07710050630396597660e-11
+HALF_PI_3: Final = 2.02226624879595063154e-21
+
+
+@inlined
+def at(block: npt.NDArray[np.float64], row: int, n: int) -> float:
+    """Return the entry of a block in a row, in lane `n`."""
+    return block[row * LANES + n]
+
+
+@inlined
+def put(block: npt.NDArray[np.float64], row: int, n: int, value: float) -> None:
+    """Write the entry of a block in a row, in lane `n`."""
+    block[row * LANES + n] = value
+
+
+@inlined
+def sincos(x: float) -> tuple[float, float]:
+    """Return sine and cosine of an angle below 1e6 rad, to two units in the last place.
+
+    The angle is brought to within pi/4 of a multiple of pi/2 (Cody and Waite), where two
+    polynomials (of degree 13 and 14, near minimax) give sine and cosine.
+    """
+    k = np.floor(x * TWO_OVER_PI + 0.5)
+    r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3
+    z = r * r
+    s = 1.58969099521155010221e-10
+    s = -2.50507602534068634195e-08 + z * s
+    s = 2.75573137070700676789e-06 + z * s
+    s = -1.98412698298579493134e-04 + z * s
+    s = 8.33333333332248946124e-03 + z * s
+    s = -1.66666666666666324348e-01 + z * s
+    s = r + r * z * s
+    c = -1.13596475577881948265e-11
+    c = 2.08757232129817482790e-09 + z * c
+    c = -2.75573143513906633035e-07 + z * c
+    c = 2.48015872894767294178e-05 + z * c
+    c = -1.38888888888741095749e-03 + z * c
+    c = 4.16666666666666019037e-02 + z * c
+    c = 1.0 - 0.5 * z + z * z * c
+    quadrant = k - 4.0 * np.floor(0.25 * k)
+    odd = quadrant == 1.0 or quadrant == 3.0
+    sine = c if odd else s
+    cosine = s if odd else c
+    if quadrant >= 2.0:
+        sine = -sine
+    if quadrant == 1.0 or quadrant == 2.0:
+        cosine = -cosine
+    return sine, cosine

@@ -1,0 +1,203 @@
+"""Closed-loop inverse kinematics against NumPy, sampled linear theory and its own promises."""
+
+import numpy as np
+import pytest
+
+from equipoise.control.clik import (
+    GAMMA,
+    REFERENCE_SIZE,
+    ClikParameters,
+    joint_acceleration,
+    manipulability,
+    pose_error,
+    solve,
+)
+from equipoise.learning.closed_loop import (
+    PHI,
+    PHI_DOT,
+    TRACKED,
+    make_plant,
+    new_block,
+    reset,
+    step,
+)
+from equipoise.model.arms.arm import FRAME_SIZE, POSITION, ROTATION, TWIST
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import LANES
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.settings import Settings
+
+PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
+ARMS = pytest.mark.parametrize("size", [7, 14])
+SETTINGS = Settings()
+
+
+def column(values, lane):
+    """Return a block whose lane holds `values`, the other lanes zero."""
+    block = np.zeros((len(values), LANES))
+    block[:, lane] = values
+    return block.ravel()
+
+
+def parameters(wrist, w_0=1e-9, lambda_0=0.05):
+    return ClikParameters(400.0, 40.0, w_0, lambda_0, tuple(float(c) for c in wrist))
+
+
+def record(arm, q, dq, lane=0):
+    frame = np.zeros(FRAME_SIZE * LANES)
+    arm.compiled().kinematics(column(q, lane), column(dq, lane), frame, lane + 1)
+    return frame
+
+
+@ARMS
+@pytest.mark.parametrize("lane", [0, 7, LANES - 1])
+def test_both_solvers_equal_a_library_solver(size, lane):
+    arm = iiwa(size)
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        q, rhs = arm.home_free + rng.normal(0.0, 0.3, 6), rng.normal(size=6)
+        frame = record(arm, q, np.zeros(6), lane)
+        J = arm.kinematics(q).jacobian
+        expected = np.linalg.solve(J, rhs)
+        for wrist in (arm.compiled().wrist, np.full(3, np.nan)):
+            y = np.zeros(6 * LANES)
+            # Lanes below `lane` hold zeros, whose J is singular; they are damped, this one not.
+            damped = solve(frame, column(rhs, lane), parameters(wrist), y, lane + 1)
+            assert damped == lane
+            # 1e-9: J J^T squares a condition number of up to 100 on roundings of 1e-16.
+            np.testing.assert_allclose(y[lane::LANES], expected, rtol=1e-9, atol=1e-9)
+
+
+def test_manipulability_is_the_determinant_of_the_jacobian():
+    arm = iiwa(7)
+    for q in arm.home_free + np.random.default_rng(2).normal(0.0, 0.4, (20, 6)):
+        w = manipulability(record(arm, q, np.zeros(6)), 0)
+        assert w == pytest.approx(abs(np.linalg.det(arm.kinematics(q).jacobian)), rel=1e-9)
+
+
+def test_near_a_singularity_the_inverse_is_damped_least_squares_and_says_so():
+    arm = iiwa(7)
+    q = arm.home_free.copy()
+    q[3 + 1] = 0.0  # the sixth joint at zero: axes five and seven fall together
+    J = arm.kinematics(q).jacobian
+    clik = parameters(arm.compiled().wrist, w_0=1e-3, lambda_0=0.1)
+    w = abs(np.linalg.det(J))
+    rhs = np.array([0.1, 0.0, 0.0, 0.3, 0.0, 0.2])
+    y = np.zeros(6 * LANES)
+    assert solve(record(arm, q, np.zeros(6)), column(rhs, 0), clik, y, 1) == 1
+    damping = (0.1 * (1.0 - w / 1e-3)) ** 2
+    expected = J.T @ np.linalg.solve(J @ J.T + damping * np.eye(6), rhs)
+    # 1e-5: where J J^T is singular to rounding, w is known to the root of the rounding only.
+    np.testing.assert_allclose(y[::LANES], expected, rtol=1e-5, atol=1e-8)
+    assert np.all(np.isfinite(y))
+
+
+def test_pose_error_is_the_displacement_and_the_sine_of_the_rotation_left():
+    arm = iiwa(7)
+    frame = record(arm, arm.home_free, np.zeros(6))
+    R = arm.pose(arm.home_free).rotation
+    axis, angle = np.array([1.0, 2.0, -2.0]) / 3.0, np.radians(25.0)
+    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    turned = (np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K) @ R
+    reference = frame[: REFERENCE_SIZE * LANES].copy()
+    reference[ROTATION * LANES : TWIST * LANES : LANES] = turned.ravel()
+    reference[(POSITION + 1) * LANES] += 0.02
+    e = np.array(pose_error(frame, reference, 0))
+    np.testing.assert_allclose(e[:3], [0.0, 0.02, 0.0], atol=1e-15)
+    np.testing.assert_allclose(e[3:], np.sin(angle) * axis, atol=1e-15)
+
+
+@ARMS
+def test_joint_acceleration_is_equation_3(size):
+    arm = iiwa(size)
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        q, dq = arm.home_free + rng.normal(0.0, 0.2, 6), rng.normal(0.0, 0.3, 6)
+        Gamma, v, e = rng.normal(size=6), rng.normal(0.0, 0.1, 6), rng.normal(0.0, 0.01, 6)
+        reference = np.zeros(REFERENCE_SIZE * LANES)
+        reference[TWIST * LANES : GAMMA * LANES : LANES] = v
+        reference[GAMMA * LANES :: LANES] = Gamma
+        ddq = np.zeros(6 * LANES)
+        clik = parameters(arm.compiled().wrist)
+        joint_acceleration(record(arm, q, dq), reference, column(e, 0), clik, ddq, 1)
+        flange = arm.kinematics(q, dq)
+        Gamma_cmd = Gamma + 40.0 * (v - flange.twist) + 400.0 * e - flange.bias
+        np.testing.assert_allclose(
+            ddq[::LANES], np.linalg.solve(flange.jacobian, Gamma_cmd), rtol=1e-9, atol=1e-9
+        )
+
+
+def run_actions(size, h, held=0.01, duration=15.0, seed=5):
+    """Hold random actions for 10 ms each, inside the track, without noise; return the errors.
+
+    The pendulum is held at upright by hand: it plays no part here.
+    """
+    arm = iiwa(size)
+    plant = make_plant(arm, SETTINGS, h)._replace(position_noise=0.0, orientation_noise=0.0)
+    block = new_block()
+    reset(plant, block, PENDULUM, (0.0, 0.0, 0.0, 0.0), 0)
+    rng = np.random.default_rng(seed)
+    acceleration, position = [], []
+    x, x_dot = 0.0, 0.0
+    for _ in range(round(duration / held)):
+        # A spring keeps the random actions on the track.
+        options = np.array([-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0])
+        wanted = rng.normal(0.0, 1.5) - 20.0 * x - 4.0 * x_dot
+        u = options[np.argmin(np.abs(options - wanted))]
+        for _ in range(round(held / h)):
+            block.u[0] = u
+            block.state[PHI * LANES] = block.state[PHI_DOT * LANES] = 0.0
+            step(plant, block, 1)
+            assert block.cause[0] == 0
+            acceleration.append(block.state[TRACKED * LANES] - u)
+            position.append(
+                block.frame[: 3 * LANES : LANES] - block.reference[: 3 * LANES : LANES]
+            )
+        x += x_dot * held + 0.5 * u * held**2
+        x_dot += u * held
+        assert abs(x) < 0.22
+    assert np.ptp(acceleration) > 0.0
+    return np.sqrt(np.mean(np.square(acceleration))), np.max(np.linalg.norm(position, axis=1))
+
+
+@ARMS
+def test_clik_tracks_the_commanded_acceleration(size):
+    rms, deviation = run_actions(size, 0.01)
+    assert rms < 0.005  # m/s^2; accelerations are 0.5 to 2
+    assert deviation < 1e-4  # m
+
+
+@ARMS
+def test_the_tracking_error_falls_with_the_step(size):
+    errors = [run_actions(size, h)[0] for h in (0.01, 0.005, 0.0025)]
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert np.all(orders >= 1.0)
+
+
+@ARMS
+def test_a_disturbance_of_the_pose_decays_as_the_sampled_gains_say(size):
+    arm = iiwa(size)
+    h = 0.01
+    plant = make_plant(arm, SETTINGS, h)._replace(position_noise=0.0, orientation_noise=0.0)
+    block = new_block()
+    reset(plant, block, PENDULUM, (0.0, 0.0, 0.0, 0.0), 0)
+    # Move the *reference* by 5 mm and 1 degree: the arm is off it by as much.
+    block.reference[(POSITION + 2) * LANES] += 0.005
+    c, s = np.cos(np.radians(1.0)), np.sin(np.radians(1.0))
+    R = block.reference[ROTATION * LANES : TWIST * LANES : LANES].reshape(3, 3)
+    turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
+    block.reference[ROTATION * LANES : TWIST * LANES : LANES] = turned.ravel()
+    # The sampled double integrator under u = K_p e + K_d e_dot, error and its rate.
+    A = np.array(
+        [[1.0 - 400.0 * h**2 / 2.0, h - 40.0 * h**2 / 2.0], [-400.0 * h, 1.0 - 40.0 * h]]
+    )
+    expected = np.array([1.0, 0.0])
+    for _ in range(40):
+        block.state[PHI * LANES] = block.state[PHI_DOT * LANES] = 0.0
+        step(plant, block, 1)
+        expected = A @ expected
+        e = np.array(pose_error(block.frame, block.reference, 0))
+        # 2 % of the disturbance: the arm's curvature over a step is not in the linear theory.
+        np.testing.assert_allclose(e[2] / 0.005, expected[0], atol=0.02)
+        np.testing.assert_allclose(e[5] / s, expected[0], atol=0.02)
+    assert abs(e[2]) < 5e-5

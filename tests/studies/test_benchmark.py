@@ -1,0 +1,171 @@
+"""The benchmark: that it measures what it says, and that the peer does the same work.
+
+Speed itself is measured, not tested: it depends on the machine.
+"""
+
+import io
+import os
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from equipoise import paper
+from equipoise.learning import closed_loop
+from equipoise.learning.closed_loop import TRACKED, make_plant, new_block
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import LANES
+from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.settings import Settings, resolve
+from equipoise.studies import benchmark as bench
+from equipoise.studies.benchmark import OURS, Contestant, PinocchioLoop, race, table
+
+PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.1)
+QUIET = resolve(overrides=["plant.position_error_sigma=0.0", "plant.orientation_error_sigma=0.0"])
+
+
+class Bench:
+    """Contestants whose work takes as long as it is told, by a clock that only work moves."""
+
+    def __init__(self):
+        self.now = 0.0
+        self.calls = []
+
+    def clock(self):
+        return self.now
+
+    def contestant(self, name, steps, seconds, package="one"):
+        left = iter(seconds)
+
+        def work():
+            self.calls.append(name)
+            self.now += next(left)
+            return steps
+
+        return Contestant(name, f"{name} works", package, lambda: work)
+
+
+def absent(name):
+    def prepare():
+        raise ModuleNotFoundError("No module named 'rocket'")
+
+    return Contestant(name, "", "rocket", prepare)
+
+
+def test_the_rounds_alternate_and_the_first_work_is_not_timed():
+    bench = Bench()
+    ours = bench.contestant(OURS, 600, [50.0, 1.0, 2.0, 3.0])
+    peer = bench.contestant("peer", 10, [70.0, 1.0, 1.0, 5.0])
+    result = race([ours, peer], 3, clock=bench.clock)
+    assert bench.calls == [OURS, "peer"] * 4
+    assert result.steps_per_second == {OURS: 300.0, "peer": 10.0}
+    assert (result.rates[OURS].slowest, result.rates[OURS].fastest) == (200.0, 600.0)
+    assert (result.rates["peer"].slowest, result.rates["peer"].fastest) == (2.0, 10.0)
+    assert result.ratios == {"peer": 30.0}
+
+
+def test_a_peer_that_is_not_installed_is_named_with_what_installs_it():
+    bench = Bench()
+    result = race([bench.contestant(OURS, 1, [1.0] * 3), absent("peer")], 2, clock=bench.clock)
+    assert list(result.rates) == [OURS]
+    assert result.ratios == {}
+    assert "python -m pip install rocket" in result.missing["peer"]
+
+
+def test_the_table_names_everyone():
+    bench = Bench()
+    ours = bench.contestant(OURS, 4_000_000, [1.0] * 2)
+    peer = bench.contestant("peer", 50_000, [1.0] * 2)
+    result = race([ours, peer, absent("other")], 1, clock=bench.clock)
+    written = io.StringIO()
+    Console(width=120, file=written).print(table(result))
+    text = " ".join(written.getvalue().split())
+    for words in (OURS, "4,000,000", "50,000", "80.0", "other", "pip install rocket"):
+        assert words in text
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system pins no threads")
+def test_all_work_runs_on_one_core_and_the_thread_is_free_again_afterwards():
+    before = os.sched_getaffinity(0)
+    seen = []
+
+    def work():
+        seen.append(os.sched_getaffinity(0))
+        return 1
+
+    result = race([Contestant(OURS, "", "", lambda: work)], 1)
+    assert seen == [{result.core}] * 2
+    assert os.sched_getaffinity(0) == before
+
+
+@pytest.mark.parametrize("size", [7, 14])
+def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
+    """Both round in each of 1,000 steps, some 1e-15 of a radian; a slip in a formula shows 1e-6."""
+    pytest.importorskip("pinocchio")
+    arm = iiwa(size)
+    peer = PinocchioLoop(arm, QUIET, paper.STEP)
+    plant, ours = make_plant(arm, QUIET, paper.STEP), new_block()
+    closed_loop.reset(plant, ours, PENDULUM, (0.0, 0.0, 0.0, 0.0), 0)
+    rng = np.random.default_rng(5)
+    x, x_dot, reached = 0.0, 0.0, 0.0
+    for _ in range(1000):
+        # Random actions that stay on the track: towards its middle where the arm would leave it.
+        ahead = x + x_dot * abs(x_dot) / 2.0
+        u = rng.choice(paper.ACTIONS) if abs(ahead) < 0.15 else -np.sign(ahead) * 2.0
+        ours.u[0] = u
+        closed_loop.step(plant, ours, 1)
+        assert peer.run([float(u)]) == 1
+        assert peer.q == pytest.approx(ours.q[::LANES], abs=1e-9)
+        # u' is a difference of velocities over h = 0.01 s: a hundredth as exact.
+        assert peer.tracked == pytest.approx(ours.state[TRACKED * LANES], abs=1e-7)
+        x, x_dot = ours.state[0], ours.state[LANES]
+        reached = max(reached, abs(x))
+    assert peer.within
+    assert 0.1 < reached < 0.22
+
+
+def test_the_loop_through_pinocchio_sees_the_limits():
+    pytest.importorskip("pinocchio")
+    loop = PinocchioLoop(iiwa(7), QUIET, paper.STEP)
+    loop.run([2.0] * 200)
+    assert not loop.within
+    loop.reset()
+    loop.run([2.0] * 10)
+    assert loop.within
+
+
+def test_the_work_of_pinocchio_ends_where_it_began():
+    pytest.importorskip("pinocchio")
+    arm = iiwa(7)
+    loop = PinocchioLoop(arm, Settings(), paper.STEP)
+    loop.run(np.tile(bench._to_and_fro(), 20).tolist())
+    assert loop.within
+    # The noise on the pose, 0.1 mm and 0.02 degrees in each step, leaves the joints so far from it.
+    assert loop.q == pytest.approx(arm.home_free, abs=5e-3)
+
+
+def test_each_work_returns_the_steps_that_it_took():
+    for module, work in (
+        ("pinocchio", lambda: bench.pinocchio_work(iiwa(7), Settings(), 320)),
+        ("gymnasium", lambda: bench.cart_pole_work(320)),
+    ):
+        pytest.importorskip(module)
+        assert work()() == 320
+
+
+def test_the_whole_benchmark_measures_ours_and_every_peer_that_is_there():
+    pytest.importorskip("pinocchio")
+    pytest.importorskip("gymnasium")
+    told = []
+    result = bench.benchmark(
+        Pendulum.assumed(70.2, 0.1),
+        iiwa(7),
+        Settings(),
+        rounds=1,
+        episodes=20,
+        progress=told.append,
+    )
+    assert list(result.steps_per_second) == [OURS, "pinocchio", "gymnasium"]
+    assert set(result.ratios) == {"pinocchio", "gymnasium"}
+    assert all(rate > 0.0 for rate in result.steps_per_second.values())
+    assert len(told) == 6

@@ -1,0 +1,515 @@
+"""Identification: against fits of real recordings made apart, and against known truths.
+
+The reference values of the real recordings come with them (README of the data folder); they were
+found with another program, and each has its standard error, block-robust over periods.
+"""
+
+import os
+from dataclasses import replace
+from math import pi, radians, sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from equipoise.artefacts import Estimate
+from equipoise.errors import RecordingError
+from equipoise.identification import fit as fitting
+from equipoise.identification import identify, simulate_fit
+from equipoise.model.encoder import simulate_swing
+from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.settings import IdentificationSettings
+from equipoise.trajectory import Trajectory, read_swing
+from tests.reference import pendulum as reference
+
+DATA = os.environ.get("EQUIPOISE_DATA")
+compiled = pytest.mark.skipif(
+    os.environ.get("NUMBA_DISABLE_JIT", "0") != "0",
+    reason="without compilation this takes minutes; the other tests run the same lines",
+)
+needs_recordings = pytest.mark.skipif(
+    not DATA, reason="EQUIPOISE_DATA does not name the folder of real recordings"
+)
+
+PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
+PERIOD = 2.0 * pi / sqrt(70.2)
+
+
+def recording(name, **window):
+    return read_swing(Path(DATA) / name, **window)
+
+
+def simulated(parameters=PENDULUM, **changes):
+    options = {
+        "theta0": 1.0,
+        "duration": 8.0,
+        "rate_hz": 250.0,
+        "counts_per_rev": 4096,
+        "noise": radians(0.05),
+        "seed": 1,
+    }
+    return simulate_swing(parameters, **{**options, **changes})
+
+
+def with_friction(model):
+    return IdentificationSettings(friction=model)
+
+
+def overlaps(estimate, value, error):
+    """Tell whether a 95 % interval meets the reference's."""
+    return estimate.low <= value + 1.96 * error and estimate.high >= value - 1.96 * error
+
+
+# Real recordings.
+
+ARM = "free_swing_arm_55s.csv"
+VISCOUS_WINDOWS = [
+    # window, w2, its error, c, its error, RMS [deg]
+    ({"start": 0.0, "end": 9.166}, 64.073, 0.007, 0.0572, 0.0001, 0.098),
+    ({"start": 18.334, "end": 27.5}, 64.041, 0.0005, 0.05445, 0.00004, 0.018),
+    ({"start": 45.835, "end": 55.0}, 64.141, 0.005, 0.1092, 0.0014, 0.072),
+    ({}, 64.074, 0.015, 0.0549, 0.0002, 1.60),
+]
+COULOMB_WINDOWS = [
+    # window, w2, c, f, RMS [deg]
+    ({"start": 18.334, "end": 27.5}, 64.042, 0.0516, 0.014, 0.017),
+    ({"start": 45.835, "end": 55.0}, 64.146, 0.053, 0.112, 0.037),
+    ({}, 63.972, 0.0476, 0.046, 1.11),
+]
+
+
+@compiled
+@needs_recordings
+@pytest.mark.parametrize(("window", "w2", "w2_error", "c", "c_error", "rms"), VISCOUS_WINDOWS)
+def test_the_arms_windows_give_the_viscous_reference(window, w2, w2_error, c, c_error, rms):
+    pendulum = identify(recording(ARM, **window))
+    assert pendulum.w2.value == pytest.approx(w2, rel=3e-3)
+    assert pendulum.c.value == pytest.approx(c, rel=5e-2)
+    assert overlaps(pendulum.w2, w2, w2_error)
+    assert overlaps(pendulum.c, c, c_error)
+    # Half a unit of the last digit printed.
+    assert pendulum.fit.rms_deg == pytest.approx(rms, abs=5.1e-3 if rms > 1.0 else 5.1e-4)
+    assert pendulum.fit.release is None
+
+
+@compiled
+@needs_recordings
+@pytest.mark.parametrize(("window", "w2", "c", "f", "rms"), COULOMB_WINDOWS)
+def test_the_arms_windows_give_the_coulomb_reference(window, w2, c, f, rms):
+    pendulum = identify(recording(ARM, **window), with_friction("coulomb"))
+    assert pendulum.w2.value == pytest.approx(w2, rel=3e-3)
+    assert pendulum.c.value == pytest.approx(c, rel=5e-2)
+    assert pendulum.coulomb.low <= f <= pendulum.coulomb.high
+    assert pendulum.fit.rms_deg == pytest.approx(rms, abs=5.1e-3 if rms > 1.0 else 5.1e-4)
+
+
+@compiled
+@needs_recordings
+def test_dry_friction_that_would_be_negative_is_kept_at_zero():
+    swing = recording(ARM, start=0.0, end=9.166)
+    viscous, coulomb = identify(swing), identify(swing, with_friction("coulomb"))
+    assert coulomb.coulomb.value == coulomb.coulomb.low == 0.0
+    assert coulomb.c.value == pytest.approx(viscous.c.value, rel=1e-5)
+    assert coulomb.c.low == pytest.approx(viscous.c.low, rel=1e-3)
+    assert any("Coulomb friction is kept at zero" in warning for warning in coulomb.fit.warnings)
+
+
+@compiled
+@needs_recordings
+def test_a_long_real_swing_is_not_explained_by_viscous_friction_and_the_warning_says_so():
+    swing = recording(ARM)
+    viscous, quadratic = identify(swing), identify(swing, with_friction("quadratic"))
+    assert any("does not explain" in warning for warning in viscous.fit.warnings)
+    assert any("try --friction quadratic" in warning for warning in viscous.fit.warnings)
+    assert quadratic.fit.rms < viscous.fit.rms / 3.0
+    assert quadratic.w2.value == pytest.approx(viscous.w2.value, rel=3e-3)
+
+
+@compiled
+@needs_recordings
+def test_only_a_negative_viscous_friction_would_reach_the_reference_of_the_quadratic_model():
+    swing = recording(ARM)
+    pendulum = identify(swing, with_friction("quadratic"))
+    assert pendulum.c.value == 0.0
+    whole = fitting.Recording(swing.time, swing.theta, False, 0.006, (16.0, 256.0))
+    start = [pendulum.w2.value, 0.0, pendulum.coulomb.value, pendulum.drag.value]
+    state = [pendulum.fit.theta, pendulum.fit.theta_dot, pendulum.fit.offset]
+    unbounded = fitting._least_squares(whole, np.array([*start, *state]), list(range(7)))
+    assert unbounded[fitting.C] < 0.0
+    assert np.rad2deg(fitting.rms(whole.residual(unbounded))) == pytest.approx(0.158, abs=5e-4)
+
+
+@needs_recordings
+@pytest.mark.parametrize("run", ["01", "03"])
+@pytest.mark.parametrize("model", ["viscous", "coulomb"])
+def test_the_furuta_swings_need_not_be_told_where_the_hand_lets_go(run, model):
+    w2, c = {
+        ("01", "viscous"): (119.87, 0.446),
+        ("03", "viscous"): (120.03, 0.619),
+        ("01", "coulomb"): (120.26, 0.234),
+        ("03", "coulomb"): (120.39, 0.203),
+    }[run, model]
+    pendulum = identify(recording(f"free_swing_furuta_{run}.csv"), with_friction(model))
+    assert pendulum.w2.value == pytest.approx(w2, rel=5e-3)
+    assert pendulum.c.value == pytest.approx(c, rel=0.25)
+    # The reference begins at the first passage through hanging; the hand lets go before.
+    passage, turn = {"01": (0.544, 0.241), "03": (0.286, 0.120)}[run]
+    assert turn < pendulum.fit.release < passage + 0.01
+
+
+@needs_recordings
+def test_the_gyros_wheel_gives_the_reference_and_its_bias():
+    pendulum = identify(recording("gyro_wheel.csv"))
+    assert pendulum.w2.value == pytest.approx(19.378, rel=5e-3)
+    assert overlaps(pendulum.w2, 19.378, 0.021)
+    assert pendulum.fit.quantity == "rate"
+    assert pendulum.fit.rms_deg == pytest.approx(0.457, abs=5e-4)
+    assert np.rad2deg(pendulum.fit.offset) == pytest.approx(-1.75, abs=0.05)
+
+
+# Known truths.
+
+
+def coverage(swings, model="viscous", noise=lambda rng, swing: 0.0):
+    """Return how often the 95 % intervals of w2 and c hold the truth."""
+    hits = np.zeros(2)
+    for seed in range(swings):
+        rng = np.random.default_rng([2024, seed])
+        truth = PendulumParameters(
+            w2=70.2 * rng.uniform(0.8, 1.2),
+            k=0.0,
+            c=0.15 * rng.uniform(0.5, 2.0),
+            coulomb=0.8 if model == "coulomb" else 0.0,
+        )
+        swing = simulated(
+            truth, theta0=rng.uniform(0.4, 1.5), zero_offset=rng.uniform(-0.3, 0.3), seed=seed
+        )
+        swing = replace(swing, theta=swing.theta + noise(rng, swing), sha256="")
+        pendulum = identify(swing, with_friction(model))
+        hits += [
+            pendulum.w2.low <= truth.w2 <= pendulum.w2.high,
+            pendulum.c.low <= truth.c <= pendulum.c.high,
+        ]
+    return hits / swings
+
+
+@compiled
+def test_the_intervals_cover_the_truth_of_some_simulated_swings():
+    # Of 25 intervals at 95 %, fewer than 20 hold the truth with a probability of 2e-4.
+    assert np.all(coverage(25) >= 20 / 25)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["viscous", "coulomb"])
+def test_the_intervals_cover_the_truth_of_90_to_99_percent_of_200_simulated_swings(model):
+    # At a true 96 %, 200 swings lie outside 90 to 99 % with a probability of 1e-2 above and 1e-4
+    # below; the seeds are fixed.
+    share = coverage(200, model)
+    assert np.all(share >= 0.90)
+    assert np.all(share <= 0.99)
+
+
+@pytest.mark.slow
+def test_the_intervals_stay_honest_where_the_noise_hangs_together():
+    def slow_noise(rng, swing):
+        # Correlated over 25 samples, 0.1 s: independent errors would be five times too small.
+        white = rng.standard_normal(len(swing.time) + 24)
+        return radians(0.1) * np.convolve(white, np.ones(25) / 5.0, mode="valid")
+
+    assert np.all(coverage(100, noise=slow_noise) >= 0.87)
+
+
+@pytest.mark.parametrize(
+    ("model", "truth"),
+    [
+        ("viscous", PendulumParameters(70.2, 7.15, 0.15)),
+        ("coulomb", PendulumParameters(70.2, 7.15, 0.15, 1.0)),
+        ("quadratic", PendulumParameters(70.2, 7.15, 0.15, 1.0, 0.05)),
+    ],
+)
+def test_a_noiseless_swing_gives_back_what_made_it(model, truth):
+    # The truth comes from an integrator of another kind.
+    time = np.arange(0.0, 4.0, 0.004)
+    frictions = {"c": truth.c, "coulomb": truth.coulomb, "drag": truth.drag}
+    theta, _ = reference.swing(time, 1.4, 0.0, w2=truth.w2, **frictions)
+    pendulum = identify(Trajectory(time=time, theta=theta + 0.2), with_friction(model))
+    # The fit's own steps are wrong by 1e-6 rad.
+    assert pendulum.w2.value == pytest.approx(truth.w2, rel=1e-5)
+    assert pendulum.c.value == pytest.approx(truth.c, rel=2e-3)
+    assert pendulum.coulomb.value == pytest.approx(truth.coulomb, rel=1e-3, abs=1e-9)
+    assert pendulum.drag.value == pytest.approx(truth.drag, rel=1e-2, abs=1e-9)
+    assert pendulum.fit.offset == pytest.approx(0.2, abs=1e-5)
+    assert pendulum.fit.warnings == ()
+
+
+@pytest.mark.parametrize("amplitude", [0.03, 0.5, 1.5, 2.6, 3.0])
+def test_small_and_large_swings_give_the_same_pendulum(amplitude):
+    # A damped cosine would be 30 % off in w2 at 1.5 rad already.
+    swing = simulated(theta0=amplitude, counts_per_rev=8192, noise=1e-4)
+    pendulum = identify(swing)
+    assert pendulum.w2.value == pytest.approx(70.2, rel=1e-3)
+    assert pendulum.c.value == pytest.approx(0.15, rel=3e-2)
+
+
+@pytest.mark.parametrize("amplitude", [0.1, 1.5, 2.6])
+def test_a_gyro_gives_the_pendulum_and_its_bias(amplitude):
+    rng, time = np.random.default_rng(2), np.arange(0.0, 6.0, 0.005)
+    _, rate = reference.swing(time, amplitude, 0.0, w2=70.2, c=0.15)
+    recorded = rate + 0.3 + 0.005 * rng.standard_normal(len(time))
+    pendulum = identify(Trajectory(time=time, theta_dot=recorded))
+    assert pendulum.w2.value == pytest.approx(70.2, rel=1e-3)
+    assert pendulum.c.value == pytest.approx(0.15, rel=3e-2)
+    assert pendulum.fit.offset == pytest.approx(0.3, abs=2e-3)
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 50.0, 1000.0])
+def test_slow_and_fast_sampling_give_the_same_pendulum(rate_hz):
+    pendulum = identify(simulated(rate_hz=rate_hz))
+    assert pendulum.w2.value == pytest.approx(70.2, rel=1e-3)
+    assert pendulum.c.value == pytest.approx(0.15, rel=3e-2)
+
+
+def test_uneven_time_stamps_and_gaps_do_no_harm():
+    swing = simulated(jitter=1e-3, duration=10.0)
+    # A gap of 60 ms, and one of three periods.
+    kept = ((swing.time < 1.0) | (swing.time > 1.06)) & ((swing.time < 4.0) | (swing.time > 6.3))
+    pendulum = identify(Trajectory(time=swing.time[kept] + 1.7e9, theta=swing.theta[kept]))
+    assert pendulum.w2.low <= 70.2 <= pendulum.w2.high
+    assert pendulum.c.low <= 0.15 <= pendulum.c.high
+    assert pendulum.fit.window == pytest.approx((1.7e9, 1.7e9 + 10.0), abs=0.01)
+
+
+# The hand.
+
+
+def held_then_released(hand, swing):
+    """Return a recording of a hand's motion, sampled like `swing`, and the swing after it."""
+    step = float(np.median(np.diff(swing.time)))
+    time = np.concatenate((np.arange(len(hand)) * step, swing.time + len(hand) * step))
+    return Trajectory(
+        time=time,
+        theta=np.concatenate((hand, swing.theta)),
+        resolution=swing.resolution,
+    ), float(time[len(hand)])
+
+
+def lift(angle, seconds, rate_hz=250.0):
+    """A smooth lift from hanging to `angle` (least jerk), then as long a rest in the hand."""
+    s = np.linspace(0.0, 1.0, round(seconds * rate_hz))
+    return np.concatenate((angle * s**3 * (10 - 15 * s + 6 * s**2), np.full(len(s), angle)))
+
+
+HANDS = {
+    "held still for a second": lambda: lift(1.0, 1.0),
+    "hanging for long, then lifted in a hurry": lambda: np.concatenate(
+        (np.zeros(1500), lift(1.0, 0.3))
+    ),
+    "held longer than it swings": lambda: lift(1.0, 12.0),
+    "moved to and fro": lambda: 1.0 * np.cos(2.0 * np.arange(1000) / 250.0) ** 3 + 0.2,
+}
+
+
+@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("seconds", [2.5, 8.0])
+def test_the_release_is_found_after_a_hand(hand, seconds):
+    swing = simulated(duration=seconds)
+    recorded, release = held_then_released(HANDS[hand](), swing)
+    pendulum = identify(recorded)
+    assert -0.02 * PERIOD < pendulum.fit.release - release < 0.5 * PERIOD
+    assert pendulum.w2.value == pytest.approx(70.2, rel=1e-3)
+    assert pendulum.c.value == pytest.approx(0.15, rel=3e-2)
+
+
+def test_the_release_is_found_in_a_gyros_recording():
+    time = np.arange(0.0, 6.0, 0.004)
+    _, rate = reference.swing(time, 1.0, 0.0, w2=70.2, c=0.15)
+    hand = np.gradient(lift(1.0, 1.0), 0.004)
+    rng = np.random.default_rng(4)
+    recorded = np.concatenate((hand, rate)) + 0.1
+    recorded += 0.005 * rng.standard_normal(len(recorded))
+    pendulum = identify(Trajectory(time=np.arange(len(recorded)) * 0.004, theta_dot=recorded))
+    assert -0.02 * PERIOD < pendulum.fit.release - 2.0 < 0.5 * PERIOD
+    assert pendulum.w2.value == pytest.approx(70.2, rel=1e-3)
+
+
+def test_a_hand_that_stops_the_swing_is_left_out_and_mentioned():
+    swing = simulated(duration=6.1)
+    stopped = np.full(500, swing.theta[-1])
+    time = np.arange(len(swing.time) + 500) / 250.0
+    pendulum = identify(Trajectory(time=time, theta=np.concatenate((swing.theta, stopped))))
+    assert 6.1 - 0.5 * PERIOD < pendulum.fit.window[1] <= 6.1 + 0.01
+    assert any("something touched the pendulum" in warning for warning in pendulum.fit.warnings)
+    assert pendulum.w2.value == pytest.approx(70.2, rel=1e-3)
+
+
+def test_a_start_that_was_given_is_trusted():
+    recorded, release = held_then_released(lift(1.0, 1.0), simulated())
+    kept = recorded.time >= release
+    told = Trajectory(time=recorded.time[kept], theta=recorded.theta[kept], released=True)
+    pendulum = identify(told)
+    assert pendulum.fit.window[0] == release
+    assert pendulum.fit.release is None
+
+
+# What comes with the numbers.
+
+
+def test_the_wrong_friction_is_named_together_with_a_better_one():
+    swing = simulated(PendulumParameters(70.2, 7.15, 0.1, 2.0), duration=5.0)
+    pendulum = identify(swing)
+    (unexplained, better) = pendulum.fit.warnings
+    assert "viscous friction does not explain the recording" in unexplained
+    assert "try --friction coulomb" in unexplained
+    assert "--friction coulomb leaves" in better
+    assert identify(swing, with_friction("coulomb")).fit.warnings == ()
+
+
+def test_few_periods_are_mentioned():
+    pendulum = identify(simulated(duration=2.0 * PERIOD))
+    assert any("periods only" in warning for warning in pendulum.fit.warnings)
+
+
+def test_the_coupling_is_gravity_over_its_place():
+    pendulum = identify(simulated(), IdentificationSettings(g=9.78))
+    assert pendulum.k.value == pytest.approx(pendulum.w2.value / 9.78)
+    assert pendulum.k.low == pytest.approx(pendulum.w2.low / 9.78)
+    assert pendulum.g == 9.78
+
+
+def test_mass_and_length_give_inertia_and_friction_with_their_uncertainty():
+    mass, length = (Estimate.normal(value, 0.01 * value, "given") for value in (0.2, 0.14))
+    pendulum = identify(simulated(), mass=mass, length=length)
+    I = 0.2 * pendulum.g * 0.14 / pendulum.w2.value
+    assert pendulum.inertia.value == pytest.approx(I)
+    assert pendulum.friction.value == pytest.approx(I * pendulum.c.value)
+    # 1 % and 1 % add up to 1.414 %; what the swing leaves open is far below that.
+    for estimate in (pendulum.inertia, pendulum.friction):
+        width = (estimate.high - estimate.low) / 2.0 / estimate.value
+        assert width == pytest.approx(1.96 * 0.01414, rel=0.01)
+    assert identify(simulated()).inertia is None
+
+
+def test_exact_mass_and_length_leave_the_swings_own_uncertainty():
+    exact = [Estimate.normal(value, 0.0, "given") for value in (0.2, 0.14)]
+    pendulum = identify(simulated(), None, *exact)
+    # b = m g l c / w2: to first order, and c is known far worse than w2.
+    width = (pendulum.c.high - pendulum.c.low) / pendulum.c.value
+    assert (pendulum.friction.high - pendulum.friction.low) / pendulum.friction.value == (
+        pytest.approx(width, rel=0.02)
+    )
+
+
+def test_the_covariance_belongs_to_the_frictions_that_were_fitted():
+    spread = np.array(identify(simulated()).covariance)
+    assert spread.shape == (4, 4)
+    assert np.all(spread[2:] == 0.0)
+    assert np.all(spread[:, 2:] == 0.0)
+    np.testing.assert_array_equal(spread, spread.T)
+    assert np.all(np.linalg.eigvalsh(spread[:2, :2]) > 0.0)
+
+
+def test_the_fitted_curve_can_be_drawn_from_files_alone(tmp_path):
+    recorded, _ = held_then_released(lift(1.0, 1.0), simulated())
+    identify(recorded).save(tmp_path / "pendulum.json", command="test")
+    pendulum = Pendulum.load(tmp_path / "pendulum.json")
+    curve = simulate_fit(recorded, pendulum)
+    low, high = pendulum.fit.window
+    inside = (recorded.time >= low) & (recorded.time <= high)
+    assert np.all(np.isnan(curve[~inside]))
+    residual = recorded.theta[inside] - curve[inside]
+    assert np.sqrt(np.mean(residual**2)) == pytest.approx(pendulum.fit.rms, rel=1e-9)
+
+
+def test_the_fitted_curve_of_another_recording_is_refused():
+    pendulum = identify(simulated())
+    with pytest.raises(RecordingError, match="give the recording that it came from"):
+        simulate_fit(simulated(seed=2), pendulum)
+    with pytest.raises(RecordingError, match="from no recording"):
+        simulate_fit(simulated(), Pendulum.assumed(70.2, 0.15))
+
+
+def test_equal_recordings_give_equal_bits():
+    assert identify(simulated()) == identify(simulated())
+
+
+# Refusals.
+
+
+def refused(swing):
+    with pytest.raises(RecordingError) as refusal:
+        identify(swing)
+    message = str(refusal.value)
+    assert "\n" not in message
+    assert ";" in message, "a refusal says what to do"
+    return message
+
+
+def plain(theta, step=0.004):
+    return Trajectory(time=np.arange(len(theta)) * step, theta=np.asarray(theta))
+
+
+@pytest.mark.parametrize("periods", [0.2, 0.6, 0.9])
+def test_less_than_one_period_is_refused(periods):
+    message = refused(simulated(theta0=0.5, duration=periods * PERIOD))
+    assert "less than one period" in message
+
+
+def test_less_than_one_period_after_the_hand_is_refused():
+    recorded, _ = held_then_released(lift(1.0, 1.0), simulated(duration=0.9 * PERIOD))
+    assert "less than one period" in refused(recorded)
+
+
+@pytest.mark.parametrize(
+    "theta",
+    [
+        np.zeros(2000),
+        0.01 * np.random.default_rng(0).standard_normal(2000),
+        np.round(0.3 * np.random.default_rng(0).standard_normal(2000)) * 2.0 * pi / 4096,
+    ],
+    ids=["at rest", "noise", "one count to and fro"],
+)
+def test_a_recording_without_a_swing_is_refused(theta):
+    assert "no oscillation above the noise" in refused(plain(theta))
+
+
+@pytest.mark.parametrize("rate", [5.0, 2.0 * sqrt(70.2) * 1.02])
+def test_a_pendulum_that_goes_over_the_top_is_refused(rate):
+    time = np.arange(0.0, 12.0, 0.004)
+    if rate > 10.0:
+        # Twice over the top, then a swing about another turn of hanging.
+        theta, theta_dot = reference.swing(time, 0.0, rate, w2=70.2, c=0.02)
+    else:
+        theta, theta_dot = rate * time, np.full(time.shape, rate)
+    assert "goes over the top" in refused(Trajectory(time=time, theta=theta))
+    if rate > 10.0:
+        assert "goes over the top" in refused(Trajectory(time=time, theta_dot=theta_dot))
+
+
+def test_what_is_left_after_going_over_the_top_can_be_used():
+    time = np.arange(0.0, 12.0, 0.004)
+    theta, _ = reference.swing(time, 0.0, 2.0 * sqrt(70.2) * 1.02, w2=70.2, c=0.1)
+    message = refused(Trajectory(time=time, theta=theta))
+    kept = time >= float(message.split("--start ")[1].split()[0])
+    turns = 2.0 * pi * np.round(theta[-1] / (2.0 * pi))
+    pendulum = identify(Trajectory(time=time[kept], theta=theta[kept] - turns, released=True))
+    assert pendulum.w2.value == pytest.approx(70.2, rel=1e-3)
+
+
+def test_a_pivot_that_moves_is_refused():
+    swing = simulated()
+    moving = replace(swing, x_ddot=np.sin(swing.time))
+    assert "the pivot accelerates by up to 1 m/s^2" in refused(moving)
+
+
+def test_a_motion_that_is_no_swing_is_refused():
+    time = np.arange(0.0, 10.0, 0.004)
+    chirp = 0.3 * np.sin(time * (3.0 + time))
+    assert "is not a free swing" in refused(plain(chirp))
+
+
+def test_a_swing_sampled_too_slowly_is_refused():
+    assert "sample faster" in refused(simulated(rate_hz=9.0, duration=20.0))
+
+
+def test_a_handful_of_samples_is_refused():
+    assert "has 12 samples, expected at least 20" in refused(plain(np.zeros(12)))
