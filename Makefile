@@ -1,9 +1,9 @@
 # One word each. `make check` before a commit, `make test` before a push; `.ci/run` runs all of it.
 
 PYTHON ?= python
-# Rooms whose tests take seconds, compiled or not.
-QUICK = $(wildcard tests/test_*.py) $(wildcard tests/model tests/control tests/identification)
-PLAIN = $(wildcard tests/test_*.py) $(wildcard tests/model tests/control)
+# Tests that take seconds, compiled or not: the lower rooms, without the fits of whole recordings.
+QUICK = $(filter-out tests/test_identification.py, $(wildcard tests/test_*.py)) \
+        tests/model tests/control
 
 .DEFAULT_GOAL := help
 .PHONY: help install check lint quick plain test slow generated demo bench
@@ -26,7 +26,7 @@ quick:  ## the tests of the lower rooms
 	$(PYTHON) -m pytest -q $(QUICK)
 
 plain:  ## the same without compilation: the kernels as the Python that one reads
-	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q -m 'not slow and not compiled_only' $(PLAIN)
+	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q -m 'not slow and not compiled_only' $(QUICK)
 
 test:  ## every test but the full statistics
 	$(PYTHON) -m pytest

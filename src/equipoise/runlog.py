@@ -122,7 +122,10 @@ class RunLog:
     @property
     def digest(self) -> str:
         """SHA-256 of conditions and rows."""
-        digest = hashlib.sha256(_json(self.conditions.model_dump(mode="json")))
+        return self._digest(_json(self.conditions.model_dump(mode="json")))
+
+    def _digest(self, conditions: bytes) -> str:
+        digest = hashlib.sha256(conditions)
         for name in COLUMNS:
             values = getattr(self, name)
             digest.update(name.encode() + values.astype(values.dtype.newbyteorder("<")).tobytes())
@@ -197,7 +200,7 @@ class RunLog:
                 f"{path} is not a valid {FORMAT!r} file: its messages are incomplete; "
                 "record the run again"
             ) from None
-        if run.digest != metadata.get("digest"):
+        if run._digest(messages["/run"][0]) != metadata.get("digest"):
             raise ArtefactError(
                 f"{path} does not match its digest: it was edited or damaged after it was "
                 "written; record the run again"

@@ -56,12 +56,16 @@ class PythonPolicy:
             ) from error
         if isinstance(u, np.ndarray) and u.size == 1:
             u = u.item()
-        if not isinstance(u, numbers.Real) or not math.isfinite(u):
+        try:
+            value = float(u) if isinstance(u, numbers.Real) else math.nan
+        except OverflowError:
+            value = math.inf
+        if not math.isfinite(value):
             raise InputError(
                 f"{self.name} returned {u!r:.60} in the state {_spelled(state)}, expected a finite "
                 "number: the acceleration u in m/s^2; correct it"
             )
-        return float(u)
+        return value
 
     def _made(self, kind: type) -> Any:
         if not hasattr(kind, "act"):
@@ -70,14 +74,14 @@ class PythonPolicy:
             return kind()
         except Exception as error:
             raise InputError(
-                f"making a {self.name}() raised {told(error)}; give a class that needs no "
+                f"calling {self.name}() raised {told(error)}; give a class that needs no "
                 "arguments, or an object of it"
             ) from error
 
 
 def told(error: BaseException) -> str:
     """Return what kind of error it is, what it says, and the line of code where it arose."""
-    frames = traceback.extract_tb(error.__traceback__)
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
     where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"
 

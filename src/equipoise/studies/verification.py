@@ -13,6 +13,13 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation
 from equipoise.model.pendulum import Pendulum
+from equipoise.runlog import FORMAT as RUN_FORMAT
+from equipoise.runlog import VERSION as RUN_VERSION
+from equipoise.runlog import RunLog, provenance_of
+from equipoise.studies.results import Record
+
+MCAP = b"\x89MCAP"
+"""What an MCAP file begins with."""
 
 
 class Verified(NamedTuple):
@@ -36,11 +43,21 @@ def verify(path: Path) -> Verified:
     """Read any file of ours and say what it is.
 
     Args:
-        path: A pendulum, policy or evaluation.
+        path: A pendulum, policy, evaluation, reproduction or run log.
 
     Raises:
         ArtefactError: The file is missing, not ours, edited, damaged, or newer than this Equipoise.
     """
+    if _begins_with(path, MCAP):
+        run = RunLog.load(path)
+        return Verified(
+            what="run log",
+            format=RUN_FORMAT,
+            version=RUN_VERSION,
+            digest=run.digest,
+            content=_run(run),
+            provenance=provenance_of(path),
+        )
     document = read_document(path)
     kind = document["format"]
     if kind not in _KINDS:
@@ -60,6 +77,14 @@ def verify(path: Path) -> Verified:
     )
 
 
+def _begins_with(path: Path, magic: bytes) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(magic)) == magic
+    except OSError:
+        return False  # `read_document` says what is wrong
+
+
 def _provenance(path: Path, given: Mapping[str, Any]) -> Provenance:
     try:
         return Provenance.model_validate(given)
@@ -72,9 +97,10 @@ def _provenance(path: Path, given: Mapping[str, Any]) -> Provenance:
 
 def _pendulum(pendulum: Pendulum) -> str:
     fit = pendulum.fit
-    origin = f"from {fit.source}, {fit.rms_deg:.3g} deg RMS" if fit else "not measured"
-    if fit and fit.quantity == "rate":
-        origin += "/s"
+    origin = "not measured"
+    if fit:
+        unit = "deg/s" if fit.quantity == "rate" else "deg"
+        origin = f"from {fit.source} with {fit.rms_deg:.3g} {unit} RMS"
     return (
         f"w2 = {pendulum.w2.value:.4g} 1/s^2, c = {pendulum.c.value:.3g} 1/s, "
         f"{pendulum.friction_model} friction, {origin}"
@@ -96,8 +122,26 @@ def _evaluation(evaluation: Evaluation) -> str:
     )
 
 
+def _reproduction(record: Record) -> str:
+    quick = "a quick " if record.quick else ""
+    wall = sum(stage.wall for stage in record.stages)
+    return (
+        f"{quick}run of the recipe {record.recipe} from {record.swing}, seed {record.seed}, "
+        f"{len(record.files)} files, {wall:.0f} s"
+    )
+
+
+def _run(run: RunLog) -> str:
+    conditions = run.conditions
+    return (
+        f"{run.lasted:g} s of {conditions.duration:g} s on the {conditions.arm}, world "
+        f"{conditions.world}, {len(run.time):,} ticks, ended: {conditions.cause}"
+    )
+
+
 _KINDS: Mapping[str, tuple[str, type[Artefact], Callable[[Any], str]]] = {
     Pendulum.FORMAT: ("pendulum", Pendulum, _pendulum),
     TabularPolicy.FORMAT: ("policy", TabularPolicy, _policy),
     Evaluation.FORMAT: ("evaluation", Evaluation, _evaluation),
+    Record.FORMAT: ("reproduction", Record, _reproduction),
 }

@@ -1,0 +1,306 @@
+"""`equipoise evaluate`: how long a policy stands, with what confidence, and why it falls."""
+
+import shlex
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from equipoise.cli.options import (
+    IN_AND_OUT,
+    Base,
+    Held,
+    Json,
+    Seed,
+    Tip,
+    Workers,
+    available_workers,
+    check_output,
+    read_arm,
+    read_pendulum,
+)
+from equipoise.cli.output import FIRST_WORDS, Output, stoppable, verb
+from equipoise.errors import ArtefactError, InputError
+
+if TYPE_CHECKING:
+    from equipoise.control.policy import TabularPolicy
+    from equipoise.control.python_policy import PythonPolicy
+    from equipoise.evaluation import Done, Evaluation, TrialResults
+    from equipoise.model.arms.arm import Arm
+    from equipoise.model.pendulum import Pendulum
+    from equipoise.settings import Settings
+
+NOT_BALANCED = 1
+"""Exit code where the median trial does not last."""
+WORLDS = ("model",)
+QUANTILES = ("0.05", "0.25", "0.75", "0.95")
+"""Names of the quantiles of survival in the JSON object."""
+
+
+@verb
+def evaluate(
+    policy: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="POLICY",
+            help="From equipoise train; without it, the policy that ships.",
+            show_default=False,
+        ),
+    ] = None,
+    function: Annotated[
+        str | None,
+        typer.Option(
+            "--policy",
+            metavar="MODULE:NAME",
+            help="Python instead: a function state -> u, or a class with act(state).",
+        ),
+    ] = None,
+    trials: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Number of trials; by default 200.")
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Length of a trial; by default 60."),
+    ] = None,
+    world: Annotated[
+        str,
+        typer.Option(metavar="WORLD", help="Where they run; model: the plant of the training."),
+    ] = "model",
+    pendulum: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="To balance with --policy; of a POLICY, what it must be made for."
+        ),
+    ] = None,
+    arm: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ARM", help="To use with --policy; of a POLICY, what it must be made for."
+        ),
+    ] = None,
+    seed: Seed = 0,
+    workers: Workers = None,
+    held: Held = None,
+    base: Base = None,
+    tip: Tip = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE", help="The evaluation that is written.", rich_help_panel=IN_AND_OUT
+        ),
+    ] = Path("evaluation.json"),
+    as_json: Json = False,
+) -> None:
+    """Evaluate a policy: how long it stands, and why it falls.
+
+    Four yardsticks run the same trials. Exit code 1 says that it does not
+    balance: the median trial ended before its time.
+    """
+    output = Output(as_json)
+    output.say(f"Evaluating {function or policy or 'the policy that ships with Equipoise'}")
+    check_output(out, policy, pendulum)
+    if function is not None and policy is not None:
+        raise InputError(f"both {policy} and --policy {function} are given; give one of them")
+    if world not in WORLDS:
+        raise InputError(f"there is no world {world!r}; choose one of {', '.join(WORLDS)}")
+
+    of_urdf = (held, base, tip)
+    if function is not None:
+        from equipoise.cli.functions import read_function
+
+        evaluation = _evaluate_function(
+            output,
+            read_function(function),
+            read_pendulum(pendulum),
+            read_arm(arm or "iiwa7", *of_urdf),
+            trials,
+            duration,
+            seed,
+        )
+    else:
+        table = _read_policy(policy)
+        if pendulum is not None:
+            _refuse_other_pendulum(table, pendulum)
+        if arm is not None or any(of_urdf):
+            _refuse_other_arm(table, read_arm(arm or "iiwa7", *of_urdf))
+        evaluation = _evaluate_table(output, table, trials, duration, seed, workers)
+    evaluation.save(
+        out,
+        command="evaluate",
+        inputs={"policy": evaluation.policy, "pendulum": evaluation.pendulum},
+    )
+    balanced = _say(output, evaluation)
+    output.wrote(out)
+    if balanced:
+        output.next("reproduce")
+    else:
+        output.next("train", pendulum or "PENDULUM", "--seeds", 4)
+    output.result(_result(evaluation, out))
+    if not balanced:
+        raise typer.Exit(NOT_BALANCED)
+
+
+def _read_policy(path: Path | None) -> "TabularPolicy":
+    from equipoise.control.policy import TabularPolicy, shipped_policy
+
+    return shipped_policy() if path is None else TabularPolicy.load(path)
+
+
+def _refuse_other_pendulum(policy: "TabularPolicy", asked: Path) -> None:
+    if read_pendulum(asked).digest != policy.pendulum.digest:
+        raise ArtefactError(
+            f"the policy was trained for another pendulum than {asked}; train one for it: "
+            f"equipoise train {shlex.quote(str(asked))}"
+        )
+
+
+def _refuse_other_arm(policy: "TabularPolicy", asked: "Arm") -> None:
+    if asked.digest != policy.arm.digest:
+        raise ArtefactError(
+            f"the policy was trained on the {policy.arm.name}, not on this {asked.name}; train one "
+            "for it with equipoise train --arm"
+        )
+
+
+def _settings(settings: "Settings", trials: int | None, duration: float | None) -> "Settings":
+    """Return the settings with another number or length of trials."""
+    changes = {"trials": trials, "duration": duration}
+    if duration is not None and not 0.01 <= duration <= 86400.0:
+        raise InputError(f"--duration is {duration:g} s; give a number from 0.01 to 86400 (a day)")
+    given = {name: value for name, value in changes.items() if value is not None}
+    evaluation = settings.evaluation.model_copy(update=given)
+    return settings.model_copy(update={"evaluation": evaluation})
+
+
+def _evaluate_table(
+    output: Output,
+    policy: "TabularPolicy",
+    trials: int | None,
+    duration: float | None,
+    seed: int,
+    workers: int | None,
+) -> "Evaluation":
+    from equipoise.control.yardsticks import yardsticks
+    from equipoise.evaluation import evaluate
+
+    settings = _settings(policy.settings, trials, duration)
+    runs = 1 + len(yardsticks(policy.pendulum.parameters(), policy.h))
+    with _bar(output, runs * settings.evaluation.trials) as done:
+        return evaluate(policy, settings, seed=seed, workers=available_workers(workers), done=done)
+
+
+def _evaluate_function(
+    output: Output,
+    policy: "PythonPolicy",
+    pendulum: "Pendulum",
+    arm: "Arm",
+    trials: int | None,
+    duration: float | None,
+    seed: int,
+) -> "Evaluation":
+    from equipoise.evaluation import evaluate_function
+    from equipoise.settings import Settings
+
+    settings = _settings(Settings(), trials, duration)
+    with _bar(output, settings.evaluation.trials) as done:
+        return evaluate_function(policy, policy.name, pendulum, arm, settings, seed=seed, done=done)
+
+
+@contextmanager
+def _bar(output: Output, total: int) -> "Generator[Done]":
+    """Show how many trials are done."""
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        TextColumn("{task.completed:,.0f} of {task.total:,.0f} trials"),
+        TimeRemainingColumn(compact=True),
+    )
+    with output.progress(*columns) as progress, stoppable() as check:
+        task = progress.add_task(FIRST_WORDS, total=total)
+
+        def done(count: int) -> None:
+            check()
+            progress.update(task, advance=count, description="")
+
+        yield done
+
+
+def _say(output: Output, evaluation: "Evaluation") -> bool:
+    """Print the table and the verdict; return whether the policy balances."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    duration, trials = evaluation.duration, len(evaluation.results.survival)
+    output.say(
+        f"{trials} trials of {duration:g} s on the {evaluation.arm}, world {evaluation.world}, "
+        f"seed {evaluation.seed}"
+    )
+    table = Table(box=SIMPLE, pad_edge=False)
+    table.add_column("", no_wrap=True)
+    for title in ("lasted", "share", "95 % interval", "median"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("ended by")
+    for results in (evaluation.results, *evaluation.yardsticks):
+        own = results is evaluation.results
+        table.add_row(*_row(results), style="bold" if own else None)
+    output.say(table)
+    summary = evaluation.results.summary()
+    if summary.median < duration:
+        low, high = summary.quantiles[0], summary.quantiles[-1]
+        output.say(
+            f"It does not balance: the median trial ended after {summary.median:.1f} s of "
+            f"{duration:g} s, nine in ten between {low:.1f} and {high:.1f} s.",
+            style="red",
+        )
+        return False
+    fell = summary.trials - summary.survived
+    output.say(
+        f"It balances: the median trial lasted all {duration:g} s"
+        + (f"; {fell} of {summary.trials} did not." if fell else ", and so did every other."),
+        style="green",
+    )
+    return True
+
+
+def _row(results: "TrialResults") -> tuple[str, ...]:
+    from equipoise.studies.results import percent
+
+    summary = results.summary()
+    low, high = summary.interval
+    failures = {cause: n for cause, n in summary.causes.items() if cause != "lasted"}
+    return (
+        results.name,
+        f"{summary.survived} of {summary.trials}",
+        percent(summary.rate),
+        f"{percent(low)} to {percent(high)}",
+        f"{summary.median:.1f} s",
+        ", ".join(f"{cause} {n}" for cause, n in failures.items()),
+    )
+
+
+def _result(evaluation: "Evaluation", out: Path) -> dict[str, object]:
+    return {
+        **_summary(evaluation.results),
+        "duration": evaluation.duration,
+        "yardsticks": {results.name: _summary(results) for results in evaluation.yardsticks},
+        "world": evaluation.world,
+        "seed": evaluation.seed,
+        "evaluation": str(out),
+    }
+
+
+def _summary(results: "TrialResults") -> dict[str, object]:
+    summary = results.summary()
+    return {
+        "trials": summary.trials,
+        "survived": summary.survived,
+        "rate": summary.rate,
+        "interval": list(summary.interval),
+        "median_s": summary.median,
+        "quantiles_s": dict(zip(QUANTILES, summary.quantiles, strict=True)),
+        "causes": summary.causes,
+    }

@@ -1,0 +1,185 @@
+"""`equipoise identify`: a recorded swing becomes a pendulum."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from equipoise.cli.options import IN_AND_OUT, Json, Set, SettingsFile, check_output
+from equipoise.cli.output import Output, measured, verb
+from equipoise.errors import InputError
+
+if TYPE_CHECKING:
+    from equipoise.artefacts import Estimate
+    from equipoise.model.pendulum import Pendulum
+    from equipoise.trajectory import Trajectory
+
+
+APART = "Measured apart, for I and b"
+
+
+@verb
+def identify(
+    recording: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="CSV with a column time_s and one of theta_rad, theta_deg, counts, rate_rad_s.",
+        ),
+    ],
+    start: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="Begin here; by default where the hand is seen to let go."
+        ),
+    ] = None,
+    end: Annotated[float | None, typer.Option(metavar="SECONDS", help="End here.")] = None,
+    friction: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODEL", help="viscous (the paper's, and the default), coulomb or quadratic."
+        ),
+    ] = None,
+    counts_per_rev: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Encoder counts per revolution, after x4."),
+    ] = None,
+    from_upright: Annotated[
+        bool, typer.Option("--from-upright", help="The recorded angle is zero when upright.")
+    ] = False,
+    mass: Annotated[
+        float | None,
+        typer.Option(metavar="KG", help="Mass of all that rotates.", rich_help_panel=APART),
+    ] = None,
+    mass_uncertainty: Annotated[
+        float | None,
+        typer.Option(metavar="KG", help="One standard deviation.", rich_help_panel=APART),
+    ] = None,
+    length: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES", help="From the axis to its centre of mass.", rich_help_panel=APART
+        ),
+    ] = None,
+    length_uncertainty: Annotated[
+        float | None,
+        typer.Option(metavar="METRES", help="One standard deviation.", rich_help_panel=APART),
+    ] = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE", help="The pendulum that is written.", rich_help_panel=IN_AND_OUT
+        ),
+    ] = Path("pendulum.json"),
+    figure: Annotated[
+        bool,
+        typer.Option(
+            "--figure/--no-figure", help="Draw figure 2 beside it.", rich_help_panel=IN_AND_OUT
+        ),
+    ] = True,
+    settings_file: SettingsFile = None,
+    settings: Set = None,
+    as_json: Json = False,
+) -> None:
+    """Identify a pendulum from a recorded free swing.
+
+    Writes the pendulum, and figure 2 of the paper: the recording and its fit.
+    """
+    output = Output(as_json)
+    output.say(f"Reading {recording}")
+    check_output(out)
+
+    from equipoise.identification import identify as fit
+    from equipoise.settings import resolve
+    from equipoise.trajectory import read_swing
+
+    chosen = list(settings or ())
+    if friction is not None:
+        chosen.append(f"identification.friction={friction}")
+    resolved = resolve(file=settings_file, overrides=chosen).identification
+    m = _measured_apart("mass", mass, mass_uncertainty)
+    l = _measured_apart("length", length, length_uncertainty)
+    if (m is None) != (l is None):
+        raise InputError("I and b need both --mass and --length; give the other one, too")
+    swing = read_swing(
+        recording, counts_per_rev=counts_per_rev, from_upright=from_upright, start=start, end=end
+    )
+    with output.busy(f"fitting {len(swing.time):,} samples"):
+        pendulum = fit(swing, resolved, m, l)
+        pendulum.save(out, command="identify", inputs={"recording": swing.sha256})
+        pictures = _draw(out.with_suffix(""), swing, pendulum) if figure else ()
+    _say(output, pendulum)
+    output.wrote(out, *pictures)
+    output.next("train", out)
+    output.result(_result(pendulum, out))
+
+
+def _draw(stem: Path, swing: "Trajectory", pendulum: "Pendulum") -> tuple[Path, ...]:
+    from equipoise.report.figures import free_swing
+    from equipoise.report.style import save
+
+    return save(free_swing(swing, pendulum), stem)
+
+
+def _measured_apart(name: str, value: float | None, uncertainty: float | None) -> "Estimate | None":
+    from equipoise.artefacts import Estimate
+
+    if value is None:
+        if uncertainty is not None:
+            raise InputError(f"--{name}-uncertainty is given without --{name}; give both")
+        return None
+    if not 0.0 < value < math.inf:
+        raise InputError(f"--{name} is {value:g}; give a positive number")
+    if uncertainty is not None and not 0.0 <= uncertainty < value:
+        raise InputError(
+            f"--{name}-uncertainty is {uncertainty:g}; give a number from 0 to --{name}"
+        )
+    return Estimate.normal(value, uncertainty or 0.0, "given")
+
+
+def _say(output: Output, pendulum: "Pendulum") -> None:
+    fit = pendulum.fit
+    rows = {
+        "w2 = m g l / I": measured(pendulum.w2, "1/s^2"),
+        "k = m l / I": measured(pendulum.k, "1/m"),
+        "c = b / I": measured(pendulum.c, "1/s"),
+    }
+    if pendulum.coulomb.source == "identified":
+        rows["Coulomb / I"] = measured(pendulum.coulomb, "1/s^2")
+    if pendulum.drag.source == "identified":
+        rows["drag / I"] = measured(pendulum.drag, "1/rad")
+    if pendulum.inertia and pendulum.friction:
+        rows["I"] = measured(pendulum.inertia, "kg m^2")
+        rows["b"] = measured(pendulum.friction, "N m s")
+    rows["period"] = f"{pendulum.period:.4g} s, small swings"
+    if fit:
+        begin, end = fit.window
+        unit = "deg/s" if fit.quantity == "rate" else "deg"
+        found = "" if fit.release is None else " (the hand lets go)"
+        rows["window"] = f"{begin:.3f} s{found} to {end:.3f} s, {fit.periods:.1f} periods"
+        rows["residual"] = f"{fit.rms_deg:.3g} {unit} RMS over {fit.samples:,} samples"
+    output.rows(rows)
+    for warning in fit.warnings if fit else ():
+        output.warn(warning)
+
+
+def _result(pendulum: "Pendulum", out: Path) -> dict[str, object]:
+    fit = pendulum.fit
+    estimates = {"w2": pendulum.w2, "k": pendulum.k, "c": pendulum.c}
+    estimates |= {"coulomb": pendulum.coulomb, "drag": pendulum.drag}
+    if pendulum.inertia and pendulum.friction:
+        estimates |= {"inertia": pendulum.inertia, "friction": pendulum.friction}
+    result: dict[str, object] = {}
+    for name, estimate in estimates.items():
+        result |= {name: estimate.value, f"{name}_interval": list(estimate.interval)}
+    if fit:
+        result |= {
+            "rms_deg": fit.rms_deg,
+            "quantity": fit.quantity,
+            "window": list(fit.window),
+            "release": fit.release,
+            "periods": fit.periods,
+            "warnings": list(fit.warnings),
+        }
+    return result | {"friction_model": pendulum.friction_model, "pendulum": str(out)}

@@ -1,0 +1,173 @@
+"""Options that several verbs share, and what they mean."""
+
+import os
+import shlex
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from equipoise.errors import InputError
+
+if TYPE_CHECKING:
+    from equipoise.model.arms.arm import Arm
+    from equipoise.model.pendulum import Pendulum
+
+LARGEST_SEED = 2**32 - 1
+
+IN_AND_OUT = "Files and settings"
+URDF = "For an arm from a URDF"
+"""Titles of panels in the help."""
+
+Json = Annotated[
+    bool,
+    typer.Option(
+        "--json", help="Print one JSON object and nothing else.", rich_help_panel=IN_AND_OUT
+    ),
+]
+SettingsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--settings",
+        metavar="TOML",
+        help="Settings, a table for each section.",
+        rich_help_panel=IN_AND_OUT,
+    ),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="One setting; may be given again.",
+        rich_help_panel=IN_AND_OUT,
+    ),
+]
+
+
+def _seed(seed: int) -> int:
+    if not 0 <= seed <= LARGEST_SEED:
+        raise typer.BadParameter(f"{seed} is not from 0 to {LARGEST_SEED}.")
+    return seed
+
+
+Seed = Annotated[
+    int,
+    typer.Option(metavar="N", callback=_seed, help="Master seed; equal seeds give equal results."),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        min=1, metavar="N", help="Threads; by default one per core. Results do not depend on it."
+    ),
+]
+ArmName = Annotated[
+    str, typer.Option("--arm", metavar="ARM", help="iiwa7, iiwa14, or an arm's URDF file.")
+]
+Held = Annotated[
+    str | None,
+    typer.Option(
+        metavar="JOINT", help="Joint that is held, by name or number.", rich_help_panel=URDF
+    ),
+]
+Base = Annotated[
+    str | None,
+    typer.Option(metavar="LINK", help="Link that stands still.", rich_help_panel=URDF),
+]
+Tip = Annotated[
+    str | None, typer.Option(metavar="LINK", help="Link that is the flange.", rich_help_panel=URDF)
+]
+
+
+def read_pendulum(path: Path | None) -> "Pendulum":
+    """Return the pendulum of a file, or the one that ships with Equipoise.
+
+    Raises:
+        InputError: The file is no pendulum.
+    """
+    from equipoise.model.pendulum import Pendulum, shipped_pendulum
+
+    if path is None:
+        return shipped_pendulum()
+    if path.suffix.lower() == ".csv":
+        raise InputError(
+            f"{path} is a recording, expected a pendulum; make one of it: "
+            f"equipoise identify {shlex.quote(str(path))}"
+        )
+    return Pendulum.load(path)
+
+
+def read_arm(
+    name: str, held: str | None = None, base: str | None = None, tip: str | None = None
+) -> "Arm":
+    """Return the arm that `--arm` names.
+
+    Args:
+        name: iiwa7, iiwa14 or the path of a URDF.
+        held: Joint of the URDF that is held.
+        base: Link of the URDF that stands still.
+        tip: Link of the URDF that is the flange.
+
+    Raises:
+        InputError: There is no such arm, or the options do not fit it.
+    """
+    from equipoise.model.arms.iiwa import iiwa
+    from equipoise.model.arms.urdf import read_urdf
+
+    given = {"--held": held, "--base": base, "--tip": tip}
+    if name in ("iiwa7", "iiwa14"):
+        if odd := [option for option, value in given.items() if value is not None]:
+            raise InputError(
+                f"{' and '.join(odd)} belong to an arm from a URDF, and the {name} is built in; "
+                "leave them out"
+            )
+        return iiwa(7 if name == "iiwa7" else 14)
+    if Path(name).suffix.lower() not in (".urdf", ".xml"):
+        raise InputError(
+            f"there is no arm {name!r}; choose iiwa7, iiwa14 or a file that ends in .urdf"
+        )
+    joint = int(held) if held is not None and held.isdecimal() else held
+    return read_urdf(Path(name), base=base, tip=tip, held=joint)
+
+
+def check_output(path: Path, *inputs: Path | None) -> Path:
+    """Check before the work begins that `path` can be written and is none of the inputs.
+
+    Raises:
+        InputError: It is no JSON file, a folder, an input, or where nothing can be written.
+    """
+    if path.suffix.lower() != ".json":
+        raise InputError(f"--out is {path}; give a name that ends in .json")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; give the name of a file to write")
+    for given in inputs:
+        if given is not None and given.exists() and path.exists() and path.samefile(given):
+            raise InputError(f"{path} is read and would be written over; give another --out")
+    check_folder(path.parent)
+    return path
+
+
+def check_folder(folder: Path) -> Path:
+    """Check before the work begins that files can be written in `folder`, which may not exist yet.
+
+    Raises:
+        InputError: They cannot.
+    """
+    there = folder.absolute()
+    while not os.path.lexists(there):
+        there = there.parent
+    try:
+        tempfile.TemporaryFile(dir=there).close()
+    except OSError as error:
+        raise InputError(
+            f"cannot write in {there} ({error.strerror}); give another --out"
+        ) from None
+    return folder
+
+
+def available_workers(workers: int | None) -> int:
+    """Return how many threads to use."""
+    from equipoise.learning.trials import available_cores
+
+    return available_cores() if workers is None else workers

@@ -1,0 +1,178 @@
+"""What a verb says, and where: results on stdout, progress and errors on stderr.
+
+With `--json` stdout carries one object and nothing else. Files named by users are printed as they
+are: nothing here is markup.
+"""
+
+import functools
+import json
+import math
+import shlex
+import signal
+import threading
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from equipoise.errors import EquipoiseError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn
+
+    from equipoise.artefacts import Estimate
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+INTERRUPTED = 130
+FIRST_WORDS = "compiling, half a minute the first time"
+"""What a bar says until the first report comes: no more is known by then."""
+
+
+def _console(*, stderr: bool = False, quiet: bool = False) -> Console:
+    return Console(stderr=stderr, quiet=quiet, markup=False, emoji=False, highlight=False)
+
+
+class Output:
+    """The voice of one run of a verb."""
+
+    def __init__(self, as_json: bool) -> None:
+        """Speak in words, or in one JSON object."""
+        self._as_json = as_json
+        self._words = _console(quiet=as_json)
+        self._progress = _console(stderr=True)
+
+    def say(self, what: Any = "", *, style: str | None = None) -> None:
+        """Print words or a table."""
+        self._words.print(what, style=style)
+
+    def rows(self, rows: Mapping[str, str]) -> None:
+        """Print a name and a text on each line, in two columns."""
+        from rich.table import Table
+
+        table = Table.grid(padding=(0, 2, 0, 0))
+        table.add_column(no_wrap=True, style="dim")
+        table.add_column(overflow="fold")
+        for name, text in rows.items():
+            table.add_row(f"  {name}", text)
+        self.say(table)
+
+    def warn(self, what: str) -> None:
+        """Print a warning."""
+        self.say(Text.assemble(("warning: ", "bold yellow"), what))
+
+    def wrote(self, *paths: Path) -> None:
+        """Name the files that were written."""
+        *first, last = (str(path) for path in paths)
+        names = f"{', '.join(first)} and {last}" if first else last
+        self._words.print(Text.assemble(("wrote ", "dim"), names), soft_wrap=True)
+
+    def next(self, *command: str | int | Path) -> None:
+        """Name the next command to try."""
+        words = shlex.join(["equipoise", *(str(word) for word in command)])
+        self._words.print(Text.assemble(("next: ", "dim"), (words, "bold")), soft_wrap=True)
+
+    def result(self, result: Mapping[str, Any]) -> None:
+        """Print the object of `--json`; nothing without it."""
+        if self._as_json:
+            print(json.dumps(result, allow_nan=False))
+
+    @contextmanager
+    def progress(self, *columns: "str | ProgressColumn") -> "Generator[Progress]":
+        """Show a bar on stderr while something takes its time; it leaves no trace.
+
+        Where stderr is no terminal there is none.
+        """
+        from rich.progress import Progress
+
+        console = self._progress
+        with Progress(
+            *columns, console=console, transient=True, disable=not console.is_terminal
+        ) as progress:
+            yield progress
+
+    @contextmanager
+    def busy(self, what: str) -> Generator[Callable[[str], None]]:
+        """Show that something is under way whose length is not known; yields how to rename it."""
+        from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        words = TextColumn("{task.description}", markup=False)
+        with self.progress(SpinnerColumn(), words, TimeElapsedColumn()) as progress:
+            task = progress.add_task(what, total=None)
+            yield lambda now: progress.update(task, description=now)
+
+
+def verb(function: Callable[P, R]) -> Callable[P, R]:
+    """Turn our errors into one message on stderr and their exit code, without a traceback."""
+
+    @functools.wraps(function)
+    def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except EquipoiseError as error:
+            _complain("error: ", str(error))
+            raise typer.Exit(error.exit_code) from None
+        except KeyboardInterrupt:
+            _complain("", "interrupted")
+            raise typer.Exit(INTERRUPTED) from None
+
+    return guarded
+
+
+def _complain(label: str, message: str) -> None:
+    console = _console(stderr=True)
+    console.print(Text.assemble((label, "bold red"), message), soft_wrap=True)
+
+
+@contextmanager
+def stoppable() -> Generator[Callable[[], None]]:
+    """Let Ctrl-C end work that runs on threads; yields what their callbacks have to call.
+
+    The main thread waits for the others, and an interruption reaches it alone.
+    """
+    stopped = threading.Event()
+
+    def stop(*_: object) -> None:
+        stopped.set()
+        raise KeyboardInterrupt
+
+    def check() -> None:
+        if stopped.is_set():
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield check
+        return
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def spelled(value: float, half_width: float = 0.0) -> str:
+    """Return a number with as many decimals as its uncertainty leaves meaning (two digits of it).
+
+    Example:
+        >>> spelled(64.07312, 0.0142), spelled(0.1), spelled(1234.5, 300.0)
+        ('64.073', '0.1', '1234')
+    """
+    if not half_width > 0.0:
+        return f"{value:.4g}"
+    decimals = 1 - math.floor(math.log10(half_width))
+    return f"{value:.{min(max(decimals, 0), 12)}f}"
+
+
+def measured(estimate: "Estimate", unit: str) -> str:
+    """Return an estimate with its 95 % interval and unit."""
+    half_width = (estimate.high - estimate.low) / 2.0
+    value = f"{spelled(estimate.value, half_width)} {unit}"
+    if not half_width > 0.0:
+        return f"{value}  ({estimate.source})"
+    low, high = (spelled(end, half_width) for end in estimate.interval)
+    return f"{value}  (95 %: {low} to {high})"

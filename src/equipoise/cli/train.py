@@ -1,0 +1,221 @@
+"""`equipoise train`: a pendulum and an arm become a policy."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from equipoise.cli.options import (
+    IN_AND_OUT,
+    ArmName,
+    Base,
+    Held,
+    Json,
+    Seed,
+    Set,
+    SettingsFile,
+    Tip,
+    Workers,
+    available_workers,
+    check_output,
+    read_arm,
+    read_pendulum,
+)
+from equipoise.cli.output import FIRST_WORDS, Output, stoppable, verb
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from equipoise.control.policy import LearningPoint, TabularPolicy
+    from equipoise.model.arms.arm import Arm
+    from equipoise.model.pendulum import Pendulum
+    from equipoise.settings import Settings
+
+
+@verb
+def train(
+    pendulum: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="PENDULUM",
+            help="From equipoise identify; without it, the pendulum that ships.",
+            show_default=False,
+        ),
+    ] = None,
+    arm: ArmName = "iiwa7",
+    recipe: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="robust, or paper: the barest reading of its text."),
+    ] = "robust",
+    episodes: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Episodes; by default the paper's 10,000."),
+    ] = None,
+    seeds: Annotated[
+        int,
+        typer.Option(
+            min=1, metavar="N", help="Train so many over the cores, keep the best of a selection."
+        ),
+    ] = 1,
+    seed: Seed = 0,
+    workers: Workers = None,
+    held: Held = None,
+    base: Base = None,
+    tip: Tip = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE", help="The policy that is written.", rich_help_panel=IN_AND_OUT
+        ),
+    ] = Path("policy.json"),
+    settings_file: SettingsFile = None,
+    settings: Set = None,
+    as_json: Json = False,
+) -> None:
+    """Train a policy by Q-learning.
+
+    Writes the policy: the table of 270 boxes by 8 actions, its learning curve,
+    and all that is needed to train it again.
+    """
+    output = Output(as_json)
+    output.say(f"Training for {pendulum or 'the pendulum that ships with Equipoise'} on {arm}")
+    check_output(out, pendulum, settings_file)
+
+    from equipoise.settings import resolve
+
+    chosen = list(settings or ())
+    if episodes is not None:
+        chosen.append(f"learning.episodes={episodes}")
+    resolved = resolve(recipe, settings_file, chosen)
+    source = read_pendulum(pendulum)
+    machine = read_arm(arm, held, base, tip)
+    begin = time.perf_counter()
+    policies, speed = _train(output, source, machine, resolved, seeds, seed, recipe, workers)
+    wall = time.perf_counter() - begin
+    best = policies[0]
+    best.save(out, command="train", inputs={"pendulum": source.digest})
+    _say(output, policies, wall, speed)
+    output.wrote(out)
+    output.next("evaluate", out)
+    output.result(
+        {
+            "policy": str(out),
+            "seed": best.seed,
+            "learner": best.learner,
+            "episodes": best.episodes,
+            "steps": best.steps,
+            "steps_per_second": speed,
+            "wall_s": wall,
+            "learners": [_learner(policy) for policy in policies],
+        }
+    )
+
+
+def _train(
+    output: Output,
+    pendulum: "Pendulum",
+    arm: "Arm",
+    settings: "Settings",
+    seeds: int,
+    seed: int,
+    recipe: str,
+    workers: int | None,
+) -> "tuple[list[TabularPolicy], float]":
+    """Train behind a progress bar; return the policies, the best first, and the steps/s."""
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+
+    from equipoise.training import train_several
+
+    total = seeds * settings.learning.episodes
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        TextColumn("{task.completed:,.0f} of {task.total:,.0f} episodes"),
+        TimeRemainingColumn(compact=True),
+    )
+    with output.progress(*columns) as progress, stoppable() as check:
+        bar = _Bar(progress, total)
+
+        def report(learner: int, point: "LearningPoint") -> None:
+            check()
+            bar.update(learner, point)
+
+        policies = train_several(
+            pendulum,
+            arm,
+            settings,
+            learners=seeds,
+            seed=seed,
+            recipe=recipe,
+            workers=available_workers(workers),
+            report=report,
+        )
+        return policies, bar.speed
+
+
+class _Bar:
+    """Adds up what the learners report; its clock starts when all is compiled."""
+
+    def __init__(self, progress: "Progress", episodes: int) -> None:
+        self._progress = progress
+        self._task = progress.add_task(FIRST_WORDS, total=episodes)
+        self._points: dict[int, LearningPoint] = {}
+        self._begin: tuple[float, int] | None = None
+        self.speed = 0.0
+
+    def update(self, learner: int, point: "LearningPoint") -> None:
+        now = time.perf_counter()
+        self._points[learner] = point
+        points = list(self._points.values())
+        steps = sum(p.steps for p in points)
+        if self._begin is None:
+            self._begin = now, steps
+        elapsed = now - self._begin[0]
+        self.speed = (steps - self._begin[1]) / elapsed if elapsed > 0.0 else 0.0
+        screened = [p.survival for p in points if p.survival is not None]
+        survival = (
+            f"{sum(screened) / len(screened):.0%} stand"
+            if screened
+            else f"{sum(p.duration for p in points) / len(points):.1f} s an episode"
+        )
+        self._progress.update(
+            self._task,
+            description=f"{self.speed:,.0f} steps/s, {survival}",
+            completed=sum(p.episodes for p in points),
+        )
+
+
+def _say(output: Output, policies: "list[TabularPolicy]", wall: float, speed: float) -> None:
+    best = policies[0]
+    steps = sum(policy.steps for policy in policies)
+    of_each = f" each of {len(policies)} learners" if len(policies) > 1 else ""
+    rows = {"trained": f"{best.episodes:,} episodes{of_each}, {steps:,} steps in {wall:.1f} s"}
+    if speed:
+        rows["speed"] = f"{speed:,.0f} steps/s, selection included"
+    for policy in policies:
+        name = "selected" if policy is best else f"learner {policy.learner}"
+        whose = f"learner {policy.learner}, " if policy is best and of_each else ""
+        rows[name] = whose + _chosen(policy)
+    output.rows(rows)
+
+
+def _chosen(policy: "TabularPolicy") -> str:
+    if not policy.candidates:
+        return "the last table, as the recipe says"
+    chosen, longest = policy.candidates[0], policy.settings.selection.duration
+    return (
+        f"after {chosen.episodes:,} episodes; {chosen.survived} of {chosen.trials} "
+        f"selection trials lasted {longest:g} s"
+    )
+
+
+def _learner(policy: "TabularPolicy") -> dict[str, object]:
+    chosen = policy.candidates[0] if policy.candidates else None
+    return {
+        "learner": policy.learner,
+        "steps": policy.steps,
+        "score": chosen and chosen.score,
+        "survived": chosen and chosen.survived,
+        "trials": chosen and chosen.trials,
+    }

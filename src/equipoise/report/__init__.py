@@ -1,0 +1,1 @@
+"""Figures and the page: drawn from saved artefacts and values, by nobody else's help."""

@@ -1,0 +1,81 @@
+"""What the paper leaves open and what we chose, read from where the choices live.
+
+`equipoise.settings` is their one home: the docstring of each field holds its unit, in brackets, and
+its reason. Nothing is repeated here.
+"""
+
+import re
+from collections.abc import Iterator
+from math import degrees
+from typing import Any, Final, NamedTuple
+
+from equipoise.artefacts import Value
+from equipoise.settings import RECIPES, Settings
+
+UNIT: Final = re.compile(r"\s*\[([^\]]+)\]")
+
+
+class Choice(NamedTuple):
+    """One setting."""
+
+    name: str
+    """As one types it: `learning.gamma`."""
+    value: str
+    """With its unit."""
+    otherwise: str
+    """The value in the recipe `paper` where that differs."""
+    reason: str
+    """Why."""
+
+
+class Chapter(NamedTuple):
+    """A section of the settings."""
+
+    title: str
+    """What it is about."""
+    choices: tuple[Choice, ...]
+    """Its settings."""
+
+
+def chapters(settings: Settings) -> Iterator[Chapter]:
+    """Return all settings, section by section, with their reasons."""
+    for section in type(settings).model_fields:
+        yield chapter(getattr(settings, section), section)
+
+
+def chapter(values: Value, section: str = "") -> Chapter:
+    """Return the fields of one section.
+
+    Args:
+        values: The section, with a docstring under each field.
+        section: Its name in the settings, if it is one of them.
+    """
+    other = RECIPES["paper"]
+    found: list[Choice] = []
+    for key, field in type(values).model_fields.items():
+        name = f"{section}.{key}" if section else key
+        reason = " ".join((field.description or "").split())
+        unit = match[1] if (match := UNIT.search(reason)) else ""
+        found.append(
+            Choice(
+                name=name,
+                value=_written(getattr(values, key), unit),
+                otherwise=_written(other[name], unit) if name in other else "",
+                reason=UNIT.sub("", reason, count=1),
+            )
+        )
+    title = (type(values).__doc__ or "").strip().splitlines()[0]
+    return Chapter(title=title, choices=tuple(found))
+
+
+def _written(value: Any, unit: str) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, tuple):
+        return ", ".join(_written(item, unit) for item in value)
+    if not isinstance(value, float):
+        return f"{value:,} {unit}".strip() if isinstance(value, int) else str(value)
+    text = f"{value:.4g} {unit}".strip()
+    if unit in ("rad", "rad/s") and value:
+        text += f" ({degrees(value):.3g}{unit.replace('rad', '°')})"
+    return text

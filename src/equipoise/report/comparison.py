@@ -1,0 +1,103 @@
+"""The table *paper / here*: each published number beside what was measured."""
+
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+
+from equipoise import paper
+from equipoise.control.boxes import COUNT
+from equipoise.evaluation import Summary
+from equipoise.runlog import RunLog
+from equipoise.studies.results import Results, percent
+
+
+class Row(NamedTuple):
+    """One line of the table."""
+
+    what: str
+    """What is compared."""
+    section: str
+    """Where the paper says it."""
+    paper: str
+    """What the paper says."""
+    here: str
+    """What was found here."""
+
+
+def comparison(results: Results) -> list[Row]:
+    """Return the rows of the table."""
+    policy, pendulum = results.policy, results.pendulum
+    trained = sum(s.wall for s in results.record.stages if s.name == "train")
+    summary = results.evaluation.results.summary()
+    return [
+        Row("What moves", "3, 4.3", "a real arm of seven joints", f"a simulated {policy.arm.name}"),
+        Row(
+            "Period of the free swing",
+            "3.2",
+            f"around {paper.FREE_SWING_PERIOD:g} s",
+            f"{pendulum.period:.4f} s",
+        ),
+        Row(
+            "Table",
+            "4.1",
+            f"{COUNT} boxes × {len(paper.ACTIONS)} accelerations",
+            f"{len(policy.Q)} boxes × {len(policy.actions)} accelerations, the same ones",
+        ),
+        Row(
+            "Failure",
+            "4.1",
+            f"|φ| reaches {paper.PHI_LIMIT_DEG:g}° or |x| reaches {paper.X_LIMIT:g} m",
+            "the same; and if a joint leaves its limits",
+        ),
+        Row("Time between decisions", "4.2", f"{paper.STEP:g} s", f"{policy.h:g} s"),
+        Row("Episodes of training", "4.2", f"{paper.EPISODES:,}", f"{policy.episodes:,}"),
+        Row(
+            "Time that training took",
+            "4.4",
+            "“few minutes”",
+            f"{trained:.3g} s for {policy.steps:,} steps, compilation on a first run included",
+        ),
+        Row("Runs that are told of", "4.3", "one", f"{summary.trials} trials and one recorded run"),
+        Row(
+            "How long it stood",
+            "4.3",
+            f"{paper.SECONDS_BALANCED:g} s",
+            f"{percent(summary.rate)} of the trials stood {results.evaluation.duration:g} s "
+            f"(median {summary.median:.3g} s); the recorded run {results.run.lasted:.3g} s",
+        ),
+        Row(
+            f"Trials that stood {paper.SECONDS_BALANCED:g} s and more",
+            "4.3",
+            "one of one",
+            percent(_share_above(results, paper.SECONDS_BALANCED)),
+        ),
+        Row(
+            "How it ended",
+            "4.3",
+            f"x passed {paper.X_AT_FAILURE:g} m, at φ = {paper.PHI_AT_FAILURE_DEG:g}°",
+            _ends(summary, results.run),
+        ),
+    ]
+
+
+def _share_above(results: Results, seconds: float) -> float:
+    trials = results.evaluation.results
+    # A trial that lasted would have gone on.
+    stood = [
+        inf if cause == "lasted" else survival
+        for survival, cause in zip(trials.survival, trials.causes, strict=True)
+    ]
+    return float(np.mean(np.array(stood) >= seconds))
+
+
+def _ends(summary: Summary, run: RunLog) -> str:
+    falls = [f"{n} by {cause}" for cause, n in sorted(summary.causes.items()) if cause != "lasted"]
+    x, phi = run.x[-1], np.rad2deg(run.phi[-1])
+    state = f"x = {x:.3f} m, φ = {phi:.2f}°"
+    end = (
+        f"after {run.lasted:g} s it still stood, {state}"
+        if run.conditions.cause == "lasted"
+        else f"{run.conditions.cause}; a step before, {state}"
+    )
+    return f"trials that fell: {', '.join(falls) or 'none'}; the recorded run: {end}"

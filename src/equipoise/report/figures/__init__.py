@@ -1,0 +1,21 @@
+"""The figures of the paper and of the report, each from saved values only.
+
+Every function returns a matplotlib figure; `equipoise.report.style.save` writes it as SVG and PNG.
+"""
+
+from equipoise.report.figures.course import learning_curve
+from equipoise.report.figures.free_swing import free_swing
+from equipoise.report.figures.run import commands, flange, joints, pendulum
+from equipoise.report.figures.standing import survival
+from equipoise.report.figures.table import policy_picture
+
+__all__ = [
+    "commands",
+    "flange",
+    "free_swing",
+    "joints",
+    "learning_curve",
+    "pendulum",
+    "policy_picture",
+    "survival",
+]

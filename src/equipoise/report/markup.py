@@ -1,0 +1,122 @@
+"""The few pieces of HTML that the page is made of; every text that comes from outside is escaped."""
+
+import base64
+import re
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Final
+
+CODE: Final = re.compile(r"`([^`]+)`")
+SIGN: Final = re.compile(r"(?<![\w.\]])-(?=[\d∞])")
+PERCENT: Final = re.compile(r"(?<=\d) (?=%)")
+BREAK: Final = re.compile(r"(?<=[._])")
+
+
+def prose(text: str) -> str:
+    """Return a text as HTML.
+
+    What stands between backticks becomes code, which breaks after dots and underscores only. In the
+    rest numbers are set as in print: a minus for a hyphen, ² for ^2, no break before %.
+    """
+    parts = CODE.split(text)
+    # Every other part was between backticks.
+    parts[0::2] = (_typeset(escape(part)) for part in parts[0::2])
+    parts[1::2] = (f"<code>{BREAK.sub('<wbr>', escape(part))}</code>" for part in parts[1::2])
+    return "".join(parts)
+
+
+def _typeset(text: str) -> str:
+    return PERCENT.sub("&nbsp;", SIGN.sub("−", text)).replace("^2", "²")
+
+
+def paragraph(text: str) -> str:
+    """Return a paragraph."""
+    return f"<p>{prose(text)}</p>\n"
+
+
+def heading(text: str) -> str:
+    """Return a heading below that of a section."""
+    return f"<h3>{prose(text)}</h3>\n"
+
+
+def note(text: str) -> str:
+    """Return a remark that must not be missed."""
+    return f'<p class="note">{prose(text)}</p>\n'
+
+
+def verdict_list(lines: Iterable[str]) -> str:
+    """Return the lines of a verdict."""
+    return f'<ol class="verdict">{"".join(f"<li>{prose(line)}</li>" for line in lines)}</ol>\n'
+
+
+def tiles(*pairs: tuple[str, str]) -> str:
+    """Return a few numbers, large, each with what it is."""
+    each = (
+        f'<div class="tile"><b>{prose(number)}</b><span>{prose(text)}</span></div>'
+        for number, text in pairs
+    )
+    return f'<div class="tiles">{"".join(each)}</div>\n'
+
+
+def table(
+    head: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    caption: str = "",
+    numbers: int = 0,
+    name: str = "",
+) -> str:
+    """Return a table.
+
+    Args:
+        head: Names of the columns.
+        rows: Texts, one row after the other; the first of each names the row.
+        caption: What stands above it.
+        numbers: How many of the last columns hold numbers, set flush right.
+        name: Class of the table, for the style sheet.
+    """
+    first = len(head) - numbers
+    lines = [
+        f'<div class="table {escape(name)}"><table>',
+        f"<caption>{prose(caption)}</caption>" if caption else "",
+        f"<thead><tr>{''.join(_cell('th', c, i >= first) for i, c in enumerate(head))}</tr></thead>",
+        "<tbody>",
+    ]
+    for row in rows:
+        cells = "".join(
+            _cell("th" if i == 0 else "td", cell, i >= first) for i, cell in enumerate(row)
+        )
+        lines.append(f"<tr>{cells}</tr>")
+    return "\n".join([*lines, "</tbody></table></div>\n"])
+
+
+def _cell(tag: str, text: str, number: bool) -> str:
+    kind = ' class="number"' if number else ""
+    return f"<{tag}{kind}>{prose(text)}</{tag}>"
+
+
+def picture(svg: str, caption: str, alt: str) -> str:
+    """Return a figure that carries its picture inside.
+
+    An image of its own, because the names that one SVG gives its parts may occur in another.
+
+    Args:
+        svg: The picture.
+        caption: What the reader should see in it.
+        alt: What is to be seen, for those who cannot.
+    """
+    data = base64.b64encode(svg.encode()).decode()
+    return (
+        f'<figure><img alt="{escape(alt)}" src="data:image/svg+xml;base64,{data}">'
+        f"<figcaption>{prose(caption)}</figcaption></figure>\n"
+    )
+
+
+def section(name: str, title: str, *parts: str) -> str:
+    """Return a section with its heading."""
+    return f'<section id="{escape(name)}">\n<h2>{prose(title)}</h2>\n{"".join(parts)}</section>\n'
+
+
+def listing(lines: Iterable[str]) -> str:
+    """Return lines to be typed."""
+    return f"<pre>{escape(chr(10).join(lines))}</pre>\n"

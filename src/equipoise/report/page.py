@@ -1,0 +1,104 @@
+"""The report: one HTML file that needs nothing else, drawn from what a reproduction left.
+
+`build` draws every figure into `figures/` beside the values, and puts all of it into `report.html`.
+No file is fetched, no script runs; the page can be printed, mailed and read in ten years.
+"""
+
+from collections.abc import Callable, Mapping
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from equipoise.artefacts import Provenance, read_document, write_whole
+from equipoise.report import figures
+from equipoise.report.appendix import left_open, origins
+from equipoise.report.story import Part, story
+from equipoise.report.style import save
+from equipoise.studies.results import RECORD, Results, load
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PAGE: Final = "report.html"
+FIGURES: Final = "figures"
+
+DRAWINGS: Final[Mapping[str, Callable[[Results], "Figure"]]] = {
+    "figure-2-free-swing": lambda r: figures.free_swing(r.swing, r.pendulum),
+    "learning-curve": lambda r: figures.learning_curve(r.policy),
+    "policy": lambda r: figures.policy_picture(r.policy, r.run),
+    "survival": lambda r: figures.survival(r.evaluation),
+    "figure-4-commands": lambda r: figures.commands(r.run),
+    "figure-5-joints": lambda r: figures.joints(r.run),
+    "figure-6-pendulum": lambda r: figures.pendulum(r.run),
+    "figure-7-flange": lambda r: figures.flange(r.run),
+}
+"""Every figure, by the name of its file, in the order of the story."""
+
+
+def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) -> Path:
+    """Draw the figures of a reproduction and write its report.
+
+    Args:
+        out: The folder that `reproduce` left.
+        report: Called with the name of each figure and the share of the work that is done.
+
+    Returns:
+        The page.
+
+    Raises:
+        ArtefactError: A file is missing, corrupt, or belongs to another reproduction.
+        OutsideError: The disk refuses.
+    """
+    results = load(out)
+    pictures: dict[str, str] = {}
+    for done, (name, draw) in enumerate(DRAWINGS.items()):
+        report(name, done / len(DRAWINGS))
+        svg, _ = save(draw(results), out / FIGURES / name)
+        pictures[name] = svg.read_text(encoding="utf-8")
+    provenance = Provenance.model_validate(read_document(out / RECORD)["provenance"])
+    write_whole(out / PAGE, page(results, pictures, provenance))
+    report(PAGE, 1.0)
+    return out / PAGE
+
+
+def page(results: Results, pictures: Mapping[str, str], provenance: Provenance) -> str:
+    """Return the report as HTML.
+
+    Args:
+        results: What the reproduction found.
+        pictures: Each figure of `DRAWINGS` as SVG, by its name.
+        provenance: When and with what it was made.
+    """
+    css = resources.files("equipoise.report").joinpath("page.css").read_text(encoding="utf-8")
+    parts: list[Part] = [
+        *story(results, pictures),
+        left_open(results),
+        origins(results, provenance),
+    ]
+    links = "".join(f'<a href="#{part.name}">{escape(part.title)}</a> ' for part in parts)
+    quick = " A quick look, with fewer episodes and trials." if results.record.quick else ""
+    return f"""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>Equipoise: a robot arm learns to balance a pendulum</title>
+<style>
+{css}</style>
+</head>
+<body>
+<header>
+<h1>A robot arm learns to balance a pendulum</h1>
+<p class="subtitle">Safeea &amp; Neto, <cite>A Q-learning approach to the continuous control problem
+of robot inverted pendulum balancing</cite> (Intelligent Systems with Applications), repeated in
+simulation by Equipoise {escape(provenance.software.get("equipoise", ""))}.{quick}</p>
+<nav aria-label="Contents">{links}</nav>
+</header>
+<main>
+{"".join(part.html for part in parts)}</main>
+<footer>Made by Equipoise on {escape(provenance.created[:10])} from the files beside it; no number
+on this page was typed by hand.</footer>
+</body>
+</html>
+"""

@@ -1,0 +1,331 @@
+"""The story of the report: what this is, and what each stage found."""
+
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from typing import NamedTuple
+
+import numpy as np
+
+from equipoise import paper
+from equipoise.evaluation import Evaluation, TrialResults
+from equipoise.model.pendulum import Pendulum
+from equipoise.report.comparison import comparison
+from equipoise.report.markup import note, paragraph, picture, section, table, tiles, verdict_list
+from equipoise.studies.results import Results, percent, plus_minus, verdict
+
+Pictures = Mapping[str, str]
+
+
+class Part(NamedTuple):
+    """A section of the page."""
+
+    name: str
+    """Its anchor."""
+    title: str
+    """Its heading."""
+    html: str
+    """All of it."""
+
+
+def part(name: str, title: str, *html: str) -> Part:
+    """Return a section made of pieces."""
+    return Part(name, title, section(name, title, *html))
+
+
+def story(results: Results, pictures: Pictures) -> Iterator[Part]:
+    """Return the sections of the story, in its order."""
+    yield _verdict(results)
+    yield _what_this_is(results)
+    yield part(
+        "paper",
+        "Paper and here",
+        table(("", "section", "the paper", "here"), comparison(results)),
+    )
+    yield _swing(results, pictures)
+    yield _training(results, pictures)
+    yield _policy(pictures)
+    yield _evaluation(results, pictures)
+    yield _deployment(results, pictures)
+
+
+def _verdict(results: Results) -> Part:
+    summary = results.evaluation.results.summary()
+    low, high = summary.interval
+    return part(
+        "verdict",
+        "Verdict",
+        tiles(
+            (
+                f"{summary.survived} of {summary.trials}",
+                f"trials stood {results.evaluation.duration:g} s; 95 % interval of the chance "
+                f"{percent(low)} to {percent(high)}",
+            ),
+            (
+                f"{results.run.lasted:.3g} s",
+                f"stood the recorded run of {results.run.conditions.duration:g} s",
+            ),
+            (f"{paper.SECONDS_BALANCED:g} s", "stood the paper's policy, once, on the real arm"),
+        ),
+        verdict_list(verdict(results)),
+    )
+
+
+def _what_this_is(results: Results) -> Part:
+    fall = 1.0 / np.sqrt(results.pendulum.w2.value)
+    sketch = resources.files("equipoise.report").joinpath("sketch.svg").read_text(encoding="utf-8")
+    return part(
+        "what",
+        "What this is",
+        paragraph(
+            "A pendulum is mounted on the flange of a robot arm. It turns freely on its pivot, and "
+            "the arm is to keep it upright by moving the flange to and fro along one line. That is "
+            f"hard: left alone, the pendulum's lean grows almost threefold every {fall:.3f} s, and "
+            f"the arm may go {paper.X_LIMIT:g} m to either side and no further."
+        ),
+        f"<figure>{sketch}<figcaption>The state is s = (x, dx/dt, φ, dφ/dt): where the flange is, "
+        "how fast it moves, how far the pendulum leans, how fast it falls. The command is u. "
+        f"The attempt has failed when |φ| reaches {paper.PHI_LIMIT_DEG:g}° or |x| reaches "
+        f"{paper.X_LIMIT:g} m.</figcaption></figure>\n",
+        paragraph(
+            "The paper lets the arm learn this with one of the oldest methods there is: a table. "
+            f"The state is cut into {len(results.policy.Q)} boxes, and for each box the table "
+            f"holds how good each of {len(paper.ACTIONS)} accelerations is. Trial and error in "
+            "simulation fills the table (Q-learning); then, a hundred times a second, the box of "
+            "the state is looked up and its best acceleration is commanded."
+        ),
+        paragraph(
+            "This page goes the same way: a free swing tells the pendulum's parameters, a "
+            "simulated arm learns with such a pendulum, the table is put to the test against "
+            "pendulums it has not met, and one run is recorded as the paper's was."
+        ),
+    )
+
+
+def _swing(results: Results, pictures: Pictures) -> Part:
+    pendulum, fit, simulated = results.pendulum, results.pendulum.fit, results.record.simulated
+    given = (
+        "No recording was given, so one was simulated, with the encoder's steps, some vibration "
+        "and a hand that holds the pendulum first; the last column is what was simulated."
+        if simulated
+        else f"The recording is `{results.record.swing}`."
+    )
+    warnings = "".join(note(warning) for warning in (fit.warnings if fit else ()))
+    return part(
+        "swing",
+        "The free swing and what it tells",
+        paragraph(
+            "The pendulum hangs, is lifted, let go, and swings; an encoder on its spindle records "
+            "the angle θ from hanging. It swings as I θ'' + b θ' + m g l sin θ = 0 says (the "
+            f"paper's equation 8). Fitting that gives w2 = m g l / I and c = b / I, and with "
+            f"gravity the coupling k = m l / I. Control needs nothing else. {given}"
+        ),
+        picture(
+            pictures["figure-2-free-swing"],
+            "The paper's figure 2. Where recording and fit cannot be told apart, look at what is "
+            "left, below. The grey part, with a hand on the pendulum, was found and left out.",
+            "Recorded angle of the swinging pendulum with the fitted curve on it, and the residual",
+        ),
+        _estimates(pendulum, results),
+        warnings,
+    )
+
+
+def _estimates(pendulum: Pendulum, results: Results) -> str:
+    truth = {}
+    if swing := results.record.simulated:
+        w2 = (2.0 * np.pi / swing.period) ** 2
+        truth = {"w2": w2, "k": w2 / pendulum.g, "c": swing.c}
+    rows = [
+        ("w2 = m g l / I", "1/s²", pendulum.w2, truth.get("w2")),
+        ("k = m l / I", "1/m", pendulum.k, truth.get("k")),
+        ("c = b / I", "1/s", pendulum.c, truth.get("c")),
+    ]
+    if pendulum.friction_model != "viscous":
+        rows.append(("Coulomb friction / I", "1/s²", pendulum.coulomb, None))
+    if pendulum.friction_model == "quadratic":
+        rows.append(("quadratic drag / I", "1/rad", pendulum.drag, None))
+    if pendulum.inertia and pendulum.friction:
+        rows.append(("I", "kg m²", pendulum.inertia, None))
+        rows.append(("b", "N m s", pendulum.friction, None))
+    head = ["", "unit", "identified, ± half of the 95 % interval"]
+    return table(
+        [*head, "simulated"] if truth else head,
+        [
+            [name, unit, plus_minus(e.value, e.interval), *([f"{true:.6g}"] if true else [])]
+            for name, unit, e, true in rows
+        ],
+        numbers=2 if truth else 1,
+    )
+
+
+def _training(results: Results, pictures: Pictures) -> Part:
+    policy, s = results.policy, results.policy.settings
+    texts = [
+        f"An episode starts with the flange anywhere within {s.learning.start_x:g} m and the "
+        f"pendulum leaning up to {np.rad2deg(s.learning.start_phi):.3g}°. Every {policy.h:g} s an "
+        "acceleration is chosen and becomes joint motion by closed-loop inverse kinematics (the "
+        "paper's equation 3); what the flange really does drives the pendulum (equation 7"
+        f"{'' if s.plant.linearised else ', with its sines'}). The episode ends with a failure or "
+        f"after {s.learning.episode_duration:g} s. A failure costs {-s.learning.reward_failure:g}, "
+        "everything else nothing, and equation 1 carries that back to the choices before it. Each "
+        "episode has another I and b, each step noise on the pose error, as in the paper.",
+    ]
+    if policy.candidates:
+        chosen, selection = policy.candidates[0], s.selection
+        texts.append(
+            f"The table changes until the last episode, and a later one is not always better. So "
+            f"after every {selection.every} episodes the table of the moment runs "
+            f"{selection.screening_trials} trials of {selection.duration:g} s, on plants that vary "
+            f"{selection.spread:g} times as much as those of the training; the best "
+            f"{selection.finalists} run {selection.final_trials} more. The table after episode "
+            f"{chosen.episodes:,} was kept: it stood in {chosen.survived} of {chosen.trials}. None "
+            "of these trials is used again below."
+        )
+    else:
+        texts.append("The table after the last episode is the policy: nothing was selected.")
+    return part(
+        "training",
+        "Training",
+        *map(paragraph, texts),
+        picture(
+            pictures["learning-curve"],
+            "Above, what the learner went through, exploration included. Below, what the table of "
+            "each moment can do when it is frozen: one other choice in one box can make or break "
+            "it, which is why the best is kept and not the last.",
+            "Mean duration of the training episodes and survival of the greedy policy",
+        ),
+    )
+
+
+def _policy(pictures: Pictures) -> Part:
+    return part(
+        "policy",
+        "What was learned",
+        paragraph(
+            "This is all there is to the policy: a number for each box. In each panel the "
+            "pendulum leans left to right and falls bottom to top. Where it leans right and falls "
+            "right, the flange has to hurry to the right, to get below it: light, in the upper "
+            "right corner. Lower left is its mirror image."
+        ),
+        paragraph(
+            "The columns are the track. Coming back from its right end takes a detour: first "
+            "further to the right, until the pendulum leans left, then follow it home. So near "
+            "upright the right column should push right, where the left column pushes left."
+        ),
+        picture(
+            pictures["policy"],
+            "The 270 boxes. Hatched boxes were never visited in training, and their entry means "
+            "nothing. Framed boxes are those that the recorded run below went through.",
+            "Commanded acceleration in each of the 270 boxes, as a grid of coloured numbers",
+        ),
+    )
+
+
+def _evaluation(results: Results, pictures: Pictures) -> Part:
+    evaluation = results.evaluation
+    e, plant = evaluation.settings.evaluation, evaluation.settings.plant
+    phi, phi_dot = (
+        f"{np.rad2deg(low):.3g}° to {np.rad2deg(high):.3g}°"
+        for low, high in ((e.phi_low, e.phi_high), (e.phi_dot_low, e.phi_dot_high))
+    )
+    return part(
+        "evaluation",
+        "How long it stands",
+        paragraph(
+            "Each trial starts as a hand leaves the pendulum: the flange at rest in the middle, "
+            f"the pendulum leaning {phi} and falling outwards at {phi_dot} a second. Its I varies "
+            f"by {percent(plant.inertia_sigma)} around the value that the policy was trained for "
+            f"and its b by {percent(plant.friction_sigma)} (standard deviations), with noise in "
+            "every step. Starts and seeds appear nowhere else."
+        ),
+        picture(
+            pictures["survival"],
+            "On the left, time is logarithmic. LQR knows the model and commands any acceleration "
+            "within the range; snapped, it has to take one of the table's eight. PD keeps the "
+            "pendulum up but does not know where the track ends. Random picks any of the eight.",
+            "Share of the trials still standing against time, for the policy and the yardsticks",
+        ),
+        _outcomes(evaluation),
+    )
+
+
+def _outcomes(evaluation: Evaluation) -> str:
+    def row(results: TrialResults) -> list[str]:
+        s = results.summary()
+        low, high = s.interval
+        falls = [f"{n} {cause}" for cause, n in sorted(s.causes.items()) if cause != "lasted"]
+        return [
+            results.name,
+            f"{s.survived} of {s.trials}",
+            f"{percent(low)} to {percent(high)}",
+            f"{s.median:.3g} s",
+            f"{s.quantiles[0]:.3g} s",
+            ", ".join(falls) or "none",
+        ]
+
+    return table(
+        (
+            "",
+            f"stood {evaluation.duration:g} s",
+            "95 % interval",
+            "median",
+            "19 of 20 stood",
+            "falls, by cause",
+        ),
+        [row(results) for results in (evaluation.results, *evaluation.yardsticks)],
+        caption="Intervals are exact (Clopper-Pearson).",
+    )
+
+
+def _deployment(results: Results, pictures: Pictures) -> Part:
+    run, trained = results.run, results.pendulum.parameters()
+    real = run.conditions.pendulum
+    x, x_dot, phi, phi_dot = run.conditions.start
+    end = "it stood to the end" if run.conditions.cause == "lasted" else run.conditions.cause
+    rows = [
+        ("w2 [1/s²]", f"{trained.w2:.2f}", f"{real['w2']:.2f}"),
+        ("k [1/m]", f"{trained.k:.3f}", f"{real['k']:.3f}"),
+        ("c [1/s]", f"{trained.c:.4f}", f"{real['c']:.4f}"),
+        (
+            "start",
+            "unknown",
+            f"x = {x:g} m, dx/dt = {x_dot:g} m/s, φ = {np.rad2deg(phi):.2f}°, "
+            f"dφ/dt = {np.rad2deg(phi_dot):.1f}°/s",
+        ),
+        ("end", "", f"{end}, after {run.lasted:g} s"),
+    ]
+    fault = "the simulated plant of the training stands in for the robot"
+    return part(
+        "deployment",
+        "One run, as the paper shows it",
+        paragraph(
+            f"The paper shows {paper.SECONDS_BALANCED:g} s on the real arm in its figures 4 to 7. "
+            f"Here {fault}, with a pendulum that differs from the one that the policy was trained "
+            "for:"
+        ),
+        table(("", "the policy was trained for", "the run had"), rows),
+        picture(
+            pictures["figure-4-commands"],
+            "The paper's figure 4. There is no zero among the eight accelerations, so standing "
+            "still means switching to and fro.",
+            "Commanded acceleration of the flange against time",
+        ),
+        picture(
+            pictures["figure-5-joints"],
+            "The paper's figure 5. The joint that is held stays where it is; of the others, those "
+            "that turn about a vertical axis at home do most of the work.",
+            "Positions of the joints against time",
+        ),
+        picture(
+            pictures["figure-6-pendulum"],
+            "The paper's figure 6. Dotted lines are the edges of the boxes: between them the table "
+            "sees no difference.",
+            "Angle and angular velocity of the pendulum against time",
+        ),
+        picture(
+            pictures["figure-7-flange"],
+            f"The paper's figure 7. There, x passed {paper.X_AT_FAILURE:g} m after "
+            f"{paper.SECONDS_BALANCED:g} s.",
+            "Displacement and velocity of the flange against time",
+        ),
+    )

@@ -1,0 +1,165 @@
+"""One look for every figure, and how a figure becomes files.
+
+Colours are Okabe and Ito's, which colour-blind eyes tell apart; lines that share a panel also
+differ in lightness and dashes, so that they survive a grey print. Figures are made without pyplot:
+no global state, no screen. Equal input gives equal SVG.
+"""
+
+import functools
+import io
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, ParamSpec
+
+from equipoise.artefacts import write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+P = ParamSpec("P")
+
+INK: Final = "#222222"
+BLUE: Final = "#0072B2"
+SKY: Final = "#56B4E9"
+VERMILION: Final = "#D55E00"
+ORANGE: Final = "#E69F00"
+GREEN: Final = "#009E73"
+PURPLE: Final = "#CC79A7"
+GREY: Final = "#767676"
+PALE: Final = "#E4E4E4"
+
+WIDTH: Final = 7.4
+"""Width of every figure [inch]."""
+DPI: Final = 160
+"""Resolution of the PNG files."""
+
+STYLE: Final[dict[str, Any]] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.titlesize": 8.5,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.5,
+    "axes.edgecolor": GREY,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": PALE,
+    "grid.linewidth": 0.6,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "lines.linewidth": 1.1,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "figure.titlesize": 10.0,
+    "figure.titleweight": "bold",
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "hatch.linewidth": 0.6,
+    "path.simplify": True,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "equipoise",
+}
+
+
+def drawn(draw: Callable[P, "Figure"]) -> Callable[P, "Figure"]:
+    """Make `draw` work in our style, whatever the style around it."""
+
+    @functools.wraps(draw)
+    def in_style(*args: P.args, **kwargs: P.kwargs) -> "Figure":
+        with _our_style():
+            return draw(*args, **kwargs)
+
+    return in_style
+
+
+def new_figure(height: float, title: str) -> "Figure":
+    """Return an empty figure of the common width.
+
+    Args:
+        height: Height [inch].
+        title: What it shows, with the paper's number where the paper has it.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, height))
+    figure.suptitle(title, x=0.01, ha="left")
+    return figure
+
+
+def limit_lines(axes: "Axes", values: Sequence[float], label: str = "") -> None:
+    """Draw the limits of failure; the label stands above the highest, on the left."""
+    for value in values:
+        axes.axhline(value, color=INK, linewidth=1.0, linestyle=(0, (6, 2)))
+    if label:
+        axes.annotate(
+            label,
+            (0.0, max(values)),
+            xycoords=("axes fraction", "data"),
+            xytext=(3, 2),
+            textcoords="offset points",
+            fontsize=7.5,
+        )
+
+
+def edge_lines(axes: "Axes", values: Sequence[float]) -> None:
+    """Draw the inner edges of the boxes, which are all that the table sees of a value."""
+    for value in values:
+        axes.axhline(value, color=GREY, linewidth=0.6, linestyle=(0, (1, 2)))
+
+
+def to_svg(figure: "Figure") -> str:
+    """Return a figure as SVG; equal figures give equal text."""
+    return _rendered(figure, "svg").decode()
+
+
+def to_png(figure: "Figure") -> bytes:
+    """Return a figure as PNG."""
+    return _rendered(figure, "png")
+
+
+def save(figure: "Figure", stem: Path) -> tuple[Path, Path]:
+    """Write a figure as SVG and as PNG.
+
+    Args:
+        figure: The figure.
+        stem: Where, without the ending: `figures/learning`.
+
+    Returns:
+        The two files.
+
+    Raises:
+        OutsideError: The disk refuses.
+    """
+    svg, png = (stem.with_name(f"{stem.name}.{ending}") for ending in ("svg", "png"))
+    write_whole(svg, to_svg(figure))
+    write_whole(png, to_png(figure))
+    return svg, png
+
+
+@contextmanager
+def _our_style() -> Generator[None]:
+    from matplotlib import rc_context, rcdefaults, rcParams
+
+    with rc_context():
+        rcdefaults()
+        rcParams.update(STYLE)
+        yield
+
+
+def _rendered(figure: "Figure", kind: str) -> bytes:
+    stream = io.BytesIO()
+    # Neither a date nor a version of the drawing software: equal figures are equal files.
+    nothing = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
+    with _our_style():
+        figure.savefig(stream, format=kind, dpi=DPI, metadata=nothing)
+    return stream.getvalue()

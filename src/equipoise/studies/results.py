@@ -1,0 +1,233 @@
+"""What a reproduction leaves in its folder, read back and checked to belong together, and its verdict.
+
+The report is drawn from these files alone::
+
+    swing.csv  pendulum.json  policy.json  evaluation.json  run.mcap  reproduction.json
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar, Final, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from equipoise import paper
+from equipoise.artefacts import Artefact, Value
+from equipoise.control.policy import TabularPolicy
+from equipoise.errors import ArtefactError
+from equipoise.evaluation import Evaluation
+from equipoise.model.pendulum import Pendulum
+from equipoise.runlog import RunLog
+from equipoise.trajectory import Trajectory, read_swing
+
+SWING: Final = "swing.csv"
+PENDULUM: Final = "pendulum.json"
+POLICY: Final = "policy.json"
+EVALUATION: Final = "evaluation.json"
+RUN: Final = "run.mcap"
+RECORD: Final = "reproduction.json"
+
+
+class SimulatedSwing(Value):
+    """The free swing that stands in for a recording: what identification shall find again."""
+
+    period: float = Field(default=paper.FREE_SWING_PERIOD, gt=0.0)
+    """Period of small swings [s]; the paper's."""
+    c: float = Field(default=0.15, ge=0.0)
+    """Viscous friction over inertia, b / I [1/s]. Recorded pendulums with an encoder on the spindle
+    show 0.05 to 0.6."""
+    theta: float = Field(default=0.8, gt=0.0)
+    """Angle from hanging at which the hand lets go [rad]: large enough that the swing is not
+    sinusoidal any more."""
+    hold: float = Field(default=1.2, ge=0.0)
+    """How long the hand holds the pendulum first [s]: identification has to find the release."""
+    tremor: float = Field(default=0.01, ge=0.0)
+    """How far the hand moves meanwhile [rad]."""
+    duration: float = Field(default=10.0, gt=0.0)
+    """How long the swing is recorded after the release [s]: a dozen periods."""
+    rate_hz: float = Field(default=1000.0, gt=0.0)
+    """Samples per second [Hz]."""
+    counts_per_rev: int = Field(default=8192, gt=0)
+    """Encoder counts per revolution, after x4: a common encoder of 2048 lines."""
+    noise: float = Field(default=5e-4, ge=0.0)
+    """Standard deviation of what shakes the angle from sample to sample [rad]: vibration, play."""
+    zero_offset: float = 0.005
+    """What the encoder reads when the pendulum hangs [rad]: friction stops it beside the vertical."""
+
+
+class Stage(Value):
+    """A stage of the reproduction."""
+
+    name: str
+    """What was done."""
+    wall: float
+    """How long it took [s], compilation on its first run included."""
+
+
+class Record(Artefact):
+    """How a reproduction was made: all that its other files do not say."""
+
+    FORMAT: ClassVar[str] = "equipoise-reproduction"
+    VERSION: ClassVar[int] = 1
+
+    quick: bool
+    """Fewer episodes and trials than the paper's and ours."""
+    recipe: str
+    """Name of the settings."""
+    seed: int
+    """Master seed of everything."""
+    workers: int
+    """Threads; the results do not depend on it."""
+    swing: str
+    """Name of the recording."""
+    swing_sha256: str
+    """Digest of the recording as it was given."""
+    simulated: SimulatedSwing | None
+    """The pendulum that was simulated; none where a recording was given."""
+    files: dict[str, str]
+    """Digest of each value, by the name of its file."""
+    stages: tuple[Stage, ...]
+    """Where the time went."""
+
+
+class Results(NamedTuple):
+    """All that a reproduction found."""
+
+    record: Record
+    """How it was made."""
+    swing: Trajectory
+    """The free swing."""
+    pendulum: Pendulum
+    """What it identified."""
+    policy: TabularPolicy
+    """What was trained for that."""
+    evaluation: Evaluation
+    """How long the policy stands, beside the yardsticks."""
+    run: RunLog
+    """One run of it."""
+
+
+def load(out: Path) -> Results:
+    """Read the results of a reproduction.
+
+    Raises:
+        ArtefactError: A file is missing, corrupt, or belongs to another reproduction.
+        RecordingError: The swing cannot be read.
+    """
+    results = Results(
+        record=Record.load(out / RECORD),
+        swing=read_swing(out / SWING),
+        pendulum=Pendulum.load(out / PENDULUM),
+        policy=TabularPolicy.load(out / POLICY),
+        evaluation=Evaluation.load(out / EVALUATION),
+        run=RunLog.load(out / RUN),
+    )
+    for name, digest in digests(results).items():
+        if results.record.files.get(name) != digest:
+            raise ArtefactError(
+                f"{out / name} is not the one that {out / RECORD} was written for; "
+                "reproduce again, into an empty folder"
+            )
+    return results
+
+
+def digests(results: Results) -> Mapping[str, str]:
+    """Return the digest of each value, by the name of its file."""
+    return {
+        SWING: results.swing.sha256,
+        PENDULUM: results.pendulum.digest,
+        POLICY: results.policy.digest,
+        EVALUATION: results.evaluation.digest,
+        RUN: results.run.digest,
+    }
+
+
+def verdict(results: Results) -> tuple[str, str, str, str, str]:
+    """Return what came out, in five lines that need no figure."""
+    return (
+        _standing(results),
+        _yardsticks(results.evaluation),
+        _run(results.run),
+        _swing(results),
+        _caveat(results),
+    )
+
+
+def _standing(results: Results) -> str:
+    evaluation = results.evaluation
+    summary = evaluation.results.summary()
+    low, high = summary.interval
+    falls = {cause: n for cause, n in summary.causes.items() if cause != "lasted"}
+    how = ", ".join(f"{n} fell by {cause}" for cause, n in sorted(falls.items())) or "none fell"
+    return (
+        f"The trained table stood {evaluation.duration:g} s in {summary.survived} of "
+        f"{summary.trials} simulated trials ({percent(summary.rate)}; 95 % interval {percent(low)} "
+        f"to {percent(high)}), {how}; the paper's stood {paper.SECONDS_BALANCED:g} s on the real "
+        "arm, once."
+    )
+
+
+def _yardsticks(evaluation: Evaluation) -> str:
+    shares = ", ".join(
+        f"{results.name} {percent(results.summary().rate)} (median {results.summary().median:.3g} s)"
+        for results in evaluation.yardsticks
+    )
+    return f"The yardsticks lasted on the same trials: {shares}."
+
+
+def _run(run: RunLog) -> str:
+    phi = float(np.max(np.abs(np.rad2deg(run.phi))))
+    x = float(np.max(np.abs(run.x)))
+    cause = run.conditions.cause
+    end = (
+        f"stood all {run.lasted:g} s"
+        if cause == "lasted"
+        else f"fell after {run.lasted:.3g} s of {run.conditions.duration:g} s ({cause})"
+    )
+    return (
+        f"The deployment run, with I, b, noise and start unknown to the policy, {end}; it used "
+        f"|x| up to {x:.2f} of {paper.X_LIMIT:g} m and |phi| up to {phi:.1f} of "
+        f"{paper.PHI_LIMIT_DEG:g} deg."
+    )
+
+
+def _swing(results: Results) -> str:
+    pendulum, fit = results.pendulum, results.pendulum.fit
+    parts = [
+        f"The {'simulated' if results.record.simulated else 'recorded'} free swing has a period of "
+        f"{pendulum.period:.4g} s (w2 = {plus_minus(pendulum.w2.value, pendulum.w2.interval)} 1/s^2, "
+        f"c = {plus_minus(pendulum.c.value, pendulum.c.interval)} 1/s)"
+    ]
+    if fit is not None:
+        unit = "deg" if fit.quantity == "angle" else "deg/s"
+        parts.append(f"the fit leaves {fit.rms_deg:.2g} {unit} RMS")
+        if fit.warnings:
+            parts.append(f"with {len(fit.warnings)} warning{'s' * (len(fit.warnings) > 1)}")
+    return ", ".join(parts) + "."
+
+
+def _caveat(results: Results) -> str:
+    quick = "A quick look, with fewer episodes and trials. " if results.record.quick else ""
+    return (
+        f"{quick}All of this is simulation: the training plant, with parameters, noise and start "
+        "that the policy does not know, but no delay, no play and no sensor; neither a robot nor a "
+        "digital twin of one, which does not exist yet."
+    )
+
+
+def percent(share: float) -> str:
+    """Return a share as a percentage that never rounds up to certainty."""
+    text = f"{100.0 * share:.1f}"
+    if text == "100.0" and share < 1.0:
+        text = ">99.9"
+    return f"{text.removesuffix('.0')} %"
+
+
+def plus_minus(value: float, interval: tuple[float, float]) -> str:
+    """Return a value with half the width of its interval, to two digits of that."""
+    half = max(interval[1] - value, value - interval[0])
+    if half <= 0.0:
+        return f"{value:.4g}"
+    digits = max(0, 1 - int(np.floor(np.log10(half))))
+    return f"{value:.{digits}f} ± {half:.{digits}f}"

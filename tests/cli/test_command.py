@@ -1,0 +1,76 @@
+"""The command as a whole: help, version, first words, and what a shell sees."""
+
+import json
+import subprocess
+import sys
+from importlib.metadata import version
+
+import pytest
+
+VERBS = ("reproduce", "identify", "train", "evaluate", "verify", "bench")
+HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
+
+
+def test_help_shows_the_verbs_in_their_panels(equipoise):
+    ran = equipoise("--help")
+    assert ran.code == 0
+    story, studies = ran.out.split("The story")[1].split("Studies")
+    assert all(f" {verb} " in story for verb in ("reproduce", "identify", "train", "evaluate"))
+    assert all(f" {verb} " in studies for verb in ("verify", "bench"))
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_each_option_of_a_verb_is_explained(equipoise, verb):
+    ran = equipoise(verb, "--help")
+    assert ran.code == 0
+    # On the wide page each option stands on a line of its own, its text at the end.
+    lines = [line for line in ran.out.splitlines() if line.startswith("│ ") and "--" in line]
+    assert lines
+    assert all(line.strip("│ ")[-1] in ".]" for line in lines), lines
+
+
+def test_no_verb_shows_the_help_and_a_wrong_one_a_hint(equipoise):
+    assert "Usage: equipoise" in equipoise().out
+    wrong = equipoise("idnetify")
+    assert wrong.code == 2
+    assert "Did you mean 'identify'?" in wrong.err
+
+
+def test_version_is_the_packages(equipoise):
+    assert equipoise("--version").out == f"equipoise {version('equipoise')}\n"
+
+
+def loaded_after(program):
+    """Return which heavy packages a fresh Python has loaded after `program`."""
+    tail = f"\nimport sys, json; print(json.dumps([m for m in {HEAVY} if m in sys.modules]))"
+    done = subprocess.run(
+        [sys.executable, "-c", program + tail], capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_help_waits_for_nothing_that_is_slow_to_import():
+    assert loaded_after("from equipoise.cli import main; main(['--help'])") == []
+    assert loaded_after("from equipoise.cli import main; main(['train', '--help'])") == []
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_the_first_words_come_before_what_is_slow_to_import(verb):
+    # The word stops the verb: all that it imported so far is what its user waited for.
+    program = f"""
+from equipoise.cli import main, output
+def first_words(self, words, **_):
+    assert words
+    raise SystemExit(0)
+output.Output.say = first_words
+main([{verb!r}] + [["x.csv"], []][{verb!r} not in ("identify", "verify")])
+"""
+    assert loaded_after(program) == []
+
+
+def test_python_m_and_exit_codes_reach_the_shell(tmp_path):
+    command = [sys.executable, "-m", "equipoise", "verify", "nowhere.json"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "error: there is no file nowhere.json; check the path\n"
+    assert done.stdout == "Reading nowhere.json\n"

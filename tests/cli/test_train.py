@@ -1,0 +1,177 @@
+"""`equipoise train`: what it writes and prints, what it refuses, and how it is stopped."""
+
+import signal
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from equipoise import training
+from equipoise.control.policy import LearningPoint, TabularPolicy
+from tests.cli.conftest import contents
+from tests.cli.damage import DAMAGE
+
+URDF = Path(__file__).parents[1] / "data" / "elbow6.urdf"
+
+SHORT = (
+    "--episodes=40",
+    "--workers=1",
+    "--set=learning.episode_duration=1",
+    "--set=selection.every=20",
+    "--set=selection.screening_trials=4",
+    "--set=selection.final_trials=4",
+    "--set=selection.duration=1",
+)
+
+
+def test_it_writes_a_policy_and_names_the_next_command(equipoise, pendulum_file, tmp_path):
+    ran = equipoise("train", pendulum_file, *SHORT)
+    assert ran.code == 0
+    policy = TabularPolicy.load(tmp_path / "policy.json")
+    assert (policy.arm.name, policy.recipe, policy.episodes) == ("iiwa7", "robust", 40)
+    assert policy.learning_curve
+    assert "40 episodes" in ran.out
+    assert ran.out.endswith("next: equipoise evaluate policy.json\n")
+
+
+def test_json_is_one_object_with_the_stable_keys(equipoise, pendulum_file):
+    ran = equipoise("train", pendulum_file, *SHORT, "--seed", 3, "--json")
+    stable = {"policy", "seed", "episodes", "steps", "steps_per_second", "wall_s"}
+    assert stable <= ran.json.keys()
+    assert (ran.json["policy"], ran.json["seed"], ran.json["episodes"]) == ("policy.json", 3, 40)
+    assert ran.json["steps"] > 40
+    assert ran.err == ""
+
+
+def test_equal_seeds_give_equal_policies_whatever_the_workers(equipoise, pendulum_file, tmp_path):
+    for name, workers in (("one.json", 1), ("two.json", 2)):
+        options = (*SHORT, "--seeds", 2, "--workers", workers, "--out", name)
+        assert equipoise("train", pendulum_file, *options).code == 0
+    one, two = (TabularPolicy.load(tmp_path / name) for name in ("one.json", "two.json"))
+    assert one.digest == two.digest
+
+
+def test_the_best_of_several_learners_is_kept(equipoise, pendulum_file):
+    found = equipoise("train", pendulum_file, *SHORT, "--seeds", 3, "--json").json
+    scores = {learner["learner"]: learner["score"] for learner in found["learners"]}
+    assert set(scores) == {0, 1, 2}
+    assert scores[found["learner"]] == max(scores.values())
+
+
+def test_recipe_settings_and_single_settings_are_recorded_in_their_order(
+    equipoise, pendulum_file, tmp_path
+):
+    (tmp_path / "mine.toml").write_text("[learning]\ngamma = 0.9\nalpha_initial = 0.5\n")
+    options = ("--recipe=paper", "--settings=mine.toml", "--set=learning.gamma=0.95")
+    assert equipoise("train", pendulum_file, *SHORT, *options).code == 0
+    policy = TabularPolicy.load(tmp_path / "policy.json")
+    assert policy.recipe == "paper"
+    assert policy.settings.learning.mirrored is False  # the recipe's
+    assert policy.settings.learning.alpha_initial == 0.5  # the file's, over the recipe's
+    assert policy.settings.learning.gamma == 0.95  # the single setting's, over the file's
+
+
+def test_an_arm_from_a_urdf_is_trained(equipoise, pendulum_file, tmp_path):
+    ran = equipoise("train", pendulum_file, *SHORT, "--arm", URDF)
+    assert ran.code == 0, ran
+    assert TabularPolicy.load(tmp_path / "policy.json").arm.name == "elbow 6"
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_pendulum_is_refused(refused, pendulum_file, damage):
+    damage(pendulum_file)
+    refused("train", pendulum_file, saying=DAMAGE[damage])
+
+
+def test_what_is_no_pendulum_is_refused(refused, swing, policy_file):
+    refused("train", "nowhere.json", saying="there is no file nowhere.json")
+    refused("train", swing, saying="make one of it: equipoise identify")
+    saying = "holds 'equipoise-policy', expected 'equipoise-pendulum'"
+    refused("train", policy_file, "--out", "other.json", saying=saying)
+
+
+OPTIONS = {
+    "unknown recipe": (("--recipe", "magic"), "there is no recipe 'magic'"),
+    "unknown arm": (("--arm", "iiwa8"), "there is no arm 'iiwa8'"),
+    "unknown setting": (("--set", "learning.gama=0.9"), "did you mean 'gamma'"),
+    "impossible setting": (("--set", "learning.gamma=1.5"), "setting learning.gamma"),
+    "setting of another kind": (("--set", "learning.gamma=high"), "setting learning.gamma"),
+    "no episodes": (("--episodes", "0"), "--episodes"),
+    "half an episode": (("--episodes", "0.5"), "--episodes"),
+    "no seeds": (("--seeds", "0"), "--seeds"),
+    "negative seed": (("--seed", "-1"), "--seed"),
+    "seed of no size": (("--seed", str(2**70)), "--seed"),
+    "no workers": (("--workers", "0"), "--workers"),
+    "held joint of an iiwa": (("--held", "3"), "--held belong to an arm from a URDF"),
+    "missing URDF": (("--arm", "nowhere.urdf"), "cannot read nowhere.urdf"),
+    "unknown held joint": (("--arm", URDF, "--held", "wrist"), "has no joint wrist to hold"),
+    "held joint of a six-joint arm": (
+        ("--arm", URDF, "--held", "2"),
+        "5 free joints, expected six",
+    ),
+    "unknown base": (("--arm", URDF, "--base", "table"), "has no link table"),
+    "unknown tip": (("--arm", URDF, "--tip", "hand"), "has no link hand"),
+    "tip before the sixth joint": (("--arm", URDF, "--tip", "wrist_1"), "expected six"),
+    "output is a folder": (("--out", "."), "give a name that ends in .json"),
+}
+
+
+@pytest.mark.parametrize("flaw", OPTIONS)
+def test_options_that_cannot_be_meant_are_refused(refused, pendulum_file, flaw):
+    options, saying = OPTIONS[flaw]
+    refused("train", pendulum_file, *options, saying=saying)
+
+
+URDFS = {
+    "not XML": ("robot", "is not XML"),
+    "another XML": ("<model/>", "expected <robot>"),
+    "no links": ('<robot name="none"/>', "it has no links"),
+}
+
+
+@pytest.mark.parametrize("flaw", URDFS)
+def test_a_urdf_that_is_none_is_refused(refused, pendulum_file, tmp_path, flaw):
+    text, saying = URDFS[flaw]
+    (tmp_path / "arm.urdf").write_text(text)
+    refused("train", pendulum_file, "--arm", "arm.urdf", saying=saying)
+
+
+def test_the_pendulum_is_not_written_over(refused, pendulum_file):
+    refused("train", pendulum_file, "--out", "pendulum.json", saying="would be written over")
+
+
+def test_a_full_disk_is_the_outside_world(equipoise, pendulum_file, monkeypatch, tmp_path):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    before = contents(tmp_path)
+    monkeypatch.setattr("os.fsync", full)
+    ran = equipoise("train", pendulum_file, *SHORT)
+    assert ran.code == 3
+    assert ran.err == "error: cannot write policy.json: No space left on device\n"
+    assert contents(tmp_path) == before
+
+
+def test_an_interruption_stops_the_learners_and_writes_nothing(
+    equipoise, pendulum_file, monkeypatch, tmp_path
+):
+    def endless(*_, report, **__):
+        def work():
+            while True:
+                report(0, LearningPoint(episodes=1, steps=1, duration=0.01))
+                time.sleep(0.001)
+
+        with ThreadPoolExecutor(1) as pool:
+            learner = pool.submit(work)
+            signal.raise_signal(signal.SIGINT)
+            learner.result()
+
+    before = contents(tmp_path)
+    handler = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(training, "train_several", endless)
+    ran = equipoise("train", pendulum_file)
+    assert ran.code == 130
+    assert ran.err == "interrupted\n"
+    assert contents(tmp_path) == before
+    assert signal.getsignal(signal.SIGINT) is handler

@@ -1,0 +1,55 @@
+"""Values that tests of several rooms share."""
+
+import os
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import Pendulum
+from equipoise.settings import resolve
+from equipoise.training import train
+
+# The first call of a kernel compiles it, which takes seconds: no single example has a deadline.
+hypothesis.settings.register_profile("equipoise", deadline=None)
+hypothesis.settings.load_profile("equipoise")
+
+
+@pytest.fixture(scope="session")
+def pendulum():
+    """The paper's pendulum: a period of 0.75 s; nobody published its friction."""
+    return Pendulum.assumed(70.2, 0.15)
+
+
+@pytest.fixture(scope="session")
+def quick_settings():
+    """A training of a second, with a selection, and trials of three seconds."""
+    return resolve(
+        overrides=[
+            "learning.episodes=120",
+            "learning.episode_duration=2",
+            "selection.every=40",
+            "selection.screening_trials=20",
+            "selection.final_trials=20",
+            "selection.finalists=2",
+            "selection.duration=2",
+            "evaluation.trials=20",
+            "evaluation.duration=2",
+        ]
+    )
+
+
+@pytest.fixture(scope="session")
+def small_policy(pendulum, quick_settings):
+    """A policy that has hardly been trained."""
+    return train(pendulum, iiwa(14), quick_settings, seed=7)
+
+
+@pytest.fixture(scope="session")
+def recordings():
+    """The folder of the recorded swings."""
+    folder = os.environ.get("EQUIPOISE_DATA")
+    if not folder or not Path(folder).is_dir():
+        pytest.skip("no recordings: set EQUIPOISE_DATA to the folder that holds them")
+    return Path(folder)

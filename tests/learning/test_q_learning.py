@@ -1,0 +1,289 @@
+"""Q-learning against a slow second implementation, hand computations and value iteration."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.reference import q_learning as reference
+
+from equipoise import paper
+from equipoise.control.boxes import mirrored_box
+from equipoise.learning.closed_loop import make_plant
+from equipoise.learning.q_learning import (
+    BEGUN,
+    ENDED,
+    IN_USE,
+    STEPS,
+    Learner,
+    best_action,
+    best_value,
+    exploration,
+    learning_rate,
+    new_progress,
+    train_episodes,
+    update,
+)
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.settings import resolve
+from equipoise.training import _learner
+
+WORD = 2**32
+
+
+def learner(recipe="robust", **changes):
+    """Return a learner with some settings changed."""
+    constants = _learner(resolve(recipe))
+    assert isinstance(constants, Learner)
+    return constants._replace(**changes)
+
+
+def problem(pendulum, recipe, *overrides):
+    """Return the arguments of `train_episodes` that say what is to be learnt."""
+    settings = resolve(recipe, overrides=overrides)
+    plant = make_plant(iiwa(14), settings, paper.STEP)
+    parameters = pendulum.parameters(linearised=settings.plant.linearised)
+    return settings, plant, parameters, _learner(settings)
+
+
+def trained(plant, parameters, constants, *stops, seed=0, number=0):
+    progress = new_progress()
+    for until in stops:
+        train_episodes(plant, parameters, constants, progress, until, seed, number)
+    return progress
+
+
+def same(progress, other):
+    """Tell whether two trainings have the same table and counts, bit for bit."""
+    return all(
+        getattr(progress, name).tobytes() == getattr(other, name).tobytes()
+        for name in ("Q", "visits", "count")
+    )
+
+
+# Against the slow loop
+
+
+@pytest.mark.parametrize(
+    ("recipe", "overrides"),
+    [
+        ("robust", ["learning.episode_duration=0.4"]),
+        ("robust", ["learning.epsilon_initial=0.5", "learning.mirrored=false"]),
+        ("paper", ["learning.episode_duration=0.6"]),
+        ("paper", ["learning.mirrored=true", "plant.inertia_sigma=0.1"]),
+    ],
+    ids=str,
+)
+def test_training_equals_the_slow_loop_bit_for_bit(pendulum, recipe, overrides):
+    # Bits, not 1e-12: the same sums in the same order, and lanes do not see each other.
+    settings, plant, parameters, constants = problem(
+        pendulum, recipe, "learning.episodes=250", *overrides
+    )
+    for until in (1, 100, 250):
+        ours = trained(plant, parameters, constants, until, seed=11, number=2)
+        theirs = reference.train(plant, parameters, settings, until, 11, 2)
+        assert (ours.count[BEGUN], ours.count[ENDED]) == (theirs.begun, theirs.ended)
+        assert ours.count[STEPS] == theirs.steps
+        assert np.array_equal(ours.visits, theirs.visits)
+        assert np.array_equal(ours.Q, theirs.Q)
+    assert ours.count[IN_USE] == 0
+    assert np.count_nonzero(ours.visits) > 100
+
+
+def test_episodes_that_last_are_cut_off_and_are_no_failure(pendulum):
+    # Two steps cannot fail from upright at rest: nothing bad is ever seen.
+    _, plant, parameters, constants = problem(
+        pendulum,
+        "paper",
+        "learning.episodes=40",
+        "learning.episode_duration=0.02",
+        "learning.start_phi=0",
+    )
+    progress = trained(plant, parameters, constants, 40)
+    assert progress.count.tolist() == [40, 40, 0, 80]
+    assert not progress.Q.any()
+    assert progress.visits.sum() == 80
+
+
+def test_without_a_mirror_every_step_is_one_visit(pendulum):
+    _, plant, parameters, constants = problem(pendulum, "paper", "learning.episodes=60")
+    progress = trained(plant, parameters, constants, 60)
+    assert progress.visits.sum() == progress.count[STEPS]
+
+
+def test_with_a_mirror_the_table_is_symmetric_to_the_bit(pendulum):
+    _, plant, parameters, constants = problem(pendulum, "robust", "learning.episodes=60")
+    progress = trained(plant, parameters, constants, 60)
+    image = [int(mirrored_box(box)) for box in range(270)]
+    assert np.array_equal(progress.Q, progress.Q[image][:, ::-1])
+    assert np.array_equal(progress.visits, progress.visits[image][:, ::-1])
+    assert progress.visits.sum() == 2 * progress.count[STEPS]
+
+
+@pytest.mark.parametrize("recipe", ["robust", "paper"])
+def test_values_lie_between_failure_and_nothing(pendulum, recipe):
+    _, plant, parameters, constants = problem(pendulum, recipe, "learning.episodes=200")
+    progress = trained(plant, parameters, constants, 200)
+    assert progress.Q.min() >= -1.0
+    assert progress.Q.max() <= 0.0
+    assert progress.Q.min() < -0.5
+
+
+# What the result depends on
+
+
+@pytest.mark.parametrize("stops", [(10, 20), (1, 2, 3, 20), (19, 20), (20, 20, 5), range(1, 21)])
+def test_where_one_stops_on_the_way_does_not_matter(pendulum, stops):
+    _, plant, parameters, constants = problem(pendulum, "robust", "learning.episodes=40")
+    assert same(
+        trained(plant, parameters, constants, *stops, 40),
+        trained(plant, parameters, constants, 40),
+    )
+
+
+def test_a_stop_is_made_when_so_many_episodes_have_ended(pendulum):
+    _, plant, parameters, constants = problem(pendulum, "robust", "learning.episodes=100")
+    progress = trained(plant, parameters, constants, 0)
+    assert progress.count[ENDED] == 0
+    for until in (1, 10, 50, 100):
+        train_episodes(plant, parameters, constants, progress, until, 0, 0)
+        # Episodes that end in the same step end together.
+        assert until <= progress.count[ENDED] < until + 16
+        assert progress.count[BEGUN] <= 100
+    assert progress.count[ENDED] == 100
+
+
+@pytest.mark.parametrize("episodes", [1, 2, 15, 16, 17])
+def test_fewer_episodes_than_lanes_are_trained_too(pendulum, episodes):
+    settings, plant, parameters, constants = problem(
+        pendulum, "robust", f"learning.episodes={episodes}"
+    )
+    ours = trained(plant, parameters, constants, episodes)
+    theirs = reference.train(plant, parameters, settings, episodes, 0, 0)
+    assert ours.count.tolist() == [episodes, episodes, 0, theirs.steps]
+    assert np.array_equal(ours.Q, theirs.Q)
+
+
+def test_equal_seeds_give_equal_bits_and_other_seeds_or_learners_do_not(pendulum):
+    _, plant, parameters, constants = problem(pendulum, "robust", "learning.episodes=30")
+    first = trained(plant, parameters, constants, 30, seed=3, number=1)
+    assert same(first, trained(plant, parameters, constants, 30, seed=3, number=1))
+    assert not same(first, trained(plant, parameters, constants, 30, seed=4, number=1))
+    assert not same(first, trained(plant, parameters, constants, 30, seed=3, number=2))
+    # Seeds have 64 bits: the upper ones count.
+    other = trained(plant, parameters, constants, 30, seed=3 + 2**40, number=1)
+    assert not same(first, other)
+
+
+# Equation (1)
+
+
+def tables():
+    return np.zeros((270, 8)), np.zeros((270, 8), np.int64)
+
+
+def test_one_update_is_equation_1():
+    Q, visits = tables()
+    Q[7, 3] = -0.5
+    update(Q, visits, 7, 3, 0.9 * -0.25, learner(alpha_initial=0.1, alpha_decay=0.0, mirrored=False))
+    # (1 - 0.1) (-0.5) + 0.1 (0 + 0.9 (-0.25)) by hand.
+    assert Q[7, 3] == pytest.approx(-0.4725, rel=1e-15)
+    assert visits[7, 3] == 1
+    Q[7, 3], visits[7, 3] = 0.0, 0
+    assert not Q.any()
+    assert not visits.any()
+
+
+def test_a_mirrored_update_writes_the_image_and_nothing_else():
+    Q, visits = tables()
+    box = ((4 * 5 + 3) * 3 + 0) * 3 + 2
+    image = ((1 * 5 + 1) * 3 + 2) * 3 + 0
+    update(Q, visits, box, 6, -1.0, learner(alpha_initial=0.5, alpha_decay=0.0))
+    assert np.flatnonzero(Q.ravel()).tolist() == sorted([box * 8 + 6, image * 8 + 1])
+    assert Q[box, 6] == Q[image, 1] == -0.5
+    assert visits[box, 6] == visits[image, 1] == visits.sum() / 2 == 1
+
+
+def test_the_learning_rate_falls_with_the_visits_down_to_its_minimum():
+    constants = learner(alpha_initial=0.8, alpha_decay=0.5, alpha_minimum=0.1)
+    assert learning_rate(0, constants) == 0.8
+    assert learning_rate(2, constants) == 0.4
+    assert learning_rate(14, constants) == pytest.approx(0.1)
+    assert learning_rate(15, constants) == 0.1
+    assert learning_rate(10**9, constants) == 0.1
+    constant = learner(alpha_initial=0.1, alpha_decay=0.0, alpha_minimum=0.0)
+    assert {learning_rate(n, constant) for n in (0, 1, 10**6)} == {0.1}
+
+
+@given(targets=st.lists(st.floats(-1, 0), min_size=1, max_size=50))
+def test_with_a_rate_of_one_over_n_a_value_is_the_mean_of_its_targets(targets):
+    Q, visits = tables()
+    Q[5, 5] = 123.0  # the first visit forgets what was there
+    constants = learner(alpha_initial=1.0, alpha_decay=1.0, alpha_minimum=0.0, mirrored=False)
+    for target in targets:
+        update(Q, visits, 5, 5, target, constants)
+    assert Q[5, 5] == pytest.approx(np.mean(targets), abs=1e-14)
+    assert visits[5, 5] == len(targets)
+
+
+def test_q_learning_finds_the_values_of_a_small_world():
+    # Twelve states on a line, the first beyond a cliff; each action moves by its own number of
+    # states and the wind by one to the left. Deterministic, so that a rate of 1 is exact.
+    states, moves, gamma = 12, (-2, -1, 0, 1, 2, 1, 0, -1), 0.9
+
+    def outcome(state, action):
+        return min(state + moves[action] - 1, states - 1)
+
+    # Value iteration over Q*, until nothing changes.
+    exact = np.zeros((states, 8))
+    for _ in range(500):
+        for state in range(states):
+            for action in range(8):
+                after = outcome(state, action)
+                exact[state, action] = -1.0 if after < 0 else gamma * exact[after].max()
+    Q, visits = tables()
+    constants = learner(
+        alpha_initial=1.0, alpha_decay=0.0, alpha_minimum=0.0, gamma=gamma, mirrored=False
+    )
+    rng = np.random.default_rng(0)
+    for _ in range(20_000):
+        state, action = int(rng.integers(states)), int(rng.integers(8))
+        after = outcome(state, action)
+        target = constants.reward_failure if after < 0 else gamma * best_value(Q, after)
+        update(Q, visits, state, action, target, constants)
+    np.testing.assert_allclose(Q[:states], exact, atol=1e-12)
+    # At the edge: a step back falls, standing still is blown off, the best holds on.
+    assert exact[0].max() == 0.0
+    assert exact[0].min() == -1.0
+
+
+# Exploration and ties
+
+
+def test_exploration_falls_linearly_to_zero_over_its_share_of_the_episodes():
+    constants = learner(episodes=1000, epsilon_initial=0.4, epsilon_until=0.5)
+    assert exploration(0, constants) == 0.4
+    assert exploration(125, constants) == pytest.approx(0.3)
+    assert exploration(250, constants) == pytest.approx(0.2)
+    assert exploration(500, constants) == 0.0
+    assert exploration(999, constants) == 0.0
+    kept = learner(episodes=1000, epsilon_initial=0.4, epsilon_until=0.0)
+    assert {exploration(n, kept) for n in (0, 500, 999)} == {0.4}
+
+
+@given(
+    row=st.lists(st.sampled_from([-1.0, -0.5, 0.0, -0.0]), min_size=8, max_size=8),
+    word=st.integers(0, WORD - 1),
+)
+def test_a_best_action_is_one_of_the_best_each_with_the_same_share_of_the_words(row, word):
+    Q = np.zeros((270, 8))
+    Q[3] = row
+    best = [action for action in range(8) if row[action] == max(row)]
+    assert best_value(Q, 3) == max(row)
+    assert best_action(Q, 3, word) == best[word * len(best) // WORD]
+
+
+def test_the_first_episodes_try_every_action(pendulum):
+    _, plant, parameters, constants = problem(pendulum, "robust", "learning.episodes=100")
+    visits = trained(plant, parameters, constants, 100).visits.sum(axis=0)
+    # A table of zeros chooses among all alike: no action is forgotten or favoured by its place.
+    assert visits.min() > 0.05 * visits.sum()

@@ -1,0 +1,398 @@
+"""Trials: what is drawn for them, and that neither lanes, pieces nor workers change a bit."""
+
+from math import inf, nextafter, pi, radians, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from equipoise import paper
+from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, TABLE, policy_kernel
+from equipoise.control.yardsticks import lqr_gains
+from equipoise.learning.closed_loop import (
+    ANGLE,
+    CAUSES,
+    JOINT_LIMIT,
+    LASTED,
+    TRACK,
+    TRACKED,
+    X_DOT,
+    X,
+    draw_noise,
+    make_plant,
+    new_block,
+    record_trial,
+    reset,
+    run_trials,
+    scaled,
+    step,
+)
+from equipoise.learning.trials import available_cores, draw_trials, run_over_cores
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import LANES
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.random import SELECTION_NOISE, TEST_NOISE
+from equipoise.settings import resolve
+
+PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
+SETTINGS = resolve()
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return make_plant(iiwa(14), SETTINGS, paper.STEP)
+
+
+@pytest.fixture(scope="module")
+def kernels():
+    """One policy of each kind."""
+    rng = np.random.default_rng(0)
+    gains = lqr_gains(PENDULUM, paper.STEP)
+    return {
+        "table": policy_kernel(TABLE, u_of_box=rng.choice(paper.ACTIONS, 270)),
+        "linear": policy_kernel(LINEAR, gains=gains),
+        "snapped": policy_kernel(SNAPPED, gains=gains),
+        "random": policy_kernel(RANDOM),
+    }
+
+
+def drawn(count=100, seed=0, stream=TEST_NOISE, spread=1.0, settings=SETTINGS):
+    return draw_trials(count, settings, seed, stream, spread)
+
+
+def outcome(trials):
+    """Return the bits of what came of trials."""
+    return [column.tobytes() for column in (trials.steps, trials.cause, trials.sum_x2)]
+
+
+def run(plant, policy, count=100, workers=1, duration=1.0, seed=0, pendulum=PENDULUM):
+    trials = drawn(count, seed)
+    run_over_cores(
+        plant,
+        policy,
+        pendulum,
+        trials,
+        duration=duration,
+        seed=seed,
+        stream=TEST_NOISE,
+        workers=workers,
+    )
+    return trials
+
+
+# What is drawn
+
+
+def test_the_conditions_of_a_trial_do_not_depend_on_how_many_there_are():
+    few, many = drawn(7), drawn(1000)
+    for name in ("start", "inertia_factor", "friction_factor"):
+        assert getattr(few, name).tobytes() == getattr(many, name)[:7].tobytes()
+
+
+def test_trials_start_as_a_release_leaves_the_pendulum():
+    start = drawn(5000).start
+    assert not start[:, :2].any()  # x = x_dot = 0
+    phi, phi_dot = start[:, 2], start[:, 3]
+    assert np.array_equal(np.sign(phi), np.sign(phi_dot))
+    for values, low, high in [(phi, 1.5, 2.5), (phi_dot, 8.0, 18.0)]:
+        size = np.abs(values)
+        assert radians(low) <= size.min() < size.max() <= radians(high)
+        # p-value below 1e-5: chance for a new seed below 1e-4 in all of this file.
+        shares = (size - radians(low)) / radians(high - low)
+        assert stats.kstest(shares, "uniform").pvalue > 1e-5
+    assert stats.binomtest(int(np.sum(phi > 0)), 5000).pvalue > 1e-5
+    assert abs(np.corrcoef(np.abs(phi), np.abs(phi_dot))[0, 1]) < 5 / sqrt(5000)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1.0, 2.0])
+def test_plants_vary_normally_around_the_centre(spread):
+    trials = drawn(5000, spread=spread)
+    for factors, sigma in [(trials.inertia_factor, 0.02), (trials.friction_factor, 0.2)]:
+        if spread == 0.0:
+            assert np.all(factors == 1.0)
+            continue
+        scores = (factors - 1.0) / (spread * sigma)
+        # Friction is cut at zero, 5 sigma (2.5 with twice the spread) below the centre.
+        kept = scores > -2.4
+        assert stats.kstest(stats.norm.cdf(scores[kept]), stats.uniform(
+            stats.norm.cdf(-2.4), stats.norm.sf(-2.4)).cdf).pvalue > 1e-5
+    assert trials.friction_factor.min() >= 0.0
+
+
+def test_no_setting_makes_a_pendulum_without_inertia():
+    settings = resolve(overrides=["plant.inertia_sigma=0.24", "plant.friction_sigma=0.9"])
+    trials = drawn(10_000, spread=2.0, settings=settings)
+    assert trials.friction_factor.min() >= 0.0
+    assert trials.inertia_factor.min() > 0.0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**40, 2**63 - 1])
+def test_selection_and_test_draw_from_different_streams(seed):
+    selection, test = (drawn(50, seed, stream) for stream in (SELECTION_NOISE, TEST_NOISE))
+    assert not np.any(selection.start[:, 2] == test.start[:, 2])
+    assert not np.any(selection.inertia_factor == test.inertia_factor)
+
+
+def test_other_seeds_draw_other_trials():
+    seen = {drawn(1, seed).start.tobytes() for seed in range(50)}
+    assert len(seen) == 50
+
+
+def test_factors_on_inertia_divide_everything_and_factors_on_friction_only_c():
+    pendulum = PendulumParameters(70.0, 7.0, 0.2, 0.3, 0.4, True)
+    assert scaled(pendulum, 2.0, 3.0) == pytest.approx((35.0, 3.5, 0.3, 0.15, 0.2, True))
+    # b = c I stays when I alone changes; m g l = w2 I always.
+    heavier = scaled(pendulum, 1.25, 1.0)
+    assert heavier.c * 1.25 == pytest.approx(pendulum.c)
+    assert heavier.w2 * 1.25 == pytest.approx(pendulum.w2)
+
+
+# Noise
+
+
+def noise(tick, index, learner=0, stream=TEST_NOISE, seed=0, lanes=LANES):
+    out = np.full(6 * LANES, np.nan)
+    draw_noise(out, seed, np.array(tick), np.array(index), learner, stream, lanes)
+    return out.reshape(6, LANES)
+
+
+def test_noise_belongs_to_the_trial_and_its_step_not_to_the_lane():
+    tick, index = np.arange(100, 100 + LANES), np.arange(7, 7 + LANES)
+    together = noise(tick, index)
+    for n in range(LANES):
+        alone = noise(np.full(LANES, tick[n]), np.full(LANES, index[n]), lanes=1)
+        assert alone[:, 0].tobytes() == together[:, n].tobytes()
+        assert np.all(np.isnan(alone[:, 1:]))
+
+
+def test_noise_is_six_independent_standard_normal_numbers():
+    columns = np.concatenate(
+        [noise(np.arange(LANES), np.full(LANES, index)) for index in range(1000)], axis=1
+    )
+    n = columns.shape[1]
+    for row in columns:
+        assert stats.kstest(row, "norm").pvalue > 1e-5
+    correlations = np.corrcoef(columns)[np.triu_indices(6, 1)]
+    assert np.abs(correlations).max() < 5 / sqrt(n)
+    # ... and of those of other streams, learners and seeds.
+    for other in ({"stream": SELECTION_NOISE}, {"learner": 1}, {"seed": 1}):
+        others = np.concatenate(
+            [noise(np.arange(LANES), np.full(LANES, i), **other) for i in range(1000)], axis=1
+        )
+        across = np.corrcoef(columns, others)[:6, 6:]
+        assert np.abs(across).max() < 5 / sqrt(n)
+
+
+# Lanes, pieces and workers
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("kind", ["table", "linear", "snapped", "random"])
+def test_workers_do_not_change_a_bit(plant, kernels, kind):
+    alone = outcome(run(plant, kernels[kind], 150))
+    assert outcome(run(plant, kernels[kind], 150, workers=2)) == alone
+    assert outcome(run(plant, kernels[kind], 150, workers=3)) == alone
+
+
+def test_a_trial_gives_the_same_bits_alone_as_in_company(plant, kernels):
+    together = drawn(40)
+    longest = 60
+    arguments = (plant, new_block(), kernels["random"], PENDULUM)
+    run_trials(*arguments, together, 0, 40, longest, 5, TEST_NOISE)
+    alone = drawn(40)
+    for i in range(40):
+        run_trials(*arguments, alone, i, i + 1, longest, 5, TEST_NOISE)
+    assert outcome(alone) == outcome(together)
+    backwards = drawn(40)
+    for first, last in ((37, 40), (3, 37), (0, 3)):
+        run_trials(*arguments, backwards, first, last, longest, 5, TEST_NOISE)
+    assert outcome(backwards) == outcome(together)
+
+
+def test_only_the_trials_asked_for_are_written(plant, kernels):
+    trials = drawn(10)
+    trials.steps[:] = -1
+    run_trials(plant, new_block(), kernels["table"], PENDULUM, trials, 3, 5, 20, 0, TEST_NOISE)
+    assert np.flatnonzero(trials.steps >= 0).tolist() == [3, 4]
+
+
+def test_what_happened_in_a_block_before_does_not_matter(plant, kernels):
+    used = new_block()
+    for array in used:
+        array[:] = 7
+    for block in (new_block(), used):
+        trials = drawn(20)
+        run_trials(plant, block, kernels["linear"], PENDULUM, trials, 0, 20, 50, 0, TEST_NOISE)
+        if block is used:
+            assert outcome(trials) == first
+        first = outcome(trials)
+
+
+@given(
+    phi=st.floats(-0.1, 0.1), phi_dot=st.floats(-1, 1), x=st.floats(-0.2, 0.2), u=st.floats(-2, 2)
+)
+def test_a_lane_does_not_see_its_neighbours(phi, phi_dot, x, u):
+    plant = make_plant(iiwa(14), SETTINGS, paper.STEP)
+    start = (x, 0.1, phi, phi_dot)
+    rows = []
+    for lanes, n in ((1, 0), (LANES, 0), (LANES, LANES - 1), (5, 3)):
+        block = new_block()
+        for other in range(lanes):
+            reset(plant, block, PENDULUM, (0.01 * other - 0.08, 0.0, 0.0, 0.0), other)
+        reset(plant, block, PENDULUM, start, n)
+        block.u[:] = -1.0
+        block.u[n] = u
+        for _ in range(5):
+            step(plant, block, lanes)
+        rows.append(block.state[n::LANES].tobytes() + block.q[n::LANES].tobytes())
+    assert len(set(rows)) == 1
+
+
+def test_a_lane_near_a_singularity_does_not_change_its_neighbours():
+    # In this posture (the arm in the plane of motion) the manipulability falls along the track;
+    # with so large a share the inverse is damped on the far side of it.
+    arm = iiwa(14).model_copy(
+        update={"home": tuple(radians(angle) for angle in (0, 30, 0, -70, 0, 80, 0))}
+    )
+    plant = make_plant(arm, resolve(overrides=["clik.singular_share=0.5"]), paper.STEP)
+    alone, beside = new_block(), new_block()
+    for block in (alone, beside):
+        reset(plant, block, PENDULUM, (0.0, 0.0, 0.01, 0.0), 0)
+        block.u[:] = 1.0
+    reset(plant, beside, PENDULUM, (0.19, 0.0, 0.0, 0.0), 1)
+    for _ in range(20):
+        step(plant, alone, 1)
+        step(plant, beside, 2)
+    assert alone.damped[0] == 0 < beside.damped[0]
+    assert beside.q[::LANES].tobytes() == alone.q[::LANES].tobytes()
+    assert beside.state[::LANES].tobytes() == alone.state[::LANES].tobytes()
+
+
+class Obeys:
+    """The compiled policy, called from Python."""
+
+    def __init__(self, kernel):
+        """Keep the kernel."""
+        self.kernel = kernel
+
+    def act(self, state):
+        from equipoise.control.policy import act
+
+        return float(act(self.kernel, *(float(value) for value in state), 0.0))
+
+
+@pytest.mark.parametrize("kind", ["table", "linear", "snapped"])
+def test_a_recorded_trial_is_the_trial_itself(plant, kernels, kind):
+    trials = run(plant, kernels[kind], 12, duration=0.8)
+    for i in range(12):
+        own = scaled(PENDULUM, trials.inertia_factor[i], trials.friction_factor[i])
+        cause, rows = record_trial(
+            plant, Obeys(kernels[kind]), own, trials.start[i], 80, 0, TEST_NOISE, i
+        )
+        assert (cause, len(rows.u)) == (trials.cause[i], trials.steps[i])
+        # x of each step but the first, and of the end, which the recording does not hold.
+        assert np.sum(rows.state[1:, 0] ** 2) <= trials.sum_x2[i]
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 64, 65])
+def test_every_trial_is_run_once_and_told_of(plant, kernels, count):
+    finished = []
+    trials = drawn(count)
+    run_over_cores(
+        plant,
+        kernels["table"],
+        PENDULUM,
+        trials,
+        duration=0.1,
+        seed=0,
+        stream=TEST_NOISE,
+        workers=1,
+        done=finished.append,
+    )
+    assert sum(finished) == count
+    assert np.all(trials.steps > 0)
+
+
+def test_a_trial_lasts_so_many_steps_and_no_more(plant, kernels):
+    trials = run(plant, kernels["linear"], 20, duration=0.37)
+    assert trials.steps.tolist() == [37] * 20
+    assert trials.cause.tolist() == [LASTED] * 20
+
+
+# Failure
+
+
+def placed(plant, phi=0.0, x=0.0, x_dot=0.0, pendulum=PENDULUM._replace(w2=0.0, k=0.0, c=0.0)):
+    """Return the cause of the end after one step of a pendulum on which nothing acts."""
+    block = new_block()
+    reset(plant, block, pendulum, (x, x_dot, phi, 0.0), 0)
+    step(plant, block, 1)
+    return block, int(block.cause[0])
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_an_angle_on_the_limit_is_a_failure_and_one_just_below_is_not(plant, sign):
+    limit = 11 * pi / 180
+    assert placed(plant, phi=sign * limit)[1] == ANGLE
+    assert placed(plant, phi=sign * nextafter(limit, inf))[1] == ANGLE
+    assert placed(plant, phi=sign * nextafter(limit, 0))[1] == LASTED
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_flange_on_the_limit_is_a_failure_and_one_just_within_is_not(plant, sign):
+    block, _ = placed(plant, x=sign * 0.1)
+    reached = abs(float(block.state[X * LANES]))
+    assert placed(plant._replace(x_limit=reached), x=sign * 0.1)[1] == TRACK
+    assert placed(plant._replace(x_limit=nextafter(reached, inf)), x=sign * 0.1)[1] == LASTED
+    assert plant.x_limit == 0.22
+    assert placed(plant, x=sign * 0.2199)[1] == LASTED
+    assert placed(plant, x=sign * 0.2201)[1] == TRACK
+
+
+def test_a_joint_beyond_its_limit_is_a_failure(plant):
+    for row, change in [(0, 10.0), (1, -10.0), (2, -10.0), (3, -20.0)]:
+        limits = plant.limits.copy()
+        limits[row] += change
+        assert placed(plant._replace(limits=limits))[1] == JOINT_LIMIT
+
+
+def test_an_angle_is_told_before_the_track_and_the_track_before_a_joint(plant):
+    limits = plant.limits.copy()
+    limits[0] += 10.0
+    strict = plant._replace(limits=limits)
+    assert placed(strict, phi=0.3, x=0.23)[1] == ANGLE
+    assert placed(strict, x=0.23)[1] == TRACK
+    assert CAUSES[ANGLE] == "angle"
+    assert CAUSES[TRACK] == "track"
+    assert CAUSES[JOINT_LIMIT] == "joint limit"
+    assert CAUSES[LASTED] == "lasted"
+
+
+def test_what_is_not_a_number_is_a_failure(plant):
+    assert placed(plant, phi=float("nan"))[1] == ANGLE
+
+
+@pytest.mark.parametrize("x_dot", [-0.5, 0.0, 0.3])
+@pytest.mark.parametrize("x", [-0.2, 0.0, 0.15])
+def test_a_state_is_placed_where_it_was_asked_for(plant, x, x_dot):
+    block = new_block()
+    reset(plant, block, PENDULUM, (x, x_dot, 0.1, -0.2), 3)
+    state = block.state[3::LANES]
+    assert state == pytest.approx([x, x_dot, 0.1, -0.2, 0.0], abs=1e-11)
+
+
+def test_without_noise_the_tracked_acceleration_is_the_change_of_velocity(plant):
+    block = new_block()
+    reset(plant, block, PENDULUM, (0.05, 0.1, 0.0, 0.0), 0)
+    block.u[0] = 1.5
+    before = block.state[X_DOT * LANES]
+    step(plant, block, 1)
+    change = (block.state[X_DOT * LANES] - before) / paper.STEP
+    assert block.state[TRACKED * LANES] == pytest.approx(change, abs=1e-12)
+    assert change == pytest.approx(1.5, abs=0.01)
+
+
+def test_there_is_a_core():
+    assert available_cores() >= 1

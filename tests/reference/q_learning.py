@@ -1,0 +1,158 @@
+"""Q-learning as one reads it: a dictionary of boxes, one episode after the other in a list.
+
+What `equipoise.learning.q_learning.train_episodes` must equal. It shares with it the compiled
+plant (`reset`, `draw_noise`, `step`) and the random words; boxes, table, mirror, learning rate,
+exploration and the order of events are written here a second time. Every episode has a block of
+its own and is alone in it.
+
+The rules that the paper leaves open: so many episodes run side by side, in step; each acts by the
+table as it stands before the step; then they update it, the last one first. An episode that ends
+gives its place to the next, or, where none is left, to the last of those that run.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from tests.reference.intervals import place
+
+from equipoise import paper
+from equipoise.learning.closed_loop import (
+    LASTED,
+    Block,
+    draw_noise,
+    new_block,
+    reset,
+    step,
+)
+from equipoise.model.elementary import LANES
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.random import (
+    TRAINING_ACTION,
+    TRAINING_EPISODE,
+    TRAINING_NOISE,
+    TRAINING_START,
+    normal_pair,
+    philox,
+    uniform,
+)
+
+SIDE_BY_SIDE = 16
+
+
+class Result(NamedTuple):
+    """What a training comes to, in the order of the code's own arrays."""
+
+    Q: np.ndarray
+    visits: np.ndarray
+    begun: int
+    ended: int
+    steps: int
+
+
+class Episode:
+    """One episode on a plant of its own."""
+
+    def __init__(self, plant, pendulum, settings, seed, learner, number):
+        """Draw the pendulum and the start."""
+        self.plant, self.seed, self.learner, self.number = plant, seed, learner, number
+        self.tick = 0
+        self.block: Block = new_block()
+        w0, w1, _, _ = philox(seed, 0, number, learner, TRAINING_EPISODE)
+        on_I, on_b = normal_pair(w0, w1)
+        I = 1.0 + settings.plant.inertia_sigma * on_I
+        b = max(0.0, 1.0 + settings.plant.friction_sigma * on_b)
+        s = settings.learning
+        words = philox(seed, 0, number, learner, TRAINING_START)
+        widths = (s.start_x, s.start_x_dot, s.start_phi, s.start_phi_dot)
+        start = tuple(uniform(w, -width, width) for w, width in zip(words, widths, strict=True))
+        # w2 = m g l / I, k = m l / I, c = b / I.
+        own = PendulumParameters(
+            w2=pendulum.w2 / I,
+            k=pendulum.k / I,
+            c=pendulum.c * b / I,
+            coulomb=pendulum.coulomb / I,
+            drag=pendulum.drag / I,
+            linearised=pendulum.linearised,
+        )
+        reset(plant, self.block, own, start, 0)
+        self.cell = self.place()
+
+    def place(self):
+        """Return the intervals (i, j, k, m) that hold the state."""
+        x, x_dot, phi, phi_dot = (float(value) for value in self.block.state[: 4 * LANES : LANES])
+        return place(x, x_dot, phi, phi_dot)
+
+    def advance(self, action):
+        """Make one control step; tell whether it failed."""
+        tick, number = np.full(LANES, self.tick), np.full(LANES, self.number)
+        draw_noise(self.block.noise, self.seed, tick, number, self.learner, TRAINING_NOISE, 1)
+        self.block.u[0] = paper.ACTIONS[action]
+        step(self.plant, self.block, 1)
+        self.tick += 1
+        return self.block.cause[0] != LASTED
+
+
+def train(plant, pendulum, settings, until, seed, learner):
+    """Return the table after `until` episodes have ended."""
+    s = settings.learning
+    Q, visits = {}, {}
+    for cell in np.ndindex(6, 5, 3, 3):
+        Q[cell] = [0.0] * 8
+        visits[cell] = [0] * 8
+    begun = ended = steps = 0
+    longest = round(s.episode_duration / 0.01)
+
+    def begin():
+        nonlocal begun
+        begun += 1
+        return Episode(plant, pendulum, settings, seed, learner, begun - 1)
+
+    def choose(episode):
+        w0, w1, _, _ = philox(seed, episode.tick, episode.number, learner, TRAINING_ACTION)
+        epsilon = s.epsilon_initial
+        if s.epsilon_until > 0.0:
+            epsilon *= max(0.0, 1.0 - episode.number / (s.epsilon_until * s.episodes))
+        if w0 / 2**32 < epsilon:
+            return w1 * 8 >> 32
+        values = Q[episode.cell]
+        best = [action for action in range(8) if values[action] == max(values)]
+        return best[w1 * len(best) >> 32]
+
+    def learn(cell, action, target):
+        N = visits[cell][action]
+        alpha = max(s.alpha_initial / (1.0 + s.alpha_decay * N), s.alpha_minimum)
+        Q[cell][action] = (1.0 - alpha) * Q[cell][action] + alpha * target
+        visits[cell][action] += 1
+        if s.mirrored:
+            i, j, k, m = cell
+            image = (5 - i, 4 - j, 2 - k, 2 - m)
+            Q[image][7 - action] = Q[cell][action]
+            visits[image][7 - action] = visits[cell][action]
+
+    running = [begin() for _ in range(min(SIDE_BY_SIDE, s.episodes))]
+    while ended < until:
+        actions = [int(choose(episode)) for episode in running]
+        failed = [episode.advance(a) for episode, a in zip(running, actions, strict=True)]
+        steps += len(running)
+        for n in reversed(range(len(running))):
+            episode = running[n]
+            if failed[n]:
+                learn(episode.cell, actions[n], s.reward_failure)
+            else:
+                before, episode.cell = episode.cell, episode.place()
+                learn(before, actions[n], s.gamma * max(Q[episode.cell]))
+                if episode.tick < longest:
+                    continue
+            ended += 1
+            if begun < s.episodes:
+                running[n] = begin()
+            else:
+                running[n] = running[-1]
+                running.pop()
+    return Result(
+        np.array([Q[cell] for cell in np.ndindex(6, 5, 3, 3)]),
+        np.array([visits[cell] for cell in np.ndindex(6, 5, 3, 3)]),
+        begun,
+        ended,
+        steps,
+    )

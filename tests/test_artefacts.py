@@ -1,0 +1,473 @@
+"""Files: what is written is read back, and what is not that is refused with one sentence."""
+
+import hashlib
+import json
+import os
+import threading
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from equipoise import artefacts
+from equipoise.artefacts import (
+    Artefact,
+    Estimate,
+    Value,
+    file_digest,
+    read_document,
+    value_digest,
+    write_whole,
+)
+from equipoise.errors import ArtefactError, EquipoiseError, OutsideError
+from equipoise.model.pendulum import Pendulum
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+class Part(Value):
+    """A part of a gauge."""
+
+    size: float
+    """Its size [m]."""
+    kind: Literal["round", "square"] = "round"
+    """Its kind."""
+
+
+class Gauge(Artefact):
+    """A made-up artefact, in its third version."""
+
+    FORMAT: ClassVar[str] = "test-gauge"
+    VERSION: ClassVar[int] = 3
+    UPGRADES: ClassVar = {2: lambda body: body | {"label": body["name"].upper(), "name": None}}
+
+    name: str | None = None
+    """Until version 2."""
+    label: str
+    """Since version 3."""
+    count: int = 0
+    """A number."""
+    row: tuple[float, ...] = ()
+    """Some numbers."""
+    part: Part | None = None
+    """A part."""
+
+
+GAUGE = Gauge(label="Ä 'b' \"c\"\n", count=3, row=(0.1, -0.0, 1e-300), part=Part(size=2.5))
+
+
+def canonical_digest(body):
+    """Return the digest as a reader in another language would compute it."""
+    text = json.dumps(body, sort_keys=True, separators=(",", ":"))
+    return "sha256:" + hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+def signed(body, *, format="test-gauge", version: Any = 3, provenance=None):
+    """Return the text of a file whose digest is right."""
+    return json.dumps(
+        {
+            "format": format,
+            "version": version,
+            "digest": canonical_digest(body),
+            "provenance": {} if provenance is None else provenance,
+            "body": body,
+        }
+    )
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "gauge.json"
+
+
+@pytest.fixture
+def saved(path):
+    GAUGE.save(path, command="test", inputs={"swing": "sha256:0"})
+    return path
+
+
+def refusal(path, content, cls=Gauge):
+    """Return the sentence with which a file is refused."""
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ArtefactError) as refused:
+        cls.load(path)
+    message = str(refused.value)
+    assert str(path) in message
+    assert "\n" not in message
+    return message
+
+
+# What is written
+
+
+def test_a_value_comes_back_as_it_was(saved):
+    assert Gauge.load(saved) == GAUGE
+    assert Gauge.load(saved).digest == GAUGE.digest
+
+
+@given(
+    row=st.lists(finite).map(tuple),
+    label=st.text(st.characters(codec="utf-8")),
+    count=st.integers(-(2**63), 2**63),
+)
+def test_any_value_comes_back_bit_for_bit(tmp_path_factory, row, label, count):
+    path = tmp_path_factory.mktemp("files") / "gauge.json"
+    gauge = Gauge(row=row, label=label, count=count)
+    gauge.save(path, command="test")
+    read = Gauge.load(path)
+    assert (read.label, read.count) == (label, count)
+    # As hexadecimal, since -0.0 == 0.0.
+    assert [number.hex() for number in read.row] == [number.hex() for number in row]
+    assert read.digest == gauge.digest
+
+
+def test_the_digest_is_the_sha256_of_the_canonical_json_of_the_body(saved):
+    document = json.loads(saved.read_text())
+    assert document["digest"] == canonical_digest(document["body"]) == GAUGE.digest
+    assert value_digest(GAUGE) == GAUGE.digest
+    assert file_digest(saved) == "sha256:" + hashlib.sha256(saved.read_bytes()).hexdigest()
+
+
+def test_the_digest_does_not_depend_on_the_order_of_keys_or_on_white_space(saved):
+    document = json.loads(saved.read_text())
+    document["body"] = dict(reversed(document["body"].items()))
+    saved.write_text(json.dumps(document, indent=7, sort_keys=False))
+    assert Gauge.load(saved) == GAUGE
+
+
+def test_equal_values_have_equal_digests_and_others_do_not():
+    assert GAUGE.digest == GAUGE.model_copy().digest
+    assert GAUGE.digest != GAUGE.model_copy(update={"count": 4}).digest
+    assert Gauge(label="a", row=(1,)).digest == Gauge(label="a", row=(1.0,)).digest
+
+
+def test_a_file_says_what_it_is_and_where_it_comes_from(saved):
+    document = read_document(saved)
+    assert list(document) == ["format", "version", "digest", "provenance", "body"]
+    assert (document["format"], document["version"]) == ("test-gauge", 3)
+    provenance = document["provenance"]
+    assert provenance["command"] == "test"
+    assert provenance["inputs"] == {"swing": "sha256:0"}
+    assert provenance["created"].endswith("+00:00")
+    assert {"equipoise", "python", "numpy", "numba"} <= set(provenance["software"])
+
+
+def test_a_file_can_be_read_by_a_person(saved):
+    lines = saved.read_text().splitlines()
+    assert '  "count": 3,' in lines
+    assert '  "row": [0.1, -0.0, 1e-300],' in lines  # a row of numbers stays on its line
+    assert any("Ä" in line for line in lines)
+
+
+def test_missing_folders_are_made(tmp_path):
+    GAUGE.save(tmp_path / "a" / "b" / "gauge.json", command="test")
+    assert Gauge.load(tmp_path / "a" / "b" / "gauge.json") == GAUGE
+
+
+def test_values_refuse_unknown_fields_changes_nan_and_infinity():
+    with pytest.raises(ValueError, match="size"):
+        Part(size=float("nan"))
+    with pytest.raises(ValueError, match="row"):
+        Gauge(label="a", row=(float("inf"),))
+    with pytest.raises(ValueError, match="width"):
+        Part(size=1.0, width=2.0)  # pyright: ignore[reportCallIssue]
+    with pytest.raises(ValueError, match="frozen"):
+        GAUGE.count = 4  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_the_interval_of_a_normal_error_holds_95_percent_of_it():
+    estimate = Estimate.normal(10.0, 2.0, "given")
+    # The 97.5 % quantile of the normal distribution is 1.95996.
+    assert estimate.interval == pytest.approx((10 - 2 * 1.95996, 10 + 2 * 1.95996), abs=1e-3)
+    assert estimate.source == "given"
+
+
+# What is refused
+
+
+def test_a_missing_file_is_refused(path):
+    with pytest.raises(ArtefactError, match="there is no file .*gauge.json"):
+        Gauge.load(path)
+
+
+def test_a_folder_is_refused(tmp_path):
+    with pytest.raises(ArtefactError, match="cannot read"):
+        Gauge.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\n", b"hello", b"time_s,theta_rad\n0,1\n", b"\x89PNG\r\n\x1a\n\0", b"{", b"{}}", b"\xff{}"],
+)
+def test_what_is_not_json_is_refused(path, content):
+    assert "not a file of Equipoise" in refusal(path, content)
+
+
+@pytest.mark.parametrize("content", [b"null", b"3", b'"text"', b"[]", b"{}", b'{"format": 1}'])
+def test_json_of_somebody_else_is_refused(path, content):
+    assert "not a file of Equipoise" in refusal(path, content)
+
+
+def test_brackets_without_end_are_refused(path):
+    assert "not a file of Equipoise" in refusal(path, b"[" * 100_000)
+
+
+@pytest.mark.parametrize("key", ["format", "version", "digest", "provenance", "body"])
+def test_a_missing_key_is_refused(saved, key):
+    document = json.loads(saved.read_text())
+    del document[key]
+    assert "expected the keys format, version" in refusal(saved, json.dumps(document))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("format", 3),
+        ("version", "3"),
+        ("version", 3.0),
+        ("version", True),
+        ("digest", None),
+        ("provenance", []),
+        ("body", []),
+    ],
+)
+def test_a_key_of_another_type_is_refused(saved, key, value):
+    document = json.loads(saved.read_text())
+    document[key] = value
+    if key == "body":
+        document["digest"] = canonical_digest(value)
+    assert "not a file of Equipoise" in refusal(saved, json.dumps(document))
+
+
+@pytest.mark.parametrize("tenths", range(10))
+def test_a_file_that_was_cut_short_is_refused(saved, tenths):
+    content = saved.read_bytes()
+    refusal(saved, content[: len(content) * tenths // 10])
+
+
+def test_no_cut_of_a_file_is_read_as_a_file(saved):
+    content = saved.read_bytes()
+    for length in range(len(content) - 2):  # less than the last brace and the line's end
+        refusal(saved, content[:length])
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"count": 3', '"count": 4'),
+        ("0.1", "0.10000000000000002"),
+        ("-0.0", "0.0"),
+        ('"size": 2.5', '"size": 2.50001'),
+        ('"kind": "round"', '"kind": "square"'),
+        ("Ä", "A"),
+        ('  "count": 3,\n', ""),
+    ],
+)
+def test_an_edited_value_is_refused(saved, old, new):
+    text = saved.read_text()
+    assert old in text
+    assert "does not match its digest" in refusal(saved, text.replace(old, new))
+
+
+def test_an_edited_digest_is_refused(saved):
+    text = saved.read_text()
+    digest = json.loads(text)["digest"]
+    other = digest[:-1] + ("0" if digest[-1] != "0" else "1")
+    assert "does not match its digest" in refusal(saved, text.replace(digest, other))
+
+
+@pytest.mark.parametrize("constant", ["NaN", "Infinity", "-Infinity", "1e999", "-1e999"])
+def test_a_number_that_is_not_finite_is_refused(saved, constant):
+    refusal(saved, saved.read_text().replace("2.5", constant))
+
+
+def test_a_file_of_another_format_is_refused_by_name(saved):
+    message = refusal(saved, saved.read_text(), cls=Pendulum)
+    assert "holds 'test-gauge', expected 'equipoise-pendulum'" in message
+
+
+def test_a_newer_version_is_refused(path):
+    message = refusal(path, signed({"label": "a"}, version=4))
+    assert "version 4" in message
+    assert "upgrade Equipoise" in message
+
+
+def test_an_older_version_is_upgraded(path):
+    path.write_text(signed({"name": "old", "count": 5}, version=2))
+    assert Gauge.load(path) == Gauge(label="OLD", count=5)
+
+
+def test_upgrades_follow_one_another(path):
+    class Chained(Gauge):
+        VERSION: ClassVar[int] = 4
+        UPGRADES: ClassVar = Gauge.UPGRADES | {3: lambda body: body | {"count": body["count"] + 1}}
+
+    path.write_text(signed({"name": "old", "count": 5}, version=2))
+    assert Chained.load(path) == Chained(label="OLD", count=6)
+
+
+@pytest.mark.parametrize("version", [1, 0, -1])
+def test_a_version_without_an_upgrade_is_refused(path, version):
+    assert "can no longer be read" in refusal(path, signed({"name": "old"}, version=version))
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        ({"colour": "red"}, "colour"),
+        ({"count": "3"}, "count"),
+        ({"count": 3.5}, "count"),
+        ({"row": [0.1, "0.2"]}, "row.1"),
+        ({"part": {"size": 1.0, "width": 2.0}}, "part.width"),
+        ({"part": {"kind": "round"}}, "part.size"),
+        ({"part": {"size": 1.0, "kind": "oval"}}, "part.kind"),
+        ({"label": None}, "label"),
+    ],
+)
+def test_a_body_that_does_not_fit_is_refused_and_says_where(path, change, where):
+    message = refusal(path, signed({"label": "a"} | change))
+    assert "not a valid 'test-gauge' file" in message
+    assert f": {where}: " in message
+
+
+def test_a_field_that_is_missing_is_refused(path):
+    assert ": label: " in refusal(path, signed({"count": 3}))
+
+
+# Whole or not at all
+
+
+def failing(*_, **__):
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace"])
+@pytest.mark.parametrize("there", [True, False])
+def test_a_disk_that_fails_leaves_what_was_there_and_nothing_else(
+    tmp_path, monkeypatch, step, there
+):
+    path = tmp_path / "gauge.json"
+    if there:
+        path.write_text("before")
+    monkeypatch.setattr(os, step, failing)
+    if step == "replace":
+        monkeypatch.setattr(Path, "replace", failing)
+    with pytest.raises(OutsideError, match=r"cannot write .*gauge\.json: No space left on device"):
+        GAUGE.save(path, command="test")
+    assert [file.name for file in tmp_path.iterdir()] == (["gauge.json"] if there else [])
+    assert not there or path.read_text() == "before"
+
+
+def test_an_interruption_leaves_what_was_there_and_nothing_else(saved, monkeypatch):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    before = saved.read_bytes()
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        GAUGE.model_copy(update={"count": 9}).save(saved, command="test")
+    assert saved.read_bytes() == before
+    assert list(saved.parent.iterdir()) == [saved]
+
+
+def test_the_file_is_on_the_disk_before_it_gets_its_name(path, monkeypatch):
+    order = []
+    fsync, replace = os.fsync, Path.replace
+    monkeypatch.setattr(os, "fsync", lambda f: (order.append("fsync"), fsync(f)))
+    monkeypatch.setattr(Path, "replace", lambda a, b: (order.append("rename"), replace(a, b)))
+    GAUGE.save(path, command="test")
+    assert order == ["fsync", "rename"]
+
+
+@pytest.mark.parametrize("place", [".", "", "folder", "file/below.json", "a" * 300])
+def test_a_place_where_no_file_can_be_is_refused(tmp_path, monkeypatch, place):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("before")
+    with pytest.raises(EquipoiseError, match="cannot write"):
+        GAUGE.save(Path(place), command="test")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["file", "folder"]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_may_not_be_written_is_an_outside_error(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(OutsideError, match="Permission denied"):
+        GAUGE.save(tmp_path / "gauge.json", command="test")
+
+
+def test_saving_again_replaces_the_file(saved):
+    other = GAUGE.model_copy(update={"count": 9})
+    other.save(saved, command="test")
+    assert Gauge.load(saved) == other
+    assert list(saved.parent.iterdir()) == [saved]
+
+
+def test_bytes_and_text_are_written_as_they_are(tmp_path):
+    write_whole(tmp_path / "text", "ä\n")
+    write_whole(tmp_path / "bytes", b"\0\r\n")
+    assert (tmp_path / "text").read_bytes() == "ä\n".encode()
+    assert (tmp_path / "bytes").read_bytes() == b"\0\r\n"
+
+
+def test_writers_at_the_same_time_leave_one_whole_file(tmp_path):
+    path = tmp_path / "gauge.json"
+    gauges = [Gauge(label=str(i), row=tuple(float(j * i) for j in range(2000))) for i in range(4)]
+    errors = []
+    reading = threading.Event()
+    GAUGE.save(path, command="test")
+
+    def write(gauge):
+        try:
+            for _ in range(10):
+                gauge.save(path, command="test")
+        except Exception as error:
+            errors.append(error)
+
+    def read():
+        try:
+            while not reading.is_set():
+                assert Gauge.load(path).label in {"0", "1", "2", "3", GAUGE.label}
+        except Exception as error:
+            errors.append(error)
+
+    reader = threading.Thread(target=read)
+    writers = [threading.Thread(target=write, args=(gauge,)) for gauge in gauges]
+    for thread in [reader, *writers]:
+        thread.start()
+    for thread in writers:
+        thread.join()
+    reading.set()
+    reader.join()
+    assert errors == []
+    assert Gauge.load(path) in gauges
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_temporary_file_lies_beside_the_file_so_that_the_rename_cannot_cross_disks(
+    path, monkeypatch
+):
+    seen = []
+    replace = Path.replace
+    monkeypatch.setattr(Path, "replace", lambda a, b: (seen.append((a, b)), replace(a, b)))
+    write_whole(path, "x")
+    ((temporary, target),) = seen
+    assert temporary.parent == target.parent == path.parent
+    assert temporary.name.startswith(".")
+
+
+def test_every_message_says_what_to_do(saved):
+    document = json.loads(saved.read_text())
+    for content in ("hello", "{}", json.dumps(document | {"digest": "sha256:0"})):
+        assert refusal(saved, content).rsplit("; ", 1)[1].startswith(("make", "give"))
+
+
+def test_a_version_of_a_library_that_is_missing_is_said_so(monkeypatch, path):
+    def missing(package):
+        raise artefacts.metadata.PackageNotFoundError(package)
+
+    monkeypatch.setattr(artefacts.metadata, "version", missing)
+    GAUGE.save(path, command="test")
+    assert read_document(path)["provenance"]["software"]["mujoco"] == "not installed"

@@ -1,0 +1,102 @@
+"""The published numbers, against the paper's LaTeX source typed by another hand."""
+
+from math import inf, nextafter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.reference import intervals as printed
+
+from equipoise import paper
+
+AXES = [
+    (paper.PHI_INTERVALS_DEG, printed.PHI_DEG),
+    (paper.PHI_DOT_INTERVALS_DEG, printed.PHI_DOT_DEG),
+    (paper.X_INTERVALS, printed.X),
+    (paper.X_DOT_INTERVALS, printed.X_DOT),
+]
+
+
+def test_the_source_itself_is_read_as_printed():
+    assert printed.read(r"]-11{^\circ},-5{^\circ}[") == (-11.0, -5.0, False, False)
+    assert printed.read(r"]-\infty,-50]") == (-inf, -50.0, False, True)
+    assert printed.read(r"[0{^\circ},1{^\circ}[") == (0.0, 1.0, True, False)
+    assert printed.read(r"[50,+\infty[") == (50.0, inf, True, False)
+
+
+@pytest.mark.parametrize(("ours", "theirs"), AXES)
+def test_intervals_have_the_ends_of_the_source_and_their_brackets(ours, theirs):
+    assert [tuple(interval) for interval in ours] == [tuple(printed.read(s)) for s in theirs]
+
+
+def test_the_actions_are_the_eight_of_section_4_1():
+    assert paper.ACTIONS == (-2, -1.5, -1, -0.5, 0.5, 1, 1.5, 2)
+
+
+def test_the_table_has_270_boxes():
+    assert [len(ours) for ours, _ in AXES] == [6, 5, 3, 3]
+
+
+def test_single_numbers_are_those_of_their_sections():
+    assert paper.HELD_JOINT == 3  # 3.1 "we fix the redundant joint (third) of the robot"
+    assert paper.FREE_SWING_PERIOD == 0.75  # 3.2 "around 0.75 seconds"
+    assert paper.PHI_LIMIT_DEG == 11  # 4.1 "{+11, -11} degrees"
+    assert paper.X_LIMIT == 0.22  # 4.1 "{+0.22, -0.22} meters"
+    assert paper.EPISODES == 10_000  # 4.2 "trained in 10,000 episodes"
+    assert paper.STEP == 0.01  # 4.2 "a time step h = 0.01 seconds"
+    assert paper.SECONDS_BALANCED == 5  # 4.3 "for the first 5 seconds"
+    assert paper.X_AT_FAILURE == -0.22  # 4.3 "exceeding the limit at -0.22 meters"
+    assert paper.PHI_AT_FAILURE_DEG == -3.44  # 4.3 "the pendulum's angle is -3.44"
+
+
+def test_the_limits_of_failure_are_the_outer_ends_and_are_in_no_interval():
+    assert paper.PHI_INTERVALS_DEG[0].low == -paper.PHI_LIMIT_DEG
+    assert paper.PHI_INTERVALS_DEG[-1].high == paper.PHI_LIMIT_DEG
+    assert (paper.X_INTERVALS[0].low, paper.X_INTERVALS[-1].high) == (-0.22, 0.22)
+    for limit, intervals in [(11.0, paper.PHI_INTERVALS_DEG), (0.22, paper.X_INTERVALS)]:
+        assert not any(sign * limit in interval for sign in (-1, 1) for interval in intervals)
+
+
+@pytest.mark.parametrize(("ours", "theirs"), AXES)
+def test_an_interval_holds_what_its_brackets_say_at_each_end(ours, theirs):
+    for interval, latex in zip(ours, theirs, strict=True):
+        other = printed.read(latex)
+        for end in {interval.low, interval.high} - {-inf, inf}:
+            for value in (nextafter(end, -inf), end, nextafter(end, inf)):
+                assert (value in interval) == other.holds(value)
+
+
+@given(
+    value=st.floats(-0.22, 0.22, exclude_min=True, exclude_max=True),
+    rate=st.floats(allow_nan=False, allow_infinity=False),
+)
+def test_every_state_that_is_not_a_failure_is_in_one_interval_of_each_axis(value, rate):
+    for number, intervals in [
+        (value / 0.22 * 11.0 * (1.0 - 1e-15), paper.PHI_INTERVALS_DEG),
+        (rate, paper.PHI_DOT_INTERVALS_DEG),
+        (value, paper.X_INTERVALS),
+        (rate, paper.X_DOT_INTERVALS),
+    ]:
+        assert sum(number in interval for interval in intervals) == 1
+
+
+def test_an_interval_reads_numbers_of_numpy_and_holds_nothing_else():
+    interval = paper.PHI_INTERVALS_DEG[4]
+    assert np.float64(1.0) in interval
+    assert 2 in interval
+    assert float("nan") not in interval
+    assert "2" not in interval
+
+
+def test_an_interval_is_written_as_the_paper_writes_it():
+    assert [str(interval) for interval in paper.PHI_INTERVALS_DEG] == [
+        "]-11, -5[",
+        "[-5, -1[",
+        "[-1, 0[",
+        "[0, 1[",
+        "[1, 5[",
+        "[5, 11[",
+    ]
+    assert str(paper.PHI_DOT_INTERVALS_DEG[0]) == "]-inf, -50]"
+    assert str(paper.X_INTERVALS[0]) == "]-0.22, -0.08]"

@@ -1,0 +1,111 @@
+"""The public surface: lazy, complete, and documented."""
+
+import ast
+import inspect
+import json
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+import equipoise
+
+HEAVY = ("numpy", "numba", "scipy", "mujoco", "matplotlib", "pydantic", "typer", "rich", "mcap")
+NAMES = [name for name in equipoise.__all__ if not name.startswith("__")]
+
+
+def test_importing_the_package_imports_nothing_that_is_slow():
+    program = (
+        f"import equipoise, sys, json; print(json.dumps([m for m in {HEAVY} if m in sys.modules]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert json.loads(done.stdout) == []
+
+
+def test_every_name_is_there_and_listed():
+    for name in equipoise.__all__:
+        assert getattr(equipoise, name) is not None
+    assert set(equipoise.__all__) <= set(dir(equipoise))
+    assert len(set(equipoise.__all__)) == len(equipoise.__all__)
+
+
+def test_names_mean_what_a_type_checker_is_told():
+    tree = ast.parse(Path(equipoise.__file__).read_text())
+    told = {
+        alias.name: node.module
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("equipoise.")
+        for alias in node.names
+    }
+    assert set(told) == set(NAMES)
+    for name, module in told.items():
+        assert f"equipoise.{equipoise._HOME_OF[name]}" == module
+        assert getattr(equipoise, name) is getattr(sys.modules[module], name)
+
+
+def test_version_is_the_installed_one():
+    assert equipoise.__version__ == version("equipoise")
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'equipoise' has no attribute 'balance'"):
+        _ = equipoise.balance
+
+
+def functions_of(name):
+    """Return the functions and methods behind a public name, by what to call them."""
+    thing = getattr(equipoise, name)
+    thing = inspect.unwrap(thing)
+    if not inspect.isclass(thing):
+        return {name: thing}
+    found = {}
+    for key, member in vars(thing).items():
+        if key.startswith("_") and key != "__init__":
+            continue
+        member = getattr(member, "__func__", member)
+        if isinstance(member, property):
+            member = member.fget
+        if inspect.isfunction(member) and member.__module__ == thing.__module__:
+            found[f"{name}.{key}"] = member
+    return found
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_public_name_is_documented(name):
+    thing = getattr(equipoise, name)
+    assert inspect.getdoc(thing)
+    for called, function in functions_of(name).items():
+        text = inspect.getdoc(function)
+        assert text, called
+        # A short docstring may explain its arguments in its sentence; one with Args names all.
+        if "Args:" in text:
+            for argument in inspect.signature(function).parameters:
+                assert argument in ("self", "cls") or f"\n    {argument}: " in text, (
+                    called,
+                    argument,
+                )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_functions_of_many_arguments_explain_each(name):
+    thing = inspect.unwrap(getattr(equipoise, name))
+    if inspect.isclass(thing):
+        return
+    # One sentence can say what two arguments are.
+    assert len(inspect.signature(thing).parameters) < 3 or "Args:" in inspect.getdoc(thing), name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_field_of_a_public_value_is_documented(name):
+    thing = getattr(equipoise, name)
+    if not inspect.isclass(thing) or not issubclass(thing, BaseModel):
+        return
+    for field, info in thing.model_fields.items():
+        # A section of the settings is described by its own class.
+        described = info.description or inspect.getdoc(info.annotation)
+        assert described, f"{name}.{field}"
