@@ -199,7 +199,16 @@ def test_a_folder_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b"\n", b"hello", b"time_s,theta_rad\n0,1\n", b"\x89PNG\r\n\x1a\n\0", b"{", b"{}}", b"\xff{}"],
+    [
+        b"",
+        b"\n",
+        b"hello",
+        b"time_s,theta_rad\n0,1\n",
+        b"\x89PNG\r\n\x1a\n\0",
+        b"{",
+        b"{}}",
+        b"\xff{}",
+    ],
 )
 def test_what_is_not_json_is_refused(path, content):
     assert "not a file of Equipoise" in refusal(path, content)
@@ -391,7 +400,9 @@ def test_a_place_where_no_file_can_be_is_refused(tmp_path, monkeypatch, place):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["file", "folder"]
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere"
+)
 def test_a_folder_that_may_not_be_written_is_an_outside_error(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(OutsideError, match="Permission denied"):

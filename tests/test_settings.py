@@ -157,7 +157,9 @@ def test_an_unknown_name_is_refused_with_a_suggestion(tmp_path, name, suggestion
         assert f"there is no setting '{name}'; did you mean '{suggestion}" in message
 
 
-@pytest.mark.parametrize("name", ["gamma", "learning", "", "a.b.c", "learning.gamma.value", "clik."])
+@pytest.mark.parametrize(
+    "name", ["gamma", "learning", "", "a.b.c", "learning.gamma.value", "clik."]
+)
 def test_a_name_that_is_no_setting_is_refused(name):
     assert f"there is no setting {name!r}; " in refusal(f"{name}=1")
 
@@ -228,7 +230,13 @@ def test_a_range_of_starts_with_its_ends_reversed_is_refused(name):
 
 @pytest.mark.parametrize(
     "text",
-    ["learning", "[learning\n", "[learning]\ngamma = \n", "[learning]\ngamma = 1\ngamma = 2\n", b"\xff"],
+    [
+        "learning",
+        "[learning\n",
+        "[learning]\ngamma = \n",
+        "[learning]\ngamma = 1\ngamma = 2\n",
+        b"\xff",
+    ],
 )
 def test_a_file_that_is_not_toml_is_refused_by_name(tmp_path, text):
     message = refusal(file=toml(tmp_path, text))

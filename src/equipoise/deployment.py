@@ -1,4 +1,4 @@
-"""Deploy: a policy runs once, under conditions that it does not know, and everything is written down.
+"""Deploy: a policy runs once, under conditions that it does not know, and is written down.
 
 This is the simulated plant of the training, *not* a robot and *not* a digital twin of one: the arm
 tracks its commands without delay, play or flexing, and the state is known without a sensor. Only
@@ -55,9 +55,7 @@ def deploy(
         nominal, float(trial.inertia_factor[0]), float(trial.friction_factor[0])
     )
     longest = round(duration / plant.h)
-    cause, rows = record_trial(
-        plant, policy, real, trial.start[0], longest, seed, DEPLOYMENT_NOISE
-    )
+    cause, rows = record_trial(plant, policy, real, trial.start[0], longest, seed, DEPLOYMENT_NOISE)
     arm, partition = policy.arm, boxes()
     joints = len(arm.joints)
     moving = list(arm.without_held(range(joints)))
@@ -81,12 +79,12 @@ def deploy(
             settings=settings,
             cause=CAUSES[cause],
         ),
-        time=np.arange(len(rows.u)) * plant.h,
+        time=np.arange(len(rows.u), dtype=np.float64) * plant.h,
         x=rows.state[:, 0],
         x_dot=rows.state[:, 1],
         phi=rows.state[:, 2],
         phi_dot=rows.state[:, 3],
-        box=np.array([box_index(*state, partition) for state in rows.state.tolist()], np.int64),
+        box=np.array([box_index(*row, boxes=partition) for row in rows.state.tolist()], np.int64),
         u=rows.u,
         tracked=rows.tracked,
         q=q,

@@ -19,7 +19,7 @@ from equipoise.learning.closed_loop import CAUSES, Plant, Trials, make_plant, re
 from equipoise.learning.trials import draw_trials, run_over_cores
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
-from equipoise.model.random import TEST_NOISE
+from equipoise.model.random import TEST
 from equipoise.settings import Settings
 
 CONFIDENCE = 0.95
@@ -135,7 +135,7 @@ def evaluate(
             trials,
             duration=settings.evaluation.duration,
             seed=seed,
-            stream=TEST_NOISE,
+            stream=TEST,
             workers=workers,
             done=done,
         )
@@ -188,7 +188,7 @@ def evaluate_function(
             parameters, float(trials.inertia_factor[i]), float(trials.friction_factor[i])
         )
         trials.cause[i], rows = record_trial(
-            plant, policy, own, trials.start[i], longest, seed, TEST_NOISE, i
+            plant, policy, own, trials.start[i], longest, seed, TEST, i
         )
         trials.steps[i] = len(rows.u)
         done(1)
@@ -206,7 +206,7 @@ def evaluate_function(
 
 
 def _conditions(settings: Settings, seed: int) -> Trials:
-    return draw_trials(settings.evaluation.trials, settings, seed, TEST_NOISE, spread=1.0)
+    return draw_trials(settings.evaluation.trials, settings, seed, TEST, spread=1.0)
 
 
 def _results(name: str, plant: Plant, trials: Trials) -> TrialResults:

@@ -186,7 +186,6 @@ class RunLog:
             ArtefactError: The file is missing, corrupt, edited, not ours or newer.
         """
         metadata, messages = _read(path)
-        _check_version(path, metadata)
         rows = messages.get("/tick", [])
         try:
             conditions = RunConditions.model_validate_json(messages["/run"][0], strict=True)
@@ -219,22 +218,12 @@ def provenance_of(path: Path) -> Provenance:
         ArtefactError: The file is missing, corrupt, not ours or newer.
     """
     metadata, _ = _read(path)
-    _check_version(path, metadata)
     try:
         return Provenance.model_validate_json(metadata["provenance"])
     except (KeyError, ValidationError):
-        raise ArtefactError(f"{path} does not say where it comes from; record again") from None
-
-
-def _check_version(path: Path, metadata: Mapping[str, str]) -> None:
-    version = metadata.get("version", "")
-    if not version.isdecimal():
-        raise ArtefactError(f"{path} is no run log of Equipoise; give a file that it wrote")
-    if int(version) > VERSION:
         raise ArtefactError(
-            f"{path} has version {version} of {FORMAT!r}, this Equipoise reads up to {VERSION}; "
-            "upgrade Equipoise"
-        )
+            f"{path} does not say where it comes from; record the run again"
+        ) from None
 
 
 def _read(path: Path) -> tuple[dict[str, str], dict[str, list[bytes]]]:
@@ -260,13 +249,21 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, list[bytes]]]:
         raise ArtefactError(
             f"{path} is not an MCAP file, or was cut short or damaged; record the run again"
         ) from None
+    version = metadata.get("version", "")
+    if not version.isdecimal():
+        raise ArtefactError(f"{path} is no run log of Equipoise; give a file that it wrote")
+    if int(version) > VERSION:
+        raise ArtefactError(
+            f"{path} has version {version} of {FORMAT!r}, this Equipoise reads up to {VERSION}; "
+            "upgrade Equipoise"
+        )
     return metadata, messages
 
 
 def _schemas(joints: int) -> dict[str, dict[str, Any]]:
     """Return the JSON schema of each topic; Foxglove needs one to plot."""
     per_joint = {"type": "array", "items": {"type": "number"}, "minItems": joints}
-    kinds: dict[str, Any] = dict.fromkeys(COLUMNS, {"type": "number"})
+    kinds: dict[str, Any] = {name: {"type": "number"} for name in COLUMNS}
     kinds |= {"box": {"type": "integer"}, "q": per_joint, "dq": per_joint}
     end = {"lasted": {"type": "number"}, "cause": {"type": "string"}}
     return {

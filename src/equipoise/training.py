@@ -35,7 +35,7 @@ from equipoise.learning.q_learning import (
 from equipoise.learning.trials import draw_trials, run_over_cores
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
-from equipoise.model.random import SELECTION_NOISE
+from equipoise.model.random import FINAL_ROUND, SCREENING
 from equipoise.settings import Settings
 
 REPORTS = 200
@@ -206,7 +206,9 @@ def _snapshot(
 ) -> _Snapshot:
     Q, visits = progress.Q.copy(), progress.visits.copy()
     episodes = int(progress.count[ENDED])
-    candidate = _tried(plant, pendulum, Q, episodes, settings, seed, trials, workers)
+    candidate = _tried(
+        plant, pendulum, Q, episodes, settings, seed, SCREENING, trials, workers
+    )
     return _Snapshot(Q, visits, candidate)
 
 
@@ -221,7 +223,9 @@ def _retried(
     """Run the final round of one finalist."""
     Q, episodes = snapshot.Q, snapshot.candidate.episodes
     trials = settings.selection.final_trials
-    candidate = _tried(plant, pendulum, Q, episodes, settings, seed + 1, trials, workers)
+    candidate = _tried(
+        plant, pendulum, Q, episodes, settings, seed, FINAL_ROUND, trials, workers
+    )
     return snapshot._replace(candidate=candidate)
 
 
@@ -232,12 +236,13 @@ def _tried(
     episodes: int,
     settings: Settings,
     seed: int,
+    stream: int,
     count: int,
     workers: int,
 ) -> Candidate:
     """Run the greedy policy of a table on selection trials."""
     selection = settings.selection
-    trials = draw_trials(count, settings, seed, SELECTION_NOISE, selection.spread)
+    trials = draw_trials(count, settings, seed, stream, selection.spread)
     run_over_cores(
         plant,
         _greedy(Q),
@@ -245,7 +250,7 @@ def _tried(
         trials,
         duration=selection.duration,
         seed=seed,
-        stream=SELECTION_NOISE,
+        stream=stream,
         workers=workers,
     )
     mean_duration = float(np.mean(trials.steps)) * plant.h

@@ -156,7 +156,8 @@ def test_an_output_that_cannot_be_is_refused_before_the_work(refused, swing, tmp
     (tmp_path / "folder.json").mkdir()
     (tmp_path / "file").write_text("")
     refused("identify", swing, "--out", "folder.json", saying="is a folder")
-    refused("identify", swing, "--out", "file/pendulum.json", saying="cannot write in")
+    refused("identify", swing, "--out", "file/pendulum.json", saying="file is a file")
+    refused("identify", swing, "--out", "file/deep/pendulum.json", saying="cannot write in")
     refused("identify", swing, "--out", swing, saying="ends in .json")
 
 

@@ -170,9 +170,12 @@ def test_a_file_says_the_boxes_in_the_notation_of_the_paper():
         (described.x, "x"),
         (described.x_dot, "x_dot"),
     ]:
-        plain = [text.replace("inf", r"\infty").replace(r", \infty", r", +\infty") for text in texts]
-        assert tuple(map(printed.read, (text.replace(", ", ",") for text in plain))) == (
-            printed.AXES[axis][0]
+        plain = [
+            text.replace("inf", r"\infty").replace(r", \infty", r", +\infty") for text in texts
+        ]
+        assert (
+            tuple(map(printed.read, (text.replace(", ", ",") for text in plain)))
+            == (printed.AXES[axis][0])
         )
 
 

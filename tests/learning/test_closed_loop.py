@@ -31,7 +31,7 @@ from equipoise.learning.trials import draw_trials
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import LANES
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.random import TEST_NOISE
+from equipoise.model.random import TEST
 from equipoise.settings import Settings, resolve
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
@@ -84,7 +84,7 @@ def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
     arm = iiwa(size)
     plant = make_plant(arm, SETTINGS, 0.01)
     start = np.array([0.01, -0.05, 0.02, 0.1])
-    _, run = record_trial(plant, Table(random_table()), PENDULUM, start, 60, 1, TEST_NOISE)
+    _, run = record_trial(plant, Table(random_table()), PENDULUM, start, 60, 1, TEST)
     assert len(run.u) > 15
     for i in range(len(run.u) - 1):
         before = arm.kinematics(run.q[i], run.dq[i])
@@ -118,17 +118,17 @@ def test_a_trial_has_the_same_bits_alone_and_in_company():
     arm = iiwa(7)
     plant = make_plant(arm, SETTINGS, 0.01)
     table = random_table(4)
-    trials = draw_trials(2 * LANES + 5, SETTINGS, 7, TEST_NOISE, 1.0)
+    trials = draw_trials(2 * LANES + 5, SETTINGS, 7, TEST, 1.0)
     longest = 300
     kernel = policy_kernel(TABLE, u_of_box=table)
     run_trials(
-        plant, new_block(), kernel, PENDULUM, trials, 0, len(trials.steps), longest, 7, TEST_NOISE
+        plant, new_block(), kernel, PENDULUM, trials, 0, len(trials.steps), longest, 7, TEST
     )
     assert len(set(trials.steps.tolist())) > 5
     for i in (0, 3, LANES, 2 * LANES + 4):
         own = scaled(PENDULUM, trials.inertia_factor[i], trials.friction_factor[i])
         cause, run = record_trial(
-            plant, Table(table), own, trials.start[i], longest, 7, TEST_NOISE, i
+            plant, Table(table), own, trials.start[i], longest, 7, TEST, i
         )
         assert (cause, len(run.u)) == (trials.cause[i], trials.steps[i])
         x_after = np.append(run.state[1:, 0], np.nan)
@@ -236,7 +236,7 @@ def test_noise_of_a_step_is_standard_normal_and_white():
     draws = []
     for tick in range(500):
         ticks, index = np.full(LANES, tick), np.arange(LANES)
-        draw_noise(noise, 3, ticks, index, 0, TEST_NOISE, LANES)
+        draw_noise(noise, 3, ticks, index, 0, TEST, LANES)
         draws.append(noise.copy())
     draws = np.array(draws)
     # 48,000 numbers: five standard errors, a chance of 6e-7 each.

@@ -184,7 +184,9 @@ def tables():
 def test_one_update_is_equation_1():
     Q, visits = tables()
     Q[7, 3] = -0.5
-    update(Q, visits, 7, 3, 0.9 * -0.25, learner(alpha_initial=0.1, alpha_decay=0.0, mirrored=False))
+    update(
+        Q, visits, 7, 3, 0.9 * -0.25, learner(alpha_initial=0.1, alpha_decay=0.0, mirrored=False)
+    )
     # (1 - 0.1) (-0.5) + 0.1 (0 + 0.9 (-0.25)) by hand.
     assert Q[7, 3] == pytest.approx(-0.4725, rel=1e-15)
     assert visits[7, 3] == 1

@@ -5,6 +5,7 @@ study, prints what came of it, and names the next command. What takes long to im
 MuJoCo, Matplotlib) is imported by the verb that needs it, after its first words.
 """
 
+import io
 import sys
 from collections.abc import Sequence
 
@@ -19,6 +20,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0 done, 1 the result is bad, 2 wrong use or bad input, 3 the outside world
         failed, 130 interrupted.
     """
+    # A name or a sign that the terminal cannot show shall not end a verb.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
         from equipoise.cli.app import app
 

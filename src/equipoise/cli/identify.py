@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equipoise.cli.options import IN_AND_OUT, Json, Set, SettingsFile, check_output
+from equipoise.cli.options import (
+    IN_AND_OUT,
+    CountsPerRev,
+    End,
+    FromUpright,
+    Json,
+    Set,
+    SettingsFile,
+    Start,
+    check_output,
+)
 from equipoise.cli.output import Output, measured, verb
 from equipoise.errors import InputError
 
@@ -28,26 +38,16 @@ def identify(
             help="CSV with a column time_s and one of theta_rad, theta_deg, counts, rate_rad_s.",
         ),
     ],
-    start: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS", help="Begin here; by default where the hand is seen to let go."
-        ),
-    ] = None,
-    end: Annotated[float | None, typer.Option(metavar="SECONDS", help="End here.")] = None,
     friction: Annotated[
         str | None,
         typer.Option(
             metavar="MODEL", help="viscous (the paper's, and the default), coulomb or quadratic."
         ),
     ] = None,
-    counts_per_rev: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Encoder counts per revolution, after x4."),
-    ] = None,
-    from_upright: Annotated[
-        bool, typer.Option("--from-upright", help="The recorded angle is zero when upright.")
-    ] = False,
+    start: Start = None,
+    end: End = None,
+    counts_per_rev: CountsPerRev = None,
+    from_upright: FromUpright = False,
     mass: Annotated[
         float | None,
         typer.Option(metavar="KG", help="Mass of all that rotates.", rich_help_panel=APART),

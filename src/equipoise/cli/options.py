@@ -18,6 +18,7 @@ LARGEST_SEED = 2**32 - 1
 
 IN_AND_OUT = "Files and settings"
 URDF = "For an arm from a URDF"
+RECORDING = "The recording"
 """Titles of panels in the help."""
 
 Json = Annotated[
@@ -42,6 +43,36 @@ Set = Annotated[
         metavar="NAME=VALUE",
         help="One setting; may be given again.",
         rich_help_panel=IN_AND_OUT,
+    ),
+]
+
+Start = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS",
+        help="Begin here; by default where the hand is seen to let go.",
+        rich_help_panel=RECORDING,
+    ),
+]
+End = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", help="End here.", rich_help_panel=RECORDING),
+]
+CountsPerRev = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Encoder counts per revolution, after x4.",
+        rich_help_panel=RECORDING,
+    ),
+]
+FromUpright = Annotated[
+    bool,
+    typer.Option(
+        "--from-upright",
+        help="The recorded angle is zero when upright.",
+        rich_help_panel=RECORDING,
     ),
 ]
 
@@ -131,7 +162,7 @@ def read_arm(
     return read_urdf(Path(name), base=base, tip=tip, held=joint)
 
 
-def check_output(path: Path, *inputs: Path | None) -> Path:
+def check_output(path: Path, *inputs: Path | None) -> None:
     """Check before the work begins that `path` can be written and is none of the inputs.
 
     Raises:
@@ -145,15 +176,16 @@ def check_output(path: Path, *inputs: Path | None) -> Path:
         if given is not None and given.exists() and path.exists() and path.samefile(given):
             raise InputError(f"{path} is read and would be written over; give another --out")
     check_folder(path.parent)
-    return path
 
 
-def check_folder(folder: Path) -> Path:
+def check_folder(folder: Path) -> None:
     """Check before the work begins that files can be written in `folder`, which may not exist yet.
 
     Raises:
         InputError: They cannot.
     """
+    if folder.is_file():
+        raise InputError(f"{folder} is a file; give the name of a folder")
     there = folder.absolute()
     while not os.path.lexists(there):
         there = there.parent
@@ -163,7 +195,6 @@ def check_folder(folder: Path) -> Path:
         raise InputError(
             f"cannot write in {there} ({error.strerror}); give another --out"
         ) from None
-    return folder
 
 
 def available_workers(workers: int | None) -> int:

@@ -10,7 +10,7 @@ import math
 import shlex
 import signal
 import threading
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -61,6 +61,17 @@ class Output:
         for name, text in rows.items():
             table.add_row(f"  {name}", text)
         self.say(table)
+
+    def points(self, lines: Iterable[str]) -> None:
+        """Print sentences, each with a dash before it and blank lines around them all."""
+        from rich.table import Table
+
+        table = Table.grid(padding=(0, 1, 0, 0))
+        for line in lines:
+            table.add_row("-", line)
+        self.say()
+        self.say(table)
+        self.say()
 
     def warn(self, what: str) -> None:
         """Print a warning."""

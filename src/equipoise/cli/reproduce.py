@@ -11,27 +11,30 @@ import typer
 
 from equipoise.cli.options import (
     IN_AND_OUT,
+    RECORDING,
     ArmName,
     Base,
+    CountsPerRev,
+    End,
+    FromUpright,
     Held,
     Json,
     Seed,
     Set,
     SettingsFile,
+    Start,
     Tip,
     Workers,
     check_folder,
     read_arm,
 )
 from equipoise.cli.output import FIRST_WORDS, Output, stoppable, verb
+from equipoise.errors import InputError
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from equipoise.studies.reproduction import Progress
-
 NOT_BALANCED = 1
-RECORDED = "A recorded swing"
 
 
 @verb
@@ -51,38 +54,13 @@ def reproduce(
         typer.Option(
             metavar="CSV",
             help="Begin with it, as identify reads it, instead of a simulated one.",
-            rich_help_panel=RECORDED,
+            rich_help_panel=RECORDING,
         ),
     ] = None,
-    start: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help="Begin here; by default where the hand is seen to let go.",
-            rich_help_panel=RECORDED,
-        ),
-    ] = None,
-    end: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="End here.", rich_help_panel=RECORDED),
-    ] = None,
-    counts_per_rev: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Encoder counts per revolution, after x4.",
-            rich_help_panel=RECORDED,
-        ),
-    ] = None,
-    from_upright: Annotated[
-        bool,
-        typer.Option(
-            "--from-upright",
-            help="The recorded angle is zero when upright.",
-            rich_help_panel=RECORDED,
-        ),
-    ] = False,
+    start: Start = None,
+    end: End = None,
+    counts_per_rev: CountsPerRev = None,
+    from_upright: FromUpright = False,
     held: Held = None,
     base: Base = None,
     tip: Tip = None,
@@ -94,9 +72,10 @@ def reproduce(
     settings: Set = None,
     as_json: Json = False,
 ) -> None:
-    """Reproduce the paper: swing, identification, training, evaluation, a run, a report.
+    """Reproduce the paper, from a free swing to a report.
 
-    Leaves every file in a folder, with one report in HTML that needs nothing else.
+    Identification, training, evaluation, one run: leaves every file in a folder,
+    with a report in HTML that needs nothing else.
     """
     output = Output(as_json)
     begin = time.perf_counter()
@@ -108,6 +87,11 @@ def reproduce(
     resolved = resolve(recipe, settings_file, settings or ())
     machine = read_arm(arm, held, base, tip)
     recording = None
+    if swing is None and any((start, end, counts_per_rev, from_upright)):
+        raise InputError(
+            "--start, --end, --counts-per-rev and --from-upright belong to a recorded swing; "
+            "give it with --swing"
+        )
     if swing is not None:
         from equipoise.trajectory import read_swing
 
@@ -115,11 +99,12 @@ def reproduce(
             swing, counts_per_rev=counts_per_rev, from_upright=from_upright, start=start, end=end
         )
     from equipoise.report.page import build
+    from equipoise.studies.reproduction import Progress
     from equipoise.studies.reproduction import reproduce as study
 
     with _shown(output) as stages, stoppable() as check:
 
-        def report(progress: "Progress") -> None:
+        def report(progress: Progress) -> None:
             check()
             stages.show(progress.stage, progress.share, progress.text)
 
@@ -134,12 +119,8 @@ def reproduce(
             workers=workers,
             report=report,
         )
-        stages.show("report", 0.0)
-        page = build(out)
-    output.say()
-    for line in found.verdict:
-        output.say(f"- {line}")
-    output.say()
+        page = build(out, lambda name, share: report(Progress("report", share, name)))
+    output.points(found.verdict)
     output.wrote(page)
     output.next(*shlex.split(found.next_command)[1:])
     summary = found.results.evaluation.results.summary()

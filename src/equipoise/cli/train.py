@@ -158,7 +158,7 @@ class _Bar:
     """Adds up what the learners report; its clock starts when all is compiled."""
 
     def __init__(self, progress: "Progress", episodes: int) -> None:
-        self._progress = progress
+        self._progress, self._episodes = progress, episodes
         self._task = progress.add_task(FIRST_WORDS, total=episodes)
         self._points: dict[int, LearningPoint] = {}
         self._begin: tuple[float, int] | None = None
@@ -175,15 +175,15 @@ class _Bar:
         self.speed = (steps - self._begin[1]) / elapsed if elapsed > 0.0 else 0.0
         screened = [p.survival for p in points if p.survival is not None]
         survival = (
-            f"{sum(screened) / len(screened):.0%} stand"
+            f"{100.0 * sum(screened) / len(screened):.0f} % stand"
             if screened
             else f"{sum(p.duration for p in points) / len(points):.1f} s an episode"
         )
-        self._progress.update(
-            self._task,
-            description=f"{self.speed:,.0f} steps/s, {survival}",
-            completed=sum(p.episodes for p in points),
-        )
+        completed = sum(p.episodes for p in points)
+        words = f"{self.speed:,.0f} steps/s, {survival}"
+        if completed == self._episodes:
+            words = "selecting the best"
+        self._progress.update(self._task, description=words, completed=completed)
 
 
 def _say(output: Output, policies: "list[TabularPolicy]", wall: float, speed: float) -> None:

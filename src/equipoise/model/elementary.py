@@ -39,7 +39,9 @@ def put(block: npt.NDArray[np.float64], row: int, n: int, value: float) -> None:
 
 @inlined
 def sincos(x: float) -> tuple[float, float]:
-    """Return sine and cosine of an angle below 1e6 rad, to two units in the last place.
+    """Return sine and cosine of an angle: to two units in the last place below 1e4 rad.
+
+    Three units up to 1e6 rad; not for larger angles.
 
     The angle is brought to within pi/4 of a multiple of pi/2 (Cody and Waite), where two
     polynomials (of degree 13 and 14, near minimax) give sine and cosine.

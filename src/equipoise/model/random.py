@@ -20,20 +20,23 @@ MASK: Final = 0xFFFFFFFF
 TO_UNIT: Final = 1.0 / 4294967296.0
 
 # Streams: no two purposes share a counter, and training, selection and test never share numbers.
+# Noise takes a stream and the one after it.
 TRAINING_EPISODE: Final = 1
 TRAINING_START: Final = 2
 TRAINING_ACTION: Final = 3
 TRAINING_NOISE: Final = 4
-SELECTION_NOISE: Final = 8
-TEST_NOISE: Final = 12
+SCREENING: Final = 8
+FINAL_ROUND: Final = 10
+TEST: Final = 12
 
 
 @inlined
 def philox(seed: int, step: int, index: int, learner: int, stream: int) -> Words:
     """Return four random words of 32 bits."""
     # Written so that 64-bit wrap-around in compiled code and Python's long integers agree.
-    c0, c1, c2, c3 = step & MASK, index & MASK, learner & MASK, stream & MASK
-    k0, k1 = seed & MASK, (seed >> 32) & MASK
+    c0, c1 = int(step) & MASK, int(index) & MASK
+    c2, c3 = int(learner) & MASK, int(stream) & MASK
+    k0, k1 = int(seed) & MASK, (int(seed) >> 32) & MASK
     for _ in range(10):
         product0 = 0xD2511F53 * c0
         product1 = 0xCD9E8D57 * c2

@@ -1,4 +1,4 @@
-"""The end of the report: what the paper leaves open, where everything comes from, how to repeat it."""
+"""The end of the report: what the paper leaves open, where it all comes from, how to repeat it."""
 
 from collections.abc import Iterator
 
@@ -7,8 +7,7 @@ import numpy as np
 from equipoise.artefacts import Provenance
 from equipoise.model.arms.arm import Arm
 from equipoise.report.choices import Chapter, Choice, chapter, chapters
-from equipoise.report.markup import heading, listing, paragraph, table
-from equipoise.report.story import Part, part
+from equipoise.report.markup import Part, heading, listing, paragraph, part, table
 from equipoise.studies.results import (
     EVALUATION,
     PENDULUM,
@@ -32,8 +31,8 @@ def left_open(results: Results) -> Part:
             "episodes. It does not give learning rate, discount, exploration, reward, sizes of "
             "noise, gains, the pendulum's numbers, the posture, or which arm. These are our "
             "choices, read from where they are defined; those with a dot in their name can be "
-            "changed with `--set name=value`. Where the recipe `paper`, the barest reading of the text, differs "
-            "from what was used, it has a column of its own."
+            "changed with `--set name=value`. Where the recipe `paper`, the barest reading of the "
+            "text, differs from the defaults, it has a column of its own."
         ),
         *(_choices(chapter) for chapter in _chapters(results)),
     )

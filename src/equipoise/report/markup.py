@@ -1,15 +1,36 @@
-"""The few pieces of HTML that the page is made of; every text that comes from outside is escaped."""
+"""The few pieces of HTML that the page is made of; every text from outside is escaped."""
 
 import base64
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import Final
+from typing import Final, NamedTuple
 
 CODE: Final = re.compile(r"`([^`]+)`")
 SIGN: Final = re.compile(r"(?<![\w.\]])-(?=[\d∞])")
 PERCENT: Final = re.compile(r"(?<=\d) (?=%)")
 BREAK: Final = re.compile(r"(?<=[._])")
+
+
+Pictures = Mapping[str, str]
+"""Figures as SVG, by the names of their files."""
+
+
+class Part(NamedTuple):
+    """A section of the page."""
+
+    name: str
+    """Its anchor."""
+    title: str
+    """Its heading."""
+    html: str
+    """All of it."""
+
+
+def part(name: str, title: str, *html: str) -> Part:
+    """Return a section made of pieces."""
+    inside = f"<h2>{prose(title)}</h2>\n{''.join(html)}"
+    return Part(name, title, f'<section id="{escape(name)}">\n{inside}</section>\n')
 
 
 def prose(text: str) -> str:
@@ -76,10 +97,11 @@ def table(
         name: Class of the table, for the style sheet.
     """
     first = len(head) - numbers
+    names = "".join(_cell("th", text, i >= first) for i, text in enumerate(head))
     lines = [
         f'<div class="table {escape(name)}"><table>',
         f"<caption>{prose(caption)}</caption>" if caption else "",
-        f"<thead><tr>{''.join(_cell('th', c, i >= first) for i, c in enumerate(head))}</tr></thead>",
+        f"<thead><tr>{names}</tr></thead>",
         "<tbody>",
     ]
     for row in rows:
@@ -110,11 +132,6 @@ def picture(svg: str, caption: str, alt: str) -> str:
         f'<figure><img alt="{escape(alt)}" src="data:image/svg+xml;base64,{data}">'
         f"<figcaption>{prose(caption)}</figcaption></figure>\n"
     )
-
-
-def section(name: str, title: str, *parts: str) -> str:
-    """Return a section with its heading."""
-    return f'<section id="{escape(name)}">\n<h2>{prose(title)}</h2>\n{"".join(parts)}</section>\n'
 
 
 def listing(lines: Iterable[str]) -> str:

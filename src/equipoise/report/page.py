@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Final
 from equipoise.artefacts import Provenance, read_document, write_whole
 from equipoise.report import figures
 from equipoise.report.appendix import left_open, origins
-from equipoise.report.story import Part, story
+from equipoise.report.markup import Part, Pictures
+from equipoise.report.opening import opening
+from equipoise.report.outcome import outcome
 from equipoise.report.style import save
 from equipoise.studies.results import RECORD, Results, load
 
@@ -62,7 +64,7 @@ def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) 
     return out / PAGE
 
 
-def page(results: Results, pictures: Mapping[str, str], provenance: Provenance) -> str:
+def page(results: Results, pictures: Pictures, provenance: Provenance) -> str:
     """Return the report as HTML.
 
     Args:
@@ -72,7 +74,8 @@ def page(results: Results, pictures: Mapping[str, str], provenance: Provenance) 
     """
     css = resources.files("equipoise.report").joinpath("page.css").read_text(encoding="utf-8")
     parts: list[Part] = [
-        *story(results, pictures),
+        *opening(results, pictures),
+        *outcome(results, pictures),
         left_open(results),
         origins(results, provenance),
     ]

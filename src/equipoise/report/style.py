@@ -148,11 +148,9 @@ def save(figure: "Figure", stem: Path) -> tuple[Path, Path]:
 
 @contextmanager
 def _our_style() -> Generator[None]:
-    from matplotlib import rc_context, rcdefaults, rcParams
+    from matplotlib import style
 
-    with rc_context():
-        rcdefaults()
-        rcParams.update(STYLE)
+    with style.context(STYLE, after_reset=True):
         yield
 
 

@@ -8,12 +8,9 @@ from its files; nothing is drawn here. The page is made from the folder, by
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from math import pi
 from pathlib import Path
 from threading import Lock
-from typing import Any, Final, NamedTuple, TypeVar
-
-import numpy as np
+from typing import Final, NamedTuple, TypeVar
 
 from equipoise.artefacts import Artefact
 from equipoise.control.policy import LearningPoint
@@ -23,8 +20,6 @@ from equipoise.identification import identify
 from equipoise.learning.trials import available_cores
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.encoder import simulate_swing
-from equipoise.model.pendulum import PendulumParameters
 from equipoise.runlog import RunLog
 from equipoise.settings import Settings, resolve
 from equipoise.studies.results import (
@@ -36,11 +31,11 @@ from equipoise.studies.results import (
     SWING,
     Record,
     Results,
-    SimulatedSwing,
     Stage,
     digests,
     verdict,
 )
+from equipoise.studies.stand_in import SimulatedSwing, simulated_swing
 from equipoise.training import train
 from equipoise.trajectory import Trajectory, read_swing, write_swing
 
@@ -157,7 +152,7 @@ def reproduce(
         lambda: evaluate(policy, seed=seed, workers=workers, done=_trials(settings, report)),
     )
     save(evaluation, EVALUATION, policy=policy.digest)
-    run = stage("deploy", lambda: deploy(policy, seed=seed, duration=_run_duration(settings)))
+    run = stage("deploy", lambda: deploy(policy, seed=seed))
     save(run, RUN, policy=policy.digest)
 
     record = Record(
@@ -190,51 +185,6 @@ def shortened(settings: Settings) -> Settings:
         section, _, key = name.partition(".")
         tree[section][key] = min(tree[section][key], value)
     return Settings.model_validate(tree)
-
-
-def simulated_swing(swing: SimulatedSwing, seed: int = 0) -> Trajectory:
-    """Record a simulated swing that a hand releases.
-
-    Args:
-        swing: The pendulum, the hand and the encoder.
-        seed: Seed of the hand and of the noise.
-
-    Returns:
-        The recording; nothing in it says when the hand lets go.
-    """
-    w2 = (2.0 * pi / swing.period) ** 2
-    # The coupling to the pivot does not matter: it is at rest.
-    free = simulate_swing(
-        PendulumParameters(w2=w2, k=0.0, c=swing.c),
-        theta0=swing.theta,
-        duration=swing.duration,
-        rate_hz=swing.rate_hz,
-        counts_per_rev=swing.counts_per_rev,
-        noise=swing.noise,
-        seed=seed,
-        zero_offset=swing.zero_offset,
-    )
-    held = np.arange(round(swing.hold * swing.rate_hz)) / swing.rate_hz
-    # The hand comes to rest before it lets go: its motion fades as the square of what is left.
-    left = 1.0 - held / swing.hold if swing.hold > 0.0 else held
-    rng = np.random.default_rng([seed, 1])
-    phase = rng.uniform(0.0, 2.0 * pi, 2)
-    hand = np.sin(2.0 * pi * 1.7 * held + phase[0]) + 0.5 * np.sin(2.0 * pi * 4.1 * held + phase[1])
-    seen = swing.theta + swing.zero_offset + swing.tremor * left**2 * hand
-    seen += swing.noise * rng.standard_normal(held.size)
-    step = free.resolution
-    theta = np.concatenate((np.floor(seen / step + 0.5) * step, free.values))
-    return Trajectory(
-        time=np.concatenate((held, swing.hold + free.time)),
-        theta=theta,
-        resolution=step,
-        source=free.source,
-    )
-
-
-def _run_duration(settings: Settings) -> float:
-    """Return how long the deployment run shall last [s]: a minute, or as long as the trials."""
-    return max(settings.evaluation.duration, 60.0)
 
 
 def _learning(

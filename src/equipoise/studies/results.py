@@ -1,4 +1,4 @@
-"""What a reproduction leaves in its folder, read back and checked to belong together, and its verdict.
+"""What a reproduction leaves in its folder, read back as one value, and its verdict.
 
 The report is drawn from these files alone::
 
@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from equipoise import paper
 from equipoise.artefacts import Artefact, Value
@@ -19,6 +18,7 @@ from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation
 from equipoise.model.pendulum import Pendulum
 from equipoise.runlog import RunLog
+from equipoise.studies.stand_in import SimulatedSwing
 from equipoise.trajectory import Trajectory, read_swing
 
 SWING: Final = "swing.csv"
@@ -27,33 +27,6 @@ POLICY: Final = "policy.json"
 EVALUATION: Final = "evaluation.json"
 RUN: Final = "run.mcap"
 RECORD: Final = "reproduction.json"
-
-
-class SimulatedSwing(Value):
-    """The free swing that stands in for a recording: what identification shall find again."""
-
-    period: float = Field(default=paper.FREE_SWING_PERIOD, gt=0.0)
-    """Period of small swings [s]; the paper's."""
-    c: float = Field(default=0.15, ge=0.0)
-    """Viscous friction over inertia, b / I [1/s]. Recorded pendulums with an encoder on the spindle
-    show 0.05 to 0.6."""
-    theta: float = Field(default=0.8, gt=0.0)
-    """Angle from hanging at which the hand lets go [rad]: large enough that the swing is not
-    sinusoidal any more."""
-    hold: float = Field(default=1.2, ge=0.0)
-    """How long the hand holds the pendulum first [s]: identification has to find the release."""
-    tremor: float = Field(default=0.01, ge=0.0)
-    """How far the hand moves meanwhile [rad]."""
-    duration: float = Field(default=10.0, gt=0.0)
-    """How long the swing is recorded after the release [s]: a dozen periods."""
-    rate_hz: float = Field(default=1000.0, gt=0.0)
-    """Samples per second [Hz]."""
-    counts_per_rev: int = Field(default=8192, gt=0)
-    """Encoder counts per revolution, after x4: a common encoder of 2048 lines."""
-    noise: float = Field(default=5e-4, ge=0.0)
-    """Standard deviation of what shakes the angle from sample to sample [rad]: vibration, play."""
-    zero_offset: float = 0.005
-    """What the encoder reads when the pendulum hangs [rad]: friction stops it beside the vertical."""
 
 
 class Stage(Value):
@@ -169,9 +142,10 @@ def _standing(results: Results) -> str:
 
 
 def _yardsticks(evaluation: Evaluation) -> str:
+    summaries = {results.name: results.summary() for results in evaluation.yardsticks}
     shares = ", ".join(
-        f"{results.name} {percent(results.summary().rate)} (median {results.summary().median:.3g} s)"
-        for results in evaluation.yardsticks
+        f"{name} {percent(summary.rate)} (median {summary.median:.3g} s)"
+        for name, summary in summaries.items()
     )
     return f"The yardsticks lasted on the same trials: {shares}."
 
@@ -194,10 +168,10 @@ def _run(run: RunLog) -> str:
 
 def _swing(results: Results) -> str:
     pendulum, fit = results.pendulum, results.pendulum.fit
+    w2, c = (plus_minus(part.value, part.interval) for part in (pendulum.w2, pendulum.c))
     parts = [
         f"The {'simulated' if results.record.simulated else 'recorded'} free swing has a period of "
-        f"{pendulum.period:.4g} s (w2 = {plus_minus(pendulum.w2.value, pendulum.w2.interval)} 1/s^2, "
-        f"c = {plus_minus(pendulum.c.value, pendulum.c.interval)} 1/s)"
+        f"{pendulum.period:.4g} s (w2 = {w2} 1/s^2, c = {c} 1/s)"
     ]
     if fit is not None:
         unit = "deg" if fit.quantity == "angle" else "deg/s"

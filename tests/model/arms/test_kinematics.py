@@ -16,6 +16,7 @@ from tests.reference import kinematics as reference
 from equipoise.compiled import kernel
 from equipoise.model.arms.arm import BIAS, FRAME_SIZE, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import LANES
 
 STATES = 1000
 TOLERANCE = 1e-9
@@ -23,8 +24,19 @@ TOLERANCE = 1e-9
 
 @kernel
 def frames_of(arm, q, dq, frames):
-    for i in range(q.shape[0]):
-        arm.kinematics(q[i], dq[i], frames[i])
+    """Fill one record per state, a block of lanes at a time; the last block may be part full."""
+    q_block, dq_block = np.zeros(6 * LANES), np.zeros(6 * LANES)
+    frame_block = np.zeros(FRAME_SIZE * LANES)
+    for first in range(0, q.shape[0], LANES):
+        lanes = min(LANES, q.shape[0] - first)
+        for n in range(lanes):
+            for i in range(6):
+                q_block[i * LANES + n] = q[first + n, i]
+                dq_block[i * LANES + n] = dq[first + n, i]
+        arm.kinematics(q_block, dq_block, frame_block, lanes)
+        for n in range(lanes):
+            for i in range(FRAME_SIZE):
+                frames[first + n, i] = frame_block[i * LANES + n]
 
 
 def random_states(arm, count=STATES, seed=1):

@@ -17,6 +17,7 @@ import functools
 import importlib
 import importlib.util
 import logging
+import re
 import shutil
 import sys
 import tempfile
@@ -45,6 +46,8 @@ logger = logging.getLogger(__name__)
 COMMITTED: Final = ("iiwa7", "iiwa14")
 """Names of the arms whose modules are part of the package."""
 COMMITTED_ROOM: Final = Path(__file__).parent / "generated"
+
+INDEX: Final = re.compile(r"\[[^]]*\]")
 
 Axes = tuple[Vector, Vector, Vector]
 """Columns of a rotation."""
@@ -157,7 +160,8 @@ def source(arm: Arm) -> str:
     """Return the module of `arm` as text."""
     tape, record = trace(arm)
     lines = list(tape.python(record))
-    operations = sum(line.count(f" {sign} ") for line in lines for sign in "+-*" if "#" not in line)
+    formulas = (INDEX.sub("", line) for line in lines if "#" not in line)
+    operations = sum(formula.count(f" {sign} ") for formula in formulas for sign in "+-*")
     body = "".join(f"        {line}\n" for line in lines)
     return HEADER.format(arm=arm, operations=operations) + body
 

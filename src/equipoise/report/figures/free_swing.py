@@ -76,7 +76,10 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
         from matplotlib.patches import Patch
 
         handles += [Patch(color=PALE), Line2D([], [], color=ORANGE, linewidth=1.6)]
-        labels += ["not fitted", f"found free from {begin:.2f} s" if fit.release else f"from {begin:.2f} s"]
+        labels += [
+            "not fitted",
+            f"found free from {begin:.2f} s" if fit.release else f"from {begin:.2f} s",
+        ]
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 

@@ -77,9 +77,7 @@ def _shares_of_actions(figure: Any, panel: Any, run: RunLog, actions: list[float
     share = 100.0 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
     mesh = panel.pcolormesh(seconds, levels, share.T, cmap="Greys", vmin=0.0)
     panel.grid(visible=False)
-    panel.set_yticks(
-        range(len(actions)), [f"{action:+g}".replace("-", "−") for action in actions]
-    )
+    panel.set_yticks(range(len(actions)), [f"{action:+g}".replace("-", "−") for action in actions])
     panel.set_ylabel("u [m/s²]")
     panel.set_title(f"all {run.lasted:g} s: how often each was commanded in each second")
     figure.colorbar(mesh, ax=panel, label="share [%]", pad=0.01)
@@ -160,9 +158,7 @@ def _two_series(
 
     figure = new_figure(4.6, title)
     spans = _spans(run)
-    axes: Any = figure.subplots(
-        len(rows), len(spans), sharex="col", sharey="row", squeeze=False
-    )
+    axes: Any = figure.subplots(len(rows), len(spans), sharex="col", sharey="row", squeeze=False)
     for row, (label, values, edges, limits, limit_label) in enumerate(rows):
         for column, (until, span_title) in enumerate(spans):
             panel, shown = axes[row, column], run.time < until

@@ -32,6 +32,9 @@ LINES: tuple[dict[str, Any], ...] = (
 )
 """The policy first, below the others and wide, so that curves on top of it are seen."""
 
+NAMED_AT = 0.7
+"""Share still standing at which a curve that comes down bears its name."""
+
 
 @drawn
 def survival(evaluation: Evaluation) -> "Figure":
@@ -52,6 +55,7 @@ def survival(evaluation: Evaluation) -> "Figure":
             label=results.name,
             **line,
         )
+        _named(left, results, line["color"])
     left.set_xscale("log")
     left.set_xlim(0.8 * shortest, evaluation.duration)
     ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60) if t >= 0.8 * shortest]
@@ -65,7 +69,7 @@ def survival(evaluation: Evaluation) -> "Figure":
     left.axvline(paper.SECONDS_BALANCED, color=GREY, linewidth=1.4, zorder=0.9)
     left.annotate(
         f"the paper's run\non the real arm: {paper.SECONDS_BALANCED:g} s",
-        (paper.SECONDS_BALANCED, 50.0),
+        (paper.SECONDS_BALANCED, 22.0),
         xytext=(4, 0),
         textcoords="offset points",
         va="center",
@@ -82,10 +86,26 @@ def _curve(
     results: TrialResults, shortest: float, duration: float
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return times and the share that stands from then on [%]; trials that lasted do not fall."""
-    falls = np.sort([s for s, c in zip(results.survival, results.causes, strict=True) if c != "lasted"])
+    falls = np.sort(
+        [s for s, c in zip(results.survival, results.causes, strict=True) if c != "lasted"]
+    )
     standing = 100.0 * (1.0 - np.arange(len(falls) + 1) / len(results.survival))
     time = np.concatenate(([0.5 * shortest], falls, [duration]))
     return time, np.append(standing, standing[-1])
+
+
+def _named(panel: Any, results: TrialResults, colour: str) -> None:
+    """Write the name beside a curve that comes down."""
+    if results.summary().rate < NAMED_AT:
+        fallen = float(np.quantile(results.survival, 1.0 - NAMED_AT))
+        panel.annotate(
+            results.name,
+            (fallen, 100.0 * NAMED_AT),
+            xytext=(5, 0),
+            textcoords="offset points",
+            color=colour,
+            fontsize=8.0,
+        )
 
 
 def _shares(panel: Any, everyone: list[TrialResults], duration: float) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from equipoise import paper
 from equipoise.control.boxes import SHAPE
 from equipoise.control.policy import TabularPolicy
-from equipoise.report.style import INK, VERMILION, drawn, new_figure
+from equipoise.report.style import INK, drawn, new_figure
 from equipoise.runlog import RunLog
 
 if TYPE_CHECKING:
@@ -55,14 +55,18 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
             pen = INK if fill[:3] @ LUMA > 0.5 else "white"
             if unvisited[i, j, k, m]:
                 _add(panel, Rectangle((i, j), 1, 1, fill=False, hatch="/////", edgecolor=pen))
-            text = panel.text(i + 0.5, j + 0.5, _signed(u[i, j, k, m]), color=pen, fontsize=6.8)
+            text = panel.text(
+                i + 0.5, j + 0.5, _signed(float(u[i, j, k, m])), color=pen, fontsize=6.8
+            )
             text.set(ha="center", va="center", in_layout=False)
             if unvisited[i, j, k, m]:
                 text.set_bbox({"facecolor": fill, "edgecolor": "none", "pad": 1.0})
             if seen[i, j, k, m]:
-                frame = Rectangle((i + 0.05, j + 0.05), 0.9, 0.9, fill=False, zorder=3)
-                frame.set(edgecolor=VERMILION, linewidth=1.6)
-                _add(panel, frame)
+                # Black on white: seen on dark boxes and on light ones, in colour and in grey.
+                for colour, width in (("white", 2.8), (INK, 1.3)):
+                    frame = Rectangle((i + 0.07, j + 0.07), 0.86, 0.86, fill=False, zorder=3)
+                    frame.set(edgecolor=colour, linewidth=width)
+                    _add(panel, frame)
     for k, interval in enumerate(paper.X_INTERVALS):
         where = ("left", "middle", "right")[k]
         axes[0, k].set_title(f"{where}: x in {_interval(interval)} m", ha="center", x=0.5)
@@ -86,7 +90,7 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
     notes = [Patch(fill=False, edgecolor=INK, hatch="/////", label="never visited in training")]
     if run is not None:
         label = f"{int(seen.sum())} boxes that the deployment run saw"
-        notes.append(Patch(fill=False, edgecolor=VERMILION, linewidth=1.6, label=label))
+        notes.append(Patch(fill=False, edgecolor=INK, linewidth=1.6, label=label))
     figure.legend(handles=notes, loc="outside lower center", ncols=2)
     return figure
 

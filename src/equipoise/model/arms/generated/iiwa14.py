@@ -2,7 +2,7 @@
 
 Do not edit: `make generated` writes this file again.
 
-361 operations besides the sines and cosines. Joints i are the free ones, counted from one,
+292 operations besides the sines and cosines. Joints i are the free ones, counted from one,
 7 is the flange; vectors are in base axes. s_i and c_i are sine and cosine of q_i; x_i, y_i, z_i the
 axes of the link that joint i turns, rest_x_i and rest_y_i before it turns, z_i its axis;
 r_i goes from joint i-1 to joint i; w is angular velocity, v velocity, w_dot and v_dot

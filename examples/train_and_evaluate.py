@@ -1,0 +1,31 @@
+# /// script
+# requires-python = ">=3.11"
+# dependencies = ["equipoise"]
+# ///
+"""Train a policy on an iiwa 14 and see how long it stands, beside the yardsticks."""
+
+from pathlib import Path
+
+import equipoise as eq
+
+pendulum = eq.shipped_pendulum()  # or eq.Pendulum.load(Path("pendulum.json"))
+settings = eq.resolve("robust", overrides=["learning.episodes=2000", "evaluation.duration=20"])
+
+
+def show(point):
+    """Print how the training goes; a point comes after every fifty episodes or so."""
+    print(f"{point.episodes:6} episodes: {point.survival:4.0%} of the screening trials last")
+
+
+policy = eq.train(pendulum, eq.iiwa(14), settings, seed=1, workers=2, report=show)
+evaluation = eq.evaluate(policy, seed=1, workers=2)
+
+for results in (evaluation.results, *evaluation.yardsticks):
+    summary = results.summary()
+    low, high = summary.interval
+    print(
+        f"{results.name:12} lasted {summary.survived:3} of {summary.trials} trials "
+        f"(95 %: {low:.3f} to {high:.3f}), median {summary.median:.1f} s, {summary.causes}"
+    )
+
+policy.save(Path("policy.json"), command="examples/train_and_evaluate.py")

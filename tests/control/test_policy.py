@@ -1,0 +1,186 @@
+"""Policies: what each kind commands, and the table as a file."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.reference.intervals import place
+
+from equipoise import paper
+from equipoise.control.boxes import describe
+from equipoise.control.policy import (
+    LINEAR,
+    RANDOM,
+    SNAPPED,
+    TABLE,
+    TabularPolicy,
+    act,
+    policy_kernel,
+)
+from equipoise.errors import ArtefactError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.settings import Settings
+
+STATE = (0.0, 0.0, 0.01, 0.0)
+states = st.tuples(
+    st.floats(-0.219, 0.219), st.floats(-2, 2), st.floats(-0.19, 0.19), st.floats(-9, 9)
+)
+
+
+def table(values=None, **changes):
+    """Return the fields of a policy with a table of random values."""
+    if values is None:
+        values = np.random.default_rng(1).normal(size=(270, 8))
+    return {
+        "boxes": describe(),
+        "actions": paper.ACTIONS,
+        "Q": tuple(map(tuple, values.tolist())),
+        "visits": ((0,) * 8,) * 270,
+        "h": 0.01,
+        "arm": iiwa(7),
+        "recipe": "robust",
+        "settings": Settings(),
+        "seed": 0,
+        "learner": 0,
+        "episodes": 0,
+        "steps": 0,
+        "learning_curve": (),
+        "candidates": (),
+    } | changes
+
+
+@pytest.fixture
+def policy(pendulum):
+    return TabularPolicy(**table(pendulum=pendulum))
+
+
+# What each kind commands
+
+
+@given(state=states, seed=st.integers(0, 99))
+def test_a_table_commands_what_stands_in_the_box_of_the_paper(state, seed):
+    x, x_dot, phi, phi_dot = state
+    u_of_box = np.random.default_rng(seed).uniform(-2, 2, (6, 5, 3, 3))
+    kernel = policy_kernel(TABLE, u_of_box=u_of_box.ravel())
+    assert act(kernel, x, x_dot, phi, phi_dot, 0.0) == u_of_box[place(x, x_dot, phi, phi_dot)]
+
+
+@given(state=states, gains=st.tuples(*[st.floats(-50, 50)] * 4))
+def test_a_linear_policy_is_clipped_to_the_range_of_the_actions(state, gains):
+    u = act(policy_kernel(LINEAR, gains=gains), *state, 0.0)
+    assert u == pytest.approx(float(np.clip(np.dot(gains, state), -2.0, 2.0)), abs=1e-12)
+
+
+@given(state=states, gains=st.tuples(*[st.floats(-50, 50)] * 4))
+def test_a_snapped_policy_takes_the_nearest_action(state, gains):
+    u = act(policy_kernel(SNAPPED, gains=gains), *state, 0.0)
+    wanted = np.dot(gains, state)
+    distances = np.abs(np.array(paper.ACTIONS) - wanted)
+    assert u in paper.ACTIONS
+    assert abs(u - wanted) <= distances.min() + 1e-12
+
+
+def test_a_random_policy_gives_each_action_the_same_share_of_the_chances():
+    kernel = policy_kernel(RANDOM)
+    for i, action in enumerate(paper.ACTIONS):
+        assert act(kernel, *STATE, i / 8) == action
+        assert act(kernel, *STATE, np.nextafter((i + 1) / 8, 0)) == action
+
+
+def test_a_kernel_has_a_table_of_its_own():
+    u_of_box = np.ones(270)
+    kernel = policy_kernel(TABLE, u_of_box=u_of_box)
+    u_of_box[:] = -1.0
+    assert act(kernel, *STATE, 0.0) == 1.0
+
+
+# The table as a file
+
+
+@given(state=states)
+def test_a_tabular_policy_takes_the_best_action_of_the_box(pendulum, state):
+    Q = np.random.default_rng(1).normal(size=(270, 8))
+    policy = TabularPolicy(**table(Q, pendulum=pendulum))
+    best = Q.reshape(6, 5, 3, 3, 8)[place(*state)].argmax()
+    assert policy.act(np.array(state)) == paper.ACTIONS[best]
+    assert isinstance(policy.act(np.array(state)), float)
+
+
+def test_its_arrays_are_the_table_and_cannot_be_written(policy):
+    assert policy.table.tolist() == [list(row) for row in policy.Q]
+    assert policy.u_of_box.shape == (270,)
+    assert np.array_equal(policy.kernel.u_of_box, policy.u_of_box)
+    for array in (policy.table, policy.u_of_box):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
+
+
+def test_policies_of_equal_fields_are_equal_also_once_they_were_used(policy, pendulum):
+    other = TabularPolicy(**table(pendulum=pendulum))
+    policy.act(np.zeros(4))
+    other.act(np.zeros(4))
+    assert policy == other
+    assert policy != TabularPolicy(**table(pendulum=pendulum, seed=1))
+
+
+def test_a_copy_with_another_table_acts_by_that(policy):
+    u = policy.act(np.array(STATE))
+    opposite = -np.array(policy.Q)
+    copy = policy.model_copy(update={"Q": tuple(map(tuple, opposite.tolist()))})
+    assert np.array_equal(copy.table, opposite)
+    assert copy.act(np.array(STATE)) != u
+
+
+def test_it_comes_back_from_its_file_with_every_bit(policy, tmp_path):
+    path = tmp_path / "policy.json"
+    policy.act(np.zeros(4))
+    policy.save(path, command="test")
+    read = TabularPolicy.load(path)
+    assert read == policy
+    assert read.digest == policy.digest
+    assert read.table.tobytes() == policy.table.tobytes()
+    assert read.u_of_box.tobytes() == policy.u_of_box.tobytes()
+    assert set(json.loads(path.read_text())["body"]) == set(TabularPolicy.model_fields)
+
+
+ROW = (0.0,) * 8
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"Q": (ROW,) * 269}, "Q must have 270 rows of 8"),
+        ({"Q": (ROW,) * 269 + (ROW[:7],)}, "Q must have 270 rows of 8"),
+        ({"visits": ((0,) * 8,) * 271}, "visits must have 270 rows of 8"),
+        ({"Q": ((float("nan"),) * 8,) * 270}, "finite"),
+        ({"actions": paper.ACTIONS[::-1]}, "actions"),
+        ({"actions": (*paper.ACTIONS, 3.0)}, "actions"),
+        ({"actuator": "lag"}, "actuator"),
+        ({"boxes": describe().model_copy(update={"x": ("]-1, 1[",)})}, "boxes"),
+        (
+            {"boxes": describe().model_copy(update={"phi_deg": ("]-11, -5]",) * 6})},
+            "boxes",
+        ),
+    ],
+)
+def test_a_table_that_does_not_fit_the_boxes_is_refused(pendulum, changes, message):
+    with pytest.raises(ValueError, match=message):
+        TabularPolicy(**table(pendulum=pendulum, **changes))
+
+
+def test_a_file_with_other_boxes_is_refused_with_one_sentence(policy, tmp_path):
+    path = tmp_path / "policy.json"
+    other = policy.model_copy(
+        update={"boxes": policy.boxes.model_copy(update={"x": ("]-0.3, 0.3[",)})}
+    )
+    other.save(path, command="test")  # its digest is right
+    with pytest.raises(ArtefactError, match="boxes or actions are not the ones") as refused:
+        TabularPolicy.load(path)
+    assert "\n" not in str(refused.value)
+
+
+def test_every_field_of_a_policy_has_its_docstring():
+    for name, field in TabularPolicy.model_fields.items():
+        assert field.description, name

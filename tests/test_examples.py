@@ -1,0 +1,63 @@
+"""The examples run as they are printed, in an empty folder."""
+
+import runpy
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from equipoise.model.pendulum import Pendulum
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SAY = {
+    "identify_a_swing.py": "w2 = m g l / I",
+    "train_and_evaluate.py": "LQR, snapped lasted 200 of 200 trials",
+    "own_policy.py": "5 of 5 trials lasted 10 s",
+    "policy_table.py": "[10,50[",
+}
+
+
+@pytest.fixture
+def example(tmp_path, monkeypatch, capsys):
+    """Run an example as a script; return what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(name, *arguments):
+        monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_every_example_is_run():
+    assert {path.name for path in EXAMPLES.glob("*.py")} == set(SAY)
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("name", SAY)
+def test_an_example_says_what_it_should(example, name):
+    assert SAY[name] in example(name)
+
+
+def test_the_swing_of_the_first_example_gives_its_pendulum_back(example, tmp_path):
+    example("identify_a_swing.py")
+    found = Pendulum.load(tmp_path / "pendulum.json")
+    assert found.w2.low < 70.2 < found.w2.high
+    assert found.c.low < 0.1 < found.c.high
+
+
+def test_examples_take_files(example, small_policy, tmp_path):
+    small_policy.save(tmp_path / "mine.json", command="test")
+    assert "iiwa14, recipe robust: 120 episodes" in example("policy_table.py", "mine.json")
+
+
+@pytest.mark.parametrize("name", SAY)
+def test_an_example_says_what_it_needs(name):
+    """The header of inline script metadata (PEP 723) is what `uv run` and `pipx run` read."""
+    lines = (EXAMPLES / name).read_text().splitlines()
+    assert lines[0] == "# /// script"
+    header = lines[1 : lines.index("# ///")]
+    needs = tomllib.loads("\n".join(line.removeprefix("# ") for line in header))
+    assert needs == {"requires-python": ">=3.11", "dependencies": ["equipoise"]}
