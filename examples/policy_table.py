@@ -16,11 +16,8 @@ policy = eq.TabularPolicy.load(Path(sys.argv[1])) if len(sys.argv) > 1 else eq.s
 
 # The axes of the table: phi, phi_dot, x, x_dot, each from its lowest interval.
 u = policy.u_of_box.reshape(6, 5, 3, 3)
-visits = sum(map(sum, policy.visits))
 
-print(
-    f"{policy.arm.name}, recipe {policy.recipe}: {policy.episodes:,} episodes, {visits:,} updates"
-)
+print(f"{policy.arm.name}, recipe {policy.recipe}: {policy.episodes:,} episodes of training")
 print("Acceleration of the flange [m/s^2]; rows phi [deg], columns phi_dot [deg/s]")
 print(" " * 10 + "".join(f"{interval:>11}" for interval in policy.boxes.phi_dot_deg))
 for row, interval in zip(u[:, :, 1, 1], policy.boxes.phi_deg, strict=True):

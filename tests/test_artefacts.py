@@ -188,7 +188,7 @@ def test_the_interval_of_a_normal_error_holds_95_percent_of_it():
 
 
 def test_a_missing_file_is_refused(path):
-    with pytest.raises(ArtefactError, match="there is no file .*gauge.json"):
+    with pytest.raises(ArtefactError, match=r"there is no file .*gauge\.json"):
         Gauge.load(path)
 
 

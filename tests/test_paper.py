@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.reference import intervals as printed
 
 from equipoise import paper
+from tests.reference import intervals as printed
 
 AXES = [
     (paper.PHI_INTERVALS_DEG, printed.PHI_DEG),

@@ -50,15 +50,15 @@ def test_without_anything_said_the_defaults_hold():
 
 
 def test_a_file_wins_over_a_recipe_over_the_defaults_and_a_single_setting_over_all(tmp_path):
-    default = Settings().learning.gamma
-    file = toml(tmp_path, "[learning]\ngamma = 0.7\n")
-    of_recipe = RECIPES["paper"]["learning.gamma"]
-    assert len({default, of_recipe, 0.7, 0.6}) == 4
-    assert resolve("paper").learning.gamma == of_recipe
-    assert resolve("paper", file).learning.gamma == 0.7
-    assert resolve("paper", file, ["learning.gamma=0.6"]).learning.gamma == 0.6
-    assert resolve("robust", file).learning.gamma == 0.7
-    assert resolve("robust", None, ["learning.gamma=0.6"]).learning.gamma == 0.6
+    file = toml(tmp_path, "[learning]\nstart_phi = 0.01\n")
+    single = ["learning.start_phi=0.02"]
+    default, of_recipe = Settings().learning.start_phi, RECIPES["paper"]["learning.start_phi"]
+    assert len({default, of_recipe, 0.01, 0.02}) == 4
+    assert resolve("paper").learning.start_phi == of_recipe
+    assert resolve("paper", file).learning.start_phi == 0.01
+    assert resolve("paper", file, single).learning.start_phi == 0.02
+    assert resolve("robust", file).learning.start_phi == 0.01
+    assert resolve("robust", None, single).learning.start_phi == 0.02
 
 
 def test_of_two_single_settings_the_later_wins():

@@ -21,7 +21,7 @@ from equipoise.settings import Settings
 
 WORLD: Final = "model"
 """The training plant, as evaluations name it."""
-DEPLOYMENT_NOISE: Final = 16
+DEPLOYMENT: Final = 16
 """Stream of random numbers: a deployment shares none with training, selection or test."""
 
 
@@ -49,13 +49,13 @@ def deploy(
     settings = policy.settings if settings is None else settings
     duration = settings.evaluation.duration if duration is None else duration
     plant = make_plant(policy.arm, settings, policy.h)
-    trial = draw_trials(1, settings, seed, DEPLOYMENT_NOISE, spread=1.0)
+    trial = draw_trials(1, settings, seed, DEPLOYMENT, spread=1.0)
     nominal = policy.pendulum.parameters(linearised=settings.plant.linearised)
     real: PendulumParameters = scaled(
         nominal, float(trial.inertia_factor[0]), float(trial.friction_factor[0])
     )
     longest = round(duration / plant.h)
-    cause, rows = record_trial(plant, policy, real, trial.start[0], longest, seed, DEPLOYMENT_NOISE)
+    cause, rows = record_trial(plant, policy, real, trial.start[0], longest, seed, DEPLOYMENT)
     arm, partition = policy.arm, boxes()
     joints = len(arm.joints)
     moving = list(arm.without_held(range(joints)))

@@ -35,9 +35,7 @@ class Interval(NamedTuple):
 def _interval(text: str) -> Interval:
     """Read the paper's notation: `_interval("]-5, -1]")`."""
     low, high = text[1:-1].split(",")
-    return Interval(
-        float(low), float(high), low_closed=text[0] == "[", high_closed=text[-1] == "]"
-    )
+    return Interval(float(low), float(high), low_closed=text[0] == "[", high_closed=text[-1] == "]")
 
 
 # Section 3.1: acceleration tracking.

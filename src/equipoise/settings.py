@@ -79,14 +79,14 @@ class IdentificationSettings(Value):
 class ClikSettings(Value):
     """Gains of the closed-loop inverse kinematics; the paper names them but gives no values."""
 
-    K_p: float = Field(400.0, gt=0.0)
+    K_p: float = Field(default=400.0, gt=0.0)
     """Gain on the pose error [1/s^2]. With K_d a critically damped loop of 20 rad/s: errors decay
     within 0.15 s, slow beside the 0.01 s step and fast beside the 15 s of a long run."""
-    K_d: float = Field(40.0, gt=0.0)
+    K_d: float = Field(default=40.0, gt=0.0)
     """Gain on the twist error [1/s]; 2 sqrt(K_p) is critical damping."""
-    singular_share: float = Field(0.05, gt=0.0, lt=1.0)
+    singular_share: float = Field(default=0.05, gt=0.0, lt=1.0)
     """The inverse is damped where the manipulability is below this share of its value at home."""
-    damping: float = Field(0.05, gt=0.0)
+    damping: float = Field(default=0.05, gt=0.0)
     """Damping factor at a singularity."""
 
 
@@ -96,53 +96,53 @@ class PlantSettings(Value):
     linearised: bool = False
     """Use the linearised equation (7) for the pendulum, as the paper does. The nonlinear form
     costs nothing and is exact."""
-    inertia_sigma: float = Field(0.02, ge=0.0, lt=0.25)
+    inertia_sigma: float = Field(default=0.02, ge=0.0, lt=0.25)
     """Standard deviation of the factor on I, once per episode. A free swing gives I to better
     than 1 %; the rest is for what changes between swing and run."""
-    friction_sigma: float = Field(0.2, ge=0.0, lt=1.0)
+    friction_sigma: float = Field(default=0.2, ge=0.0, lt=1.0)
     """Standard deviation of the factor on b, once per episode. Friction of real pivots varies
     that much with amplitude."""
-    position_error_sigma: float = Field(1e-4, ge=0.0)
+    position_error_sigma: float = Field(default=1e-4, ge=0.0)
     """Standard deviation of the noise on the position part of e, per step [m]."""
-    orientation_error_sigma: float = Field(radians(0.02), ge=0.0)
+    orientation_error_sigma: float = Field(default=radians(0.02), ge=0.0)
     """Standard deviation of the noise on the orientation part of e, per step [rad]."""
 
 
 class LearningSettings(Value):
     """Q-learning, equation (1), and its episodes."""
 
-    episodes: int = Field(paper.EPISODES, ge=1)
+    episodes: int = Field(default=paper.EPISODES, ge=1)
     """Episodes of training; the paper's number."""
-    episode_duration: float = Field(30.0, gt=0.0)
+    episode_duration: float = Field(default=30.0, gt=0.0)
     """An episode that lasts this long ends without a failure [s]."""
-    gamma: float = Field(0.99, gt=0.0, lt=1.0)
+    gamma: float = Field(default=0.99, gt=0.0, lt=1.0)
     """Discount. Its horizon of 1 s is what a drift from the middle to the end of the track takes;
     with 0.98 the table forgets the track, with 0.995 noise hides the pendulum."""
-    alpha_initial: float = Field(1.0, gt=0.0, le=1.0)
+    alpha_initial: float = Field(default=1.0, gt=0.0, le=1.0)
     """Learning rate at the first visit of a state-action pair."""
-    alpha_decay: float = Field(0.02, ge=0.0)
+    alpha_decay: float = Field(default=0.02, ge=0.0)
     """Learning rate after N visits: alpha_initial / (1 + alpha_decay N), so that early guesses are
     forgotten and later values are averages; 0 is a constant rate."""
-    alpha_minimum: float = Field(0.02, ge=0.0, le=1.0)
+    alpha_minimum: float = Field(default=0.02, ge=0.0, le=1.0)
     """The rate never falls below this: the states seen in a box change with the policy, so old
     experience has to fade."""
-    epsilon_initial: float = Field(0.05, ge=0.0, le=1.0)
+    epsilon_initial: float = Field(default=0.05, ge=0.0, le=1.0)
     """Probability of a random action in the first episode."""
-    epsilon_until: float = Field(0.8, ge=0.0, le=1.0)
+    epsilon_until: float = Field(default=0.8, ge=0.0, le=1.0)
     """Share of the episodes over which that probability falls linearly to zero; 0 keeps it."""
     reward_failure: float = -1.0
     """Reward of a step that ends in failure; every other reward is zero."""
     mirrored: bool = True
     """Update the mirror image with every update: the task is symmetric, experience counts twice."""
-    start_x: float = Field(0.08, ge=0.0, lt=paper.X_LIMIT)
+    start_x: float = Field(default=0.08, ge=0.0, lt=paper.X_LIMIT)
     """Episodes start with x uniform within plus and minus this [m]: exploring starts show boxes
     that a good policy seldom sees. Wider starts are often lost whatever one does, and teach little
     but that."""
-    start_x_dot: float = Field(0.2, ge=0.0)
+    start_x_dot: float = Field(default=0.2, ge=0.0)
     """... x_dot within this [m/s] ..."""
-    start_phi: float = Field(radians(3.5), ge=0.0)
+    start_phi: float = Field(default=radians(3.5), ge=0.0)
     """... phi within this [rad] ..."""
-    start_phi_dot: float = Field(radians(23.0), ge=0.0)
+    start_phi_dot: float = Field(default=radians(23.0), ge=0.0)
     """... and phi_dot within this [rad/s]."""
 
 
@@ -154,20 +154,20 @@ class SelectionSettings(Value):
     than the trained ones; the best go on to a longer round.
     """
 
-    every: int = Field(10, ge=0)
+    every: int = Field(default=10, ge=0)
     """A candidate is taken after each so many episodes; 0 takes the last table."""
-    screening_trials: int = Field(32, ge=1)
+    screening_trials: int = Field(default=32, ge=1)
     """Trials of every candidate."""
-    finalists: int = Field(24, ge=1)
+    finalists: int = Field(default=24, ge=1)
     """Candidates that go on to the final round."""
-    final_trials: int = Field(400, ge=1)
+    final_trials: int = Field(default=400, ge=1)
     """Trials of each finalist."""
-    duration: float = Field(60.0, gt=0.0)
+    duration: float = Field(default=60.0, gt=0.0)
     """Length of a selection trial [s]."""
-    spread: float = Field(2.0, ge=0.0)
+    spread: float = Field(default=2.0, ge=0.0)
     """Factor on the plant's standard deviations of I and b: a policy that stands on worse plants
     has margin."""
-    rms_x_weight: float = Field(0.02, ge=0.0)
+    rms_x_weight: float = Field(default=0.02, ge=0.0)
     """Score = mean duration / duration - weight * rms(x) / 0.22 m. Survival alone saturates; of
     policies that always stand, the one that uses less track has more of it left."""
 
@@ -175,17 +175,17 @@ class SelectionSettings(Value):
 class EvaluationSettings(Value):
     """Trials as a release leaves them: x = x_dot = 0, the pendulum already falling."""
 
-    trials: int = Field(200, ge=1)
+    trials: int = Field(default=200, ge=1)
     """Number of trials."""
-    duration: float = Field(60.0, gt=0.0)
+    duration: float = Field(default=60.0, gt=0.0)
     """Length of a trial [s]."""
-    phi_low: float = Field(radians(1.5), ge=0.0)
+    phi_low: float = Field(default=radians(1.5), ge=0.0)
     """Smallest |phi| at the start [rad]; its sign is random."""
-    phi_high: float = Field(radians(2.5), ge=0.0)
+    phi_high: float = Field(default=radians(2.5), ge=0.0)
     """Largest |phi| at the start [rad]."""
-    phi_dot_low: float = Field(radians(8.0), ge=0.0)
+    phi_dot_low: float = Field(default=radians(8.0), ge=0.0)
     """Smallest |phi_dot| at the start, of the same sign as phi [rad/s]."""
-    phi_dot_high: float = Field(radians(18.0), ge=0.0)
+    phi_dot_high: float = Field(default=radians(18.0), ge=0.0)
     """Largest |phi_dot| at the start [rad/s]."""
 
 

@@ -87,16 +87,16 @@ def train(
     every = settings.selection.every or max(1, constants.episodes // REPORTS)
     curve: list[LearningPoint] = []
     snapshots: list[_Snapshot] = []
-    while progress.count[ENDED] < constants.episodes:
-        ended, steps = int(progress.count[ENDED]), int(progress.count[STEPS])
+    while progress.totals[ENDED] < constants.episodes:
+        ended, steps = int(progress.totals[ENDED]), int(progress.totals[STEPS])
         until = min(ended + every, constants.episodes)
         train_episodes(plant, parameters, constants, progress, until, seed, learner)
         point = LearningPoint(
-            episodes=int(progress.count[ENDED]),
-            steps=int(progress.count[STEPS]),
-            duration=(int(progress.count[STEPS]) - steps)
+            episodes=int(progress.totals[ENDED]),
+            steps=int(progress.totals[STEPS]),
+            duration=(int(progress.totals[STEPS]) - steps)
             * plant.h
-            / (int(progress.count[ENDED]) - ended),
+            / (int(progress.totals[ENDED]) - ended),
         )
         if selecting:
             trials = settings.selection.screening_trials
@@ -110,7 +110,9 @@ def train(
         _retried(plant, parameters, snapshot, settings, seed, workers) for snapshot in snapshots
     ]
     finalists = _best(finalists, len(finalists))
-    Q, visits = (finalists[0].Q, finalists[0].visits) if finalists else (progress.Q, progress.visits)
+    Q, visits = (
+        (finalists[0].Q, finalists[0].visits) if finalists else (progress.Q, progress.visits)
+    )
     return TabularPolicy(
         boxes=boxes.describe(),
         actions=paper.ACTIONS,
@@ -123,8 +125,8 @@ def train(
         settings=settings,
         seed=seed,
         learner=learner,
-        episodes=int(progress.count[ENDED]),
-        steps=int(progress.count[STEPS]),
+        episodes=int(progress.totals[ENDED]),
+        steps=int(progress.totals[STEPS]),
         learning_curve=tuple(curve),
         candidates=tuple(snapshot.candidate for snapshot in finalists),
     )
@@ -205,10 +207,8 @@ def _snapshot(
     workers: int,
 ) -> _Snapshot:
     Q, visits = progress.Q.copy(), progress.visits.copy()
-    episodes = int(progress.count[ENDED])
-    candidate = _tried(
-        plant, pendulum, Q, episodes, settings, seed, SCREENING, trials, workers
-    )
+    episodes = int(progress.totals[ENDED])
+    candidate = _tried(plant, pendulum, Q, episodes, settings, seed, SCREENING, trials, workers)
     return _Snapshot(Q, visits, candidate)
 
 
@@ -223,9 +223,7 @@ def _retried(
     """Run the final round of one finalist."""
     Q, episodes = snapshot.Q, snapshot.candidate.episodes
     trials = settings.selection.final_trials
-    candidate = _tried(
-        plant, pendulum, Q, episodes, settings, seed, FINAL_ROUND, trials, workers
-    )
+    candidate = _tried(plant, pendulum, Q, episodes, settings, seed, FINAL_ROUND, trials, workers)
     return snapshot._replace(candidate=candidate)
 
 

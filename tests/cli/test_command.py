@@ -1,11 +1,16 @@
 """The command as a whole: help, version, first words, and what a shell sees."""
 
+import inspect
 import json
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
+from typer.models import OptionInfo
+
+from equipoise.cli.app import app
 
 VERBS = ("reproduce", "identify", "train", "evaluate", "verify", "bench")
 HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
@@ -74,3 +79,20 @@ def test_python_m_and_exit_codes_reach_the_shell(tmp_path):
     assert done.returncode == 2
     assert done.stderr == "error: there is no file nowhere.json; check the path\n"
     assert done.stdout == "Reading nowhere.json\n"
+
+
+def test_the_reference_page_has_every_option():
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "command-line.md").read_text()
+    sections = {section.split("\n")[0]: section for section in page.split("\n## ")}
+    for verb in app.registered_commands:
+        names = {
+            option
+            for parameter in inspect.signature(verb.callback).parameters.values()
+            for info in parameter.annotation.__metadata__
+            if isinstance(info, OptionInfo)
+            for option in (info.param_decls or (f"--{parameter.name.replace('_', '-')}",))
+            for option in option.split("/")
+        }
+        assert names
+        section = sections[verb.callback.__name__]
+        assert {name for name in names if f"`{name}`" not in section} == set(), verb

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.reference import intervals as printed
 
 from equipoise.control.boxes import (
     COUNT,
@@ -19,6 +18,7 @@ from equipoise.control.boxes import (
     interval_index,
     mirrored_box,
 )
+from tests.reference import intervals as printed
 
 BOXES = boxes()
 CENTRE = {"phi": 0.01, "phi_dot": 0.0, "x": 0.0, "x_dot": 0.0}

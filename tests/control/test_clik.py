@@ -150,9 +150,7 @@ def run_actions(size, h, held=0.01, duration=15.0, seed=5):
             step(plant, block, 1)
             assert block.cause[0] == 0
             acceleration.append(block.state[TRACKED * LANES] - u)
-            position.append(
-                block.frame[: 3 * LANES : LANES] - block.reference[: 3 * LANES : LANES]
-            )
+            position.append(block.frame[: 3 * LANES : LANES] - block.reference[: 3 * LANES : LANES])
         x += x_dot * held + 0.5 * u * held**2
         x_dot += u * held
         assert abs(x) < 0.22
@@ -188,9 +186,7 @@ def test_a_disturbance_of_the_pose_decays_as_the_sampled_gains_say(size):
     turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
     block.reference[ROTATION * LANES : TWIST * LANES : LANES] = turned.ravel()
     # The sampled double integrator under u = K_p e + K_d e_dot, error and its rate.
-    A = np.array(
-        [[1.0 - 400.0 * h**2 / 2.0, h - 40.0 * h**2 / 2.0], [-400.0 * h, 1.0 - 40.0 * h]]
-    )
+    A = np.array([[1.0 - 400.0 * h**2 / 2.0, h - 40.0 * h**2 / 2.0], [-400.0 * h, 1.0 - 40.0 * h]])
     expected = np.array([1.0, 0.0])
     for _ in range(40):
         block.state[PHI * LANES] = block.state[PHI_DOT * LANES] = 0.0

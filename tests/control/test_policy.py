@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.reference.intervals import place
 
 from equipoise import paper
 from equipoise.control.boxes import describe
@@ -22,6 +21,7 @@ from equipoise.control.policy import (
 from equipoise.errors import ArtefactError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import Settings
+from tests.reference.intervals import place
 
 STATE = (0.0, 0.0, 0.01, 0.0)
 states = st.tuples(

@@ -1,6 +1,6 @@
 """Trials: what is drawn for them, and that neither lanes, pieces nor workers change a bit."""
 
-from math import inf, nextafter, pi, radians, sqrt
+from math import inf, nextafter, radians, sqrt
 
 import numpy as np
 import pytest
@@ -17,8 +17,6 @@ from equipoise.learning.closed_loop import (
     JOINT_LIMIT,
     LASTED,
     TRACK,
-    TRACKED,
-    X_DOT,
     X,
     draw_noise,
     make_plant,
@@ -322,10 +320,10 @@ def test_a_trial_lasts_so_many_steps_and_no_more(plant, kernels):
 # Failure, beside what tests/learning/test_closed_loop.py shows
 
 
-def placed(plant, phi=0.0, x=0.0, x_dot=0.0, pendulum=PENDULUM._replace(w2=0.0, k=0.0, c=0.0)):
-    """Return the cause of the end after one step of a pendulum on which nothing acts."""
+def placed(plant, phi=0.0, x=0.0):
+    """Return block and cause of the end after one step of a pendulum on which nothing acts."""
     block = new_block()
-    reset(plant, block, pendulum, (x, x_dot, phi, 0.0), 0)
+    reset(plant, block, PendulumParameters(0.0, 0.0, 0.0), (x, 0.0, phi, 0.0), 0)
     step(plant, block, 1)
     return block, int(block.cause[0])
 

@@ -1,4 +1,4 @@
-"""Sine and cosine to two units in the last place, and the same bits in every lane.
+"""Sine and cosine to two units in the last place (far out: three), the same bits in every lane.
 
 The witness sums the series of sine and cosine with 60 decimals (`decimal`), on any machine.
 """
@@ -18,7 +18,8 @@ DIGITS = 60
 PI = Decimal(
     "3.14159265358979323846264338327950288419716939937510582097494459230781640628620899863"
 )
-LARGEST = 1e6
+NEAR, LARGEST = 1e3, 1e6
+"""Up to here two units in the last place, up to there three [rad]."""
 
 
 def exact(x):
@@ -55,7 +56,12 @@ def ulps(x):
 
 
 def worst(angles):
+    """Return the largest error over angles, and the angle where it is."""
     return max((max(ulps(float(x))), float(x)) for x in angles)
+
+
+def allowed(x):
+    return 2.0 if abs(x) < NEAR else 3.0
 
 
 def test_the_witness_agrees_with_closed_forms():
@@ -72,18 +78,20 @@ def test_the_witness_agrees_with_closed_forms():
 
 
 @pytest.mark.parametrize(
-    "angles",
+    ("angles", "units"),
     [
-        np.linspace(-2 * pi, 2 * pi, 4001),
-        np.random.default_rng(1).uniform(-10, 10, 2000),
-        np.random.default_rng(2).uniform(-1e5, 1e5, 2000),
-        np.random.default_rng(3).uniform(-LARGEST, LARGEST, 2000),
-        10 ** np.random.default_rng(4).uniform(-300, 0, 1000),
+        (np.linspace(-2 * pi, 2 * pi, 4001), 2.0),
+        (np.random.default_rng(1).uniform(-10, 10, 2000), 2.0),
+        (np.random.default_rng(2).uniform(-NEAR, NEAR, 4000), 2.0),
+        (np.random.default_rng(3).uniform(-LARGEST, LARGEST, 2000), 3.0),
+        (10 ** np.random.default_rng(4).uniform(-300, 0, 1000), 2.0),
+        # The worst of ten million random angles: the reduction rounds twice in one direction.
+        ([-9723.35457720195, -54052.547354895374, 45894.474770463596, 409540.9091188961], 3.0),
     ],
-    ids=["dense", "near", "far", "farthest", "tiny"],
+    ids=["dense", "near", "far", "farthest", "tiny", "worst"],
 )
-def test_sine_and_cosine_are_right_to_two_units_in_the_last_place(angles):
-    assert worst(angles) < (2.0, inf)
+def test_sine_and_cosine_are_right_to_units_in_the_last_place(angles, units):
+    assert worst(angles) < (units, inf)
 
 
 def test_the_error_stays_relative_beside_multiples_of_a_quarter_turn():
@@ -110,11 +118,6 @@ def test_the_doubles_closest_to_a_multiple_of_a_quarter_turn_are_no_exception():
     assert worst(-closest) < (2.0, inf)
 
 
-def test_the_angles_that_were_worst_are_right():
-    # The worst of ten million random ones: where the reduction rounds twice in one direction.
-    assert worst([-54052.547354895374, 45894.474770463596, 409540.9091188961]) < (3.0, inf)
-
-
 def test_between_quadrants_nothing_jumps():
     for k in (1, 3, 5, 7, 1001):
         x = k * pi / 4
@@ -126,7 +129,7 @@ def test_between_quadrants_nothing_jumps():
 @given(x=st.floats(-LARGEST, LARGEST))
 def test_sine_is_odd_and_cosine_even(x):
     (sine, cosine), (mirrored_sine, mirrored_cosine) = sincos(x), sincos(-x)
-    assert max(*ulps(x), *ulps(-x)) < 2.0
+    assert max(*ulps(x), *ulps(-x)) < allowed(x)
     if abs(x) < pi / 4:
         assert (mirrored_sine, mirrored_cosine) == (-sine, cosine)
 
@@ -134,8 +137,8 @@ def test_sine_is_odd_and_cosine_even(x):
 @given(x=st.floats(-LARGEST, LARGEST))
 def test_the_point_is_on_the_unit_circle(x):
     sine, cosine = sincos(x)
-    # Two units in the last place of each, twice.
-    assert sine**2 + cosine**2 == pytest.approx(1.0, abs=4 * 2**-52)
+    # An error of n units of the larger one, 2^-53 each, counts twice; then two roundings.
+    assert abs(sine**2 + cosine**2 - 1.0) <= (4 * allowed(x) + 2) * 2**-53
 
 
 def test_known_points_are_exact():

@@ -13,7 +13,6 @@ gives its place to the next, or, where none is left, to the last of those that r
 from typing import NamedTuple
 
 import numpy as np
-from tests.reference.intervals import place
 
 from equipoise import paper
 from equipoise.learning.closed_loop import (
@@ -35,6 +34,7 @@ from equipoise.model.random import (
     philox,
     uniform,
 )
+from tests.reference.intervals import place
 
 SIDE_BY_SIDE = 16
 

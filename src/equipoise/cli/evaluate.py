@@ -259,8 +259,10 @@ def _say(output: Output, evaluation: "Evaluation") -> bool:
         return False
     fell = summary.trials - summary.survived
     output.say(
-        f"It balances: the median trial lasted all {duration:g} s"
-        + (f"; {fell} of {summary.trials} did not." if fell else ", and so did every other."),
+        f"It balances: all {summary.trials} trials lasted {duration:g} s."
+        if not fell
+        else f"It balances: the median trial lasted all {duration:g} s; "
+        f"{fell} of {summary.trials} did not.",
         style="green",
     )
     return True

@@ -303,9 +303,7 @@ def step(plant: Plant, block: Block, lanes: int) -> None:
 
 
 @kernel
-def advance_pendula(
-    state: Array, pendula: Array, h: float, linearised: bool, lanes: int
-) -> None:
+def advance_pendula(state: Array, pendula: Array, h: float, linearised: bool, lanes: int) -> None:
     """Advance the pendulums of the first lanes by one time step, driven by u'."""
     dry = 0.0
     for n in range(lanes):
@@ -557,7 +555,8 @@ def record_trial(
         Cause of the end, and the recording.
     """
     block = new_block()
-    reset(plant, block, pendulum, tuple(float(value) for value in start), 0)
+    x, x_dot, phi, phi_dot = (float(value) for value in start)
+    reset(plant, block, pendulum, (x, x_dot, phi, phi_dot), 0)
     rows = Recording(
         *(np.zeros((longest, width)) if width else np.zeros(longest) for width in (4, 0, 0, 6, 6))
     )

@@ -159,19 +159,20 @@ class Progress(NamedTuple):
     """Its step, shape (LANES,)."""
     box: npt.NDArray[np.int64]
     """Its box, shape (LANES,)."""
-    count: npt.NDArray[np.int64]
+    totals: npt.NDArray[np.int64]
     """Episodes begun, episodes ended, lanes in use, steps; shape (4,)."""
 
 
 def new_progress() -> Progress:
     """Return a training that has not begun: a table of zeros."""
-    lanes = (np.zeros(LANES, np.int64) for _ in range(3))
     return Progress(
-        np.zeros((COUNT, ACTIONS)),
-        np.zeros((COUNT, ACTIONS), np.int64),
-        new_block(),
-        *lanes,
-        np.zeros(4, np.int64),
+        Q=np.zeros((COUNT, ACTIONS)),
+        visits=np.zeros((COUNT, ACTIONS), np.int64),
+        block=new_block(),
+        episode=np.zeros(LANES, np.int64),
+        tick=np.zeros(LANES, np.int64),
+        box=np.zeros(LANES, np.int64),
+        totals=np.zeros(4, np.int64),
     )
 
 
@@ -186,7 +187,7 @@ def begin_episode(
     n: int,
 ) -> None:
     """Begin the next episode in lane `n`: its pendulum and its start are drawn."""
-    state, episode = progress.block.state, progress.count[BEGUN]
+    state, episode = progress.block.state, progress.totals[BEGUN]
     w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_EPISODE)
     inertia_noise, friction_noise = normal_pair(w0, w1)
     own = scaled(
@@ -206,9 +207,13 @@ def begin_episode(
     progress.episode[n] = episode
     progress.tick[n] = 0
     progress.box[n] = box_index(
-        at(state, X, n), at(state, X_DOT, n), at(state, PHI, n), at(state, PHI_DOT, n), learner.boxes
+        at(state, X, n),
+        at(state, X_DOT, n),
+        at(state, PHI, n),
+        at(state, PHI_DOT, n),
+        learner.boxes,
     )
-    progress.count[BEGUN] += 1
+    progress.totals[BEGUN] += 1
 
 
 @kernel
@@ -234,14 +239,14 @@ def train_episodes(
         seed: Master seed.
         number: Which learner of that seed; each has random numbers of its own.
     """
-    Q, visits, block, episode, tick, box, count = progress
+    Q, visits, block, episode, tick, box, totals = progress
     state, u, cause = block.state, block.u, block.cause
     action = np.zeros(LANES, np.int64)
-    lanes = count[IN_USE]
-    while lanes < LANES and count[BEGUN] < learner.episodes:
+    lanes = totals[IN_USE]
+    while lanes < LANES and totals[BEGUN] < learner.episodes:
         begin_episode(plant, pendulum, learner, progress, seed, number, lanes)
         lanes += 1
-    while count[ENDED] < until:
+    while totals[ENDED] < until:
         for n in range(lanes):
             w0, w1, _, _ = philox(seed, tick[n], episode[n], number, TRAINING_ACTION)
             if uniform(w0, 0.0, 1.0) < exploration(episode[n], learner):
@@ -251,7 +256,7 @@ def train_episodes(
             u[n] = learner.actions[action[n]]
         draw_noise(block.noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
         step(plant, block, lanes)
-        count[STEPS] += lanes
+        totals[STEPS] += lanes
         for n in range(lanes - 1, -1, -1):
             tick[n] += 1
             if cause[n] == LASTED:
@@ -269,11 +274,11 @@ def train_episodes(
                     continue
             else:
                 update(Q, visits, box[n], action[n], learner.reward_failure, learner)
-            count[ENDED] += 1
-            if count[BEGUN] < learner.episodes:
+            totals[ENDED] += 1
+            if totals[BEGUN] < learner.episodes:
                 begin_episode(plant, pendulum, learner, progress, seed, number, n)
             else:
                 lanes -= 1
                 copy_lane(block, lanes, n)
                 episode[n], tick[n], box[n] = episode[lanes], tick[lanes], box[lanes]
-    count[IN_USE] = lanes
+    totals[IN_USE] = lanes

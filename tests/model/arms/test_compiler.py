@@ -98,9 +98,7 @@ def test_the_committed_modules_are_what_the_generator_writes(size):
 @pytest.mark.parametrize("size", [7, 14])
 def test_an_iiwa_takes_about_three_hundred_operations(size):
     lines = compiler.source(iiwa(size)).splitlines()
-    code = [
-        re.sub(r"\[[^]]*\]", "[]", line) for line in lines if " = " in line and "#" not in line
-    ]
+    code = [re.sub(r"\[[^]]*\]", "[]", line) for line in lines if " = " in line and "#" not in line]
     operations = sum(line.count(f" {sign} ") for line in code for sign in "+-*")
     assert operations < 300
     assert sum(line.count("sincos(") for line in code) == 6

@@ -238,11 +238,13 @@ class Arm(_Described):
         """
         from equipoise.model.arms.compiler import load
 
-        blocks = [[0.0] * (rows * LANES) for rows in (FREE_JOINTS, FREE_JOINTS, FRAME_SIZE)]
-        blocks[0][::LANES] = (float(angle) for angle in q)
-        blocks[1][::LANES] = (float(rate) for rate in dq)
-        load(self)(*blocks, 1)
-        record = np.array(blocks[2][::LANES])
+        q_block, dq_block, frame = (
+            [0.0] * (rows * LANES) for rows in (FREE_JOINTS, FREE_JOINTS, FRAME_SIZE)
+        )
+        q_block[::LANES] = (float(angle) for angle in q)
+        dq_block[::LANES] = (float(rate) for rate in dq)
+        load(self)(q_block, dq_block, frame, 1)
+        record = np.array(frame[::LANES])
         return Kinematics(
             position=record[POSITION:ROTATION],
             rotation=record[ROTATION:TWIST].reshape(3, 3),

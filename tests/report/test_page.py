@@ -1,0 +1,240 @@
+"""The page: every part of the story, nothing fetched, nothing let through unescaped."""
+
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from equipoise import paper
+from equipoise.errors import ArtefactError
+from equipoise.report.choices import chapters
+from equipoise.report.page import DRAWINGS, PAGE, build, page
+from equipoise.settings import RECIPES, Settings, resolve
+from equipoise.studies import results as files
+from equipoise.trajectory import write_swing
+from tests.report import made_up
+
+HOSTILE = "<script>alert('x')</script>&.csv"
+SVG = '<svg xmlns="http://www.w3.org/2000/svg"/>'
+PICTURES = dict.fromkeys(DRAWINGS, SVG)
+EMPTY = {"meta", "img", "br", "path", "rect", "circle", "link", "input"}
+SECTIONS = (
+    "Verdict",
+    "What this is",
+    "Paper and here",
+    "The free swing and what it tells",
+    "Training",
+    "What was learned",
+    "How long it stands",
+    "One run, as the paper shows it",
+    "What the paper leaves open",
+    "Where it comes from, and how to repeat it",
+)
+
+
+class Reader(HTMLParser):
+    """Collects what a browser would, and checks that what is opened is closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.attributes, self.words = [], [], [], []
+        self.feed(text.replace("<wbr>", ""))
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+        if tag not in EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in EMPTY:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] not in ("style", "title"):
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).replace("\N{NO-BREAK SPACE}", " ").split())
+
+
+def made(**changes):
+    return page(made_up.results(**changes), PICTURES, made_up.PROVENANCE)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return made()
+
+
+def test_the_story_is_told_in_its_order(plain):
+    assert tuple(re.findall("<h2>(.*)</h2>", plain)) == SECTIONS
+    links = [v for _, name, v in Reader(plain).attributes if name == "href"]
+    anchors = [v for tag, name, v in Reader(plain).attributes if (tag, name) == ("section", "id")]
+    assert links == [f"#{anchor}" for anchor in anchors]
+
+
+def test_nothing_is_fetched_and_no_script_runs(plain):
+    reader = Reader(plain)
+    assert not {"script", "link", "iframe", "object", "embed", "base", "form"} & set(reader.tags)
+    for _, name, value in reader.attributes:
+        assert not name.startswith("on")
+        if name in ("src", "href", "srcset", "action"):
+            assert value.startswith(("data:image/svg+xml;base64,", "#"))
+    assert "http" not in plain.lower()
+    assert "url(" not in plain
+    assert "@import" not in plain
+
+
+def test_every_figure_is_there_once_with_words_for_those_who_cannot_see_it(plain):
+    reader = Reader(plain)
+    assert reader.tags.count("img") == len(DRAWINGS)
+    alt = [value for tag, name, value in reader.attributes if (tag, name) == ("img", "alt")]
+    assert len(alt) == len(DRAWINGS)
+    assert all(len(words) > 20 for words in alt)
+
+
+def test_what_comes_from_outside_is_escaped():
+    text = made(given=HOSTILE, warnings=["<b>bold</b> & `<i>`"])
+    assert "<script" not in text
+    assert "<b>bold" not in text
+    assert "<i>" not in text
+    words = Reader(text).text
+    assert HOSTILE in words
+    assert "<b>bold</b> &" in words
+
+
+def test_the_verdict_has_five_lines_and_says_that_it_is_simulation(plain):
+    verdict = plain.split('<ol class="verdict">')[1].split("</ol>")[0]
+    assert verdict.count("<li>") == 5
+    words = Reader(plain).text
+    assert "18 of 20" in words
+    # Clopper-Pearson for 18 of 20, from any table: 68.3 to 98.8 %.
+    assert "68.3 % to 98.8 %" in words
+    assert "5 s stood the paper's policy, once, on the real arm" in words
+    assert "neither a robot nor a digital twin of one, which does not exist yet" in words
+
+
+def test_a_quick_look_says_so():
+    assert "A quick look, with fewer episodes and trials." in Reader(made(quick=True)).text
+    assert "quick look" not in Reader(made()).text
+
+
+def test_the_paper_is_quoted_with_its_own_numbers(plain):
+    words = Reader(plain).text
+    for number in (
+        f"around {paper.FREE_SWING_PERIOD:g} s",
+        "270 boxes × 8 accelerations",
+        f"{paper.EPISODES:,}",
+        "x passed −0.22 m, at φ = −3.44°",
+        "“few minutes”",
+    ):
+        assert number in words
+
+
+def test_a_run_that_failed_is_told_as_one():
+    words = Reader(made(lasted=20.0, cause="track")).text
+    assert "fell after 20 s of 60 s (track)" in words
+    assert "stood all" not in words
+
+
+def test_a_recording_that_was_given_is_named_and_has_no_truth_beside_it():
+    words = Reader(made(given="mine.csv")).text
+    assert "mine.csv" in words
+    assert "equipoise reproduce --swing mine.csv" in words
+    assert "one was simulated" not in words
+
+
+def test_warnings_of_the_identification_are_shown():
+    assert (
+        "viscous friction does not explain"
+        in Reader(made(warnings=["viscous friction does not explain the recording"])).text
+    )
+
+
+def test_a_policy_that_nobody_selected_is_told_as_one():
+    assert "nothing was selected" in Reader(made(recipe="paper")).text
+
+
+def test_every_setting_is_there_with_value_and_reason(plain):
+    words = Reader(plain).text
+    for section, model in Settings.model_fields.items():
+        for key in model.annotation.model_fields:
+            assert f"{section}.{key}" in words
+    assert "learning.episodes 10,000" in words
+
+
+def test_choices_take_unit_and_reason_from_the_docstring():
+    settings = resolve()
+    choices = {c.name: c for chapter in chapters(settings) for c in chapter.choices}
+    assert len(choices) == sum(
+        len(model.annotation.model_fields) for model in Settings.model_fields.values()
+    )
+    K_p = choices["clik.K_p"]
+    assert K_p.value == "400 1/s^2"
+    assert K_p.reason.startswith("Gain on the pose error. With K_d")
+    assert "[" not in K_p.reason
+    assert choices["evaluation.phi_high"].value == "0.04363 rad (2.5°)"
+    assert choices["learning.mirrored"].value == "yes"
+    assert {name for name, c in choices.items() if c.otherwise} == set(RECIPES["paper"])
+    assert choices["learning.mirrored"].otherwise == "no"
+    assert all(c.reason for c in choices.values())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder as `reproduce` leaves it."""
+    out = tmp_path_factory.mktemp("machine") / "report"
+    found = made_up.results()
+    write_swing(out / files.SWING, found.swing)
+    # The digest of a recording is that of its file.
+    swing = files.read_swing(out / files.SWING)
+    identified = made_up.pendulum(swing)
+    policy = made_up.policy(identified)
+    found = found._replace(
+        swing=swing,
+        pendulum=identified,
+        policy=policy,
+        evaluation=made_up.evaluation(policy),
+        run=made_up.run(policy, lasted=8.0, cause="track"),
+    )
+    record = found.record.model_copy(update={"files": dict(files.digests(found))})
+    for value, name in (
+        (found.pendulum, files.PENDULUM),
+        (found.policy, files.POLICY),
+        (found.evaluation, files.EVALUATION),
+        (found.run, files.RUN),
+        (record, files.RECORD),
+    ):
+        value.save(out / name, command="test")
+    return out
+
+
+def test_the_page_is_built_from_the_folder_alone(folder):
+    told = []
+    path = build(folder, lambda name, share: told.append((name, share)))
+    assert path == folder / PAGE
+    text = path.read_text(encoding="utf-8")
+    Reader(text)
+    assert folder.parent.name not in text  # no path of this machine
+    assert sorted(p.name for p in (folder / "figures").iterdir()) == sorted(
+        f"{name}.{ending}" for name in DRAWINGS for ending in ("png", "svg")
+    )
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert told[-1] == (PAGE, 1.0)
+
+
+def test_a_file_of_another_reproduction_is_refused(folder, tmp_path):
+    for path in folder.iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    other = made_up.evaluation(files.TabularPolicy.load(folder / files.POLICY), falls=(1.0,))
+    other.save(tmp_path / files.EVALUATION, command="test")
+    with pytest.raises(ArtefactError, match=r"evaluation\.json is not the one"):
+        build(tmp_path)
+    (tmp_path / files.RUN).unlink()
+    with pytest.raises(ArtefactError, match=r"there is no file .*run\.mcap"):
+        build(tmp_path)

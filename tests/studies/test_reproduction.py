@@ -1,0 +1,176 @@
+"""Reproduction: every stage, one after the other, and what it leaves."""
+
+import numpy as np
+import pytest
+
+from equipoise import paper
+from equipoise.artefacts import read_document
+from equipoise.errors import ArtefactError, OutsideError, RecordingError
+from equipoise.identification import identify
+from equipoise.report.page import build
+from equipoise.settings import resolve
+from equipoise.studies.reproduction import QUICK, reproduce, shortened
+from equipoise.studies.results import RECORD, RUN, SWING, load, verdict
+from equipoise.studies.stand_in import SimulatedSwing, simulated_swing
+from equipoise.trajectory import Trajectory
+
+SHORT = resolve(
+    overrides=[
+        "learning.episodes=60",
+        "learning.episode_duration=2",
+        "selection.every=20",
+        "selection.screening_trials=8",
+        "selection.final_trials=8",
+        "selection.finalists=2",
+        "selection.duration=2",
+        "evaluation.trials=8",
+        "evaluation.duration=2",
+    ]
+)
+FILES = ("swing.csv", "pendulum.json", "policy.json", "evaluation.json", "run.mcap")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    told = []
+    out = tmp_path_factory.mktemp("reproduction") / "deep" / "folder"
+    made = reproduce(out, settings=SHORT, seed=3, workers=1, report=told.append)
+    return made, told
+
+
+def test_it_leaves_every_value_and_they_belong_together(made):
+    made, _ = made
+    assert sorted(path.name for path in made.out.iterdir()) == sorted([*FILES, RECORD])
+    results = load(made.out)
+    assert verdict(results) == made.verdict
+    assert results.policy.digest == made.results.policy.digest
+    assert results.run.digest == made.results.run.digest
+    assert results.evaluation.policy == results.policy.digest == results.run.conditions.policy
+    assert results.policy.pendulum == results.pendulum
+    assert results.pendulum.fit.sha256 == results.swing.sha256
+
+
+def test_each_file_names_what_it_was_made_from(made):
+    made, _ = made
+    results = made.results
+    inputs = {
+        "pendulum.json": {"swing": results.swing.sha256},
+        "policy.json": {"pendulum": results.pendulum.digest},
+        "evaluation.json": {"policy": results.policy.digest},
+    }
+    for name, expected in inputs.items():
+        assert read_document(made.out / name)["provenance"]["inputs"] == expected
+
+
+def test_the_stages_are_told_as_they_go(made):
+    made, told = made
+    stages = ["swing", "identify", "train", "evaluate", "deploy"]
+    assert [stage.name for stage in made.results.record.stages] == stages
+    assert list(dict.fromkeys(p.stage for p in told)) == stages
+    for stage in stages:
+        shares = [p.share for p in told if p.stage == stage]
+        assert shares[0] == 0.0
+        assert shares[-1] == 1.0
+        assert shares == sorted(shares)
+    assert any("60 episodes" in p.text for p in told)
+    assert any(p.text == "40 trials" for p in told)  # eight for the policy and each yardstick
+
+
+def test_the_simulated_pendulum_is_found_again(made):
+    made, _ = made
+    w2 = (2.0 * np.pi / paper.FREE_SWING_PERIOD) ** 2
+    pendulum, swing = made.results.pendulum, made.results.record.simulated
+    # Four times the half width: a chance below 1e-6, were the errors normal.
+    for estimate, truth in ((pendulum.w2, w2), (pendulum.c, swing.c)):
+        assert abs(estimate.value - truth) < 4.0 * (estimate.high - estimate.value)
+    assert swing.hold <= pendulum.fit.release < swing.hold + 0.5 * swing.period
+    assert pendulum.fit.warnings == ()
+
+
+def test_the_run_is_as_long_as_the_trials(made):
+    made, _ = made
+    assert made.results.run.conditions.duration == SHORT.evaluation.duration
+
+
+def test_the_results_do_not_depend_on_the_number_of_workers(made, tmp_path):
+    made, _ = made
+    again = reproduce(tmp_path, settings=SHORT, seed=3, workers=2)
+    assert again.results.record.files == made.results.record.files
+
+
+def test_a_recorded_swing_is_used_and_kept(tmp_path):
+    recorded = simulated_swing(SimulatedSwing(period=0.9), seed=8)
+    given = Trajectory(time=recorded.time, theta=recorded.theta, source="mine.csv")
+    made = reproduce(tmp_path, swing=given, settings=SHORT, workers=1)
+    record = made.results.record
+    assert (record.swing, record.swing_sha256) == ("mine.csv", given.sha256)
+    assert record.simulated is None
+    np.testing.assert_array_equal(load(tmp_path).swing.theta, given.theta)
+    assert made.results.pendulum.period == pytest.approx(0.9, rel=1e-3)
+    assert made.verdict[3].startswith("The recorded free swing has a period of 0.9")
+
+
+def test_a_swing_that_identifies_nothing_is_refused(tmp_path):
+    time = np.arange(0.0, 5.0, 0.01)
+    still = Trajectory(time=time, theta=np.zeros_like(time), source="still.csv")
+    with pytest.raises(RecordingError, match=r"still\.csv"):
+        reproduce(tmp_path, swing=still, settings=SHORT)
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_anything_is_trained(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    told = []
+    with pytest.raises(OutsideError):
+        reproduce(tmp_path / "file", settings=SHORT, report=told.append)
+    assert "train" not in [p.stage for p in told]
+
+
+def test_a_mixed_folder_is_refused(made, tmp_path):
+    made, _ = made
+    for path in made.out.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    with (tmp_path / SWING).open("a") as file:
+        file.write("99.0,0.1\n")
+    with pytest.raises(ArtefactError, match=r"swing\.csv is not the one"):
+        load(tmp_path)
+
+
+def test_quick_only_shortens():
+    full, short = resolve(), shortened(resolve())
+    for name, value in QUICK.items():
+        section, _, key = name.partition(".")
+        assert getattr(getattr(short, section), key) == value
+        assert getattr(getattr(full, section), key) > value
+    assert shortened(SHORT) == SHORT
+
+
+def test_the_hand_of_the_simulated_swing_holds_and_lets_go():
+    swing = SimulatedSwing()
+    recording = simulated_swing(swing, seed=1)
+    held = recording.time < swing.hold
+    assert np.ptp(recording.theta[held]) < 4.0 * swing.tremor
+    assert np.ptp(recording.theta[held]) > swing.tremor
+    # Whole counts, and no jump at the release.
+    counts = recording.theta / recording.resolution
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+    assert np.max(np.abs(np.diff(recording.theta))) < 0.02
+    assert not recording.released
+    assert not np.array_equal(simulated_swing(swing, seed=2).theta, recording.theta)
+
+
+def test_a_swing_without_a_hand_is_identified_from_its_first_sample():
+    recording = simulated_swing(SimulatedSwing(hold=0.0, noise=0.0))
+    assert recording.time[0] == 0.0
+    assert identify(recording).fit.release is None
+
+
+@pytest.mark.slow
+def test_quick_and_the_page_work_as_they_come(tmp_path):
+    made = reproduce(tmp_path, quick=True)
+    assert made.next_command == "equipoise reproduce"
+    summary = made.results.evaluation.results.summary()
+    assert summary.trials == QUICK["evaluation.trials"]
+    # Worse than half is worse than any of 20 seeds showed.
+    assert summary.rate > 0.5
+    assert build(tmp_path).stat().st_size > 100_000
+    assert (tmp_path / RUN).stat().st_size > 100_000
