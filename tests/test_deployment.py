@@ -135,7 +135,8 @@ def test_it_is_the_trial_that_the_compiled_loop_runs(small_policy):
 
 def test_a_table_that_always_pushes_one_way_fails(small_policy):
     pushing = tuple((1.0, *[0.0] * 7) for _ in range(270))
-    run = deploy(TabularPolicy(**dict(small_policy) | {"Q": pushing}), duration=10.0)
+    table = TabularPolicy.model_validate(small_policy.model_dump() | {"Q": pushing})
+    run = deploy(table, duration=10.0)
     # 2 m/s^2 reach the end of the track from rest after sqrt(2 * 0.22 / 2) = 0.47 s.
     assert run.conditions.cause in ("angle", "track")
     assert run.lasted <= 0.48

@@ -1,4 +1,4 @@
-"""The closed loop against integrators and kinematics that it does not use, and its own symmetries."""
+"""The closed loop against integrators and kinematics that it does not use, and its symmetries."""
 
 import numpy as np
 import pytest

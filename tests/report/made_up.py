@@ -1,4 +1,4 @@
-"""Results of a reproduction that nobody ran: small, quick to draw, and as odd as a test wants them."""
+"""Results of a reproduction that nobody ran: small, quick to draw, as odd as a test wants them."""
 
 import numpy as np
 

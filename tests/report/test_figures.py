@@ -45,7 +45,7 @@ LABELS = {
         "time since the release [s]",
         "trials still standing [%]",
         "90 %",
-        "the paper's run\non the real arm: 5 s",
+        "the paper's run on the real arm, 5 s",
         "LQR",
         "random",
     ],

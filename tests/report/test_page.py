@@ -113,7 +113,7 @@ def test_the_verdict_has_five_lines_and_says_that_it_is_simulation(plain):
     assert "18 of 20" in words
     # Clopper-Pearson for 18 of 20, from any table: 68.3 to 98.8 %.
     assert "68.3 % to 98.8 %" in words
-    assert "5 s stood the paper's policy, once, on the real arm" in words
+    assert "5 s the paper's run stood on the real arm" in words
     assert "neither a robot nor a digital twin of one, which does not exist yet" in words
 
 
@@ -136,7 +136,7 @@ def test_the_paper_is_quoted_with_its_own_numbers(plain):
 
 def test_a_run_that_failed_is_told_as_one():
     words = Reader(made(lasted=20.0, cause="track")).text
-    assert "fell after 20 s of 60 s (track)" in words
+    assert "left the track after 20 s of 60 s" in words
     assert "stood all" not in words
 
 

@@ -1,9 +1,9 @@
 """The verdict: five lines that say what happened, no more and no less."""
 
 import pytest
-from tests.report import made_up
 
 from equipoise.studies.results import percent, plus_minus, verdict
+from tests.report import made_up
 
 
 def test_it_has_five_lines_of_one_sentence_or_two():
@@ -17,14 +17,14 @@ def test_the_trials_stand_beside_the_papers_run_with_their_interval():
     line = verdict(made_up.results())[0]
     # Clopper-Pearson for 18 of 20, from any table: 68.3 to 98.8 %.
     assert "60 s in 18 of 20 simulated trials (90 %; 95 % interval 68.3 % to 98.8 %)" in line
-    assert "2 fell by track" in line
+    assert "), 2 left the track; the paper" in line
     assert "the paper's stood 5 s on the real arm, once" in line
 
 
 def test_a_perfect_score_is_not_called_certain():
     line = verdict(made_up.results(falls=()))[0]
     # The lower end for 20 of 20 is 0.025^(1/20) = 83.2 %.
-    assert "20 of 20 simulated trials (100 %; 95 % interval 83.2 % to 100 %), none fell" in line
+    assert "20 of 20 simulated trials (100 %; 95 % interval 83.2 % to 100 %), none failed" in line
 
 
 def test_the_yardsticks_are_named_with_what_they_did():
@@ -35,7 +35,7 @@ def test_the_yardsticks_are_named_with_what_they_did():
 def test_a_run_that_fell_is_said_to_have_fallen():
     assert "stood all 60 s" in verdict(made_up.results())[2]
     fell = verdict(made_up.results(lasted=20.0, cause="track"))[2]
-    assert "fell after 20 s of 60 s (track)" in fell
+    assert "left the track after 20 s of 60 s" in fell
     assert "stood all" not in fell
 
 

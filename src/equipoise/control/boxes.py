@@ -9,7 +9,9 @@ Mirror symmetry (x, phi -> -x, -phi) is a map of *indices*. Re-binning -phi is n
 the intervals of phi are half open.
 """
 
+import functools
 from collections.abc import Sequence
+from itertools import pairwise
 from math import radians
 from typing import Any, Final, NamedTuple
 
@@ -71,6 +73,7 @@ def describe() -> BoxDescription:
     )
 
 
+@functools.cache
 def boxes() -> Boxes:
     """Return the paper's boxes in SI units, for kernels."""
     return Boxes(
@@ -85,7 +88,7 @@ def boxes() -> Boxes:
 
 def _axis(intervals: Sequence[paper.Interval], *, degrees: bool) -> Axis:
     edges = [interval.low for interval in intervals[1:]]
-    for below, above in zip(intervals[:-1], intervals[1:], strict=True):
+    for below, above in pairwise(intervals):
         # The paper prints ]-11, -5[ beside [-5, -1[: each inner edge has exactly one owner.
         if below.high != above.low or below.high_closed == above.low_closed:
             raise ValueError(f"{below} and {above} do not share one edge with one owner")

@@ -112,15 +112,18 @@ def joint_acceleration(
 def solve(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, lanes: int) -> int:
     """Solve J y = rhs in each lane, damped near singularities; return how often it was damped."""
     wrist, w_0 = parameters.wrist, parameters.w_0
-    if wrist[0] == wrist[0]:
-        near_singular = 0
-        for n in range(lanes):
-            near_singular += 1 if _solve_at_wrist(frame, rhs, wrist, y, n) < w_0 else 0
-        if near_singular == 0:
-            return 0
     damped = 0
+    if wrist[0] != wrist[0]:
+        for n in range(lanes):
+            damped += _solve_damped(frame, rhs, parameters, y, n)
+        return damped
+    near_singular = 0
     for n in range(lanes):
-        damped += _solve_damped(frame, rhs, parameters, y, n)
+        near_singular += 1 if _solve_at_wrist(frame, rhs, wrist, y, n) < w_0 else 0
+    if near_singular > 0:
+        for n in range(lanes):
+            if _solve_at_wrist(frame, rhs, wrist, y, n) < w_0:
+                damped += _solve_damped(frame, rhs, parameters, y, n)
     return damped
 
 

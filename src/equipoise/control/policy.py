@@ -6,7 +6,7 @@ The compiled loops call `act`, with a `PolicyKernel` made from a table or from a
 
 import functools
 from importlib import resources
-from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol, Self
+from typing import ClassVar, Final, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ from equipoise import paper
 from equipoise.artefacts import Artefact, Value
 from equipoise.compiled import kernel
 from equipoise.control import boxes
-from equipoise.control.boxes import BoxDescription, Boxes, box_index, greedy_actions
+from equipoise.control.boxes import BoxDescription, Boxes, box_index
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import Settings
@@ -182,17 +182,17 @@ class TabularPolicy(Artefact):
                 raise ValueError(f"{name} must have {shape[0]} rows of {shape[1]} numbers")
         return self
 
-    @functools.cached_property
+    @property
     def table(self) -> Array:
-        """Q as an array that cannot be written, shape (270, 8)."""
-        return _read_only(np.array(self.Q))
+        """Q as an array, shape (270, 8)."""
+        return np.array(self.Q)
 
-    @functools.cached_property
+    @property
     def u_of_box(self) -> Array:
         """The greedy acceleration of each box [m/s^2], shape (270,)."""
-        return _read_only(np.array(self.actions)[greedy_actions(self.table)])
+        return np.array(_greedy(self.Q))
 
-    @functools.cached_property
+    @property
     def kernel(self) -> PolicyKernel:
         """The greedy policy for compiled loops."""
         return policy_kernel(TABLE, u_of_box=self.u_of_box)
@@ -200,7 +200,13 @@ class TabularPolicy(Artefact):
     def act(self, state: Array) -> float:
         """Return u [m/s^2] for the state (x, x_dot, phi, phi_dot), shape (4,)."""
         x, x_dot, phi, phi_dot = (float(value) for value in state)
-        return float(act(self.kernel, x, x_dot, phi, phi_dot, 0.0))
+        return _greedy(self.Q)[box_index(x, x_dot, phi, phi_dot, boxes.boxes())]
+
+
+@functools.lru_cache(maxsize=16)
+def _greedy(Q: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
+    """Return the greedy acceleration of each box [m/s^2]; kept, for `act` is called every step."""
+    return tuple(paper.ACTIONS[action] for action in boxes.greedy_actions(np.array(Q)))
 
 
 @functools.cache
@@ -208,8 +214,3 @@ def shipped_policy() -> TabularPolicy:
     """Return the policy that ships with Equipoise, trained for the shipped pendulum."""
     with resources.as_file(resources.files("equipoise") / "data" / "policy.json") as path:
         return TabularPolicy.load(path)
-
-
-def _read_only(array: Any) -> Any:
-    array.flags.writeable = False
-    return array

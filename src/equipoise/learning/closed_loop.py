@@ -46,6 +46,7 @@ CAUSES: Final = ("lasted", "angle", "track", "joint limit")
 
 LEAST_MANIPULABILITY: Final = 1e-6
 """Below this |det J| [m^3] a home posture counts as singular; an iiwa at home has 0.09."""
+LEAST_INERTIA_FACTOR: Final = 0.1
 POSE_ITERATIONS: Final = 20
 POSE_TOLERANCE: Final = 1e-12
 
@@ -404,7 +405,12 @@ def copy_lane(block: Block, source: int, target: int) -> None:
 def scaled(
     pendulum: PendulumParameters, inertia_factor: float, friction_factor: float
 ) -> PendulumParameters:
-    """Return the pendulum with I and b multiplied: I divides everything, b scales c alone."""
+    """Return the pendulum with I and b multiplied: I divides everything, b scales c alone.
+
+    Factors come from normal distributions: I keeps at least a tenth of itself, b is not negative.
+    """
+    inertia_factor = max(inertia_factor, LEAST_INERTIA_FACTOR)
+    friction_factor = max(friction_factor, 0.0)
     return PendulumParameters(
         pendulum.w2 / inertia_factor,
         pendulum.k / inertia_factor,

@@ -4,8 +4,9 @@ r"""Tabular Q-learning over the full closed loop: the paper's equation (1).
 
 One compiled loop runs whole episodes, `LANES` of them at once, all learning on the one table: in
 each step every lane acts by the table as it stands, then the updates are made one after the other.
-A failure is terminal, so its target is the reward alone. With `mirrored`, the mirror image of each update is made with it, so that the table stays exactly
-symmetric. Ties between best actions are broken at random.
+A failure is terminal, so its target is the reward alone. With `mirrored`, the mirror image of each
+update is made with it, so that the table stays exactly symmetric. Ties between best actions are
+broken at random.
 """
 
 from typing import Final, NamedTuple
@@ -193,7 +194,7 @@ def begin_episode(
     own = scaled(
         pendulum,
         1.0 + learner.inertia_sigma * inertia_noise,
-        max(0.0, 1.0 + learner.friction_sigma * friction_noise),
+        1.0 + learner.friction_sigma * friction_noise,
     )
     w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_START)
     x, x_dot, phi, phi_dot = learner.start

@@ -37,7 +37,7 @@ def draw_trials(count: int, settings: Settings, seed: int, stream: int, spread: 
     return Trials(
         start=start,
         inertia_factor=1.0 + spread * plant.inertia_sigma * ndtri(draws[:, 3]),
-        friction_factor=np.maximum(0.0, 1.0 + spread * plant.friction_sigma * ndtri(draws[:, 4])),
+        friction_factor=1.0 + spread * plant.friction_sigma * ndtri(draws[:, 4]),
         steps=np.zeros(count, np.int64),
         cause=np.zeros(count, np.int64),
         sum_x2=np.zeros(count),

@@ -9,7 +9,7 @@ from equipoise import paper
 from equipoise.control.boxes import COUNT
 from equipoise.evaluation import Summary
 from equipoise.runlog import RunLog
-from equipoise.studies.results import Results, percent
+from equipoise.studies.results import LASTED, Results, falls, how_it_ended, percent
 
 
 class Row(NamedTuple):
@@ -85,19 +85,14 @@ def _share_above(results: Results, seconds: float) -> float:
     trials = results.evaluation.results
     # A trial that lasted would have gone on.
     stood = [
-        inf if cause == "lasted" else survival
+        inf if cause == LASTED else survival
         for survival, cause in zip(trials.survival, trials.causes, strict=True)
     ]
     return float(np.mean(np.array(stood) >= seconds))
 
 
 def _ends(summary: Summary, run: RunLog) -> str:
-    falls = [f"{n} by {cause}" for cause, n in sorted(summary.causes.items()) if cause != "lasted"]
-    x, phi = run.x[-1], np.rad2deg(run.phi[-1])
-    state = f"x = {x:.3f} m, φ = {phi:.2f}°"
-    end = (
-        f"after {run.lasted:g} s it still stood, {state}"
-        if run.conditions.cause == "lasted"
-        else f"{run.conditions.cause}; a step before, {state}"
-    )
-    return f"trials that fell: {', '.join(falls) or 'none'}; the recorded run: {end}"
+    state = f"x = {run.x[-1]:.3f} m, φ = {np.rad2deg(run.phi[-1]):.2f}°"
+    last = "" if run.conditions.cause == LASTED else "; a step before"
+    end = f"{how_it_ended(run.conditions.cause)}, {run.lasted:g} s{last}, {state}"
+    return f"trials: {falls(summary.causes)}; the recorded run {end}"

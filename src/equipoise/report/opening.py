@@ -49,9 +49,12 @@ def _verdict(results: Results) -> Part:
             ),
             (
                 f"{results.run.lasted:.3g} s",
-                f"stood the recorded run of {results.run.conditions.duration:g} s",
+                f"the recorded run stood, of {results.run.conditions.duration:g} s at most",
             ),
-            (f"{paper.SECONDS_BALANCED:g} s", "stood the paper's policy, once, on the real arm"),
+            (
+                f"{paper.SECONDS_BALANCED:g} s",
+                "the paper's run stood on the real arm, the only one",
+            ),
         ),
         verdict_list(verdict(results)),
     )

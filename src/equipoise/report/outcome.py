@@ -7,7 +7,7 @@ import numpy as np
 from equipoise import paper
 from equipoise.evaluation import Evaluation, TrialResults
 from equipoise.report.markup import Part, Pictures, paragraph, part, picture, table
-from equipoise.studies.results import Results, percent
+from equipoise.studies.results import Results, falls, how_it_ended, percent
 
 
 def outcome(results: Results, pictures: Pictures) -> Iterator[Part]:
@@ -75,14 +75,13 @@ def _outcomes(evaluation: Evaluation) -> str:
     def row(results: TrialResults) -> list[str]:
         s = results.summary()
         low, high = s.interval
-        falls = [f"{n} {cause}" for cause, n in sorted(s.causes.items()) if cause != "lasted"]
         return [
             results.name,
             f"{s.survived} of {s.trials}",
             f"{percent(low)} to {percent(high)}",
             f"{s.median:.3g} s",
             f"{s.quantiles[0]:.3g} s",
-            ", ".join(falls) or "none",
+            falls(s.causes),
         ]
 
     return table(
@@ -92,7 +91,7 @@ def _outcomes(evaluation: Evaluation) -> str:
             "95 % interval",
             "median",
             "19 of 20 stood",
-            "falls, by cause",
+            "what failed",
         ),
         [row(results) for results in (evaluation.results, *evaluation.yardsticks)],
         caption="Intervals are exact (Clopper-Pearson).",
@@ -103,7 +102,6 @@ def _deployment(results: Results, pictures: Pictures) -> Part:
     run, trained = results.run, results.pendulum.parameters()
     real = run.conditions.pendulum
     x, x_dot, phi, phi_dot = run.conditions.start
-    end = "it stood to the end" if run.conditions.cause == "lasted" else run.conditions.cause
     rows = [
         ("w2 [1/s²]", f"{trained.w2:.2f}", f"{real['w2']:.2f}"),
         ("k [1/m]", f"{trained.k:.3f}", f"{real['k']:.3f}"),
@@ -114,7 +112,7 @@ def _deployment(results: Results, pictures: Pictures) -> Part:
             f"x = {x:g} m, dx/dt = {x_dot:g} m/s, φ = {np.rad2deg(phi):.2f}°, "
             f"dφ/dt = {np.rad2deg(phi_dot):.1f}°/s",
         ),
-        ("end", "", f"{end}, after {run.lasted:g} s"),
+        ("end", "", f"{how_it_ended(run.conditions.cause)}, {run.lasted:g} s"),
     ]
     fault = "the simulated plant of the training stands in for the robot"
     return part(

@@ -16,6 +16,7 @@ from equipoise.artefacts import Artefact, Value
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation
+from equipoise.learning.closed_loop import CAUSES
 from equipoise.model.pendulum import Pendulum
 from equipoise.runlog import RunLog
 from equipoise.studies.stand_in import SimulatedSwing
@@ -27,6 +28,9 @@ POLICY: Final = "policy.json"
 EVALUATION: Final = "evaluation.json"
 RUN: Final = "run.mcap"
 RECORD: Final = "reproduction.json"
+
+LASTED: Final = CAUSES[0]
+"""Cause of the end of a trial that did not fail."""
 
 
 class Stage(Value):
@@ -131,13 +135,12 @@ def _standing(results: Results) -> str:
     evaluation = results.evaluation
     summary = evaluation.results.summary()
     low, high = summary.interval
-    falls = {cause: n for cause, n in summary.causes.items() if cause != "lasted"}
-    how = ", ".join(f"{n} fell by {cause}" for cause, n in sorted(falls.items())) or "none fell"
+    median = "" if summary.rate > 0.5 else f"; median {summary.median:.3g} s"
     return (
         f"The trained table stood {evaluation.duration:g} s in {summary.survived} of "
         f"{summary.trials} simulated trials ({percent(summary.rate)}; 95 % interval {percent(low)} "
-        f"to {percent(high)}), {how}; the paper's stood {paper.SECONDS_BALANCED:g} s on the real "
-        "arm, once."
+        f"to {percent(high)}{median}), {falls(summary.causes)}; the paper's stood "
+        f"{paper.SECONDS_BALANCED:g} s on the real arm, once."
     )
 
 
@@ -153,11 +156,11 @@ def _yardsticks(evaluation: Evaluation) -> str:
 def _run(run: RunLog) -> str:
     phi = float(np.max(np.abs(np.rad2deg(run.phi))))
     x = float(np.max(np.abs(run.x)))
-    cause = run.conditions.cause
     end = (
         f"stood all {run.lasted:g} s"
-        if cause == "lasted"
-        else f"fell after {run.lasted:.3g} s of {run.conditions.duration:g} s ({cause})"
+        if run.conditions.cause == LASTED
+        else f"{how_it_ended(run.conditions.cause)} after {run.lasted:.3g} s of "
+        f"{run.conditions.duration:g} s"
     )
     return (
         f"The deployment run, with I, b, noise and start unknown to the policy, {end}; it used "
@@ -188,6 +191,22 @@ def _caveat(results: Results) -> str:
         "that the policy does not know, but no delay, no play and no sensor; neither a robot nor a "
         "digital twin of one, which does not exist yet."
     )
+
+
+def how_it_ended(cause: str) -> str:
+    """Return how a trial or a run ended, in words."""
+    return {
+        LASTED: "stood to the end",
+        "angle": "fell over",
+        "track": "left the track",
+        "joint limit": "met a joint limit",
+    }.get(cause, cause)
+
+
+def falls(causes: Mapping[str, int]) -> str:
+    """Return how many trials failed in which way, in words."""
+    failed = [f"{n} {how_it_ended(cause)}" for cause, n in causes.items() if cause != LASTED]
+    return ", ".join(sorted(failed)) or "none failed"
 
 
 def percent(share: float) -> str:

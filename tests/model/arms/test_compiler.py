@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from equipoise.model.arms import compiler
 from equipoise.model.arms.arm import FRAME_SIZE
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import LANES
 from equipoise.model.arms.symbols import Tape
+from equipoise.model.elementary import LANES
 
 INPUTS = {"a": 0.7, "b": -1.3, "c": 2.1}
 NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 0.5, -2.5])

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from tests.model.arms.witnesses import ARMS, MuJoCo, Pinocchio
-from tests.reference import kinematics as reference
 
 from equipoise.compiled import kernel
 from equipoise.model.arms.arm import BIAS, FRAME_SIZE, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import LANES
+from tests.model.arms.witnesses import ARMS, MuJoCo, Pinocchio
+from tests.reference import kinematics as reference
 
 STATES = 1000
 TOLERANCE = 1e-9

@@ -3,10 +3,10 @@
 import mujoco
 import numpy as np
 import pytest
-from tests.model.arms.witnesses import ARMS
 
 from equipoise.model.arms.iiwa import MEDIA_FLANGES, iiwa
 from equipoise.model.arms.scene import clearance, scene
+from tests.model.arms.witnesses import ARMS
 
 
 @pytest.mark.parametrize("size", [7, 14])

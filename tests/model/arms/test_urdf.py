@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from tests.model.arms.witnesses import ELBOW, ELBOW_HOME, iiwa_urdf
 
 from equipoise.errors import ArmError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x, condition
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.paper import X_LIMIT
+from tests.model.arms.witnesses import ELBOW, ELBOW_HOME, iiwa_urdf
 
 
 @pytest.fixture

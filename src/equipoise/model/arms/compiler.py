@@ -3,8 +3,9 @@
 `trace` runs a plainly written recursion from the base to the flange, on symbols instead of
 numbers. As it goes, constants are folded (most entries of an arm's constant rotations are 0, 1 or
 -1), equal expressions become one, and what no entry of the record needs is never written.
-`source` prints the rest as a Python module with one function, `kinematics(q, dq, frame, lanes)`, without
-inner loops and small matrices: some 300 operations and twelve sines and cosines for an iiwa.
+`source` prints the rest as a Python module with one function, `kinematics(q, dq, frame, lanes)`,
+without small matrices: in one loop over the lanes some 300 operations, and six pairs of sine and
+cosine, for an iiwa.
 
 The modules of the iiwas are part of the package (`python -m equipoise.model.arms.compiler`, or
 `make generated`, writes them again); that of any other arm is written to the user's cache

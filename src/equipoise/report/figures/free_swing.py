@@ -68,8 +68,7 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
     axes[1, 0].set_ylabel(f"recording \N{MINUS SIGN} fit\n[{unit}]")
     largest = float(np.nanmax(np.abs(recorded - fitted)))
     axes[1, 0].set_ylim(-1.6 * largest, 1.6 * largest)
-    rms = f"{fit.rms_deg:.2g} {unit} RMS"
-    axes[1, 0].set_title(f"residual: {rms}")
+    axes[1, 0].set_title(f"residual: {f'{fit.rms_deg:#.2g}'.rstrip('.')} {unit} RMS")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     if fit.window[0] > time[0]:
         from matplotlib.lines import Line2D

@@ -26,6 +26,7 @@ from equipoise.report.style import (
     new_figure,
 )
 from equipoise.runlog import RunLog
+from equipoise.studies.results import LASTED, how_it_ended
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -182,7 +183,7 @@ def _two_series(
 def _spans(run: RunLog) -> list[tuple[float, str]]:
     """Return the spans to draw, from the start until when, with their titles."""
     short, cause = paper.SECONDS_BALANCED, run.conditions.cause
-    end = f"all {run.lasted:g} s" + (f", then failure: {cause}" if cause != "lasted" else "")
+    end = f"all {run.lasted:g} s" + (f", then it {how_it_ended(cause)}" if cause != LASTED else "")
     if run.lasted <= 1.5 * short:
         return [(max(run.lasted, run.conditions.h), end)]
     return [(short, f"the first {short:g} s, as long as the paper's"), (run.lasted, end)]

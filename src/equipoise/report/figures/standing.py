@@ -18,6 +18,7 @@ from equipoise.report.style import (
     drawn,
     new_figure,
 )
+from equipoise.studies.results import LASTED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,13 +28,10 @@ LINES: tuple[dict[str, Any], ...] = (
     {"color": INK, "linewidth": 1.3, "linestyle": (0, (5, 2))},
     {"color": ORANGE, "linewidth": 1.6, "linestyle": (0, (1, 1.5))},
     {"color": VERMILION, "linewidth": 1.3, "linestyle": (0, (6, 1.5, 1, 1.5))},
-    {"color": GREEN, "linewidth": 1.3, "linestyle": (0, (3, 1))},
-    {"color": PURPLE, "linewidth": 1.3, "linestyle": "-"},
+    {"color": GREEN, "linewidth": 1.0, "linestyle": "-"},
+    {"color": PURPLE, "linewidth": 1.3, "linestyle": (0, (3, 1, 1, 1, 1, 1))},
 )
 """The policy first, below the others and wide, so that curves on top of it are seen."""
-
-NAMED_AT = 0.7
-"""Share still standing at which a curve that comes down bears its name."""
 
 
 @drawn
@@ -44,7 +42,7 @@ def survival(evaluation: Evaluation) -> "Figure":
         evaluation: Trials of a policy, with the yardsticks on the same conditions.
     """
     everyone = [evaluation.results, *evaluation.yardsticks]
-    figure = new_figure(3.4, "How long it stands: the policy beside the yardsticks")
+    figure = new_figure(3.6, "How long it stands: the policy beside the yardsticks")
     axes: Any = figure.subplots(1, 2, width_ratios=(5, 3))
     left, right = axes
     shortest = min(min(results.survival) for results in everyone)
@@ -55,7 +53,6 @@ def survival(evaluation: Evaluation) -> "Figure":
             label=results.name,
             **line,
         )
-        _named(left, results, line["color"])
     left.set_xscale("log")
     left.set_xlim(0.8 * shortest, evaluation.duration)
     ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60) if t >= 0.8 * shortest]
@@ -66,19 +63,15 @@ def survival(evaluation: Evaluation) -> "Figure":
     left.set_xlabel("time since the release [s]")
     left.set_ylabel("trials still standing [%]")
     left.set_title(f"{len(evaluation.results.survival)} trials each, the same conditions for all")
-    left.axvline(paper.SECONDS_BALANCED, color=GREY, linewidth=1.4, zorder=0.9)
-    left.annotate(
-        f"the paper's run\non the real arm: {paper.SECONDS_BALANCED:g} s",
-        (paper.SECONDS_BALANCED, 22.0),
-        xytext=(4, 0),
-        textcoords="offset points",
-        va="center",
-        fontsize=7.5,
+    left.axvline(
+        paper.SECONDS_BALANCED,
+        color=GREY,
+        linewidth=1.4,
+        zorder=0.9,
+        label=f"the paper's run on the real arm, {paper.SECONDS_BALANCED:g} s",
     )
     _shares(right, everyone, evaluation.duration)
-    figure.legend(
-        *left.get_legend_handles_labels(), loc="outside lower center", ncols=len(everyone)
-    )
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
@@ -87,25 +80,11 @@ def _curve(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return times and the share that stands from then on [%]; trials that lasted do not fall."""
     falls = np.sort(
-        [s for s, c in zip(results.survival, results.causes, strict=True) if c != "lasted"]
+        [s for s, c in zip(results.survival, results.causes, strict=True) if c != LASTED]
     )
     standing = 100.0 * (1.0 - np.arange(len(falls) + 1) / len(results.survival))
     time = np.concatenate(([0.5 * shortest], falls, [duration]))
     return time, np.append(standing, standing[-1])
-
-
-def _named(panel: Any, results: TrialResults, colour: str) -> None:
-    """Write the name beside a curve that comes down."""
-    if results.summary().rate < NAMED_AT:
-        fallen = float(np.quantile(results.survival, 1.0 - NAMED_AT))
-        panel.annotate(
-            results.name,
-            (fallen, 100.0 * NAMED_AT),
-            xytext=(5, 0),
-            textcoords="offset points",
-            color=colour,
-            fontsize=8.0,
-        )
 
 
 def _shares(panel: Any, everyone: list[TrialResults], duration: float) -> None:
