@@ -34,6 +34,7 @@ def quick_settings():
             "selection.final_trials=20",
             "selection.finalists=2",
             "selection.duration=2",
+            "selection.final_duration=2",
             "evaluation.trials=20",
             "evaluation.duration=2",
         ]

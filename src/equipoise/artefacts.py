@@ -1,14 +1,15 @@
 """Files that Equipoise writes: readable JSON with a format, a version, a digest and a history.
 
 A file is `{format, version, digest, provenance, body}`. The body is a frozen pydantic model; the
-digest is the SHA-256 of its canonical JSON, so that a file that was cut, damaged or edited is
-refused with one sentence (it finds corruption, not forgery). NaN and infinity are not allowed.
-Older versions are read through upgrade functions; newer ones are refused. A file is written whole
-or not at all.
+digest is the SHA-256 of its canonical JSON, so that a body that was cut, damaged or edited is
+refused with one sentence (it finds corruption, not forgery; the provenance is a note beside it).
+NaN and infinity are not allowed. Older versions are read through upgrade functions; newer ones are
+refused. A file is written whole or not at all.
 """
 
 import hashlib
 import json
+import math
 import os
 import platform
 import sys
@@ -161,18 +162,20 @@ def read_document(path: Path) -> dict[str, Any]:
         ArtefactError: The file is missing, not ours, or does not match its digest.
     """
     try:
-        document: Any = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse)
+        document: Any = json.loads(
+            path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite
+        )
     except FileNotFoundError:
         raise ArtefactError(f"there is no file {path}; check the path") from None
     except OSError as error:
         raise ArtefactError(f"cannot read {path}: {error.strerror}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ArtefactError(
             f"{path} is not a file of Equipoise, or was cut short ({error}); make the file again"
         ) from None
     kinds = {"format": str, "version": int, "digest": str, "provenance": dict, "body": dict}
     if not isinstance(document, dict) or any(
-        not isinstance(document.get(key), kind) for key, kind in kinds.items()
+        type(document.get(key)) is not kind for key, kind in kinds.items()
     ):
         raise ArtefactError(
             f"{path} is not a file of Equipoise: expected the keys {', '.join(kinds)}; "
@@ -192,6 +195,8 @@ def write_whole(path: Path, content: str | bytes) -> None:
     Raises:
         OutsideError: The disk refuses.
     """
+    if not path.name:
+        raise OutsideError(f"cannot write {path}: it names a folder; give the name of a file")
     data = content.encode() if isinstance(content, str) else content
     temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.tmp")
     try:
@@ -225,6 +230,11 @@ def _digest(body: Any) -> str:
 
 def _refuse(constant: str) -> float:
     raise ValueError(f"{constant} is not allowed")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _refuse(text)
 
 
 def _software() -> dict[str, str]:

@@ -15,7 +15,7 @@ from equipoise import paper
 from equipoise.artefacts import Artefact, Value
 from equipoise.control.policy import Policy, PolicyKernel, TabularPolicy
 from equipoise.control.yardsticks import yardsticks
-from equipoise.learning.closed_loop import CAUSES, Plant, Trials, make_plant, record_trial, scaled
+from equipoise.learning.closed_loop import CAUSES, Trials, make_plant, record_trial, scaled
 from equipoise.learning.trials import draw_trials, run_over_cores
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
@@ -123,37 +123,8 @@ def evaluate(
         done: Called with the number of trials that have just finished.
     """
     settings = policy.settings if settings is None else settings
-    plant = make_plant(policy.arm, settings, policy.h)
-    pendulum = policy.pendulum.parameters()._replace(linearised=settings.plant.linearised)
-
-    def run(name: str, kernel: PolicyKernel) -> TrialResults:
-        trials = _conditions(settings, seed)
-        run_over_cores(
-            plant,
-            kernel,
-            pendulum,
-            trials,
-            duration=settings.evaluation.duration,
-            seed=seed,
-            stream=TEST,
-            workers=workers,
-            done=done,
-        )
-        return _results(name, plant, trials)
-
-    results = run("policy", policy.kernel)
-    beside = yardsticks(pendulum, plant.h) if with_yardsticks else {}
-    return Evaluation(
-        policy=policy.digest,
-        world="model",
-        arm=policy.arm.name,
-        arm_digest=policy.arm.digest,
-        pendulum=policy.pendulum.digest,
-        settings=settings,
-        seed=seed,
-        results=results,
-        yardsticks=tuple(run(name, kernel) for name, kernel in beside.items()),
-    )
+    bench = _Bench(policy.pendulum, policy.arm, settings, policy.h, seed, workers, done)
+    return bench.evaluation(policy.digest, bench.run("policy", policy.kernel), with_yardsticks)
 
 
 def evaluate_function(
@@ -164,6 +135,8 @@ def evaluate_function(
     settings: Settings,
     *,
     seed: int = 0,
+    with_yardsticks: bool = True,
+    workers: int = 1,
     done: Done = lambda _: None,
 ) -> Evaluation:
     """Evaluate any object with `act(state) -> u`, on the same trials as a table.
@@ -177,41 +150,85 @@ def evaluate_function(
         arm: The arm.
         settings: Number, length and starts of the trials, noise of the plant.
         seed: Master seed of the trials.
+        with_yardsticks: Run the yardsticks on the same trials.
+        workers: Number of threads for the yardsticks.
         done: Called with the number of trials that have just finished.
     """
-    plant = make_plant(arm, settings, paper.STEP)
-    parameters = pendulum.parameters()._replace(linearised=settings.plant.linearised)
-    trials = _conditions(settings, seed)
-    longest = round(settings.evaluation.duration / plant.h)
-    for i in range(len(trials.steps)):
-        own: PendulumParameters = scaled(
-            parameters, float(trials.inertia_factor[i]), float(trials.friction_factor[i])
+    bench = _Bench(pendulum, arm, settings, paper.STEP, seed, workers, done)
+    return bench.evaluation(name, bench.run_in_python(name, policy), with_yardsticks)
+
+
+class _Bench:
+    """The trials of one evaluation, on which any number of policies run."""
+
+    def __init__(
+        self,
+        pendulum: Pendulum,
+        arm: Arm,
+        settings: Settings,
+        h: float,
+        seed: int,
+        workers: int,
+        done: Done,
+    ) -> None:
+        self._pendulum, self._arm, self._settings = pendulum, arm, settings
+        self._seed, self._workers, self._done = seed, workers, done
+        self._plant = make_plant(arm, settings, h)
+        self._parameters = pendulum.parameters()._replace(linearised=settings.plant.linearised)
+
+    def run(self, name: str, kernel: PolicyKernel) -> TrialResults:
+        """Run all trials of a policy for compiled loops."""
+        trials = self._trials()
+        run_over_cores(
+            self._plant,
+            kernel,
+            self._parameters,
+            trials,
+            duration=self._settings.evaluation.duration,
+            seed=self._seed,
+            stream=TEST,
+            workers=self._workers,
+            done=self._done,
         )
-        trials.cause[i], rows = record_trial(
-            plant, policy, own, trials.start[i], longest, seed, TEST, i
+        return self._results(name, trials)
+
+    def run_in_python(self, name: str, policy: Policy) -> TrialResults:
+        """Run all trials of a policy written in Python."""
+        trials = self._trials()
+        longest = round(self._settings.evaluation.duration / self._plant.h)
+        for i in range(len(trials.steps)):
+            own: PendulumParameters = scaled(
+                self._parameters, float(trials.inertia_factor[i]), float(trials.friction_factor[i])
+            )
+            trials.cause[i], rows = record_trial(
+                self._plant, policy, own, trials.start[i], longest, self._seed, TEST, i
+            )
+            trials.steps[i] = len(rows.u)
+            self._done(1)
+        return self._results(name, trials)
+
+    def evaluation(self, policy: str, results: TrialResults, with_yardsticks: bool) -> Evaluation:
+        """Return the evaluation, the yardsticks run if asked for."""
+        beside = yardsticks(self._parameters, self._plant.h) if with_yardsticks else {}
+        return Evaluation(
+            policy=policy,
+            world="model",
+            arm=self._arm.name,
+            arm_digest=self._arm.digest,
+            pendulum=self._pendulum.digest,
+            settings=self._settings,
+            seed=self._seed,
+            results=results,
+            yardsticks=tuple(self.run(name, kernel) for name, kernel in beside.items()),
         )
-        trials.steps[i] = len(rows.u)
-        done(1)
-    return Evaluation(
-        policy=name,
-        world="model",
-        arm=arm.name,
-        arm_digest=arm.digest,
-        pendulum=pendulum.digest,
-        settings=settings,
-        seed=seed,
-        results=_results(name, plant, trials),
-        yardsticks=(),
-    )
 
+    def _trials(self) -> Trials:
+        count = self._settings.evaluation.trials
+        return draw_trials(count, self._settings, self._seed, TEST, spread=1.0)
 
-def _conditions(settings: Settings, seed: int) -> Trials:
-    return draw_trials(settings.evaluation.trials, settings, seed, TEST, spread=1.0)
-
-
-def _results(name: str, plant: Plant, trials: Trials) -> TrialResults:
-    return TrialResults(
-        name=name,
-        survival=tuple(round(steps * plant.h, 6) for steps in trials.steps.tolist()),
-        causes=tuple(CAUSES[cause] for cause in trials.cause.tolist()),
-    )
+    def _results(self, name: str, trials: Trials) -> TrialResults:
+        return TrialResults(
+            name=name,
+            survival=tuple(round(steps * self._plant.h, 6) for steps in trials.steps.tolist()),
+            causes=tuple(CAUSES[cause] for cause in trials.cause.tolist()),
+        )

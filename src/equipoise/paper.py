@@ -6,6 +6,7 @@ paper's own (degrees, where a name ends in `_DEG`); the rest of the project conv
 What the paper leaves open is a choice of ours, with its reason, in `equipoise.settings`.
 """
 
+from numbers import Real
 from typing import Final, NamedTuple
 
 
@@ -19,10 +20,11 @@ class Interval(NamedTuple):
 
     def __contains__(self, value: object) -> bool:
         """Tell whether `value` lies in the interval."""
-        if not isinstance(value, (int, float)):
+        if not isinstance(value, Real):
             return False
-        above = value >= self.low if self.low_closed else value > self.low
-        below = value <= self.high if self.high_closed else value < self.high
+        number = float(value)
+        above = number >= self.low if self.low_closed else number > self.low
+        below = number <= self.high if self.high_closed else number < self.high
         return above and below
 
     def __str__(self) -> str:

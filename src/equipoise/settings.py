@@ -2,7 +2,7 @@
 
 The defaults here are what an `equipoise` command uses; the report's table "left open by the
 paper" is made from them. Named sets (recipes) are differences to the defaults. The order is
-defaults < named set < a TOML file < single settings such as `training.gamma=0.98`. Resolved
+defaults < named set < a TOML file < single settings such as `learning.gamma=0.98`. Resolved
 settings go into every artefact.
 """
 
@@ -11,9 +11,9 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from math import radians
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from equipoise import paper
 from equipoise.artefacts import Value
@@ -38,7 +38,7 @@ class IdentificationSettings(Value):
     steps_per_period: int = Field(default=128, ge=32)
     """Runge-Kutta steps in a period of the swing; over 60 periods of a large one they are wrong by
     less than 1e-5 rad."""
-    horizons: tuple[float, ...] = (0.08, 0.25)
+    horizons: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = (0.08, 0.25)
     """Shares of the window that are fitted one after the other before the whole: fitted at once, a
     long window has false minima, where the fit loses count of the periods."""
     first_horizon_periods: float = Field(default=1.5, gt=0.0)
@@ -113,7 +113,7 @@ class LearningSettings(Value):
 
     episodes: int = Field(default=paper.EPISODES, ge=1)
     """Episodes of training; the paper's number."""
-    episode_duration: float = Field(default=30.0, gt=0.0)
+    episode_duration: float = Field(default=30.0, ge=paper.STEP)
     """An episode that lasts this long ends without a failure [s]."""
     gamma: float = Field(default=0.99, gt=0.0, lt=1.0)
     """Discount. Its horizon of 1 s is what a drift from the middle to the end of the track takes;
@@ -130,7 +130,7 @@ class LearningSettings(Value):
     """Probability of a random action in the first episode."""
     epsilon_until: float = Field(default=0.8, ge=0.0, le=1.0)
     """Share of the episodes over which that probability falls linearly to zero; 0 keeps it."""
-    reward_failure: float = -1.0
+    reward_failure: float = Field(default=-1.0, lt=0.0)
     """Reward of a step that ends in failure; every other reward is zero."""
     mirrored: bool = True
     """Update the mirror image with every update: the task is symmetric, experience counts twice."""
@@ -140,7 +140,7 @@ class LearningSettings(Value):
     but that."""
     start_x_dot: float = Field(default=0.2, ge=0.0)
     """... x_dot within this [m/s] ..."""
-    start_phi: float = Field(default=radians(3.5), ge=0.0)
+    start_phi: float = Field(default=radians(3.5), ge=0.0, lt=radians(paper.PHI_LIMIT_DEG))
     """... phi within this [rad] ..."""
     start_phi_dot: float = Field(default=radians(23.0), ge=0.0)
     """... and phi_dot within this [rad/s]."""
@@ -155,19 +155,22 @@ class SelectionSettings(Value):
     """
 
     every: int = Field(default=10, ge=0)
-    """A candidate is taken after each so many episodes; 0 takes the last table."""
+    """A candidate is taken after each so many episodes, if its greedy policy is a new one; 0 takes
+    the last table."""
     screening_trials: int = Field(default=32, ge=1)
     """Trials of every candidate."""
-    finalists: int = Field(default=24, ge=1)
+    finalists: int = Field(default=16, ge=1)
     """Candidates that go on to the final round."""
-    final_trials: int = Field(default=400, ge=1)
+    final_trials: int = Field(default=300, ge=1)
     """Trials of each finalist."""
-    duration: float = Field(default=60.0, gt=0.0)
-    """Length of a selection trial [s]."""
+    duration: float = Field(default=60.0, ge=paper.STEP)
+    """Length of a screening trial [s]."""
+    final_duration: float = Field(default=180.0, ge=paper.STEP)
+    """Length of a trial of the final round [s]: what lasts three minutes seldom fails in one."""
     spread: float = Field(default=2.0, ge=0.0)
     """Factor on the plant's standard deviations of I and b: a policy that stands on worse plants
     has margin."""
-    rms_x_weight: float = Field(default=0.02, ge=0.0)
+    rms_x_weight: float = Field(default=0.002, ge=0.0)
     """Score = mean duration / duration - weight * rms(x) / 0.22 m. Survival alone saturates; of
     policies that always stand, the one that uses less track has more of it left."""
 
@@ -177,7 +180,7 @@ class EvaluationSettings(Value):
 
     trials: int = Field(default=200, ge=1)
     """Number of trials."""
-    duration: float = Field(default=60.0, gt=0.0)
+    duration: float = Field(default=60.0, ge=paper.STEP)
     """Length of a trial [s]."""
     phi_low: float = Field(default=radians(1.5), ge=0.0)
     """Smallest |phi| at the start [rad]; its sign is random."""
@@ -187,6 +190,14 @@ class EvaluationSettings(Value):
     """Smallest |phi_dot| at the start, of the same sign as phi [rad/s]."""
     phi_dot_high: float = Field(default=radians(18.0), ge=0.0)
     """Largest |phi_dot| at the start [rad/s]."""
+
+    @model_validator(mode="after")
+    def _ranges_rise(self) -> Self:
+        for name in ("phi", "phi_dot"):
+            low, high = getattr(self, f"{name}_low"), getattr(self, f"{name}_high")
+            if low > high:
+                raise ValueError(f"{name}_low is {low:g}, above {name}_high, {high:g}")
+        return self
 
 
 class Settings(Value):
@@ -260,7 +271,8 @@ def resolve(
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])
-        raise SettingsError(f"setting {name}: {first['msg']}, got {first['input']!r}") from None
+        got = "" if len(first["loc"]) == 1 else f", got {first['input']!r}"
+        raise SettingsError(f"setting {name}: {first['msg']}{got}") from None
 
 
 def _put(tree: dict[str, Any], name: str, value: Any) -> None:

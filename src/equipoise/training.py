@@ -2,8 +2,8 @@
 
 A training runs its episodes in one compiled loop (`equipoise.learning.q_learning`) and stops now
 and then to take the greedy policy as a candidate. Candidates are screened on selection trials, the
-best go through a longer round, and the winner is kept, with the table as it was then. Equal seed
-gives equal bits, whatever the number of workers.
+best go through a round of longer trials, and the winner is kept, with the table as it was then.
+Equal seed gives equal bits, whatever the number of workers.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,6 @@ from equipoise.control.policy import (
     TABLE,
     Candidate,
     LearningPoint,
-    PolicyKernel,
     TabularPolicy,
     policy_kernel,
 )
@@ -38,6 +37,8 @@ from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import FINAL_ROUND, SCREENING
 from equipoise.settings import Settings
 
+Array = npt.NDArray[np.float64]
+
 REPORTS = 200
 """How often a training without candidates reports its progress."""
 
@@ -48,8 +49,9 @@ Report = Callable[[LearningPoint], None]
 class _Snapshot(NamedTuple):
     """A table of some moment."""
 
-    Q: npt.NDArray[np.float64]
+    Q: Array
     visits: npt.NDArray[np.int64]
+    u_of_box: Array
     candidate: Candidate
 
 
@@ -83,10 +85,9 @@ def train(
     parameters = pendulum.parameters()._replace(linearised=settings.plant.linearised)
     constants = _learner(settings)
     progress = new_progress()
-    selecting = settings.selection.every > 0
+    selection = _Selection(plant, parameters, settings, seed, workers)
     every = settings.selection.every or max(1, constants.episodes // REPORTS)
     curve: list[LearningPoint] = []
-    snapshots: list[_Snapshot] = []
     while progress.totals[ENDED] < constants.episodes:
         ended, steps = int(progress.totals[ENDED]), int(progress.totals[STEPS])
         until = min(ended + every, constants.episodes)
@@ -98,18 +99,13 @@ def train(
             * plant.h
             / (int(progress.totals[ENDED]) - ended),
         )
-        if selecting:
-            trials = settings.selection.screening_trials
-            snapshot = _snapshot(plant, parameters, progress, settings, seed, trials, workers)
-            snapshots = _best([*snapshots, snapshot], settings.selection.finalists)
-            survival = snapshot.candidate.survived / trials
-            point = point.model_copy(update={"survival": survival})
+        if settings.selection.every > 0:
+            screened = selection.screen(progress)
+            share = screened.survived / screened.trials
+            point = point.model_copy(update={"survival": share})
         curve.append(point)
         report(point)
-    finalists = [
-        _retried(plant, parameters, snapshot, settings, seed, workers) for snapshot in snapshots
-    ]
-    finalists = _best(finalists, len(finalists))
+    finalists = selection.final_round()
     Q, visits = (
         (finalists[0].Q, finalists[0].visits) if finalists else (progress.Q, progress.visits)
     )
@@ -197,77 +193,84 @@ def _learner(settings: Settings) -> Learner:
     )
 
 
-def _snapshot(
-    plant: Plant,
-    pendulum: PendulumParameters,
-    progress: Progress,
-    settings: Settings,
-    seed: int,
-    trials: int,
-    workers: int,
-) -> _Snapshot:
-    Q, visits = progress.Q.copy(), progress.visits.copy()
-    episodes = int(progress.totals[ENDED])
-    candidate = _tried(plant, pendulum, Q, episodes, settings, seed, SCREENING, trials, workers)
-    return _Snapshot(Q, visits, candidate)
+class _Selection:
+    """The search for the best greedy policy of one training."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        pendulum: PendulumParameters,
+        settings: Settings,
+        seed: int,
+        workers: int,
+    ) -> None:
+        self._plant, self._pendulum, self._settings = plant, pendulum, settings
+        self._seed, self._workers = seed, workers
+        self._known: dict[bytes, Candidate] = {}
+        self._best: list[_Snapshot] = []
+
+    def screen(self, progress: Progress) -> Candidate:
+        """Run the screening trials of a table's greedy policy, once for each policy."""
+        u_of_box = np.array(paper.ACTIONS)[boxes.greedy_actions(progress.Q)]
+        policy = u_of_box.tobytes()
+        if policy not in self._known:
+            selection = self._settings.selection
+            candidate = self._run(
+                u_of_box,
+                int(progress.totals[ENDED]),
+                SCREENING,
+                selection.screening_trials,
+                selection.duration,
+            )
+            self._known[policy] = candidate
+            snapshot = _Snapshot(progress.Q.copy(), progress.visits.copy(), u_of_box, candidate)
+            self._best = _sorted([*self._best, snapshot])[: selection.finalists]
+        return self._known[policy]
+
+    def final_round(self) -> list[_Snapshot]:
+        """Run the longer trials of the finalists, and return them, the best first."""
+        selection = self._settings.selection
+        return _sorted(
+            [
+                snapshot._replace(
+                    candidate=self._run(
+                        snapshot.u_of_box,
+                        snapshot.candidate.episodes,
+                        FINAL_ROUND,
+                        selection.final_trials,
+                        selection.final_duration,
+                    )
+                )
+                for snapshot in self._best
+            ]
+        )
+
+    def _run(
+        self, u_of_box: Array, episodes: int, stream: int, count: int, duration: float
+    ) -> Candidate:
+        selection = self._settings.selection
+        trials = draw_trials(count, self._settings, self._seed, stream, selection.spread)
+        run_over_cores(
+            self._plant,
+            policy_kernel(TABLE, u_of_box=u_of_box),
+            self._pendulum,
+            trials,
+            duration=duration,
+            seed=self._seed,
+            stream=stream,
+            workers=self._workers,
+        )
+        mean_duration = float(np.mean(trials.steps)) * self._plant.h
+        rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))
+        return Candidate(
+            episodes=episodes,
+            trials=count,
+            survived=int(np.sum(trials.cause == LASTED)),
+            mean_duration=mean_duration,
+            rms_x=rms_x,
+            score=mean_duration / duration - selection.rms_x_weight * rms_x / paper.X_LIMIT,
+        )
 
 
-def _retried(
-    plant: Plant,
-    pendulum: PendulumParameters,
-    snapshot: _Snapshot,
-    settings: Settings,
-    seed: int,
-    workers: int,
-) -> _Snapshot:
-    """Run the final round of one finalist."""
-    Q, episodes = snapshot.Q, snapshot.candidate.episodes
-    trials = settings.selection.final_trials
-    candidate = _tried(plant, pendulum, Q, episodes, settings, seed, FINAL_ROUND, trials, workers)
-    return snapshot._replace(candidate=candidate)
-
-
-def _tried(
-    plant: Plant,
-    pendulum: PendulumParameters,
-    Q: npt.NDArray[np.float64],
-    episodes: int,
-    settings: Settings,
-    seed: int,
-    stream: int,
-    count: int,
-    workers: int,
-) -> Candidate:
-    """Run the greedy policy of a table on selection trials."""
-    selection = settings.selection
-    trials = draw_trials(count, settings, seed, stream, selection.spread)
-    run_over_cores(
-        plant,
-        _greedy(Q),
-        pendulum,
-        trials,
-        duration=selection.duration,
-        seed=seed,
-        stream=stream,
-        workers=workers,
-    )
-    mean_duration = float(np.mean(trials.steps)) * plant.h
-    rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))
-    penalty = selection.rms_x_weight * rms_x / paper.X_LIMIT
-    return Candidate(
-        episodes=episodes,
-        trials=count,
-        survived=int(np.sum(trials.cause == LASTED)),
-        mean_duration=mean_duration,
-        rms_x=rms_x,
-        score=mean_duration / selection.duration - penalty,
-    )
-
-
-def _greedy(Q: npt.NDArray[np.float64]) -> PolicyKernel:
-    u_of_box = np.array(paper.ACTIONS)[boxes.greedy_actions(Q)]
-    return policy_kernel(TABLE, u_of_box=u_of_box)
-
-
-def _best(snapshots: list[_Snapshot], count: int) -> list[_Snapshot]:
-    return sorted(snapshots, key=lambda snapshot: -snapshot.candidate.score)[:count]
+def _sorted(snapshots: list[_Snapshot]) -> list[_Snapshot]:
+    return sorted(snapshots, key=lambda snapshot: -snapshot.candidate.score)

@@ -132,7 +132,7 @@ OPTIONS = {
         ("--mass", "1", "--length", "1", "--mass-uncertainty", "2"),
         "--mass-uncertainty is 2",
     ),
-    "unknown setting": (("--set", "identification.fricton=1"), "did you mean 'friction'"),
+    "unknown setting": (("--set", "identification.frictions=1"), "did you mean 'friction'"),
     "unknown section": (("--set", "identificaton.g=9.81"), "did you mean 'identification'"),
     "no setting": (("--set", "g"), "expected NAME=VALUE"),
     "impossible setting": (("--set", "identification.g=-1"), "setting identification.g"),

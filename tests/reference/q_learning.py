@@ -59,7 +59,7 @@ class Episode:
         self.block: Block = new_block()
         w0, w1, _, _ = philox(seed, 0, number, learner, TRAINING_EPISODE)
         on_I, on_b = normal_pair(w0, w1)
-        I = 1.0 + settings.plant.inertia_sigma * on_I
+        I = max(0.1, 1.0 + settings.plant.inertia_sigma * on_I)
         b = max(0.0, 1.0 + settings.plant.friction_sigma * on_b)
         s = settings.learning
         words = philox(seed, 0, number, learner, TRAINING_START)

@@ -173,6 +173,13 @@ def test_a_training_without_selection_has_one_panel():
     assert not figure.legends
 
 
+def test_the_learning_curve_is_the_mean_between_its_points(results):
+    means, edges, _ = figures.learning_curve(results.policy).axes[0].patches[0].get_data()
+    # The training of `made_up` takes 40 steps of 0.01 s in every episode.
+    np.testing.assert_allclose(means, 0.4)
+    np.testing.assert_array_equal(edges, 1000 * np.arange(11))
+
+
 def test_the_picture_writes_the_table_where_the_boxes_are(results):
     figure = figures.policy_picture(results.policy)
     panels = figure.axes[:9]

@@ -118,6 +118,7 @@ def evaluate(
             trials,
             duration,
             seed,
+            workers,
         )
     else:
         table = _read_policy(policy)
@@ -182,12 +183,10 @@ def _evaluate_table(
     seed: int,
     workers: int | None,
 ) -> "Evaluation":
-    from equipoise.control.yardsticks import yardsticks
     from equipoise.evaluation import evaluate
 
     settings = _settings(policy.settings, trials, duration)
-    runs = 1 + len(yardsticks(policy.pendulum.parameters(), policy.h))
-    with _bar(output, runs * settings.evaluation.trials) as done:
+    with _bar(output, _runs(policy.pendulum) * settings.evaluation.trials) as done:
         return evaluate(policy, settings, seed=seed, workers=available_workers(workers), done=done)
 
 
@@ -199,13 +198,31 @@ def _evaluate_function(
     trials: int | None,
     duration: float | None,
     seed: int,
+    workers: int | None,
 ) -> "Evaluation":
     from equipoise.evaluation import evaluate_function
     from equipoise.settings import Settings
 
     settings = _settings(Settings(), trials, duration)
-    with _bar(output, settings.evaluation.trials) as done:
-        return evaluate_function(policy, policy.name, pendulum, arm, settings, seed=seed, done=done)
+    with _bar(output, _runs(pendulum) * settings.evaluation.trials) as done:
+        return evaluate_function(
+            policy,
+            policy.name,
+            pendulum,
+            arm,
+            settings,
+            seed=seed,
+            workers=available_workers(workers),
+            done=done,
+        )
+
+
+def _runs(pendulum: "Pendulum") -> int:
+    """Return how many policies run all trials: the one asked for and the yardsticks."""
+    from equipoise import paper
+    from equipoise.control.yardsticks import yardsticks
+
+    return 1 + len(yardsticks(pendulum.parameters(), paper.STEP))
 
 
 @contextmanager

@@ -247,7 +247,7 @@ def train_episodes(
     while lanes < LANES and totals[BEGUN] < learner.episodes:
         begin_episode(plant, pendulum, learner, progress, seed, number, lanes)
         lanes += 1
-    while totals[ENDED] < until:
+    while totals[ENDED] < until and lanes > 0:
         for n in range(lanes):
             w0, w1, _, _ = philox(seed, tick[n], episode[n], number, TRAINING_ACTION)
             if uniform(w0, 0.0, 1.0) < exploration(episode[n], learner):

@@ -39,15 +39,16 @@ def put(block: npt.NDArray[np.float64], row: int, n: int, value: float) -> None:
 
 @inlined
 def sincos(x: float) -> tuple[float, float]:
-    """Return sine and cosine of an angle: to two units in the last place below 1e4 rad.
+    """Return sine and cosine of an angle below 1e6 rad, to two units in the last place.
 
-    Three units up to 1e6 rad; not for larger angles.
-
-    The angle is brought to within pi/4 of a multiple of pi/2 (Cody and Waite), where two
-    polynomials (of degree 13 and 14, near minimax) give sine and cosine.
+    The angle is brought to within pi/4 of a multiple of pi/2 (Cody and Waite), and what rounding
+    takes from the rest is kept; two polynomials (of degree 13 and 14, near minimax) give sine and
+    cosine.
     """
     k = np.floor(x * TWO_OVER_PI + 0.5)
-    r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3
+    t = x - k * HALF_PI_1
+    r = t - k * HALF_PI_2
+    lost = ((t - r) - k * HALF_PI_2) - k * HALF_PI_3
     z = r * r
     s = 1.58969099521155010221e-10
     s = -2.50507602534068634195e-08 + z * s
@@ -55,14 +56,14 @@ def sincos(x: float) -> tuple[float, float]:
     s = -1.98412698298579493134e-04 + z * s
     s = 8.33333333332248946124e-03 + z * s
     s = -1.66666666666666324348e-01 + z * s
-    s = r + r * z * s
+    s = r + (r * z * s + lost * (1.0 - 0.5 * z))
     c = -1.13596475577881948265e-11
     c = 2.08757232129817482790e-09 + z * c
     c = -2.75573143513906633035e-07 + z * c
     c = 2.48015872894767294178e-05 + z * c
     c = -1.38888888888741095749e-03 + z * c
     c = 4.16666666666666019037e-02 + z * c
-    c = 1.0 - 0.5 * z + z * z * c
+    c = 1.0 - (0.5 * z - (z * z * c - r * lost))
     quadrant = k - 4.0 * np.floor(0.25 * k)
     odd = quadrant == 1.0 or quadrant == 3.0
     sine = c if odd else s

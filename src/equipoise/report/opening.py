@@ -150,9 +150,11 @@ def _estimates(pendulum: Pendulum, results: Results) -> str:
 
 def _training(results: Results, pictures: Pictures) -> Part:
     policy, s = results.policy, results.policy.settings
+    reach = s.learning.start_x
+    where = f"anywhere within {reach:g} m of the middle" if reach else "in the middle"
     texts = [
-        f"An episode starts with the flange anywhere within {s.learning.start_x:g} m and the "
-        f"pendulum leaning up to {np.rad2deg(s.learning.start_phi):.3g}°. Every {policy.h:g} s an "
+        f"An episode starts with the flange {where} and the pendulum leaning up to "
+        f"{np.rad2deg(s.learning.start_phi):.3g}°. Every {policy.h:g} s an "
         "acceleration is chosen and becomes joint motion by closed-loop inverse kinematics (the "
         "paper's equation 3); what the flange really does drives the pendulum (equation 7"
         f"{'' if s.plant.linearised else ', with its sines'}). The episode ends with a failure or "

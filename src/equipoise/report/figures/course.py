@@ -2,11 +2,19 @@
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
+
 from equipoise.control.policy import TabularPolicy
 from equipoise.report.style import BLUE, GREY, INK, ORANGE, drawn, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+Array = npt.NDArray[np.float64]
+
+STRETCHES = 100
+"""About so many means of the episodes' durations are drawn."""
 
 
 @drawn
@@ -20,7 +28,7 @@ def learning_curve(policy: TabularPolicy) -> "Figure":
     tried = [point for point in curve if point.survival is not None]
     figure = new_figure(4.2 if tried else 2.4, "The course of the training")
     axes: Any = figure.subplots(2 if tried else 1, 1, sharex=True, squeeze=False)[:, 0]
-    axes[0].plot([p.episodes for p in curve], [p.duration for p in curve], color=INK)
+    axes[0].stairs(*_mean_duration(policy), baseline=None, color=INK, linewidth=1.1)
     axes[0].set_ylabel("mean duration [s]")
     axes[0].set_ylim(0.0, 1.05 * settings.learning.episode_duration)
     axes[0].set_title(
@@ -29,7 +37,9 @@ def learning_curve(policy: TabularPolicy) -> "Figure":
     if tried:
         selection, panel = settings.selection, axes[1]
         percent = [100.0 * (p.survival or 0.0) for p in tried]
-        panel.plot([p.episodes for p in tried], percent, color=BLUE, label="each candidate")
+        panel.plot(
+            [p.episodes for p in tried], percent, color=BLUE, linewidth=0.8, label="each candidate"
+        )
         panel.set_ylabel("trials that lasted [%]")
         panel.set_ylim(-4.0, 107.0)
         panel.set_title(
@@ -40,6 +50,16 @@ def learning_curve(policy: TabularPolicy) -> "Figure":
     axes[-1].set_xlabel("episodes")
     axes[-1].set_xlim(0, policy.episodes)
     return figure
+
+
+def _mean_duration(policy: TabularPolicy) -> tuple[Array, Array]:
+    """Return the mean duration of the episodes [s] in each stretch, and its ends in episodes."""
+    # Not every point: episodes run side by side, and few of them end between two candidates.
+    stride = max(1, len(policy.learning_curve) // STRETCHES)
+    points = policy.learning_curve[stride - 1 :: stride]
+    episodes = np.array([0, *(point.episodes for point in points)], dtype=np.float64)
+    seconds = policy.h * np.array([0, *(point.steps for point in points)])
+    return np.diff(seconds) / np.diff(episodes), episodes
 
 
 def _finalists(panel: Any, policy: TabularPolicy) -> None:
