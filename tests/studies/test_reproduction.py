@@ -14,6 +14,7 @@ from equipoise.studies.results import RECORD, RUN, SWING, load, verdict
 from equipoise.studies.stand_in import SimulatedSwing, simulated_swing
 from equipoise.trajectory import Trajectory
 
+pytestmark = pytest.mark.compiled_only
 SHORT = resolve(
     overrides=[
         "learning.episodes=60",

@@ -203,7 +203,7 @@ def _say(output: Output, policies: "list[TabularPolicy]", wall: float, speed: fl
 def _chosen(policy: "TabularPolicy") -> str:
     if not policy.candidates:
         return "the last table, as the recipe says"
-    chosen, longest = policy.candidates[0], policy.settings.selection.duration
+    chosen, longest = policy.candidates[0], policy.settings.selection.final_duration
     return (
         f"after {chosen.episodes:,} episodes; {chosen.survived} of {chosen.trials} "
         f"selection trials lasted {longest:g} s"

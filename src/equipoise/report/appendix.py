@@ -8,6 +8,7 @@ from equipoise.artefacts import Provenance
 from equipoise.model.arms.arm import Arm
 from equipoise.report.choices import Chapter, Choice, chapter, chapters
 from equipoise.report.markup import Part, heading, listing, paragraph, part, table
+from equipoise.settings import resolve
 from equipoise.studies.results import (
     EVALUATION,
     PENDULUM,
@@ -23,6 +24,7 @@ DIGITS = 12
 
 def left_open(results: Results) -> Part:
     """Return what the paper does not say, and what we chose, with the reasons."""
+    other = "robust" if results.policy.recipe == "paper" else "paper"
     return part(
         "open",
         "What the paper leaves open",
@@ -31,18 +33,19 @@ def left_open(results: Results) -> Part:
             "episodes. It does not give learning rate, discount, exploration, reward, sizes of "
             "noise, gains, the pendulum's numbers, the posture, or which arm. These are our "
             "choices, read from where they are defined; those with a dot in their name can be "
-            "changed with `--set name=value`. Where the recipe `paper`, the barest reading of the "
-            "text, differs from the defaults, it has a column of its own."
+            "changed with `--set name=value`. The recipe `robust` is our default, `paper` the "
+            "barest reading of the text; where the one that was not used differs, it has a column "
+            "of its own."
         ),
-        *(_choices(chapter) for chapter in _chapters(results)),
+        *(_choices(chapter, other) for chapter in _chapters(results, other)),
     )
 
 
-def _chapters(results: Results) -> Iterator[Chapter]:
+def _chapters(results: Results, other: str) -> Iterator[Chapter]:
     if results.record.simulated:
         yield chapter(results.record.simulated)
     yield _arm(results.policy.arm)
-    yield from chapters(results.policy.settings)
+    yield from chapters(results.policy.settings, resolve(other))
 
 
 def _arm(arm: Arm) -> Chapter:
@@ -66,9 +69,9 @@ def _arm(arm: Arm) -> Chapter:
     )
 
 
-def _choices(chapter: Chapter) -> str:
+def _choices(chapter: Chapter, other: str) -> str:
     differs = any(choice.otherwise for choice in chapter.choices)
-    head = ["setting", "here", *(["recipe `paper`"] if differs else []), "why"]
+    head = ["setting", "here", *([f"recipe `{other}`"] if differs else []), "why"]
     rows = [
         [f"`{c.name}`", c.value, *([c.otherwise] if differs else []), c.reason]
         for c in chapter.choices

@@ -15,6 +15,10 @@ from equipoise.settings import RECIPES, Settings
 UNIT: Final = re.compile(r"\s*\[([^\]]+)\]")
 
 
+DIFFERENT: Final = frozenset(name for recipe in RECIPES.values() for name in recipe)
+"""The settings in which the recipes differ."""
+
+
 class Choice(NamedTuple):
     """One setting."""
 
@@ -23,7 +27,7 @@ class Choice(NamedTuple):
     value: str
     """With its unit."""
     otherwise: str
-    """The value in the recipe `paper` where that differs."""
+    """The value in another recipe, where that differs."""
     reason: str
     """Why."""
 
@@ -37,30 +41,37 @@ class Chapter(NamedTuple):
     """Its settings."""
 
 
-def chapters(settings: Settings) -> Iterator[Chapter]:
-    """Return all settings, section by section, with their reasons."""
-    for section in type(settings).model_fields:
-        yield chapter(getattr(settings, section), section)
+def chapters(settings: Settings, other: Settings) -> Iterator[Chapter]:
+    """Return all settings, section by section, with their reasons.
+
+    Args:
+        settings: What was used.
+        other: Another recipe's settings, shown where recipes differ.
+    """
+    for section in Settings.model_fields:
+        yield chapter(getattr(settings, section), section, getattr(other, section))
 
 
-def chapter(values: Value, section: str = "") -> Chapter:
+def chapter(values: Value, section: str = "", other: Value | None = None) -> Chapter:
     """Return the fields of one section.
 
     Args:
         values: The section, with a docstring under each field.
         section: Its name in the settings, if it is one of them.
+        other: The same section in another recipe.
     """
-    other = RECIPES["paper"]
     found: list[Choice] = []
     for key, field in type(values).model_fields.items():
         name = f"{section}.{key}" if section else key
         reason = " ".join((field.description or "").split())
         unit = match[1] if (match := UNIT.search(reason)) else ""
+        value = _written(getattr(values, key), unit)
+        otherwise = _written(getattr(other, key), unit) if name in DIFFERENT else ""
         found.append(
             Choice(
                 name=name,
-                value=_written(getattr(values, key), unit),
-                otherwise=_written(other[name], unit) if name in other else "",
+                value=value,
+                otherwise="" if otherwise == value else otherwise,
                 reason=UNIT.sub("", reason, count=1),
             )
         )

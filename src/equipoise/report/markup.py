@@ -99,7 +99,7 @@ def table(
     first = len(head) - numbers
     names = "".join(_cell("th", text, i >= first) for i, text in enumerate(head))
     lines = [
-        f'<div class="table {escape(name)}"><table>',
+        f'<div class="{escape(f"table {name}".strip())}"><table>',
         f"<caption>{prose(caption)}</caption>" if caption else "",
         f"<thead><tr>{names}</tr></thead>",
         "<tbody>",
@@ -109,7 +109,7 @@ def table(
             _cell("th" if i == 0 else "td", cell, i >= first) for i, cell in enumerate(row)
         )
         lines.append(f"<tr>{cells}</tr>")
-    return "\n".join([*lines, "</tbody></table></div>\n"])
+    return "\n".join([*filter(None, lines), "</tbody></table></div>\n"])
 
 
 def _cell(tag: str, text: str, number: bool) -> str:

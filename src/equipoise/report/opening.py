@@ -53,7 +53,7 @@ def _verdict(results: Results) -> Part:
             ),
             (
                 f"{paper.SECONDS_BALANCED:g} s",
-                "the paper's run stood on the real arm, the only one",
+                "the paper's run stood, on the real arm, once",
             ),
         ),
         verdict_list(verdict(results)),
@@ -169,7 +169,8 @@ def _training(results: Results, pictures: Pictures) -> Part:
             f"after every {selection.every} episodes the table of the moment runs "
             f"{selection.screening_trials} trials of {selection.duration:g} s, on plants that vary "
             f"{selection.spread:g} times as much as those of the training; the best "
-            f"{selection.finalists} run {selection.final_trials} more. The table after episode "
+            f"{selection.finalists} run {selection.final_trials} more of "
+            f"{selection.final_duration:g} s. The table after episode "
             f"{chosen.episodes:,} was kept: it stood in {chosen.survived} of {chosen.trials}. None "
             "of these trials is used again below."
         )

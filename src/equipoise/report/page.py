@@ -100,8 +100,8 @@ simulation by Equipoise {escape(provenance.software.get("equipoise", ""))}.{quic
 </header>
 <main>
 {"".join(part.html for part in parts)}</main>
-<footer>Made by Equipoise on {escape(provenance.created[:10])} from the files beside it; no number
-on this page was typed by hand.</footer>
+<footer>Made by Equipoise on {escape(provenance.created[:10])} from the files beside it, which hold
+every number that was measured here.</footer>
 </body>
 </html>
 """
