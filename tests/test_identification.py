@@ -15,9 +15,9 @@ import pytest
 from equipoise.artefacts import Estimate
 from equipoise.errors import RecordingError
 from equipoise.identification import fit as fitting
-from equipoise.identification import identify, simulate_fit
+from equipoise.identification import identify
 from equipoise.model.encoder import simulate_swing
-from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.pendulum import Pendulum, PendulumParameters, fitted_curve
 from equipoise.settings import IdentificationSettings
 from equipoise.trajectory import Trajectory, read_swing
 from tests.reference import pendulum as reference
@@ -428,7 +428,7 @@ def test_the_fitted_curve_can_be_drawn_from_files_alone(tmp_path):
     recorded, _ = held_then_released(lift(1.0, 1.0), simulated())
     identify(recorded).save(tmp_path / "pendulum.json", command="test")
     pendulum = Pendulum.load(tmp_path / "pendulum.json")
-    curve = simulate_fit(recorded, pendulum)
+    curve = fitted_curve(recorded, pendulum)
     low, high = pendulum.fit.window
     inside = (recorded.time >= low) & (recorded.time <= high)
     assert np.all(np.isnan(curve[~inside]))
@@ -440,9 +440,9 @@ def test_the_fitted_curve_can_be_drawn_from_files_alone(tmp_path):
 def test_the_fitted_curve_of_another_recording_is_refused():
     pendulum = identify(simulated())
     with pytest.raises(RecordingError, match="give the recording that it came from"):
-        simulate_fit(simulated(seed=2), pendulum)
+        fitted_curve(simulated(seed=2), pendulum)
     with pytest.raises(RecordingError, match="from no recording"):
-        simulate_fit(simulated(), Pendulum.assumed(70.2, 0.15))
+        fitted_curve(simulated(), Pendulum.assumed(70.2, 0.15))
 
 
 def test_equal_recordings_give_equal_bits():

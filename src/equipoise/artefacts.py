@@ -72,6 +72,16 @@ class Provenance(Value):
     inputs: dict[str, str] = {}
     """Digest of each value it was made from, by name."""
 
+    @classmethod
+    def now(cls, command: str, inputs: Mapping[str, str] | None) -> Self:
+        """Return the provenance of a value that is made now, by this installation."""
+        return cls(
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+            command=command,
+            software=_software(),
+            inputs=dict(inputs or {}),
+        )
+
 
 class Artefact(Value):
     """A value with a file of its own."""
@@ -99,12 +109,7 @@ class Artefact(Value):
         Raises:
             OutsideError: The disk refuses.
         """
-        provenance = Provenance(
-            created=datetime.now(UTC).isoformat(timespec="seconds"),
-            command=command,
-            software=_software(),
-            inputs=dict(inputs or {}),
-        )
+        provenance = Provenance.now(command, inputs)
         body = self.model_dump(mode="json")
         document = {
             "format": self.FORMAT,

@@ -16,13 +16,12 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.learning.closed_loop import CAUSES, make_plant, record_trial, scaled
 from equipoise.learning.trials import draw_trials
 from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.random import DEPLOYMENT
 from equipoise.runlog import RunConditions, RunLog
 from equipoise.settings import Settings
 
 WORLD: Final = "model"
 """The training plant, as evaluations name it."""
-DEPLOYMENT: Final = 16
-"""Stream of random numbers: a deployment shares none with training, selection or test."""
 
 
 def deploy(

@@ -17,7 +17,6 @@ import io
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, Self, TypeAlias
 
@@ -25,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from equipoise.artefacts import DIGEST_PREFIX, Provenance, Value, _software, write_whole
+from equipoise.artefacts import DIGEST_PREFIX, Provenance, Value, write_whole
 from equipoise.errors import ArtefactError
 from equipoise.settings import Settings
 
@@ -144,12 +143,7 @@ class RunLog:
         """
         from mcap.writer import CompressionType, Writer
 
-        provenance = Provenance(
-            created=datetime.now(UTC).isoformat(timespec="seconds"),
-            command=command,
-            software=_software(),
-            inputs=dict(inputs or {}),
-        )
+        provenance = Provenance.now(command, inputs)
         stream = io.BytesIO()
         writer = Writer(stream, compression=CompressionType.ZSTD)
         writer.start(profile="", library=FORMAT)

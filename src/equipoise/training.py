@@ -25,6 +25,7 @@ from equipoise.control.policy import (
 from equipoise.learning.closed_loop import LASTED, Plant, make_plant
 from equipoise.learning.q_learning import (
     ENDED,
+    ENDED_STEPS,
     STEPS,
     Learner,
     Progress,
@@ -89,14 +90,14 @@ def train(
     every = settings.selection.every or max(1, constants.episodes // REPORTS)
     curve: list[LearningPoint] = []
     while progress.totals[ENDED] < constants.episodes:
-        ended, steps = int(progress.totals[ENDED]), int(progress.totals[STEPS])
+        ended, steps = int(progress.totals[ENDED]), int(progress.totals[ENDED_STEPS])
         until = min(ended + every, constants.episodes)
         train_episodes(plant, parameters, constants, progress, until, seed, learner)
         point = LearningPoint(
             episodes=int(progress.totals[ENDED]),
             steps=int(progress.totals[STEPS]),
-            duration=(int(progress.totals[STEPS]) - steps)
-            * plant.h
+            duration=plant.h
+            * (int(progress.totals[ENDED_STEPS]) - steps)
             / (int(progress.totals[ENDED]) - ended),
         )
         if settings.selection.every > 0:

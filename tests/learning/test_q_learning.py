@@ -102,7 +102,7 @@ def test_episodes_that_last_are_cut_off_and_are_no_failure(pendulum):
         "learning.start_phi=0",
     )
     progress = trained(plant, parameters, constants, 40)
-    assert progress.totals.tolist() == [40, 40, 0, 80]
+    assert progress.totals.tolist() == [40, 40, 0, 80, 80]
     assert not progress.Q.any()
     assert progress.visits.sum() == 80
 
@@ -162,7 +162,7 @@ def test_fewer_episodes_than_lanes_are_trained_too(pendulum, episodes):
     )
     ours = trained(plant, parameters, constants, episodes)
     theirs = reference.train(plant, parameters, settings, episodes, 0, 0)
-    assert ours.totals.tolist() == [episodes, episodes, 0, theirs.steps]
+    assert ours.totals.tolist() == [episodes, episodes, 0, theirs.steps, theirs.steps]
     assert np.array_equal(ours.Q, theirs.Q)
 
 

@@ -7,9 +7,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 from scipy.integrate import solve_ivp
 
-from equipoise.errors import ArtefactError
+from equipoise.errors import RecordingError
+from equipoise.model.pendulum import fitted_curve
 from equipoise.report import figures
-from equipoise.report.figures.free_swing import fitted_curve
 from equipoise.report.style import save, to_png, to_svg
 from tests.report import made_up
 
@@ -163,7 +163,7 @@ def test_a_recording_that_was_told_where_to_start_shows_no_release():
 
 
 def test_a_fit_of_another_recording_is_refused(results):
-    with pytest.raises(ArtefactError, match="give the recording that it came from"):
+    with pytest.raises(RecordingError, match="give the recording that it came from"):
         figures.free_swing(made_up.swing(rate=True), results.pendulum)
 
 

@@ -109,7 +109,7 @@ class LearningPoint(Value):
     steps: int
     """Control steps so far."""
     duration: float
-    """Mean duration of the training episodes since the last point [s]."""
+    """Mean duration of the training episodes that ended since the last point [s]."""
     survival: float | None = None
     """Share of the screening trials that the greedy policy of this moment lasted."""
 

@@ -43,7 +43,7 @@ from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.settings import Friction, IdentificationSettings
 from equipoise.trajectory import Trajectory
 
-__all__ = ["identify", "simulate_fit"]
+__all__ = ["identify"]
 
 
 def identify(
@@ -113,42 +113,6 @@ def identify(
         length,
         swing_fit.model_copy(update={"warnings": warnings}),
     )
-
-
-def simulate_fit(trajectory: Trajectory, pendulum: Pendulum) -> Array:
-    """Return the fitted curve at the times of a recording, in the recording's own terms.
-
-    Args:
-        trajectory: The recording that `pendulum` was identified from.
-        pendulum: The pendulum, with its fit.
-
-    Returns:
-        Angle [rad] (or rate [rad/s]) as the sensor would give it, zero offset (or bias) included,
-        shape (n,); NaN outside the window that was fitted.
-
-    Raises:
-        RecordingError: The pendulum was not identified from this recording.
-    """
-    fit = pendulum.fit
-    if fit is None or fit.sha256 != trajectory.sha256:
-        raise RecordingError(
-            f"the pendulum was identified from {fit.source if fit else 'no recording'}, "
-            f"not from this {trajectory.source}; give the recording that it came from"
-        )
-    low, high = fit.window
-    inside = (trajectory.time >= low - 1e-9) & (trajectory.time <= high + 1e-9)
-    recording = Recording(
-        time=trajectory.time[inside],
-        values=trajectory.values[inside],
-        is_rate=fit.quantity == "rate",
-        h=(high - low) / fit.periods / fit.settings.steps_per_period,
-        w2_range=(0.0, np.inf),
-    )
-    curve = np.full(trajectory.time.shape, np.nan)
-    pivot = (pendulum.w2, pendulum.c, pendulum.coulomb, pendulum.drag)
-    state = (fit.theta, fit.theta_dot, fit.offset)
-    curve[inside] = recording.predict(np.array([*(part.value for part in pivot), *state]))
-    return curve
 
 
 def _refuse_unexplained(recording: Recording, swing_fit: SwingFit) -> None:

@@ -50,6 +50,7 @@ BEGUN: Final = 0
 ENDED: Final = 1
 IN_USE: Final = 2
 STEPS: Final = 3
+ENDED_STEPS: Final = 4
 
 
 class Learner(NamedTuple):
@@ -161,7 +162,7 @@ class Progress(NamedTuple):
     box: npt.NDArray[np.int64]
     """Its box, shape (LANES,)."""
     totals: npt.NDArray[np.int64]
-    """Episodes begun, episodes ended, lanes in use, steps; shape (4,)."""
+    """Episodes begun, episodes ended, lanes in use, steps, steps of ended episodes; shape (5,)."""
 
 
 def new_progress() -> Progress:
@@ -173,7 +174,7 @@ def new_progress() -> Progress:
         episode=np.zeros(LANES, np.int64),
         tick=np.zeros(LANES, np.int64),
         box=np.zeros(LANES, np.int64),
-        totals=np.zeros(4, np.int64),
+        totals=np.zeros(5, np.int64),
     )
 
 
@@ -276,6 +277,7 @@ def train_episodes(
             else:
                 update(Q, visits, box[n], action[n], learner.reward_failure, learner)
             totals[ENDED] += 1
+            totals[ENDED_STEPS] += tick[n]
             if totals[BEGUN] < learner.episodes:
                 begin_episode(plant, pendulum, learner, progress, seed, number, n)
             else:

@@ -20,8 +20,10 @@ import numpy.typing as npt
 
 from equipoise.artefacts import Artefact, Estimate, Value
 from equipoise.compiled import inlined, kernel
+from equipoise.errors import RecordingError
 from equipoise.model.elementary import sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
+from equipoise.trajectory import Trajectory
 
 
 class PendulumParameters(NamedTuple):
@@ -334,3 +336,44 @@ def shipped_pendulum() -> Pendulum:
     """Return the pendulum that ships with Equipoise, for whoever has none yet."""
     with resources.as_file(resources.files("equipoise") / "data" / "pendulum.json") as path:
         return Pendulum.load(path)
+
+
+def fit_of(trajectory: Trajectory, pendulum: Pendulum) -> SwingFit:
+    """Return the fit of a recording.
+
+    Raises:
+        RecordingError: The pendulum was not identified from this recording.
+    """
+    fit = pendulum.fit
+    if fit is None or fit.sha256 != trajectory.sha256:
+        raise RecordingError(
+            f"the pendulum was identified from {fit.source if fit else 'no recording'}, "
+            f"not from this {trajectory.source}; give the recording that it came from"
+        )
+    return fit
+
+
+def fitted_curve(trajectory: Trajectory, pendulum: Pendulum) -> npt.NDArray[np.float64]:
+    """Return the fit at the times of the recording, as the sensor would give it.
+
+    Args:
+        trajectory: The recording that `pendulum` was identified from.
+        pendulum: The pendulum, with its fit.
+
+    Returns:
+        Angle [rad] or rate [rad/s], zero offset or bias included, shape (n,); NaN outside the
+        window that was fitted.
+
+    Raises:
+        RecordingError: The pendulum was not identified from this recording.
+    """
+    fit = fit_of(trajectory, pendulum)
+    begin, end = fit.window
+    inside = (trajectory.time >= begin - 1e-9) & (trajectory.time <= end + 1e-9)
+    time = trajectory.time[inside]
+    theta, theta_dot = np.empty_like(time), np.empty_like(time)
+    h = (end - begin) / fit.periods / fit.settings.steps_per_period
+    swing(time, fit.theta, fit.theta_dot, h, pendulum.parameters(), theta, theta_dot)
+    curve = np.full(trajectory.time.shape, np.nan)
+    curve[inside] = (theta_dot if fit.quantity == "rate" else theta) + fit.offset
+    return curve

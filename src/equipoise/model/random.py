@@ -28,6 +28,7 @@ TRAINING_NOISE: Final = 4
 SCREENING: Final = 8
 FINAL_ROUND: Final = 10
 TEST: Final = 12
+DEPLOYMENT: Final = 16
 
 
 @inlined

@@ -6,10 +6,8 @@ As in the paper the recording is a continuous line and the fit a dashed one.
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from equipoise.errors import ArtefactError
-from equipoise.model.pendulum import Pendulum, SwingFit, swing
+from equipoise.model.pendulum import Pendulum, SwingFit, fit_of, fitted_curve
 from equipoise.report.style import INK, ORANGE, PALE, SKY, drawn, new_figure
 from equipoise.trajectory import Trajectory
 
@@ -31,9 +29,9 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
         pendulum: What was identified from it.
 
     Raises:
-        ArtefactError: The pendulum was not identified from this recording.
+        RecordingError: The pendulum was not identified from this recording.
     """
-    fit = _fit_of(trajectory, pendulum)
+    fit = fit_of(trajectory, pendulum)
     time, recorded = trajectory.time, np.rad2deg(trajectory.values)
     fitted = np.rad2deg(fitted_curve(trajectory, pendulum))
     rate = fit.quantity == "rate"
@@ -81,37 +79,6 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
         ]
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
-
-
-def fitted_curve(trajectory: Trajectory, pendulum: Pendulum) -> npt.NDArray[np.float64]:
-    """Return the fit at the times of the recording, as the sensor would give it.
-
-    Returns:
-        Angle [rad] or rate [rad/s], zero offset or bias included; NaN outside the fitted window.
-
-    Raises:
-        ArtefactError: The pendulum was not identified from this recording.
-    """
-    fit = _fit_of(trajectory, pendulum)
-    begin, end = fit.window
-    inside = (trajectory.time >= begin - 1e-9) & (trajectory.time <= end + 1e-9)
-    time = trajectory.time[inside]
-    theta, theta_dot = np.empty_like(time), np.empty_like(time)
-    h = (end - begin) / fit.periods / fit.settings.steps_per_period
-    swing(time, fit.theta, fit.theta_dot, h, pendulum.parameters(), theta, theta_dot)
-    curve = np.full(trajectory.time.shape, np.nan)
-    curve[inside] = (theta_dot if fit.quantity == "rate" else theta) + fit.offset
-    return curve
-
-
-def _fit_of(trajectory: Trajectory, pendulum: Pendulum) -> SwingFit:
-    fit = pendulum.fit
-    if fit is None or fit.sha256 != trajectory.sha256:
-        raise ArtefactError(
-            f"the pendulum was identified from {fit.source if fit else 'no recording'}, not from "
-            f"this {trajectory.source}; give the recording that it came from"
-        )
-    return fit
 
 
 def _left_out(panel: Any, span: tuple[float, float], fit: SwingFit) -> None:
