@@ -15,8 +15,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import kernel
-from equipoise.control.boxes import boxes
+from equipoise.compiled import inlined, kernel
+from equipoise.control.boxes import Boxes, box_index, boxes
 from equipoise.control.clik import (
     GAMMA,
     REFERENCE_SIZE,
@@ -309,36 +309,34 @@ def advance_pendula(state: Array, pendula: Array, h: float, linearised: bool, la
     dry = 0.0
     for n in range(lanes):
         dry = max(dry, at(pendula, 3, n))
+    # Dry friction can stop the pendulum within a step, which takes branches: a loop of its own.
     if dry == 0.0:
         for n in range(lanes):
-            own = PendulumParameters(
-                at(pendula, 0, n),
-                at(pendula, 1, n),
-                at(pendula, 2, n),
-                0.0,
-                at(pendula, 4, n),
-                linearised,
-            )
-            phi, phi_dot = runge_kutta(
-                at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n), h, 0.0, own
-            )
+            phi, phi_dot, tracked = at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n)
+            own = pendulum_of(pendula, linearised, n)
+            phi, phi_dot = runge_kutta(phi, phi_dot, tracked, h, 0.0, own)
             put(state, PHI, n, phi)
             put(state, PHI_DOT, n, phi_dot)
-        return
-    for n in range(lanes):
-        own = PendulumParameters(
-            at(pendula, 0, n),
-            at(pendula, 1, n),
-            at(pendula, 2, n),
-            at(pendula, 3, n),
-            at(pendula, 4, n),
-            linearised,
-        )
-        phi, phi_dot = pendulum_step(
-            at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n), h, own
-        )
-        put(state, PHI, n, phi)
-        put(state, PHI_DOT, n, phi_dot)
+    else:
+        for n in range(lanes):
+            phi, phi_dot, tracked = at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n)
+            own = pendulum_of(pendula, linearised, n)
+            phi, phi_dot = pendulum_step(phi, phi_dot, tracked, h, own)
+            put(state, PHI, n, phi)
+            put(state, PHI_DOT, n, phi_dot)
+
+
+@inlined
+def pendulum_of(pendula: Array, linearised: bool, n: int) -> PendulumParameters:
+    """Return the pendulum of lane `n`."""
+    return PendulumParameters(
+        at(pendula, 0, n),
+        at(pendula, 1, n),
+        at(pendula, 2, n),
+        at(pendula, 3, n),
+        at(pendula, 4, n),
+        linearised,
+    )
 
 
 @kernel
@@ -381,6 +379,14 @@ def draw_noise(
             sine, cosine = sincos(at(noise, i + 1, n))
             put(noise, i, n, radius * cosine)
             put(noise, i + 1, n, radius * sine)
+
+
+@inlined
+def box_of(state: Array, boxes: Boxes, n: int) -> int:
+    """Return the box of lane `n`."""
+    return box_index(
+        at(state, X, n), at(state, X_DOT, n), at(state, PHI, n), at(state, PHI_DOT, n), boxes
+    )
 
 
 @kernel

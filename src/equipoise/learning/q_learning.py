@@ -15,15 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
-from equipoise.control.boxes import ACTIONS, COUNT, Boxes, box_index, mirrored_box
+from equipoise.control.boxes import ACTIONS, COUNT, Boxes, mirrored_box
 from equipoise.learning.closed_loop import (
     LASTED,
-    PHI,
-    PHI_DOT,
-    X_DOT,
     Block,
     Plant,
-    X,
+    box_of,
     copy_lane,
     draw_noise,
     new_block,
@@ -31,7 +28,7 @@ from equipoise.learning.closed_loop import (
     scaled,
     step,
 )
-from equipoise.model.elementary import LANES, at
+from equipoise.model.elementary import LANES
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
@@ -189,7 +186,7 @@ def begin_episode(
     n: int,
 ) -> None:
     """Begin the next episode in lane `n`: its pendulum and its start are drawn."""
-    state, episode = progress.block.state, progress.totals[BEGUN]
+    episode = progress.totals[BEGUN]
     w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_EPISODE)
     inertia_noise, friction_noise = normal_pair(w0, w1)
     own = scaled(
@@ -208,13 +205,7 @@ def begin_episode(
     reset(plant, progress.block, own, start, n)
     progress.episode[n] = episode
     progress.tick[n] = 0
-    progress.box[n] = box_index(
-        at(state, X, n),
-        at(state, X_DOT, n),
-        at(state, PHI, n),
-        at(state, PHI_DOT, n),
-        learner.boxes,
-    )
+    progress.box[n] = box_of(progress.block.state, learner.boxes, n)
     progress.totals[BEGUN] += 1
 
 
@@ -262,13 +253,7 @@ def train_episodes(
         for n in range(lanes - 1, -1, -1):
             tick[n] += 1
             if cause[n] == LASTED:
-                box_next = box_index(
-                    at(state, X, n),
-                    at(state, X_DOT, n),
-                    at(state, PHI, n),
-                    at(state, PHI_DOT, n),
-                    learner.boxes,
-                )
+                box_next = box_of(state, learner.boxes, n)
                 target = learner.gamma * best_value(Q, box_next)
                 update(Q, visits, box[n], action[n], target, learner)
                 box[n] = box_next
