@@ -13,8 +13,8 @@ import numpy as np
 
 from equipoise.control.boxes import box_index, boxes
 from equipoise.control.policy import TabularPolicy
-from equipoise.learning.closed_loop import CAUSES, make_plant, record_trial, scaled
-from equipoise.learning.trials import draw_trials
+from equipoise.learning.closed_loop import CAUSES, make_plant, scaled
+from equipoise.learning.trials import draw_trials, record_trial
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import DEPLOYMENT
 from equipoise.runlog import RunConditions, RunLog

@@ -15,8 +15,8 @@ from equipoise import paper
 from equipoise.artefacts import Artefact, Value
 from equipoise.control.policy import Policy, PolicyKernel, TabularPolicy
 from equipoise.control.yardsticks import yardsticks
-from equipoise.learning.closed_loop import CAUSES, Trials, make_plant, record_trial, scaled
-from equipoise.learning.trials import draw_trials, run_over_cores
+from equipoise.learning.closed_loop import CAUSES, make_plant, scaled
+from equipoise.learning.trials import Trials, draw_trials, record_trial, run_over_cores
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import TEST

@@ -21,13 +21,11 @@ from equipoise.learning.closed_loop import (
     draw_noise,
     make_plant,
     new_block,
-    record_trial,
     reset,
-    run_trials,
     scaled,
     step,
 )
-from equipoise.learning.trials import draw_trials
+from equipoise.learning.trials import draw_trials, record_trial, run_trials
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import LANES
 from equipoise.model.pendulum import PendulumParameters

@@ -21,13 +21,17 @@ from equipoise.learning.closed_loop import (
     draw_noise,
     make_plant,
     new_block,
-    record_trial,
     reset,
-    run_trials,
     scaled,
     step,
 )
-from equipoise.learning.trials import available_cores, draw_trials, run_over_cores
+from equipoise.learning.trials import (
+    available_cores,
+    draw_trials,
+    record_trial,
+    run_over_cores,
+    run_trials,
+)
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import LANES
 from equipoise.model.pendulum import PendulumParameters

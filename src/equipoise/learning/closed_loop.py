@@ -1,4 +1,4 @@
-"""The closed loop: one control step of arm and pendulum, and trials of many steps.
+"""The closed loop: one control step of arm and pendulum.
 
 A step of h = 0.01 s goes: u -> CLIK -> joint motion -> tracked acceleration u' -> pendulum. The
 reference moves along base x only; u' = n^T Gamma' is the change of the flange's velocity along x
@@ -10,7 +10,7 @@ Training, evaluation, the recorded run and any policy written in Python call the
 happens in a lane does not depend on the others.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,6 @@ from equipoise.control.clik import (
     pose_error,
     solve,
 )
-from equipoise.control.policy import RANDOM, PolicyKernel, act
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import FRAME_SIZE, POSITION, TWIST, Arm, KinematicsFunction
 from equipoise.model.elementary import LANES, at, put, sincos
@@ -425,163 +424,3 @@ def scaled(
         pendulum.drag / inertia_factor,
         pendulum.linearised,
     )
-
-
-class Trials(NamedTuple):
-    """Conditions of n trials, one row each, and what came of them."""
-
-    start: Array
-    """x, x_dot, phi, phi_dot, shape (n, 4)."""
-    inertia_factor: Array
-    """Factor on I, shape (n,)."""
-    friction_factor: Array
-    """Factor on b, shape (n,)."""
-    steps: npt.NDArray[np.int64]
-    """How many steps each lasted, shape (n,)."""
-    cause: npt.NDArray[np.int64]
-    """How each ended, shape (n,)."""
-    sum_x2: Array
-    """Sum of x^2 over its steps [m^2], shape (n,)."""
-
-
-@kernel
-def place_trial(
-    plant: Plant, block: Block, pendulum: PendulumParameters, trials: Trials, i: int, n: int
-) -> None:
-    """Place trial `i` in lane `n`."""
-    own = scaled(pendulum, trials.inertia_factor[i], trials.friction_factor[i])
-    x, x_dot, phi, phi_dot = trials.start[i]
-    reset(plant, block, own, (x, x_dot, phi, phi_dot), n)
-
-
-@kernel
-def run_trials(
-    plant: Plant,
-    block: Block,
-    policy: PolicyKernel,
-    pendulum: PendulumParameters,
-    trials: Trials,
-    first: int,
-    last: int,
-    longest: int,
-    seed: int,
-    stream: int,
-) -> None:
-    """Run the trials first <= i < last and write what came of them.
-
-    Args:
-        plant: Constants.
-        block: Room for the states.
-        policy: What decides.
-        pendulum: The centre that the factors of each trial scale.
-        trials: Conditions, and arrays that are written.
-        first: First trial.
-        last: One past the last trial.
-        longest: Number of steps after which a trial has lasted.
-        seed: Seed of the noise.
-        stream: Stream of the noise: selection or test.
-    """
-    state, u, cause = block.state, block.u, block.cause
-    index = np.zeros(LANES, np.int64)
-    tick = np.zeros(LANES, np.int64)
-    sum_x2 = np.zeros(LANES)
-    waiting = first
-    lanes = 0
-    while lanes < LANES and waiting < last:
-        index[lanes] = waiting
-        place_trial(plant, block, pendulum, trials, waiting, lanes)
-        waiting += 1
-        lanes += 1
-    while lanes > 0:
-        for n in range(lanes):
-            chance = 0.0
-            if policy.kind == RANDOM:
-                chance = uniform(philox(seed, tick[n], index[n], 1, stream)[0], 0.0, 1.0)
-            u[n] = act(
-                policy,
-                at(state, X, n),
-                at(state, X_DOT, n),
-                at(state, PHI, n),
-                at(state, PHI_DOT, n),
-                chance,
-            )
-        draw_noise(block.noise, seed, tick, index, 0, stream, lanes)
-        step(plant, block, lanes)
-        for n in range(lanes - 1, -1, -1):
-            tick[n] += 1
-            sum_x2[n] += at(state, X, n) ** 2
-            if cause[n] == LASTED and tick[n] < longest:
-                continue
-            i = index[n]
-            trials.steps[i], trials.cause[i], trials.sum_x2[i] = tick[n], cause[n], sum_x2[n]
-            if waiting < last:
-                index[n], tick[n], sum_x2[n] = waiting, 0, 0.0
-                place_trial(plant, block, pendulum, trials, waiting, n)
-                waiting += 1
-            else:
-                lanes -= 1
-                copy_lane(block, lanes, n)
-                index[n], tick[n], sum_x2[n] = index[lanes], tick[lanes], sum_x2[lanes]
-
-
-class Recording(NamedTuple):
-    """What one recorded run went through, a row per step."""
-
-    state: Array
-    """x, x_dot, phi, phi_dot before the step, shape (n, 4)."""
-    u: Array
-    """Commanded acceleration [m/s^2], shape (n,)."""
-    tracked: Array
-    """Tracked acceleration u' [m/s^2], shape (n,)."""
-    q: Array
-    """Free joints at the end of the step [rad], shape (n, 6)."""
-    dq: Array
-    """Their velocities [rad/s], shape (n, 6)."""
-
-
-def record_trial(
-    plant: Plant,
-    policy: Any,
-    pendulum: PendulumParameters,
-    start: Array,
-    longest: int,
-    seed: int,
-    stream: int,
-    index: int = 0,
-) -> tuple[int, Recording]:
-    """Run one trial with a policy written in Python, `policy.act(state) -> u`, and record it.
-
-    It is the loop of `run_trials`, step for step and noise for noise.
-
-    Args:
-        plant: Constants.
-        policy: Any object that meets `Policy`.
-        pendulum: Physical parameters of the trial.
-        start: x, x_dot, phi, phi_dot.
-        longest: Number of steps after which the trial has lasted.
-        seed: Seed of the noise.
-        stream: Stream of the noise.
-        index: Number of the trial.
-
-    Returns:
-        Cause of the end, and the recording.
-    """
-    block = new_block()
-    x, x_dot, phi, phi_dot = (float(value) for value in start)
-    reset(plant, block, pendulum, (x, x_dot, phi, phi_dot), 0)
-    rows = Recording(
-        *(np.zeros((longest, width)) if width else np.zeros(longest) for width in (4, 0, 0, 6, 6))
-    )
-    now, at_index = np.zeros(LANES, np.int64), np.full(LANES, index, np.int64)
-    tick = 0
-    while tick < longest and block.cause[0] == LASTED:
-        now[0] = tick
-        draw_noise(block.noise, seed, now, at_index, 0, stream, 1)
-        state = block.state[: 4 * LANES : LANES].copy()
-        block.u[0] = float(policy.act(state))
-        rows.state[tick], rows.u[tick] = state, block.u[0]
-        step(plant, block, 1)
-        rows.tracked[tick] = block.state[TRACKED * LANES]
-        rows.q[tick], rows.dq[tick] = block.q[::LANES], block.dq[::LANES]
-        tick += 1
-    return int(block.cause[0]), Recording(*(row[:tick] for row in rows))
