@@ -118,11 +118,7 @@ def _disabled() -> bool:
 
 def kernel(function: F) -> F:
     """Compile `function` on its first call; with `NUMBA_DISABLE_JIT=1` leave it as it is."""
-    if _disabled():
-        return function
-    dispatcher: Any = numba.njit(nogil=True, error_model="numpy")(function)
-    _cached(dispatcher)
-    return dispatcher
+    return _lazily_compiled(function)
 
 
 def inlined(function: F) -> F:
@@ -131,9 +127,13 @@ def inlined(function: F) -> F:
     For the formulas inside loops over lanes: a processor runs such a loop many numbers at a time
     only if nothing is called in it.
     """
+    return _lazily_compiled(function, forceinline=True)
+
+
+def _lazily_compiled(function: F, **options: Any) -> F:
     if _disabled():
         return function
-    dispatcher: Any = numba.njit(nogil=True, error_model="numpy", forceinline=True)(function)
+    dispatcher: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
     _cached(dispatcher)
     return dispatcher
 

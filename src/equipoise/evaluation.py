@@ -174,7 +174,7 @@ class _Bench:
         self._pendulum, self._arm, self._settings = pendulum, arm, settings
         self._seed, self._workers, self._done = seed, workers, done
         self._plant = make_plant(arm, settings, h)
-        self._parameters = pendulum.parameters()._replace(linearised=settings.plant.linearised)
+        self._parameters = pendulum.parameters(linearised=settings.plant.linearised)
 
     def run(self, name: str, kernel: PolicyKernel) -> TrialResults:
         """Run all trials of a policy for compiled loops."""

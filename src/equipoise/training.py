@@ -20,6 +20,7 @@ from equipoise.control.policy import (
     Candidate,
     LearningPoint,
     TabularPolicy,
+    greedy_accelerations,
     policy_kernel,
 )
 from equipoise.learning.closed_loop import LASTED, Plant, make_plant
@@ -83,7 +84,7 @@ def train(
         The policy, with its learning curve and the finalists of its selection.
     """
     plant = make_plant(arm, settings, paper.STEP)
-    parameters = pendulum.parameters()._replace(linearised=settings.plant.linearised)
+    parameters = pendulum.parameters(linearised=settings.plant.linearised)
     constants = _learner(settings)
     progress = new_progress()
     selection = _Selection(plant, parameters, settings, seed, workers)
@@ -212,7 +213,7 @@ class _Selection:
 
     def screen(self, progress: Progress) -> Candidate:
         """Run the screening trials of a table's greedy policy, once for each policy."""
-        u_of_box = np.array(paper.ACTIONS)[boxes.greedy_actions(progress.Q)]
+        u_of_box = greedy_accelerations(progress.Q)
         policy = u_of_box.tobytes()
         if policy not in self._known:
             selection = self._settings.selection

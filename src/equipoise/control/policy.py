@@ -190,7 +190,7 @@ class TabularPolicy(Artefact):
     @property
     def u_of_box(self) -> Array:
         """The greedy acceleration of each box [m/s^2], shape (270,)."""
-        return np.array(_greedy(self.Q))
+        return greedy_accelerations(self.table)
 
     @property
     def kernel(self) -> PolicyKernel:
@@ -203,10 +203,15 @@ class TabularPolicy(Artefact):
         return _greedy(self.Q)[box_index(x, x_dot, phi, phi_dot, boxes.boxes())]
 
 
+def greedy_accelerations(Q: Array) -> Array:
+    """Return the greedy acceleration of each box [m/s^2], shape (270,), of a table."""
+    return np.array(paper.ACTIONS)[boxes.greedy_actions(Q)]
+
+
 @functools.lru_cache(maxsize=16)
 def _greedy(Q: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
-    """Return the greedy acceleration of each box [m/s^2]; kept, for `act` is called every step."""
-    return tuple(paper.ACTIONS[action] for action in boxes.greedy_actions(np.array(Q)))
+    """Return the same as numbers of Python; kept, for `act` is called every step."""
+    return tuple(greedy_accelerations(np.array(Q)).tolist())
 
 
 @functools.cache

@@ -6,6 +6,7 @@ the angle read back is wrong by at most half a step, pi / N.
 """
 
 from math import pi
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +19,12 @@ STEPS_PER_PERIOD = 1024
 """Runge-Kutta steps in a period of a simulated swing: four times finer than those of a fit, so
 that a fit is not tested against its own errors."""
 
+Numbers = TypeVar("Numbers", float, npt.NDArray[np.float64])
+"""A number or an array, taken element by element."""
+
 
 @kernel
-def counts_from_theta(theta: float, counts_per_rev: float, sign: float) -> float:
+def counts_from_theta(theta: Numbers, counts_per_rev: float, sign: float) -> Numbers:
     """Return what the encoder counts at an angle.
 
     Args:
@@ -35,11 +39,12 @@ def counts_from_theta(theta: float, counts_per_rev: float, sign: float) -> float
         >>> float(counts_from_theta(3.141592653589793, 4096, 1))
         2048.0
     """
-    return np.floor(sign * theta * counts_per_rev / (2.0 * pi) + 0.5)
+    counts: Any = np.floor(sign * theta * counts_per_rev / (2.0 * pi) + 0.5)
+    return counts
 
 
 @kernel
-def theta_from_counts(counts: float, counts_per_rev: float, sign: float) -> float:
+def theta_from_counts(counts: Numbers, counts_per_rev: float, sign: float) -> Numbers:
     """Return the angle in the middle of a count's step [rad].
 
     Args:
@@ -93,10 +98,10 @@ def simulate_swing(
     h = 2.0 * pi / np.sqrt(parameters.w2) / STEPS_PER_PERIOD
     swing(time, theta0, 0.0, float(h), parameters, theta, theta_dot)
     seen: npt.NDArray[np.float64] = theta + zero_offset + noise * rng.standard_normal(time.size)
-    counts = np.floor(seen * counts_per_rev / (2.0 * pi) + 0.5)
+    counts = counts_from_theta(seen, counts_per_rev, 1)
     return Trajectory(
         time=time,
-        theta=counts * 2.0 * pi / counts_per_rev,
+        theta=theta_from_counts(counts, counts_per_rev, 1),
         resolution=2.0 * pi / counts_per_rev,
         source="simulated swing",
     )
