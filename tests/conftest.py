@@ -6,6 +6,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import resolve
@@ -43,8 +44,8 @@ def quick_settings():
 
 @pytest.fixture(scope="session")
 def small_policy(pendulum, quick_settings):
-    """A policy that has hardly been trained."""
-    return train(pendulum, iiwa(14), quick_settings, seed=7)
+    """A policy that has hardly been trained, on the plant of the paper's simulation."""
+    return train(pendulum, iiwa(14), quick_settings, actuator=IDEAL_ACTUATOR, seed=7)
 
 
 @pytest.fixture(scope="session")

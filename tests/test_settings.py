@@ -189,6 +189,17 @@ def test_an_override_without_a_value_is_refused():
         "clik.K_d=-1",
         "clik.K_p=inf",
         "plant.position_error_sigma=-0.5",
+        "plant.delay_spread=-0.001",
+        "plant.lag_spread=1",
+        "plant.zero_error=-0.1",
+        "plant.counts_per_rev=8",
+        "plant.counts_per_rev=8192.5",
+        "controller.predict=perhaps",
+        "controller.margin=-0.001",
+        "controller.acceleration_sigma=0",
+        "controller.angle_sigma=-1e-4",
+        "controller.bias_drift=0",
+        "controller.correction=1.1",
         "selection.every=-1",
         "evaluation.trials=0",
         "evaluation.duration=0",
@@ -300,6 +311,11 @@ def test_what_the_design_asks_for_is_the_default():
     assert (plant.inertia_sigma, plant.friction_sigma) == (0.02, 0.2)
     assert plant.position_error_sigma == 1e-4
     assert plant.orientation_error_sigma == pytest.approx(radians(0.02), rel=1e-15)
+    # The identified delay plus 5 ms; a zero that is wrong by up to 0.3 degrees; a bias estimate.
+    assert settings.controller.margin == 0.005
+    assert settings.controller.predict
+    assert settings.controller.estimate_bias
+    assert plant.zero_error == pytest.approx(radians(0.3), rel=1e-15)
     assert settings.clik.K_p == 400.0
     assert settings.clik.K_d == 40.0
     assert settings.learning.episodes == 10_000

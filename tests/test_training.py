@@ -7,6 +7,7 @@ from equipoise import training
 from equipoise.control.policy import TabularPolicy
 from equipoise.learning.closed_loop import make_plant
 from equipoise.learning.q_learning import new_progress, train_episodes
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
 from equipoise.settings import resolve
@@ -93,6 +94,105 @@ def test_a_selection_does_not_disturb_the_training(pendulum):
         assert with_candidates.Q == without.Q
 
 
+# Behind an actuator
+
+KST = Actuator.assumed("kst", delay=0.0125, lag=0.008)
+
+
+@pytest.fixture(scope="module")
+def behind(pendulum):
+    """Two learners of one seed behind an actuator, each trained alone on one thread."""
+    overrides = settings("learning.episodes=120")
+    return [train(pendulum, ARM, overrides, actuator=KST, seed=5, learner=i) for i in range(2)]
+
+
+def test_behind_an_actuator_equal_seeds_give_equal_files(pendulum, behind):
+    again = train(pendulum, ARM, settings("learning.episodes=120"), actuator=KST, seed=5, workers=2)
+    assert again.digest == behind[0].digest
+    assert again.episodes == 120
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_several_learners_behind_an_actuator_are_those_trained_one_by_one(
+    pendulum, behind, workers
+):
+    together = train_several(
+        pendulum,
+        ARM,
+        settings("learning.episodes=120"),
+        learners=2,
+        actuator=KST,
+        seed=5,
+        workers=workers,
+    )
+    assert {policy.digest for policy in together} == {policy.digest for policy in behind}
+
+
+def test_a_policy_behind_an_actuator_can_be_trained_again_from_its_own_file(
+    pendulum, behind, tmp_path
+):
+    behind[1].save(tmp_path / "policy.json", command="test")
+    read = TabularPolicy.load(tmp_path / "policy.json")
+    assert read.actuator == KST
+    again = train(
+        read.pendulum,
+        read.arm,
+        read.settings,
+        actuator=read.actuator,
+        seed=read.seed,
+        learner=read.learner,
+        recipe=read.recipe,
+    )
+    assert again.digest == behind[1].digest
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["controller.predict=false"],
+        ["controller.margin=0.01"],
+        ["controller.acceleration_sigma=1"],
+        ["plant.delay_spread=0"],
+        ["plant.lag_spread=0"],
+        ["plant.zero_error=0"],
+        ["plant.counts_per_rev=4096"],
+    ],
+    ids=str,
+)
+def test_controller_and_rig_are_part_of_the_training(pendulum, behind, overrides):
+    other = settings("learning.episodes=120", "selection.every=0", *overrides)
+    plain = settings("learning.episodes=120", "selection.every=0")
+    assert (
+        train(pendulum, ARM, other, actuator=KST, seed=5).Q
+        != train(pendulum, ARM, plain, actuator=KST, seed=5).Q
+    )
+    # ... and of no effect where the actuator is ideal.
+    few = ["learning.episodes=20", "selection.every=0", "plant.ideal=true"]
+    alike = [train(pendulum, ARM, settings(*few, *extra)).Q for extra in (overrides, [])]
+    assert alike[0] == alike[1]
+
+
+def test_without_an_actuator_it_is_the_shipped_one_or_by_the_settings_none(pendulum):
+    few = ["learning.episodes=20", "selection.every=0"]
+    shipped = train(pendulum, ARM, settings(*few))
+    assert shipped.actuator == shipped_actuator()
+    assert shipped == train(pendulum, ARM, settings(*few), actuator=shipped_actuator())
+    ideal = train(pendulum, ARM, settings(*few, "plant.ideal=true"))
+    assert ideal.actuator == IDEAL_ACTUATOR
+    assert ideal.Q == train(pendulum, ARM, settings(*few), actuator=IDEAL_ACTUATOR).Q
+    # The paper's recipe is the paper's simulation.
+    assert train(pendulum, ARM, of_paper(), recipe="paper").actuator == IDEAL_ACTUATOR
+
+
+def test_other_actuators_make_other_policies(pendulum, behind):
+    plain = settings("learning.episodes=120", "selection.every=0")
+    tables = {
+        train(pendulum, ARM, plain, actuator=actuator, seed=5).Q
+        for actuator in (IDEAL_ACTUATOR, KST, Actuator.assumed("lag", delay=0.0125, lag=0.02))
+    }
+    assert len(tables) == 3
+
+
 # The selection
 
 
@@ -102,7 +202,7 @@ def test_candidates_are_sorted_by_their_score_and_the_first_is_the_policy(pendul
     assert len(scores) == 3
     assert scores == sorted(scores, reverse=True)
     # The table of the policy is that of the moment when the winner was taken.
-    plant = make_plant(ARM, settings(), 0.01)
+    plant = make_plant(ARM, settings(), 0.01, pendulum.parameters(), shipped_actuator())
     constants = training._learner(settings())
     progress = new_progress()
     train_episodes(
@@ -149,7 +249,7 @@ def test_the_recipe_paper_selects_nothing_and_keeps_the_last_table(pendulum):
     assert policy.candidates == ()
     progress = new_progress()
     train_episodes(
-        make_plant(ARM, of_paper(), 0.01),
+        make_plant(ARM, of_paper(), 0.01, pendulum.parameters(linearised=True)),
         pendulum.parameters(linearised=True),
         training._learner(of_paper()),
         progress,
@@ -204,6 +304,7 @@ def test_a_policy_says_how_it_was_made(pendulum, learners, tmp_path):
     assert policy.settings == settings()
     assert policy.pendulum == pendulum
     assert policy.arm == ARM
+    assert policy.actuator == shipped_actuator()
     assert policy.h == 0.01
     policy.save(tmp_path / "policy.json", command="test")
     assert TabularPolicy.load(tmp_path / "policy.json").digest == policy.digest
@@ -237,16 +338,20 @@ def test_settings_become_the_constants_of_the_learner():
                 "learning.epsilon_until=0.36",
                 "learning.reward_failure=-0.37",
                 "learning.mirrored=false",
+                "learning.held=false",
                 "learning.start_x=0.12",
                 "learning.start_x_dot=0.13",
                 "learning.start_phi=0.14",
                 "learning.start_phi_dot=0.15",
                 "plant.inertia_sigma=0.16",
                 "plant.friction_sigma=0.17",
+                "plant.delay_spread=0.018",
+                "plant.lag_spread=0.19",
+                "plant.zero_error=0.020",
             ]
         )
     )
-    assert constants[:14] == (
+    assert constants[:18] == (
         11,
         29,  # 0.29 / 0.01 is 28.999999999999996: rounded, not cut
         0.31,
@@ -257,9 +362,13 @@ def test_settings_become_the_constants_of_the_learner():
         0.36,
         -0.37,
         False,
+        False,
         (0.12, 0.13, 0.14, 0.15),
         0.16,
         0.17,
+        0.018,
+        0.19,
+        0.020,
         constants.boxes,
     )
 
@@ -272,8 +381,10 @@ def test_ten_thousand_robust_episodes_make_a_policy_that_stands(pendulum):
     assert best.survived >= 0.98 * best.trials
 
 
-def test_a_longer_training_is_a_better_one(pendulum):
-    # Chance: durations of greedy policies after 20 and after 600 episodes differ threefold.
-    long = train(pendulum, ARM, settings("learning.episodes=600", "selection.every=200"), seed=1)
-    short = train(pendulum, ARM, settings("learning.episodes=20"), seed=1)
-    assert long.candidates[0].mean_duration > 1.5 * short.candidates[0].mean_duration
+@pytest.mark.parametrize("actuator", [IDEAL_ACTUATOR, KST], ids=["ideal", "kst"])
+def test_episodes_last_longer_as_the_training_goes_on(pendulum, actuator):
+    longer = ["learning.episodes=600", "learning.episode_duration=10", "selection.every=0"]
+    curve = train(pendulum, ARM, settings(*longer), actuator=actuator, seed=1).learning_curve
+    durations, n = [point.duration for point in curve], len(curve)
+    # Chance: on six seeds the second half was 2.8 to 14 times as long as the first sixth.
+    assert np.mean(durations[n // 2 :]) > 1.8 * np.mean(durations[: n // 6])

@@ -93,6 +93,9 @@ class ClikSettings(Value):
 class PlantSettings(Value):
     """The simulated plant and its noise; the paper calls the noise "small"."""
 
+    ideal: bool = False
+    """The arm is where it is sent, at once, and the state is known without a sensor, as in the
+    paper's simulation. Otherwise training takes the identified actuator."""
     linearised: bool = False
     """Use the linearised equation (7) for the pendulum, as the paper does. The nonlinear form
     costs nothing and is exact."""
@@ -106,6 +109,44 @@ class PlantSettings(Value):
     """Standard deviation of the noise on the position part of e, per step [m]."""
     orientation_error_sigma: float = Field(default=radians(0.02), ge=0.0)
     """Standard deviation of the noise on the orientation part of e, per step [rad]."""
+    delay_spread: float = Field(default=0.004, ge=0.0, le=0.02)
+    """The transport delay of an episode differs from the identified one by up to this, evenly [s].
+    Of no effect with the actuator `ideal`, as what follows."""
+    lag_spread: float = Field(default=0.2, ge=0.0, lt=0.5)
+    """The lag of the joints differs by a factor of up to 1 plus or minus this, evenly."""
+    zero_error: float = Field(default=radians(0.3), ge=0.0)
+    """The encoder's zero of an episode is wrong by up to this, evenly [rad]: the furthest that a
+    pendulum with a good bearing may rest beside the vertical."""
+    counts_per_rev: int = Field(default=8192, ge=64)
+    """Encoder counts per revolution, after x4: 2048 lines, a common encoder."""
+
+
+class ControllerSettings(Value):
+    """How measurements become what the policy sees, where there are a sensor and an actuator.
+
+    The paper says nothing about either.
+    """
+
+    predict: bool = True
+    """Show the policy the state at the moment when its command takes effect, not the present one:
+    over the delay the pendulum falls on, and the commands in flight move it."""
+    estimate_bias: bool = True
+    """Estimate the error of the encoder's zero while balancing."""
+    margin: float = Field(default=0.005, ge=0.0)
+    """The prediction reaches at least so far beyond the identified delay [s]: looking 5 ms too far
+    costs little, looking 5 ms too short costs the balance."""
+    acceleration_sigma: float = Field(default=1.5, gt=0.0)
+    """What shakes phi_ddot beyond the model [rad/s^2]: dry friction, an acceleration of the pivot
+    that is wrong by 0.2 m/s^2."""
+    angle_sigma: float = Field(default=3e-4, ge=0.0)
+    """What shakes a measured angle beyond the encoder's steps [rad]: a time stamp that is wrong by
+    0.3 ms at 1 rad/s."""
+    bias_drift: float = Field(default=radians(0.05), gt=0.0)
+    """How far the bias may drift in a second [rad]: it decides how fast a wrong zero is found."""
+    correction: float = Field(default=0.1, ge=0.0, le=1.0)
+    """Share of the difference between measured and modelled joints that is taken up per tick: a
+    time constant of 0.1 s. The model is faster than the measurement; only slow differences, such
+    as the sag under the pendulum's weight, are to be believed."""
 
 
 class LearningSettings(Value):
@@ -134,6 +175,10 @@ class LearningSettings(Value):
     """Reward of a step that ends in failure; every other reward is zero."""
     mirrored: bool = True
     """Update the mirror image with every update: the task is symmetric, experience counts twice."""
+    held: bool = True
+    """Hold an action until the state leaves its box, and update then, discounted by the time that
+    has gone by. Updated in each step, a box is mostly its own successor, and its value an average
+    over how long one stays there."""
     start_x: float = Field(default=0.08, ge=0.0, lt=paper.X_LIMIT)
     """Episodes start with x uniform within plus and minus this [m]: exploring starts show boxes
     that a good policy seldom sees. Wider starts are often lost whatever one does, and teach little
@@ -154,12 +199,16 @@ class SelectionSettings(Value):
     than the trained ones; the best go on to a longer round.
     """
 
-    every: int = Field(default=10, ge=0)
+    every: int = Field(default=20, ge=0)
     """A candidate is taken after each so many episodes, if its greedy policy is a new one; 0 takes
     the last table."""
+    averaging: float = Field(default=0.05, gt=0.0, le=1.0)
+    """A candidate is the greedy policy of a running average of the table (Polyak & Juditsky 1992),
+    which takes up this share of the newest table each time; 1 takes the table as it is. The values
+    of the best two actions differ by less than a table trembles."""
     screening_trials: int = Field(default=32, ge=1)
     """Trials of every candidate."""
-    finalists: int = Field(default=16, ge=1)
+    finalists: int = Field(default=8, ge=1)
     """Candidates that go on to the final round."""
     final_trials: int = Field(default=300, ge=1)
     """Trials of each finalist."""
@@ -205,6 +254,7 @@ class Settings(Value):
 
     identification: IdentificationSettings = IdentificationSettings()
     clik: ClikSettings = ClikSettings()
+    controller: ControllerSettings = ControllerSettings()
     plant: PlantSettings = PlantSettings()
     learning: LearningSettings = LearningSettings()
     selection: SelectionSettings = SelectionSettings()
@@ -214,6 +264,7 @@ class Settings(Value):
 RECIPES: Mapping[str, Mapping[str, Any]] = {
     "robust": {},
     "paper": {
+        "plant.ideal": True,
         "plant.linearised": True,
         "learning.gamma": 0.99,
         "learning.alpha_initial": 0.1,
@@ -222,6 +273,7 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
         "learning.epsilon_initial": 0.1,
         "learning.epsilon_until": 0.0,
         "learning.mirrored": False,
+        "learning.held": False,
         "learning.start_x": 0.0,
         "learning.start_x_dot": 0.0,
         "learning.start_phi": radians(2.5),

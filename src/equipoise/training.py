@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.control import boxes
+from equipoise.control.boxes import LASTED
 from equipoise.control.policy import (
     TABLE,
     Candidate,
@@ -23,7 +24,10 @@ from equipoise.control.policy import (
     greedy_accelerations,
     policy_kernel,
 )
-from equipoise.learning.closed_loop import LASTED, Plant, make_plant
+from equipoise.learning.closed_loop import (
+    Plant,
+    make_plant,
+)
 from equipoise.learning.q_learning import (
     ENDED,
     ENDED_STEPS,
@@ -34,6 +38,7 @@ from equipoise.learning.q_learning import (
     train_episodes,
 )
 from equipoise.learning.trials import draw_trials, run_over_cores
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import FINAL_ROUND, SCREENING
@@ -62,9 +67,11 @@ def train(
     arm: Arm,
     settings: Settings,
     *,
+    actuator: Actuator | None = None,
     seed: int = 0,
     learner: int = 0,
     recipe: str = "robust",
+    warm: TabularPolicy | None = None,
     workers: int = 1,
     report: Report = lambda _: None,
 ) -> TabularPolicy:
@@ -73,23 +80,32 @@ def train(
     Args:
         pendulum: The pendulum, as identified.
         arm: The arm with its home posture.
-        settings: Resolved settings; the sections clik, plant, learning and selection are used.
+        settings: Resolved settings; the sections clik, controller, plant, learning and selection
+            are used.
+        actuator: How the arm follows its setpoints; if not given, at once where `plant.ideal`
+            says so, else as the shipped one, identified from the twin.
         seed: Master seed.
         learner: Which learner of that seed; each has random numbers of its own.
         recipe: Name of the settings, for the record.
+        warm: A policy to go on from, of which table and visits are the start; zeros if not given.
         workers: Threads for the selection trials; the result does not depend on it.
         report: Called with each new point of the learning curve.
 
     Returns:
         The policy, with its learning curve and the finalists of its selection.
     """
-    plant = make_plant(arm, settings, paper.STEP)
+    if actuator is None:
+        actuator = IDEAL_ACTUATOR if settings.plant.ideal else shipped_actuator()
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
+    plant = make_plant(arm, settings, paper.STEP, parameters, actuator)
     constants = _learner(settings)
     progress = new_progress()
+    if warm is not None:
+        progress.Q[:], progress.visits[:] = warm.table, warm.visits
     selection = _Selection(plant, parameters, settings, seed, workers)
     every = settings.selection.every or max(1, constants.episodes // REPORTS)
     curve: list[LearningPoint] = []
+    h = plant.controller.h
     while progress.totals[ENDED] < constants.episodes:
         ended, steps = int(progress.totals[ENDED]), int(progress.totals[ENDED_STEPS])
         until = min(ended + every, constants.episodes)
@@ -97,7 +113,7 @@ def train(
         point = LearningPoint(
             episodes=int(progress.totals[ENDED]),
             steps=int(progress.totals[STEPS]),
-            duration=plant.h
+            duration=h
             * (int(progress.totals[ENDED_STEPS]) - steps)
             / (int(progress.totals[ENDED]) - ended),
         )
@@ -116,9 +132,10 @@ def train(
         actions=paper.ACTIONS,
         Q=tuple(tuple(row) for row in Q.tolist()),
         visits=tuple(tuple(row) for row in visits.tolist()),
-        h=plant.h,
+        h=h,
         pendulum=pendulum,
         arm=arm,
+        actuator=actuator,
         recipe=recipe,
         settings=settings,
         seed=seed,
@@ -136,6 +153,7 @@ def train_several(
     settings: Settings,
     *,
     learners: int,
+    actuator: Actuator | None = None,
     seed: int = 0,
     recipe: str = "robust",
     workers: int = 1,
@@ -151,6 +169,7 @@ def train_several(
         arm: The arm with its home posture.
         settings: Resolved settings.
         learners: How many.
+        actuator: How the arm follows its setpoints; as in `train`.
         seed: Master seed.
         recipe: Name of the settings, for the record.
         workers: Threads; the results do not depend on it.
@@ -162,6 +181,7 @@ def train_several(
             pendulum,
             arm,
             settings,
+            actuator=actuator,
             seed=seed,
             learner=learner,
             recipe=recipe,
@@ -172,6 +192,20 @@ def train_several(
     with ThreadPoolExecutor(workers) as pool:
         policies = list(pool.map(one, range(learners)))
     return sorted(policies, key=lambda p: -p.candidates[0].score if p.candidates else 0.0)
+
+
+def judge(policy: TabularPolicy, *, seed: int = 0, workers: int = 1) -> Candidate:
+    """Return how a policy does in the final round of a selection, on the model that it carries.
+
+    Args:
+        policy: The policy, with pendulum, arm and actuator.
+        seed: Master seed of the trials; policies of one model are compared on those of one seed.
+        workers: Threads; the result does not depend on it.
+    """
+    parameters = policy.pendulum.parameters(linearised=policy.settings.plant.linearised)
+    plant = make_plant(policy.arm, policy.settings, policy.h, parameters, policy.actuator)
+    selection = _Selection(plant, parameters, policy.settings, seed, workers)
+    return selection.final(policy.u_of_box, policy.episodes)
 
 
 def _learner(settings: Settings) -> Learner:
@@ -187,9 +221,13 @@ def _learner(settings: Settings) -> Learner:
         epsilon_until=s.epsilon_until,
         reward_failure=s.reward_failure,
         mirrored=s.mirrored,
+        held=s.held,
         start=(s.start_x, s.start_x_dot, s.start_phi, s.start_phi_dot),
         inertia_sigma=settings.plant.inertia_sigma,
         friction_sigma=settings.plant.friction_sigma,
+        delay_spread=settings.plant.delay_spread,
+        lag_spread=settings.plant.lag_spread,
+        zero_error=settings.plant.zero_error,
         boxes=boxes.boxes(),
         actions=paper.ACTIONS,
     )
@@ -208,12 +246,16 @@ class _Selection:
     ) -> None:
         self._plant, self._pendulum, self._settings = plant, pendulum, settings
         self._seed, self._workers = seed, workers
+        self._averaged, self._screened = new_progress().Q, 0
         self._known: dict[bytes, Candidate] = {}
         self._best: list[_Snapshot] = []
 
     def screen(self, progress: Progress) -> Candidate:
-        """Run the screening trials of a table's greedy policy, once for each policy."""
-        u_of_box = greedy_accelerations(progress.Q)
+        """Run the screening trials of the averaged table's greedy policy, once for each policy."""
+        self._screened += 1
+        newest = max(self._settings.selection.averaging, 1.0 / self._screened)
+        self._averaged += newest * (progress.Q - self._averaged)
+        u_of_box = greedy_accelerations(self._averaged)
         policy = u_of_box.tobytes()
         if policy not in self._known:
             selection = self._settings.selection
@@ -225,26 +267,26 @@ class _Selection:
                 selection.duration,
             )
             self._known[policy] = candidate
-            snapshot = _Snapshot(progress.Q.copy(), progress.visits.copy(), u_of_box, candidate)
+            snapshot = _Snapshot(self._averaged.copy(), progress.visits.copy(), u_of_box, candidate)
             self._best = _sorted([*self._best, snapshot])[: selection.finalists]
         return self._known[policy]
 
     def final_round(self) -> list[_Snapshot]:
         """Run the longer trials of the finalists, and return them, the best first."""
-        selection = self._settings.selection
         return _sorted(
             [
                 snapshot._replace(
-                    candidate=self._run(
-                        snapshot.u_of_box,
-                        snapshot.candidate.episodes,
-                        FINAL_ROUND,
-                        selection.final_trials,
-                        selection.final_duration,
-                    )
+                    candidate=self.final(snapshot.u_of_box, snapshot.candidate.episodes)
                 )
                 for snapshot in self._best
             ]
+        )
+
+    def final(self, u_of_box: Array, episodes: int) -> Candidate:
+        """Run the longer trials of one greedy policy, taken after so many episodes."""
+        selection = self._settings.selection
+        return self._run(
+            u_of_box, episodes, FINAL_ROUND, selection.final_trials, selection.final_duration
         )
 
     def _run(
@@ -262,7 +304,7 @@ class _Selection:
             stream=stream,
             workers=self._workers,
         )
-        mean_duration = float(np.mean(trials.steps)) * self._plant.h
+        mean_duration = float(np.mean(trials.steps)) * self._plant.controller.h
         rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))
         return Candidate(
             episodes=episodes,

@@ -16,6 +16,7 @@ from equipoise.learning.closed_loop import (
     PHI,
     PHI_DOT,
     TRACKED,
+    Variation,
     make_plant,
     new_block,
     reset,
@@ -28,6 +29,7 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import Settings
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
+NOMINAL = Variation(1.0, 1.0, 0.0, 1.0, 0.0)
 ARMS = pytest.mark.parametrize("size", [7, 14])
 SETTINGS = Settings()
 
@@ -133,9 +135,11 @@ def run_actions(size, h, held=0.01, duration=15.0, seed=5):
     The pendulum is held at upright by hand: it plays no part here.
     """
     arm = iiwa(size)
-    plant = make_plant(arm, SETTINGS, h)._replace(position_noise=0.0, orientation_noise=0.0)
+    plant = make_plant(arm, SETTINGS, h, PENDULUM)._replace(
+        position_noise=0.0, orientation_noise=0.0
+    )
     block = new_block()
-    reset(plant, block, PENDULUM, (0.0, 0.0, 0.0, 0.0), 0)
+    reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
     rng = np.random.default_rng(seed)
     acceleration, position = [], []
     x, x_dot = 0.0, 0.0
@@ -145,12 +149,15 @@ def run_actions(size, h, held=0.01, duration=15.0, seed=5):
         wanted = rng.normal(0.0, 1.5) - 20.0 * x - 4.0 * x_dot
         u = options[np.argmin(np.abs(options - wanted))]
         for _ in range(round(held / h)):
-            block.u[0] = u
+            block.memory.u[0] = u
             block.state[PHI * LANES] = block.state[PHI_DOT * LANES] = 0.0
             step(plant, block, 1)
             assert block.cause[0] == 0
             acceleration.append(block.state[TRACKED * LANES] - u)
-            position.append(block.frame[: 3 * LANES : LANES] - block.reference[: 3 * LANES : LANES])
+            position.append(
+                block.memory.frame[: 3 * LANES : LANES]
+                - block.memory.reference[: 3 * LANES : LANES]
+            )
         x += x_dot * held + 0.5 * u * held**2
         x_dot += u * held
         assert abs(x) < 0.22
@@ -176,15 +183,17 @@ def test_the_tracking_error_falls_with_the_step(size):
 def test_a_disturbance_of_the_pose_decays_as_the_sampled_gains_say(size):
     arm = iiwa(size)
     h = 0.01
-    plant = make_plant(arm, SETTINGS, h)._replace(position_noise=0.0, orientation_noise=0.0)
+    plant = make_plant(arm, SETTINGS, h, PENDULUM)._replace(
+        position_noise=0.0, orientation_noise=0.0
+    )
     block = new_block()
-    reset(plant, block, PENDULUM, (0.0, 0.0, 0.0, 0.0), 0)
+    reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
     # Move the *reference* by 5 mm and 1 degree: the arm is off it by as much.
-    block.reference[(POSITION + 2) * LANES] += 0.005
+    block.memory.reference[(POSITION + 2) * LANES] += 0.005
     c, s = np.cos(np.radians(1.0)), np.sin(np.radians(1.0))
-    R = block.reference[ROTATION * LANES : TWIST * LANES : LANES].reshape(3, 3)
+    R = block.memory.reference[ROTATION * LANES : TWIST * LANES : LANES].reshape(3, 3)
     turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
-    block.reference[ROTATION * LANES : TWIST * LANES : LANES] = turned.ravel()
+    block.memory.reference[ROTATION * LANES : TWIST * LANES : LANES] = turned.ravel()
     # The sampled double integrator under u = K_p e + K_d e_dot, error and its rate.
     A = np.array([[1.0 - 400.0 * h**2 / 2.0, h - 40.0 * h**2 / 2.0], [-400.0 * h, 1.0 - 40.0 * h]])
     expected = np.array([1.0, 0.0])
@@ -192,7 +201,7 @@ def test_a_disturbance_of_the_pose_decays_as_the_sampled_gains_say(size):
         block.state[PHI * LANES] = block.state[PHI_DOT * LANES] = 0.0
         step(plant, block, 1)
         expected = A @ expected
-        e = np.array(pose_error(block.frame, block.reference, 0))
+        e = np.array(pose_error(block.memory.frame, block.memory.reference, 0))
         # 2 % of the disturbance: the arm's curvature over a step is not in the linear theory.
         np.testing.assert_allclose(e[2] / 0.005, expected[0], atol=0.02)
         np.testing.assert_allclose(e[5] / s, expected[0], atol=0.02)

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from equipoise import paper
+from equipoise.control.boxes import LASTED, TRACK
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, act
 from equipoise.control.yardsticks import lqr_gains, pd_gains, state_space, yardsticks
-from equipoise.learning.closed_loop import LASTED, TRACK, make_plant
+from equipoise.learning.closed_loop import (
+    make_plant,
+)
 from equipoise.learning.trials import draw_trials, run_over_cores
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters, angular_acceleration
@@ -61,7 +64,7 @@ def survived(kernel, *, trials=40, duration=10.0, noise=True):
     settings = resolve(overrides=overrides)
     drawn = draw_trials(trials, settings, 0, TEST, 1.0)
     run_over_cores(
-        make_plant(iiwa(14), settings, H),
+        make_plant(iiwa(14), settings, H, PENDULUM),
         kernel,
         PENDULUM,
         drawn,

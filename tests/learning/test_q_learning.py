@@ -16,12 +16,14 @@ from equipoise.learning.q_learning import (
     Learner,
     best_action,
     best_value,
+    discount,
     exploration,
     learning_rate,
     new_progress,
     train_episodes,
     update,
 )
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
 from equipoise.training import _learner
@@ -37,11 +39,11 @@ def learner(recipe="robust", **changes):
     return constants._replace(**changes)
 
 
-def problem(pendulum, recipe, *overrides):
+def problem(pendulum, recipe, *overrides, actuator=IDEAL_ACTUATOR):
     """Return the arguments of `train_episodes` that say what is to be learnt."""
     settings = resolve(recipe, overrides=overrides)
-    plant = make_plant(iiwa(14), settings, paper.STEP)
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
+    plant = make_plant(iiwa(14), settings, paper.STEP, parameters, actuator)
     return settings, plant, parameters, _learner(settings)
 
 
@@ -68,6 +70,7 @@ def same(progress, other):
     [
         ("robust", ["learning.episode_duration=0.4"]),
         ("robust", ["learning.epsilon_initial=0.5", "learning.mirrored=false"]),
+        ("robust", ["learning.held=false", "learning.episode_duration=0.4"]),
         ("paper", ["learning.episode_duration=0.6"]),
         (
             "paper",
@@ -92,6 +95,30 @@ def test_training_equals_the_slow_loop_bit_for_bit(pendulum, recipe, overrides):
     assert np.count_nonzero(ours.visits) > 100
 
 
+@pytest.mark.parametrize(
+    "overrides",
+    [["learning.episode_duration=0.4"], ["plant.zero_error=0.02", "controller.predict=false"]],
+    ids=str,
+)
+@pytest.mark.parametrize("kind", ["lag", "kst"])
+def test_training_behind_an_actuator_equals_the_slow_loop_bit_for_bit(pendulum, kind, overrides):
+    # The same table from what the policy sees, on plants whose delay, lag and zero differ.
+    settings, plant, parameters, constants = problem(
+        pendulum,
+        "robust",
+        "learning.episodes=100",
+        "plant.delay_spread=0.006",
+        *overrides,
+        actuator=Actuator.assumed(kind, delay=0.0125, lag=0.01),
+    )
+    ours = trained(plant, parameters, constants, 100, seed=5, number=1)
+    theirs = reference.train(plant, parameters, settings, 100, 5, 1)
+    assert ours.totals[STEPS] == theirs.steps
+    assert np.array_equal(ours.visits, theirs.visits)
+    assert np.array_equal(ours.Q, theirs.Q)
+    assert np.count_nonzero(ours.visits) > 100
+
+
 def test_episodes_that_last_are_cut_off_and_are_no_failure(pendulum):
     # Two steps cannot fail from upright at rest: nothing bad is ever seen.
     _, plant, parameters, constants = problem(
@@ -113,13 +140,18 @@ def test_without_a_mirror_every_step_is_one_visit(pendulum):
     assert progress.visits.sum() == progress.totals[STEPS]
 
 
-def test_with_a_mirror_the_table_is_symmetric_to_the_bit(pendulum):
-    _, plant, parameters, constants = problem(pendulum, "robust", "learning.episodes=60")
+@pytest.mark.parametrize("held", ["true", "false"])
+def test_with_a_mirror_the_table_is_symmetric_to_the_bit(pendulum, held):
+    _, plant, parameters, constants = problem(
+        pendulum, "robust", "learning.episodes=60", f"learning.held={held}"
+    )
     progress = trained(plant, parameters, constants, 60)
     image = [int(mirrored_box(box)) for box in range(270)]
     assert np.array_equal(progress.Q, progress.Q[image][:, ::-1])
     assert np.array_equal(progress.visits, progress.visits[image][:, ::-1])
-    assert progress.visits.sum() == 2 * progress.totals[STEPS]
+    # Every update has its image; an action that is held is updated once for all of its steps.
+    updates = progress.visits.sum() / 2
+    assert updates < progress.totals[STEPS] if held == "true" else updates == progress.totals[STEPS]
 
 
 @pytest.mark.parametrize("recipe", ["robust", "paper"])
@@ -128,7 +160,8 @@ def test_values_lie_between_failure_and_nothing(pendulum, recipe):
     progress = trained(plant, parameters, constants, 200)
     assert progress.Q.min() >= -1.0
     assert progress.Q.max() <= 0.0
-    assert progress.Q.min() < -0.5
+    # Failures have been seen: with the paper's alpha of 0.1 they weigh -0.1, -0.19, -0.27, ...
+    assert progress.Q.min() < -0.2
 
 
 # What the result depends on
@@ -291,4 +324,12 @@ def test_the_first_episodes_try_every_action(pendulum):
     _, plant, parameters, constants = problem(pendulum, "robust", "learning.episodes=100")
     visits = trained(plant, parameters, constants, 100).visits.sum(axis=0)
     # A table of zeros chooses among all alike: no action is forgotten or favoured by its place.
-    assert visits.min() > 0.05 * visits.sum()
+    # Half of the steps are taken with the favourites of the moment; an eighth of the rest is 6 %.
+    assert visits.min() > 0.02 * visits.sum()
+
+
+def test_what_comes_after_n_steps_is_discounted_n_times():
+    constants = learner(gamma=0.9)
+    assert discount(0, constants) == 1.0
+    assert discount(1, constants) == 0.9
+    assert discount(7, constants) == pytest.approx(np.prod([0.9] * 7), rel=1e-15)

@@ -9,14 +9,11 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from equipoise import paper
+from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, LASTED, TRACK
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, TABLE, act, policy_kernel
 from equipoise.control.yardsticks import lqr_gains
 from equipoise.learning.closed_loop import (
-    ANGLE,
-    CAUSES,
-    JOINT_LIMIT,
-    LASTED,
-    TRACK,
+    Variation,
     X,
     draw_noise,
     make_plant,
@@ -32,6 +29,7 @@ from equipoise.learning.trials import (
     run_over_cores,
     run_trials,
 )
+from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import LANES
 from equipoise.model.pendulum import PendulumParameters
@@ -40,12 +38,21 @@ from equipoise.settings import resolve
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 SETTINGS = resolve()
+NOMINAL = Variation(1.0, 1.0, 0.0, 1.0, 0.0)
+CONDITIONS = ("start", "inertia_factor", "friction_factor", "delay", "lag_factor", "zero")
 STREAMS = (SCREENING, FINAL_ROUND, TEST)
 
 
 @pytest.fixture(scope="module")
 def plant():
-    return make_plant(iiwa(14), SETTINGS, paper.STEP)
+    return make_plant(iiwa(14), SETTINGS, paper.STEP, PENDULUM)
+
+
+@pytest.fixture(scope="module", params=["ideal", "lag", "kst"])
+def any_plant(request):
+    """One plant with each kind of actuator."""
+    actuator = Actuator.assumed(request.param, delay=0.0125, lag=0.015)
+    return make_plant(iiwa(14), SETTINGS, paper.STEP, PENDULUM, actuator)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +97,7 @@ def run(plant, policy, count=100, workers=1, duration=1.0, seed=0, pendulum=PEND
 
 def test_the_conditions_of_a_trial_do_not_depend_on_how_many_there_are():
     few, many = drawn(7), drawn(1000)
-    for name in ("start", "inertia_factor", "friction_factor"):
+    for name in CONDITIONS:
         assert getattr(few, name).tobytes() == getattr(many, name)[:7].tobytes()
 
 
@@ -120,6 +127,25 @@ def test_plants_vary_normally_around_the_centre(spread):
         assert stats.kstest(stats.norm.cdf(scores), "uniform").pvalue > 1e-5
 
 
+@pytest.mark.parametrize("spread", [0.0, 1.0, 2.0])
+def test_rigs_vary_evenly_around_the_centre(spread):
+    overrides = ["plant.delay_spread=0.003", "plant.lag_spread=0.3", "plant.zero_error=0.004"]
+    trials = drawn(5000, spread=spread, settings=resolve(overrides=overrides))
+    for values, centre, width in [
+        (trials.delay, 0.0, 0.003),
+        (trials.lag_factor, 1.0, 0.3),
+        (trials.zero, 0.0, 0.004),
+    ]:
+        if spread == 0.0:
+            assert np.all(values == centre)
+            continue
+        shares = 0.5 + 0.5 * (values - centre) / (spread * width)
+        assert stats.kstest(shares, "uniform").pvalue > 1e-5
+    if spread:
+        columns = np.corrcoef([trials.delay, trials.lag_factor, trials.zero, trials.start[:, 2]])
+        assert np.abs(columns[np.triu_indices(4, 1)]).max() < 5 / sqrt(5000)
+
+
 def test_no_setting_makes_a_pendulum_without_inertia():
     settings = resolve(overrides=["plant.inertia_sigma=0.24", "plant.friction_sigma=0.9"])
     trials = drawn(10_000, spread=2.0, settings=settings)
@@ -133,7 +159,7 @@ def test_no_setting_makes_a_pendulum_without_inertia():
 @pytest.mark.parametrize("seed", [0, 1, 2**40, 2**63 - 1])
 def test_screening_final_round_and_test_share_no_trial(seed):
     rounds = [drawn(50, s, t) for s in (seed, seed - 1) if s >= 0 for t in STREAMS]
-    for name in ("start", "inertia_factor", "friction_factor"):
+    for name in CONDITIONS:
         numbers = np.concatenate([getattr(trials, name).ravel() for trials in rounds])
         numbers = numbers[numbers != 0.0]  # x and x_dot
         assert len(np.unique(numbers)) == len(numbers)
@@ -194,16 +220,16 @@ def test_noise_is_six_independent_standard_normal_numbers():
 
 @pytest.mark.compiled_only
 @pytest.mark.parametrize("kind", ["table", "linear", "snapped", "random"])
-def test_workers_do_not_change_a_bit(plant, kernels, kind):
-    alone = outcome(run(plant, kernels[kind], 150))
-    assert outcome(run(plant, kernels[kind], 150, workers=2)) == alone
-    assert outcome(run(plant, kernels[kind], 150, workers=3)) == alone
+def test_workers_do_not_change_a_bit(any_plant, kernels, kind):
+    alone = outcome(run(any_plant, kernels[kind], 150))
+    assert outcome(run(any_plant, kernels[kind], 150, workers=2)) == alone
+    assert outcome(run(any_plant, kernels[kind], 150, workers=3)) == alone
 
 
-def test_a_trial_gives_the_same_bits_alone_as_in_company(plant, kernels):
+def test_a_trial_gives_the_same_bits_alone_as_in_company(any_plant, kernels):
     together = drawn(40)
     longest = 60
-    arguments = (plant, new_block(), kernels["random"], PENDULUM)
+    arguments = (any_plant, new_block(), kernels["random"], PENDULUM)
     run_trials(*arguments, together, 0, 40, longest, 5, TEST)
     alone = drawn(40)
     for i in range(40):
@@ -222,33 +248,32 @@ def test_only_the_trials_asked_for_are_written(plant, kernels):
     assert np.flatnonzero(trials.steps >= 0).tolist() == [3, 4]
 
 
-def test_what_happened_in_a_block_before_does_not_matter(plant, kernels):
+def test_what_happened_in_a_block_before_does_not_matter(any_plant, kernels):
     used = new_block()
-    for array in used:
+    for array in (*used.memory, *used[1:]):
         array[:] = 7
     fresh, again = drawn(20), drawn(20)
     for block, trials in ((new_block(), fresh), (used, again)):
-        run_trials(plant, block, kernels["linear"], PENDULUM, trials, 0, 20, 50, 0, TEST)
+        run_trials(any_plant, block, kernels["linear"], PENDULUM, trials, 0, 20, 50, 0, TEST)
     assert outcome(again) == outcome(fresh)
 
 
 @given(
     phi=st.floats(-0.1, 0.1), phi_dot=st.floats(-1, 1), x=st.floats(-0.2, 0.2), u=st.floats(-2, 2)
 )
-def test_a_lane_does_not_see_its_neighbours(phi, phi_dot, x, u):
-    plant = make_plant(iiwa(14), SETTINGS, paper.STEP)
+def test_a_lane_does_not_see_its_neighbours(any_plant, phi, phi_dot, x, u):
     start = (x, 0.1, phi, phi_dot)
     rows = []
     for lanes, n in ((1, 0), (LANES, 0), (LANES, LANES - 1), (5, 3)):
         block = new_block()
         for other in range(lanes):
-            reset(plant, block, PENDULUM, (0.01 * other - 0.08, 0.0, 0.0, 0.0), other)
-        reset(plant, block, PENDULUM, start, n)
-        block.u[:] = -1.0
-        block.u[n] = u
+            reset(any_plant, block, PENDULUM, NOMINAL, (0.01 * other - 0.08, 0.0, 0.0, 0.0), other)
+        reset(any_plant, block, PENDULUM, NOMINAL, start, n)
+        block.memory.u[:] = -1.0
+        block.memory.u[n] = u
         for _ in range(5):
-            step(plant, block, lanes)
-        rows.append(block.state[n::LANES].tobytes() + block.q[n::LANES].tobytes())
+            step(any_plant, block, lanes)
+        rows.append(block.state[n::LANES].tobytes() + block.memory.q[n::LANES].tobytes())
     assert len(set(rows)) == 1
 
 
@@ -258,17 +283,17 @@ def test_a_lane_near_a_singularity_does_not_change_its_neighbours():
     arm = iiwa(14).model_copy(
         update={"home": tuple(radians(angle) for angle in (0, 30, 0, -70, 0, 80, 0))}
     )
-    plant = make_plant(arm, resolve(overrides=["clik.singular_share=0.5"]), paper.STEP)
+    plant = make_plant(arm, resolve(overrides=["clik.singular_share=0.5"]), paper.STEP, PENDULUM)
     alone, beside = new_block(), new_block()
     for block in (alone, beside):
-        reset(plant, block, PENDULUM, (0.0, 0.0, 0.01, 0.0), 0)
-        block.u[:] = 1.0
-    reset(plant, beside, PENDULUM, (0.19, 0.0, 0.0, 0.0), 1)
+        reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.01, 0.0), 0)
+        block.memory.u[:] = 1.0
+    reset(plant, beside, PENDULUM, NOMINAL, (0.19, 0.0, 0.0, 0.0), 1)
     for _ in range(20):
         step(plant, alone, 1)
         step(plant, beside, 2)
-    assert alone.damped[0] == 0 < beside.damped[0]
-    assert beside.q[::LANES].tobytes() == alone.q[::LANES].tobytes()
+    assert alone.memory.damped[0] == 0 < beside.memory.damped[0]
+    assert beside.memory.q[::LANES].tobytes() == alone.memory.q[::LANES].tobytes()
     assert beside.state[::LANES].tobytes() == alone.state[::LANES].tobytes()
 
 
@@ -283,16 +308,40 @@ class Obeys:
 
 
 @pytest.mark.parametrize("kind", ["table", "linear", "snapped"])
-def test_a_recorded_trial_is_the_trial_itself(plant, kernels, kind):
-    trials = run(plant, kernels[kind], 12, duration=0.8)
+def test_a_recorded_trial_is_the_trial_itself(any_plant, kernels, kind):
+    trials = run(any_plant, kernels[kind], 12, duration=0.8)
     for i in range(12):
-        own = scaled(PENDULUM, trials.inertia_factor[i], trials.friction_factor[i])
-        cause, rows = record_trial(
-            plant, Obeys(kernels[kind]), own, trials.start[i], 80, 0, TEST, i
-        )
+        policy = Obeys(kernels[kind])
+        cause, rows = record_trial(any_plant, policy, PENDULUM, trials, i, 80, 0, TEST)
         assert (cause, len(rows.u)) == (trials.cause[i], trials.steps[i])
         # x of each step but the first, and of the end, which the recording does not hold.
         assert np.sum(rows.state[1:, 0] ** 2) <= trials.sum_x2[i]
+
+
+def test_a_recording_tells_what_was_seen_from_what_there_was(any_plant, kernels):
+    trials = drawn(3)
+    trials.zero[1] = 0.005
+    _, rows = record_trial(any_plant, Obeys(kernels["linear"]), PENDULUM, trials, 1, 300, 0, TEST)
+    assert len(rows.u) == 300
+    for row, u in zip(rows.seen, rows.u, strict=True):
+        assert u == act(kernels["linear"], *row.tolist(), 0.0)
+    if not any_plant.controller.observes:
+        assert np.array_equal(rows.seen, rows.state)
+        assert np.array_equal(rows.estimate[:, :2], rows.state[:, 2:])
+        assert not rows.estimate[:, 2].any()
+        assert np.array_equal(rows.arm_q, rows.q)
+        return
+    # The estimate begins with the wrong zero, which goes over to the bias.
+    wrong = rows.estimate[:, 0] - rows.state[:, 2]
+    assert wrong[0] == pytest.approx(0.005, abs=1e-12)
+    assert abs(np.mean(wrong[-30:])) < 0.003
+    assert rows.estimate[-1, 2] > 0.002
+    # The arm comes some 30 ms after what it is told.
+    late = [
+        np.sum((rows.arm_q[20:] - rows.q[20 - ticks : len(rows.q) - ticks]) ** 2)
+        for ticks in range(8)
+    ]
+    assert 1 <= int(np.argmin(late)) <= 5
 
 
 @pytest.mark.parametrize("count", [1, 15, 16, 17, 64, 65])
@@ -326,7 +375,7 @@ def test_a_trial_lasts_so_many_steps_and_no_more(plant, kernels):
 def placed(plant, phi=0.0, x=0.0):
     """Return block and cause of the end after one step of a pendulum on which nothing acts."""
     block = new_block()
-    reset(plant, block, PendulumParameters(0.0, 0.0, 0.0), (x, 0.0, phi, 0.0), 0)
+    reset(plant, block, PendulumParameters(0.0, 0.0, 0.0), NOMINAL, (x, 0.0, phi, 0.0), 0)
     step(plant, block, 1)
     return block, int(block.cause[0])
 
@@ -343,9 +392,9 @@ def test_a_flange_on_the_limit_is_a_failure_and_one_just_within_is_not(plant, si
 
 
 def test_an_angle_is_told_before_the_track_and_the_track_before_a_joint(plant):
-    limits = plant.limits.copy()
+    limits = plant.controller.limits.copy()
     limits[0] += 10.0
-    strict = plant._replace(limits=limits)
+    strict = plant._replace(controller=plant.controller._replace(limits=limits))
     assert placed(strict, phi=0.3, x=0.23)[1] == ANGLE
     assert placed(strict, x=0.23)[1] == TRACK
     assert CAUSES[ANGLE] == "angle"

@@ -7,7 +7,8 @@ its own and is alone in it.
 
 The rules that the paper leaves open: so many episodes run side by side, in step; each acts by the
 table as it stands before the step; then they update it, the last one first. An episode that ends
-gives its place to the next, or, where none is left, to the last of those that run.
+gives its place to the next, or, where none is left, to the last of those that run. With `held` an
+action lasts as long as its box, and is updated once, over all the steps that it took.
 """
 
 from typing import NamedTuple
@@ -15,9 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from equipoise import paper
+from equipoise.control.boxes import LASTED
 from equipoise.learning.closed_loop import (
-    LASTED,
     Block,
+    Variation,
     draw_noise,
     new_block,
     reset,
@@ -27,6 +29,7 @@ from equipoise.model.elementary import LANES
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
+    TRAINING_ACTUATOR,
     TRAINING_EPISODE,
     TRAINING_NOISE,
     TRAINING_START,
@@ -53,7 +56,7 @@ class Episode:
     """One episode on a plant of its own."""
 
     def __init__(self, plant, pendulum, settings, seed, learner, number):
-        """Draw the pendulum and the start."""
+        """Draw the pendulum, the rig and the start."""
         self.plant, self.seed, self.learner, self.number = plant, seed, learner, number
         self.tick = 0
         self.block: Block = new_block()
@@ -74,19 +77,33 @@ class Episode:
             drag=pendulum.drag / I,
             linearised=pendulum.linearised,
         )
-        reset(plant, self.block, own, start, 0)
+        rig = settings.plant
+        w0, w1, w2, _ = philox(seed, 0, number, learner, TRAINING_ACTUATOR)
+        variation = Variation(
+            inertia_factor=1.0,  # the pendulum has them already
+            friction_factor=1.0,
+            delay=rig.delay_spread * (2.0 * w0 / 2**32 - 1.0),
+            lag_factor=1.0 + rig.lag_spread * (2.0 * w1 / 2**32 - 1.0),
+            zero=rig.zero_error * (2.0 * w2 / 2**32 - 1.0),
+        )
+        reset(plant, self.block, own, variation, start, 0)
         self.cell = self.place()
+        self.action, self.held = -1, 0
 
     def place(self):
-        """Return the intervals (i, j, k, m) that hold the state."""
-        x, x_dot, phi, phi_dot = (float(value) for value in self.block.state[: 4 * LANES : LANES])
+        """Return the intervals (i, j, k, m) that hold what the policy sees."""
+        x, x_dot, phi, phi_dot = (float(value) for value in self.block.memory.seen[::LANES])
+        # A prediction may lie beyond the limits, where no box is: it counts as just within.
+        x, phi = min(max(x, -0.2199), 0.2199), min(max(phi, -0.1919), 0.1919)
         return place(x, x_dot, phi, phi_dot)
 
-    def advance(self, action):
-        """Make one control step; tell whether it failed."""
+    def advance(self):
+        """Make one control step with its action; tell whether it failed."""
         tick, number = np.full(LANES, self.tick), np.full(LANES, self.number)
-        draw_noise(self.block.noise, self.seed, tick, number, self.learner, TRAINING_NOISE, 1)
-        self.block.u[0] = paper.ACTIONS[action]
+        draw_noise(
+            self.block.memory.noise, self.seed, tick, number, self.learner, TRAINING_NOISE, 1
+        )
+        self.block.memory.u[0] = paper.ACTIONS[self.action]
         step(self.plant, self.block, 1)
         self.tick += 1
         return self.block.cause[0] != LASTED
@@ -131,16 +148,25 @@ def train(plant, pendulum, settings, until, seed, learner):
 
     running = [begin() for _ in range(min(SIDE_BY_SIDE, s.episodes))]
     while ended < until:
-        actions = [int(choose(episode)) for episode in running]
-        failed = [episode.advance(a) for episode, a in zip(running, actions, strict=True)]
+        for episode in running:
+            if episode.held == 0:
+                episode.action = int(choose(episode))
+        failed = [episode.advance() for episode in running]
         steps += len(running)
         for n in reversed(range(len(running))):
             episode = running[n]
+            # r comes in the last of the steps that the action was held, max Q after it.
+            episode.held += 1
             if failed[n]:
-                learn(episode.cell, actions[n], s.reward_failure)
+                target = s.gamma ** (episode.held - 1) * s.reward_failure
+                learn(episode.cell, episode.action, target)
             else:
                 before, episode.cell = episode.cell, episode.place()
-                learn(before, actions[n], s.gamma * max(Q[episode.cell]))
+                if s.held and episode.cell == before and episode.tick < longest:
+                    continue
+                target = s.gamma**episode.held * max(Q[episode.cell])
+                learn(before, episode.action, target)
+                episode.held = 0
                 if episode.tick < longest:
                     continue
             ended += 1

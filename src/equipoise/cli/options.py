@@ -11,6 +11,7 @@ import typer
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
+    from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
 
@@ -96,6 +97,14 @@ Workers = Annotated[
 ArmName = Annotated[
     str, typer.Option("--arm", metavar="ARM", help="iiwa7, iiwa14, or an arm's URDF file.")
 ]
+ActuatorFile = Annotated[
+    str | None,
+    typer.Option(
+        "--actuator",
+        metavar="FILE",
+        help="From equipoise identify RUN.mcap, or ideal; by default the one that ships.",
+    ),
+]
 Held = Annotated[
     str | None,
     typer.Option(
@@ -127,6 +136,27 @@ def read_pendulum(path: Path | None) -> "Pendulum":
             f"equipoise identify {shlex.quote(str(path))}"
         )
     return Pendulum.load(path)
+
+
+def read_actuator(name: str | None) -> "Actuator | None":
+    """Return the actuator that `--actuator` names; none where it is not given.
+
+    Raises:
+        InputError: The file is no actuator.
+    """
+    from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
+
+    if name is None:
+        return None
+    if name == "ideal":
+        return IDEAL_ACTUATOR
+    path = Path(name)
+    if path.suffix.lower() == ".mcap":
+        raise InputError(
+            f"{path} is a run log, expected an actuator; make one of it: "
+            f"equipoise identify {shlex.quote(name)}"
+        )
+    return Actuator.load(path)
 
 
 def read_arm(

@@ -8,6 +8,7 @@ import typer
 
 from equipoise.cli.options import (
     IN_AND_OUT,
+    ActuatorFile,
     ArmName,
     Base,
     Held,
@@ -19,6 +20,7 @@ from equipoise.cli.options import (
     Workers,
     available_workers,
     check_output,
+    read_actuator,
     read_arm,
     read_pendulum,
 )
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from equipoise.control.policy import LearningPoint, TabularPolicy
+    from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
     from equipoise.settings import Settings
@@ -44,6 +47,7 @@ def train(
         ),
     ] = None,
     arm: ArmName = "iiwa7",
+    actuator: ActuatorFile = None,
     recipe: Annotated[
         str,
         typer.Option(metavar="NAME", help="robust, or paper: the barest reading of its text."),
@@ -90,11 +94,15 @@ def train(
     resolved = resolve(recipe, settings_file, chosen)
     source = read_pendulum(pendulum)
     machine = read_arm(arm, held, base, tip)
+    response = read_actuator(actuator)
     begin = time.perf_counter()
-    policies, speed = _train(output, source, machine, resolved, seeds, seed, recipe, workers)
+    policies, speed = _train(
+        output, source, machine, response, resolved, seeds, seed, recipe, workers
+    )
     wall = time.perf_counter() - begin
     best = policies[0]
-    best.save(out, command="train", inputs={"pendulum": source.digest})
+    inputs = {"pendulum": source.digest, "actuator": best.actuator.digest}
+    best.save(out, command="train", inputs=inputs)
     _say(output, policies, wall, speed)
     output.wrote(out)
     output.next("evaluate", out)
@@ -116,6 +124,7 @@ def _train(
     output: Output,
     pendulum: "Pendulum",
     arm: "Arm",
+    actuator: "Actuator | None",
     settings: "Settings",
     seeds: int,
     seed: int,
@@ -146,6 +155,7 @@ def _train(
             arm,
             settings,
             learners=seeds,
+            actuator=actuator,
             seed=seed,
             recipe=recipe,
             workers=available_workers(workers),

@@ -27,6 +27,13 @@ SHAPE: Final = (6, 5, 3, 3)
 COUNT: Final = 270
 ACTIONS: Final = len(paper.ACTIONS)
 
+LASTED: Final = 0
+ANGLE: Final = 1
+TRACK: Final = 2
+JOINT_LIMIT: Final = 3
+CAUSES: Final = ("lasted", "angle", "track", "joint limit")
+"""How a trial ends, by code: the outer limits are where a failure is declared."""
+
 
 class Axis(NamedTuple):
     """The inner edges of one axis."""

@@ -5,8 +5,9 @@ The compiled loops call `act`, with a `PolicyKernel` made from a table or from a
 """
 
 import functools
+from collections.abc import Callable, Mapping
 from importlib import resources
-from typing import ClassVar, Final, Literal, NamedTuple, Protocol, Self
+from typing import Any, ClassVar, Final, NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from equipoise.artefacts import Artefact, Value
 from equipoise.compiled import kernel
 from equipoise.control import boxes
 from equipoise.control.boxes import BoxDescription, Boxes, box_index
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import Settings
@@ -131,11 +133,28 @@ class Candidate(Value):
     """What was compared: mean duration over the longest possible, less a penalty on rms_x."""
 
 
+def with_first_settings(body: dict[str, Any]) -> dict[str, Any]:
+    """Return the body of a file of version 1 with what its settings could not say yet.
+
+    The arm was where it was sent, and an action lasted one step; all else that is new acts behind
+    an actuator only.
+    """
+    settings = body["settings"]
+    plant = settings["plant"] | {"ideal": True}
+    learning = settings["learning"] | {"held": False}
+    return body | {"settings": settings | {"plant": plant, "learning": learning}}
+
+
 class TabularPolicy(Artefact):
     """A trained table and all that is needed to run it and to train it again."""
 
     FORMAT: ClassVar[str] = "equipoise-policy"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
+    UPGRADES: ClassVar[Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]]] = {
+        1: lambda body: (
+            with_first_settings(body) | {"actuator": IDEAL_ACTUATOR.model_dump(mode="json")}
+        )
+    }
 
     boxes: BoxDescription
     """The boxes, in the paper's notation."""
@@ -151,8 +170,8 @@ class TabularPolicy(Artefact):
     """The pendulum it was trained for."""
     arm: Arm
     """The arm it was trained on, with its home posture."""
-    actuator: Literal["ideal"] = "ideal"
-    """The actuator it was trained with."""
+    actuator: Actuator
+    """How the arm followed its setpoints in the training."""
     recipe: str
     """Name of the training recipe."""
     settings: Settings

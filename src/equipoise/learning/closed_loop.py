@@ -1,33 +1,63 @@
-"""The closed loop: one control step of arm and pendulum.
+"""The closed loop: one control step of controller, arm and pendulum.
 
 A step of h = 0.01 s goes: u -> CLIK -> joint motion -> tracked acceleration u' -> pendulum. The
-reference moves along base x only; u' = n^T Gamma' is the change of the flange's velocity along x
+reference moves along base x only; u' is the change of the velocity of the pendulum's pivot along x
 over the step, divided by h, and drives the pendulum (section 3.2). Noise is the paper's: on I and b
 once per episode, on the pose error e in every step.
+
+With the actuator `ideal`, the paper's, the arm is where it is sent and the state is known. With any
+other the setpoints take effect after a delay, joint by joint through servo and drive, an encoder
+counts with a wrong zero, and the policy sees what the controller makes of it
+(`equipoise.control.controller`). Delay, lags and zero differ from episode to episode.
 
 Kernels advance a block of independent states at once, one to a lane (`equipoise.model.elementary`).
 Training, evaluation, the recorded run and any policy written in Python call the `step` below; what
 happens in a lane does not depend on the others.
 """
 
+from math import floor, pi
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
-from equipoise.control.boxes import Boxes, box_index, boxes
-from equipoise.control.clik import (
-    GAMMA,
-    REFERENCE_SIZE,
-    ClikParameters,
-    joint_acceleration,
-    manipulability,
-    pose_error,
-    solve,
+from equipoise.control.boxes import (
+    ANGLE,
+    JOINT_LIMIT,
+    LASTED,
+    TRACK,
+    Boxes,
+    box_index,
+    boxes,
 )
-from equipoise.errors import ArmError
-from equipoise.model.arms.arm import FRAME_SIZE, POSITION, TWIST, Arm, KinematicsFunction
+from equipoise.control.clik import pose_error
+from equipoise.control.controller import (
+    PHI_DOT_SEEN,
+    PHI_SEEN,
+    SETPOINTS,
+    X_DOT_SEEN,
+    X_SEEN,
+    Controller,
+    Memory,
+    begin,
+    command,
+    copy_memory,
+    copy_rows,
+    make_controller,
+    new_memory,
+    observe,
+    pivot_velocity,
+)
+from equipoise.model.actuator import (
+    CYCLE,
+    IDEAL_ACTUATOR,
+    Actuator,
+    follow,
+    lag_share,
+    steady_error,
+)
+from equipoise.model.arms.arm import FRAME_SIZE, FREE_JOINTS, POSITION, TWIST, Arm
 from equipoise.model.elementary import LANES, at, put, sincos
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.model.pendulum import step as pendulum_step
@@ -36,18 +66,9 @@ from equipoise.settings import Settings
 
 Array = npt.NDArray[np.float64]
 
-LASTED: Final = 0
-ANGLE: Final = 1
-TRACK: Final = 2
-JOINT_LIMIT: Final = 3
-CAUSES: Final = ("lasted", "angle", "track", "joint limit")
-"""How a trial ends, by code."""
-
-LEAST_MANIPULABILITY: Final = 1e-6
-"""Below this |det J| [m^3] a home posture counts as singular; an iiwa at home has 0.09."""
 LEAST_INERTIA_FACTOR: Final = 0.1
-POSE_ITERATIONS: Final = 20
-POSE_TOLERANCE: Final = 1e-12
+SENT: Final = 32
+"""Setpoints that may be under way to the arm."""
 
 # Rows of the block of states.
 X: Final = 0
@@ -63,18 +84,8 @@ PARAMETERS: Final = 5
 class Plant(NamedTuple):
     """What does not change during an episode."""
 
-    kinematics: KinematicsFunction
-    """The arm's kinematics."""
-    clik: ClikParameters
-    """Gains and damping."""
-    limits: Array
-    """Lower, upper, velocity and acceleration limits of the free joints, shape (4, 6)."""
-    home: Array
-    """Free joints at x = 0 [rad], shape (6,)."""
-    home_reference: Array
-    """Pose of the flange at home, at rest, as a reference, shape (24,)."""
-    h: float
-    """Time step [s]."""
+    controller: Controller
+    """What turns u into setpoints, and measurements into what the policy sees."""
     phi_limit: float
     """|phi| of failure [rad]."""
     x_limit: float
@@ -87,77 +98,84 @@ class Plant(NamedTuple):
     """Whether the pendulum is that of equation (7)."""
 
 
+class Variation(NamedTuple):
+    """How the plant of one episode differs from the nominal one."""
+
+    inertia_factor: float
+    """On I."""
+    friction_factor: float
+    """On b."""
+    delay: float
+    """Added to the transport delay [s]."""
+    lag_factor: float
+    """On the lags of the joints."""
+    zero: float
+    """What the encoder reads too much of phi [rad]."""
+
+
 class Block(NamedTuple):
     """The states of `LANES` closed loops, which a step changes in place; each a block of rows."""
 
-    q: Array
-    """Free joints [rad], 6 rows."""
-    dq: Array
-    """Their velocities [rad/s], 6 rows."""
-    ddq: Array
-    """Their accelerations over the last step [rad/s^2], 6 rows."""
-    frame: Array
-    """Record of the kinematics at q, dq."""
-    reference: Array
-    """Record of where the flange shall be."""
-    e: Array
-    """Room for the pose error, 6 rows."""
-    noise: Array
-    """Standard normal numbers for the next step, 6 rows."""
+    memory: Memory
+    """What the controllers know."""
     pendula: Array
     """Numbers of `PendulumParameters`, 5 rows."""
     state: Array
     """x, x_dot, phi, phi_dot, and u' of the last step, in SI units, 5 rows."""
-    u: Array
-    """Commanded acceleration of the next step [m/s^2], 1 row."""
     cause: npt.NDArray[np.int64]
     """Cause of failure in the last step, 1 row."""
-    damped: npt.NDArray[np.int64]
-    """How often the inverse was damped near a singularity, in all lanes, shape (1,)."""
+    q: Array
+    """Free joints of the arm [rad], 6 rows; with an ideal actuator they are the commanded ones, and
+    not kept here. So for what follows."""
+    dq: Array
+    """Their velocities [rad/s], 6 rows."""
+    frame: Array
+    """Record of the kinematics there."""
+    share: Array
+    """What the lag of a joint takes up in a servo cycle, 6 rows."""
+    target: Array
+    """Room for the setpoints in force, 6 rows."""
+    sent: Array
+    """The last `SENT` setpoints, 6 rows each."""
+    newest: npt.NDArray[np.int64]
+    """Which of them is the newest, shape (1,)."""
+    delay: npt.NDArray[np.int64]
+    """Transport delay of each lane [servo cycles], 1 row."""
+    zero: Array
+    """What the encoder reads too much of phi [rad], 1 row."""
 
 
-def make_plant(arm: Arm, settings: Settings, h: float) -> Plant:
+def make_plant(
+    arm: Arm,
+    settings: Settings,
+    h: float,
+    pendulum: PendulumParameters,
+    actuator: Actuator = IDEAL_ACTUATOR,
+) -> Plant:
     """Return the constants of a plant for compiled loops.
 
     Args:
         arm: The arm with its home posture.
-        settings: Gains and noise.
+        settings: Gains, controller and noise.
         h: Time step [s].
+        pendulum: What the controller knows of the pendulum.
+        actuator: What the controller knows of the arm's response, and the middle of what it meets.
 
     Raises:
         ArmError: Home is a singular posture.
+        SettingsError: The delay is longer than the controller remembers.
     """
-    kernel_arm = arm.compiled()
-    q, frame = np.zeros(6 * LANES), np.zeros(FRAME_SIZE * LANES)
-    q[::LANES] = arm.home_free
-    kernel_arm.kinematics(q, np.zeros(6 * LANES), frame, 1)
-    w = float(manipulability(frame, 0))
-    if w < LEAST_MANIPULABILITY:
-        raise ArmError(
-            f"the home posture of {arm.name} is singular (|det J| = {w:.1e} m^3); choose another"
-        )
     limits = boxes()
-    wrist_x, wrist_y, wrist_z = (float(value) for value in kernel_arm.wrist)
     return Plant(
-        kinematics=kernel_arm.kinematics,
-        clik=ClikParameters(
-            K_p=settings.clik.K_p,
-            K_d=settings.clik.K_d,
-            w_0=settings.clik.singular_share * w,
-            lambda_0=settings.clik.damping,
-            wrist=(wrist_x, wrist_y, wrist_z),
+        controller=make_controller(
+            arm,
+            settings,
+            actuator,
+            pendulum,
+            h=h,
+            counts_per_rev=settings.plant.counts_per_rev,
+            observes=actuator.kind != "ideal",
         ),
-        limits=np.array(
-            [
-                kernel_arm.lower,
-                kernel_arm.upper,
-                kernel_arm.max_velocity,
-                kernel_arm.max_acceleration,
-            ]
-        ),
-        home=arm.home_free,
-        home_reference=frame[: REFERENCE_SIZE * LANES : LANES].copy(),
-        h=h,
         phi_limit=limits.phi_limit,
         x_limit=limits.x_limit,
         position_noise=settings.plant.position_error_sigma,
@@ -168,11 +186,24 @@ def make_plant(arm: Arm, settings: Settings, h: float) -> Plant:
 
 def new_block() -> Block:
     """Return a block for `reset`."""
-    rows = (6, 6, 6, FRAME_SIZE, REFERENCE_SIZE, 6, 6, PARAMETERS, STATE_SIZE, 1)
+
+    def rows(count: int) -> Array:
+        return np.zeros(count * LANES)
+
     return Block(
-        *(np.zeros(count * LANES) for count in rows),
+        memory=new_memory(),
+        pendula=rows(PARAMETERS),
+        state=rows(STATE_SIZE),
         cause=np.zeros(LANES, np.int64),
-        damped=np.zeros(1, np.int64),
+        q=rows(6),
+        dq=rows(6),
+        frame=rows(FRAME_SIZE),
+        share=rows(6),
+        target=rows(6),
+        sent=rows(6 * SENT),
+        newest=np.zeros(1, np.int64),
+        delay=np.zeros(LANES, np.int64),
+        zero=rows(1),
     )
 
 
@@ -181,125 +212,136 @@ def reset(
     plant: Plant,
     block: Block,
     pendulum: PendulumParameters,
+    variation: Variation,
     start: tuple[float, float, float, float],
     n: int,
 ) -> None:
-    """Place lane `n` at a state: the arm on its track without error, the pendulum as given.
+    """Place lane `n` at a state: the arm moving steadily on its track, the pendulum as given.
 
     Args:
         plant: Constants.
         block: Changed in place.
-        pendulum: Physical parameters of this lane until its next reset.
+        pendulum: The centre of what varies.
+        variation: What is different in this lane until its next reset.
         start: Displacement of the flange from home along base x [m], its velocity [m/s], angle of
             the pendulum from upright [rad] and its angular velocity [rad/s].
         n: Lane.
     """
+    controller, memory = plant.controller, block.memory
     x, x_dot, phi, phi_dot = start
-    # The arm is placed in the first lane of blocks of its own, by Newton's method.
-    q, dq, dy = np.zeros(6 * LANES), np.zeros(6 * LANES), np.zeros(6 * LANES)
-    e, frame = np.zeros(6 * LANES), np.zeros(FRAME_SIZE * LANES)
-    reference = np.zeros(REFERENCE_SIZE * LANES)
-    for i in range(REFERENCE_SIZE):
-        put(reference, i, 0, plant.home_reference[i])
-        put(block.reference, i, n, plant.home_reference[i])
-    for i in range(6):
-        put(q, i, 0, plant.home[i])
-    put(reference, POSITION, 0, plant.home_reference[POSITION] + x)
-    for _ in range(POSE_ITERATIONS):
-        plant.kinematics(q, dq, frame, 1)
-        error = pose_error(frame, reference, 0)
-        largest = 0.0
-        for i in range(6):
-            put(e, i, 0, error[i])
-            largest = max(largest, abs(error[i]))
-        if largest < POSE_TOLERANCE:
-            break
-        solve(frame, e, plant.clik, dy, 1)
-        q += dy
-    e[:] = 0.0
-    put(e, 0, 0, x_dot)
-    solve(frame, e, plant.clik, dq, 1)
-    plant.kinematics(q, dq, frame, 1)
-    for i in range(6):
-        put(block.q, i, n, at(q, i, 0))
-        put(block.dq, i, n, at(dq, i, 0))
-        put(block.ddq, i, n, 0.0)
-    for i in range(FRAME_SIZE):
-        put(block.frame, i, n, at(frame, i, 0))
-    put(block.reference, POSITION, n, at(reference, POSITION, 0))
-    put(block.reference, TWIST, n, x_dot)
-    put(block.pendula, 0, n, pendulum.w2)
-    put(block.pendula, 1, n, pendulum.k)
-    put(block.pendula, 2, n, pendulum.c)
-    put(block.pendula, 3, n, pendulum.coulomb)
-    put(block.pendula, 4, n, pendulum.drag)
-    put(block.state, X, n, at(frame, POSITION, 0) - plant.home_reference[POSITION])
-    put(block.state, X_DOT, n, at(frame, TWIST, 0))
+    zero = variation.zero if controller.observes else 0.0
+    begin(controller, memory, x, x_dot, phi + zero, phi_dot, n)
+    own = scaled(pendulum, variation.inertia_factor, variation.friction_factor)
+    put(block.pendula, 0, n, own.w2)
+    put(block.pendula, 1, n, own.k)
+    put(block.pendula, 2, n, own.c)
+    put(block.pendula, 3, n, own.coulomb)
+    put(block.pendula, 4, n, own.drag)
+    put(block.state, X, n, at(memory.frame, POSITION, n) - controller.home_reference[POSITION])
+    put(block.state, X_DOT, n, at(memory.frame, TWIST, n))
     put(block.state, PHI, n, phi)
     put(block.state, PHI_DOT, n, phi_dot)
     put(block.state, TRACKED, n, 0.0)
     block.cause[n] = LASTED
+    if not controller.observes:
+        return
+    delay = max(controller.delay + variation.delay, 0.0)
+    block.delay[n] = round(delay / CYCLE)
+    put(block.zero, 0, n, zero)
+    apart = controller.h / SETPOINTS
+    for i in range(FREE_JOINTS):
+        dq, lag = at(memory.dq, i, n), controller.lags[i] * variation.lag_factor
+        behind = dq * delay + steady_error(dq, lag, controller.actuator)
+        put(block.q, i, n, at(memory.q, i, n) - behind)
+        put(block.dq, i, n, dq)
+        put(block.share, i, n, lag_share(lag))
+        for j in range(SENT):
+            row = 6 * ((block.newest[0] - j) % SENT)
+            put(block.sent, row + i, n, at(memory.q, i, n) - j * apart * dq)
+    for i in range(FRAME_SIZE):
+        put(block.frame, i, n, at(memory.frame, i, n))
 
 
 @kernel
 def step(plant: Plant, block: Block, lanes: int) -> None:
-    """Advance arm and pendulum of the first lanes by one time step.
+    """Advance controller, arm and pendulum of the first lanes by one time step.
 
-    Reads `block.u` and `block.noise`; everything else of the block is brought up to date, with the
-    cause of failure of each lane, `LASTED` if none.
+    Reads `memory.u` and standard normal numbers in `memory.noise`; everything else of the block is
+    brought up to date, with the cause of failure of each lane, `LASTED` if none.
 
     Args:
         plant: Constants.
         block: Changed in place.
         lanes: How many lanes.
     """
-    q, dq, ddq, frame, reference, e, noise, pendula, state, u, cause, damped = block
-    h, limits, home_x = plant.h, plant.limits, plant.home_reference[POSITION]
-    sigma_p, sigma_o = plant.position_noise, plant.orientation_noise
-    for n in range(lanes):
-        e0, e1, e2, e3, e4, e5 = pose_error(frame, reference, n)
-        put(e, 0, n, e0 + sigma_p * at(noise, 0, n))
-        put(e, 1, n, e1 + sigma_p * at(noise, 1, n))
-        put(e, 2, n, e2 + sigma_p * at(noise, 2, n))
-        put(e, 3, n, e3 + sigma_o * at(noise, 3, n))
-        put(e, 4, n, e4 + sigma_o * at(noise, 4, n))
-        put(e, 5, n, e5 + sigma_o * at(noise, 5, n))
-        put(reference, GAMMA, n, u[n])
-    damped[0] += joint_acceleration(frame, reference, e, plant.clik, ddq, lanes)
-    for n in range(lanes):
-        cause[n] = LASTED
-        # u' starts as minus the velocity before the step.
-        put(state, TRACKED, n, -at(frame, TWIST, n))
-        move = at(reference, TWIST, n) * h + 0.5 * u[n] * h * h
-        put(reference, POSITION, n, at(reference, POSITION, n) + move)
-        put(reference, TWIST, n, at(reference, TWIST, n) + u[n] * h)
+    controller, memory, state, cause = plant.controller, block.memory, block.state, block.cause
+    noise, h, home_x = memory.noise, controller.h, controller.home_reference[POSITION]
     for i in range(6):
-        lower, upper = limits[0, i], limits[1, i]
-        max_velocity, max_acceleration = limits[2, i], limits[3, i]
+        sigma = plant.position_noise if i < 3 else plant.orientation_noise
         for n in range(lanes):
-            a, v = at(ddq, i, n), at(dq, i, n)
-            angle = at(q, i, n) + v * h + 0.5 * a * h * h
-            v += a * h
-            put(q, i, n, angle)
-            put(dq, i, n, v)
-            within = (
-                (lower <= angle)
-                & (angle <= upper)
-                & (abs(v) <= max_velocity)
-                & (abs(a) <= max_acceleration)
-            )
-            cause[n] = cause[n] if within else JOINT_LIMIT
-    plant.kinematics(q, dq, frame, lanes)
+            put(noise, i, n, sigma * at(noise, i, n))
+    frame = memory.frame
+    if controller.observes:
+        frame = block.frame
     for n in range(lanes):
-        tracked = (at(frame, TWIST, n) + at(state, TRACKED, n)) / h
-        put(state, TRACKED, n, tracked)
+        # u' starts as minus the velocity before the step.
+        put(state, TRACKED, n, -pivot_velocity(frame, controller.pivot, n))
+    command(controller, memory, lanes)
+    if controller.observes:
+        move_arms(controller, block, lanes)
+    for n in range(lanes):
+        v = pivot_velocity(frame, controller.pivot, n)
+        put(state, TRACKED, n, (v + at(state, TRACKED, n)) / h)
         put(state, X, n, at(frame, POSITION, n) - home_x)
         put(state, X_DOT, n, at(frame, TWIST, n))
-    advance_pendula(state, pendula, h, plant.linearised, lanes)
+    advance_pendula(state, block.pendula, h, plant.linearised, lanes)
     for n in range(lanes):
+        within = JOINT_LIMIT if memory.beyond[n] else LASTED
         on_track = abs(at(state, X, n)) < plant.x_limit
         upright = abs(at(state, PHI, n)) < plant.phi_limit
-        cause[n] = (cause[n] if on_track else TRACK) if upright else ANGLE
+        cause[n] = (within if on_track else TRACK) if upright else ANGLE
+    if controller.observes:
+        measure(controller, block, lanes)
+        observe(controller, memory, 0.0, 0.0, lanes)
+    else:
+        for i in range(4):
+            for n in range(lanes):
+                put(memory.seen, i, n, at(state, i, n))
+
+
+@kernel
+def move_arms(controller: Controller, block: Block, lanes: int) -> None:
+    """Send the setpoints of the tick, and move the arms of the first lanes by one tick."""
+    sent, target, setpoints, delay = block.sent, block.target, block.memory.setpoints, block.delay
+    cycles = round(controller.h / SETPOINTS / CYCLE)
+    for s in range(SETPOINTS):
+        block.newest[0] = (block.newest[0] + 1) % SENT
+        row = 6 * block.newest[0]
+        for i in range(6):
+            for n in range(lanes):
+                put(sent, row + i, n, at(setpoints, 6 * s + i, n))
+    # The newest but SETPOINTS - 1 was sent at the tick; a setpoint from before is older by one.
+    at_tick = block.newest[0] - (SETPOINTS - 1)
+    for cycle in range(SETPOINTS * cycles):
+        for n in range(lanes):
+            row = 6 * ((at_tick + (cycle - delay[n]) // cycles) % SENT)
+            for i in range(6):
+                put(target, i, n, at(sent, row + i, n))
+        follow(block.q, block.dq, target, block.share, controller.actuator, lanes)
+    controller.kinematics(block.q, block.dq, block.frame, lanes)
+
+
+@kernel
+def measure(controller: Controller, block: Block, lanes: int) -> None:
+    """Write what encoder and joints show to the controllers of the first lanes."""
+    memory, state, frame, zero = block.memory, block.state, block.frame, block.zero
+    for n in range(lanes):
+        tilt = -pose_error(frame, memory.reference, n)[4]
+        theta = pi - (at(state, PHI, n) - tilt + at(zero, 0, n))
+        put(memory.counts, 0, n, floor(theta / controller.resolution + 0.5))
+    for i in range(6):
+        for n in range(lanes):
+            put(memory.measured, i, n, at(block.q, i, n))
 
 
 @kernel
@@ -381,28 +423,30 @@ def draw_noise(
 
 
 @inlined
-def box_of(state: Array, boxes: Boxes, n: int) -> int:
-    """Return the box of lane `n`."""
+def box_of(seen: Array, boxes: Boxes, n: int) -> int:
+    """Return the box of what the policy of lane `n` sees."""
     return box_index(
-        at(state, X, n), at(state, X_DOT, n), at(state, PHI, n), at(state, PHI_DOT, n), boxes
+        at(seen, X_SEEN, n),
+        at(seen, X_DOT_SEEN, n),
+        at(seen, PHI_SEEN, n),
+        at(seen, PHI_DOT_SEEN, n),
+        boxes,
     )
 
 
 @kernel
 def copy_lane(block: Block, source: int, target: int) -> None:
     """Copy the state of one lane to another, which closes the gap that a finished one leaves."""
-    for i in range(6):
-        put(block.q, i, target, at(block.q, i, source))
-        put(block.dq, i, target, at(block.dq, i, source))
-        put(block.ddq, i, target, at(block.ddq, i, source))
-    for i in range(FRAME_SIZE):
-        put(block.frame, i, target, at(block.frame, i, source))
-    for i in range(REFERENCE_SIZE):
-        put(block.reference, i, target, at(block.reference, i, source))
-    for i in range(PARAMETERS):
-        put(block.pendula, i, target, at(block.pendula, i, source))
-    for i in range(STATE_SIZE):
-        put(block.state, i, target, at(block.state, i, source))
+    copy_memory(block.memory, source, target)
+    copy_rows(block.pendula, source, target)
+    copy_rows(block.state, source, target)
+    copy_rows(block.q, source, target)
+    copy_rows(block.dq, source, target)
+    copy_rows(block.frame, source, target)
+    copy_rows(block.share, source, target)
+    copy_rows(block.sent, source, target)
+    copy_rows(block.delay, source, target)
+    copy_rows(block.zero, source, target)
     block.cause[target] = block.cause[source]
 
 

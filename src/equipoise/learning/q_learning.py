@@ -2,6 +2,11 @@ r"""Tabular Q-learning over the full closed loop: the paper's equation (1).
 
 .. math:: Q(s, a) = (1 - \alpha) Q(s, a) + \alpha (r + \gamma \max_{a'} Q(s', a'))
 
+With `held` an action lasts until the state leaves its box, n steps, and is updated then, with
+gamma^n in place of gamma: the update of a semi-Markov process (Bradtke & Duff 1994), of which
+equation (1) is the case n = 1. Within a box nothing changes that the table could see, so a greedy
+policy holds its action anyway.
+
 One compiled loop runs whole episodes, `LANES` of them at once, all learning on the one table: in
 each step every lane acts by the table as it stands, then the updates are made one after the other.
 A failure is terminal, so its target is the reward alone. With `mirrored`, the mirror image of each
@@ -15,23 +20,23 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
-from equipoise.control.boxes import ACTIONS, COUNT, Boxes, mirrored_box
+from equipoise.control.boxes import ACTIONS, COUNT, LASTED, Boxes, mirrored_box
 from equipoise.learning.closed_loop import (
-    LASTED,
     Block,
     Plant,
+    Variation,
     box_of,
     copy_lane,
     draw_noise,
     new_block,
     reset,
-    scaled,
     step,
 )
 from equipoise.model.elementary import LANES
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
+    TRAINING_ACTUATOR,
     TRAINING_EPISODE,
     TRAINING_NOISE,
     TRAINING_START,
@@ -64,10 +69,14 @@ class Learner(NamedTuple):
     epsilon_until: float
     reward_failure: float
     mirrored: bool
+    held: bool
     start: tuple[float, float, float, float]
     """Half widths of x, x_dot, phi, phi_dot at the start."""
     inertia_sigma: float
     friction_sigma: float
+    delay_spread: float
+    lag_spread: float
+    zero_error: float
     boxes: Boxes
     actions: tuple[float, ...]
     """Accelerations [m/s^2]."""
@@ -87,6 +96,13 @@ def exploration(episode: int, learner: Learner) -> float:
         return learner.epsilon_initial
     done = episode / (learner.epsilon_until * learner.episodes)
     return learner.epsilon_initial * max(0.0, 1.0 - done)
+
+
+@inlined
+def discount(steps: int, learner: Learner) -> float:
+    """Return gamma to the power of a number of steps."""
+    # As a float: Numba's power of whole numbers rounds otherwise than Python's.
+    return learner.gamma ** float(steps)
 
 
 @inlined
@@ -131,7 +147,7 @@ def update(
         visits: Updates so far, shape (270, 8), changed in place.
         box: Box of the state s.
         action: Index of the action a.
-        target: r + gamma max Q(s', a'), or r alone after a failure.
+        target: r + gamma max Q(s', a'), or r alone after a failure; discounted from its time.
         learner: Constants.
     """
     alpha = learning_rate(visits[box, action], learner)
@@ -158,6 +174,10 @@ class Progress(NamedTuple):
     """Its step, shape (LANES,)."""
     box: npt.NDArray[np.int64]
     """Its box, shape (LANES,)."""
+    action: npt.NDArray[np.int64]
+    """Index of its action, shape (LANES,)."""
+    held: npt.NDArray[np.int64]
+    """Steps for which it has been held in this box, shape (LANES,)."""
     totals: npt.NDArray[np.int64]
     """Episodes begun, episodes ended, lanes in use, steps, steps of ended episodes; shape (5,)."""
 
@@ -171,6 +191,8 @@ def new_progress() -> Progress:
         episode=np.zeros(LANES, np.int64),
         tick=np.zeros(LANES, np.int64),
         box=np.zeros(LANES, np.int64),
+        action=np.zeros(LANES, np.int64),
+        held=np.zeros(LANES, np.int64),
         totals=np.zeros(5, np.int64),
     )
 
@@ -189,10 +211,13 @@ def begin_episode(
     episode = progress.totals[BEGUN]
     w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_EPISODE)
     inertia_noise, friction_noise = normal_pair(w0, w1)
-    own = scaled(
-        pendulum,
+    w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_ACTUATOR)
+    variation = Variation(
         1.0 + learner.inertia_sigma * inertia_noise,
         1.0 + learner.friction_sigma * friction_noise,
+        uniform(w0, -learner.delay_spread, learner.delay_spread),
+        uniform(w1, 1.0 - learner.lag_spread, 1.0 + learner.lag_spread),
+        uniform(w2, -learner.zero_error, learner.zero_error),
     )
     w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_START)
     x, x_dot, phi, phi_dot = learner.start
@@ -202,10 +227,10 @@ def begin_episode(
         uniform(w2, -phi, phi),
         uniform(w3, -phi_dot, phi_dot),
     )
-    reset(plant, progress.block, own, start, n)
+    reset(plant, progress.block, pendulum, variation, start, n)
     progress.episode[n] = episode
-    progress.tick[n] = 0
-    progress.box[n] = box_of(progress.block.state, learner.boxes, n)
+    progress.tick[n] = progress.held[n] = 0
+    progress.box[n] = box_of(progress.block.memory.seen, learner.boxes, n)
     progress.totals[BEGUN] += 1
 
 
@@ -232,35 +257,40 @@ def train_episodes(
         seed: Master seed.
         number: Which learner of that seed; each has random numbers of its own.
     """
-    Q, visits, block, episode, tick, box, totals = progress
-    state, u, cause = block.state, block.u, block.cause
-    action = np.zeros(LANES, np.int64)
+    Q, visits, block, episode, tick, box, action, held, totals = progress
+    memory, cause = block.memory, block.cause
+    seen, u = memory.seen, memory.u
     lanes = totals[IN_USE]
     while lanes < LANES and totals[BEGUN] < learner.episodes:
         begin_episode(plant, pendulum, learner, progress, seed, number, lanes)
         lanes += 1
     while totals[ENDED] < until and lanes > 0:
         for n in range(lanes):
-            w0, w1, _, _ = philox(seed, tick[n], episode[n], number, TRAINING_ACTION)
-            if uniform(w0, 0.0, 1.0) < exploration(episode[n], learner):
-                action[n] = int(uniform(w1, 0.0, len(learner.actions)))
-            else:
-                action[n] = best_action(Q, box[n], w1)
+            if held[n] == 0:
+                w0, w1, _, _ = philox(seed, tick[n], episode[n], number, TRAINING_ACTION)
+                if uniform(w0, 0.0, 1.0) < exploration(episode[n], learner):
+                    action[n] = int(uniform(w1, 0.0, len(learner.actions)))
+                else:
+                    action[n] = best_action(Q, box[n], w1)
             u[n] = learner.actions[action[n]]
-        draw_noise(block.noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
+        draw_noise(memory.noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
         step(plant, block, lanes)
         totals[STEPS] += lanes
         for n in range(lanes - 1, -1, -1):
             tick[n] += 1
             if cause[n] == LASTED:
-                box_next = box_of(state, learner.boxes, n)
-                target = learner.gamma * best_value(Q, box_next)
+                box_next = box_of(seen, learner.boxes, n)
+                held[n] += 1
+                if learner.held and box_next == box[n] and tick[n] < learner.longest:
+                    continue
+                target = discount(held[n], learner) * best_value(Q, box_next)
                 update(Q, visits, box[n], action[n], target, learner)
-                box[n] = box_next
+                box[n], held[n] = box_next, 0
                 if tick[n] < learner.longest:
                     continue
             else:
-                update(Q, visits, box[n], action[n], learner.reward_failure, learner)
+                target = discount(held[n], learner) * learner.reward_failure
+                update(Q, visits, box[n], action[n], target, learner)
             totals[ENDED] += 1
             totals[ENDED_STEPS] += tick[n]
             if totals[BEGUN] < learner.episodes:
@@ -269,4 +299,5 @@ def train_episodes(
                 lanes -= 1
                 copy_lane(block, lanes, n)
                 episode[n], tick[n], box[n] = episode[lanes], tick[lanes], box[lanes]
+                action[n], held[n] = action[lanes], held[lanes]
     totals[IN_USE] = lanes

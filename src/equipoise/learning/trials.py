@@ -14,26 +14,25 @@ import numpy.typing as npt
 from scipy.special import ndtri
 
 from equipoise.compiled import kernel
+from equipoise.control.boxes import LASTED
+from equipoise.control.controller import PHI_DOT_SEEN, PHI_SEEN, X_DOT_SEEN, X_SEEN
 from equipoise.control.policy import RANDOM, Policy, PolicyKernel, act
 from equipoise.learning.closed_loop import (
-    LASTED,
-    PHI,
-    PHI_DOT,
     TRACKED,
-    X_DOT,
     Block,
     Plant,
+    Variation,
     X,
     copy_lane,
     draw_noise,
     new_block,
     reset,
-    scaled,
     step,
 )
 from equipoise.model.elementary import LANES, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import philox, uniform
+from equipoise.model.worlds import TwinSettings
 from equipoise.settings import Settings
 
 Array = npt.NDArray[np.float64]
@@ -48,6 +47,12 @@ class Trials(NamedTuple):
     """Factor on I, shape (n,)."""
     friction_factor: Array
     """Factor on b, shape (n,)."""
+    delay: Array
+    """Added to the transport delay [s], shape (n,)."""
+    lag_factor: Array
+    """Factor on the lags of the joints, shape (n,)."""
+    zero: Array
+    """What the encoder reads too much of phi [rad], shape (n,)."""
     steps: npt.NDArray[np.int64]
     """How many steps each lasted, shape (n,)."""
     cause: npt.NDArray[np.int64]
@@ -64,10 +69,11 @@ def draw_trials(count: int, settings: Settings, seed: int, stream: int, spread: 
         settings: Ranges of the start, standard deviations of I and b.
         seed: Master seed.
         stream: Selection or test.
-        spread: Factor on the standard deviations of I and b.
+        spread: Factor on how far plants vary.
     """
     e, plant = settings.evaluation, settings.plant
     draws = np.random.default_rng([seed, stream]).random((count, 5))
+    rig = spread * (2.0 * np.random.default_rng([seed, stream, 1]).random((count, 3)) - 1.0)
     sign = np.where(draws[:, 0] < 0.5, -1.0, 1.0)
     start = np.zeros((count, 4))
     start[:, 2] = sign * (e.phi_low + (e.phi_high - e.phi_low) * draws[:, 1])
@@ -76,10 +82,23 @@ def draw_trials(count: int, settings: Settings, seed: int, stream: int, spread: 
         start=start,
         inertia_factor=1.0 + spread * plant.inertia_sigma * ndtri(draws[:, 3]),
         friction_factor=1.0 + spread * plant.friction_sigma * ndtri(draws[:, 4]),
+        delay=plant.delay_spread * rig[:, 0],
+        lag_factor=1.0 + plant.lag_spread * rig[:, 1],
+        zero=plant.zero_error * rig[:, 2],
         steps=np.zeros(count, np.int64),
         cause=np.zeros(count, np.int64),
         sum_x2=np.zeros(count),
     )
+
+
+def twin_settings(settings: Settings, world: TwinSettings) -> Settings:
+    """Return settings whose trials differ as those of a twin do: in I and b as its numbers say.
+
+    Jitter, noise and the error of the encoder's zero are the twin's own.
+    """
+    sigmas = {"inertia_sigma": world.inertia_sigma, "friction_sigma": world.friction_sigma}
+    plant = settings.plant.model_copy(update=sigmas)
+    return settings.model_copy(update={"plant": plant})
 
 
 def run_over_cores(
@@ -108,7 +127,7 @@ def run_over_cores(
         done: Called with the number of trials of each piece that is finished.
     """
     count = len(trials.steps)
-    longest = round(duration / plant.h)
+    longest = round(duration / plant.controller.h)
 
     def piece(first: int) -> None:
         last = min(first + size, count)
@@ -137,9 +156,15 @@ def place_trial(
     plant: Plant, block: Block, pendulum: PendulumParameters, trials: Trials, i: int, n: int
 ) -> None:
     """Place trial `i` in lane `n`."""
-    own = scaled(pendulum, trials.inertia_factor[i], trials.friction_factor[i])
     x, x_dot, phi, phi_dot = trials.start[i]
-    reset(plant, block, own, (x, x_dot, phi, phi_dot), n)
+    variation = Variation(
+        trials.inertia_factor[i],
+        trials.friction_factor[i],
+        trials.delay[i],
+        trials.lag_factor[i],
+        trials.zero[i],
+    )
+    reset(plant, block, pendulum, variation, (x, x_dot, phi, phi_dot), n)
 
 
 @kernel
@@ -169,7 +194,8 @@ def run_trials(
         seed: Seed of the noise.
         stream: Stream of the noise: selection or test.
     """
-    state, u, cause = block.state, block.u, block.cause
+    memory, cause = block.memory, block.cause
+    seen, u = memory.seen, memory.u
     index = np.zeros(LANES, np.int64)
     tick = np.zeros(LANES, np.int64)
     sum_x2 = np.zeros(LANES)
@@ -187,17 +213,17 @@ def run_trials(
                 chance = uniform(philox(seed, tick[n], index[n], 1, stream)[0], 0.0, 1.0)
             u[n] = act(
                 policy,
-                at(state, X, n),
-                at(state, X_DOT, n),
-                at(state, PHI, n),
-                at(state, PHI_DOT, n),
+                at(seen, X_SEEN, n),
+                at(seen, X_DOT_SEEN, n),
+                at(seen, PHI_SEEN, n),
+                at(seen, PHI_DOT_SEEN, n),
                 chance,
             )
-        draw_noise(block.noise, seed, tick, index, 0, stream, lanes)
+        draw_noise(memory.noise, seed, tick, index, 0, stream, lanes)
         step(plant, block, lanes)
         for n in range(lanes - 1, -1, -1):
             tick[n] += 1
-            sum_x2[n] += at(state, X, n) ** 2
+            sum_x2[n] += at(block.state, X, n) ** 2
             if cause[n] == LASTED and tick[n] < longest:
                 continue
             i = index[n]
@@ -215,27 +241,33 @@ def run_trials(
 class Recording(NamedTuple):
     """What one recorded run went through, a row per step."""
 
+    seen: Array
+    """x, x_dot, phi, phi_dot as the policy saw them before the step, shape (n, 4)."""
     state: Array
-    """x, x_dot, phi, phi_dot before the step, shape (n, 4)."""
+    """The same as they were, shape (n, 4)."""
     u: Array
     """Commanded acceleration [m/s^2], shape (n,)."""
     tracked: Array
     """Tracked acceleration u' [m/s^2], shape (n,)."""
+    estimate: Array
+    """Estimated phi [rad], phi_dot [rad/s] and bias of phi [rad] at the step, shape (n, 3)."""
     q: Array
-    """Free joints at the end of the step [rad], shape (n, 6)."""
+    """Commanded free joints at the end of the step [rad], shape (n, 6)."""
     dq: Array
     """Their velocities [rad/s], shape (n, 6)."""
+    arm_q: Array
+    """Free joints of the arm at the end of the step [rad], shape (n, 6)."""
 
 
 def record_trial(
     plant: Plant,
     policy: Policy,
     pendulum: PendulumParameters,
-    start: Array,
+    trials: Trials,
+    i: int,
     longest: int,
     seed: int,
     stream: int,
-    index: int = 0,
 ) -> tuple[int, Recording]:
     """Run one trial with a policy written in Python, `policy.act(state) -> u`, and record it.
 
@@ -244,32 +276,39 @@ def record_trial(
     Args:
         plant: Constants.
         policy: Any object that meets `Policy`.
-        pendulum: Physical parameters of the trial.
-        start: x, x_dot, phi, phi_dot.
+        pendulum: The centre that the factors of the trial scale.
+        trials: Conditions.
+        i: Which trial.
         longest: Number of steps after which the trial has lasted.
         seed: Seed of the noise.
         stream: Stream of the noise.
-        index: Number of the trial.
 
     Returns:
         Cause of the end, and the recording.
     """
     block = new_block()
-    x, x_dot, phi, phi_dot = (float(value) for value in start)
-    reset(plant, block, pendulum, (x, x_dot, phi, phi_dot), 0)
+    memory = block.memory
+    place_trial(plant, block, pendulum, trials, i, 0)
+    widths = (4, 4, 0, 0, 3, 6, 6, 6)
     rows = Recording(
-        *(np.zeros((longest, width)) if width else np.zeros(longest) for width in (4, 0, 0, 6, 6))
+        *(np.zeros((longest, width)) if width else np.zeros(longest) for width in widths)
     )
-    now, at_index = np.zeros(LANES, np.int64), np.full(LANES, index, np.int64)
+    now, at_index = np.zeros(LANES, np.int64), np.full(LANES, i, np.int64)
     tick = 0
     while tick < longest and block.cause[0] == LASTED:
         now[0] = tick
-        draw_noise(block.noise, seed, now, at_index, 0, stream, 1)
-        state = block.state[: 4 * LANES : LANES].copy()
-        block.u[0] = float(policy.act(state))
-        rows.state[tick], rows.u[tick] = state, block.u[0]
+        draw_noise(memory.noise, seed, now, at_index, 0, stream, 1)
+        seen = memory.seen[::LANES].copy()
+        memory.u[0] = float(policy.act(seen))
+        rows.seen[tick], rows.u[tick] = seen, memory.u[0]
+        rows.state[tick] = block.state[: 4 * LANES : LANES]
+        observes = plant.controller.observes
+        rows.estimate[tick, :2] = rows.state[tick, 2:]
+        if observes:
+            rows.estimate[tick] = memory.estimate[: 3 * LANES : LANES]
         step(plant, block, 1)
         rows.tracked[tick] = block.state[TRACKED * LANES]
-        rows.q[tick], rows.dq[tick] = block.q[::LANES], block.dq[::LANES]
+        rows.q[tick], rows.dq[tick] = memory.q[::LANES], memory.dq[::LANES]
+        rows.arm_q[tick] = block.q[::LANES] if observes else memory.q[::LANES]
         tick += 1
     return int(block.cause[0]), Recording(*(row[:tick] for row in rows))

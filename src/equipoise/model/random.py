@@ -25,10 +25,13 @@ TRAINING_EPISODE: Final = 1
 TRAINING_START: Final = 2
 TRAINING_ACTION: Final = 3
 TRAINING_NOISE: Final = 4
+TRAINING_ACTUATOR: Final = 6
 SCREENING: Final = 8
 FINAL_ROUND: Final = 10
 TEST: Final = 12
 DEPLOYMENT: Final = 16
+TWIN: Final = 20
+"""The twin: this stream and the three after it."""
 
 
 @inlined

@@ -1,0 +1,53 @@
+r"""Gains of the observer that turns encoder counts into phi, phi_dot and the bias of phi.
+
+Between two ticks the observer moves its estimate by the pendulum's own equation, driven by the
+acceleration of the pivot; then the newest count corrects it:
+
+.. math:: \hat s \leftarrow \hat s + L\,(y - \hat\varphi - \hat\beta), \qquad
+          \hat s = (\hat\varphi, \hat{\dot\varphi}, \hat\beta)
+
+The bias beta is what the encoder reads too much: a wrong zero. A pendulum that stands is, on
+average, upright, whatever its encoder says: a persistent lean would show as a mean acceleration of
+the pivot of g beta. That makes beta observable; it may drift slowly.
+
+L is the stationary Kalman gain at upright. It needs no window of past counts, weighs each count by
+what it says about the rate, and takes a count from its own time (see `equipoise.control.controller`
+for the formulas that run).
+"""
+
+from math import pi
+
+import numpy as np
+from scipy.linalg import expm, solve_discrete_are
+
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.settings import ControllerSettings
+
+Gains = tuple[float, float, float]
+
+
+def observer_gains(
+    pendulum: PendulumParameters, settings: ControllerSettings, counts_per_rev: int, h: float
+) -> Gains:
+    """Return the stationary Kalman gains on phi [1], phi_dot [1/s] and the bias [1].
+
+    Args:
+        pendulum: Nominal parameters.
+        settings: What shakes the pendulum, and how fast the bias may drift.
+        counts_per_rev: Encoder counts per revolution.
+        h: Time between ticks [s].
+    """
+    A = np.array([[0.0, 1.0, 0.0], [pendulum.w2, -pendulum.c, 0.0], [0.0, 0.0, 0.0]])
+    G = np.array([[0.0], [1.0], [0.0]])
+    held = expm(h * np.block([[A, G], [np.zeros((1, 4))]]))
+    F, g = held[:3, :3], held[:3, 3]
+    noise = settings.acceleration_sigma**2 * np.outer(g, g)
+    noise[2, 2] = settings.bias_drift**2 * h
+    H = np.array([[1.0, 0.0, 1.0]])
+    variance = (2.0 * pi / counts_per_rev) ** 2 / 12.0 + settings.angle_sigma**2
+    seen = slice(None) if settings.estimate_bias else slice(2)
+    P = solve_discrete_are(F[seen, seen].T, H[:, seen].T, noise[seen, seen], np.array([[variance]]))
+    gains = np.zeros(3)
+    gains[seen] = (P @ H[:, seen].T / (H[:, seen] @ P @ H[:, seen].T + variance))[:, 0]
+    on_phi, on_phi_dot, on_bias = gains.tolist()
+    return on_phi, on_phi_dot, on_bias

@@ -1,0 +1,156 @@
+"""Worlds: where a policy is put to the test, by name.
+
+`model` is the plant of the training. `twin:nominal`, `twin:harsh` and `twin:bare` are named, frozen
+sets of the numbers of the digital twin, `twin:FILE` is a TOML file of differences to nominal. Sets
+carry a version (`nominal-1`): published results stay comparable, and a changed number makes a new
+version.
+
+Each number says where it comes from: the source of the KUKA Sunrise Toolbox and the arm's data are
+facts; what is marked *assumed* is ours, chosen on the unforgiving side of what is plausible.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from math import radians
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+from pydantic import Field, ValidationError
+
+from equipoise.artefacts import Value
+from equipoise.errors import SettingsError
+
+MODEL: Final = "model"
+"""The training plant, as `--world` and files name it."""
+PREFIX: Final = "twin:"
+
+Inner = Literal["velocity", "pd", "trajectory40"]
+
+
+class TwinSettings(Value):
+    """The digital twin's numbers; the defaults are `nominal-1`."""
+
+    transport: float = Field(default=0.010, ge=0.0, le=0.2)
+    """From sending a setpoint to the servo's use of it [s]. Assumed: one request and reply through
+    Java takes 3 to 4 ms at the rates that the toolbox's author reports; the rest is margin."""
+    transport_jitter: float = Field(default=0.001, ge=0.0, le=0.05)
+    """Each transport differs from that by up to this, evenly [s]; order is kept. Assumed."""
+    cycle: int = Field(default=1, ge=1, le=10)
+    """Cycle of the server's shaping law [ms]: `Thread.sleep(1)` in its source."""
+    inner: Inner = "velocity"
+    """What the cabinet does with the shaped destination; it is not published. `velocity`: a joint
+    velocity of (destination - q) over the cycle, through a first-order lag. `pd`: a PD controller
+    on the destination. `trajectory40`: as velocity, but over the minimum trajectory time of 40 ms
+    that the server's source asks for."""
+    lag: float = Field(default=0.008, ge=0.001, le=0.1)
+    """Time constant of the joint drives [s]. Assumed: 4 to 16 ms are plausible."""
+    pd_frequency: float = Field(default=125.0, gt=0.0)
+    """Natural frequency of `pd`, critically damped [rad/s]. Assumed: 1 / lag of `velocity`."""
+    rotor_inertia: float = Field(default=0.02, ge=0.0)
+    """Inertia of motor and gear at each joint [kg m^2], which the drive knows. KUKA publishes none;
+    a small motor (1e-5 kg m^2) behind a gear of 1:100 has 0.1. Assumed: a fifth of that, in every
+    joint. Without it (`bare`) the drive of A7 would have to hold bracket and pendulum with the
+    0.0003 kg m^2 of its link alone."""
+    bracket_mass: float = Field(default=0.1, ge=0.0)
+    """Mass of what carries the pendulum, unknown to the drive [kg]. Assumed."""
+    pendulum_mass: float = Field(default=0.15, gt=0.0)
+    """Mass of the pendulum, unknown to the drive [kg]; a uniform rod. Assumed."""
+    pivot_outward: float = Field(default=0.13, ge=0.0)
+    """From the axis of A7 to the plane in which the pendulum turns [m]: room for the wrist."""
+    coulomb: float = Field(default=0.1, ge=0.0)
+    """Dry friction of the pendulum over its inertia [1/s^2]; recorded pivots show 0.05 to 2."""
+    inertia_sigma: float = Field(default=0.02, ge=0.0, lt=0.25)
+    """Standard deviation of the factor on I, once per trial."""
+    friction_sigma: float = Field(default=0.2, ge=0.0, lt=1.0)
+    """Standard deviation of the factor on b, once per trial."""
+    counts_per_rev: int = Field(default=8192, ge=64)
+    """Encoder counts per revolution, after x4: 2048 lines."""
+    zero_error: float = Field(default=radians(0.2), ge=0.0)
+    """Error of the encoder's zero, evenly within plus and minus this, once per trial [rad].
+    Assumed: stiction leaves a hanging pendulum coulomb / w2 beside the vertical, 0.1 deg on a
+    recorded arm."""
+    zero_offset: float = 0.0
+    """A constant part of that error [rad]."""
+    encoder_age: float = Field(default=0.001, ge=0.0, le=0.05)
+    """Age of the newest count at a tick [s]: an encoder board sends at 1 kHz."""
+    encoder_jitter: float = Field(default=0.0003, ge=0.0, le=0.01)
+    """Error of a count's time stamp, evenly within plus and minus this [s]. Assumed: USB frames."""
+    reply_age: float = Field(default=0.005, ge=0.0, le=0.1)
+    """Age of the newest measured q at a tick [s]: the reply to the setpoint before. Assumed."""
+    joint_noise: float = Field(default=5e-5, ge=0.0)
+    """Standard deviation of the noise on a measured joint position [rad]. Assumed: half the
+    arm's repeatability of 0.1 mm at 0.8 m is 6e-5 rad."""
+    substeps: int = Field(default=1, ge=1, le=16)
+    """Steps of the physics engine in a millisecond."""
+
+
+class World(NamedTuple):
+    """A digital twin with the name of its set."""
+
+    name: str
+    """With its version, e.g. `twin:nominal-1`."""
+    settings: TwinSettings
+    """Its numbers."""
+
+
+SETS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "nominal-1": {},
+    "harsh-1": {
+        "transport": 0.030,
+        "counts_per_rev": 4096,
+        "coulomb": 0.3,
+        "zero_error": radians(0.4),
+        "inertia_sigma": 0.04,
+        "friction_sigma": 0.4,
+    },
+    "bare-1": {"rotor_inertia": 0.0},
+}
+"""Frozen sets, as differences to nominal-1."""
+
+NEWEST: Final[Mapping[str, str]] = {
+    "nominal": "nominal-1",
+    "harsh": "harsh-1",
+    "bare": "bare-1",
+}
+
+
+def read_world(name: str) -> World:
+    """Return the twin that a name stands for.
+
+    Args:
+        name: `twin:nominal`, `twin:harsh`, either with a version (`twin:harsh-1`), or
+            `twin:FILE`, where the file is TOML with differences to nominal.
+
+    Raises:
+        SettingsError: There is no such world, or its file cannot be used.
+
+    Example:
+        >>> world = read_world("twin:harsh")
+        >>> world.name, world.settings.transport
+        ('twin:harsh-1', 0.03)
+    """
+    if not name.startswith(PREFIX):
+        raise SettingsError(
+            f"there is no world {name!r}; choose {MODEL}, "
+            f"{', '.join(PREFIX + short for short in NEWEST)} or {PREFIX}FILE.toml"
+        )
+    which = name.removeprefix(PREFIX)
+    which = NEWEST.get(which, which)
+    if which in SETS:
+        return World(PREFIX + which, TwinSettings.model_validate(SETS[which]))
+    file = Path(which)
+    try:
+        differences = tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(
+            f"there is no world {name!r}: no set of that name, and no such file "
+            f"({error.strerror}); choose one of {', '.join(NEWEST)}, or give a TOML file"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingsError(f"the world {file} is not valid TOML: {error}") from None
+    try:
+        return World(name, TwinSettings.model_validate(differences))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise SettingsError(f"world {file}: {where}: {first['msg']}") from None

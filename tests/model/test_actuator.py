@@ -1,0 +1,302 @@
+"""The actuator's kernels: against the server's own table, closed forms and a slow loop."""
+
+from math import exp, expm1, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from equipoise.model.actuator import (
+    AMPLITUDE,
+    CYCLE,
+    IDEAL,
+    KST,
+    LAG,
+    WIDTH,
+    Actuator,
+    ActuatorParameters,
+    follow,
+    lag_share,
+    shaped_step,
+    steady_error,
+    track,
+)
+from equipoise.model.elementary import LANES
+
+SHAPED = ActuatorParameters(KST)
+
+
+def share_of(lag):
+    return np.full(6 * LANES, lag_share(lag))
+
+
+def moved(targets, actuator, lag=0.0):
+    """Return positions and velocities of a joint after each cycle, from rest at zero."""
+    q, dq = np.zeros(6 * LANES), np.zeros(6 * LANES)
+    positions, velocities = [], []
+    for target in targets:
+        follow(q, dq, np.full(6 * LANES, target), share_of(lag), actuator, 1)
+        positions.append(q[0])
+        velocities.append(dq[0])
+    return np.array(positions), np.array(velocities)
+
+
+# The shaping law.
+
+
+@given(st.floats(-3.0, 3.0))
+def test_the_shaping_law_is_the_servers_formula(e):
+    # In the server's source: sign(e) 0.07 (1 - exp(-(e / 0.0525)^2)).
+    expected = np.sign(e) * 0.07 * -expm1(-((e / 0.0525) ** 2))
+    assert shaped_step(e, AMPLITUDE, WIDTH) == pytest.approx(expected, rel=1e-11, abs=1e-300)
+
+
+def test_small_errors_keep_their_precision():
+    # 1 - exp(-z) would lose all digits here.
+    assert shaped_step(1e-9, AMPLITUDE, WIDTH) == pytest.approx(0.07 * (1e-9 / 0.0525) ** 2)
+    assert shaped_step(0.0, AMPLITUDE, WIDTH) == 0.0
+
+
+STEADY_LAG_MS = {
+    # Speed [rad/s]: lag [ms] with a cycle of 1, 2 and 4 ms, and a perfect drive.
+    0.05: (28.0, 40.0, 56.0),
+    0.10: (20.0, 28.0, 40.0),
+    0.25: (12.6, 18.0, 25.0),
+    0.50: (8.9, 12.6, 18.0),
+    1.00: (6.3, 8.9, 12.7),
+}
+
+
+@pytest.mark.parametrize("speed", STEADY_LAG_MS)
+@pytest.mark.parametrize("cycle", [1, 2, 4])
+def test_the_steady_lag_is_the_table_of_the_servo(speed, cycle):
+    expected = STEADY_LAG_MS[speed][(1, 2, 4).index(cycle)]
+    actuator = ActuatorParameters(KST, cycle=cycle * CYCLE)
+    lag_ms = 1e3 * steady_error(speed, 0.008, actuator) / speed
+    # The table gives two digits.
+    assert lag_ms == pytest.approx(expected, rel=0.02)
+    assert steady_error(-speed, 0.008, actuator) == -steady_error(speed, 0.008, actuator)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.004, 0.016])
+@pytest.mark.parametrize("speed", [0.05, 0.25, 1.0])
+def test_a_ramp_is_followed_at_the_steady_error(speed, lag):
+    times = np.arange(1500) * CYCLE
+    q, dq = moved(speed * times, SHAPED, lag)
+    # The error that the next cycle sees.
+    e = speed * (times[-1] + CYCLE) - q[-1]
+    assert e == pytest.approx(steady_error(speed, lag, SHAPED), rel=1e-6)
+    assert dq[-1] == pytest.approx(speed, rel=1e-6)
+
+
+@pytest.mark.parametrize(("step", "expected_ms"), [(1e-3, 353), (10e-3, 34), (100e-3, 3)])
+def test_a_step_takes_as_long_to_nine_tenths_as_the_table_says(step, expected_ms):
+    q, _ = moved(np.full(1000, step), SHAPED)
+    assert int(np.argmax(q >= 0.9 * step)) + 1 == pytest.approx(expected_ms, abs=1)
+
+
+def test_behind_a_lag_the_servo_is_the_differential_equation_of_the_docstring():
+    lag, target = 0.016, 0.005
+
+    def slope(t, y):
+        e = target - y[0]
+        wanted = np.sign(e) * 0.07 / 1e-3 * -np.expm1(-((e / 0.0525) ** 2))
+        return [y[1], (wanted - y[1]) / lag]
+
+    times = np.arange(1, 200) * CYCLE
+    exact = solve_ivp(slope, (0.0, 0.2), [0.0, 0.0], t_eval=times, rtol=1e-10, atol=1e-12).y
+    q, dq = moved(np.full(len(times), target), SHAPED, lag)
+    # A cycle moves at the velocity of its end: half a cycle ahead.
+    top = np.max(np.abs(exact[1]))
+    np.testing.assert_allclose(q, exact[0], atol=0.55 * CYCLE * top)
+    np.testing.assert_allclose(dq, exact[1], atol=3e-3 * top)
+
+
+# The linear lag, and none.
+
+
+def test_a_lag_takes_up_a_step_as_an_exponential():
+    lag = 0.012
+    q, _ = moved(np.full(100, 0.3), ActuatorParameters(LAG), lag)
+    times = np.arange(1, 101) * CYCLE
+    np.testing.assert_allclose(q, 0.3 * (1.0 - np.exp(-times / lag)), rtol=1e-12)
+
+
+def test_a_lag_follows_a_ramp_behind_by_the_way_of_the_lag():
+    speed, lag = 0.4, 0.010
+    times = np.arange(500) * CYCLE
+    q, dq = moved(speed * times, ActuatorParameters(LAG), lag)
+    # On average over the cycle in which the target is held.
+    behind = speed * times[-1] - 0.5 * (q[-1] + q[-2])
+    assert behind == pytest.approx(steady_error(speed, lag, ActuatorParameters(LAG)), rel=1e-3)
+    assert dq[-1] == pytest.approx(speed)
+
+
+def test_without_an_actuator_a_joint_is_where_it_is_sent():
+    targets = np.array([0.1, -0.2, 0.2])
+    q, dq = moved(targets, ActuatorParameters(IDEAL), 0.5)
+    np.testing.assert_allclose(q, targets, rtol=1e-12)
+    np.testing.assert_allclose(dq, np.diff(targets, prepend=0.0) / CYCLE)
+    assert steady_error(1.0, 0.5, ActuatorParameters(IDEAL)) == 0.0
+
+
+def test_no_lag_takes_up_all_at_once():
+    assert lag_share(0.0) == 1.0
+    assert lag_share(0.008) == pytest.approx(1.0 - exp(-1.0 / 8.0), rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", [IDEAL, LAG, KST])
+def test_each_lane_and_joint_moves_alone(kind):
+    rng = np.random.default_rng(2)
+    target, q = rng.uniform(-0.1, 0.1, (2, 6 * LANES))
+    dq, share = rng.uniform(-0.5, 0.5, 6 * LANES), rng.uniform(0.05, 1.0, 6 * LANES)
+    together, speeds = q.copy(), dq.copy()
+    follow(together, speeds, target, share, ActuatorParameters(kind), LANES)
+    for place in range(6 * LANES):
+        one, speed, its_target, its_share = (np.zeros(6 * LANES) for _ in range(4))
+        one[0], speed[0], its_target[0], its_share[0] = (
+            q[place], dq[place], target[place], share[place]
+        )  # fmt: skip
+        follow(one, speed, its_target, its_share, ActuatorParameters(kind), 1)
+        assert (one[0], speed[0]) == (together[place], speeds[place])
+
+
+# A whole log.
+
+
+def tracked(stream_time, stream_q, reply_time, reply_q, kind=KST, **options):
+    settings = {"delay": 0.0, "spread": 0.0, "lag": 0.008, "push": 0.0, "memory": 1.0, **options}
+    predicted = np.empty_like(reply_time)
+    track(
+        stream_time, stream_q, reply_time, reply_q, settings["delay"], settings["spread"],
+        settings["lag"], settings["push"], settings["memory"], ActuatorParameters(kind), predicted,
+    )  # fmt: skip
+    return predicted
+
+
+def sine(duration=0.6, period=0.005):
+    time = np.arange(0.0, duration, period)
+    return time, 0.1 * (1.0 - np.cos(6.0 * time))
+
+
+@pytest.mark.parametrize(("kind", "lag"), [(KST, 0.008), (KST, 0.0), (LAG, 0.008), (IDEAL, 0.0)])
+def test_a_log_is_simulated_as_the_servo_moves(kind, lag):
+    # Setpoints that take effect on the cycles' own grid: the very loop of `follow`.
+    time, stream = sine()
+    cycles = np.arange(600)
+    targets = stream[np.maximum((cycles[:-1] - 10) // 5, 0)]
+    expected, _ = moved(targets, ActuatorParameters(kind), lag)
+    found = tracked(time, stream, cycles * CYCLE, np.zeros(600), kind, delay=0.010, lag=lag)
+    np.testing.assert_allclose(found[1:], expected, atol=1e-9)
+
+
+def test_between_cycles_a_position_lies_on_the_way():
+    time, stream = sine()
+    fine = np.arange(0.0, 0.5, 0.25e-3)
+    found = tracked(time, stream, fine, np.zeros(len(fine)), delay=0.010)
+    expected = np.interp(fine, fine[::4], found[::4])
+    inner = fine < fine[::4][-1]
+    np.testing.assert_allclose(found[inner], expected[inner], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [KST, LAG, IDEAL])
+@pytest.mark.parametrize("spread", [0.0, 1e-3])
+def test_the_simulation_depends_smoothly_on_the_delay(kind, spread):
+    time, stream = sine()
+    replies = np.arange(0.1, 0.55, 0.005)
+    start = 0.1 * (1.0 - np.cos(6.0 * (replies - 0.03)))
+    delays = np.arange(0.0100, 0.0140, 1e-5)
+    path = np.stack(
+        [
+            tracked(time, stream, replies, start, kind, delay=delay, spread=spread)
+            for delay in delays
+        ]
+    )
+    # No jump: a step of 10 us moves each joint by no more than 10 us of its top speed, 0.6 rad/s,
+    # in bursts of five times that where setpoints come at once.
+    assert np.max(np.abs(np.diff(path, axis=0))) < 5.0 * 0.6 * 1e-5
+    # A later effect is a later motion.
+    later = (path[-1] - path[0])[20:]
+    speed = np.gradient(path[0], replies)[20:]
+    assert float(later @ speed) < 0.0
+
+
+def test_where_the_cycles_begin_hardly_matters():
+    time, stream = sine()
+    replies = np.arange(0.1, 0.5, 0.005)
+    start = np.zeros(len(replies))
+    paths = [
+        tracked(time, stream, replies - shift, start, delay=0.010)[20:]
+        - 0.1 * (1.0 - np.cos(6.0 * (replies - shift)))[20:]
+        for shift in (0.0, 0.2e-3, 0.5e-3, 0.9e-3)
+    ]
+    # Against 0.6e-3 rad, which a joint moves in a cycle.
+    assert np.ptp(np.stack(paths), axis=0).max() < 1e-4
+
+
+def test_a_push_holds_a_joint_off_its_setpoint_by_the_error_that_balances_it():
+    time = np.arange(0.0, 2.0, 0.005)
+    replies = np.arange(0.0, 1.9, 0.005)
+    found = tracked(time, np.zeros(len(time)), replies, np.zeros(len(replies)), push=0.2)
+    balance = WIDTH * sqrt(-np.log(1.0 - 0.2 * CYCLE / AMPLITUDE))
+    assert found[-1] == pytest.approx(balance, rel=1e-3)
+    linear = tracked(time, np.zeros(len(time)), replies, np.zeros(len(replies)), LAG, push=0.01)
+    assert linear[-1] == pytest.approx(0.01)
+
+
+def test_an_observer_without_memory_begins_at_each_measurement():
+    time, stream = sine()
+    # Just before a cycle ends, so that rounding begins no other.
+    replies = 0.1 + 0.0049999 * np.arange(80)
+    rng = np.random.default_rng(3)
+    measured = np.interp(replies, time, stream) + 0.01 * rng.standard_normal(len(replies))
+    found = tracked(time, stream, replies, measured, LAG, delay=0.01, memory=0.0)
+    for j in range(1, len(replies) - 1):
+        pair = slice(j, j + 2)
+        alone = tracked(time, stream, replies[pair], measured[pair], LAG, delay=0.01)
+        # The cycles begin at other times: by up to 8 us, in which a joint moves 2 % of 20 um.
+        assert found[j + 1] == pytest.approx(alone[1], abs=1e-4)
+
+
+def test_an_observer_learns_a_push_that_the_model_does_not_know():
+    time = np.arange(0.0, 2.0, 0.005)
+    replies = np.arange(0.0, 1.9, 0.005)
+    rest = np.zeros(len(time))
+    true = tracked(time, rest, replies, np.zeros(len(replies)), push=0.2)
+    errors = [
+        np.abs(tracked(time, rest, replies, true, memory=memory) - true)[-1]
+        for memory in (1.0, 0.9, 0.5, 0.0)
+    ]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 0.2 * errors[0]
+
+
+# The file.
+
+
+def test_an_actuator_survives_its_file(tmp_path):
+    actuator = Actuator.assumed("kst", delay=0.010, lag=0.008)
+    actuator.save(tmp_path / "actuator.json", command="test")
+    assert Actuator.load(tmp_path / "actuator.json") == actuator
+    assert actuator.parameters == ActuatorParameters(KST, 1e-3, 0.07, 0.0525)
+
+
+@pytest.mark.parametrize(
+    "impossible", [{"delay": -1e-3}, {"lag": -1e-3}, {"cycle": 0.0}, {"cycle": -1e-3}]
+)
+def test_an_impossible_actuator_is_refused(impossible):
+    with pytest.raises(ValueError, match=r"negative|above zero"):
+        Actuator.assumed("kst", **impossible)
+
+
+def test_the_response_time_is_the_lag_and_the_slope_of_the_shaping_law():
+    lag, speed, h = 0.008, 0.1, 1e-7
+    actuator = Actuator.assumed("kst", lag=lag)
+    e = steady_error(speed, lag, actuator.parameters)
+    slope = (shaped_step(e + h, 0.07, 0.0525) - shaped_step(e - h, 0.07, 0.0525)) / (2 * h) / 1e-3
+    assert actuator.response_time(0, speed) == pytest.approx(lag + 1.0 / slope, rel=1e-5)
+    assert Actuator.assumed("lag", lag=lag).response_time(0) == lag
+    assert Actuator.assumed("ideal").response_time(0) == 0.0
+    assert actuator.response_time(0, 0.0) == float("inf")
