@@ -1,0 +1,1 @@
+"""What stands on the bench: the digital twin; later the robot and the encoder."""

@@ -1,0 +1,141 @@
+"""The bodies of the twin in MuJoCo: an iiwa, the bracket on its flange, and the pendulum.
+
+It is the drawing of `equipoise.model.arms.scene` with the masses of the robot: the arm's own
+gravity is balanced, as its drives do, that of bracket and pendulum is not. The pendulum is a
+uniform rod; what its free swing identifies decides how long it is::
+
+    l = 3 g / (4 w2)      I = m g l / w2
+
+Nothing collides: the trial is over before anything could.
+"""
+
+import importlib
+from math import copysign
+from typing import Any, Final
+
+import numpy as np
+
+from equipoise.model.arms.arm import Arm
+from equipoise.model.arms.chain import Floats, Triple
+from equipoise.model.arms.inertials import Inertial, link_inertials
+from equipoise.model.arms.scene import SIZES, Sizes, scene
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import TwinSettings
+from equipoise.settings import GRAVITY
+
+TICK: Final = 1e-3
+"""The twin's smallest time: the cycle of the joint drives [s]."""
+DRY_TIME: Final = 0.002
+"""Time constant with which dry friction stops the pendulum [s]; the least that MuJoCo takes for
+steps of a millisecond. Its default of 20 ms lets a pendulum creep that ought to stick."""
+END_TIME: Final = 0.005
+"""Time constant with which the end of a joint's range stops it [s]; MuJoCo's default of 20 ms lets
+a joint at full speed run 3 degrees beyond."""
+DRY_SHARE: Final = 0.999
+"""How far dry friction is a hard constraint, in MuJoCo's sense; its default is 0.9."""
+TOLERANCE: Final = 1e-14
+"""Where the solver stops. MuJoCo's 1e-8 is relative to the inertia of the whole arm; dry friction
+of a pendulum of 0.15 kg can be less than that, and would be lost."""
+MEMORY: Final = 1 << 20
+"""Room for the solver [bytes]; a chain without contacts needs little."""
+
+
+def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any:
+    """Return the MuJoCo model of the twin: all joints of the arm, then phi of the pendulum.
+
+    Args:
+        arm: An iiwa; its pivot's distance from the axis of the last joint is that of the settings.
+        pendulum: w2 and c; dry friction and drag are the world's.
+        settings: Masses, pivot, dry friction and steps.
+
+    Raises:
+        ArmError: The masses of the arm's links are not known.
+    """
+    arm = arm.model_copy(update={"pivot": pivot(arm, settings.pivot_outward)})
+    l = 3.0 * GRAVITY / (4.0 * pendulum.w2)
+    m = settings.pendulum_mass
+    I = m * GRAVITY * l / pendulum.w2
+    spec = _weighed(arm, SIZES._replace(rod_length=2.0 * l), settings.rotor_inertia)
+    spec.option.timestep = TICK / settings.substeps
+    if settings.bracket_mass > 0.0:
+        _weigh(spec.body("flange"), _bar(settings.bracket_mass, np.array(arm.pivot)))
+    across, along = I - m * l**2, 0.5 * m * SIZES.rod**2
+    rod = Inertial(m, np.array([0.0, 0.0, l]), np.diag([across, across, along]))
+    _weigh(spec.body("pendulum"), rod)
+
+    phi = spec.joint("phi")
+    phi.damping[0] = pendulum.c * I
+    phi.frictionloss = settings.coulomb * I
+    phi.solref_friction = [DRY_TIME, 1.0]
+    phi.solimp_friction = [DRY_SHARE, DRY_SHARE, *phi.solimp_friction[2:]]
+    return spec.compile()
+
+
+def pivot(arm: Arm, outward: float) -> Triple:
+    """Return the pendulum's pivot in the flange frame [m], so far from the last joint's axis.
+
+    Args:
+        arm: The arm with its own pivot, whose side and height are kept.
+        outward: Distance along the spindle, which lies along base y at home [m].
+    """
+    spindle = arm.pose(arm.home_free).rotation[1]
+    own = float(spindle @ arm.pivot)
+    x, y, z = arm.pivot + (copysign(outward, own) - own) * spindle
+    return float(x), float(y), float(z)
+
+
+def mass_matrix(arm: Arm, rotor_inertia: float) -> Floats:
+    """Return the mass matrix of the bare arm at home, all joints [kg m^2], shape (n, n).
+
+    Args:
+        arm: An iiwa.
+        rotor_inertia: Inertia of motor and gear at each joint [kg m^2].
+    """
+    mujoco = importlib.import_module("mujoco")
+    spec = _weighed(arm, SIZES, rotor_inertia)
+    spec.delete(spec.body("flange"))
+    spec.delete(spec.key("home"))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.home
+    mujoco.mj_forward(model, data)
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    return M
+
+
+def _weighed(arm: Arm, sizes: Sizes, rotor_inertia: float) -> Any:
+    """Return the drawing with the arm's own masses."""
+    mujoco = importlib.import_module("mujoco")
+    spec = scene(arm, sizes=sizes)
+    spec.memory = MEMORY
+    spec.compiler.boundmass, spec.compiler.boundinertia = 0.0, 0.0
+    spec.option.tolerance = TOLERANCE
+    spec.option.gravity = [0.0, 0.0, -GRAVITY]
+    off = mujoco.mjtDisableBit
+    # A state that explodes shall be seen, not reset; the pendulum's damping needs no implicit step.
+    for feature in ("CONTACT", "ISLAND", "EULERDAMP", "AUTORESET"):
+        spec.option.disableflags |= int(getattr(off, f"mjDSBL_{feature}"))
+    for geom in spec.geoms:
+        geom.mass = 0.0
+    for number, (joint, link) in enumerate(zip(arm.joints, link_inertials(arm), strict=True), 1):
+        body = spec.body(f"frame {number}")
+        body.gravcomp = 1.0
+        hinge = spec.joint(joint.name)
+        hinge.armature, hinge.solref_limit = rotor_inertia, [END_TIME, 1.0]
+        _weigh(body, link)
+    return spec
+
+
+def _bar(mass: float, end: Floats) -> Inertial:
+    """Return the inertial of a bar, as thick as the bracket, from a frame's origin to `end` [m]."""
+    slender = (end @ end * np.eye(3) - np.outer(end, end)) / 12.0
+    return Inertial(mass, 0.5 * end, mass * (slender + SIZES.bracket**2 / 4.0 * np.eye(3)))
+
+
+def _weigh(body: Any, link: Inertial) -> None:
+    """Give a body its inertial, whatever is drawn of it."""
+    xx, xy, xz, _, yy, yz, _, _, zz = link.inertia.ravel()
+    body.explicitinertial = True
+    body.mass, body.ipos = link.mass, link.com
+    body.fullinertia = [xx, yy, zz, xy, xz, yz]

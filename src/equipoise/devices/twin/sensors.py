@@ -1,0 +1,116 @@
+"""What the twin shows of itself: encoder counts with their times, measured joints with theirs.
+
+Both are samples of whole milliseconds of which the newest is known only when it is old enough, as
+the board takes it to the host and the robot's reply comes back. A sample stays what it is however
+often it is read: its errors depend on its own time.
+"""
+
+from math import ceil, pi
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.compiled import kernel
+from equipoise.devices.twin.physics import TICK
+from equipoise.model.arms.arm import FREE_JOINTS
+from equipoise.model.encoder import counts_from_theta
+from equipoise.model.random import TWIN, normal_pair, philox, uniform
+from equipoise.model.worlds import TwinSettings
+
+Array = npt.NDArray[np.float64]
+
+PAST: Final = 128
+"""Milliseconds that are remembered: more than the greatest age."""
+ROUNDING: Final = 1e-9
+"""An age this close to a whole number of milliseconds is meant to be that."""
+
+
+class Sensors(NamedTuple):
+    """Constants of encoder and replies."""
+
+    counts_per_rev: float
+    """Encoder counts per revolution."""
+    zero: float
+    """What the encoder reads too much of phi [rad]."""
+    encoder_age: int
+    """Age of the newest count [ms]."""
+    encoder_jitter: float
+    """A count's time stamp is wrong by up to this [s]."""
+    reply_age: int
+    """Age of the newest measured joints [ms]."""
+    joint_noise: float
+    """Standard deviation of the noise on a measured joint [rad]."""
+
+
+class Past(NamedTuple):
+    """The last milliseconds, each at its number modulo `PAST`."""
+
+    phi: Array
+    """Angle of the pendulum from upright, relative to the flange [rad], shape (PAST,)."""
+    q: Array
+    """Free joints [rad], shape (PAST, 6)."""
+
+
+def make_sensors(settings: TwinSettings, seed: int, index: int) -> Sensors:
+    """Return the constants of the sensors in one trial.
+
+    Args:
+        settings: Ages and errors.
+        seed: Master seed.
+        index: Number of the trial, which decides the error of the encoder's zero.
+    """
+    word = philox(seed, 0, index, 0, TWIN + 1)[0]
+    error = float(uniform(word, -settings.zero_error, settings.zero_error))
+    return Sensors(
+        counts_per_rev=float(settings.counts_per_rev),
+        zero=settings.zero_offset + error,
+        encoder_age=ceil(settings.encoder_age / TICK - ROUNDING),
+        encoder_jitter=settings.encoder_jitter,
+        reply_age=ceil(settings.reply_age / TICK - ROUNDING),
+        joint_noise=settings.joint_noise,
+    )
+
+
+def new_past() -> Past:
+    """Return an empty past."""
+    return Past(np.zeros(PAST), np.zeros((PAST, FREE_JOINTS)))
+
+
+@kernel
+def encoder(sensors: Sensors, past: Past, now: int, seed: int, index: int) -> tuple[float, float]:
+    """Return the newest encoder counts, and their time stamp [s].
+
+    Args:
+        sensors: Constants.
+        past: The last milliseconds.
+        now: The time [ms].
+        seed: Master seed.
+        index: Number of the trial.
+    """
+    tick = now - sensors.encoder_age
+    theta = pi - (past.phi[tick % PAST] + sensors.zero)
+    word = philox(seed, tick, index, 0, TWIN)[1]
+    stamp = tick * TICK + uniform(word, -sensors.encoder_jitter, sensors.encoder_jitter)
+    return counts_from_theta(theta, sensors.counts_per_rev, 1.0), stamp
+
+
+@kernel
+def reply(sensors: Sensors, past: Past, now: int, seed: int, index: int, q: Array) -> float:
+    """Write the newest measured joints, and return their time [s].
+
+    Args:
+        sensors: Constants.
+        past: The last milliseconds.
+        now: The time [ms].
+        seed: Master seed.
+        index: Number of the trial.
+        q: Receives the free joints [rad], shape (6,).
+    """
+    tick = now - sensors.reply_age
+    w0, w1, w2, w3 = philox(seed, tick, index, 0, TWIN + 2)
+    v0, v1, _, _ = philox(seed, tick, index, 0, TWIN + 3)
+    noise = (*normal_pair(w0, w1), *normal_pair(w2, w3), *normal_pair(v0, v1))
+    for i in range(FREE_JOINTS):
+        q[i] = past.q[tick % PAST, i] + sensors.joint_noise * noise[i]
+    return tick * TICK

@@ -1,0 +1,330 @@
+"""The twin as kernels and as Python drive it: send setpoints, let time pass, read the sensors.
+
+Time goes in whole milliseconds. In each the cabinet sets the torques of the joints, and the physics
+engine takes its steps under them. The engine leaves positions and velocities of all bodies as they
+are at the end of the millisecond, so that the truth can be read at any time.
+
+The pendulum's angle in the engine, as the encoder's, is relative to the flange; phi in the truth
+is in space. They differ by the flange's rotation about the spindle.
+"""
+
+from collections.abc import Sequence
+from importlib import import_module
+from math import atan2
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.compiled import kernel
+from equipoise.devices.twin.cabinet import (
+    NOW,
+    SATURATED,
+    Cabinet,
+    Servo,
+    make_servo,
+    new_cabinet,
+    send,
+    serve,
+    start,
+)
+from equipoise.devices.twin.engine import Engine, call, engine
+from equipoise.devices.twin.physics import TICK, build
+from equipoise.devices.twin.sensors import (
+    PAST,
+    Past,
+    Sensors,
+    encoder,
+    make_sensors,
+    new_past,
+    reply,
+)
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import TwinSettings
+
+Array = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+
+
+class Bodies(NamedTuple):
+    """MuJoCo's own arrays of a model's state, seen from here."""
+
+    qpos: Array
+    """All joints of the arm, then phi relative to the flange [rad]."""
+    qvel: Array
+    """Their velocities [rad/s]."""
+    applied: Array
+    """Torques of the drives, and zero for the pendulum [N m]."""
+    gravity: Array
+    """Torques that balance the arm's own gravity [N m]."""
+    warmstart: Array
+    """Where the engine's solver starts [rad/s^2]."""
+    xpos: Array
+    """Origins of the bodies [m], shape (n, 3)."""
+    xmat: Array
+    """Their rotations, row by row, shape (n, 9)."""
+    cvel: Array
+    """Angular velocity [rad/s], then linear at the tree's centre of mass [m/s], shape (n, 6)."""
+    centre: Array
+    """Centre of mass of the tree below each body [m], shape (n, 3)."""
+    root: int
+    """First body of the arm."""
+    flange: int
+    """The flange."""
+    pendulum: int
+    """The pendulum."""
+
+
+class TwinKernel(NamedTuple):
+    """A twin as kernels take it: constants, and the state, which they change in place."""
+
+    engine: Engine
+    """The engine's functions, model and data."""
+    substeps: int
+    """Steps of the engine in a millisecond."""
+    bodies: Bodies
+    """State of the bodies."""
+    servo: Servo
+    """Constants of the cabinet."""
+    cabinet: Cabinet
+    """Its state, and the time."""
+    sensors: Sensors
+    """Constants of encoder and replies."""
+    past: Past
+    """What they show next."""
+    home: Array
+    """All joints at x = 0 [rad], shape (n,)."""
+    free: Whole
+    """Numbers of the free joints, shape (6,)."""
+    home_x: float
+    """Where the flange is at home, along base x [m]."""
+    setpoint: Array
+    """Room for all joints of a setpoint [rad], shape (n,)."""
+    seed: int
+    """Master seed of what is random in a trial."""
+    trial: int
+    """Its number."""
+
+
+class Truth(NamedTuple):
+    """The state of a twin, which no sensor shows."""
+
+    x: float
+    """Displacement of the flange from home along base x [m]."""
+    x_dot: float
+    """Its velocity [m/s]."""
+    phi: float
+    """Angle of the pendulum from upright, in space [rad]."""
+    phi_dot: float
+    """Its rate [rad/s]."""
+
+
+@kernel
+def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
+    """Set time to zero, the arm at rest and held where it is.
+
+    The past is that of a pendulum that came at the same rate.
+
+    Args:
+        twin: Changed in place.
+        q: All joints [rad], shape (n,).
+        phi: Angle of the pendulum from upright, relative to the flange [rad].
+        phi_dot: Its rate [rad/s].
+    """
+    bodies, free, past = twin.bodies, twin.free, twin.past
+    n = len(q)
+    for i in range(n):
+        bodies.qpos[i] = q[i]
+    bodies.qpos[n] = phi
+    bodies.qvel[:] = 0.0
+    bodies.qvel[n] = phi_dot
+    bodies.applied[:] = 0.0
+    bodies.warmstart[:] = 0.0
+    start(twin.cabinet, q)
+    for tick in range(1 - PAST, 1):
+        past.phi[tick % PAST] = phi + tick * TICK * phi_dot
+        for i in range(FREE_JOINTS):
+            past.q[tick % PAST, i] = q[free[i]]
+    call(twin.engine.before, twin.engine.model, twin.engine.data)
+
+
+@kernel
+def advance(twin: TwinKernel, ticks: int) -> None:
+    """Let so many milliseconds pass.
+
+    Args:
+        twin: Changed in place.
+        ticks: How many [ms].
+    """
+    before, after, model, data = twin.engine
+    bodies, cabinet, servo, free = twin.bodies, twin.cabinet, twin.servo, twin.free
+    qpos, qvel, applied, gravity = bodies.qpos, bodies.qvel, bodies.applied, bodies.gravity
+    clock, past_phi, past_q = cabinet.clock, twin.past.phi, twin.past.q
+    n = len(twin.home)
+    for _ in range(ticks):
+        serve(cabinet, servo, qpos, qvel, gravity, applied)
+        for _ in range(twin.substeps):
+            call(after, model, data)
+            call(before, model, data)
+        clock[NOW] += 1
+        slot = clock[NOW] % PAST
+        past_phi[slot] = qpos[n]
+        for i in range(FREE_JOINTS):
+            past_q[slot, i] = qpos[free[i]]
+
+
+@kernel
+def send_free(twin: TwinKernel, q: Array) -> None:
+    """Send a setpoint of the free joints [rad], shape (6,), now; the held joint stays."""
+    for i in range(len(twin.home)):
+        twin.setpoint[i] = twin.home[i]
+    for i in range(FREE_JOINTS):
+        twin.setpoint[twin.free[i]] = q[i]
+    send(twin.cabinet, twin.servo, twin.setpoint, twin.seed, twin.trial)
+
+
+@kernel
+def truth(twin: TwinKernel) -> Truth:
+    """Return where flange and pendulum are."""
+    xpos, xmat, cvel, centre = (
+        twin.bodies.xpos,
+        twin.bodies.xmat,
+        twin.bodies.cvel,
+        twin.bodies.centre,
+    )
+    flange, rod, root = twin.bodies.flange, twin.bodies.pendulum, twin.bodies.root
+    y, z = xpos[flange, 1] - centre[root, 1], xpos[flange, 2] - centre[root, 2]
+    x_dot = cvel[flange, 3] + cvel[flange, 1] * z - cvel[flange, 2] * y
+    # The rod's direction d turns with omega: its change is omega x d.
+    dx, dy, dz = xmat[rod, 2], xmat[rod, 5], xmat[rod, 8]
+    wx, wy, wz = cvel[rod, 0], cvel[rod, 1], cvel[rod, 2]
+    change_x, change_z = wy * dz - wz * dy, wx * dy - wy * dx
+    return Truth(
+        xpos[flange, 0] - twin.home_x,
+        x_dot,
+        atan2(dx, dz),
+        (change_x * dz - change_z * dx) / (dx * dx + dz * dz),
+    )
+
+
+class Twin:
+    """An arm with cabinet, pendulum and encoder, which Python drives through time.
+
+    The same kernels run the compiled trials. Setpoints, counts and measured joints go by the clock
+    of the twin, which begins at zero with `reset`.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        pendulum: PendulumParameters,
+        settings: TwinSettings,
+        *,
+        seed: int = 0,
+        index: int = 0,
+        servo: Servo | None = None,
+    ) -> None:
+        """Build a twin, at home and with the pendulum hanging.
+
+        Args:
+            arm: An iiwa with its home posture.
+            pendulum: w2 and c of this trial; dry friction and drag are the world's.
+            settings: The world's numbers.
+            seed: Master seed of jitter, noise and the error of the encoder's zero.
+            index: Number of the trial.
+            servo: The constants of the cabinet, where they are known already.
+
+        Raises:
+            ArmError: The masses of the arm's links are not known.
+        """
+        self._arm = arm
+        self.model = build(arm, pendulum, settings)
+        self.data = import_module("mujoco").MjData(self.model)
+        self.kernel = TwinKernel(
+            engine=engine(self.model, self.data),
+            substeps=settings.substeps,
+            bodies=_bodies(self.model, self.data),
+            servo=make_servo(arm, settings) if servo is None else servo,
+            cabinet=new_cabinet(len(arm.joints)),
+            sensors=make_sensors(settings, seed, index),
+            past=new_past(),
+            home=np.array(arm.home),
+            free=np.array(arm.without_held(range(len(arm.joints)))),
+            home_x=float(arm.pose(arm.home_free).position[0]),
+            setpoint=np.zeros(len(arm.joints)),
+            seed=seed,
+            trial=index,
+        )
+        self.reset()
+
+    def reset(
+        self,
+        q: Sequence[float] | Array | None = None,
+        phi: float = np.pi,
+        phi_dot: float = 0.0,
+    ) -> None:
+        """Set time to zero, the arm at rest.
+
+        Args:
+            q: Free joints [rad], shape (6,); home if not given.
+            phi: Angle of the pendulum from upright, relative to the flange [rad].
+            phi_dot: Its rate [rad/s].
+        """
+        posture = self.kernel.home if q is None else self._arm.with_held(q)
+        reset(self.kernel, posture, float(phi), float(phi_dot))
+
+    @property
+    def now(self) -> float:
+        """The time [s]."""
+        return float(self.kernel.cabinet.clock[NOW]) * TICK
+
+    @property
+    def saturated(self) -> int:
+        """Milliseconds in which a drive gave all the torque that it can."""
+        return int(self.kernel.cabinet.clock[SATURATED])
+
+    def send(self, q: Sequence[float] | Array) -> None:
+        """Send a setpoint of the free joints [rad], shape (6,), now."""
+        send_free(self.kernel, np.array(q, np.float64))
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass, in whole milliseconds [s]."""
+        advance(self.kernel, round(seconds / TICK))
+
+    def encoder(self) -> tuple[float, float]:
+        """Return the newest encoder counts and their time stamp [s]."""
+        twin = self.kernel
+        counts, stamp = encoder(twin.sensors, twin.past, self._tick, twin.seed, twin.trial)
+        return float(counts), float(stamp)
+
+    def measured(self) -> tuple[Array, float]:
+        """Return the newest measured free joints [rad], shape (6,), and their time [s]."""
+        twin, q = self.kernel, np.zeros(FREE_JOINTS)
+        stamp = reply(twin.sensors, twin.past, self._tick, twin.seed, twin.trial, q)
+        return q, float(stamp)
+
+    def truth(self) -> Truth:
+        """Return where flange and pendulum are."""
+        return Truth(*(float(value) for value in truth(self.kernel)))
+
+    @property
+    def _tick(self) -> int:
+        return int(self.kernel.cabinet.clock[NOW])
+
+
+def _bodies(model: Any, data: Any) -> Bodies:
+    return Bodies(
+        qpos=data.qpos,
+        qvel=data.qvel,
+        applied=data.qfrc_applied,
+        gravity=data.qfrc_gravcomp,
+        warmstart=data.qacc_warmstart,
+        xpos=data.xpos,
+        xmat=data.xmat,
+        cvel=data.cvel,
+        centre=data.subtree_com,
+        root=model.body("frame 1").id,
+        flange=model.body("flange").id,
+        pendulum=model.body("pendulum").id,
+    )

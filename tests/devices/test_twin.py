@@ -1,0 +1,239 @@
+"""The twin as a whole: against closed forms, SciPy, MuJoCo, `identify` and itself."""
+
+import os
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from equipoise.devices.twin.excitation import excitation
+from equipoise.devices.twin.physics import TICK
+from equipoise.devices.twin.twin import Twin
+from equipoise.identification import identify
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.encoder import theta_from_counts
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import TwinSettings
+from equipoise.settings import GRAVITY, IdentificationSettings
+from equipoise.trajectory import Trajectory
+
+JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"
+ARM = iiwa(7)
+PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
+# An arm that does not yield: what the pendulum does to it is another matter.
+FIRM = TwinSettings(rotor_inertia=1e4, coulomb=0.0)
+
+
+def swing(settings, theta, duration, every=1, pendulum=PENDULUM):
+    """theta of a pendulum let go at rest, each so many milliseconds [rad]."""
+    twin = Twin(ARM, pendulum, settings)
+    twin.reset(phi=np.pi - theta)
+    angles = [theta]
+    for _ in range(round(duration / TICK / every)):
+        twin.advance(every * TICK)
+        angles.append(np.pi - twin.kernel.bodies.qpos[7])
+    return np.array(angles)
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("theta", [0.1, 1.2, 2.8])
+def test_a_free_swing_is_that_of_the_equation(theta):
+    def equation(_, y):
+        return y[1], -PENDULUM.w2 * np.sin(y[0]) - PENDULUM.c * y[1]
+
+    time = np.arange(0, 3.0005, 0.01)
+    exact = solve_ivp(equation, (0, 3), (theta, 0), t_eval=time, rtol=1e-10, atol=1e-10).y[0]
+    rate = np.abs(np.gradient(exact, time)).max()
+    errors = [
+        np.abs(swing(FIRM.model_copy(update={"substeps": n}), theta, 3.0, every=10) - exact).max()
+        for n in (1, 2)
+    ]
+    # The engine's steps are of first order: they are half a step late.
+    assert errors[0] < TICK * rate
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
+
+
+@pytest.mark.compiled_only
+def test_dry_friction_takes_its_share_of_each_swing_and_lets_the_pendulum_rest():
+    pendulum = PENDULUM._replace(c=0.0)
+    dry = FIRM.model_copy(update={"coulomb": 1.0})
+    theta = swing(dry, 0.3, 12.0, pendulum=pendulum)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(theta))) != 0) + 1
+    heights = np.abs(theta[turns[:8]])
+    # Small swings lose 2 f / w2 from one turning point to the next.
+    assert -np.diff([0.3, *heights]) == pytest.approx(np.full(8, 2 / PENDULUM.w2), rel=0.03)
+    # Then it stays beside the vertical, where friction holds it.
+    assert np.ptp(theta[-2000:]) < 1e-4
+    assert abs(theta[-1]) < 1.0 / PENDULUM.w2
+
+
+@pytest.mark.compiled_only
+def test_without_friction_a_swing_keeps_its_height_and_with_it_loses_some_each_time():
+    for c, coulomb in ((0.0, 0.0), (0.1, 0.0), (0.0, 0.2)):
+        settings = FIRM.model_copy(update={"coulomb": coulomb})
+        theta = swing(settings, 1.0, 10.0, pendulum=PENDULUM._replace(c=c))
+        turns = np.flatnonzero(np.diff(np.sign(np.diff(theta))) != 0) + 1
+        heights = np.abs(theta[turns])
+        if c == coulomb == 0.0:
+            # Seen each millisecond, a turning point is up to (h / 2)^2 w2 / 2 = 1e-5 too low.
+            assert heights == pytest.approx(np.ones(len(heights)), abs=1e-4)
+        else:
+            assert np.all(np.diff(heights) < -1e-4)
+
+
+@pytest.mark.compiled_only
+def test_a_pendulum_is_identified_as_it_was_built():
+    settings = TwinSettings(rotor_inertia=1e4)
+    twin = Twin(ARM, PENDULUM, settings, seed=3)
+    twin.reset(phi=np.pi - 1.2)
+    samples = []
+    for _ in range(15_000):
+        twin.advance(0.002)
+        samples.append(twin.encoder())
+    counts, time = np.array(samples).T
+    recording = Trajectory(
+        time=time,
+        theta=theta_from_counts(counts, settings.counts_per_rev, 1),
+        resolution=2 * np.pi / settings.counts_per_rev,
+    )
+    found = identify(recording, IdentificationSettings(friction="coulomb"))
+    assert found.w2.value == pytest.approx(PENDULUM.w2, rel=1e-3)
+    assert found.c.value == pytest.approx(PENDULUM.c, rel=0.02)
+    assert found.coulomb.value == pytest.approx(settings.coulomb, rel=0.02)
+    assert found.fit.offset == pytest.approx(-twin.kernel.sensors.zero, abs=1e-4)
+    assert found.fit.warnings == ()
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("phi", [0.1, np.pi - 0.8])
+def test_half_the_step_gives_the_same_motion(phi):
+    paths = []
+    for substeps in (1, 2):
+        twin = Twin(ARM, PENDULUM, TwinSettings(substeps=substeps), seed=2)
+        twin.reset(phi=phi)
+        path = []
+        for row in excitation(ARM, duration=1.0):
+            twin.send(row)
+            twin.advance(0.005)
+            path.append([*twin.kernel.bodies.qpos])
+        paths.append(path)
+    apart = np.abs(np.subtract(*paths)).max(axis=0)
+    # Joints move 0.1 rad in this second, the pendulum by some rad.
+    assert np.all(apart[:6] < 1e-3)
+    assert apart[6] < 1e-2
+    assert apart[7] < 2e-2
+
+
+def test_the_truth_is_what_mujoco_says_of_the_bodies():
+    twin = Twin(ARM, PENDULUM, TwinSettings(), seed=2)
+    twin.reset(ARM.home_free + 0.05, phi=0.4, phi_dot=1.0)
+    for row in excitation(ARM, duration=1.0)[:120]:
+        twin.send(row + 0.05)
+        twin.advance(0.005)
+    model, data, real = twin.model, mujoco.MjData(twin.model), twin.truth()
+    data.qpos[:], data.qvel[:] = twin.data.qpos, twin.data.qvel
+    mujoco.mj_forward(model, data)
+    velocity = np.zeros(6)
+    kind = mujoco.mjtObj.mjOBJ_XBODY
+    flange, rod = model.body("flange").id, model.body("pendulum").id
+    mujoco.mj_objectVelocity(model, data, kind, flange, velocity, 0)
+    home_x = ARM.pose(ARM.home_free).position[0]
+    assert real.x == pytest.approx(data.xpos[flange, 0] - home_x, abs=1e-12)
+    assert real.x_dot == pytest.approx(velocity[3], abs=1e-12)
+    assert abs(real.x_dot) > 0.01
+
+    def phi_after(seconds):
+        q = data.qpos.copy()
+        mujoco.mj_integratePos(model, q, data.qvel, seconds)
+        later = mujoco.MjData(model)
+        later.qpos[:] = q
+        mujoco.mj_kinematics(model, later)
+        x, _, z = later.xmat[rod].reshape(3, 3)[:, 2]
+        return np.arctan2(x, z)
+
+    assert real.phi == pytest.approx(phi_after(0.0), abs=1e-12)
+    assert real.phi_dot == pytest.approx((phi_after(1e-5) - phi_after(-1e-5)) / 2e-5, rel=1e-6)
+    # In space, not relative to the flange, which is tilted by now.
+    assert abs(real.phi - twin.data.qpos[7]) > 1e-3
+
+
+def test_at_rest_the_truth_is_what_reset_said():
+    twin = Twin(ARM, PENDULUM, TwinSettings())
+    assert tuple(twin.truth()) == pytest.approx((0.0, 0.0, np.pi, 0.0), abs=1e-12)
+    twin.reset(phi=0.1, phi_dot=-0.3)
+    assert tuple(twin.truth()) == pytest.approx((0.0, 0.0, 0.1, -0.3), abs=1e-12)
+    assert twin.now == 0.0
+    twin.reset(ARM.home_free + 0.1)
+    assert twin.data.qpos[:7] == pytest.approx(ARM.with_held(ARM.home_free + 0.1))
+    counts, time = twin.encoder()
+    assert time == pytest.approx(-0.001, abs=3.1e-4)
+    assert counts == pytest.approx(0.0, abs=8192 * 0.2 / 360 + 1)
+
+
+def path(twin, seconds=0.3):
+    rows = []
+    for row in excitation(ARM, duration=seconds):
+        twin.send(row)
+        twin.advance(0.005)
+        rows.append([twin.now, *twin.encoder(), *twin.measured()[0], *twin.truth()])
+    return np.array(rows)
+
+
+def test_after_a_reset_everything_is_as_in_a_new_twin():
+    used = Twin(ARM, PENDULUM, TwinSettings(), seed=5, index=6)
+    first = path(used)
+    used.advance(0.5)
+    used.reset()
+    assert np.array_equal(path(used), first)
+    assert np.array_equal(path(Twin(ARM, PENDULUM, TwinSettings(), seed=5, index=6)), first)
+    assert not np.array_equal(path(Twin(ARM, PENDULUM, TwinSettings(), seed=5, index=7)), first)
+
+
+SESSION = """
+import numpy as np
+from equipoise.devices.twin import twin as module
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import TwinSettings
+
+twin = module.Twin(iiwa(7), PendulumParameters(70.2, 7.16, 0.15), TwinSettings(), seed=1)
+twin.send(iiwa(7).home_free + 0.01)
+twin.advance(0.05)
+advance = module.advance
+hits = sum(advance.stats.cache_hits.values()) if hasattr(advance, "stats") else "plain"
+print(hits, twin.data.qpos.tolist())
+"""
+
+
+@pytest.fixture
+def session(tmp_path):
+    """Drive a twin in a process of its own; return cache hits, and where it ended."""
+
+    def run(**environment):
+        cache = {"EQUIPOISE_CACHE_DIR": str(tmp_path / "cache")}
+        done = subprocess.run(
+            [sys.executable, "-c", SESSION],
+            env={**os.environ, **cache, **environment},
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=300,
+        )
+        hits, _, qpos = done.stdout.partition(" ")
+        return hits, np.array([float(q) for q in qpos.strip()[1:-1].split(",")])
+
+    return run
+
+
+@pytest.mark.skipif(not JIT, reason="nothing is compiled")
+def test_the_second_process_finds_the_machine_code_and_uses_its_own_engine(session):
+    first_hits, first = session()
+    second_hits, second = session()
+    assert (first_hits, second_hits) == ("0", "1")
+    assert np.array_equal(first, second)
+    plain_hits, plain = session(NUMBA_DISABLE_JIT="1")
+    assert plain_hits == "plain"
+    assert plain == pytest.approx(first, abs=1e-12)

@@ -1,0 +1,152 @@
+"""Trials on the twin: how they end, and that the compiled loop is the one written in Python."""
+
+from math import pi, radians
+
+import numpy as np
+import pytest
+
+from equipoise.control.boxes import ANGLE, LASTED, TRACK, boxes
+from equipoise.control.controller import begin, command, make_controller, new_memory, observe
+from equipoise.control.policy import LINEAR, RANDOM, act, policy_kernel
+from equipoise.control.yardsticks import lqr_gains
+from equipoise.devices.twin.trial import (
+    Trial,
+    new_rows,
+    record_trial,
+    run_over_cores,
+    run_trial,
+)
+from equipoise.devices.twin.twin import Twin
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import LANES
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import TwinSettings
+from equipoise.settings import Settings
+
+ARM = iiwa(7)
+PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.15)
+WORLD = TwinSettings()
+LQR = policy_kernel(LINEAR, gains=lqr_gains(PENDULUM, 0.01))
+STILL = policy_kernel(LINEAR)
+TRIALS = [
+    Trial(i, PENDULUM._replace(c=0.1 + 0.02 * i), sign * radians(1.5 + 0.2 * i), sign * radians(9))
+    for i, sign in enumerate((1.0, -1.0, -1.0, 1.0))
+]
+
+pytestmark = pytest.mark.compiled_only
+
+
+@pytest.fixture(scope="module")
+def controller():
+    actuator = Actuator.assumed("kst", delay=0.0105, lag=0.008)
+    return make_controller(ARM, Settings(), actuator, PENDULUM, h=0.01, counts_per_rev=8192)
+
+
+def run(controller, policy, trials=TRIALS, duration=2.0, workers=1, seed=1, world=WORLD):
+    return run_over_cores(
+        ARM, world, controller, policy, trials, duration=duration, seed=seed, workers=workers
+    )
+
+
+def test_a_regulator_stands_and_who_does_nothing_falls(controller):
+    for outcome in run(controller, LQR, duration=5.0):
+        assert (outcome.steps, outcome.cause) == (500, LASTED)
+        assert outcome.sum_x2 < 500 * 0.03**2
+    for outcome in run(controller, STILL):
+        assert outcome.cause == ANGLE
+        assert 10 < outcome.steps < 60
+
+
+def test_who_runs_away_ends_on_the_track_limit(controller):
+    x, x_dot, phi, phi_dot = lqr_gains(PENDULUM, 0.01)
+    away = policy_kernel(LINEAR, gains=(-3.0 * x, x_dot, phi, phi_dot))
+    assert TRACK in {outcome.cause for outcome in run(controller, away)}
+
+
+def test_outcomes_depend_on_seed_and_number_alone(controller):
+    chance = policy_kernel(RANDOM)
+    for policy in (LQR, chance):
+        alone = run(controller, policy)
+        assert run(controller, policy, workers=3) == alone
+        assert run(controller, policy, trials=TRIALS[::-1]) == alone[::-1]
+        assert run(controller, policy, seed=2) != alone
+    renumbered = [trial._replace(number=trial.number + 10) for trial in TRIALS]
+    assert run(controller, chance, trials=renumbered) != run(controller, chance)
+
+
+def test_each_finished_trial_is_told(controller):
+    told = {}
+    run_over_cores(
+        ARM, WORLD, controller, STILL, TRIALS, duration=1.0, seed=1, workers=2,
+        done=lambda trial, outcome: told.update({trial.number: outcome}),
+    )  # fmt: skip
+    assert [told[i] for i in range(4)] == run(controller, STILL, duration=1.0)
+
+
+def test_a_recorded_trial_is_the_loop_as_python_writes_it(controller):
+    trial, steps = TRIALS[1], 150
+    twin = Twin(ARM, trial.pendulum, WORLD, seed=3, index=1)
+    rows = new_rows(steps, 7)
+    start = (trial.phi, trial.phi_dot)
+    outcome = run_trial(twin.kernel, controller, new_memory(), LQR, *start, steps, boxes(), rows)
+    assert (outcome.steps, outcome.cause) == (steps, LASTED)
+
+    memory, sum_x2 = new_memory(), 0.0
+    twin = Twin(ARM, trial.pendulum, WORLD, seed=3, index=1)
+    twin.reset(phi=trial.phi, phi_dot=trial.phi_dot)
+    counts, stamp = twin.encoder()
+    shown = pi - counts * 2 * pi / 8192 - stamp * trial.phi_dot
+    begin(controller, memory, 0.0, 0.0, shown, trial.phi_dot, 0)
+    for row in range(steps):
+        seen = memory.seen[::LANES].copy()
+        memory.u[0] = act(LQR, *seen, 0.0)
+        measured, measured_at = twin.measured()
+        assert rows.seen[row] == pytest.approx(seen, abs=1e-12)
+        assert rows.u[row] == pytest.approx(memory.u[0], abs=1e-12)
+        assert rows.estimate[row] == pytest.approx(memory.estimate[::LANES], abs=1e-12)
+        assert rows.counts[row] == pytest.approx(twin.encoder(), abs=1e-12)
+        assert rows.measured[row] == pytest.approx([*measured, measured_at], abs=1e-12)
+        assert rows.truth[row] == pytest.approx(twin.truth(), abs=1e-12)
+        assert rows.q[row] == pytest.approx(twin.data.qpos[:7], abs=1e-12)
+        command(controller, memory, 1)
+        setpoints = memory.setpoints[::LANES]
+        commanded = [*memory.q[::LANES], *memory.dq[::LANES]]
+        assert rows.setpoints[row] == pytest.approx(setpoints, abs=1e-12)
+        assert rows.command[row] == pytest.approx(commanded, abs=1e-12)
+        for half in (setpoints[:6], setpoints[6:]):
+            twin.send(half)
+            twin.advance(0.005)
+        memory.counts[0], counted = twin.encoder()
+        memory.measured[::LANES], measured_at = twin.measured()
+        observe(controller, memory, twin.now - counted, twin.now - measured_at, 1)
+        sum_x2 += twin.truth().x ** 2
+    assert outcome.sum_x2 == pytest.approx(sum_x2, rel=1e-9)
+
+
+def test_the_estimate_is_near_the_truth(controller):
+    steps = 500
+    twin = Twin(ARM, PENDULUM, WORLD, seed=3)
+    rows = new_rows(steps, 7)
+    run_trial(twin.kernel, controller, new_memory(), LQR, 0.03, 0.15, steps, boxes(), rows)
+    late = slice(steps // 2, None)
+    phi, phi_dot, bias, v = (rows.estimate[late] - rows.truth[late][:, [2, 3, 2, 1]]).T
+    del bias
+    assert np.abs(phi).max() < radians(0.5)
+    assert np.abs(phi_dot).max() < radians(15.0)
+    assert np.abs(v).max() < 0.05
+    # What it takes for the encoder's zero error is that.
+    assert rows.estimate[-1, 2] == pytest.approx(twin.kernel.sensors.zero, abs=radians(0.1))
+
+
+def test_a_record_ends_with_its_trial(controller):
+    trial, world = TRIALS[0], WORLD.model_copy(update={"zero_offset": 0.01})
+    outcome, rows, zero = record_trial(
+        ARM, world, controller, STILL, trial.pendulum,
+        phi=trial.phi, phi_dot=trial.phi_dot, duration=2.0, seed=1,
+    )  # fmt: skip
+    assert outcome == run(controller, STILL, trials=[trial], world=world)[0]
+    assert {len(column) for column in rows} == {outcome.steps}
+    assert rows.truth[0] == pytest.approx([0.0, 0.0, trial.phi, trial.phi_dot], abs=1e-12)
+    assert radians(9.0) < abs(rows.truth[-1, 2]) < radians(11.0)
+    assert abs(zero - 0.01) <= world.zero_error
