@@ -5,9 +5,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from equipoise import paper
+from equipoise.control.boxes import CAUSES
 from equipoise.control.policy import TabularPolicy
 from equipoise.deployment import DEPLOYMENT, deploy
-from equipoise.learning.closed_loop import CAUSES, make_plant
+from equipoise.learning.closed_loop import (
+    make_plant,
+)
 from equipoise.learning.trials import draw_trials, run_over_cores
 from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
 
@@ -90,14 +93,40 @@ def test_the_joints_carry_the_flange_to_x(run, small_policy):
         assert flange.twist[0] == pytest.approx(run.x_dot[i + 1], abs=1e-12)
 
 
+def test_what_the_policy_saw_is_the_truth(run, small_policy):
+    for name in ("x", "x_dot", "phi", "phi_dot"):
+        np.testing.assert_array_equal(getattr(run.truth, name), getattr(run, name))
+    np.testing.assert_array_equal(run.estimated_phi, run.phi)
+    np.testing.assert_array_equal(run.estimated_phi_dot, run.phi_dot)
+    np.testing.assert_array_equal(run.bias, 0.0)
+    # The real joints carry the flange to the real x of the same tick.
+    arm = small_policy.arm
+    home = arm.pose(arm.home_free).position[0]
+    flange = [arm.pose(arm.without_held(q)).position[0] for q in run.truth.q]
+    np.testing.assert_allclose(np.array(flange) - home, run.truth.x, atol=1e-12)
+
+
+def test_the_ideal_model_has_neither_a_rig_nor_an_actuator(run):
+    conditions = run.conditions
+    assert (conditions.actuator, conditions.counts_per_rev) == ("ideal", None)
+    assert (conditions.world_settings, conditions.zero_error) == (None, None)
+    assert len(run.stream.time) == len(run.replies.time) == len(run.encoder.time) == 0
+
+
 def test_the_held_joint_stays(run, small_policy):
     held = small_policy.arm.held_joint - 1
     np.testing.assert_array_equal(run.q[:, held], small_policy.arm.held_angle)
     np.testing.assert_array_equal(run.dq[:, held], 0.0)
 
 
-def test_the_tracked_acceleration_is_the_change_of_the_flanges_velocity(run):
-    np.testing.assert_allclose(np.diff(run.x_dot) / 0.01, run.tracked[:-1], atol=1e-9)
+def test_the_tracked_acceleration_is_the_change_of_the_pivots_velocity(run, small_policy):
+    arm = small_policy.arm
+    velocity = []
+    for q, dq in zip(run.q, run.dq, strict=True):
+        flange = arm.kinematics(arm.without_held(q), arm.without_held(dq))
+        lever = flange.rotation @ arm.pivot
+        velocity.append(flange.twist[0] + np.cross(flange.twist[3:], lever)[0])
+    np.testing.assert_allclose(np.diff(velocity) / 0.01, run.tracked[1:], atol=1e-9)
 
 
 def test_the_pendulum_follows_the_nonlinear_equation(run):
@@ -118,7 +147,9 @@ def test_it_is_the_trial_that_the_compiled_loop_runs(small_policy):
     long = deploy(small_policy, seed=5, duration=20.0)
     trial = draw_trials(1, settings, 5, DEPLOYMENT, spread=1.0)
     run_over_cores(
-        make_plant(small_policy.arm, settings, small_policy.h),
+        make_plant(
+            small_policy.arm, settings, small_policy.h, small_policy.pendulum.parameters()
+        ),
         small_policy.kernel,
         small_policy.pendulum.parameters(),
         trial,

@@ -1,24 +1,34 @@
-"""What one run went through, tick by tick, and the MCAP file that carries it.
+"""What one run went through, and the MCAP file that carries it.
 
 A tick is one decision of the policy: the state that it saw, the box of that state, the acceleration
-that it commanded, and what the arm did until the next tick. The file has three topics, which
-Foxglove opens and plots; log time counts from the start of the run::
+that it commanded, and what was commanded to the arm until the next tick. Beside the ticks stand
+what was sent to a rig and measured on it, and the truth, which only a simulation knows. The file
+has a topic for each, which Foxglove opens and plots, in the order of time::
 
-    /run    once, first     the conditions of the run
-    /tick   once per tick   the row, by the names of `RunLog`
-    /end    once, last      how long the run lasted and how it ended
+    /run      once, first      the conditions of the run
+    /tick     once per tick    the row, by the names of `RunLog`
+    /truth    once per tick    the real state, by the names of `Truth`; not on a robot
+    /stream   per setpoint     by the names of `Stream`; on a rig, as the next two
+    /reply    per reply        by the names of `Replies`
+    /encoder  per sample       by the names of `EncoderSamples`
+    /end      once, last       how long the run lasted and how it ended
 
-Messages are JSON, compressed with zstd. The digest covers conditions and rows, so that a file that
-was cut, damaged or edited is refused with one sentence. It is written whole or not at all.
+Time counts from the release. Log time, which cannot be negative, counts from the first row where
+that is earlier. Messages are JSON, compressed with zstd. The digest covers conditions and rows, so
+that a file that was cut, damaged or edited is refused with one sentence. It is written whole or not
+at all. Files of version 1, which hold ticks alone, are read.
 """
 
 import hashlib
+import heapq
 import io
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from functools import partial
+from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import Any, Final, Self, TypeAlias
+from typing import Any, Final, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,16 +39,19 @@ from equipoise.errors import ArtefactError
 from equipoise.settings import Settings
 
 FORMAT: Final = "equipoise-run"
-VERSION: Final = 1
+VERSION: Final = 2
+IDEAL: Final = "ideal"
+"""In place of the digest of an actuator: the arm follows its commands at once."""
 
 Array: TypeAlias = npt.NDArray[np.float64]
+Whole: TypeAlias = npt.NDArray[np.int64]
 
 
 class RunConditions(Value):
     """Where a run took place, and what decided about it."""
 
     policy: str
-    """Digest of the policy that ran."""
+    """Digest of the policy that ran; empty where the arm was only excited."""
     world: str
     """What stood in for the robot and the pendulum."""
     arm: str
@@ -58,10 +71,67 @@ class RunConditions(Value):
     """How long the run was to last [s]."""
     seed: int
     """Master seed of pendulum, start and noise."""
+    actuator: str
+    """Digest of the actuator that the controller believed in, or `ideal`."""
+    counts_per_rev: int | None
+    """Encoder counts per revolution; none where the angle is known without an encoder."""
+    world_settings: dict[str, float | int | str] | None
+    """Resolved numbers of the digital twin; none elsewhere."""
+    zero_error: float | None
+    """Error of the encoder's zero [rad]; none where there is no encoder, or nobody knows."""
     settings: Settings
     """Resolved settings: gains, noise, ranges of the start."""
     cause: str
     """How the run ended: lasted, angle, track, joint limit."""
+
+
+class Truth(NamedTuple):
+    """What only a simulation knows, once per tick; no rows on a robot."""
+
+    x: Array
+    """Displacement of the flange from home along base x at the tick [m], shape (n,)."""
+    x_dot: Array
+    """Its velocity [m/s], shape (n,)."""
+    phi: Array
+    """Angle of the pendulum from upright [rad], shape (n,)."""
+    phi_dot: Array
+    """Its angular velocity [rad/s], shape (n,)."""
+    q: Array
+    """Positions of all joints at the tick [rad], shape (n, joints)."""
+
+
+class Stream(NamedTuple):
+    """Setpoints as they were sent; no rows on the ideal model."""
+
+    time: Array
+    """When each was sent, since the release [s], shape (m,)."""
+    q: Array
+    """All joints [rad], shape (m, joints)."""
+
+
+class Replies(NamedTuple):
+    """Joint positions as they were measured; no rows on the ideal model."""
+
+    time: Array
+    """When each was measured, since the release [s], shape (p,)."""
+    q: Array
+    """All joints [rad], shape (p, joints)."""
+
+
+class EncoderSamples(NamedTuple):
+    """Counts of the pendulum's encoder; no rows on the ideal model."""
+
+    time: Array
+    """Time stamp of each, since the release [s], shape (r,)."""
+    counts: Whole
+    """Counts from where the encoder was zeroed, shape (r,)."""
+
+
+Part = TypeVar("Part", Truth, Stream, Replies, EncoderSamples)
+
+
+def _no_rows(kind: type[Part]) -> Part:
+    return kind._make(() for _ in kind._fields)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,23 +143,38 @@ class RunLog:
     time: Array
     """Start of each tick since the release [s], shape (n,)."""
     x: Array
-    """Displacement of the flange from home along base x [m], shape (n,)."""
+    """Displacement of the flange from home along base x, as the policy saw it [m], shape (n,). On a
+    rig it saw this and the next three as predicted to when its command takes effect."""
     x_dot: Array
     """Its velocity [m/s], shape (n,)."""
     phi: Array
     """Angle of the pendulum from upright [rad], shape (n,)."""
     phi_dot: Array
     """Its angular velocity [rad/s], shape (n,)."""
-    box: npt.NDArray[np.int64]
+    box: Whole
     """Box of the table that held the state, shape (n,)."""
     u: Array
     """Commanded acceleration of the flange along x [m/s^2], shape (n,)."""
     tracked: Array
     """Acceleration u' of the flange over the tick [m/s^2], shape (n,)."""
     q: Array
-    """All joints at the end of the tick [rad], shape (n, joints)."""
+    """All joints as commanded for the end of the tick [rad], shape (n, joints)."""
     dq: Array
     """Their velocities [rad/s], shape (n, joints)."""
+    estimated_phi: Array
+    """Estimate of phi at the tick, before any prediction [rad], shape (n,)."""
+    estimated_phi_dot: Array
+    """Estimate of phi_dot at the tick [rad/s], shape (n,)."""
+    bias: Array
+    """Estimate of the error of the encoder's zero [rad], shape (n,)."""
+    truth: Truth = field(default_factory=partial(_no_rows, Truth))
+    """What really was, where a simulation tells."""
+    stream: Stream = field(default_factory=partial(_no_rows, Stream))
+    """What was sent to the arm."""
+    replies: Replies = field(default_factory=partial(_no_rows, Replies))
+    """What the arm measured."""
+    encoder: EncoderSamples = field(default_factory=partial(_no_rows, EncoderSamples))
+    """What the pendulum's encoder measured."""
 
     def __post_init__(self) -> None:
         """Check the shapes, and freeze the arrays.
@@ -97,37 +182,46 @@ class RunLog:
         Raises:
             ArtefactError: Shapes that differ, or values that are no finite numbers.
         """
-        count = len(self.time)
+        ticks, joints = len(self.time), len(self.conditions.joints)
         for name in COLUMNS:
-            values = np.array(getattr(self, name), dtype=np.int64 if name == "box" else np.float64)
-            shape = (count, len(self.conditions.joints)) if name in ("q", "dq") else (count,)
-            if values.shape != shape:
-                raise ArtefactError(
-                    f"{name} of a run log has shape {values.shape}, expected {shape}: "
-                    "give one row per tick"
-                )
-            if not np.all(np.isfinite(values)):
-                raise ArtefactError(
-                    f"{name} of a run log holds values that are not finite; record the run again"
-                )
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+            column = _column(name, getattr(self, name), ticks, joints)
+            object.__setattr__(self, name, column)
+        for name, kind in PARTS.items():
+            part = getattr(self, name)
+            rows = ticks if kind is Truth and len(part[0]) else len(part[0])
+            columns = zip(kind._fields, part, strict=True)
+            checked = kind._make(_column(f"{name}.{of}", v, rows, joints) for of, v in columns)
+            object.__setattr__(self, name, checked)
+
+    @classmethod
+    def of_excitation(cls, conditions: RunConditions, stream: Stream, replies: Replies) -> Self:
+        """Return a run without ticks: the arm was moved, no policy decided.
+
+        Raises:
+            ArtefactError: Shapes that differ, or values that are no finite numbers.
+        """
+        nothing: dict[str, Any] = dict.fromkeys(COLUMNS, ())
+        return cls(conditions=conditions, stream=stream, replies=replies, **nothing)
 
     @property
     def lasted(self) -> float:
-        """How long the run lasted [s]."""
-        return round(len(self.time) * self.conditions.h, 9)
+        """How long the run lasted [s]; without ticks, until the last setpoint was sent."""
+        if len(self.time):
+            return round(len(self.time) * self.conditions.h, 9)
+        return float(np.max(self.stream.time, initial=0.0))
 
     @property
     def digest(self) -> str:
         """SHA-256 of conditions and rows."""
-        return self._digest(_json(self.conditions.model_dump(mode="json")))
+        return self._digest(_json(self.conditions.model_dump(mode="json")), VERSION)
 
-    def _digest(self, conditions: bytes) -> str:
+    def _digest(self, conditions: bytes, version: int) -> str:
         digest = hashlib.sha256(conditions)
-        for name in COLUMNS:
-            values = getattr(self, name)
-            digest.update(name.encode() + values.astype(values.dtype.newbyteorder("<")).tobytes())
+        for paths in LAYOUTS[version].values():
+            for path in paths:
+                values = attrgetter(path)(self)
+                little = values.astype(values.dtype.newbyteorder("<"))
+                digest.update(path.encode() + little.tobytes())
         return DIGEST_PREFIX + digest.hexdigest()
 
     def save(self, path: Path, *, command: str, inputs: Mapping[str, str] | None = None) -> None:
@@ -160,17 +254,31 @@ class RunLog:
             text = json.dumps(schema).encode()
             number = writer.register_schema(f"equipoise{topic}", "jsonschema", text)
             channels[topic] = writer.register_channel(topic, "json", number)
-        for sequence, (time, topic, message) in enumerate(self._messages()):
-            stamp = round(time * 1e9)
+        for sequence, (stamp, topic, message) in enumerate(self._messages()):
             writer.add_message(channels[topic], stamp, _json(message), stamp, sequence)
         writer.finish()
         write_whole(path, stream.getvalue())
 
-    def _messages(self) -> Iterator[tuple[float, str, dict[str, Any]]]:
-        yield 0.0, "/run", self.conditions.model_dump(mode="json")
-        for row in zip(*(getattr(self, name).tolist() for name in COLUMNS), strict=True):
-            yield row[0], "/tick", dict(zip(COLUMNS, row, strict=True))
-        yield self.lasted, "/end", {"lasted": self.lasted, "cause": self.conditions.cause}
+    def _messages(self) -> Iterator[tuple[int, str, dict[str, Any]]]:
+        """Yield log time [ns], topic and content of each message, in the order of time."""
+        parts = (self.time, self.stream.time, self.replies.time, self.encoder.time)
+        times = np.concatenate((*parts, (0.0, self.lasted)))
+        first, last = float(times.min()), float(times.max())
+        end = {"lasted": self.lasted, "cause": self.conditions.cause}
+        yield 0, "/run", self.conditions.model_dump(mode="json")
+        # Rows of one topic keep their order even where their times do not increase.
+        rows = heapq.merge(*map(self._rows, LAYOUTS[VERSION]), key=itemgetter(0))
+        for time, topic, row in rows:
+            yield round((time - first) * 1e9), topic, row
+        yield round((last - first) * 1e9), "/end", end
+
+    def _rows(self, topic: str) -> Iterator[tuple[float, str, dict[str, Any]]]:
+        paths = LAYOUTS[VERSION][topic]
+        names = [_name(path) for path in paths]
+        columns = [attrgetter(path)(self).tolist() for path in paths]
+        times = columns[0] if names[0] == "time" else self.time.tolist()
+        for time, *row in zip(times, *columns, strict=False):  # truth may have no rows
+            yield time, topic, dict(zip(names, row, strict=True))
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -179,21 +287,27 @@ class RunLog:
         Raises:
             ArtefactError: The file is missing, corrupt, edited, not ours or newer.
         """
-        metadata, messages = _read(path)
-        rows = messages.get("/tick", [])
+        version, metadata, messages = _read(path)
+        columns: dict[str, Any] = {}
         try:
-            conditions = RunConditions.model_validate_json(messages["/run"][0], strict=True)
-            ticks = [json.loads(row) for row in rows]
-            columns: dict[str, Any] = {name: [row[name] for row in ticks] for name in COLUMNS}
-            if not ticks:
-                columns |= dict.fromkeys(("q", "dq"), np.empty((0, len(conditions.joints))))
-            run = cls(conditions=conditions, **columns)
-        except (KeyError, IndexError, TypeError, ValueError, ValidationError):
+            written = messages["/run"][0]
+            conditions = json.loads(written)
+            for topic, paths in LAYOUTS[version].items():
+                rows = [json.loads(message) for message in messages.get(topic, ())]
+                columns |= {path: [row[_name(path)] for row in rows] for path in paths}
+            if version == 1:
+                _upgrade(conditions, columns)
+            given: dict[str, Any] = {name: columns[name] for name in COLUMNS}
+            for name, kind in PARTS.items():
+                given[name] = kind._make(columns.get(f"{name}.{of}", ()) for of in kind._fields)
+            text = _json(conditions)
+            run = cls(conditions=RunConditions.model_validate_json(text, strict=True), **given)
+        except (KeyError, IndexError, TypeError, ValueError):
             raise ArtefactError(
                 f"{path} is not a valid {FORMAT!r} file: its messages are incomplete; "
                 "record the run again"
             ) from None
-        if run._digest(messages["/run"][0]) != metadata.get("digest"):
+        if run._digest(written, version) != metadata.get("digest"):
             raise ArtefactError(
                 f"{path} does not match its digest: it was edited or damaged after it was "
                 "written; record the run again"
@@ -201,27 +315,112 @@ class RunLog:
         return run
 
 
-COLUMNS: Final = tuple(field.name for field in fields(RunLog) if field.name != "conditions")
-"""Names of the arrays, in the order of a tick."""
+PARTS: Final = {
+    "truth": Truth,
+    "stream": Stream,
+    "replies": Replies,
+    "encoder": EncoderSamples,
+}
+"""What a run log holds beside its ticks."""
+
+COLUMNS: Final = tuple(one.name for one in fields(RunLog) if one.name not in ("conditions", *PARTS))
+"""Names of the arrays of a tick, in their order."""
+
+LAYOUTS: Final[Mapping[int, Mapping[str, tuple[str, ...]]]] = {
+    1: {"/tick": ("time", "x", "x_dot", "phi", "phi_dot", "box", "u", "tracked", "q", "dq")},
+    2: {
+        "/tick": COLUMNS,
+        "/truth": tuple(f"truth.{name}" for name in Truth._fields),
+        "/stream": tuple(f"stream.{name}" for name in Stream._fields),
+        "/reply": tuple(f"replies.{name}" for name in Replies._fields),
+        "/encoder": tuple(f"encoder.{name}" for name in EncoderSamples._fields),
+    },
+}
+"""For each version the topics with rows, and the attributes of `RunLog` that are their columns."""
+
+PER_JOINT: Final = ("q", "dq")
+"""Columns with one number per joint; others have one number."""
+WHOLE: Final = ("box", "counts")
+"""Columns of whole numbers."""
 
 
-def provenance_of(path: Path) -> Provenance:
-    """Return where the run in `path` comes from.
+def _name(path: str) -> str:
+    """Return what messages call the column `path`."""
+    return path.rpartition(".")[2]
+
+
+def _column(path: str, given: Any, rows: int, joints: int) -> npt.NDArray[Any]:
+    """Return a frozen copy of a column, if it has the shape and the values that it should have."""
+    shape = (rows, joints) if _name(path) in PER_JOINT else (rows,)
+    values: npt.NDArray[Any] = np.array(given, dtype=np.float64)
+    if rows == values.size == 0:
+        values = values.reshape(shape)
+    if values.shape != shape:
+        raise ArtefactError(
+            f"{path} of a run log has shape {values.shape}, expected {shape}: give all columns "
+            f"of a table as many rows, and {', '.join(PER_JOINT)} one number per joint"
+        )
+    if not np.all(np.isfinite(values)):
+        raise ArtefactError(
+            f"{path} of a run log holds values that are not finite; record the run again"
+        )
+    if _name(path) in WHOLE:
+        whole = np.array(given, dtype=np.int64).reshape(shape)
+        if np.any(whole != values):
+            raise ArtefactError(
+                f"{path} of a run log holds values that are not whole numbers; round them"
+            )
+        values = whole
+    values.flags.writeable = False
+    return values
+
+
+def _upgrade(conditions: dict[str, Any], columns: dict[str, Any]) -> None:
+    """Add what version 1 did not say: it knew the ideal model alone, which needs no estimate."""
+    conditions |= {
+        "actuator": IDEAL,
+        "counts_per_rev": None,
+        "world_settings": None,
+        "zero_error": None,
+    }
+    columns |= {
+        "estimated_phi": columns["phi"],
+        "estimated_phi_dot": columns["phi_dot"],
+        "bias": [0.0] * len(columns["phi"]),
+    }
+
+
+class Header(NamedTuple):
+    """What a file says about itself."""
+
+    version: int
+    """Version of the format that it has."""
+    digest: str
+    """SHA-256 of conditions and rows, as that version has them."""
+    provenance: Provenance
+    """Where it comes from."""
+
+
+def read_header(path: Path) -> Header:
+    """Return what the file `path` says about itself.
 
     Raises:
         ArtefactError: The file is missing, corrupt, not ours or newer.
     """
-    metadata, _ = _read(path)
+    version, metadata, _ = _read(path, topics=())
     try:
-        return Provenance.model_validate_json(metadata["provenance"])
+        provenance = Provenance.model_validate_json(metadata["provenance"])
+        return Header(version, metadata["digest"], provenance)
     except (KeyError, ValidationError):
         raise ArtefactError(
             f"{path} does not say where it comes from; record the run again"
         ) from None
 
 
-def _read(path: Path) -> tuple[dict[str, str], dict[str, list[bytes]]]:
-    """Return our metadata, and the messages of each topic in their order."""
+def _read(
+    path: Path, topics: tuple[str, ...] | None = None
+) -> tuple[int, dict[str, str], dict[str, list[bytes]]]:
+    """Return version, our metadata, and the messages of the topics (of all) as written."""
     from mcap.reader import make_reader
 
     try:
@@ -237,34 +436,36 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, list[bytes]]]:
         for record in reader.iter_metadata():
             if record.name == FORMAT:
                 metadata = dict(record.metadata)
-        for _, channel, message in reader.iter_messages():
+        for _, channel, message in reader.iter_messages(topics, log_time_order=False):
             messages.setdefault(channel.topic, []).append(message.data)
     except Exception:  # a damaged length or index makes the reader fail in any way there is
         raise ArtefactError(
             f"{path} is not an MCAP file, or was cut short or damaged; record the run again"
         ) from None
     version = metadata.get("version", "")
-    if not version.isdecimal():
+    if not version.isdecimal() or int(version) == 0:
         raise ArtefactError(f"{path} is no run log of Equipoise; give a file that it wrote")
     if int(version) > VERSION:
         raise ArtefactError(
             f"{path} has version {version} of {FORMAT!r}, this Equipoise reads up to {VERSION}; "
             "upgrade Equipoise"
         )
-    return metadata, messages
+    return int(version), metadata, messages
 
 
 def _schemas(joints: int) -> dict[str, dict[str, Any]]:
     """Return the JSON schema of each topic; Foxglove needs one to plot."""
-    per_joint = {"type": "array", "items": {"type": "number"}, "minItems": joints}
-    kinds: dict[str, Any] = {name: {"type": "number"} for name in COLUMNS}
-    kinds |= {"box": {"type": "integer"}, "q": per_joint, "dq": per_joint}
-    end = {"lasted": {"type": "number"}, "cause": {"type": "string"}}
-    return {
-        "/run": RunConditions.model_json_schema(),
-        "/tick": {"type": "object", "properties": kinds},
-        "/end": {"type": "object", "properties": end},
+    number, whole, word = ({"type": kind} for kind in ("number", "integer", "string"))
+    per_joint = {"type": "array", "items": number, "minItems": joints}
+    kinds: dict[str, Any] = dict.fromkeys(WHOLE, whole)
+    kinds |= dict.fromkeys(PER_JOINT, per_joint)
+    tables = {
+        topic: {_name(path): kinds.get(_name(path), number) for path in paths}
+        for topic, paths in LAYOUTS[VERSION].items()
     }
+    tables["/end"] = {"lasted": number, "cause": word}
+    schemas = {t: {"type": "object", "properties": columns} for t, columns in tables.items()}
+    return {"/run": RunConditions.model_json_schema(), **schemas}
 
 
 def _json(value: Any) -> bytes:

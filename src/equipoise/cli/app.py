@@ -5,6 +5,8 @@ from typing import Annotated
 import typer
 
 from equipoise.cli.bench import bench
+from equipoise.cli.certify import certify
+from equipoise.cli.deploy import deploy
 from equipoise.cli.evaluate import evaluate
 from equipoise.cli.identify import identify
 from equipoise.cli.reproduce import reproduce
@@ -16,7 +18,7 @@ STUDIES = "Studies"
 
 app = typer.Typer(
     name="equipoise",
-    help="Teach a robot arm to balance an inverted pendulum: identify, train, evaluate.",
+    help="Teach a robot arm to balance an inverted pendulum: identify, train, evaluate, deploy.",
     epilog="Begin with: equipoise reproduce --quick",
     no_args_is_help=True,
     add_completion=False,
@@ -25,9 +27,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for verb in (reproduce, identify, train, evaluate):
+for verb in (reproduce, identify, train, evaluate, deploy):
     app.command(rich_help_panel=STORY)(verb)
-for verb in (verify, bench):
+for verb in (certify, verify, bench):
     app.command(rich_help_panel=STUDIES)(verb)
 
 

@@ -1,0 +1,69 @@
+"""`equipoise deploy` and `identify` of a run log: from an excitation to an actuator."""
+
+import pytest
+
+from equipoise.model.actuator import Actuator
+from equipoise.runlog import RunLog
+from tests.cli.damage import DAMAGE
+
+pytestmark = pytest.mark.compiled_only
+
+
+@pytest.fixture
+def log(equipoise, tmp_path):
+    assert equipoise("deploy", "--excite", "--out", "log.mcap").code == 0
+    return tmp_path / "log.mcap"
+
+
+def test_an_excitation_becomes_an_actuator_which_the_twin_has(equipoise, log, tmp_path):
+    ran = equipoise("identify", log, "--json")
+    assert ran.code == 0
+    found = ran.json
+    assert found["kind"] == "kst"
+    assert found["delay"] == pytest.approx(0.010, abs=0.002)
+    assert found["cycle"] == pytest.approx(0.001, rel=0.05)
+    assert found["lags"] == pytest.approx([0.008] * 6, rel=0.2)
+    assert Actuator.load(tmp_path / "actuator.json").delay.value == found["delay"]
+
+
+def test_a_run_is_written_and_told_and_a_fall_is_exit_code_1(equipoise, policy_file, tmp_path):
+    ran = equipoise("deploy", policy_file, "--duration", 5, "--seed", 2)
+    run = RunLog.load(tmp_path / "run.mcap")
+    assert run.conditions.world == "twin:nominal-1"
+    assert ran.code == (0 if run.conditions.cause == "lasted" else 1)
+    assert "encoder's zero" in ran.out
+    assert f"ended: {run.conditions.cause}" in ran.out
+
+
+def test_what_does_not_go_together_is_refused(refused, policy_file, tmp_path):
+    refused("deploy", policy_file, "--excite", saying="do not go with --excite")
+    refused("deploy", policy_file, "--arm", "iiwa7", saying="belong to --excite")
+    refused("deploy", "--excite", "--world", "model", saying="no servo to excite")
+    refused(
+        "deploy", policy_file, "--world", "twin:nominel", saying="there is no world 'twin:nominel'"
+    )
+    refused("deploy", policy_file, "--out", "run.json", saying="ends in .mcap")
+    refused("deploy", policy_file, "--video", "run.gif", saying="ends in .mp4")
+    refused("deploy", policy_file, "--duration", 0, saying="from 0.01 to 3600")
+    refused("deploy", tmp_path / "none.json", saying="there is no file")
+
+
+def test_options_of_a_swing_are_refused_for_a_run_log(refused, log):
+    refused("identify", log, "--friction", "coulomb", saying="belong to a swing")
+
+
+def test_a_log_of_a_run_that_moves_too_little_is_refused(refused, equipoise, policy_file, tmp_path):
+    equipoise("deploy", policy_file, "--duration", 0.2, "--out", "short.mcap")
+    refused("identify", tmp_path / "short.mcap", saying="expected at least")
+
+
+@pytest.mark.parametrize("damage", [d for d in DAMAGE if d.__name__ in ("cut", "emptied")])
+def test_a_damaged_log_is_refused(refused, log, damage):
+    damage(log)
+    refused("identify", log, saying="")
+
+
+def test_a_run_log_is_no_actuator_and_an_actuator_no_policy(refused, equipoise, log, tmp_path):
+    refused("train", "--actuator", log, saying="expected an actuator")
+    equipoise("identify", log)
+    refused("deploy", tmp_path / "actuator.json", saying="equipoise-policy")
