@@ -1,5 +1,8 @@
 """Evaluation: what it counts, with what confidence, and that any policy runs the same trials."""
 
+import json
+from pathlib import Path
+
 import hypothesis
 import numpy as np
 import pytest
@@ -8,13 +11,15 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from equipoise import paper
+from equipoise.control.boxes import CAUSES
 from equipoise.control.policy import act
 from equipoise.control.yardsticks import yardsticks
 from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation, TrialResults, evaluate, evaluate_function
-from equipoise.learning.closed_loop import CAUSES
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.settings import resolve
+from equipoise.settings import Settings, resolve
+from equipoise.training import train
 
 SHORT = ["evaluation.trials=20", "evaluation.duration=1.5"]
 
@@ -124,7 +129,8 @@ def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, setting
     assert evaluation.policy == small_policy.digest
     assert evaluation.pendulum == small_policy.pendulum.digest
     assert (evaluation.arm, evaluation.arm_digest) == ("iiwa14", small_policy.arm.digest)
-    assert evaluation.world == "model"
+    assert (evaluation.world, evaluation.world_settings) == ("model", None)
+    assert evaluation.actuator == small_policy.actuator.digest
     assert (evaluation.settings, evaluation.seed, evaluation.duration) == (settings, 3, 1.5)
     assert len(evaluation.results.survival) == len(evaluation.results.causes) == 20
     assert [beside.name for beside in evaluation.yardsticks] == list(
@@ -267,6 +273,55 @@ def test_worse_plants_are_harder(small_policy):
     assert shaken < median()
 
 
+# Behind an actuator
+
+KST = Actuator.assumed("kst", delay=0.01, lag=0.008)
+
+
+@pytest.fixture(scope="module")
+def policy_behind(pendulum, quick_settings):
+    """A policy that has hardly been trained, behind an actuator."""
+    return train(pendulum, iiwa(14), quick_settings, actuator=KST, seed=7)
+
+
+@pytest.mark.compiled_only
+def test_a_policy_is_evaluated_behind_the_actuator_of_its_training(policy_behind, settings):
+    evaluation = evaluate(policy_behind, settings, seed=3)
+    assert evaluation.actuator == KST.digest
+    same = evaluate(policy_behind, settings, seed=3, actuator=KST, workers=2)
+    assert same.digest == evaluation.digest
+    # The yardsticks stand on what the controller shows them.
+    beside = {results.name: results.summary() for results in evaluation.yardsticks}
+    assert beside["LQR"].rate == 1.0
+
+
+@pytest.mark.compiled_only
+def test_another_actuator_makes_another_evaluation(policy_behind, settings):
+    here = evaluate(policy_behind, settings, seed=3)
+    there = evaluate(policy_behind, settings, seed=3, actuator=IDEAL_ACTUATOR)
+    assert there.actuator == IDEAL_ACTUATOR.digest
+    assert there.policy == here.policy
+    assert there.results.survival != here.results.survival
+
+
+@pytest.mark.compiled_only
+def test_delay_without_prediction_is_what_makes_a_policy_fall(pendulum, settings):
+    # LQR, which stands behind 60 ms where it is shown what comes, and falls on what is.
+    def rate(*overrides):
+        changed = resolve(overrides=[*SHORT, "evaluation.duration=5", *overrides])
+        policy = train(
+            pendulum,
+            iiwa(14),
+            resolve(overrides=["learning.episodes=1", "selection.every=0", *overrides]),
+            actuator=Actuator.assumed("kst", delay=0.06, lag=0.008),
+        )
+        beside = evaluate(policy, changed, seed=3).yardsticks
+        return {results.name: results.summary().rate for results in beside}["LQR, snapped"]
+
+    assert rate() == 1.0
+    assert rate("controller.predict=false") < 0.5
+
+
 # The file
 
 
@@ -288,6 +343,31 @@ def test_a_trial_that_was_turned_into_a_success_is_found(evaluation, tmp_path):
     path.write_text(text.replace('"angle"', '"lasted"', 1))
     with pytest.raises(ArtefactError, match="does not match its digest"):
         Evaluation.load(path)
+
+
+OLD = Path(__file__).parent / "data" / "evaluation-v1.json"
+
+
+def test_an_evaluation_of_version_1_is_read_as_it_was(tmp_path):
+    document = json.loads(OLD.read_text())
+    assert (document["format"], document["version"]) == (Evaluation.FORMAT, 1)
+    old, read = document["body"], Evaluation.load(OLD)
+    for name in ("policy", "world", "arm", "arm_digest", "pendulum", "seed"):
+        assert getattr(read, name) == old[name]
+    assert [read.results.model_dump(mode="json")] == [old["results"]]
+    assert [beside.model_dump(mode="json") for beside in read.yardsticks] == old["yardsticks"]
+    # There was the training plant alone, and no actuator.
+    assert read.world_settings is None
+    assert read.actuator == IDEAL_ACTUATOR.digest
+    settings = read.settings.model_dump(mode="json")
+    for section, values in old["settings"].items():
+        assert values.items() <= settings[section].items()
+    assert read.settings.controller == Settings().controller
+    assert read.settings.plant.ideal
+    # It is written as one of this version.
+    read.save(tmp_path / "evaluation.json", command="test")
+    assert json.loads((tmp_path / "evaluation.json").read_text())["version"] == 2
+    assert Evaluation.load(tmp_path / "evaluation.json") == read
 
 
 def test_rates_are_derived_and_not_stored():

@@ -1,28 +1,52 @@
 """Evaluate: how long a policy stands, with what confidence, and why it falls.
 
-Trials start as a release leaves the pendulum and run on plants that vary around the pendulum the
-policy was trained for. Test seeds are used nowhere else. The yardsticks run the same trials.
+Trials start as a release leaves them and run on plants that vary around the pendulum the policy
+was trained for: on the training plant (world `model`), or on the digital twin (`twin:...`), through
+the controller and the actuator of the policy. Test seeds are used nowhere else, trial i is the same
+for every policy, and the yardsticks run the same trials.
 """
 
+import threading
+import time
 from collections import Counter
-from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy.stats import binomtest
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Value
-from equipoise.control.policy import Policy, PolicyKernel, TabularPolicy
+from equipoise.artefacts import Artefact, Value, value_digest
+from equipoise.control.boxes import CAUSES
+from equipoise.control.controller import make_controller
+from equipoise.control.policy import Policy, PolicyKernel, TabularPolicy, with_first_settings
 from equipoise.control.yardsticks import yardsticks
-from equipoise.learning.closed_loop import CAUSES, make_plant, scaled
-from equipoise.learning.trials import Trials, draw_trials, record_trial, run_over_cores
+from equipoise.learning.closed_loop import (
+    Plant,
+    make_plant,
+    scaled,
+)
+from equipoise.learning.trials import (
+    Trials,
+    draw_trials,
+    record_trial,
+    run_over_cores,
+    twin_settings,
+)
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import TEST
+from equipoise.model.worlds import MODEL, TwinSettings, World, read_world
 from equipoise.settings import Settings
 
+if TYPE_CHECKING:
+    from equipoise.devices.twin.trial import Trial
+
 CONFIDENCE = 0.95
+KEEP_EVERY = 5.0
+"""Time between two writings of a partial evaluation [s]."""
 
 Done = Callable[[int], None]
 """Called with the number of trials that have just finished."""
@@ -75,16 +99,25 @@ class Evaluation(Artefact):
     """All trials of a policy and of the yardsticks beside it."""
 
     FORMAT: ClassVar[str] = "equipoise-evaluation"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
+    UPGRADES: ClassVar[Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]]] = {
+        1: lambda body: (
+            with_first_settings(body) | {"world_settings": None, "actuator": IDEAL_ACTUATOR.digest}
+        )
+    }
 
     policy: str
     """Digest of the policy, or the name of the function that was evaluated."""
     world: str
     """Where the trials ran."""
+    world_settings: TwinSettings | None
+    """The numbers of the twin; none on the training plant."""
     arm: str
     """Name of the arm."""
     arm_digest: str
     """Digest of the arm."""
+    actuator: str
+    """Digest of the actuator that the controller knows."""
     pendulum: str
     """Digest of the pendulum that the trials vary."""
     settings: Settings
@@ -106,25 +139,49 @@ def evaluate(
     policy: TabularPolicy,
     settings: Settings | None = None,
     *,
+    world: str | World = MODEL,
+    actuator: Actuator | None = None,
     seed: int = 0,
     with_yardsticks: bool = True,
     workers: int = 1,
+    partial: Path | None = None,
     done: Done = lambda _: None,
 ) -> Evaluation:
-    """Evaluate a trained policy on the plant that it was trained for.
+    """Evaluate a trained policy, on the plant that it was trained for or on a digital twin.
 
     Args:
         policy: The policy.
-        settings: Number, length and starts of the trials, noise of the plant; the policy's own
-            settings if not given.
+        settings: Number, length and starts of the trials, noise of the plant, the controller; the
+            policy's own settings if not given.
+        world: `model`, a name that `read_world` knows, or a twin with its numbers.
+        actuator: What the controller knows of the arm's response; that of the training if not
+            given.
         seed: Master seed of the trials.
         with_yardsticks: Run the yardsticks on the same trials.
         workers: Number of threads; the result does not depend on it.
+        partial: File that keeps the finished trials on a twin until all are done: an interrupted
+            evaluation goes on where it stopped.
         done: Called with the number of trials that have just finished.
+
+    Raises:
+        SettingsError: There is no such world.
+        ArmError: The twin does not know the masses of the arm.
     """
     settings = policy.settings if settings is None else settings
-    bench = _Bench(policy.pendulum, policy.arm, settings, policy.h, seed, workers, done)
-    return bench.evaluation(policy.digest, bench.run("policy", policy.kernel), with_yardsticks)
+    bench = _Bench(
+        policy.pendulum,
+        policy.arm,
+        settings,
+        actuator or policy.actuator,
+        policy.h,
+        world,
+        seed,
+        workers,
+        partial,
+        done,
+    )
+    results = bench.run("policy", policy.kernel, policy.digest)
+    return bench.evaluation(policy.digest, results, with_yardsticks)
 
 
 def evaluate_function(
@@ -139,7 +196,7 @@ def evaluate_function(
     workers: int = 1,
     done: Done = lambda _: None,
 ) -> Evaluation:
-    """Evaluate any object with `act(state) -> u`, on the same trials as a table.
+    """Evaluate any object with `act(state) -> u`, on the plant of the paper's simulation.
 
     The policy runs in Python, so this takes a second per trial or so.
 
@@ -154,8 +211,43 @@ def evaluate_function(
         workers: Number of threads for the yardsticks.
         done: Called with the number of trials that have just finished.
     """
-    bench = _Bench(pendulum, arm, settings, paper.STEP, seed, workers, done)
+    bench = _Bench(
+        pendulum, arm, settings, IDEAL_ACTUATOR, paper.STEP, MODEL, seed, workers, None, done
+    )
     return bench.evaluation(name, bench.run_in_python(name, policy), with_yardsticks)
+
+
+def twin_trials(
+    settings: Settings,
+    world: TwinSettings,
+    pendulum: PendulumParameters,
+    seed: int,
+    stream: int,
+) -> "list[Trial]":
+    """Return the conditions of the trials on a twin: starts and pendulums.
+
+    Args:
+        settings: Number and starts of the trials.
+        world: How far the pendulum of a trial differs from the nominal one.
+        pendulum: The nominal one.
+        seed: Master seed.
+        stream: Purpose of the trials.
+    """
+    from equipoise.devices.twin.trial import Trial
+
+    there = twin_settings(settings, world)
+    drawn = draw_trials(settings.evaluation.trials, there, seed, stream, spread=1.0)
+    return [
+        Trial(
+            number=i,
+            pendulum=PendulumParameters(
+                *scaled(pendulum, drawn.inertia_factor[i], drawn.friction_factor[i])
+            ),
+            phi=float(drawn.start[i, 2]),
+            phi_dot=float(drawn.start[i, 3]),
+        )
+        for i in range(settings.evaluation.trials)
+    ]
 
 
 class _Bench:
@@ -166,21 +258,31 @@ class _Bench:
         pendulum: Pendulum,
         arm: Arm,
         settings: Settings,
+        actuator: Actuator,
         h: float,
+        world: str | World,
         seed: int,
         workers: int,
+        partial: Path | None,
         done: Done,
     ) -> None:
         self._pendulum, self._arm, self._settings = pendulum, arm, settings
-        self._seed, self._workers, self._done = seed, workers, done
-        self._plant = make_plant(arm, settings, h)
+        self._actuator, self._h, self._seed = actuator, h, seed
+        self._workers, self._partial, self._done = workers, partial, done
         self._parameters = pendulum.parameters(linearised=settings.plant.linearised)
+        self._twin = None
+        if isinstance(world, World):
+            self._twin = world
+        elif world != MODEL:
+            self._twin = read_world(world)
 
-    def run(self, name: str, kernel: PolicyKernel) -> TrialResults:
+    def run(self, name: str, kernel: PolicyKernel, digest: str = "") -> TrialResults:
         """Run all trials of a policy for compiled loops."""
+        if self._twin is not None:
+            return self._run_on_twin(self._twin.settings, name, kernel, digest)
         trials = self._trials()
         run_over_cores(
-            self._plant,
+            self._plant(),
             kernel,
             self._parameters,
             trials,
@@ -194,14 +296,11 @@ class _Bench:
 
     def run_in_python(self, name: str, policy: Policy) -> TrialResults:
         """Run all trials of a policy written in Python."""
-        trials = self._trials()
-        longest = round(self._settings.evaluation.duration / self._plant.h)
+        trials, plant = self._trials(), self._plant()
+        longest = round(self._settings.evaluation.duration / self._h)
         for i in range(len(trials.steps)):
-            own: PendulumParameters = scaled(
-                self._parameters, float(trials.inertia_factor[i]), float(trials.friction_factor[i])
-            )
             trials.cause[i], rows = record_trial(
-                self._plant, policy, own, trials.start[i], longest, self._seed, TEST, i
+                plant, policy, self._parameters, trials, i, longest, self._seed, TEST
             )
             trials.steps[i] = len(rows.u)
             self._done(1)
@@ -209,18 +308,78 @@ class _Bench:
 
     def evaluation(self, policy: str, results: TrialResults, with_yardsticks: bool) -> Evaluation:
         """Return the evaluation, the yardsticks run if asked for."""
-        beside = yardsticks(self._parameters, self._plant.h) if with_yardsticks else {}
-        return Evaluation(
+        beside = yardsticks(self._parameters, self._h) if with_yardsticks else {}
+        evaluation = Evaluation(
             policy=policy,
-            world="model",
+            world=MODEL if self._twin is None else self._twin.name,
+            world_settings=None if self._twin is None else self._twin.settings,
             arm=self._arm.name,
             arm_digest=self._arm.digest,
+            actuator=self._actuator.digest,
             pendulum=self._pendulum.digest,
             settings=self._settings,
             seed=self._seed,
             results=results,
             yardsticks=tuple(self.run(name, kernel) for name, kernel in beside.items()),
         )
+        if self._partial is not None:
+            self._partial.unlink(missing_ok=True)
+        return evaluation
+
+    def _run_on_twin(
+        self, settings: TwinSettings, name: str, kernel: PolicyKernel, digest: str
+    ) -> TrialResults:
+        from equipoise.devices.twin.trial import Outcome, Trial, run_over_cores
+
+        e, results = self._settings.evaluation, self._trials()
+        kept = _Kept(self._partial, self._key(settings, name, digest))
+        todo = kept.restore(results)
+        self._done(e.trials - len(todo))
+
+        def one_done(trial: Trial, outcome: Outcome) -> None:
+            i = trial.number
+            results.steps[i], results.cause[i] = outcome.steps, outcome.cause
+            kept.add(i, outcome.steps, outcome.cause)
+            self._done(1)
+
+        conditions = twin_trials(self._settings, settings, self._parameters, self._seed, TEST)
+        run_over_cores(
+            self._arm,
+            settings,
+            make_controller(
+                self._arm,
+                self._settings,
+                self._actuator,
+                self._parameters,
+                h=self._h,
+                counts_per_rev=settings.counts_per_rev,
+            ),
+            kernel,
+            [conditions[i] for i in todo],
+            duration=e.duration,
+            seed=self._seed,
+            workers=self._workers,
+            done=one_done,
+        )
+        return self._results(name, results)
+
+    def _key(self, settings: TwinSettings, name: str, digest: str) -> str:
+        """Return the digest of all that decides about a trial but its number."""
+        of_any_number = self._settings.evaluation.model_copy(update={"trials": 1})
+        told = _Deciding(
+            name=name,
+            policy=digest,
+            world=settings,
+            arm=self._arm,
+            actuator=self._actuator.digest,
+            pendulum=self._pendulum.digest,
+            settings=self._settings.model_copy(update={"evaluation": of_any_number}),
+            seed=self._seed,
+        )
+        return value_digest(told)
+
+    def _plant(self) -> Plant:
+        return make_plant(self._arm, self._settings, self._h, self._parameters, self._actuator)
 
     def _trials(self) -> Trials:
         count = self._settings.evaluation.trials
@@ -229,6 +388,62 @@ class _Bench:
     def _results(self, name: str, trials: Trials) -> TrialResults:
         return TrialResults(
             name=name,
-            survival=tuple(round(steps * self._plant.h, 6) for steps in trials.steps.tolist()),
+            survival=tuple(round(steps * self._h, 6) for steps in trials.steps.tolist()),
             causes=tuple(CAUSES[cause] for cause in trials.cause.tolist()),
         )
+
+
+class _Deciding(Value):
+    """What decides about a trial but its number."""
+
+    name: str
+    policy: str
+    world: TwinSettings
+    arm: Arm
+    actuator: str
+    pendulum: str
+    settings: Settings
+    seed: int
+
+
+class PartialEvaluation(Artefact):
+    """The finished trials of evaluations that were interrupted."""
+
+    FORMAT: ClassVar[str] = "equipoise-partial-evaluation"
+    VERSION: ClassVar[int] = 1
+
+    finished: dict[str, tuple[tuple[int, int, int], ...]]
+    """Number, steps and code of the cause of each finished trial, by the digest of what decided
+    about it."""
+
+
+class _Kept:
+    """Finished trials in a file, which is written now and then as a whole."""
+
+    def __init__(self, path: Path | None, key: str) -> None:
+        self._path, self._key = path, key
+        self._others: dict[str, tuple[tuple[int, int, int], ...]] = {}
+        self._finished: list[tuple[int, int, int]] = []
+        self._lock, self._saved = threading.Lock(), time.monotonic()
+        if path is not None and path.exists():
+            self._others = dict(PartialEvaluation.load(path).finished)
+            self._finished = list(self._others.pop(key, ()))
+
+    def restore(self, trials: Trials) -> list[int]:
+        """Fill in what is known of the trials, and return the numbers of the others."""
+        count = len(trials.steps)
+        self._finished = [row for row in self._finished if row[0] < count]
+        for i, steps, cause in self._finished:
+            trials.steps[i], trials.cause[i] = steps, cause
+        known = {row[0] for row in self._finished}
+        return [i for i in range(count) if i not in known]
+
+    def add(self, i: int, steps: int, cause: int) -> None:
+        """Keep a finished trial; the file is brought up to date every few seconds."""
+        with self._lock:
+            self._finished.append((i, steps, cause))
+            if self._path is None or time.monotonic() < self._saved + KEEP_EVERY:
+                return
+            finished = self._others | {self._key: tuple(self._finished)}
+            PartialEvaluation(finished=finished).save(self._path, command="evaluate")
+            self._saved = time.monotonic()

@@ -18,6 +18,7 @@ from equipoise.cli.options import (
     Workers,
     available_workers,
     check_output,
+    read_actuator,
     read_arm,
     read_pendulum,
 )
@@ -28,13 +29,13 @@ if TYPE_CHECKING:
     from equipoise.control.policy import TabularPolicy
     from equipoise.control.python_policy import PythonPolicy
     from equipoise.evaluation import Done, Evaluation, TrialResults
+    from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
     from equipoise.settings import Settings
 
 NOT_BALANCED = 1
 """Exit code where the median trial does not last."""
-WORLDS = ("model",)
 QUANTILES = ("0.05", "0.25", "0.75", "0.95")
 """Names of the quantiles of survival in the JSON object."""
 
@@ -66,8 +67,22 @@ def evaluate(
     ] = None,
     world: Annotated[
         str,
-        typer.Option(metavar="WORLD", help="Where they run; model: the plant of the training."),
+        typer.Option(
+            metavar="WORLD",
+            help="model: the plant of the training; twin:nominal, twin:harsh or twin:FILE.",
+        ),
     ] = "model",
+    actuator: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="What the controller knows of the arm; by default that of the policy.",
+        ),
+    ] = None,
+    with_yardsticks: Annotated[
+        bool,
+        typer.Option("--yardsticks/--no-yardsticks", help="Run LQR, PD and chance beside it."),
+    ] = True,
     pendulum: Annotated[
         Path | None,
         typer.Option(
@@ -95,7 +110,8 @@ def evaluate(
 ) -> None:
     """Evaluate a policy: how long it stands, and why it falls.
 
-    Four yardsticks run the same trials. Exit code 1 says that it does not
+    Four yardsticks run the same trials. Interrupted on a twin, the same command
+    goes on where it stopped. Exit code 1 says that it does not
     balance: the median trial ended before its time.
     """
     output = Output(as_json)
@@ -103,13 +119,17 @@ def evaluate(
     check_output(out, policy, pendulum)
     if function is not None and policy is not None:
         raise InputError(f"both {policy} and --policy {function} are given; give one of them")
-    if world not in WORLDS:
-        raise InputError(f"there is no world {world!r}; choose one of {', '.join(WORLDS)}")
 
     of_urdf = (held, base, tip)
     if function is not None:
         from equipoise.cli.functions import read_function
+        from equipoise.model.worlds import MODEL
 
+        if world != MODEL or actuator is not None or not with_yardsticks:
+            raise InputError(
+                "--policy runs on the plant of the paper, beside the yardsticks; leave out "
+                "--world, --actuator and --no-yardsticks"
+            )
         evaluation = _evaluate_function(
             output,
             read_function(function),
@@ -126,7 +146,18 @@ def evaluate(
             _refuse_other_pendulum(table, pendulum)
         if arm is not None or any(of_urdf):
             _refuse_other_arm(table, read_arm(arm or "iiwa7", *of_urdf))
-        evaluation = _evaluate_table(output, table, trials, duration, seed, workers)
+        evaluation = _evaluate_table(
+            output,
+            table,
+            world,
+            read_actuator(actuator),
+            trials,
+            duration,
+            seed,
+            workers,
+            with_yardsticks,
+            out.with_suffix(".partial.json"),
+        )
     evaluation.save(
         out,
         command="evaluate",
@@ -178,16 +209,31 @@ def _settings(settings: "Settings", trials: int | None, duration: float | None) 
 def _evaluate_table(
     output: Output,
     policy: "TabularPolicy",
+    world: str,
+    actuator: "Actuator | None",
     trials: int | None,
     duration: float | None,
     seed: int,
     workers: int | None,
+    with_yardsticks: bool,
+    partial: Path,
 ) -> "Evaluation":
     from equipoise.evaluation import evaluate
 
     settings = _settings(policy.settings, trials, duration)
-    with _bar(output, _runs(policy.pendulum) * settings.evaluation.trials) as done:
-        return evaluate(policy, settings, seed=seed, workers=available_workers(workers), done=done)
+    runs = _runs(policy.pendulum) if with_yardsticks else 1
+    with trial_bar(output, runs * settings.evaluation.trials) as done:
+        return evaluate(
+            policy,
+            settings,
+            world=world,
+            actuator=actuator,
+            seed=seed,
+            with_yardsticks=with_yardsticks,
+            workers=available_workers(workers),
+            partial=partial,
+            done=done,
+        )
 
 
 def _evaluate_function(
@@ -204,7 +250,7 @@ def _evaluate_function(
     from equipoise.settings import Settings
 
     settings = _settings(Settings(), trials, duration)
-    with _bar(output, _runs(pendulum) * settings.evaluation.trials) as done:
+    with trial_bar(output, _runs(pendulum) * settings.evaluation.trials) as done:
         return evaluate_function(
             policy,
             policy.name,
@@ -226,7 +272,7 @@ def _runs(pendulum: "Pendulum") -> int:
 
 
 @contextmanager
-def _bar(output: Output, total: int) -> "Generator[Done]":
+def trial_bar(output: Output, total: int) -> "Generator[Done]":
     """Show how many trials are done."""
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 

@@ -1,7 +1,8 @@
 """Steps per second, side by side: our training and two peers, on one core, in one run.
 
-- `equipoise`: a training step, everything included: boxes, action, noise, CLIK on the full
-  kinematics of the arm, pendulum, update of the table and its mirror image, starts of episodes.
+- `equipoise`: a training step of the paper's simulation, everything included: boxes, action, noise,
+  CLIK on the full kinematics of the arm, pendulum, update of the table and its mirror image, starts
+  of episodes. Servo, encoder and observer, which no peer has, are left out.
 - `pinocchio`: the arm's part of that step alone, through Pinocchio from Python.
 - `gymnasium`: a CartPole step, which has no arm, with a tabular update in Python.
 
@@ -28,6 +29,7 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.artefacts import Value
+from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import Settings
@@ -227,7 +229,7 @@ def training_work(pendulum: Pendulum, arm: Arm, settings: Settings) -> Work:
     """Return our work: one training, without the trials that select a policy."""
     selection = settings.selection.model_copy(update={"every": 0})
     alone = settings.model_copy(update={"selection": selection})
-    return lambda: train(pendulum, arm, alone).steps
+    return lambda: train(pendulum, arm, alone, actuator=IDEAL_ACTUATOR).steps
 
 
 def pinocchio_work(arm: Arm, settings: Settings, steps: int = PEER_STEPS) -> Work:
@@ -263,7 +265,7 @@ class PinocchioLoop:
             ImportError: Pinocchio is not installed.
         """
         self.pin = pin = _imported("pinocchio")
-        self.model, self.frame = _model(pin, arm)
+        self.model, self.frame, self.pivot = _model(pin, arm)
         self.data = self.model.createData()
         self.h, self.clik = h, settings.clik
         plant = settings.plant
@@ -300,7 +302,7 @@ class PinocchioLoop:
         Afterwards `motion` and `tracked` hold the last step, `within` whether all kept the limits.
         """
         pin, model, data, frame, h = self.pin, self.model, self.data, self.frame, self.h
-        aligned = pin.LOCAL_WORLD_ALIGNED
+        aligned, pivot, velocity = pin.LOCAL_WORLD_ALIGNED, self.pivot, pin.getFrameVelocity
         K_p, K_d, sigma, normal = self.clik.K_p, self.clik.K_d, self.sigma, self.rng.standard_normal
         motion, lower, upper = self.motion, self.lower, self.upper
         q, dq, ddq = motion[:6], motion[6:12], motion[12:]
@@ -311,6 +313,7 @@ class PinocchioLoop:
         pin.forwardKinematics(model, data, q, dq, zero)
         jacobian = pin.computeFrameJacobian(model, data, q, frame, aligned)
         twist = jacobian @ dq
+        v = velocity(model, data, pivot, aligned).linear[0]
         for u in commands:
             place = pin.updateFramePlacement(model, data, frame)
             bias = pin.getFrameClassicalAcceleration(model, data, frame, aligned).vector
@@ -325,17 +328,18 @@ class PinocchioLoop:
             position[0] += h * twist_r[0] + 0.5 * u * h * h
             twist_r[0] += u * h
 
-            x_dot = twist[0]
+            v_before = v
             pin.forwardKinematics(model, data, q, dq, zero)
             jacobian = pin.computeFrameJacobian(model, data, q, frame, aligned)
             twist = jacobian @ dq
-            tracked = (twist[0] - x_dot) / h
+            v = velocity(model, data, pivot, aligned).linear[0]
+            tracked = (v - v_before) / h
         self.within, self.tracked = within, float(tracked)
         return len(commands)
 
 
-def _model(pin: Any, arm: Arm) -> tuple[Any, int]:
-    """Return a Pinocchio model of the free joints, and the number of its flange."""
+def _model(pin: Any, arm: Arm) -> tuple[Any, int, int]:
+    """Return a Pinocchio model of the free joints, and the numbers of its flange and its pivot."""
     along = {
         (1.0, 0.0, 0.0): pin.JointModelRX,
         (0.0, 1.0, 0.0): pin.JointModelRY,
@@ -355,7 +359,8 @@ def _model(pin: Any, arm: Arm) -> tuple[Any, int]:
         place = pin.SE3.Identity()
     place = place * pin.SE3(pin.rpy.rpyToMatrix(*arm.flange_rpy), np.array(arm.flange_xyz))
     flange = model.addFrame(pin.Frame("flange", parent, place, pin.FrameType.OP_FRAME))
-    return model, flange
+    place = place * pin.SE3(np.eye(3), np.array(arm.pivot))
+    return model, flange, model.addFrame(pin.Frame("pivot", parent, place, pin.FrameType.OP_FRAME))
 
 
 # Boxes of Barto, Sutton and Anderson, "Neuronlike adaptive elements that can solve difficult

@@ -1,0 +1,113 @@
+"""How long policies stand on a digital twin, each trained alone, its actuator identified there.
+
+For one world and arm: 10 s of excitation are recorded on the twin and identified, a policy is
+trained with that actuator for each seed, and evaluated on the same twin::
+
+    python benchmarks/twin.py --world twin:nominal --seeds 10 --trials 200 --out runs
+
+Policies and evaluations are kept in the folder, and made only where they are missing.
+"""
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+from scipy.stats import binomtest
+
+from equipoise.control.policy import TabularPolicy
+from equipoise.deployment import excite
+from equipoise.evaluation import Evaluation, evaluate
+from equipoise.identification.actuator import identify_run
+from equipoise.learning.trials import available_cores
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import shipped_pendulum
+from equipoise.settings import resolve
+from equipoise.training import train
+
+
+def main() -> None:
+    """Run what the command line asks for, and print one line of JSON for each seed and for all."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--world", default="twin:nominal")
+    parser.add_argument("--arm", type=int, choices=(7, 14), default=7)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--trials", type=int, default=200)
+    parser.add_argument("--duration", type=float, default=60.0)
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    arm, cores = iiwa(given.arm), available_cores()
+    settings = resolve(
+        overrides=[
+            f"evaluation.trials={given.trials}",
+            f"evaluation.duration={given.duration}",
+            *given.set,
+        ]
+    )
+    file = given.out / "actuator.json"
+    if not file.exists():
+        log = excite(arm, given.world, shipped_pendulum(), seed=0)
+        identify_run(log).save(file, command="identify")
+    actuator = Actuator.load(file)
+    lasted = 0
+    rates: list[float] = []
+    for seed in range(given.first, given.first + given.seeds):
+        begin = time.perf_counter()
+        file = given.out / f"policy-{seed}.json"
+        if not file.exists():
+            policy = train(
+                shipped_pendulum(), arm, settings, actuator=actuator, seed=seed, workers=cores
+            )
+            policy.save(file, command="train", inputs={"actuator": actuator.digest})
+        policy, trained = TabularPolicy.load(file), time.perf_counter() - begin
+        file = given.out / f"evaluation-{seed}.json"
+        if not file.exists():
+            evaluation = evaluate(
+                policy,
+                settings,
+                world=given.world,
+                with_yardsticks=False,
+                workers=cores,
+                partial=file.with_suffix(".partial.json"),
+            )
+            evaluation.save(file, command="evaluate", inputs={"policy": policy.digest})
+        summary = Evaluation.load(file).results.summary()
+        lasted += summary.survived
+        rates.append(summary.rate)
+        chosen = policy.candidates[0]
+        print(
+            json.dumps(
+                {
+                    "seed": seed,
+                    "survived": summary.survived,
+                    "trials": summary.trials,
+                    "causes": summary.causes,
+                    "selection": [chosen.survived, chosen.trials, round(chosen.score, 3)],
+                    "train_s": round(trained),
+                    "all_s": round(time.perf_counter() - begin),
+                }
+            ),
+            flush=True,
+        )
+    trials = given.seeds * given.trials
+    interval = binomtest(lasted, trials).proportion_ci(0.95, method="exact")
+    print(
+        json.dumps(
+            {
+                "world": given.world,
+                "arm": arm.name,
+                "survived": lasted,
+                "trials": trials,
+                "interval": [float(interval.low), float(interval.high)],
+                "seeds_at_98.5_percent": sum(rate >= 0.985 for rate in rates),
+                "worst_seed": min(rates),
+            }
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()

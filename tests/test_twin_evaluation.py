@@ -1,0 +1,134 @@
+"""Evaluation and deployment on the twin: equal trials for all, resumed where they stopped."""
+
+import numpy as np
+import pytest
+
+from equipoise.artefacts import Estimate
+from equipoise.control.boxes import CAUSES
+from equipoise.deployment import EXCITED, deploy, excite
+from equipoise.errors import ArmError, SettingsError
+from equipoise.evaluation import PartialEvaluation, evaluate
+from equipoise.model.actuator import shipped_actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.urdf import read_urdf
+from equipoise.runlog import RunLog
+from equipoise.training import train
+
+pytestmark = pytest.mark.compiled_only
+WORLD = "twin:nominal"
+
+
+@pytest.fixture(scope="module")
+def behind_a_servo(pendulum, quick_settings):
+    """A policy that has hardly been trained, behind the shipped actuator."""
+    return train(pendulum, iiwa(7), quick_settings, seed=3)
+
+
+@pytest.fixture(scope="module")
+def evaluation(behind_a_servo):
+    return evaluate(behind_a_servo, world=WORLD, seed=4)
+
+
+def test_training_is_behind_the_shipped_actuator_unless_told_otherwise(behind_a_servo):
+    assert behind_a_servo.actuator == shipped_actuator()
+
+
+def test_results_do_not_depend_on_the_number_of_workers(behind_a_servo, evaluation):
+    again = evaluate(behind_a_servo, world=WORLD, seed=4, workers=3)
+    assert again.digest == evaluation.digest
+
+
+def test_the_evaluation_says_in_which_world_and_behind_what(behind_a_servo, evaluation):
+    assert evaluation.world == "twin:nominal-1"
+    assert evaluation.world_settings.transport == 0.010
+    assert evaluation.actuator == behind_a_servo.actuator.digest
+
+
+def test_the_regulator_stands_where_chance_falls_on_the_same_trials(evaluation):
+    by_name = {results.name: results.summary() for results in evaluation.yardsticks}
+    assert by_name["LQR"].survived == by_name["LQR"].trials
+    assert by_name["random"].survived == 0
+
+
+def test_an_interrupted_evaluation_goes_on_where_it_stopped(
+    behind_a_servo, evaluation, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("equipoise.evaluation.KEEP_EVERY", 0.0)
+    partial, finished = tmp_path / "partial.json", []
+
+    def interrupt(count):
+        finished.append(count)
+        if sum(finished) == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(behind_a_servo, world=WORLD, seed=4, partial=partial, done=interrupt)
+    kept = PartialEvaluation.load(partial)
+    assert sum(len(rows) for rows in kept.finished.values()) == 7
+
+    ran = []
+    again = evaluate(behind_a_servo, world=WORLD, seed=4, partial=partial, done=ran.append)
+    assert ran[0] == 7
+    assert again.digest == evaluation.digest
+    assert not partial.exists()
+
+
+def test_trials_of_another_seed_are_not_taken_for_finished(behind_a_servo, tmp_path, monkeypatch):
+    monkeypatch.setattr("equipoise.evaluation.KEEP_EVERY", 0.0)
+    partial = tmp_path / "partial.json"
+
+    def interrupt(count):
+        if count == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(behind_a_servo, world=WORLD, seed=4, partial=partial, done=interrupt)
+    ran = []
+    evaluate(
+        behind_a_servo,
+        world=WORLD,
+        seed=5,
+        partial=partial,
+        with_yardsticks=False,
+        done=ran.append,
+    )
+    assert ran[0] == 0
+
+
+def test_a_run_on_the_twin_holds_what_was_sent_measured_and_true(behind_a_servo, tmp_path):
+    run = deploy(behind_a_servo, world=WORLD, seed=1, duration=1.0)
+    n = len(run.time)
+    assert run.conditions.cause in CAUSES
+    assert len(run.stream.time) == 2 * n
+    assert len(run.replies.time) == len(run.encoder.time) == len(run.truth.x) == n
+    assert np.allclose(np.diff(run.stream.time), 0.005)
+    # The encoder shows the truth, but for its zero, its step and its age.
+    step = 2.0 * np.pi / run.conditions.counts_per_rev
+    shown = np.pi - run.encoder.counts * step - run.conditions.zero_error
+    error = shown - run.truth.phi + (run.time - run.encoder.time) * run.truth.phi_dot
+    assert np.abs(error).max() < step + 0.003  # the flange's rotation about the spindle
+    # The second setpoint of a tick is the commanded posture at its end.
+    assert np.array_equal(run.stream.q[1::2], run.q)
+    run.save(tmp_path / "run.mcap", command="test")
+    assert RunLog.load(tmp_path / "run.mcap").digest == run.digest
+
+
+def test_an_excitation_moves_every_free_joint_and_none_that_is_held(pendulum):
+    run = excite(iiwa(7), WORLD, pendulum, duration=4.0)
+    assert (len(run.time), run.conditions.cause) == (0, EXCITED)
+    speed = np.abs(np.diff(run.stream.q, axis=0) / 0.005).max(axis=0)
+    assert speed[2] == 0.0
+    assert np.all(np.delete(speed, 2) > 0.2)
+
+
+def test_an_arm_without_known_masses_has_no_twin(pendulum):
+    elbow = read_urdf("tests/data/elbow6.urdf")
+    with pytest.raises(ArmError, match="mass"):
+        excite(elbow, WORLD, pendulum)
+
+
+def test_a_delay_that_the_controller_cannot_remember_is_refused(behind_a_servo):
+    late = Estimate(value=0.15, low=0.15, high=0.15, source="assumed")
+    actuator = behind_a_servo.actuator.model_copy(update={"delay": late})
+    with pytest.raises(SettingsError, match="delay"):
+        evaluate(behind_a_servo, world=WORLD, actuator=actuator, with_yardsticks=False)
