@@ -1,4 +1,4 @@
-"""`equipoise identify`: a recorded swing becomes a pendulum."""
+"""`equipoise identify`: a swing becomes a pendulum, a run log an actuator."""
 
 import math
 from pathlib import Path
@@ -35,7 +35,8 @@ def identify(
         Path,
         typer.Argument(
             metavar="FILE",
-            help="CSV with a column time_s and one of theta_rad, theta_deg, counts, rate_rad_s.",
+            help="A swing: CSV with time_s and one of theta_rad, theta_deg, counts, rate_rad_s. "
+            "Or a run log, MCAP.",
         ),
     ],
     friction: Annotated[
@@ -67,11 +68,14 @@ def identify(
         typer.Option(metavar="METRES", help="One standard deviation.", rich_help_panel=APART),
     ] = None,
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
-            metavar="FILE", help="The pendulum that is written.", rich_help_panel=IN_AND_OUT
+            metavar="FILE",
+            help="What is written; pendulum.json, or actuator.json for a run log.",
+            rich_help_panel=IN_AND_OUT,
+            show_default=False,
         ),
-    ] = Path("pendulum.json"),
+    ] = None,
     figure: Annotated[
         bool,
         typer.Option(
@@ -82,12 +86,23 @@ def identify(
     settings: Set = None,
     as_json: Json = False,
 ) -> None:
-    """Identify a pendulum from a recorded free swing.
+    """Identify a pendulum from a free swing, or an arm's response from a run log.
 
-    Writes the pendulum, and figure 2 of the paper: the recording and its fit.
+    Of a swing it writes the pendulum, and figure 2 of the paper: the recording
+    and its fit. Of a log (equipoise deploy --excite) it writes the actuator.
     """
     output = Output(as_json)
     output.say(f"Reading {recording}")
+    if recording.suffix.lower() == ".mcap":
+        of_a_swing = (friction, start, end, counts_per_rev, mass, length, settings_file, settings)
+        if from_upright or any(option is not None for option in of_a_swing):
+            raise InputError(
+                f"{recording} is a run log; options other than --out and --json belong to a swing"
+            )
+        out = Path("actuator.json") if out is None else out
+        _identify_actuator(output, recording, out)
+        return
+    out = Path("pendulum.json") if out is None else out
     check_output(out)
 
     from equipoise.identification import identify as fit
@@ -113,6 +128,57 @@ def identify(
     output.wrote(out, *pictures)
     output.next("train", out)
     output.result(_result(pendulum, out))
+
+
+def _identify_actuator(output: Output, log: Path, out: Path) -> None:
+    check_output(out, log)
+
+    from equipoise.identification.actuator import identify_run
+    from equipoise.runlog import RunLog
+
+    run = RunLog.load(log)
+    with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
+        actuator = identify_run(run)
+    actuator.save(out, command="identify", inputs={"run": run.digest})
+    rows = {
+        "servo law": actuator.kind,
+        "transport delay": measured(_in_ms(actuator.delay), "ms"),
+    }
+    if actuator.kind == "kst":
+        rows["servo cycle"] = measured(_in_ms(actuator.cycle), "ms")
+    held = run.conditions.held_joint
+    moving = [name for number, name in enumerate(run.conditions.joints, 1) if number != held]
+    for joint, lag in zip(moving, actuator.lags, strict=True):
+        rows[f"lag of {joint}"] = measured(_in_ms(lag), "ms")
+    fit = actuator.fit
+    if fit is not None:
+        rows["residual"] = f"{fit.rms:.3g} rad RMS over {fit.samples:,} positions"
+        rows["one step ahead"] = f"{fit.one_step:.3g} rad, the noise is {fit.noise:.3g} rad"
+    output.rows(rows)
+    for warning in fit.warnings if fit else ():
+        output.warn(warning)
+    output.wrote(out)
+    output.next("train", "--actuator", out)
+    output.result(
+        {
+            "kind": actuator.kind,
+            "delay": actuator.delay.value,
+            "delay_interval": list(actuator.delay.interval),
+            "cycle": actuator.cycle.value,
+            "cycle_interval": list(actuator.cycle.interval),
+            "lags": [lag.value for lag in actuator.lags],
+            "lag_intervals": [list(lag.interval) for lag in actuator.lags],
+            "one_step": fit and fit.one_step,
+            "noise": fit and fit.noise,
+            "warnings": list(fit.warnings) if fit else [],
+            "actuator": str(out),
+        }
+    )
+
+
+def _in_ms(time: "Estimate") -> "Estimate":
+    value, low, high = (1e3 * end for end in (time.value, *time.interval))
+    return time.model_copy(update={"value": value, "low": low, "high": high})
 
 
 def _draw(stem: Path, swing: "Trajectory", pendulum: "Pendulum") -> tuple[Path, ...]:
