@@ -1,6 +1,7 @@
 """Files of ours, damaged in every way that a file can be."""
 
 import json
+import re
 
 from equipoise.artefacts import value_digest
 
@@ -40,7 +41,7 @@ def other_json(path):
 
 
 def not_a_number(path):
-    path.write_text(path.read_text().replace('"version": 1', '"version": NaN'))
+    path.write_text(re.sub(r'"version": \d+', '"version": NaN', path.read_text(), count=1))
 
 
 DAMAGE = {

@@ -1,12 +1,20 @@
 """`equipoise verify`: what is this file, and is it what was written?"""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equipoise.cli.options import Json
+from equipoise.cli.evaluate import trial_bar
+from equipoise.cli.options import Json, Workers, available_workers
 from equipoise.cli.output import Output, verb
+from equipoise.errors import InputError
+
+if TYPE_CHECKING:
+    from equipoise.studies.certification import Certificate, Repetition
+
+OTHER_OUTCOME = 1
+"""Exit code where the trials of a certificate come out otherwise."""
 
 
 @verb
@@ -14,18 +22,30 @@ def verify(
     file: Annotated[
         Path,
         typer.Argument(
-            metavar="FILE", help="A pendulum, policy, evaluation, reproduction or run log."
+            metavar="FILE",
+            help="A pendulum, policy, evaluation, certificate, reproduction or run log.",
         ),
     ],
+    policy: Annotated[
+        Path | None,
+        typer.Option(metavar="POLICY", help="What a certificate is about: repeat its trials."),
+    ] = None,
+    workers: Workers = None,
     as_json: Json = False,
 ) -> None:
-    """Check that a file is what Equipoise wrote, and say what it holds."""
+    """Check that a file is what Equipoise wrote, and say what it holds.
+
+    With the policy of a certificate all its trials run again. Exit code 1 says
+    that they come out otherwise.
+    """
     output = Output(as_json)
     output.say(f"Reading {file}")
 
     from equipoise.studies.verification import verify as check
 
     found = check(file)
+    if policy is not None and found.what != "certificate":
+        raise InputError(f"{file} is a {found.what}, and --policy repeats a certificate")
     history = found.provenance
     output.rows(
         {
@@ -36,18 +56,74 @@ def verify(
             "digest": f"matches, {found.digest[:19]}...",
         }
     )
-    output.next(*_NEXT.get(found.what, ("reproduce",)), *([file] if found.what in _NEXT else []))
-    output.result(
-        {
-            "what": found.what,
-            "format": found.format,
-            "version": found.version,
-            "digest": found.digest,
-            "content": found.content,
-            "provenance": history.model_dump(mode="json"),
-        }
-    )
+    result: dict[str, object] = {
+        "what": found.what,
+        "format": found.format,
+        "version": found.version,
+        "digest": found.digest,
+        "content": found.content,
+        "provenance": history.model_dump(mode="json"),
+    }
+    if policy is None:
+        command = _NEXT.get(found.what, ("reproduce",))
+        output.next(*(word.format(file=file) for word in command))
+        output.result(result)
+        return
+    certificate, again = _repeat(output, file, policy, workers)
+    _say(output, certificate, again)
+    output.next("evaluate", policy, "--world", certificate.claim.world)
+    output.result(result | {"repeated": _result(again)})
+    if not again.same_outcome:
+        raise typer.Exit(OTHER_OUTCOME)
 
 
-_NEXT = {"pendulum": ("train",), "policy": ("evaluate",)}
+_NEXT = {
+    "pendulum": ("train", "{file}"),
+    "policy": ("evaluate", "{file}"),
+    "certificate": ("verify", "{file}", "--policy", "POLICY"),
+}
 """What to do with a file."""
+
+
+def _repeat(
+    output: Output, file: Path, policy: Path, workers: int | None
+) -> "tuple[Certificate, Repetition]":
+    from equipoise.control.policy import TabularPolicy
+    from equipoise.studies.certification import Certificate, repeat
+
+    certificate, table = Certificate.load(file), TabularPolicy.load(policy)
+    with trial_bar(output, certificate.claim.trials) as done:
+        again = repeat(certificate, table, workers=available_workers(workers), done=done)
+    return certificate, again
+
+
+def _say(output: Output, certificate: "Certificate", again: "Repetition") -> None:
+    from equipoise.studies.results import falls
+
+    words = f"{certificate.claim.trials:,} trials again: {falls(again.failures)}"
+    verdict = "granted" if again.granted else "refused"
+    if not again.same_outcome:
+        before = "granted" if certificate.granted else "refused"
+        output.say(
+            f"Not repeated: {words}, {verdict}; the certificate says "
+            f"{falls(certificate.failures)}, {before}.",
+            style="red",
+        )
+    elif again.same_trials:
+        output.say(f"Repeated: {words}; each lasted as long as before, {verdict}.", style="green")
+    else:
+        output.say(
+            f"Repeated: {words}; as many as before, {verdict}, but not each trial lasted as long: "
+            "another processor or library rounds otherwise.",
+            style="green",
+        )
+
+
+def _result(again: "Repetition") -> dict[str, object]:
+    return {
+        "granted": again.granted,
+        "failures": sum(again.failures.values()),
+        "causes": dict(again.failures),
+        "same_outcome": again.same_outcome,
+        "same_trials": again.same_trials,
+    }

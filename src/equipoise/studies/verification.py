@@ -1,7 +1,8 @@
 """Verify: what is this file, and is it what was written?
 
 Any file of ours says its format, version, digest and history. It is read in full, by the rules of
-its own kind, so that a file that passes here can be used.
+its own kind, so that a file that passes here can be used. A certificate is also held against its
+trials, where they lie beside it.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,9 +15,9 @@ from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation
 from equipoise.model.pendulum import Pendulum
 from equipoise.runlog import FORMAT as RUN_FORMAT
-from equipoise.runlog import VERSION as RUN_VERSION
-from equipoise.runlog import RunLog, provenance_of
-from equipoise.studies.results import Record
+from equipoise.runlog import RunLog, read_header
+from equipoise.studies.certification import Certificate, check_evaluation, evaluation_path
+from equipoise.studies.results import Record, falls
 
 MCAP = b"\x89MCAP"
 """What an MCAP file begins with."""
@@ -43,20 +44,21 @@ def verify(path: Path) -> Verified:
     """Read any file of ours and say what it is.
 
     Args:
-        path: A pendulum, policy, evaluation, reproduction or run log.
+        path: A pendulum, policy, evaluation, certificate, reproduction or run log.
 
     Raises:
-        ArtefactError: The file is missing, not ours, edited, damaged, or newer than this Equipoise.
+        ArtefactError: The file is missing, not ours, edited, damaged, or newer than this Equipoise;
+            or a certificate is not that of the trials beside it.
     """
     if _begins_with(path, MCAP):
-        run = RunLog.load(path)
+        run, header = RunLog.load(path), read_header(path)
         return Verified(
             what="run log",
             format=RUN_FORMAT,
-            version=RUN_VERSION,
-            digest=run.digest,
+            version=header.version,
+            digest=header.digest,
             content=_run(run),
-            provenance=provenance_of(path),
+            provenance=header.provenance,
         )
     document = read_document(path)
     kind = document["format"]
@@ -67,6 +69,8 @@ def verify(path: Path) -> Verified:
         )
     what, artefact, content = _KINDS[kind]
     value = artefact.load(path)
+    if isinstance(value, Certificate) and (trials := evaluation_path(path)).exists():
+        check_evaluation(value, trials)
     return Verified(
         what=what,
         format=kind,
@@ -122,6 +126,15 @@ def _evaluation(evaluation: Evaluation) -> str:
     )
 
 
+def _certificate(certificate: Certificate) -> str:
+    claim = certificate.claim
+    return (
+        f"{'granted' if certificate.granted else 'refused'}: the {certificate.arm}'s policy "
+        f"{certificate.policy[:19]}... {claim.words}; {claim.trials:,} trials, "
+        f"{falls(certificate.failures)}, {max(claim.allowed, 0):,} failures allowed"
+    )
+
+
 def _reproduction(record: Record) -> str:
     quick = "a quick " if record.quick else ""
     wall = sum(stage.wall for stage in record.stages)
@@ -143,5 +156,6 @@ _KINDS: Mapping[str, tuple[str, type[Artefact], Callable[[Any], str]]] = {
     Pendulum.FORMAT: ("pendulum", Pendulum, _pendulum),
     TabularPolicy.FORMAT: ("policy", TabularPolicy, _policy),
     Evaluation.FORMAT: ("evaluation", Evaluation, _evaluation),
+    Certificate.FORMAT: ("certificate", Certificate, _certificate),
     Record.FORMAT: ("reproduction", Record, _reproduction),
 }

@@ -1,0 +1,141 @@
+"""`equipoise refine`: what it says of a model, what it writes, and what it refuses."""
+
+import pytest
+
+from equipoise.artefacts import Estimate
+from equipoise.control.policy import TabularPolicy, shipped_policy
+from equipoise.deployment import deploy
+from equipoise.model.actuator import Actuator
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.worlds import TwinSettings, World
+from equipoise.runlog import RunLog
+from tests.cli.conftest import contents
+from tests.cli.damage import cut
+
+# Runs of twelve seconds are 12,000 steps of the physics engine.
+pytestmark = pytest.mark.compiled_only
+
+STABLE = {
+    "moved",
+    "w2",
+    "w2_interval",
+    "k",
+    "k_interval",
+    "c",
+    "c_interval",
+    "delay",
+    "delay_interval",
+    "kept",
+    "survival",
+    "warnings",
+    "policy",
+    "pendulum",
+    "actuator",
+}
+
+
+@pytest.fixture(scope="session")
+def run():
+    """A run of the shipped policy on a twin whose pendulum is as the policy believes."""
+    twin = TwinSettings(inertia_sigma=0.0, friction_sigma=0.0)
+    return deploy(shipped_policy(), world=World("twin:steady", twin), seed=2, duration=12.0)
+
+
+@pytest.fixture
+def run_file(run, tmp_path):
+    path = tmp_path / "run.mcap"
+    run.save(path, command="test")
+    return path
+
+
+def saved(policy, tmp_path, factor):
+    """Write a policy that believes w2 to be another by a factor; return its path."""
+    w2, k = policy.pendulum.w2.value * factor, policy.pendulum.k.value * factor
+    known = {
+        name: Estimate(value=value, low=value, high=value, source="given")
+        for name, value in (("w2", w2), ("k", k))
+    }
+    pendulum = policy.pendulum.model_copy(update=known)
+    path = tmp_path / "policy.json"
+    actuator = Actuator.assumed("kst", delay=0.010, lag=0.008)
+    changes = {"pendulum": pendulum, "actuator": actuator}
+    policy.model_copy(update=changes).save(path, command="test")
+    return path
+
+
+@pytest.fixture
+def policy_file(tmp_path, quick_settings):
+    """The shipped policy, with the settings of a quick training."""
+    policy = shipped_policy().model_copy(update={"settings": quick_settings})
+    return saved(policy, tmp_path, 1.0)
+
+
+@pytest.fixture
+def mistaken_file(tmp_path, quick_settings):
+    """The same, taking w2 to be ten percent less than it is."""
+    policy = shipped_policy().model_copy(update={"settings": quick_settings})
+    return saved(policy, tmp_path, 1.0 / 1.1)
+
+
+def test_a_model_that_still_holds_is_left_alone(equipoise, policy_file, run_file, tmp_path):
+    before = contents(tmp_path)
+    ran = equipoise("refine", policy_file, run_file)
+    assert ran.code == 0, ran
+    assert "The model still holds" in ran.out
+    assert "lag of A1" in ran.out
+    assert "wrote" not in ran.out
+    assert ran.out.endswith(f"next: equipoise deploy {policy_file}\n")
+    assert contents(tmp_path) == before
+
+
+def test_what_moved_is_said_and_written_with_the_better_policy(
+    equipoise, mistaken_file, run_file, tmp_path
+):
+    ran = equipoise("refine", mistaken_file, run_file, "--episodes", 40, "--workers", 1)
+    assert ran.code == 0, ran
+    assert "w2 moved by +" in ran.out
+    assert "table is kept" in ran.out
+    assert "wrote refined-pendulum.json and refined.json" in ran.out
+    assert ran.out.endswith("next: equipoise deploy refined.json\n")
+    pendulum = Pendulum.load(tmp_path / "refined-pendulum.json")
+    truth = RunLog.load(run_file).conditions.pendulum["w2"]
+    assert pendulum.w2.value == pytest.approx(truth, rel=0.01)
+    assert TabularPolicy.load(tmp_path / "refined.json").pendulum == pendulum
+    assert not (tmp_path / "refined-actuator.json").exists()
+
+
+def test_json_is_one_object_with_the_stable_keys(equipoise, mistaken_file, run_file):
+    ran = equipoise("refine", mistaken_file, run_file, "--no-train", "--json")
+    assert ran.code == 0, ran
+    assert ran.err == ""
+    found = ran.json
+    assert found.keys() >= STABLE
+    assert found["moved"] == ["w2"]
+    low, high = found["w2_interval"]
+    assert low < found["w2"] < high
+    assert found["delay"] == pytest.approx(0.010, abs=0.001)
+    assert (found["pendulum"], found["policy"]) == ("refined-pendulum.json", None)
+    assert (found["kept"], found["survival"]) == (None, {})
+
+
+def test_asked_to_it_trains_on_where_nothing_moved(equipoise, policy_file, run_file, tmp_path):
+    options = ("--always", "--episodes", 40, "--out", "more.json", "--json")
+    found = equipoise("refine", policy_file, run_file, *options).json
+    assert (found["moved"], found["pendulum"], found["actuator"]) == ([], None, None)
+    assert found["kept"] in ("old", "new")
+    assert found["survival"].keys() == found["score"].keys() == {"old", "new"}
+    assert found["score"][found["kept"]] == max(found["score"].values())
+    more, policy = TabularPolicy.load(tmp_path / "more.json"), TabularPolicy.load(policy_file)
+    assert (more.pendulum, more.actuator) == (policy.pendulum, policy.actuator)
+
+
+def test_what_cannot_be_compared_is_refused(refused, policy_file, run_file, small_policy, tmp_path):
+    refused("refine", policy_file, "nowhere.mcap", saying="there is no file nowhere.mcap")
+    refused("refine", policy_file, policy_file, saying="is not an MCAP file")
+    refused("refine", run_file, run_file, saying="not a file of Equipoise")
+    refused("refine", policy_file, run_file, "--out=run.mcap", saying="ends in .json")
+    refused("refine", policy_file, run_file, "--out=policy.json", saying="give another --out")
+    deploy(small_policy, duration=0.1).save(tmp_path / "model.mcap", command="test")
+    refused("refine", policy_file, "model.mcap", saying="expected a run on a rig")
+    cut(run_file)
+    refused("refine", policy_file, run_file, saying="cut short")
