@@ -1,0 +1,72 @@
+"""The camera in front of the arm: where it must be to see everything, and what it sees where.
+
+It looks back at the base, so that +x is on the *left* of the picture, a little from the side, so
+that the arm is seen to bend, and down on the table.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Size = tuple[int, int]
+"""Width and height [pixels]."""
+
+AZIMUTH_DEG: Final = -112.0
+"""Where it looks; -90 is along base -y, straight at the plane in which the pendulum turns [deg]."""
+ELEVATION_DEG: Final = -14.0
+"""Where it looks; below the horizon [deg]."""
+FOV_DEG: Final = 20.0
+"""What it sees from bottom to top [deg]; narrow, so that upright things look upright."""
+
+
+class Camera(NamedTuple):
+    """Where the camera is, and how it holds the picture."""
+
+    position: Floats
+    """In the base [m], shape (3,)."""
+    right: Floats
+    """Unit vector to the right of the picture, shape (3,)."""
+    up: Floats
+    """Unit vector to its top, shape (3,)."""
+    size: Size
+    """Of the picture."""
+
+    def pixel(self, point: Floats) -> tuple[float, float]:
+        """Return where a point of the base is seen: column from the left, row from the top."""
+        width, height = self.size
+        offset = point - self.position
+        ahead = offset @ np.cross(self.up, self.right)
+        scale = 0.5 * height / (np.tan(np.radians(0.5 * FOV_DEG)) * ahead)
+        column = 0.5 * width + scale * (offset @ self.right)
+        return float(column), float(0.5 * height - scale * (offset @ self.up))
+
+
+def camera_that_sees(points: Floats, radii: Floats, size: Size) -> Camera:
+    """Return the nearest camera whose picture holds a ball around each point.
+
+    A point that is `a` to the right or up and `d` ahead of the base is seen by a camera at `a0` and
+    `d0` where abs(a - a0) <= tan (d - d0), with the tangent of half the angle that it sees. Both
+    ways of this bound give the smallest -d0, and the a0 in their middle.
+
+    Args:
+        points: Their centres in the base [m], shape (n, 3).
+        radii: Their radii [m], shape (n,).
+        size: Of the picture.
+    """
+    azimuth, elevation = np.radians(AZIMUTH_DEG), np.radians(ELEVATION_DEG)
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    ahead = np.cos(elevation) * level + np.array([0.0, 0.0, np.sin(elevation)])
+    up = np.cross(right, ahead)
+    tangent = float(np.tan(np.radians(0.5 * FOV_DEG)))
+    depths = points @ ahead
+    position, distance = np.zeros(3), 0.0
+    for direction, tan in ((right, tangent * size[0] / size[1]), (up, tangent)):
+        offsets = points @ direction
+        highest = np.max(offsets + radii - tan * depths)
+        lowest = np.min(offsets - radii + tan * depths)
+        position += 0.5 * (highest + lowest) * direction
+        distance = max(distance, float(highest - lowest) / (2.0 * tan))
+    return Camera(position - distance * ahead, right, up, size)

@@ -1,0 +1,118 @@
+"""Drawing without a screen: joint positions in, pictures out.
+
+MuJoCo draws through OpenGL, which EGL gives without a screen, and OSMesa where there is no EGL.
+`MUJOCO_GL` chooses otherwise; it must be set before MuJoCo is first imported.
+"""
+
+import os
+import sys
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from ctypes.util import find_library
+from importlib import import_module
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.errors import ArmError, OutsideError
+from equipoise.model.arms.arm import Arm
+from equipoise.report.pictures.camera import Size
+from equipoise.report.pictures.stage import CAMERA, Stage, stage
+
+Floats = npt.NDArray[np.float64]
+Picture = npt.NDArray[np.uint8]
+"""Red, green and blue of every pixel, rows from the top, shape (height, width, 3)."""
+
+MAX_GEOMS: Final = 256
+"""Room for what is drawn."""
+
+
+def frames(arm: Arm, q: Floats, phi: Floats, *, size: Size) -> Iterator[Picture]:
+    """Draw the rig as it was, one moment after another.
+
+    Args:
+        arm: The arm.
+        q: All joints [rad], shape (n, joints).
+        phi: Angle of the pendulum from upright [rad], shape (n,).
+        size: Of the pictures.
+
+    Returns:
+        The pictures, each drawn when it is asked for.
+
+    Raises:
+        ArmError: The joint positions are not all those of this arm, or not one row per angle.
+        OutsideError: There is nothing to draw with.
+    """
+    expected = (len(phi), len(arm.joints))
+    if np.shape(q) != expected:
+        raise ArmError(
+            f"joint positions have shape {np.shape(q)}, expected {expected}: "
+            f"give all joints of {arm.name}, one row for each angle"
+        )
+    return draw(stage(arm, size), q, phi)
+
+
+def draw(scene: Stage, q: Floats, phi: Floats) -> Iterator[Picture]:
+    """Draw a stage, one moment after another; `frames` makes the stage and checks the shapes.
+
+    Raises:
+        OutsideError: There is nothing to draw with.
+    """
+    mj: Any = import_module("mujoco")  # it has no types
+    model, (width, height) = scene.model, scene.camera.size
+    data, options, shapes = mj.MjData(model), mj.MjvOption(), mj.MjvScene(model, MAX_GEOMS)
+    camera, everything = mj.MjvCamera(), mj.mjtCatBit.mjCAT_ALL
+    camera.type, camera.fixedcamid = mj.mjtCamera.mjCAMERA_FIXED, model.camera(CAMERA).id
+    whole, picture = mj.MjrRect(0, 0, width, height), np.empty((height, width, 3), np.uint8)
+    with _canvas(model, scene.camera.size) as (make_current, canvas):
+        for joints, angle in zip(q, phi, strict=True):
+            data.qpos[:] = [*joints, angle]
+            mj.mj_kinematics(model, data)
+            mj.mj_camlight(model, data)
+            mj.mjv_updateScene(model, data, options, None, camera, everything, shapes)
+            make_current()  # someone else may have drawn since the last picture
+            mj.mjr_render(whole, shapes, canvas)
+            mj.mjr_readPixels(picture, None, whole, canvas)
+            yield picture[::-1].copy()  # OpenGL counts rows from the bottom
+
+
+@contextmanager
+def _canvas(model: Any, size: Size) -> Generator[tuple[Callable[[], None], Any]]:
+    """Give what MuJoCo draws on, off screen, and a function that makes it the current one."""
+    mj: Any = import_module("mujoco")
+    backend = _backend()
+    try:
+        context = import_module(backend).GLContext(*size)
+    except Exception as error:  # each of the backends and each driver fails in its own way
+        raise _nothing_to_draw_with(f"{backend} says: {error}") from None
+    try:
+        context.make_current()
+        canvas = mj.MjrContext(model, mj.mjtFontScale.mjFONTSCALE_100)
+    except Exception as error:
+        context.free()
+        raise _nothing_to_draw_with(f"{backend} says: {error}") from None
+    try:
+        mj.mjr_setBuffer(mj.mjtFramebuffer.mjFB_OFFSCREEN, canvas)
+        yield context.make_current, canvas
+    finally:
+        context.make_current()  # what is freed is freed in the current context
+        canvas.free()
+        context.free()
+
+
+def _backend() -> str:
+    """Return the module that opens an OpenGL context."""
+    if os.environ.get("MUJOCO_GL") or not sys.platform.startswith("linux"):
+        return "mujoco.gl_context"  # MuJoCo's own choice
+    for library, backend in (("EGL", "mujoco.egl"), ("OSMesa", "mujoco.osmesa")):
+        if find_library(library):
+            return backend
+    raise _nothing_to_draw_with("there is neither a library EGL nor OSMesa")
+
+
+def _nothing_to_draw_with(why: str) -> OutsideError:
+    return OutsideError(
+        f"cannot draw pictures, expected OpenGL without a screen: {why}; install EGL "
+        "(Debian and Ubuntu: libegl1 and libgl1-mesa-dri), or set MUJOCO_GL to egl, osmesa or glfw"
+    )

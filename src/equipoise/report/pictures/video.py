@@ -1,0 +1,118 @@
+"""A run as a video, at the speed at which it happened."""
+
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from equipoise.artefacts import write_whole
+from equipoise.errors import MissingExtraError, OutsideError
+from equipoise.model.arms.arm import Arm
+from equipoise.report.pictures.camera import Size
+from equipoise.report.pictures.moments import Moments, moments, signed
+from equipoise.report.pictures.rendering import Picture, draw
+from equipoise.report.pictures.stage import Stage, stage
+from equipoise.report.style import GREY, INK
+from equipoise.runlog import RunLog
+
+FRAME: Final[Size] = (960, 720)
+"""Of each frame; multiples of 16, as encoders want them."""
+FPS: Final = 30
+"""Frames per second."""
+QUALITY: Final = 7
+"""From 1 to 10."""
+LETTERS: Final = 26
+"""Height of the letters [pixels]."""
+
+
+def write_video(
+    run: RunLog,
+    arm: Arm,
+    path: Path,
+    *,
+    fps: int = FPS,
+    report: Callable[[float], None] = lambda _: None,
+) -> None:
+    """Write a run as an MP4 (H.264) with time, displacement and angle in the picture.
+
+    Args:
+        run: The run.
+        arm: The arm that ran.
+        path: The file, written whole or not at all.
+        fps: Frames per second.
+        report: Called with the share of the frames that are done.
+
+    Raises:
+        MissingExtraError: imageio-ffmpeg is not installed.
+        ArmError: Another arm ran.
+        ArtefactError: No policy ran.
+        OutsideError: There is nothing to draw with, or the disk or the encoder refuses.
+    """
+    try:
+        ffmpeg: Any = import_module("imageio_ffmpeg")  # it has no types
+    except ImportError:
+        raise MissingExtraError("imageio-ffmpeg", "video") from None
+    count = max(1, round(run.lasted * fps))
+    shown, scene = moments(run, arm, np.arange(count) / fps), stage(arm, FRAME)
+    title = f"{arm.name} · {run.conditions.world}"
+    pictures = _written_on(draw(scene, shown.q, shown.phi), scene, shown, title)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "run.mp4"
+            encoder = ffmpeg.write_frames(
+                file,
+                FRAME,
+                fps=fps,
+                codec="libx264",
+                pix_fmt_out="yuv420p",
+                quality=QUALITY,
+                ffmpeg_log_level="error",
+                # Quick to encode, and it plays while it loads.
+                output_params=["-preset", "veryfast", "-movflags", "+faststart"],
+            )
+            with closing(encoder):
+                encoder.send(None)
+                for done, picture in enumerate(pictures, 1):
+                    encoder.send(picture)
+                    report(done / count)
+            # How the encoder ended is not told: a full disk shows in the frames that are missing.
+            arrived, _ = ffmpeg.count_frames_and_secs(file)
+            if arrived != count:
+                raise OSError(f"{arrived} of {count} frames arrived, is the disk full?")
+            write_whole(path, file.read_bytes())
+    except OutsideError:  # ours say enough
+        raise
+    except (OSError, RuntimeError) as error:
+        raise OutsideError(f"cannot write {path}, the encoder failed: {error}") from None
+
+
+def _written_on(
+    pictures: Iterable[Picture], scene: Stage, shown: Moments, title: str
+) -> Iterator[Picture]:
+    """Write the title, the ends of the track, and on each picture what is true at its time."""
+    from matplotlib import get_data_path
+    from PIL import Image, ImageDraw, ImageFont
+
+    fonts = Path(get_data_path(), "fonts", "ttf")
+    large, small = (
+        ImageFont.truetype(fonts / name, height)
+        for name, height in (("DejaVuSans-Bold.ttf", LETTERS), ("DejaVuSans.ttf", 18))
+    )
+    # On the outer sides of the posts' feet; the camera sees +x on the left.
+    ends = [
+        (scene.camera.pixel(post.foot), f"x = {signed(post.x, 2)} m", -1 if post.x > 0.0 else 1)
+        for post in scene.posts
+    ]
+    for picture, lines in zip(pictures, shown.captions(), strict=True):
+        image = Image.fromarray(picture)
+        pen = ImageDraw.Draw(image)
+        pen.text((FRAME[0] - 24, 24), title, GREY, small, "ra")
+        for (column, row), label, side in ends:
+            pen.text((column + 24 * side, row), label, INK, small, "lm" if side > 0 else "rm")
+        for number, line in enumerate(lines):
+            pen.text((24, 24 + 1.5 * LETTERS * number), line, INK, large)
+        yield np.asarray(image)
