@@ -24,7 +24,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.settings import resolve
-from equipoise.training import train
+from equipoise.training import LEARNERS, train_several
 
 
 def main() -> None:
@@ -33,6 +33,7 @@ def main() -> None:
     parser.add_argument("--world", default="twin:nominal")
     parser.add_argument("--arm", type=int, choices=(7, 14), default=7)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--learners", type=int, default=LEARNERS, help="for each seed")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--trials", type=int, default=200)
     parser.add_argument("--duration", type=float, default=60.0)
@@ -58,10 +59,16 @@ def main() -> None:
         begin = time.perf_counter()
         file = given.out / f"policy-{seed}.json"
         if not file.exists():
-            policy = train(
-                shipped_pendulum(), arm, settings, actuator=actuator, seed=seed, workers=cores
+            policies = train_several(
+                shipped_pendulum(),
+                arm,
+                settings,
+                learners=given.learners,
+                actuator=actuator,
+                seed=seed,
+                workers=cores,
             )
-            policy.save(file, command="train", inputs={"actuator": actuator.digest})
+            policies[0].save(file, command="train", inputs={"actuator": actuator.digest})
         policy, trained = TabularPolicy.load(file), time.perf_counter() - begin
         file = given.out / f"evaluation-{seed}.json"
         if not file.exists():

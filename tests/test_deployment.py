@@ -147,9 +147,7 @@ def test_it_is_the_trial_that_the_compiled_loop_runs(small_policy):
     long = deploy(small_policy, seed=5, duration=20.0)
     trial = draw_trials(1, settings, 5, DEPLOYMENT, spread=1.0)
     run_over_cores(
-        make_plant(
-            small_policy.arm, settings, small_policy.h, small_policy.pendulum.parameters()
-        ),
+        make_plant(small_policy.arm, settings, small_policy.h, small_policy.pendulum.parameters()),
         small_policy.kernel,
         small_policy.pendulum.parameters(),
         trial,

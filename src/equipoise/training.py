@@ -49,6 +49,10 @@ Array = npt.NDArray[np.float64]
 REPORTS = 200
 """How often a training without candidates reports its progress."""
 
+LEARNERS = 3
+"""How many learners a command trains to keep the best: one in three finds no table that stands on
+the worst plants of its selection."""
+
 Report = Callable[[LearningPoint], None]
 """Called with each point of the learning curve as it is made."""
 
@@ -152,7 +156,7 @@ def train_several(
     arm: Arm,
     settings: Settings,
     *,
-    learners: int,
+    learners: int = LEARNERS,
     actuator: Actuator | None = None,
     seed: int = 0,
     recipe: str = "robust",

@@ -59,9 +59,11 @@ def train(
     seeds: Annotated[
         int,
         typer.Option(
-            min=1, metavar="N", help="Train so many over the cores, keep the best of a selection."
+            min=1,
+            metavar="N",
+            help="Learners to train over the cores; the best of a selection is kept.",
         ),
-    ] = 1,
+    ] = 3,
     seed: Seed = 0,
     workers: Workers = None,
     held: Held = None,

@@ -1,0 +1,194 @@
+"""`equipoise refine`: logs of a policy say whether its model still holds; if not, it learns on."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from equipoise.cli.options import (
+    IN_AND_OUT,
+    Json,
+    Seed,
+    Workers,
+    available_workers,
+    check_output,
+)
+from equipoise.cli.output import FIRST_WORDS, Output, measured, stoppable, verb
+
+if TYPE_CHECKING:
+    from equipoise.artefacts import Artefact, Estimate
+    from equipoise.control.policy import Candidate, LearningPoint, TabularPolicy
+    from equipoise.studies.refinement import Findings, Refinement
+
+PARTS = ("policy", "pendulum", "actuator")
+"""What may be written, and the keys of the paths in the JSON object."""
+
+
+@verb
+def refine(
+    policy: Annotated[
+        Path, typer.Argument(metavar="POLICY", help="The policy that ran.", show_default=False)
+    ],
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN", help="Logs from equipoise deploy.", show_default=False),
+    ],
+    training: Annotated[
+        bool, typer.Option("--train/--no-train", help="Train on, where the model moved.")
+    ] = True,
+    always: Annotated[
+        bool, typer.Option("--always", help="Train on also where nothing moved.")
+    ] = False,
+    episodes: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Episodes to train on; by default 2,000."),
+    ] = None,
+    seed: Seed = 0,
+    workers: Workers = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="FILE",
+            help="The policy that is written; pendulum and actuator beside it, if they moved.",
+            rich_help_panel=IN_AND_OUT,
+        ),
+    ] = Path("refined.json"),
+    as_json: Json = False,
+) -> None:
+    """Learn from the robot: does the model of a policy still hold in its logs?
+
+    w2, c and the actuator are identified again. If one of them moved beyond its
+    interval, the policy is trained on from its table, and kept if it is better.
+    """
+    output = Output(as_json)
+    output.say(f"Comparing {policy} with {', '.join(map(str, runs))}")
+    paths = {part: out.with_name(f"{out.stem}-{part}.json") for part in PARTS} | {"policy": out}
+    for path in paths.values():
+        check_output(path, policy, *runs)
+
+    from equipoise.control.policy import TabularPolicy
+    from equipoise.runlog import RunLog
+    from equipoise.studies.refinement import inspect
+
+    table = TabularPolicy.load(policy)
+    logs = {str(path): RunLog.load(path) for path in runs}
+    with output.busy("identifying again"):
+        findings = inspect(table, logs)
+    _say(output, table, findings)
+
+    made: dict[str, Artefact] = {}
+    if findings.pendulum.digest != table.pendulum.digest:
+        made["pendulum"] = findings.pendulum
+    if findings.actuator.digest != table.actuator.digest:
+        made["actuator"] = findings.actuator
+    refinement = None
+    if training and (findings.moves or always):
+        refinement = _retrain(output, table, findings, episodes, seed, workers)
+        made["policy"] = refinement.policy
+        _say_kept(output, refinement)
+    inputs = {"policy": table.digest} | {name: log.digest for name, log in logs.items()}
+    for part, artefact in made.items():
+        artefact.save(paths[part], command="refine", inputs=inputs)
+    if made:
+        output.wrote(*(paths[part] for part in made))
+    output.next("deploy", out if refinement else policy)
+    written = {part: str(paths[part]) if part in made else None for part in PARTS}
+    output.result(_result(findings, refinement) | written)
+
+
+def _retrain(
+    output: Output,
+    policy: "TabularPolicy",
+    findings: "Findings",
+    episodes: int | None,
+    seed: int,
+    workers: int | None,
+) -> "Refinement":
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+
+    from equipoise.studies.refinement import EPISODES, retrain
+
+    total = episodes or EPISODES
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        TextColumn("{task.completed:,.0f} of {task.total:,.0f} episodes"),
+        TimeRemainingColumn(compact=True),
+    )
+    with output.progress(*columns) as progress, stoppable() as check:
+        task = progress.add_task(FIRST_WORDS, total=total)
+
+        def report(point: "LearningPoint") -> None:
+            check()
+            words = "comparing old and new" if point.episodes == total else "training on"
+            progress.update(task, description=words, completed=point.episodes)
+
+        return retrain(
+            policy,
+            findings.pendulum,
+            findings.actuator,
+            episodes=total,
+            seed=seed,
+            workers=available_workers(workers),
+            report=report,
+        )
+
+
+def _say(output: Output, policy: "TabularPolicy", findings: "Findings") -> None:
+    from equipoise.studies.refinement import numbers
+
+    fit, known = findings.fit, policy.pendulum
+    rows = {
+        "logs": f"{fit.duration:.1f} s, {fit.samples:,} encoder counts",
+        "w2 = m g l / I": f"{measured(fit.w2, '1/s^2')}; was {known.w2.value:.4g}",
+        "c = b / I": f"{measured(fit.c, '1/s')}; was {known.c.value:.3g}",
+        "Coulomb / I": f"{measured(fit.coulomb, '1/s^2')}; was {known.coulomb.value:.3g}",
+    }
+    before = numbers(policy.actuator, policy.arm)
+    for name, now in findings.response.items():
+        rows[name] = f"{_milliseconds(now)}; was {1e3 * before[name].value:.3g}"
+    output.rows(rows)
+    for warning in findings.warnings:
+        output.warn(warning)
+    if findings.moves:
+        output.points(move.text for move in findings.moves)
+    else:
+        output.say(
+            "The model still holds: nothing moved beyond its interval and what training varies.",
+            style="green",
+        )
+
+
+def _milliseconds(estimate: "Estimate") -> str:
+    ends = {name: 1e3 * getattr(estimate, name) for name in ("value", "low", "high")}
+    return measured(estimate.model_copy(update=ends), "ms")
+
+
+def _say_kept(output: Output, refinement: "Refinement") -> None:
+    output.rows({"old table": _lasted(refinement.old), "new table": _lasted(refinement.new)})
+    output.say(f"The {refinement.kept} table is kept, with the new model.")
+
+
+def _lasted(candidate: "Candidate") -> str:
+    return (
+        f"{candidate.survived} of {candidate.trials} trials on the new model lasted, "
+        f"score {candidate.score:.4f}"
+    )
+
+
+def _result(findings: "Findings", refinement: "Refinement | None") -> dict[str, object]:
+    fit = findings.fit
+    estimates: dict[str, Estimate] = {
+        name: getattr(fit, name) for name in ("w2", "k", "c", "coulomb", "friction")
+    }
+    estimates |= {name.replace(" ", "_"): now for name, now in findings.response.items()}
+    result: dict[str, object] = {"moved": [move.name for move in findings.moves]}
+    for name, estimate in estimates.items():
+        result |= {name: estimate.value, f"{name}_interval": list(estimate.interval)}
+    tables = {} if refinement is None else {"old": refinement.old, "new": refinement.new}
+    return result | {
+        "kept": refinement and refinement.kept,
+        "survival": {table: each.survived / each.trials for table, each in tables.items()},
+        "score": {table: each.score for table, each in tables.items()},
+        "warnings": list(findings.warnings),
+    }
