@@ -23,6 +23,7 @@ from equipoise.artefacts import (
 )
 from equipoise.errors import ArtefactError, EquipoiseError, OutsideError
 from equipoise.model.pendulum import Pendulum
+from equipoise.studies.verification import _KINDS
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -320,6 +321,12 @@ def test_upgrades_follow_one_another(path):
 @pytest.mark.parametrize("version", [1, 0, -1])
 def test_a_version_without_an_upgrade_is_refused(path, version):
     assert "can no longer be read" in refusal(path, signed({"name": "old"}, version=version))
+
+
+@pytest.mark.parametrize("kind", sorted(_KINDS))
+def test_files_of_every_version_can_be_read(kind):
+    _, artefact, _ = _KINDS[kind]
+    assert set(artefact.UPGRADES) == set(range(1, artefact.VERSION))
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,13 @@
-"""Equipoise teaches a robot arm to balance an inverted pendulum: identify, train, evaluate.
+"""Equipoise teaches a robot arm to balance an inverted pendulum.
+
+Identify, train, evaluate, deploy.
 
 All that a program needs is here by name; each name is imported from its own module when it is
 first used, so that `import equipoise` costs nothing. Values are immutable, units are SI and
 radians::
 
     Trajectory -> identify -> Pendulum -> train -> TabularPolicy -> evaluate -> Evaluation
+    excite -> RunLog -> identify_run -> Actuator ---^            `-> deploy -> RunLog
 """
 
 from importlib import import_module
@@ -14,15 +17,21 @@ if TYPE_CHECKING:
     from equipoise.artefacts import Estimate
     from equipoise.control.policy import Policy, TabularPolicy, shipped_policy
     from equipoise.control.python_policy import PythonPolicy
+    from equipoise.deployment import deploy, excite
     from equipoise.errors import EquipoiseError
     from equipoise.evaluation import Evaluation, evaluate, evaluate_function
     from equipoise.identification import identify
+    from equipoise.identification.actuator import identify_run
+    from equipoise.model.actuator import Actuator, shipped_actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.arms.iiwa import iiwa
     from equipoise.model.arms.urdf import read_urdf
     from equipoise.model.encoder import simulate_swing
     from equipoise.model.pendulum import Pendulum, PendulumParameters, shipped_pendulum
+    from equipoise.model.worlds import read_world
+    from equipoise.runlog import RunLog
     from equipoise.settings import Settings, resolve
+    from equipoise.studies.certification import Certificate, certify, make_claim
     from equipoise.studies.reproduction import reproduce
     from equipoise.studies.verification import verify
     from equipoise.training import train, train_several
@@ -31,7 +40,9 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "Actuator",
     "Arm",
+    "Certificate",
     "EquipoiseError",
     "Estimate",
     "Evaluation",
@@ -39,18 +50,26 @@ __all__ = [
     "PendulumParameters",
     "Policy",
     "PythonPolicy",
+    "RunLog",
     "Settings",
     "TabularPolicy",
     "Trajectory",
     "__version__",
+    "certify",
+    "deploy",
     "evaluate",
     "evaluate_function",
+    "excite",
     "identify",
+    "identify_run",
     "iiwa",
+    "make_claim",
     "read_swing",
     "read_urdf",
+    "read_world",
     "reproduce",
     "resolve",
+    "shipped_actuator",
     "shipped_pendulum",
     "shipped_policy",
     "simulate_swing",
@@ -64,15 +83,21 @@ _HOMES = {
     "artefacts": ("Estimate",),
     "control.policy": ("Policy", "TabularPolicy", "shipped_policy"),
     "control.python_policy": ("PythonPolicy",),
+    "deployment": ("deploy", "excite"),
     "errors": ("EquipoiseError",),
     "evaluation": ("Evaluation", "evaluate", "evaluate_function"),
     "identification": ("identify",),
+    "identification.actuator": ("identify_run",),
+    "model.actuator": ("Actuator", "shipped_actuator"),
     "model.arms.arm": ("Arm",),
     "model.arms.iiwa": ("iiwa",),
     "model.arms.urdf": ("read_urdf",),
     "model.encoder": ("simulate_swing",),
     "model.pendulum": ("Pendulum", "PendulumParameters", "shipped_pendulum"),
+    "model.worlds": ("read_world",),
+    "runlog": ("RunLog",),
     "settings": ("Settings", "resolve"),
+    "studies.certification": ("Certificate", "certify", "make_claim"),
     "studies.reproduction": ("reproduce",),
     "studies.verification": ("verify",),
     "training": ("train", "train_several"),

@@ -11,7 +11,18 @@ from typer.main import get_command
 
 from equipoise.cli.app import app
 
-VERBS = ("reproduce", "identify", "train", "evaluate", "certify", "verify", "bench")
+VERBS = (
+    "reproduce",
+    "identify",
+    "train",
+    "evaluate",
+    "deploy",
+    "certify",
+    "gap",
+    "refine",
+    "verify",
+    "bench",
+)
 HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
 
 
@@ -20,7 +31,7 @@ def test_help_shows_the_verbs_in_their_panels(equipoise):
     assert ran.code == 0
     story, studies = ran.out.split("The story")[1].split("Studies")
     assert all(f" {verb} " in story for verb in ("reproduce", "identify", "train", "evaluate"))
-    assert all(f" {verb} " in studies for verb in ("certify", "verify", "bench"))
+    assert all(f" {verb} " in studies for verb in ("certify", "gap", "refine", "verify", "bench"))
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -5,20 +5,40 @@ What stands in the report is tested with the study and the report.
 
 import pytest
 
+from equipoise.studies import gap as study
+from equipoise.studies import reproduction
 from tests.cli.conftest import COSINE, TIME
 
 SHORT = (
-    "--quick",
+    "--quick",  # which also cuts the study of the gap down
     "--set=learning.episodes=40",
     "--set=learning.episode_duration=1",
     "--set=selection.every=20",
     "--set=selection.screening_trials=4",
     "--set=selection.final_trials=4",
     "--set=selection.duration=1",
+    "--set=selection.final_duration=1",
     "--set=evaluation.trials=4",
     "--set=evaluation.duration=1",
 )
-FILES = ("swing.csv", "pendulum.json", "policy.json", "evaluation.json", "run.mcap", "report.html")
+FILES = (
+    "swing.csv",
+    "pendulum.json",
+    "policy.json",
+    "evaluation.json",
+    "run.mcap",
+    "gap.json",
+    "reproduction.json",
+    "report.html",
+)
+
+
+@pytest.fixture(autouse=True)
+def tiny_gap(monkeypatch):
+    """Neither look long for the table of the paper nor run long trials of it."""
+    quickly = (*study.STOOD_LONGEST_QUICKLY, "learning.episodes=20", "selection.every=10")
+    monkeypatch.setattr(study, "STOOD_LONGEST_QUICKLY", quickly)
+    monkeypatch.setattr(reproduction, "QUICK_GAP", (2, 0.1))
 
 
 def test_it_leaves_every_file_and_says_what_came_out(equipoise, tmp_path):
@@ -40,6 +60,9 @@ def test_a_recorded_swing_json_and_the_exit_code(equipoise, swing):
     assert "recorded" in " ".join(found["verdict"])
     assert ran.code == (0 if found["median_s"] >= found["duration"] else 1)
     assert ran.err == ""
+    assert found["world"] == "twin:nominal-1"
+    assert 0.0 < found["lasted_s"] <= 1.0
+    assert found["cause"] in ("lasted", "angle", "track", "joint limit")
 
 
 OPTIONS = {

@@ -7,14 +7,22 @@ from equipoise.artefacts import Estimate, Provenance
 from equipoise.control.boxes import describe
 from equipoise.control.policy import Candidate, LearningPoint, TabularPolicy
 from equipoise.evaluation import Evaluation, TrialResults
+from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, SwingFit
-from equipoise.runlog import RunConditions, RunLog
+from equipoise.model.worlds import MODEL, read_world
+from equipoise.runlog import IDEAL, RunConditions, RunLog, Truth
 from equipoise.settings import resolve
-from equipoise.studies.results import Record, Results, SimulatedSwing, Stage, digests
+from equipoise.studies.results import Record, Results, Stage, digests
+from equipoise.studies.stand_in import SimulatedSwing
 from equipoise.trajectory import Trajectory
+from tests.report.made_up_gap import falls_early, measured
 
 W2, C, RELEASE = 70.2, 0.15, 0.5
+AHEAD = 0.03
+"""How far the made-up policy sees ahead on the twin [s]."""
+ZERO = -0.002
+"""Error of the encoder's zero there [rad]."""
 PROVENANCE = Provenance(
     created="2031-02-03T04:05:06+00:00",
     command="reproduce",
@@ -95,6 +103,7 @@ def policy(of, recipe="robust", unvisited=7):
         h=0.01,
         pendulum=of,
         arm=iiwa(7),
+        actuator=IDEAL_ACTUATOR if recipe == "paper" else shipped_actuator(),
         recipe=recipe,
         settings=settings,
         seed=0,
@@ -119,7 +128,9 @@ def evaluation(of, falls=(3.0, 20.0)):
     """A policy that fell twice in twenty, and two yardsticks."""
     return Evaluation(
         policy=of.digest,
-        world="model",
+        world=MODEL,
+        world_settings=None,
+        actuator=of.actuator.digest,
         arm=of.arm.name,
         arm_digest=of.arm.digest,
         pendulum=of.pendulum.digest,
@@ -133,16 +144,28 @@ def evaluation(of, falls=(3.0, 20.0)):
     )
 
 
-def run(of, lasted=60.0, cause="lasted"):
-    """A run of sines, with the boxes of a few states."""
+def run(of, lasted=60.0, cause="lasted", world=MODEL):
+    """A run of sines, with the boxes of a few states; on a twin the policy saw them early."""
     n = round(lasted / 0.01)
     time = 0.01 * np.arange(n)
     q = np.tile(np.array(of.arm.home), (n, 1))
     q[:, 0] += 0.1 * np.sin(time)
+    twin = None if world == MODEL else read_world(world)
+
+    def state(t):
+        return {
+            "x": 0.12 * np.sin(t),
+            "x_dot": 0.12 * np.cos(t),
+            "phi": 0.05 * np.sin(8.0 * t),
+            "phi_dot": 0.4 * np.cos(8.0 * t),
+        }
+
+    was = state(time - AHEAD if twin else time)
+    known = {"truth": Truth(**was, q=q - 0.001)} if twin else {}
     return RunLog(
         conditions=RunConditions(
             policy=of.digest,
-            world="model",
+            world=twin.name if twin else world,
             arm=of.arm.name,
             joints=tuple(joint.name for joint in of.arm.joints),
             held_joint=of.arm.held_joint,
@@ -151,27 +174,42 @@ def run(of, lasted=60.0, cause="lasted"):
             h=0.01,
             duration=60.0,
             seed=0,
+            actuator=of.actuator.digest if twin else IDEAL,
+            counts_per_rev=twin.settings.counts_per_rev if twin else None,
+            world_settings=twin.settings.model_dump() if twin else None,
+            zero_error=ZERO if twin else None,
             settings=of.settings,
             cause=cause,
         ),
         time=time,
-        x=0.12 * np.sin(time),
-        x_dot=0.12 * np.cos(time),
-        phi=0.05 * np.sin(8.0 * time),
-        phi_dot=0.4 * np.cos(8.0 * time),
+        **state(time),
         box=np.arange(n) % 12 + 120,
         u=np.array(paper.ACTIONS)[np.arange(n) // 3 % 8],
         tracked=np.array(paper.ACTIONS)[np.arange(n) // 3 % 8] + 0.03,
         q=q,
         dq=np.zeros_like(q),
+        estimated_phi=was["phi"],
+        estimated_phi_dot=was["phi_dot"],
+        bias=ZERO * (1.0 - np.exp(-time)) if twin else np.zeros(n),
+        **known,
     )
 
 
-def results(*, recipe="robust", quick=False, given=None, warnings=(), falls=(3.0, 20.0), **of_run):
+def results(
+    *,
+    recipe="robust",
+    quick=False,
+    given=None,
+    warnings=(),
+    falls=(3.0, 20.0),
+    world="twin:nominal",
+    **of_run,
+):
     """All of it. `given` is the name of a recording, where one was given."""
     trajectory = swing(source=given or "simulated swing")
     identified = pendulum(trajectory, warnings)
     trained = policy(identified, recipe)
+    studied = world != MODEL and recipe != "paper"
     found = Results(
         record=Record(
             quick=quick,
@@ -188,7 +226,8 @@ def results(*, recipe="robust", quick=False, given=None, warnings=(), falls=(3.0
         pendulum=identified,
         policy=trained,
         evaluation=evaluation(trained, falls),
-        run=run(trained, **of_run),
+        run=run(trained, world=world, **of_run),
+        gap=measured(trained, falls_early, quick=True)[0] if studied else None,
     )
     record = found.record.model_copy(update={"files": dict(digests(found))})
     return found._replace(record=record)

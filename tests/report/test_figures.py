@@ -1,5 +1,7 @@
 """Figures: they show the values, name them with units, and nothing covers or is cut off."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from matplotlib import rcParams
@@ -9,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from equipoise.errors import RecordingError
 from equipoise.model.pendulum import fitted_curve
+from equipoise.model.worlds import MODEL
 from equipoise.report import figures
 from equipoise.report.style import save, to_png, to_svg
 from tests.report import made_up
@@ -28,6 +31,7 @@ DRAW = {
     "figure 5": lambda r: figures.joints(r.run),
     "figure 6": lambda r: figures.pendulum(r.run),
     "figure 7": lambda r: figures.flange(r.run),
+    "zero": lambda r: figures.encoder_zero(r.run),
 }
 LABELS = {
     "figure 2": ["(the paper's figure 2)", "angle from hanging θ [deg]", "time [s]", "0.50 s"],
@@ -49,10 +53,17 @@ LABELS = {
         "LQR",
         "random",
     ],
-    "figure 4": ["(the paper's figure 4)", "u [m/s²]", "time [s]", "0.03 m/s² RMS", "share [%]"],
+    "figure 4": ["(the paper's figure 4)", "u [m/s²]", "time [s]", "share [%]", "commanded"],
     "figure 5": ["(the paper's figure 5)", "joint position [deg]", "A3 (held)", "A7"],
     "figure 6": ["(the paper's figure 6)", "φ [deg]", "dφ/dt [deg/s]", "failure at ±11°"],
     "figure 7": ["(the paper's figure 7)", "x [m]", "dx/dt [m/s]", "failure at ±0.22 m"],
+    "zero": ["error of φ [deg]", "time [s]", "the error of its zero", "estimate"],
+}
+ON_THE_TWIN = {
+    "figure 4": ["what the flange did", "acceleration [m/s²]", "the first 1 s"],
+    "figure 5": ["commanded − real [deg]"],
+    "figure 6": ["what was", "what the policy saw"],
+    "figure 7": ["what was", "what the policy saw"],
 }
 
 
@@ -72,8 +83,27 @@ def test_a_figure_says_what_it_shows_in_which_unit(results, name):
         assert any(label in text for text in shown), label
 
 
+def test_where_the_truth_is_known_it_stands_beside_what_was_seen(results):
+    for name, labels in ON_THE_TWIN.items():
+        there, not_there = texts(DRAW[name](results)), texts(DRAW[name](on_the_model()))
+        for label in labels:
+            assert any(label in text for text in there), label
+            assert not any(label in text for text in not_there), label
+
+
+def on_the_model():
+    return made_up.results(world=MODEL)
+
+
+def test_a_run_without_delay_tracks_its_command():
+    shown = texts(figures.commands(on_the_model().run))
+    # What `made_up` tracks is off by that in each step.
+    assert any("0.03 m/s² RMS" in text for text in shown)
+
+
 RUNS = {
     "of a minute": {},
+    "on the model": {"world": MODEL},
     "that fell early": {"lasted": 1.3, "cause": "track"},
     "of one step": {"lasted": 0.01, "cause": "angle"},
     "that fell late": {"lasted": 20.0, "cause": "joint limit"},
@@ -91,6 +121,7 @@ CASES = [
         for case, changes in RUNS.items()
         for n in range(4, 8)
     ],
+    *[("zero", f"a run {case}", RUNS[case]) for case in ("of a minute", "of one step")],
 ]
 
 
@@ -228,10 +259,36 @@ def test_the_commands_are_steps_that_hold_for_a_tick(results):
     np.testing.assert_allclose(edges, 0.01 * np.arange(501), atol=1e-12)
 
 
-def test_angles_of_the_run_are_drawn_in_degrees(results):
-    top, _, bottom, _ = figures.pendulum(results.run).axes
-    for axes, values in ((top, results.run.phi), (bottom, results.run.phi_dot)):
-        drawn = max(axes.lines, key=lambda line: len(line.get_xdata()))
-        np.testing.assert_allclose(drawn.get_ydata(), np.degrees(values[:500]))
+def test_angles_of_the_run_are_drawn_in_degrees_as_seen_and_as_they_were(results):
+    run = results.run
+    top, all_of_it, bottom, _ = figures.pendulum(run).axes
+    for axes, was, seen in (
+        (top, run.truth.phi, run.phi),
+        (bottom, run.truth.phi_dot, run.phi_dot),
+    ):
+        drawn = [line.get_ydata() for line in axes.lines if len(line.get_xdata()) > 2]
+        np.testing.assert_allclose(drawn, np.degrees([was[:500], seen[:500]]))
+    (whole,) = [line.get_ydata() for line in all_of_it.lines if len(line.get_xdata()) > 2]
+    np.testing.assert_allclose(whole, np.degrees(run.truth.phi))
     limits = {line.get_ydata()[0] for line in top.lines if len(line.get_ydata()) == 2}
     assert {-11.0, 11.0, -5.0, -1.0, 0.0, 1.0, 5.0} <= limits
+
+
+def test_the_arm_is_behind_by_the_command_of_a_tick_less_the_truth_at_its_end(results):
+    run = results.run
+    behind = figures.joints(run).axes[-1]
+    first = behind.lines[0].get_ydata()
+    np.testing.assert_allclose(first[1:], np.degrees(run.q[:499, 0] - run.truth.q[1:500, 0]))
+
+
+def test_the_zero_and_its_estimate_are_drawn_in_degrees(results):
+    left = figures.encoder_zero(results.run).axes[0]
+    error, estimate = (line.get_ydata() for line in left.lines)
+    np.testing.assert_allclose(error, np.degrees(made_up.ZERO))
+    np.testing.assert_allclose(estimate, np.degrees(results.run.bias[:500]))
+
+
+def test_a_zero_that_nobody_knows_is_not_drawn(results):
+    unknown = results.run.conditions.model_copy(update={"zero_error": None})
+    shown = texts(figures.encoder_zero(dataclasses.replace(results.run, conditions=unknown)))
+    assert "the error of its zero" not in shown

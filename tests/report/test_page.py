@@ -6,17 +6,21 @@ from html.parser import HTMLParser
 import pytest
 
 from equipoise import paper
-from equipoise.errors import ArtefactError
-from equipoise.report.choices import chapters
-from equipoise.report.page import DRAWINGS, PAGE, build, page
+from equipoise.control.controller import horizon
+from equipoise.errors import ArtefactError, OutsideError
+from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.report.choices import chapters, departures
+from equipoise.report.markup import Missing, paragraph
+from equipoise.report.page import DRAWINGS, PAGE, build, drawings, page
 from equipoise.settings import RECIPES, Settings, resolve
 from equipoise.studies import results as files
+from equipoise.studies.gap_results import words as gap_words
 from equipoise.trajectory import write_swing
 from tests.report import made_up
 
 HOSTILE = "<script>alert('x')</script>&.csv"
 SVG = '<svg xmlns="http://www.w3.org/2000/svg"/>'
-PICTURES = dict.fromkeys(DRAWINGS, SVG)
+PICTURES = dict.fromkeys(drawings(made_up.results()), SVG)
 EMPTY = {"meta", "img", "br", "path", "rect", "circle", "link", "input"}
 SECTIONS = (
     "Verdict",
@@ -27,6 +31,7 @@ SECTIONS = (
     "What was learned",
     "How long it stands",
     "One run, as the paper shows it",
+    "What the training did not know, and what that costs",
     "What the paper leaves open",
     "Where it comes from, and how to repeat it",
 )
@@ -60,8 +65,8 @@ class Reader(HTMLParser):
         return " ".join(" ".join(self.words).replace("\N{NO-BREAK SPACE}", " ").split())
 
 
-def made(**changes):
-    return page(made_up.results(**changes), PICTURES, made_up.PROVENANCE)
+def made(pictures=PICTURES, **changes):
+    return page(made_up.results(**changes), pictures, made_up.PROVENANCE)
 
 
 @pytest.fixture(scope="module")
@@ -89,11 +94,22 @@ def test_nothing_is_fetched_and_no_script_runs(plain):
 
 
 def test_every_figure_is_there_once_with_words_for_those_who_cannot_see_it(plain):
-    reader = Reader(plain)
-    assert reader.tags.count("img") == len(DRAWINGS)
-    alt = [value for tag, name, value in reader.attributes if (tag, name) == ("img", "alt")]
-    assert len(alt) == len(DRAWINGS)
-    assert all(len(words) > 20 for words in alt)
+    for changes in ({}, {"world": MODEL}, {"recipe": "paper"}):
+        reader = Reader(made(**changes) if changes else plain)
+        expected = len(drawings(made_up.results(**changes)))
+        assert reader.tags.count("img") == expected
+        alt = [value for tag, name, value in reader.attributes if (tag, name) == ("img", "alt")]
+        assert len(alt) == expected
+        assert all(len(words) > 20 for words in alt)
+    assert len(PICTURES) == len(DRAWINGS) + 2  # the encoder's zero, and the gap
+
+
+def test_a_figure_that_could_not_be_drawn_says_why_in_its_place():
+    lost = PICTURES | {"figure-3-frames": Missing("cannot draw <pictures>; install EGL")}
+    reader = Reader(made(lost))
+    assert reader.tags.count("img") == len(PICTURES) - 1
+    assert "Here should be: frames of the run" in reader.text
+    assert "It is missing: cannot draw <pictures>; install EGL." in reader.text
 
 
 def test_what_comes_from_outside_is_escaped():
@@ -114,7 +130,67 @@ def test_the_verdict_has_five_lines_and_says_that_it_is_simulation(plain):
     # Clopper-Pearson for 18 of 20, from any table: 68.3 to 98.8 %.
     assert "68.3 % to 98.8 %" in words
     assert "5 s the paper's run stood, on the real arm" in words
-    assert "neither a robot nor a digital twin of one, which does not exist yet" in words
+    assert "it is not the authors' robot" in words
+
+
+def test_the_twin_is_described_with_what_it_has_and_has_not(plain):
+    words = Reader(plain).text
+    for claim in (
+        "stands in for it, twin:nominal-1",
+        "a setpoint is used 10 ms after it was sent",
+        "servo law of the KUKA Sunrise Toolbox's server",
+        "drives with a lag of 8 ms",
+        "tool and pendulum (250 g) are unknown to them",
+        "dry friction of 0.1 1/s²",
+        "An encoder of 8,192 counts a turn, read 1 ms late, whose zero is wrong by up to 0.2°",
+        "What it has not: elastic joints, friction and play in them",
+        "not published",
+        "not the authors' robot",
+        "error of the encoder's zero unknown −0.11°",
+        "Mass of the pendulum, unknown to the drive",  # from the docstrings of its numbers
+    ):
+        assert claim in words, claim
+
+
+def test_what_the_policy_saw_is_ahead_by_the_horizon_of_the_controller(plain):
+    policy = made_up.results().policy
+    ahead = horizon(policy.arm, policy.actuator, policy.settings.controller.margin)
+    assert f"the state {1e3 * ahead:.0f} ms ahead" in Reader(plain).text
+
+
+def test_an_arm_without_a_twin_runs_on_the_model_and_the_page_says_so():
+    words = Reader(made(world=MODEL)).text
+    assert "There is no digital twin of the iiwa7" in words
+    assert "the gap to a robot was not studied" in words
+    for claim in ("a setpoint is used", "the drives do not know", "equipoise gap", "ms ahead"):
+        assert claim not in words
+
+
+def test_a_policy_of_the_paper_has_no_cures_and_the_page_says_so():
+    words = Reader(made(recipe="paper")).text
+    assert "The arm is where it is sent, at once" in words
+    assert "has none" in words
+    assert "estimates angle, rate" not in words
+
+
+def test_the_gap_is_told_as_a_short_form_in_its_own_words(plain):
+    words = Reader(plain).text
+    assert "a short form of that study, 8 trials of 20 s at each point" in words
+    for line in gap_words(made_up.results().gap):
+        assert Reader(paragraph(line)).text in words
+
+
+def test_departures_are_those_of_the_settings(plain):
+    robust, paper_ = (" ".join(departures(resolve(name))) for name in ("robust", "paper"))
+    assert robust in Reader(plain).text
+    for departure in ("nonlinear", "mirror", "held", "learning rate", "sensor", "prediction"):
+        assert departure in robust
+        assert departure not in paper_
+    assert "limits is a failure" in paper_
+    without = resolve(overrides=["controller.predict=false", "selection.every=0"])
+    shorter = " ".join(departures(without))
+    assert "prediction" not in shorter
+    assert "last table" not in shorter
 
 
 def test_a_quick_look_says_so():
@@ -164,6 +240,9 @@ def test_every_setting_is_there_with_value_and_reason(plain):
         for key in model.annotation.model_fields:
             assert f"{section}.{key}" in words
     assert "learning.episodes 10,000" in words
+    assert "controller.margin 0.005 s" in words
+    for key in TwinSettings.model_fields:
+        assert f" {key} " in words
 
 
 @pytest.mark.parametrize(("recipe", "other"), [("robust", "paper"), ("paper", "robust")])
@@ -208,7 +287,8 @@ def folder(tmp_path_factory):
         pendulum=identified,
         policy=policy,
         evaluation=made_up.evaluation(policy),
-        run=made_up.run(policy, lasted=8.0, cause="track"),
+        run=made_up.run(policy, lasted=8.0, cause="track", world="twin:nominal"),
+        gap=made_up.measured(policy, made_up.falls_early, quick=True)[0],
     )
     record = found.record.model_copy(update={"files": dict(files.digests(found))})
     for value, name in (
@@ -216,6 +296,7 @@ def folder(tmp_path_factory):
         (found.policy, files.POLICY),
         (found.evaluation, files.EVALUATION),
         (found.run, files.RUN),
+        (found.gap, files.GAP),
         (record, files.RECORD),
     ):
         value.save(out / name, command="test")
@@ -230,17 +311,41 @@ def test_the_page_is_built_from_the_folder_alone(folder):
     Reader(text)
     assert folder.parent.name not in text  # no path of this machine
     assert sorted(p.name for p in (folder / "figures").iterdir()) == sorted(
-        f"{name}.{ending}" for name in DRAWINGS for ending in ("png", "svg")
+        f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg")
     )
     shares = [share for _, share in told]
     assert shares == sorted(shares)
     assert told[-1] == (PAGE, 1.0)
 
 
-def test_a_file_of_another_reproduction_is_refused(folder, tmp_path):
+def test_a_machine_without_opengl_gets_the_rest(folder, tmp_path, monkeypatch):
+    def fails(run, arm):
+        raise OutsideError("cannot draw pictures; install EGL")
+
+    def sketched(figure, stem):
+        files = [stem.with_name(f"{stem.name}.{ending}") for ending in ("svg", "png")]
+        for file in files:
+            file.parent.mkdir(exist_ok=True)
+            file.write_text(SVG)
+        return files
+
+    monkeypatch.setattr("equipoise.report.page.strip", fails)
+    monkeypatch.setattr("equipoise.report.page.save", sketched)
+    copied(folder, tmp_path)
+    text = build(tmp_path).read_text(encoding="utf-8")
+    assert "It is missing: cannot draw pictures; install EGL." in Reader(text).text
+    assert not list((tmp_path / "figures").glob("figure-3*"))
+    assert len(list((tmp_path / "figures").iterdir())) == 2 * (len(PICTURES) - 1)
+
+
+def copied(folder, to):
     for path in folder.iterdir():
         if path.is_file():
-            (tmp_path / path.name).write_bytes(path.read_bytes())
+            (to / path.name).write_bytes(path.read_bytes())
+
+
+def test_a_file_of_another_reproduction_is_refused(folder, tmp_path):
+    copied(folder, tmp_path)
     other = made_up.evaluation(files.TabularPolicy.load(folder / files.POLICY), falls=(1.0,))
     other.save(tmp_path / files.EVALUATION, command="test")
     with pytest.raises(ArtefactError, match=r"evaluation\.json is not the one"):

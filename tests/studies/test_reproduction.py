@@ -1,5 +1,7 @@
 """Reproduction: every stage, one after the other, and what it leaves."""
 
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 
@@ -7,11 +9,17 @@ from equipoise import paper
 from equipoise.artefacts import read_document
 from equipoise.errors import ArtefactError, OutsideError, RecordingError
 from equipoise.identification import identify
+from equipoise.model.actuator import shipped_actuator
+from equipoise.model.arms.urdf import read_urdf
+from equipoise.model.worlds import MODEL
 from equipoise.report.page import build
 from equipoise.settings import resolve
-from equipoise.studies.reproduction import QUICK, reproduce, shortened
-from equipoise.studies.results import RECORD, RUN, SWING, load, verdict
+from equipoise.studies import gap as study
+from equipoise.studies.gap_results import CURED, PAPER
+from equipoise.studies.reproduction import QUICK, QUICK_GAP, reproduce, shortened
+from equipoise.studies.results import GAP, RECORD, RUN, SWING, load, verdict
 from equipoise.studies.stand_in import SimulatedSwing, simulated_swing
+from equipoise.studies.wording import LASTED
 from equipoise.trajectory import Trajectory
 
 pytestmark = pytest.mark.compiled_only
@@ -24,18 +32,36 @@ SHORT = resolve(
         "selection.final_trials=8",
         "selection.finalists=2",
         "selection.duration=2",
+        "selection.final_duration=2",
         "evaluation.trials=8",
         "evaluation.duration=2",
     ]
 )
-FILES = ("swing.csv", "pendulum.json", "policy.json", "evaluation.json", "run.mcap")
+FILES = ("swing.csv", "pendulum.json", "policy.json", "evaluation.json", "run.mcap", "gap.json")
+
+
+@contextmanager
+def tiny_gap():
+    """The study of the gap has tests of its own: here two trials of a tenth of a second do."""
+    quickly = [*study.STOOD_LONGEST_QUICKLY, "learning.episodes=40", "selection.every=20"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "SHORT", study.SHORT._replace(trials=2, duration=0.1))
+        patch.setattr(study, "STOOD_LONGEST_QUICKLY", quickly)
+        yield
+
+
+@pytest.fixture
+def with_tiny_gap():
+    with tiny_gap():
+        yield
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     told = []
     out = tmp_path_factory.mktemp("reproduction") / "deep" / "folder"
-    made = reproduce(out, settings=SHORT, seed=3, workers=1, report=told.append)
+    with tiny_gap():
+        made = reproduce(out, settings=SHORT, seed=3, workers=1, report=told.append)
     return made, told
 
 
@@ -49,6 +75,8 @@ def test_it_leaves_every_value_and_they_belong_together(made):
     assert results.evaluation.policy == results.policy.digest == results.run.conditions.policy
     assert results.policy.pendulum == results.pendulum
     assert results.pendulum.fit.sha256 == results.swing.sha256
+    assert results.gap.digest == made.results.gap.digest
+    assert results.gap.policy == results.policy.digest
 
 
 def test_each_file_names_what_it_was_made_from(made):
@@ -58,6 +86,7 @@ def test_each_file_names_what_it_was_made_from(made):
         "pendulum.json": {"swing": results.swing.sha256},
         "policy.json": {"pendulum": results.pendulum.digest},
         "evaluation.json": {"policy": results.policy.digest},
+        "gap.json": {"policy": results.policy.digest},
     }
     for name, expected in inputs.items():
         assert read_document(made.out / name)["provenance"]["inputs"] == expected
@@ -65,7 +94,7 @@ def test_each_file_names_what_it_was_made_from(made):
 
 def test_the_stages_are_told_as_they_go(made):
     made, told = made
-    stages = ["swing", "identify", "train", "evaluate", "deploy"]
+    stages = ["swing", "identify", "train", "evaluate", "deploy", "gap"]
     assert [stage.name for stage in made.results.record.stages] == stages
     assert list(dict.fromkeys(p.stage for p in told)) == stages
     for stage in stages:
@@ -88,17 +117,53 @@ def test_the_simulated_pendulum_is_found_again(made):
     assert pendulum.fit.warnings == ()
 
 
-def test_the_run_is_as_long_as_the_trials(made):
+def test_the_run_is_on_the_twin_and_as_long_as_the_trials(made):
     made, _ = made
-    assert made.results.run.conditions.duration == SHORT.evaluation.duration
+    run = made.results.run
+    assert run.conditions.duration == SHORT.evaluation.duration
+    assert run.conditions.world == "twin:nominal-1"
+    assert run.conditions.actuator == shipped_actuator().digest
+    assert len(run.stream.time) == 2 * len(run.time)
+    assert made.results.evaluation.world == MODEL
 
 
+def test_the_gap_is_the_short_one_of_the_same_twin(made):
+    made, told = made
+    gap = made.results.gap
+    assert gap.quick
+    assert gap.world == "twin:nominal-1"
+    with tiny_gap():
+        trials = study.trials_of(quick=True)
+    assert any(p.text == f"{trials} trials" for p in told if p.stage == "gap")
+    assert made.next_command == f"equipoise gap {made.out / 'policy.json'}"
+
+
+def test_an_arm_whose_masses_are_not_known_runs_on_the_model(tmp_path):
+    made = reproduce(tmp_path, arm=read_urdf("tests/data/elbow6.urdf"), settings=SHORT, workers=1)
+    results = load(tmp_path)
+    assert results.run.conditions.world == MODEL
+    assert results.gap is None
+    assert not (tmp_path / GAP).exists()
+    assert "no digital twin of the elbow 6" in made.verdict[2]
+    assert made.next_command.startswith("equipoise evaluate")
+
+
+def test_a_policy_of_the_paper_runs_on_the_twin_without_a_study_of_its_cures(tmp_path):
+    bare = resolve("paper", overrides=["learning.episodes=40", "evaluation.trials=4"])
+    results = reproduce(tmp_path, recipe="paper", settings=bare, workers=1).results
+    assert results.policy.actuator.kind == "ideal"
+    assert results.run.conditions.world == "twin:nominal-1"
+    assert results.gap is None
+
+
+@pytest.mark.usefixtures("with_tiny_gap")
 def test_the_results_do_not_depend_on_the_number_of_workers(made, tmp_path):
     made, _ = made
     again = reproduce(tmp_path, settings=SHORT, seed=3, workers=2)
     assert again.results.record.files == made.results.record.files
 
 
+@pytest.mark.usefixtures("with_tiny_gap")
 def test_a_recorded_swing_is_used_and_kept(tmp_path):
     recorded = simulated_swing(SimulatedSwing(period=0.9), seed=8)
     given = Trajectory(time=recorded.time, theta=recorded.theta, source="mine.csv")
@@ -165,6 +230,14 @@ def test_a_swing_without_a_hand_is_identified_from_its_first_sample():
     assert identify(recording).fit.release is None
 
 
+@pytest.mark.usefixtures("with_tiny_gap")
+def test_a_quick_look_cuts_the_gap_down_further(tmp_path, monkeypatch):
+    monkeypatch.setattr("equipoise.studies.reproduction.QUICK_GAP", (2, 0.05))
+    made = reproduce(tmp_path, settings=SHORT, workers=1, quick=True)
+    assert made.results.gap.duration == 0.05
+    assert made.next_command == "equipoise reproduce"
+
+
 @pytest.mark.slow
 def test_quick_and_the_page_work_as_they_come(tmp_path):
     made = reproduce(tmp_path, quick=True)
@@ -173,5 +246,12 @@ def test_quick_and_the_page_work_as_they_come(tmp_path):
     assert summary.trials == QUICK["evaluation.trials"]
     # Worse than half is worse than any of 20 seeds showed.
     assert summary.rate > 0.5
+    assert made.results.run.conditions.cause == LASTED
+    gap = made.results.gap
+    assert (gap.trials, gap.duration) == QUICK_GAP
+    # Most of the trials on the twin stand, and without the cures fewer do.
+    (cured,) = [p for p in gap.curve("delay", CURED) if p.at == gap.world_settings.transport]
+    assert np.mean(cured.results.survival) > 0.9 * gap.duration
+    assert np.mean(gap.point("world", PAPER).results.survival) < 0.5 * gap.duration
     assert build(tmp_path).stat().st_size > 100_000
     assert (tmp_path / RUN).stat().st_size > 100_000

@@ -8,7 +8,9 @@ from equipoise.cli.bench import bench
 from equipoise.cli.certify import certify
 from equipoise.cli.deploy import deploy
 from equipoise.cli.evaluate import evaluate
+from equipoise.cli.gap import gap
 from equipoise.cli.identify import identify
+from equipoise.cli.refine import refine
 from equipoise.cli.reproduce import reproduce
 from equipoise.cli.train import train
 from equipoise.cli.verify import verify
@@ -29,7 +31,7 @@ app = typer.Typer(
 
 for verb in (reproduce, identify, train, evaluate, deploy):
     app.command(rich_help_panel=STORY)(verb)
-for verb in (certify, verify, bench):
+for verb in (certify, gap, refine, verify, bench):
     app.command(rich_help_panel=STUDIES)(verb)
 
 

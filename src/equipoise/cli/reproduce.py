@@ -74,8 +74,9 @@ def reproduce(
 ) -> None:
     """Reproduce the paper, from a free swing to a report.
 
-    Identification, training, evaluation, one run: leaves every file in a folder,
-    with a report in HTML that needs nothing else.
+    Identification, training, evaluation, a run on the digital twin and a short
+    study of the gap: leaves every file in a folder, with a report in HTML that
+    needs nothing else.
     """
     output = Output(as_json)
     begin = time.perf_counter()
@@ -123,7 +124,7 @@ def reproduce(
     output.points(found.verdict)
     output.wrote(page)
     output.next(*shlex.split(found.next_command)[1:])
-    summary = found.results.evaluation.results.summary()
+    summary, run = found.results.evaluation.results.summary(), found.results.run
     output.result(
         {
             "out": str(out),
@@ -136,6 +137,9 @@ def reproduce(
             "interval": list(summary.interval),
             "median_s": summary.median,
             "causes": summary.causes,
+            "world": run.conditions.world,
+            "lasted_s": run.lasted,
+            "cause": run.conditions.cause,
             "wall_s": time.perf_counter() - begin,
         }
     )

@@ -37,6 +37,9 @@ class TwinSettings(Value):
     """Each transport differs from that by up to this, evenly [s]; order is kept. Assumed."""
     cycle: int = Field(default=1, ge=1, le=10)
     """Cycle of the server's shaping law [ms]: `Thread.sleep(1)` in its source."""
+    shaped: bool = True
+    """Whether the server shapes its steps, as its source does. Without, the destination is the
+    setpoint itself: no robot has that; it shows what the law costs."""
     inner: Inner = "velocity"
     """What the cabinet does with the shaped destination; it is not published. `velocity`: a joint
     velocity of (destination - q) over the cycle, through a first-order lag. `pd`: a PD controller

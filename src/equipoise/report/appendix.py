@@ -6,11 +6,14 @@ import numpy as np
 
 from equipoise.artefacts import Provenance
 from equipoise.model.arms.arm import Arm
-from equipoise.report.choices import Chapter, Choice, chapter, chapters
-from equipoise.report.markup import Part, heading, listing, paragraph, part, table
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.worlds import TwinSettings
+from equipoise.report.choices import Chapter, Choice, chapter, chapters, departures
+from equipoise.report.markup import Part, heading, listing, numbered, paragraph, part, table
 from equipoise.settings import resolve
 from equipoise.studies.results import (
     EVALUATION,
+    GAP,
     PENDULUM,
     POLICY,
     RUN,
@@ -33,11 +36,15 @@ def left_open(results: Results) -> Part:
             "episodes. It does not give learning rate, discount, exploration, reward, sizes of "
             "noise, gains, the pendulum's numbers, the posture, or which arm. These are our "
             "choices, read from where they are defined; those with a dot in their name can be "
-            "changed with `--set name=value`. The recipe `robust` is our default, `paper` the "
+            "changed with `--set name=value`. It says nothing about sensor, servo and delay of the "
+            "robot either: of these, what is not a fact of its server is listed as our assumption. "
+            "The recipe `robust` is our default, `paper` the "
             "barest reading of the text; where the one that was not used differs, it has a column "
             "of its own."
         ),
         *(_choices(chapter, other) for chapter in _chapters(results, other)),
+        heading("Where we depart from the paper"),
+        numbered(departures(results.policy.settings)),
     )
 
 
@@ -46,6 +53,8 @@ def _chapters(results: Results, other: str) -> Iterator[Chapter]:
         yield chapter(results.record.simulated)
     yield _arm(results.policy.arm)
     yield from chapters(results.policy.settings, resolve(other))
+    if world := results.run.conditions.world_settings:
+        yield chapter(TwinSettings.model_validate(world))
 
 
 def _arm(arm: Arm) -> Chapter:
@@ -125,6 +134,7 @@ def _content(name: str) -> str:
         POLICY: "the table, with its settings and learning curve",
         EVALUATION: "every trial of the policy and of the yardsticks",
         RUN: "the recorded run; Foxglove opens it",
+        GAP: "every trial of the study of the gap",
     }[name]
 
 
@@ -135,15 +145,20 @@ def _commands(results: Results) -> list[str]:
         everything.append(f"--swing {record.swing}")
     if record.recipe != "robust":
         everything.append(f"--recipe {record.recipe}")
+    if results.policy.arm.name != iiwa(7).name:
+        everything.append(f"--arm {results.policy.arm.name}")
     if record.seed:
         everything.append(f"--seed {record.seed}")
     if record.quick:
         everything.append("--quick")
+    world = results.run.conditions.world
     return [
         " ".join(everything),
         "",
         f"equipoise identify {SWING} --out {PENDULUM}",
         f"equipoise train {PENDULUM} --arm {results.policy.arm.name} --out {POLICY}",
-        f"equipoise evaluate {POLICY} --trials 1000",
+        f"equipoise evaluate {POLICY} --world {world}",
+        f"equipoise deploy {POLICY} --world {world} --video run.mp4",
+        *([f"equipoise gap {POLICY} --world {world}"] if results.gap else []),
         f"equipoise verify {RUN}",
     ]

@@ -8,8 +8,10 @@ import numpy as np
 from equipoise import paper
 from equipoise.control.boxes import COUNT
 from equipoise.evaluation import Summary
+from equipoise.model.worlds import MODEL
 from equipoise.runlog import RunLog
-from equipoise.studies.results import LASTED, Results, falls, how_it_ended, percent
+from equipoise.studies.results import Results, truth
+from equipoise.studies.wording import LASTED, falls, how_it_ended, percent
 
 
 class Row(NamedTuple):
@@ -31,7 +33,12 @@ def comparison(results: Results) -> list[Row]:
     trained = sum(s.wall for s in results.record.stages if s.name == "train")
     summary = results.evaluation.results.summary()
     return [
-        Row("What moves", "3, 4.3", "a real arm of seven joints", f"a simulated {policy.arm.name}"),
+        Row(
+            "What moves",
+            "3, 4.3",
+            "a real arm of seven joints",
+            f"a simulated {policy.arm.name}, {_where(results)}",
+        ),
         Row(
             "Period of the free swing",
             "3.2",
@@ -51,6 +58,12 @@ def comparison(results: Results) -> list[Row]:
             "the same; and if a joint leaves its limits",
         ),
         Row("Time between decisions", "4.2", f"{paper.STEP:g} s", f"{policy.h:g} s"),
+        Row(
+            "Between command and motion",
+            "4.2, 4.3",
+            "no delay in simulation; that of the robot is not given",
+            _latency(results),
+        ),
         Row("Episodes of training", "4.2", f"{paper.EPISODES:,}", f"{policy.episodes:,}"),
         Row(
             "Time that training took",
@@ -64,7 +77,8 @@ def comparison(results: Results) -> list[Row]:
             "4.3",
             f"{paper.SECONDS_BALANCED:g} s",
             f"{percent(summary.rate)} of the trials stood {results.evaluation.duration:g} s "
-            f"(median {summary.median:.3g} s); the recorded run {results.run.lasted:.3g} s",
+            f"(median {summary.median:.3g} s) on the plant of the training; the recorded run "
+            f"{results.run.lasted:.3g} s, {_where(results)}",
         ),
         Row(
             f"Trials that stood {paper.SECONDS_BALANCED:g} s and more",
@@ -81,6 +95,24 @@ def comparison(results: Results) -> list[Row]:
     ]
 
 
+def _where(results: Results) -> str:
+    world = results.run.conditions.world
+    return "on the plant of the training" if world == MODEL else f"on the twin `{world}`"
+
+
+def _latency(results: Results) -> str:
+    policy, twin = results.policy, results.run.conditions.world_settings
+    actuator = policy.actuator
+    training = (
+        "no delay in training"
+        if actuator.kind == "ideal"
+        else f"{1e3 * actuator.delay.value:.1f} ms and the servo's lag in training, as identified"
+    )
+    if twin is None:
+        return training
+    return f"{training}; {1e3 * float(twin['transport']):g} ms and a servo on the twin"
+
+
 def _share_above(results: Results, seconds: float) -> float:
     trials = results.evaluation.results
     # A trial that lasted would have gone on.
@@ -92,7 +124,8 @@ def _share_above(results: Results, seconds: float) -> float:
 
 
 def _ends(summary: Summary, run: RunLog) -> str:
-    state = f"x = {run.x[-1]:.3f} m, φ = {np.rad2deg(run.phi[-1]):.2f}°"
+    shown = truth(run)
+    state = f"x = {shown.x[-1]:.3f} m, φ = {np.rad2deg(shown.phi[-1]):.2f}°"
     last = "" if run.conditions.cause == LASTED else "; a step before"
     end = f"{how_it_ended(run.conditions.cause)}, {run.lasted:g} s{last}, {state}"
     return f"trials: {falls(summary.causes)}; the recorded run {end}"

@@ -12,7 +12,14 @@ PERCENT: Final = re.compile(r"(?<=\d) (?=%)")
 BREAK: Final = re.compile(r"(?<=[._])")
 
 
-Pictures = Mapping[str, str]
+class Missing(NamedTuple):
+    """A figure that could not be drawn."""
+
+    why: str
+    """What is to be done about it."""
+
+
+Pictures = Mapping[str, str | Missing]
 """Figures as SVG, by the names of their files."""
 
 
@@ -63,6 +70,16 @@ def heading(text: str) -> str:
 def note(text: str) -> str:
     """Return a remark that must not be missed."""
     return f'<p class="note">{prose(text)}</p>\n'
+
+
+def bullets(lines: Iterable[str]) -> str:
+    """Return remarks that stand side by side."""
+    return f"<ul>{''.join(f'<li>{prose(line)}</li>' for line in lines)}</ul>\n"
+
+
+def numbered(lines: Iterable[str]) -> str:
+    """Return remarks with numbers."""
+    return f"<ol>{''.join(f'<li>{prose(line)}</li>' for line in lines)}</ol>\n"
 
 
 def verdict_list(lines: Iterable[str]) -> str:
@@ -117,16 +134,18 @@ def _cell(tag: str, text: str, number: bool) -> str:
     return f"<{tag}{kind}>{prose(text)}</{tag}>"
 
 
-def picture(svg: str, caption: str, alt: str) -> str:
+def picture(svg: str | Missing, caption: str, alt: str) -> str:
     """Return a figure that carries its picture inside.
 
     An image of its own, because the names that one SVG gives its parts may occur in another.
 
     Args:
-        svg: The picture.
+        svg: The picture; a missing one leaves its place with the reason.
         caption: What the reader should see in it.
         alt: What is to be seen, for those who cannot.
     """
+    if isinstance(svg, Missing):
+        return note(f"Here should be: {alt[0].lower()}{alt[1:]}. It is missing: {svg.why}.")
     data = base64.b64encode(svg.encode()).decode()
     return (
         f'<figure><img alt="{escape(alt)}" src="data:image/svg+xml;base64,{data}">'

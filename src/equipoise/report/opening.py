@@ -6,7 +6,9 @@ from importlib import resources
 import numpy as np
 
 from equipoise import paper
+from equipoise.control.policy import TabularPolicy
 from equipoise.model.pendulum import Pendulum
+from equipoise.model.worlds import MODEL
 from equipoise.report.comparison import comparison
 from equipoise.report.markup import (
     Part,
@@ -19,7 +21,8 @@ from equipoise.report.markup import (
     tiles,
     verdict_list,
 )
-from equipoise.studies.results import Results, percent, plus_minus, verdict
+from equipoise.studies.results import Results, verdict
+from equipoise.studies.wording import percent, plus_minus
 
 
 def opening(results: Results, pictures: Pictures) -> Iterator[Part]:
@@ -44,12 +47,14 @@ def _verdict(results: Results) -> Part:
         tiles(
             (
                 f"{summary.survived} of {summary.trials}",
-                f"trials stood {results.evaluation.duration:g} s; 95 % interval of the chance "
+                f"trials stood {results.evaluation.duration:g} s on the plant of the training; "
+                "95 % interval of the chance "
                 f"{percent(low)} to {percent(high)}",
             ),
             (
                 f"{results.run.lasted:.3g} s",
-                f"the recorded run stood, of {results.run.conditions.duration:g} s at most",
+                f"the recorded run stood, of {results.run.conditions.duration:g} s at most, on "
+                f"{_where(results)}",
             ),
             (
                 f"{paper.SECONDS_BALANCED:g} s",
@@ -57,6 +62,12 @@ def _verdict(results: Results) -> Part:
             ),
         ),
         verdict_list(verdict(results)),
+    )
+
+
+def _where(results: Results) -> str:
+    return (
+        "that plant" if results.run.conditions.world == MODEL else "the digital twin of the robot"
     )
 
 
@@ -83,11 +94,31 @@ def _what_this_is(results: Results) -> Part:
             "simulation fills the table (Q-learning); then, a hundred times a second, the box of "
             "the state is looked up and its best acceleration is commanded."
         ),
+        *map(paragraph, _what_was_added(results)),
         paragraph(
             "This page goes the same way: a free swing tells the pendulum's parameters, a "
             "simulated arm learns with such a pendulum, the table is put to the test against "
-            "pendulums it has not met, and one run is recorded as the paper's was."
+            f"pendulums it has not met, and one run is recorded, on {_stage(results)}."
         ),
+    )
+
+
+def _stage(results: Results) -> str:
+    if results.run.conditions.world == MODEL:
+        return "the plant of the training"
+    return "a digital twin of the robot, where the paper's was on the robot itself"
+
+
+def _what_was_added(results: Results) -> Iterator[str]:
+    if results.policy.settings.plant.ideal:
+        return
+    yield (
+        "A robot adds what the paper's simulation does not have. A command takes effect some time "
+        "after it was sent, and meanwhile the pendulum falls on; and the encoder's zero may be "
+        "wrong, so that upright is not where it seems to be. So here a controller stands between "
+        "sensor and table: it estimates angle, rate and the error of the zero, and predicts the "
+        "state at the moment when the command will act. The table sees that state. It is trained "
+        "behind the same controller, on an arm that lags as an identification of the twin says."
     )
 
 
@@ -148,6 +179,30 @@ def _estimates(pendulum: Pendulum, results: Results) -> str:
     )
 
 
+def _candidate(policy: TabularPolicy) -> str:
+    if policy.settings.selection.averaging == 1.0:
+        return "the table of the moment"
+    return "a running average of the table"
+
+
+def _actuator(policy: TabularPolicy) -> str:
+    actuator, plant = policy.actuator, policy.settings.plant
+    if plant.ideal:
+        return (
+            "The arm is where it is sent, at once, and the state is known without a sensor, as in "
+            "the paper's simulation."
+        )
+    lags = [1e3 * lag.value for lag in actuator.lags]
+    law = {"kst": "through the server's shaping law, ", "lag": "", "ideal": ""}[actuator.kind]
+    return (
+        f"The arm follows its setpoints after {1e3 * actuator.delay.value:.1f} ms, {law}with lags "
+        f"of {min(lags):.1f} to {max(lags):.1f} ms in its joints. These numbers come from "
+        "`equipoise identify`, out of a log of the moving arm, never from the settings of the "
+        "twin. In each episode they are a little wrong, and so is the encoder's zero: the policy "
+        "learns behind estimator and prediction, with their errors."
+    )
+
+
 def _training(results: Results, pictures: Pictures) -> Part:
     policy, s = results.policy, results.policy.settings
     reach = s.learning.start_x
@@ -161,12 +216,13 @@ def _training(results: Results, pictures: Pictures) -> Part:
         f"after {s.learning.episode_duration:g} s. A failure costs {-s.learning.reward_failure:g}, "
         "everything else nothing, and equation 1 carries that back to the choices before it. Each "
         "episode has another I and b, each step noise on the pose error, as in the paper.",
+        _actuator(policy),
     ]
     if policy.candidates:
         chosen, selection = policy.candidates[0], s.selection
         texts.append(
-            f"The table changes until the last episode, and a later one is not always better. So "
-            f"after every {selection.every} episodes the table of the moment runs "
+            "The table changes until the last episode, and a later one is not always better. So "
+            f"after every {selection.every} episodes {_candidate(policy)} runs "
             f"{selection.screening_trials} trials of {selection.duration:g} s, on plants that vary "
             f"{selection.spread:g} times as much as those of the training; the best "
             f"{selection.finalists} run {selection.final_trials} more of "

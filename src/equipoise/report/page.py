@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from equipoise.artefacts import Provenance, read_document, write_whole
+from equipoise.errors import OutsideError
 from equipoise.report import figures
 from equipoise.report.appendix import left_open, origins
-from equipoise.report.markup import Part, Pictures
+from equipoise.report.markup import Missing, Part, Pictures
 from equipoise.report.opening import opening
 from equipoise.report.outcome import outcome
+from equipoise.report.pictures import strip
 from equipoise.report.style import save
-from equipoise.studies.results import RECORD, Results, load
+from equipoise.studies.results import RECORD, Results, estimates_zero, load
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,17 +27,31 @@ if TYPE_CHECKING:
 PAGE: Final = "report.html"
 FIGURES: Final = "figures"
 
-DRAWINGS: Final[Mapping[str, Callable[[Results], "Figure"]]] = {
+Draw = Callable[[Results], "Figure"]
+
+DRAWINGS: Final[Mapping[str, Draw]] = {
     "figure-2-free-swing": lambda r: figures.free_swing(r.swing, r.pendulum),
     "learning-curve": lambda r: figures.learning_curve(r.policy),
     "policy": lambda r: figures.policy_picture(r.policy, r.run),
     "survival": lambda r: figures.survival(r.evaluation),
+    "figure-3-frames": lambda r: strip(r.run, r.policy.arm),
     "figure-4-commands": lambda r: figures.commands(r.run),
     "figure-5-joints": lambda r: figures.joints(r.run),
     "figure-6-pendulum": lambda r: figures.pendulum(r.run),
     "figure-7-flange": lambda r: figures.flange(r.run),
 }
-"""Every figure, by the name of its file, in the order of the story."""
+"""The figures of every report, by the names of their files."""
+
+
+def drawings(results: Results) -> Mapping[str, Draw]:
+    """Return what is drawn of a reproduction, by the names of the files."""
+    draw: dict[str, Draw] = dict(DRAWINGS)
+    gap = results.gap
+    if estimates_zero(results.run):
+        draw["encoder-zero"] = lambda r: figures.encoder_zero(r.run)
+    if gap is not None:
+        draw["gap"] = lambda _: figures.gap_figure(gap)
+    return draw
 
 
 def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) -> Path:
@@ -53,10 +69,16 @@ def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) 
         OutsideError: The disk refuses.
     """
     results = load(out)
-    pictures: dict[str, str] = {}
-    for done, (name, draw) in enumerate(DRAWINGS.items()):
-        report(name, done / len(DRAWINGS))
-        svg, _ = save(draw(results), out / FIGURES / name)
+    pictures: dict[str, str | Missing] = {}
+    wanted = drawings(results)
+    for done, (name, draw) in enumerate(wanted.items()):
+        report(name, done / len(wanted))
+        try:
+            figure = draw(results)
+        except OutsideError as error:  # frames need OpenGL, which a machine may not have
+            pictures[name] = Missing(str(error))
+            continue
+        svg, _ = save(figure, out / FIGURES / name)
         pictures[name] = svg.read_text(encoding="utf-8")
     provenance = Provenance.model_validate(read_document(out / RECORD)["provenance"])
     write_whole(out / PAGE, page(results, pictures, provenance))
@@ -69,7 +91,7 @@ def page(results: Results, pictures: Pictures, provenance: Provenance) -> str:
 
     Args:
         results: What the reproduction found.
-        pictures: Each figure of `DRAWINGS` as SVG, by its name.
+        pictures: Each figure of `drawings` as SVG, by its name.
         provenance: When and with what it was made.
     """
     css = resources.files("equipoise.report").joinpath("page.css").read_text(encoding="utf-8")

@@ -1,4 +1,9 @@
-"""Reproduce the paper: a swing, its identification, training, evaluation, one deployment run.
+"""Reproduce the paper: swing, identification, training, evaluation, a run, and what the twin costs.
+
+The policy learns on the plant of the training, whose arm follows as an identification on the
+digital twin says; there it is evaluated. Then it runs on the twin, as the paper's did on the robot,
+and a short study of the gap says what the twin does to it, and to a table like the paper's. An arm
+whose masses are not known has no twin: there the run is one on the model.
 
 Each stage takes the value of the one before and saves its own, so that any of them can be repeated
 from its files; nothing is drawn here. The page is made from the folder, by
@@ -13,17 +18,23 @@ from threading import Lock
 from typing import Final, NamedTuple, TypeVar
 
 from equipoise.artefacts import Artefact
-from equipoise.control.policy import LearningPoint
+from equipoise.control.policy import LearningPoint, TabularPolicy
 from equipoise.deployment import deploy
+from equipoise.errors import ArmError
 from equipoise.evaluation import evaluate
 from equipoise.identification import identify
 from equipoise.learning.trials import available_cores
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.inertials import link_inertials
+from equipoise.model.worlds import MODEL
 from equipoise.runlog import RunLog
 from equipoise.settings import Settings, resolve
+from equipoise.studies.gap import gap, train_paper, trials_of
+from equipoise.studies.gap_results import Gap
 from equipoise.studies.results import (
     EVALUATION,
+    GAP,
     PENDULUM,
     POLICY,
     RECORD,
@@ -36,7 +47,7 @@ from equipoise.studies.results import (
     verdict,
 )
 from equipoise.studies.stand_in import SimulatedSwing, simulated_swing
-from equipoise.training import train
+from equipoise.training import LEARNERS, train_several
 from equipoise.trajectory import Trajectory, read_swing, write_swing
 
 T = TypeVar("T")
@@ -45,13 +56,22 @@ COMMAND: Final = "reproduce"
 """What the files say about who made them."""
 
 QUICK: Final = {
-    "learning.episodes": 4000,
+    "learning.episodes": 5000,
+    "selection.screening_trials": 16,
+    "selection.duration": 20.0,
     "selection.finalists": 4,
     "selection.final_trials": 100,
+    "selection.final_duration": 60.0,
     "evaluation.trials": 50,
     "evaluation.duration": 20.0,
 }
 """What a quick look cuts down, so that it takes less than a minute."""
+
+TWIN: Final = "twin:nominal"
+"""The world of the run."""
+QUICK_GAP: Final = (4, 10.0)
+"""Trials of each point and their length [s], to which a quick look cuts the short study of the gap
+down."""
 
 
 class Progress(NamedTuple):
@@ -90,7 +110,7 @@ def reproduce(
     workers: int | None = None,
     report: Callable[[Progress], None] = lambda _: None,
 ) -> Reproduction:
-    """Run the paper from the swing to the deployment run, and save every value.
+    """Run the paper from the swing to a run on the digital twin, and save every value.
 
     Args:
         out: Folder for the files; it is made if it is missing.
@@ -134,26 +154,36 @@ def reproduce(
     pendulum = stage("identify", lambda: identify(saved, settings.identification))
     save(pendulum, PENDULUM, swing=saved.sha256)
 
+    # Where nothing is selected, there is nothing to select the best of several by.
+    learners = 1 if quick or settings.selection.every == 0 else LEARNERS
     policy = stage(
         "train",
-        lambda: train(
+        lambda: train_several(
             pendulum,
             iiwa(7) if arm is None else arm,
             settings,
+            learners=learners,
             seed=seed,
             recipe=recipe,
             workers=workers,
-            report=_learning(settings, report),
-        ),
+            report=_learning(settings, learners, report),
+        )[0],
     )
     save(policy, POLICY, pendulum=pendulum.digest)
+    # The policy and four yardsticks run the same trials.
+    tested = _counted("evaluate", 5 * settings.evaluation.trials, report)
     evaluation = stage(
         "evaluate",
-        lambda: evaluate(policy, seed=seed, workers=workers, done=_trials(settings, report)),
+        lambda: evaluate(policy, seed=seed, workers=workers, done=tested),
     )
     save(evaluation, EVALUATION, policy=policy.digest)
-    run = stage("deploy", lambda: deploy(policy, seed=seed))
+    world = TWIN if _has_twin(policy.arm) else MODEL
+    run = stage("deploy", lambda: deploy(policy, world=world, seed=seed))
     save(run, RUN, policy=policy.digest)
+    study = None
+    if world == TWIN and policy.actuator.kind != "ideal":
+        study = stage("gap", lambda: _short_gap(policy, seed, workers, quick, report))
+        save(study, GAP, policy=policy.digest)
 
     record = Record(
         quick=quick,
@@ -166,7 +196,7 @@ def reproduce(
         files={},
         stages=tuple(stages),
     )
-    results = Results(record, saved, pendulum, policy, evaluation, run)
+    results = Results(record, saved, pendulum, policy, evaluation, run, study)
     record = record.model_copy(update={"files": dict(digests(results))})
     save(record, RECORD, **record.files)
     results = results._replace(record=record)
@@ -174,7 +204,7 @@ def reproduce(
         out=out,
         results=results,
         verdict=verdict(results),
-        next_command=_next_command(out, quick=quick),
+        next_command=_next_command(out / POLICY, results),
     )
 
 
@@ -188,33 +218,70 @@ def shortened(settings: Settings) -> Settings:
 
 
 def _learning(
-    settings: Settings, report: Callable[[Progress], None]
-) -> Callable[[LearningPoint], None]:
-    begin = time.perf_counter()
+    settings: Settings, learners: int, report: Callable[[Progress], None]
+) -> Callable[[int, LearningPoint], None]:
+    begin, total = time.perf_counter(), learners * settings.learning.episodes
+    points: dict[int, LearningPoint] = {}
 
-    def tell(point: LearningPoint) -> None:
-        speed = point.steps / max(time.perf_counter() - begin, 1e-6)
-        text = f"{point.episodes:,} episodes, {speed:,.0f} steps/s"
-        if point.survival is not None:
-            text += f", {100.0 * point.survival:.0f} % of the trials last"
-        report(Progress("train", point.episodes / settings.learning.episodes, text))
+    def tell(learner: int, point: LearningPoint) -> None:
+        points[learner] = point
+        newest = tuple(points.values())
+        episodes = sum(p.episodes for p in newest)
+        speed = sum(p.steps for p in newest) / max(time.perf_counter() - begin, 1e-6)
+        text = f"{episodes:,} episodes, {speed:,.0f} steps/s"
+        screened = [p.survival for p in newest if p.survival is not None]
+        if screened:
+            text += f", {100.0 * sum(screened) / len(screened):.0f} % of the trials last"
+        report(Progress("train", episodes / total, text))
 
     return tell
 
 
-def _trials(settings: Settings, report: Callable[[Progress], None]) -> Callable[[int], None]:
-    # The policy and four yardsticks run the same trials; they report from their own threads.
-    total, lock, so_far = 5 * settings.evaluation.trials, Lock(), [0]
+def _has_twin(arm: Arm) -> bool:
+    try:
+        link_inertials(arm)
+    except ArmError:
+        return False
+    return True
+
+
+def _short_gap(
+    policy: TabularPolicy,
+    seed: int,
+    workers: int,
+    quick: bool,
+    report: Callable[[Progress], None],
+) -> Gap:
+    trials, duration = QUICK_GAP if quick else (None, None)
+    total = trials_of(TWIN, quick=True, trials=trials)
+    return gap(
+        policy,
+        world=TWIN,
+        paper_policy=train_paper(policy, quick=True, seed=seed, workers=workers),
+        trials=trials,
+        duration=duration,
+        quick=True,
+        seed=seed,
+        workers=workers,
+        done=_counted("gap", total, report),
+    )
+
+
+def _counted(stage: str, total: int, report: Callable[[Progress], None]) -> Callable[[int], None]:
+    # Trials report from their own threads.
+    lock, so_far = Lock(), [0]
 
     def tell(finished: int) -> None:
         with lock:
             so_far[0] += finished
-            report(Progress("evaluate", min(so_far[0] / total, 1.0), f"{so_far[0]} trials"))
+            report(Progress(stage, min(so_far[0] / total, 1.0), f"{so_far[0]} trials"))
 
     return tell
 
 
-def _next_command(out: Path, *, quick: bool) -> str:
-    if quick:
+def _next_command(policy: Path, results: Results) -> str:
+    if results.record.quick:
         return "equipoise reproduce"
-    return f"equipoise evaluate {out / POLICY} --trials 1000"
+    if results.gap is None:
+        return f"equipoise evaluate {policy} --trials 1000"
+    return f"equipoise gap {policy}"

@@ -2,12 +2,15 @@
 
 The report is drawn from these files alone::
 
-    swing.csv  pendulum.json  policy.json  evaluation.json  run.mcap  reproduction.json
+    swing.csv  pendulum.json  policy.json  evaluation.json  run.mcap  gap.json  reproduction.json
+
+There is no `gap.json` where there is no gap to study: for an arm that no digital twin is known of,
+and for a policy that has no cures to leave out.
 """
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -16,21 +19,23 @@ from equipoise.artefacts import Artefact, Value, read_document
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation
-from equipoise.learning.closed_loop import CAUSES
 from equipoise.model.pendulum import Pendulum
-from equipoise.runlog import RunLog
+from equipoise.model.worlds import MODEL
+from equipoise.runlog import RunLog, Truth, read_header
 from equipoise.studies.stand_in import SimulatedSwing
+from equipoise.studies.wording import LASTED, falls, how_it_ended, percent, plus_minus
 from equipoise.trajectory import Trajectory, read_swing
+
+if TYPE_CHECKING:
+    from equipoise.studies.gap_results import Controller, Gap
 
 SWING: Final = "swing.csv"
 PENDULUM: Final = "pendulum.json"
 POLICY: Final = "policy.json"
 EVALUATION: Final = "evaluation.json"
 RUN: Final = "run.mcap"
+GAP: Final = "gap.json"
 RECORD: Final = "reproduction.json"
-
-LASTED: Final = CAUSES[0]
-"""Cause of the end of a trial that did not fail."""
 
 
 class Stage(Value):
@@ -82,7 +87,9 @@ class Results(NamedTuple):
     evaluation: Evaluation
     """How long the policy stands, beside the yardsticks."""
     run: RunLog
-    """One run of it."""
+    """One run of it, on the digital twin where there is one."""
+    gap: "Gap | None"
+    """What the twin does to it, and to a policy as the paper's; none where it was not studied."""
 
 
 def load(out: Path) -> Results:
@@ -92,19 +99,20 @@ def load(out: Path) -> Results:
         ArtefactError: A file is missing, corrupt, or belongs to another reproduction.
         RecordingError: The swing cannot be read.
     """
+    from equipoise.studies.gap_results import Gap
+
+    record = Record.load(out / RECORD)
     results = Results(
-        record=Record.load(out / RECORD),
+        record=record,
         swing=read_swing(out / SWING),
         pendulum=Pendulum.load(out / PENDULUM),
         policy=TabularPolicy.load(out / POLICY),
         evaluation=Evaluation.load(out / EVALUATION),
         run=RunLog.load(out / RUN),
+        gap=Gap.load(out / GAP) if GAP in record.files else None,
     )
-    for name, recorded in results.record.files.items():
-        # The digest that a file states is that of what was written, whatever was upgraded since.
-        path = out / name
-        stated = read_document(path)["digest"] if path.suffix == ".json" else digests(results)[name]
-        if stated != recorded:
+    for name, recorded in record.files.items():
+        if _stated_digest(out / name, results) != recorded:
             raise ArtefactError(
                 f"{out / name} is not the one that {out / RECORD} was written for; "
                 "reproduce again, into an empty folder"
@@ -112,63 +120,119 @@ def load(out: Path) -> Results:
     return results
 
 
+def _stated_digest(path: Path, results: Results) -> str:
+    """Return the digest that a file states: of what was written, whatever was upgraded since."""
+    if path.suffix == ".json":
+        return read_document(path)["digest"]
+    return read_header(path).digest if path.suffix == ".mcap" else results.swing.sha256
+
+
 def digests(results: Results) -> Mapping[str, str]:
     """Return the digest of each value, by the name of its file."""
+    gap = results.gap
     return {
         SWING: results.swing.sha256,
         PENDULUM: results.pendulum.digest,
         POLICY: results.policy.digest,
         EVALUATION: results.evaluation.digest,
         RUN: results.run.digest,
-    }
+    } | ({} if gap is None else {GAP: gap.digest})
 
 
 def verdict(results: Results) -> tuple[str, str, str, str, str]:
     """Return what came out, in five lines that need no figure."""
     return (
-        _standing(results),
-        _yardsticks(results.evaluation),
+        _standing(results.evaluation),
         _run(results.run),
+        _gap(results),
         _swing(results),
         _caveat(results),
     )
 
 
-def _standing(results: Results) -> str:
-    evaluation = results.evaluation
+def no_gap(results: Results) -> str:
+    """Return why there is no study of the gap."""
+    if results.run.conditions.world == MODEL:
+        return (
+            f"There is no digital twin of the {results.policy.arm.name}, whose masses are not "
+            "known: the run is one on the training plant, and the gap to a robot was not studied."
+        )
+    return (
+        "The gap to the twin was not studied: the study leaves the cures out one by one, and this "
+        "policy, trained without sensor and delay, has none."
+    )
+
+
+def truth(run: RunLog) -> Truth | RunLog:
+    """Return what really was, where that is known, else what the policy saw and commanded."""
+    return run.truth if len(run.truth.phi) else run
+
+
+def seen_otherwise(run: RunLog) -> bool:
+    """Tell whether the policy saw something else than what was; only a simulation knows."""
+    return not np.array_equal(truth(run).phi, run.phi)
+
+
+def estimates_zero(run: RunLog) -> bool:
+    """Tell whether the angle came from an encoder whose zero was estimated while balancing."""
+    conditions = run.conditions
+    encoder = conditions.counts_per_rev is not None or conditions.zero_error is not None
+    return encoder and conditions.settings.controller.estimate_bias
+
+
+def _standing(evaluation: Evaluation) -> str:
     summary = evaluation.results.summary()
     low, high = summary.interval
     median = "" if summary.rate > 0.5 else f"; median {summary.median:.3g} s"
+    others = "; ".join(
+        f"{results.name} {percent(results.summary().rate)}" for results in evaluation.yardsticks
+    )
     return (
-        f"The trained table stood {evaluation.duration:g} s in {summary.survived} of "
-        f"{summary.trials} simulated trials ({percent(summary.rate)}; 95 % interval {percent(low)} "
-        f"to {percent(high)}{median}), {falls(summary.causes)}; the paper's stood "
-        f"{paper.SECONDS_BALANCED:g} s on the real arm, once."
+        f"On the plant of its training the table stood {evaluation.duration:g} s in "
+        f"{summary.survived} of {summary.trials} trials ({percent(summary.rate)}; 95 % interval "
+        f"{percent(low)} to {percent(high)}{median}), {falls(summary.causes)}; yardsticks on the "
+        f"same trials: {others}."
     )
-
-
-def _yardsticks(evaluation: Evaluation) -> str:
-    summaries = {results.name: results.summary() for results in evaluation.yardsticks}
-    shares = ", ".join(
-        f"{name} {percent(summary.rate)} (median {summary.median:.3g} s)"
-        for name, summary in summaries.items()
-    )
-    return f"The yardsticks lasted on the same trials: {shares}."
 
 
 def _run(run: RunLog) -> str:
-    phi = float(np.max(np.abs(np.rad2deg(run.phi))))
-    x = float(np.max(np.abs(run.x)))
+    shown, conditions = truth(run), run.conditions
+    phi, x = np.rad2deg(np.max(np.abs(shown.phi))), np.max(np.abs(shown.x))
+    where = (
+        "On the plant of its training once more"
+        if conditions.world == MODEL
+        else f"On the digital twin {conditions.world}"
+    )
     end = (
         f"stood all {run.lasted:g} s"
-        if run.conditions.cause == LASTED
-        else f"{how_it_ended(run.conditions.cause)} after {run.lasted:.3g} s of "
-        f"{run.conditions.duration:g} s"
+        if conditions.cause == LASTED
+        else f"{how_it_ended(conditions.cause)} after {run.lasted:.3g} s of "
+        f"{conditions.duration:g} s"
     )
     return (
-        f"The deployment run, with I, b, noise and start unknown to the policy, {end}; it used "
-        f"|x| up to {x:.2f} of {paper.X_LIMIT:g} m and |phi| up to {phi:.1f} of "
-        f"{paper.PHI_LIMIT_DEG:g} deg."
+        f"{where}, with a pendulum and a start that it did not know, it {end}, with |x| up to "
+        f"{x:.2f} of {paper.X_LIMIT:g} m and |phi| up to {phi:.1f} of {paper.PHI_LIMIT_DEG:g} deg; "
+        f"the paper's run on the real arm stood {paper.SECONDS_BALANCED:g} s."
+    )
+
+
+def _gap(results: Results) -> str:
+    from equipoise.studies.gap_results import CURED, NO_BIAS, NO_PREDICTION, PAPER, mean
+
+    gap = results.gap
+    if gap is None:
+        return no_gap(results)
+    delay = gap.world_settings.transport
+
+    def stands(controller: "Controller") -> str:
+        here = min(gap.curve("delay", controller), key=lambda point: abs(point.at - delay))
+        return f"{mean(here.results, gap.duration).mean:.1f} s"
+
+    return (
+        f"In {gap.trials} trials of {gap.duration:g} s on that twin it stood {stands(CURED)} on "
+        f"average, {stands(NO_PREDICTION)} without its prediction, {stands(NO_BIAS)} without its "
+        "estimate of the encoder's zero; a table that was trained as the paper describes stood "
+        f"{stands(PAPER)}."
     )
 
 
@@ -189,41 +253,9 @@ def _swing(results: Results) -> str:
 
 def _caveat(results: Results) -> str:
     quick = "A quick look, with fewer episodes and trials. " if results.record.quick else ""
+    if results.run.conditions.world == MODEL:
+        return f"{quick}All of this is simulation, on our model of an arm; none of it is a robot."
     return (
-        f"{quick}All of this is simulation: the training plant, with parameters, noise and start "
-        "that the policy does not know, but no delay, no play and no sensor; neither a robot nor a "
-        "digital twin of one, which does not exist yet."
+        f"{quick}All of this is simulation. The twin has delay, servo, weight and a sensor, as far "
+        "as they are known, and assumptions for the rest; it is not the authors' robot."
     )
-
-
-def how_it_ended(cause: str) -> str:
-    """Return how a trial or a run ended, in words."""
-    return {
-        LASTED: "stood to the end",
-        "angle": "fell over",
-        "track": "left the track",
-        "joint limit": "met a joint limit",
-    }.get(cause, cause)
-
-
-def falls(causes: Mapping[str, int]) -> str:
-    """Return how many trials failed in which way, in words."""
-    failed = [f"{n} {how_it_ended(cause)}" for cause, n in causes.items() if cause != LASTED]
-    return ", ".join(sorted(failed)) or "none failed"
-
-
-def percent(share: float) -> str:
-    """Return a share as a percentage that never rounds up to certainty."""
-    text = f"{100.0 * share:.1f}"
-    if text == "100.0" and share < 1.0:
-        text = ">99.9"
-    return f"{text.removesuffix('.0')} %"
-
-
-def plus_minus(value: float, interval: tuple[float, float]) -> str:
-    """Return a value with half the width of its interval, to two digits of that."""
-    half = max(interval[1] - value, value - interval[0])
-    if half <= 0.0:
-        return f"{value:.4g}"
-    digits = max(0, 1 - int(np.floor(np.log10(half))))
-    return f"{value:.{digits}f} ± {half:.{digits}f}"

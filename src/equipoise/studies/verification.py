@@ -13,10 +13,12 @@ from equipoise.artefacts import Artefact, Provenance, read_document
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation
+from equipoise.model.actuator import Actuator
 from equipoise.model.pendulum import Pendulum
 from equipoise.runlog import FORMAT as RUN_FORMAT
 from equipoise.runlog import RunLog, read_header
 from equipoise.studies.certification import Certificate, check_evaluation, evaluation_path
+from equipoise.studies.gap_results import Gap
 from equipoise.studies.results import Record, falls
 
 MCAP = b"\x89MCAP"
@@ -111,6 +113,20 @@ def _pendulum(pendulum: Pendulum) -> str:
     )
 
 
+def _actuator(actuator: Actuator) -> str:
+    delay, fit = 1e3 * actuator.delay.value, actuator.fit
+    origin = f"from a log of {fit.duration:.1f} s" if fit else "not measured"
+    return f"servo law {actuator.kind}, transport delay {delay:.1f} ms, {origin}"
+
+
+def _gap(gap: Gap) -> str:
+    short = "the short form, " if gap.quick else ""
+    return (
+        f"what each effect of {gap.world} costs, {short}{gap.trials} trials of "
+        f"{gap.duration:g} s a point"
+    )
+
+
 def _policy(policy: TabularPolicy) -> str:
     return (
         f"{len(policy.Q)} boxes by {len(policy.actions)} actions for the {policy.arm.name}, recipe "
@@ -154,8 +170,10 @@ def _run(run: RunLog) -> str:
 
 _KINDS: Mapping[str, tuple[str, type[Artefact], Callable[[Any], str]]] = {
     Pendulum.FORMAT: ("pendulum", Pendulum, _pendulum),
+    Actuator.FORMAT: ("actuator", Actuator, _actuator),
     TabularPolicy.FORMAT: ("policy", TabularPolicy, _policy),
     Evaluation.FORMAT: ("evaluation", Evaluation, _evaluation),
+    Gap.FORMAT: ("gap study", Gap, _gap),
     Certificate.FORMAT: ("certificate", Certificate, _certificate),
     Record.FORMAT: ("reproduction", Record, _reproduction),
 }

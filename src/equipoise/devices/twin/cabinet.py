@@ -56,6 +56,8 @@ class Servo(NamedTuple):
     """VELOCITY, PD or TRAJECTORY40."""
     cycle: int
     """Cycle of the server's loop [ms]."""
+    shaped: bool
+    """Whether the loop shapes its steps."""
     rate: float
     """Reciprocal of the time in which the destination is to be reached [1/s]."""
     share: float
@@ -107,6 +109,7 @@ def make_servo(arm: Arm, settings: TwinSettings) -> Servo:
     return Servo(
         inner=inner,
         cycle=settings.cycle,
+        shaped=settings.shaped,
         rate=1.0 / reached,
         share=float(lag_share(settings.lag)) / TICK,
         stiffness=settings.pd_frequency**2,
@@ -189,7 +192,9 @@ def serve(
             arriving[slot, i] = np.nan
     if now % servo.cycle == 0:
         for i in range(n):
-            step = shaped_step(target[i] - q[i], AMPLITUDE, WIDTH)
+            step = target[i] - q[i]
+            if servo.shaped:
+                step = shaped_step(step, AMPLITUDE, WIDTH)
             destination[i] = q[i] + step
             wanted[i] = step * servo.rate
     for i in range(n):

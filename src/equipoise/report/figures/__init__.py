@@ -5,14 +5,17 @@ Every function returns a matplotlib figure; `equipoise.report.style.save` writes
 
 from equipoise.report.figures.course import learning_curve
 from equipoise.report.figures.free_swing import free_swing
-from equipoise.report.figures.run import commands, flange, joints, pendulum
+from equipoise.report.figures.gap import gap_figure
+from equipoise.report.figures.run import commands, encoder_zero, flange, joints, pendulum
 from equipoise.report.figures.standing import survival
 from equipoise.report.figures.table import policy_picture
 
 __all__ = [
     "commands",
+    "encoder_zero",
     "flange",
     "free_swing",
+    "gap_figure",
     "joints",
     "learning_curve",
     "pendulum",

@@ -1,0 +1,29 @@
+# /// script
+# requires-python = ">=3.11"
+# dependencies = ["equipoise"]
+# ///
+"""Run a policy on the digital twin: an arm behind its servo, an encoder with a wrong zero.
+
+python deploy_on_the_twin.py [policy.json]
+"""
+
+import sys
+from math import degrees
+from pathlib import Path
+
+import equipoise as eq
+
+policy = eq.TabularPolicy.load(Path(sys.argv[1])) if len(sys.argv) > 1 else eq.shipped_policy()
+
+run = eq.deploy(policy, world="twin:nominal", seed=1, duration=20.0)
+
+print(f"{run.conditions.world}: stood {run.lasted:g} of {run.conditions.duration:g} s")
+print(f"ended by: {run.conditions.cause}")
+print(f"flange: within {1e3 * abs(run.truth.x).max():.0f} mm of home")  # what a robot cannot tell
+print(f"pendulum: within {degrees(abs(run.truth.phi).max()):.1f} deg of upright")
+print(
+    f"encoder's zero: wrong by {degrees(run.conditions.zero_error):+.2f} deg, "
+    f"estimated as {degrees(run.bias[-1]):+.2f} deg"
+)
+
+run.save(Path("run.mcap"), command="examples/deploy_on_the_twin.py")

@@ -1,0 +1,299 @@
+"""What a study of the gap found: its trials, seconds of balance with intervals, and words.
+
+Made by `equipoise.studies.gap`, which says what is compared with what.
+"""
+
+from collections.abc import Iterable, Mapping
+from math import degrees, sqrt
+from typing import ClassVar, Final, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import t as student
+
+from equipoise import paper
+from equipoise.artefacts import Artefact, Value
+from equipoise.control.boxes import CAUSES, TRACK
+from equipoise.evaluation import CONFIDENCE, TrialResults
+from equipoise.model.worlds import TwinSettings
+from equipoise.settings import Settings
+from equipoise.studies.results import LASTED, percent
+
+Array = npt.NDArray[np.float64]
+Controller = Literal["cured", "not told", "no prediction", "no bias estimate", "paper"]
+Part = Literal["plant", "clean", "world", "delay", "zero", "alone", "without", "variant"]
+
+CURED: Final = "cured"
+NOT_TOLD: Final = "not told"
+NO_PREDICTION: Final = "no prediction"
+NO_BIAS: Final = "no bias estimate"
+PAPER: Final = "paper"
+
+LABELS: Final[Mapping[Controller, str]] = {
+    CURED: "with its cures",
+    NOT_TOLD: "cures not told of the delay",
+    NO_PREDICTION: "without prediction",
+    NO_BIAS: "without bias estimate",
+    PAPER: "trained as the paper describes",
+}
+"""The controllers, for readers."""
+
+
+class Point(Value):
+    """The trials of one controller under one condition."""
+
+    part: Part
+    """`plant`: its own training plant; `clean`, `world`: the clean twin, the twin as it is; `delay`
+    and `zero`: a point of a curve; `alone`, `without`: an effect switched on alone, taken away
+    alone; `variant`: another guess."""
+    controller: Controller
+    """Who balances."""
+    on_clean: bool = False
+    """Of a curve: the rest of the twin is clean."""
+    name: str = ""
+    """Of the effect or the variant."""
+    at: float = 0.0
+    """Of a curve: transport delay [s] or error of the zero [rad]."""
+    results: TrialResults
+    """What came of them; trial i starts alike at every point."""
+
+
+class Seconds(NamedTuple):
+    """Seconds of balance, or a difference of them, with a 95 % interval (Student's)."""
+
+    mean: float
+    """Mean [s]."""
+    low: float
+    """Lower end [s]."""
+    high: float
+    """Upper end [s]."""
+
+
+class Gap(Artefact):
+    """How long each controller balances, and what of the twin ends it."""
+
+    FORMAT: ClassVar[str] = "equipoise-gap"
+    VERSION: ClassVar[int] = 1
+
+    quick: bool
+    """The short form: fewer points, fewer and shorter trials."""
+    policy: str
+    """Digest of the policy with the cures."""
+    paper_policy: str
+    """Digest of the table that was trained as the paper describes."""
+    paper_settings: Settings
+    """What that was."""
+    arm: str
+    """Name of the arm."""
+    pendulum: str
+    """Digest of the pendulum that the trials vary."""
+    actuator: str
+    """Digest of the actuator that the cures know on the twin as it is."""
+    delay: float
+    """The delay that they know there [s]."""
+    world: str
+    """The twin, by name."""
+    world_settings: TwinSettings
+    """Its numbers."""
+    clean_settings: TwinSettings
+    """Those of the clean twin."""
+    settings: Settings
+    """Of the policy: starts, number and length of the trials, the cures."""
+    seed: int
+    """Master seed of the trials."""
+    points: tuple[Point, ...]
+    """All trials."""
+
+    @property
+    def duration(self) -> float:
+        """Length of a trial [s]."""
+        return self.settings.evaluation.duration
+
+    @property
+    def trials(self) -> int:
+        """Trials of each point."""
+        return self.settings.evaluation.trials
+
+    @property
+    def curves(self) -> tuple[tuple[Controller, bool], ...]:
+        """Who has a curve, and whether on the clean twin."""
+        points = (p for p in self.points if p.part in ("delay", "zero"))
+        return tuple(dict.fromkeys((p.controller, p.on_clean) for p in points))
+
+    @property
+    def apart(self) -> tuple[Controller, ...]:
+        """For whom the twin was taken apart."""
+        return tuple(p.controller for p in self.points if p.part == "plant")
+
+    def curve(
+        self, part: Literal["delay", "zero"], controller: Controller, on_clean: bool = False
+    ) -> tuple[Point, ...]:
+        """Return survival against delay or zero error; empty where it was not tried."""
+        return tuple(
+            p
+            for p in self.points
+            if (p.part, p.controller, p.on_clean) == (part, controller, on_clean)
+        )
+
+    def point(self, part: Part, controller: Controller, name: str = "") -> Point:
+        """Return a single point."""
+        wanted = (part, controller, name)
+        return next(p for p in self.points if (p.part, p.controller, p.name) == wanted)
+
+    def names(self, part: Part) -> tuple[str, ...]:
+        """Return the effects or the variants that were tried."""
+        return tuple(dict.fromkeys(p.name for p in self.points if p.part == part))
+
+
+def mean(results: TrialResults, duration: float) -> Seconds:
+    """Return the mean seconds of balance; where all lasted, the interval has no width.
+
+    Args:
+        results: Trials.
+        duration: Their length [s].
+    """
+    found = _student(np.array(results.survival))
+    return found._replace(low=max(found.low, 0.0), high=min(found.high, duration))
+
+
+def difference(results: TrialResults, reference: TrialResults) -> Seconds:
+    """Return how much longer the first balance, trial by trial: the conditions are the same."""
+    return _student(np.array(results.survival) - np.array(reference.survival))
+
+
+def differs(found: Seconds) -> bool:
+    """Return whether a difference can be told from none."""
+    return not found.low <= 0.0 <= found.high
+
+
+def track_share(results: TrialResults) -> float | None:
+    """Return the share of the failures that ended on the track limit; none where nothing failed."""
+    failed = len(results.causes) - results.causes.count(LASTED)
+    return results.causes.count(CAUSES[TRACK]) / failed if failed else None
+
+
+def words(gap: Gap) -> tuple[str, ...]:
+    """Return what came out, in sentences that need no figure; they follow the numbers."""
+    variants = (_open_question(gap),) if gap.names("variant") else ()
+    return (
+        _way(gap),
+        f"Latency alone, on the clean twin: it stands {_along(gap.curve('delay', PAPER, True))}.",
+        f"A wrong zero alone, on the clean twin: it stands {_along(gap.curve('zero', PAPER, True))}"
+        ".",
+        _effect_by_effect(gap),
+        f"The policy with its cures stands, on {gap.world}, {_along(gap.curve('delay', CURED))}; "
+        f"with a wrong zero, {_along(gap.curve('zero', CURED))}.",
+        f"Without prediction it stands {_along(gap.curve('delay', NO_PREDICTION))}; where the "
+        f"delay changes and nobody tells the cures, which go by {1e3 * gap.delay:.0f} ms, "
+        f"{_along(gap.curve('delay', NOT_TOLD), gap.delay)}.",
+        "Without the bias estimate it stands, with a wrong zero, "
+        f"{_along(gap.curve('zero', NO_BIAS))}.",
+        *variants,
+        _caveat(gap),
+    )
+
+
+def spelled(found: Seconds) -> str:
+    """Return seconds with their interval.
+
+    Example:
+        >>> spelled(Seconds(5.04, 3.87, 6.21))
+        '5.0 s [3.9, 6.2]'
+    """
+    return f"{found.mean:.1f} s [{found.low:.1f}, {found.high:.1f}]"
+
+
+def at_scale(part: Part, at: float) -> float:
+    """Return a delay [s] in ms, an error of the zero [rad] in degrees."""
+    return round(1e3 * at if part == "delay" else degrees(at), 6)
+
+
+def at_words(part: Part, at: float) -> str:
+    """Return a delay [s] or an error of the zero [rad] with a unit for readers."""
+    return f"{at_scale(part, at):g} {'ms' if part == 'delay' else 'deg'}"
+
+
+def _student(values: Array) -> Seconds:
+    """Return the mean with Student's interval."""
+    middle, n = float(np.mean(values)), len(values)
+    half = float(student.ppf(0.5 + 0.5 * CONFIDENCE, n - 1) * np.std(values, ddof=1)) / sqrt(n)
+    return Seconds(middle, middle - half, middle + half)
+
+
+def _way(gap: Gap) -> str:
+    plant, clean, world = (gap.point(part, PAPER).results for part in ("plant", "clean", "world"))
+    share = track_share(world)
+    ends = "" if share is None else f", {percent(share)} of its falls on the track limit"
+    left = difference(plant, clean)
+    rest = f"; the step to the clean twin costs {spelled(left)}" if differs(left) else ""
+    return (
+        "Trained as the paper describes, a table knows neither delay nor sensor. It stands "
+        f"{mean(plant, gap.duration).mean:.1f} of {gap.duration:g} s on its own training plant, "
+        f"{mean(clean, gap.duration).mean:.1f} s on the clean twin and "
+        f"{mean(world, gap.duration).mean:.1f} s on {gap.world}{ends}{rest}. The paper's stood "
+        f"{paper.SECONDS_BALANCED:g} s on the real arm, once."
+    )
+
+
+def _along(curve: tuple[Point, ...], known: float = 0.0) -> str:
+    """Return a curve in words, and the least change from what is known that shows in it."""
+    stands = ", ".join(
+        f"{float(np.mean(p.results.survival)):.1f} s at {at_words(p.part, p.at)}" for p in curve
+    )
+    reference, *others = sorted(curve, key=lambda p: abs(p.at - known))
+    for point in others:
+        change = difference(point.results, reference.results)
+        if differs(change):
+            verb, size = ("adds", change) if change.mean > 0.0 else ("costs", _turned(change))
+            return f"{stands} ({at_words(point.part, point.at)} {verb} {spelled(size)})"
+    return f"{stands} (no difference that these trials can tell)"
+
+
+def _effect_by_effect(gap: Gap) -> str:
+    clean, world = (gap.point(part, PAPER).results for part in ("clean", "world"))
+    costs = _ranked(
+        (name, difference(clean, gap.point("alone", PAPER, name).results))
+        for name in gap.names("alone")
+    )
+    gains = _ranked(
+        (name, difference(gap.point("without", PAPER, name).results, world))
+        for name in gap.names("without")
+    )
+    return (
+        "Effect by effect, in seconds that these trials can tell from none. Switched on alone on "
+        f"the clean twin, they cost: {costs}. Taken away alone from {gap.world}, they give back: "
+        f"{gains}."
+    )
+
+
+def _ranked(differences: Iterable[tuple[str, Seconds]]) -> str:
+    certain = [(name, found) for name, found in differences if found.low > 0.0]
+    certain.sort(key=lambda pair: -pair[1].mean)
+    return ", ".join(f"{name} ({spelled(found)})" for name, found in certain) or "none"
+
+
+def _open_question(gap: Gap) -> str:
+    parts: list[str] = []
+    for name in gap.names("variant"):
+        results = gap.point("variant", CURED, name).results
+        share = track_share(results)
+        ends = "" if share is None else f" ({percent(share)} of the falls on the track limit)"
+        parts.append(f"{name} {mean(results, gap.duration).mean:.1f} s{ends}")
+    return (
+        "An open question, since KUKA does not publish what the cabinet does; the policy with its "
+        f"cures under other guesses: {', '.join(parts)}."
+    )
+
+
+def _caveat(gap: Gap) -> str:
+    form = "This is the short form. " if gap.quick else ""
+    return (
+        f"{form}Each point is {gap.trials} trials of {gap.duration:g} s; in brackets, 95 % "
+        "intervals of the mean, without width where all of them lasted. This is the answer of our "
+        "twin, built from what is known of such robots and from assumptions that it lists; it is "
+        "no measurement of the authors' robot."
+    )
+
+
+def _turned(found: Seconds) -> Seconds:
+    return Seconds(-found.mean, -found.high, -found.low)

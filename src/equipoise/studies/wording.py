@@ -1,0 +1,44 @@
+"""Numbers of trials and runs in words, the same wherever they are told."""
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from equipoise.control.boxes import CAUSES
+
+LASTED: Final = CAUSES[0]
+"""Cause of the end of a trial that did not fail."""
+
+
+def how_it_ended(cause: str) -> str:
+    """Return how a trial or a run ended, in words."""
+    return {
+        LASTED: "stood to the end",
+        "angle": "fell over",
+        "track": "left the track",
+        "joint limit": "met a joint limit",
+    }.get(cause, cause)
+
+
+def falls(causes: Mapping[str, int]) -> str:
+    """Return how many trials failed in which way, in words."""
+    failed = [f"{n} {how_it_ended(cause)}" for cause, n in causes.items() if cause != LASTED]
+    return ", ".join(sorted(failed)) or "none failed"
+
+
+def percent(share: float) -> str:
+    """Return a share as a percentage that never rounds up to certainty."""
+    text = f"{100.0 * share:.1f}"
+    if text == "100.0" and share < 1.0:
+        text = ">99.9"
+    return f"{text.removesuffix('.0')} %"
+
+
+def plus_minus(value: float, interval: tuple[float, float]) -> str:
+    """Return a value with half the width of its interval, to two digits of that."""
+    half = max(interval[1] - value, value - interval[0])
+    if half <= 0.0:
+        return f"{value:.4g}"
+    digits = max(0, 1 - int(np.floor(np.log10(half))))
+    return f"{value:.{digits}f} ± {half:.{digits}f}"
