@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from equipoise.control.policy import shipped_policy
 from equipoise.model.pendulum import Pendulum
+from equipoise.runlog import RunLog
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SAY = {
@@ -15,6 +17,7 @@ SAY = {
     "train_and_evaluate.py": "LQR, snapped lasted 200 of 200 trials",
     "own_policy.py": "5 of 5 trials lasted 10 s",
     "policy_table.py": "[10, 50[",
+    "deploy_on_the_twin.py": "twin:nominal-1: stood 20 of 20 s",
 }
 
 
@@ -51,6 +54,14 @@ def test_the_swing_of_the_first_example_gives_its_pendulum_back(example, tmp_pat
 def test_examples_take_files(example, small_policy, tmp_path):
     small_policy.save(tmp_path / "mine.json", command="test")
     assert "iiwa14, recipe robust: 120 episodes" in example("policy_table.py", "mine.json")
+
+
+@pytest.mark.compiled_only
+def test_a_run_on_the_twin_is_kept(example, tmp_path):
+    example("deploy_on_the_twin.py")
+    run = RunLog.load(tmp_path / "run.mcap")
+    assert run.conditions.world == "twin:nominal-1"
+    assert run.conditions.policy == shipped_policy().digest
 
 
 @pytest.mark.parametrize("name", SAY)
