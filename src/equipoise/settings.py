@@ -264,6 +264,8 @@ class Settings(Value):
 RECIPES: Mapping[str, Mapping[str, Any]] = {
     "robust": {},
     "paper": {
+        "controller.predict": False,
+        "controller.estimate_bias": False,
         "plant.ideal": True,
         "plant.linearised": True,
         "learning.gamma": 0.99,

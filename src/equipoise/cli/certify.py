@@ -117,7 +117,7 @@ def certify(
 
 def _say(output: Output, certificate: "Certificate") -> None:
     from equipoise.studies.certification import percentage
-    from equipoise.studies.results import falls
+    from equipoise.studies.wording import falls
 
     claim = certificate.claim
     # Rounded down: a lower bound that is rounded up is none.

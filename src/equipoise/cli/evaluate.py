@@ -332,7 +332,7 @@ def _say(output: Output, evaluation: "Evaluation") -> bool:
 
 
 def _row(results: "TrialResults") -> tuple[str, ...]:
-    from equipoise.studies.results import percent
+    from equipoise.studies.wording import percent
 
     summary = results.summary()
     low, high = summary.interval

@@ -98,7 +98,7 @@ def _repeat(
 
 
 def _say(output: Output, certificate: "Certificate", again: "Repetition") -> None:
-    from equipoise.studies.results import falls
+    from equipoise.studies.wording import falls
 
     words = f"{certificate.claim.trials:,} trials again: {falls(again.failures)}"
     verdict = "granted" if again.granted else "refused"

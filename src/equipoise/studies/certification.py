@@ -27,7 +27,7 @@ from equipoise.errors import ArtefactError, InputError
 from equipoise.evaluation import Done, Evaluation, evaluate
 from equipoise.model.worlds import MODEL, NEWEST, PREFIX, SETS, TwinSettings, World, read_world
 from equipoise.settings import Settings
-from equipoise.studies.results import LASTED
+from equipoise.studies.wording import LASTED
 
 MARGIN: Final = 10.0
 """The number of trials is chosen for a policy that fails so many times less often than the claim

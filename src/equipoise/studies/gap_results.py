@@ -17,7 +17,7 @@ from equipoise.control.boxes import CAUSES, TRACK
 from equipoise.evaluation import CONFIDENCE, TrialResults
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import Settings
-from equipoise.studies.results import LASTED, percent
+from equipoise.studies.wording import LASTED, percent
 
 Array = npt.NDArray[np.float64]
 Controller = Literal["cured", "not told", "no prediction", "no bias estimate", "paper"]

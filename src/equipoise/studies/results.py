@@ -10,7 +10,7 @@ and for a policy that has no cures to leave out.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -22,12 +22,10 @@ from equipoise.evaluation import Evaluation
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
 from equipoise.runlog import RunLog, Truth, read_header
+from equipoise.studies.gap_results import Controller, Gap
 from equipoise.studies.stand_in import SimulatedSwing
 from equipoise.studies.wording import LASTED, falls, how_it_ended, percent, plus_minus
 from equipoise.trajectory import Trajectory, read_swing
-
-if TYPE_CHECKING:
-    from equipoise.studies.gap_results import Controller, Gap
 
 SWING: Final = "swing.csv"
 PENDULUM: Final = "pendulum.json"
@@ -88,7 +86,7 @@ class Results(NamedTuple):
     """How long the policy stands, beside the yardsticks."""
     run: RunLog
     """One run of it, on the digital twin where there is one."""
-    gap: "Gap | None"
+    gap: Gap | None
     """What the twin does to it, and to a policy as the paper's; none where it was not studied."""
 
 
@@ -99,8 +97,6 @@ def load(out: Path) -> Results:
         ArtefactError: A file is missing, corrupt, or belongs to another reproduction.
         RecordingError: The swing cannot be read.
     """
-    from equipoise.studies.gap_results import Gap
-
     record = Record.load(out / RECORD)
     results = Results(
         record=record,

@@ -19,7 +19,8 @@ from equipoise.runlog import FORMAT as RUN_FORMAT
 from equipoise.runlog import RunLog, read_header
 from equipoise.studies.certification import Certificate, check_evaluation, evaluation_path
 from equipoise.studies.gap_results import Gap
-from equipoise.studies.results import Record, falls
+from equipoise.studies.results import Record
+from equipoise.studies.wording import falls
 
 MCAP = b"\x89MCAP"
 """What an MCAP file begins with."""

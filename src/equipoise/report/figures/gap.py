@@ -31,7 +31,7 @@ from equipoise.studies.gap_results import (
     spelled,
     track_share,
 )
-from equipoise.studies.results import percent
+from equipoise.studies.wording import percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -300,10 +300,10 @@ def _series(run: RunLog, title: str, *rows: _Row) -> "Figure":
                 panel.plot(run.time[shown], was[shown], label="what was", **WAS)
                 panel.plot(run.time[shown], seen[shown], label="what the policy saw", **SEEN)
             else:
-                panel.plot(run.time[shown], was[shown], **ALONE)
+                panel.plot(run.time[shown], was[shown], **WAS | {"linewidth": 1.0})
             panel.set_xlim(0.0, until)
             if row == 0:
-                panel.set_title(span_title + ("" if was is None or column == 0 else ", what was"))
+                panel.set_title(span_title)
             if row == len(rows) - 1:
                 panel.set_xlabel("time [s]")
         axes[row, 0].set_ylabel(label)

@@ -18,7 +18,7 @@ from equipoise.report.style import (
     drawn,
     new_figure,
 )
-from equipoise.studies.results import LASTED
+from equipoise.studies.wording import LASTED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
