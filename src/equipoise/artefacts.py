@@ -218,11 +218,6 @@ def write_whole(path: Path, content: str | bytes) -> None:
         raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
 
 
-def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes."""
-    return DIGEST_PREFIX + hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def value_digest(value: BaseModel) -> str:
     """Return the SHA-256 of the canonical JSON of any frozen value."""
     return _digest(value.model_dump(mode="json"))
