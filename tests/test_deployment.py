@@ -8,9 +8,7 @@ from equipoise import paper
 from equipoise.control.boxes import CAUSES
 from equipoise.control.policy import TabularPolicy
 from equipoise.deployment import DEPLOYMENT, deploy
-from equipoise.learning.closed_loop import (
-    make_plant,
-)
+from equipoise.learning.closed_loop import make_plant
 from equipoise.learning.trials import draw_trials, run_over_cores
 from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
 

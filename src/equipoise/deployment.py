@@ -269,12 +269,12 @@ def _conditions(
 def _all_joints(arm: Arm, free: Array) -> Array:
     """Return postures of all joints [rad], shape (n, joints), from those of the free ones."""
     q = np.tile(np.array(arm.home), (len(free), 1))
-    q[:, list(arm.without_held(range(len(arm.joints))))] = free
+    q[:, list(arm.free)] = free
     return q
 
 
 def _rates_of_all_joints(arm: Arm, free: Array) -> Array:
     """Return the same of their velocities [rad/s]: a joint that is held has none."""
     dq = np.zeros((len(free), len(arm.joints)))
-    dq[:, list(arm.without_held(range(len(arm.joints))))] = free
+    dq[:, list(arm.free)] = free
     return dq

@@ -22,11 +22,7 @@ from equipoise.control.boxes import CAUSES
 from equipoise.control.controller import make_controller
 from equipoise.control.policy import Policy, PolicyKernel, TabularPolicy, with_first_settings
 from equipoise.control.yardsticks import yardsticks
-from equipoise.learning.closed_loop import (
-    Plant,
-    make_plant,
-    scaled,
-)
+from equipoise.learning.closed_loop import Plant, make_plant, scaled
 from equipoise.learning.trials import (
     Trials,
     draw_trials,

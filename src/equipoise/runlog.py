@@ -84,6 +84,11 @@ class RunConditions(Value):
     cause: str
     """How the run ended: lasted, angle, track, joint limit."""
 
+    @property
+    def free(self) -> tuple[int, ...]:
+        """Places of the joints that move, counted from zero."""
+        return tuple(i for i in range(len(self.joints)) if i + 1 != self.held_joint)
+
 
 class Truth(NamedTuple):
     """What only a simulation knows, once per tick; no rows on a robot."""

@@ -24,10 +24,7 @@ from equipoise.control.policy import (
     greedy_accelerations,
     policy_kernel,
 )
-from equipoise.learning.closed_loop import (
-    Plant,
-    make_plant,
-)
+from equipoise.learning.closed_loop import Plant, make_plant
 from equipoise.learning.q_learning import (
     ENDED,
     ENDED_STEPS,

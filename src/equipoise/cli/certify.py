@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from equipoise.cli.evaluate import trial_bar
-from equipoise.cli.options import IN_AND_OUT, Json, Workers, available_workers, check_output
+from equipoise.cli.options import (
+    IN_AND_OUT,
+    Json,
+    PolicyFile,
+    Workers,
+    available_workers,
+    check_output,
+    read_policy,
+)
 from equipoise.cli.output import Output, verb
 
 if TYPE_CHECKING:
@@ -19,14 +27,7 @@ REFUSED = 1
 
 @verb
 def certify(
-    policy: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="POLICY",
-            help="From equipoise train; without it, the policy that ships.",
-            show_default=False,
-        ),
-    ] = None,
+    policy: PolicyFile = None,
     probability: Annotated[
         float, typer.Option(metavar="P", help="Claim: a trial lasts with at least this one.")
     ] = 0.99,
@@ -65,14 +66,13 @@ def certify(
     output = Output(as_json)
     output.say(f"Certifying {policy or 'the policy that ships with Equipoise'}")
 
-    from equipoise.control.policy import TabularPolicy, shipped_policy
     from equipoise.studies import certification as study
 
     beside = study.evaluation_path(out)
     for file in (out, beside):
         check_output(file, policy)
     claim = study.make_claim(probability, confidence, duration, world=world, trials=trials)
-    table = shipped_policy() if policy is None else TabularPolicy.load(policy)
+    table = read_policy(policy)
     output.rows(
         {
             "claimed": f"it {claim.words}",

@@ -9,11 +9,14 @@ import typer
 from equipoise.cli.options import (
     IN_AND_OUT,
     Json,
+    KnownActuator,
+    PolicyFile,
     Seed,
-    check_folder,
+    check_output,
     read_actuator,
     read_arm,
     read_pendulum,
+    read_policy,
 )
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
@@ -27,14 +30,7 @@ EXCITED = "To see how the arm follows"
 
 @verb
 def deploy(
-    policy: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="POLICY",
-            help="From equipoise train; without it, the policy that ships.",
-            show_default=False,
-        ),
-    ] = None,
+    policy: PolicyFile = None,
     world: Annotated[
         str,
         typer.Option(
@@ -46,13 +42,7 @@ def deploy(
         float | None,
         typer.Option(metavar="SECONDS", help="Length of the run; 60, or 10 with --excite."),
     ] = None,
-    actuator: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE",
-            help="What the controller knows of the arm; by default that of the policy.",
-        ),
-    ] = None,
+    actuator: KnownActuator = None,
     seed: Seed = 0,
     excite: Annotated[
         bool,
@@ -92,9 +82,9 @@ def deploy(
     output = Output(as_json)
     what = "Exciting the arm" if excite else f"Running {policy or 'the policy that ships'}"
     output.say(f"{what}, world {world}")
-    _check(out, ".mcap", policy, pendulum)
+    check_output(out, policy, pendulum, suffix=".mcap")
     if video is not None:
-        _check(video, ".mp4", policy, pendulum)
+        check_output(video, policy, pendulum, suffix=".mp4", option="--video")
     if duration is not None and not 0.01 <= duration <= 3600.0:
         raise InputError(f"--duration is {duration:g} s; give a number from 0.01 to 3600")
     if excite:
@@ -126,16 +116,6 @@ def deploy(
     )
     if fell:
         raise typer.Exit(NOT_BALANCED)
-
-
-def _check(path: Path, suffix: str, *inputs: Path | None) -> None:
-    if path.suffix.lower() != suffix:
-        raise InputError(f"{path} is to be written; give a name that ends in {suffix}")
-    if path.is_dir():
-        raise InputError(f"{path} is a folder; give the name of a file to write")
-    if any(given is not None and given == path for given in inputs):
-        raise InputError(f"{path} is read and would be written over; give another name")
-    check_folder(path.parent)
 
 
 def _excite(
@@ -170,10 +150,9 @@ def _run(
     duration: float | None,
     video: Path | None,
 ) -> "RunLog":
-    from equipoise.control.policy import TabularPolicy, shipped_policy
     from equipoise.deployment import deploy
 
-    table = shipped_policy() if policy is None else TabularPolicy.load(policy)
+    table = read_policy(policy)
     response = read_actuator(actuator)
     with output.busy("running") as rename:
         run = deploy(table, world=world, actuator=response, seed=seed, duration=duration)

@@ -13,6 +13,8 @@ from equipoise.cli.options import (
     Base,
     Held,
     Json,
+    KnownActuator,
+    PolicyFile,
     Seed,
     Tip,
     Workers,
@@ -21,6 +23,7 @@ from equipoise.cli.options import (
     read_actuator,
     read_arm,
     read_pendulum,
+    read_policy,
 )
 from equipoise.cli.output import FIRST_WORDS, Output, stoppable, verb
 from equipoise.errors import ArtefactError, InputError
@@ -42,14 +45,7 @@ QUANTILES = ("0.05", "0.25", "0.75", "0.95")
 
 @verb
 def evaluate(
-    policy: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="POLICY",
-            help="From equipoise train; without it, the policy that ships.",
-            show_default=False,
-        ),
-    ] = None,
+    policy: PolicyFile = None,
     function: Annotated[
         str | None,
         typer.Option(
@@ -72,13 +68,7 @@ def evaluate(
             help="model: the plant of the training; twin:nominal, twin:harsh or twin:FILE.",
         ),
     ] = "model",
-    actuator: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE",
-            help="What the controller knows of the arm; by default that of the policy.",
-        ),
-    ] = None,
+    actuator: KnownActuator = None,
     with_yardsticks: Annotated[
         bool,
         typer.Option("--yardsticks/--no-yardsticks", help="Run LQR, PD and chance beside it."),
@@ -141,7 +131,7 @@ def evaluate(
             workers,
         )
     else:
-        table = _read_policy(policy)
+        table = read_policy(policy)
         if pendulum is not None:
             _refuse_other_pendulum(table, pendulum)
         if arm is not None or any(of_urdf):
@@ -172,12 +162,6 @@ def evaluate(
     output.result(_result(evaluation, out))
     if not balanced:
         raise typer.Exit(NOT_BALANCED)
-
-
-def _read_policy(path: Path | None) -> "TabularPolicy":
-    from equipoise.control.policy import TabularPolicy, shipped_policy
-
-    return shipped_policy() if path is None else TabularPolicy.load(path)
 
 
 def _refuse_other_pendulum(policy: "TabularPolicy", asked: Path) -> None:

@@ -9,11 +9,13 @@ from equipoise.cli.evaluate import trial_bar
 from equipoise.cli.options import (
     IN_AND_OUT,
     Json,
+    PolicyFile,
     Seed,
     Workers,
     available_workers,
     check_output,
     read_actuator,
+    read_policy,
 )
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
@@ -26,14 +28,7 @@ if TYPE_CHECKING:
 
 @verb
 def gap(
-    policy: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="POLICY",
-            help="From equipoise train; without it, the policy that ships.",
-            show_default=False,
-        ),
-    ] = None,
+    policy: PolicyFile = None,
     paper_policy: Annotated[
         Path | None,
         typer.Option(
@@ -90,12 +85,11 @@ def gap(
     if duration is not None and not 0.01 <= duration <= 3600.0:
         raise InputError(f"--duration is {duration:g} s; give a number from 0.01 to 3600")
 
-    from equipoise.control.policy import TabularPolicy, shipped_policy
     from equipoise.report.figures.gap import gap_figure
     from equipoise.report.style import save
     from equipoise.studies import gap as study
 
-    table = shipped_policy() if policy is None else TabularPolicy.load(policy)
+    table = read_policy(policy)
     known = read_actuator(actuator)
     total = study.trials_of(world, quick=quick, trials=trials)
     if paper_policy is None:
@@ -104,7 +98,7 @@ def gap(
                 table, quick=quick, seed=seed, workers=available_workers(workers)
             )
     else:
-        other = TabularPolicy.load(paper_policy)
+        other = read_policy(paper_policy)
     with trial_bar(output, total) as done:
         found = study.gap(
             table,

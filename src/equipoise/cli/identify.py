@@ -146,10 +146,8 @@ def _identify_actuator(output: Output, log: Path, out: Path) -> None:
     }
     if actuator.kind == "kst":
         rows["servo cycle"] = measured(_in_ms(actuator.cycle), "ms")
-    held = run.conditions.held_joint
-    moving = [name for number, name in enumerate(run.conditions.joints, 1) if number != held]
-    for joint, lag in zip(moving, actuator.lags, strict=True):
-        rows[f"lag of {joint}"] = measured(_in_ms(lag), "ms")
+    for place, lag in zip(run.conditions.free, actuator.lags, strict=True):
+        rows[f"lag of {run.conditions.joints[place]}"] = measured(_in_ms(lag), "ms")
     fit = actuator.fit
     if fit is not None:
         rows["residual"] = f"{fit.rms:.3g} rad RMS over {fit.samples:,} positions"

@@ -11,6 +11,7 @@ import typer
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
+    from equipoise.control.policy import TabularPolicy
     from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
@@ -105,6 +106,22 @@ ActuatorFile = Annotated[
         help="From equipoise identify RUN.mcap, or ideal; by default the one that ships.",
     ),
 ]
+KnownActuator = Annotated[
+    str | None,
+    typer.Option(
+        "--actuator",
+        metavar="FILE",
+        help="What the controller knows of the arm; by default that of the policy.",
+    ),
+]
+PolicyFile = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="POLICY",
+        help="From equipoise train; without it, the policy that ships.",
+        show_default=False,
+    ),
+]
 Held = Annotated[
     str | None,
     typer.Option(
@@ -136,6 +153,17 @@ def read_pendulum(path: Path | None) -> "Pendulum":
             f"equipoise identify {shlex.quote(str(path))}"
         )
     return Pendulum.load(path)
+
+
+def read_policy(path: Path | None) -> "TabularPolicy":
+    """Return the policy of a file, or the one that ships with Equipoise.
+
+    Raises:
+        InputError: The file is no policy.
+    """
+    from equipoise.control.policy import TabularPolicy, shipped_policy
+
+    return shipped_policy() if path is None else TabularPolicy.load(path)
 
 
 def read_actuator(name: str | None) -> "Actuator | None":
@@ -192,19 +220,22 @@ def read_arm(
     return read_urdf(Path(name), base=base, tip=tip, held=joint)
 
 
-def check_output(path: Path, *inputs: Path | None) -> None:
+def check_output(
+    path: Path, *inputs: Path | None, suffix: str = ".json", option: str = "--out"
+) -> None:
     """Check before the work begins that `path` can be written and is none of the inputs.
 
     Raises:
-        InputError: It is no JSON file, a folder, an input, or where nothing can be written.
+        InputError: Its name ends otherwise, it is a folder or an input, or nothing can be written
+            there.
     """
-    if path.suffix.lower() != ".json":
-        raise InputError(f"--out is {path}; give a name that ends in .json")
+    if path.suffix.lower() != suffix:
+        raise InputError(f"{option} is {path}; give a name that ends in {suffix}")
     if path.is_dir():
         raise InputError(f"{path} is a folder; give the name of a file to write")
     for given in inputs:
         if given is not None and given.exists() and path.exists() and path.samefile(given):
-            raise InputError(f"{path} is read and would be written over; give another --out")
+            raise InputError(f"{path} is read and would be written over; give another {option}")
     check_folder(path.parent)
 
 

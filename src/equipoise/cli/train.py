@@ -57,13 +57,13 @@ def train(
         typer.Option(min=1, metavar="N", help="Episodes; by default the paper's 10,000."),
     ] = None,
     seeds: Annotated[
-        int,
+        int | None,
         typer.Option(
             min=1,
             metavar="N",
-            help="Learners to train over the cores; the best of a selection is kept.",
+            help="Learners to train over the cores, by default 3; the best of a selection is kept.",
         ),
-    ] = 3,
+    ] = None,
     seed: Seed = 0,
     workers: Workers = None,
     held: Held = None,
@@ -128,7 +128,7 @@ def _train(
     arm: "Arm",
     actuator: "Actuator | None",
     settings: "Settings",
-    seeds: int,
+    seeds: int | None,
     seed: int,
     recipe: str,
     workers: int | None,
@@ -136,9 +136,10 @@ def _train(
     """Train behind a progress bar; return the policies, the best first, and the steps/s."""
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 
-    from equipoise.training import train_several
+    from equipoise.training import LEARNERS, train_several
 
-    total = seeds * settings.learning.episodes
+    learners = LEARNERS if seeds is None else seeds
+    total = learners * settings.learning.episodes
     columns = (
         TextColumn("{task.description}"),
         BarColumn(bar_width=None),
@@ -156,7 +157,7 @@ def _train(
             pendulum,
             arm,
             settings,
-            learners=seeds,
+            learners=learners,
             actuator=actuator,
             seed=seed,
             recipe=recipe,

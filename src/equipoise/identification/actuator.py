@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from equipoise.artefacts import Estimate
 from equipoise.errors import RecordingError
+from equipoise.identification.jackknife import blocks_of_time, jackknife
 from equipoise.model.actuator import (
     CYCLE,
     KINDS,
@@ -119,8 +120,7 @@ class Log(NamedTuple):
     @property
     def blocks(self) -> Whole:
         """The block of time of each, shape (n,)."""
-        elapsed = self.time - self.time[0]
-        return np.minimum(elapsed / elapsed[-1] * BLOCKS, BLOCKS - 1).astype(np.intp)
+        return blocks_of_time(self.time, BLOCKS)
 
     def predict(
         self, kind: Kind, unknowns: Array, joint: int, memory: float = 1.0, spread: float = SPREAD
@@ -249,8 +249,7 @@ def identify_run(run: RunLog) -> Actuator:
         RecordingError: The log cannot be used, see `identify_actuator`.
     """
     stream, replies = run.stream, run.replies
-    joints = range(len(run.conditions.joints))
-    free = [j for j in joints if j + 1 != run.conditions.held_joint]
+    free = list(run.conditions.free)
     return identify_actuator(
         stream.time, stream.q[:, free], replies.time, replies.q[:, free], source=run.digest
     )
@@ -315,8 +314,7 @@ def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array
                 f"the {name} have a gap of {1e3 * length:.0f} ms at {times[gap]:.3f} s, expected "
                 f"at most {1e3 * LONGEST_GAP:.0f} ms; record again, or cut the log there"
             )
-    velocity = np.diff(stream_q, axis=0) / np.diff(stream_time)[:, None]
-    for j, speed in enumerate(np.ptp(np.quantile(velocity, [0.02, 0.98], axis=0), axis=0)):
+    for j, speed in enumerate(speed_ranges(stream_time, stream_q)):
         if speed < LEAST_SPEED:
             raise RecordingError(
                 f"the velocity of free joint {j + 1} ranges over {speed:.2g} rad/s, expected at "
@@ -336,6 +334,17 @@ def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array
         reply_q=q,
         settled=int(np.searchsorted(time, time[0] + SETTLING)),
     )
+
+
+def speed_ranges(time: Array, q: Array) -> Array:
+    """Return over what range the velocity of each joint goes, but for 2 % at each end [rad/s].
+
+    Args:
+        time: When setpoints were sent [s], shape (m,).
+        q: The setpoints [rad], shape (m, joints).
+    """
+    velocity = np.diff(q, axis=0) / np.diff(time)[:, None]
+    return np.ptp(np.quantile(velocity, [0.02, 0.98], axis=0), axis=0)
 
 
 def _fit(log: Log, kind: Kind, *, t_c_kept: bool = False) -> Fit:
@@ -408,27 +417,21 @@ def _agreement(log: Log, kind: Kind, unknowns: Array, fitted: list[int]) -> Arra
 def _covariance(log: Log, fit: Fit) -> Array:
     """Return the covariance of the unknowns, shape (14, 14); zero where one was not free.
 
-    A jackknife, each block's absence taken to first order; and how far the unknowns move when the
+    A jackknife over blocks of time of all joints together; and how far the unknowns move when the
     transports jitter more than was assumed.
     """
     scales, k = SCALES[fit.fitted], len(fit.fitted)
     weights = fit.weights[:, None]
-    J = weights[:, :, None] * log.sensitivities(fit.kind, fit.unknowns, fit.fitted)
-    residual, block = weights * fit.residual, log.blocks
-    information = np.einsum("jni,jnk->ik", J, J)
-    moves: list[npt.NDArray[np.floating]] = []
-    for i in range(BLOCKS):
-        J_i, residual_i = J[:, block == i].reshape(-1, k), residual[:, block == i].ravel()
-        without = information - J_i.T @ J_i
-        moves.append(np.linalg.lstsq(without, J_i.T @ residual_i, rcond=None)[0])
-    shift = np.stack(moves)
+    sensitivities = log.sensitivities(fit.kind, fit.unknowns, fit.fitted)
+    J = (weights[:, :, None] * sensitivities).reshape(-1, k)
+    residual, block = (weights * fit.residual).ravel(), np.tile(log.blocks, FREE_JOINTS)
     jitter = weights * (
         log.residual(fit.kind, fit.unknowns, spread=sqrt(2.0) * SPREAD) - fit.residual
     )
-    move = np.linalg.lstsq(information, np.einsum("jni,jn->i", J, jitter), rcond=None)[0]
+    move = np.linalg.lstsq(J.T @ J, J.T @ jitter.ravel(), rcond=None)[0]
     covariance = np.zeros((len(fit.unknowns), len(fit.unknowns)))
     covariance[np.ix_(fit.fitted, fit.fitted)] = np.outer(scales, scales) * (
-        (BLOCKS - 1) / BLOCKS * (shift.T @ shift) + np.outer(move, move)
+        jackknife(J, residual, block) + np.outer(move, move)
     )
     return covariance
 

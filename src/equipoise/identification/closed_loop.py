@@ -27,6 +27,7 @@ import numpy.typing as npt
 
 from equipoise.artefacts import Estimate, Value
 from equipoise.errors import RecordingError
+from equipoise.identification.jackknife import blocks_of_time, jackknife
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import GRAVITY, PlantSettings
 
@@ -446,24 +447,14 @@ def _averaged(rows: _Rows, window: float) -> _Rows:
 
 def _solve(rows: _Rows, blocks: int) -> _Solution:
     M, y = rows.terms, rows.acceleration
-    information = M.T @ M
     values = np.linalg.lstsq(M, y, rcond=None)[0].astype(np.float64)
     residual = y - M @ values
-    # Left out one after the other, blocks of time say how far the coefficients can be trusted,
-    # also where the residuals within a block hang together.
-    begin, end = rows.time[0], rows.time[-1]
-    block = np.minimum((rows.time - begin) / (end - begin) * blocks, blocks - 1).astype(np.intp)
-    moves: list[npt.NDArray[np.floating]] = []
-    for i in np.unique(block):
-        M_i, residual_i = M[block == i], residual[block == i]
-        moves.append(np.linalg.lstsq(information - M_i.T @ M_i, M_i.T @ residual_i, rcond=None)[0])
-    shift = np.stack(moves)
     # A regression of term j on all else is steeper by this.
-    inverse = np.diag(np.linalg.pinv(information, hermitian=True))
+    inverse = np.diag(np.linalg.pinv(M.T @ M, hermitian=True))
     reach = float(residual @ residual) * inverse / np.where(values == 0.0, np.inf, values)
     return _Solution(
         values=values,
-        spread=(len(shift) - 1) / len(shift) * (shift.T @ shift),
+        spread=jackknife(M, residual, blocks_of_time(rows.time, blocks)),
         reach=reach,
         unexplained=float(np.linalg.norm(residual) / max(float(np.linalg.norm(y)), 1e-12)),
         rate=float(np.mean(rows.rate**2) / max(float(np.mean(np.abs(rows.rate))), 1e-12)),

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.identification.jackknife import blocks_of_time, jackknife
 from equipoise.model.pendulum import PendulumParameters, swing
 from equipoise.settings import Friction, IdentificationSettings
 
@@ -187,20 +188,12 @@ def covariance(recording: Recording, fit: Fit, blocks: int) -> Array:
 
 
 def _jackknife(recording: Recording, fit: Fit, places: list[int], blocks: int) -> Array:
-    """Return the covariance at `places`; each block's absence is taken to first order."""
+    """Return the covariance at `places`."""
     scales = _scales(fit.unknowns)[places]
     J = sensitivities(recording, fit.unknowns, places) * scales
     residual = recording.residual(fit.unknowns)
-    elapsed = recording.time - recording.time[0]
-    block = np.minimum(elapsed / elapsed[-1] * blocks, blocks - 1).astype(np.intp)
-    information = J.T @ J
-    moves: list[npt.NDArray[np.floating]] = []
-    for i in np.unique(block):
-        J_i, residual_i = J[block == i], residual[block == i]
-        without = information - J_i.T @ J_i
-        moves.append(np.linalg.lstsq(without, J_i.T @ residual_i, rcond=None)[0])
-    shift = np.stack(moves)
-    return (len(shift) - 1) / len(shift) * (shift.T @ shift) * np.outer(scales, scales)
+    block = blocks_of_time(recording.time, blocks)
+    return jackknife(J, residual, block) * np.outer(scales, scales)
 
 
 def rms(residual: Array) -> float:

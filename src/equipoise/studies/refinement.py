@@ -23,13 +23,13 @@ import numpy.typing as npt
 from equipoise.artefacts import Estimate, Value
 from equipoise.control.policy import Candidate, LearningPoint, TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.identification.actuator import LEAST_SPEED, identify_actuator
+from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
 from equipoise.identification.closed_loop import ClosedLoopFit, Move, compare, regress
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import Pendulum
-from equipoise.runlog import RunLog, Stream
+from equipoise.runlog import RunLog
 from equipoise.settings import PlantSettings, Settings
 from equipoise.training import judge, train
 
@@ -267,7 +267,7 @@ def _pivot(q: Array, arm: Arm) -> Array:
         q: All joints [rad], shape (n, joints).
         arm: The arm.
     """
-    free = list(arm.without_held(range(len(arm.joints))))
+    free = list(arm.free)
     poses = [arm.pose(posture) for posture in q[:, free]]
     position = np.array([pose.position for pose in poses])
     rotation = np.array([pose.rotation for pose in poses])
@@ -288,9 +288,9 @@ def read_response(log: RunLog, arm: Arm, known: Actuator) -> dict[str, Estimate]
     Raises:
         RecordingError: The joints hardly moved, or did not follow their setpoints.
     """
-    free = list(arm.without_held(range(len(arm.joints))))
+    free = list(arm.free)
     sent, q = log.stream.q[:, free], log.replies.q[:, free]
-    moving = _moving(Stream(log.stream.time, sent))
+    moving = np.flatnonzero(speed_ranges(log.stream.time, sent) >= LEAST_SPEED).tolist()
     if not moving:
         raise RecordingError(
             f"no joint's velocity ranges over {LEAST_SPEED} rad/s; let the pendulum move more, or "
@@ -312,13 +312,6 @@ def read_response(log: RunLog, arm: Arm, known: Actuator) -> dict[str, Estimate]
         for name, estimate in numbers(actuator, arm).items()
         if name not in still and estimate.source == "identified"
     }
-
-
-def _moving(stream: Stream) -> list[int]:
-    """Return the joints that move fast enough for a lag to be told from a delay."""
-    velocity = np.diff(stream.q, axis=0) / np.diff(stream.time)[:, None]
-    ranges = np.ptp(np.quantile(velocity, [0.02, 0.98], axis=0), axis=0)
-    return np.flatnonzero(ranges >= LEAST_SPEED).tolist()
 
 
 def numbers(actuator: Actuator, arm: Arm) -> dict[str, Estimate]:

@@ -250,7 +250,7 @@ class Twin:
             sensors=make_sensors(settings, seed, index),
             past=new_past(),
             home=np.array(arm.home),
-            free=np.array(arm.without_held(range(len(arm.joints)))),
+            free=np.array(arm.free),
             home_x=float(arm.pose(arm.home_free).position[0]),
             setpoint=np.zeros(len(arm.joints)),
             seed=seed,

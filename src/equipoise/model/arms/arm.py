@@ -207,6 +207,11 @@ class Arm(_Described):
         return _shape(self, limits=False)
 
     @property
+    def free(self) -> tuple[int, ...]:
+        """Places of the joints that move, counted from zero."""
+        return self.without_held(range(len(self.joints)))
+
+    @property
     def free_joints(self) -> tuple[Joint, ...]:
         """The joints that move."""
         return self.without_held(self.joints)
