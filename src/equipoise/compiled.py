@@ -69,6 +69,12 @@ def _machine_code_directory() -> Path | None:
     return path
 
 
+def cache_is_empty() -> bool:
+    """Return whether kernels are kept, and none is there yet."""
+    directory = None if _disabled() else _machine_code_directory()
+    return directory is not None and not any(directory.glob("*.nbi"))
+
+
 class _Locator(caching._CacheLocator):
     """Tells Numba where the machine code of one function lies and when it is stale.
 
@@ -133,8 +139,16 @@ def inlined(function: F) -> F:
 def _lazily_compiled(function: F, **options: Any) -> F:
     if _disabled():
         return function
-    dispatcher: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
+    options |= {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    dispatcher: Any = numba.njit(**options)(function)
     _cached(dispatcher)
+    # A whole number that is written out has a type of its own for Numba, and the kernel that takes
+    # it would be compiled once more for it.
+    resolve = dispatcher.get_call_template
+    dispatcher.get_call_template = lambda args, kws: resolve(
+        tuple(map(numba.types.unliteral, args)),
+        {name: numba.types.unliteral(kind) for name, kind in kws.items()},
+    )
     return dispatcher
 
 

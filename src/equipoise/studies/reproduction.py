@@ -30,6 +30,7 @@ from equipoise.model.arms.inertials import link_inertials
 from equipoise.model.worlds import MODEL
 from equipoise.runlog import RunLog
 from equipoise.settings import Settings, resolve
+from equipoise.studies.compilation import compiling_beside
 from equipoise.studies.gap import gap, train_paper, trials_of
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.results import (
@@ -57,11 +58,11 @@ COMMAND: Final = "reproduce"
 
 QUICK: Final = {
     "learning.episodes": 5000,
-    "selection.screening_trials": 16,
+    "selection.screening_trials": 8,
     "selection.duration": 20.0,
-    "selection.finalists": 4,
-    "selection.final_trials": 100,
-    "selection.final_duration": 60.0,
+    "selection.finalists": 3,
+    "selection.final_trials": 64,
+    "selection.final_duration": 30.0,
     "evaluation.trials": 50,
     "evaluation.duration": 20.0,
 }
@@ -98,6 +99,7 @@ class Reproduction(NamedTuple):
     """What to try next."""
 
 
+@compiling_beside()
 def reproduce(
     out: Path,
     *,
