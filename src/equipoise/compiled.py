@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 
 PACKAGE = Path(__file__).parent
-KERNEL_ROOMS = ("model", "control", "learning", "devices")
+KERNEL_ROOMS = ("model", "control", "learning", "devices/twin")
 """Folders of the package whose files hold kernels."""
 
 
