@@ -65,7 +65,7 @@ def test_it_says_the_tables_and_the_words(equipoise, cured_file, paper_file, mad
     for sentence in words(gap):
         assert " ".join(sentence.split()) in said
     # 90 / (1 + 800 * 0.03) s, and half of the falls on the track.
-    assert "3.7 (50 %)" in ran.out
+    assert "3.7 (50)" in ran.out
     for row in ("no prediction", "paper, clean twin", "transport delay", "dry friction"):
         assert row in ran.out
     assert "40 trials of 60 s at each point, on the iiwa14, world twin:nominal-1, seed 0" in ran.out

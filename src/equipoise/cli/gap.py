@@ -72,8 +72,8 @@ def gap(
     """Take the gap between training plant and twin apart, effect by effect.
 
     A policy with its cures, without prediction and without bias estimate runs
-    beside a table that was trained as the paper describes. It takes a quarter
-    of an hour on two cores, with --quick half a minute.
+    beside a table that was trained as the paper describes. It takes some
+    minutes on two cores, with --quick half a minute.
     """
     output = Output(as_json)
     output.say(f"Measuring the gap of {policy or 'the policy that ships'} to {world}")
@@ -138,7 +138,7 @@ def _say(output: Output, found: "Gap") -> None:
         f"{found.trials} trials of {found.duration:g} s at each point, on the {found.arm}, world "
         f"{found.world}, seed {found.seed}"
     )
-    output.say("\nMean survival [s], and the share of the falls that were on the track limit")
+    output.say("\nMean survival [s], in brackets the share of the falls on the track limit [%]")
     output.say(_curves(found, "delay"))
     output.say(_curves(found, "zero"))
     for controller in found.apart:
@@ -155,7 +155,7 @@ def _curves(found: "Gap", part: Literal["delay", "zero"]) -> "Table":
 
     curves = {key: found.curve(part, *key) for key in found.curves}
     table = Table(box=SIMPLE, pad_edge=False)
-    table.add_column({"delay": "transport delay", "zero": "wrong zero"}[part])
+    table.add_column({"delay": "transport delay", "zero": "wrong zero"}[part], no_wrap=True)
     for point in next(iter(curves.values())):
         table.add_column(at_words(part, point.at), justify="right", no_wrap=True)
     for (controller, on_clean), curve in curves.items():
@@ -169,7 +169,7 @@ def _cell(found: "Gap", point: "Point") -> str:
     from equipoise.studies.gap_results import mean, track_share
 
     share = track_share(point.results)
-    ends = "" if share is None else f" ({100.0 * share:.0f} %)"
+    ends = "" if share is None else f" ({100.0 * share:.0f})"
     return f"{mean(point.results, found.duration).mean:.1f}{ends}"
 
 
