@@ -6,7 +6,7 @@ process fills the cache with the kernels of twin and evaluation while the first 
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 
 from equipoise.compiled import cache_is_empty
@@ -18,7 +18,7 @@ from equipoise.settings import Settings
 
 
 @contextmanager
-def compiling_beside() -> Iterator[None]:
+def compiling_beside() -> Generator[None]:
     """Compile kernels beside what is done in this context, if need be and with a core to spare.
 
     The process beside is a convenience: where it cannot be, or fails, each kernel is compiled when
