@@ -10,6 +10,7 @@ The tree, with the exit code of the command line in brackets::
     │   ├── ArmError                             an arm description or posture that cannot work
     │   └── MissingExtraError (ImportError)      an optional dependency is not installed
     └── OutsideError (OSError)               [3] disk, link or device failed
+        └── LinkError (ConnectionError)          robot or sensor does not answer as it should
 
 A message says what was expected, what came, and what to do about it.
 """
@@ -56,3 +57,7 @@ class OutsideError(EquipoiseError, OSError):
     """The world outside failed: disk full, link lost, device gone."""
 
     exit_code = 3
+
+
+class LinkError(OutsideError, ConnectionError):
+    """A robot or a sensor is gone, is silent, or says what it should not."""
