@@ -1,0 +1,130 @@
+"""`equipoise record`: a free swing, made by hand in front of an encoder, becomes a recording."""
+
+from collections.abc import Callable
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from equipoise.cli.options import IN_AND_OUT, CountsPerRev, Json, check_output
+from equipoise.cli.output import Output, verb
+from equipoise.errors import InputError
+
+if TYPE_CHECKING:
+    from equipoise.devices.encoder.swing import SwingRecorder
+
+GAUGE = 41
+"""Characters that show the half turn to either side of hanging."""
+
+
+@verb
+def record(
+    encoder: Annotated[
+        str,
+        typer.Option(
+            metavar="URI", help="The board: serial:///dev/ttyACM0, or socket://HOST:PORT."
+        ),
+    ],
+    duration: Annotated[
+        float,
+        typer.Option(metavar="SECONDS", help="Longest swing, from where the hand lets go."),
+    ] = 30.0,
+    counts_per_rev: CountsPerRev = None,
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="The recording, CSV.", rich_help_panel=IN_AND_OUT),
+    ] = Path("swing.csv"),
+    as_json: Json = False,
+) -> None:
+    """Record a free swing of the pendulum from its encoder.
+
+    Hold the pivot still. Let the pendulum hang, lift it, hold it, let it go; the
+    angle is shown meanwhile. Ctrl-C ends it, and nothing is written then.
+    """
+    output = Output(as_json)
+    output.say(f"Listening to {encoder}")
+    check_output(out, suffix=".csv")
+    if not 1.0 <= duration <= 600.0:
+        raise InputError(f"--duration is {duration:g} s; give a number from 1 to 600")
+
+    from equipoise.devices.clocks import SystemClock
+    from equipoise.devices.encoder.sensor import LineEncoder
+    from equipoise.devices.encoder.serial_port import open_serial
+    from equipoise.devices.encoder.swing import record_swing
+    from equipoise.trajectory import write_swing
+
+    clock = SystemClock()
+    sensor = LineEncoder(
+        lambda: open_serial(encoder), clock, counts_per_rev=counts_per_rev, name=encoder
+    )
+    try:
+        with output.busy("connecting") as rename:
+            sensor.connect()
+            board = sensor.banner
+            output.say(
+                f"{board.name} {board.firmware}: {board.counts_per_rev} counts per revolution, "
+                f"{board.rate_hz} per second"
+            )
+            swing, recorder = record_swing(sensor, clock, duration, _Prompter(output, rename))
+        write_swing(out, swing)
+    except KeyboardInterrupt:
+        output.warn(f"interrupted: nothing was recorded, {out} was not written")
+        raise
+    finally:
+        sensor.close()
+    tally = sensor.tally
+    lasts = float(swing.time[-1])
+    output.rows(
+        {
+            "swing": f"{recorder.periods:g} periods, {recorder.elapsed:.1f} s",
+            "amplitude": f"{degrees(recorder.first_amplitude):.1f} deg at first, "
+            f"{degrees(recorder.amplitude):.1f} deg at last",
+            "samples": f"{len(swing.time):,}, {recorder.missing} missing; "
+            f"{tally.rejected} damaged lines",
+        }
+    )
+    output.wrote(out)
+    output.next("identify", out)
+    output.result(
+        {
+            "recording": str(out),
+            "samples": len(swing.time),
+            "duration_s": lasts,
+            "periods": recorder.periods,
+            "amplitude_deg": degrees(recorder.first_amplitude),
+            "missing": recorder.missing,
+            "rejected": tally.rejected,
+            "counts_per_rev": sensor.counts_per_rev,
+        }
+    )
+
+
+class _Prompter:
+    """Tells the operator what to do next, and shows the angle while it is done."""
+
+    def __init__(self, output: Output, rename: Callable[[str], None]) -> None:
+        self._output = output
+        self._rename = rename
+        self._told: tuple[object, str] | None = None
+
+    def __call__(self, recorder: "SwingRecorder") -> None:
+        now = (recorder.stage, recorder.hint)
+        if now != self._told:
+            self._told = now
+            hint = f"{recorder.hint}; " if recorder.hint else ""
+            self._output.say(f"  {hint}{recorder.stage.value}")
+        self._rename(
+            f"{_gauge(recorder.theta)} {degrees(recorder.theta):+7.1f} deg, "
+            f"amplitude {degrees(recorder.amplitude):5.1f} deg, {recorder.elapsed:4.1f} s"
+        )
+
+
+def _gauge(theta: float) -> str:
+    """Return a line with the pendulum on it: hanging in the middle, upright at the ends."""
+    middle = GAUGE // 2
+    place = middle + round(degrees(theta) / 180.0 * middle)
+    marks = ["-"] * GAUGE
+    marks[middle] = "|"
+    marks[min(max(place, 0), GAUGE - 1)] = "o"
+    return "".join(marks)

@@ -1,0 +1,140 @@
+"""A serial port, or one that a network serves, as a `Transport`.
+
+`serial:///dev/ttyACM0` is a device, `serial://COM3` one on Windows; `?baud=115200` sets the speed,
+which USB boards ignore. `socket://host:port` is a port on the network. Reads and writes do not
+wait.
+"""
+
+import errno
+from contextlib import suppress
+from typing import TYPE_CHECKING, Final
+from urllib.parse import parse_qs, urlsplit
+
+from equipoise.errors import InputError, LinkError
+
+if TYPE_CHECKING:
+    from serial import SerialBase
+
+BAUD: Final = 500_000
+"""Speed of a real serial line [baud]: 1000 lines of 36 bytes per second fill 72 % of it, and an
+AVR at 16 MHz hits it exactly. The firmware has the same."""
+FORMS: Final = "serial:///dev/ttyACM0 or socket://host:port"
+CHUNK: Final = 4096
+"""Bytes that are read at once: all that Linux keeps of a terminal."""
+
+
+class SerialTransport:
+    """An open serial port."""
+
+    def __init__(self, port: "SerialBase", name: str) -> None:
+        """Take over an open port.
+
+        Args:
+            port: It must not wait: its timeouts are zero.
+            name: What messages call it.
+        """
+        self._port = port
+        self._name = name
+
+    def write(self, data: bytes) -> None:
+        """Send bytes.
+
+        Raises:
+            LinkError: The device is gone, or takes no more.
+        """
+        from serial import SerialException
+
+        try:
+            self._port.write(data)
+        except (SerialException, OSError, TypeError) as error:
+            raise self._gone(error) from None
+
+    def read(self) -> bytes:
+        """Return what came.
+
+        Raises:
+            LinkError: The device is gone.
+        """
+        # pyserial lets a TypeError out of a port that was closed meanwhile.
+        try:
+            return self._port.read(CHUNK)
+        except (OSError, TypeError) as error:
+            raise self._gone(error) from None
+
+    def close(self) -> None:
+        """Close the port."""
+        with suppress(OSError):
+            self._port.close()
+
+    def _gone(self, error: Exception) -> LinkError:
+        return LinkError(f"{self._name} is gone ({error}); check its cable, then connect again")
+
+
+def open_serial(uri: str) -> SerialTransport:
+    """Open a serial port for ourselves alone.
+
+    Args:
+        uri: `serial:///dev/ttyACM0`, `serial://COM3`, with `?baud=N` where it is not `BAUD`; or
+            `socket://host:port`.
+
+    Raises:
+        InputError: The address is none of these.
+        LinkError: The port cannot be opened; the message says why, and what helps.
+    """
+    parts = urlsplit(uri)
+    if parts.scheme == "socket":
+        return SerialTransport(_open_socket(uri), uri)
+    name = parts.path if not parts.netloc else parts.netloc
+    if parts.scheme != "serial" or not name or (parts.netloc and parts.path.strip("/")):
+        raise InputError(f"{uri!r} is no address of a serial port; expected {FORMS}")
+    return SerialTransport(_open_device(name, _baud(uri, parts.query)), name)
+
+
+def _baud(uri: str, query: str) -> int:
+    options = parse_qs(query, keep_blank_values=True)
+    baud = options.pop("baud", [str(BAUD)])[-1]
+    if options or not baud.isdecimal() or not 0 < int(baud) <= 10**7:
+        raise InputError(f"{uri!r} has options that are unknown; expected at most ?baud={BAUD}")
+    return int(baud)
+
+
+def _open_device(name: str, baud: int) -> "SerialBase":
+    from serial import Serial, SerialException
+
+    try:
+        port = Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)
+    except (OSError, ValueError) as error:
+        number = error.errno if isinstance(error, SerialException) else None
+        raise LinkError(_why(name, number, error)) from None
+    # USB adapters of FTDI keep bytes for 16 ms otherwise. Pseudo-terminals and others refuse.
+    with suppress(AttributeError, NotImplementedError, OSError, ValueError):
+        port.set_low_latency_mode(True)
+    return port
+
+
+def _open_socket(uri: str) -> "SerialBase":
+    from serial import SerialException, serial_for_url
+
+    try:
+        port = serial_for_url(uri, timeout=0.0)
+    except (SerialException, OSError, ValueError) as error:
+        raise LinkError(
+            f"cannot connect to {uri} ({error}); check host and port, and that the other end serves"
+        ) from None
+    return port
+
+
+def _why(name: str, number: int | None, error: Exception) -> str:
+    if number == errno.ENOENT:
+        return (
+            f"there is no device {name}; plug the board in, and find its name with: "
+            "python -m serial.tools.list_ports"
+        )
+    if number in (errno.EACCES, errno.EPERM):
+        return (
+            f"{name} may not be opened by this user; join its group, then log in again: "
+            "sudo usermod -aG dialout $USER"
+        )
+    if number in (errno.EBUSY, errno.EAGAIN):
+        return f"{name} is in use; close the serial monitor or the other program that has it"
+    return f"cannot open {name} ({error}); check that it is a serial port and no one else has it"
