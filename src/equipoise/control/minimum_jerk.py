@@ -1,0 +1,88 @@
+r"""The smoothest way from rest to rest: a polynomial of fifth order (Flash & Hogan 1985).
+
+.. math:: s(\tau) = 10 \tau^3 - 15 \tau^4 + 6 \tau^5, \qquad \tau = t / T
+
+Velocity and acceleration are zero at both ends; s never leaves [0, 1]. All joints, or one place on
+the track, go along a straight line together.
+"""
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import Final, NamedTuple
+
+from equipoise.errors import InputError
+
+PEAK_VELOCITY: Final = 1.875
+"""Largest ds/dtau, in the middle: 15 / 8."""
+PEAK_ACCELERATION: Final = 10.0 / sqrt(3.0)
+"""Largest |d2s/dtau2|, at tau = 1/2 -+ sqrt(3)/6."""
+
+Numbers = tuple[float, ...]
+
+
+class Point(NamedTuple):
+    """Where a path is at a time."""
+
+    q: Numbers
+    """Places, such as joints [rad] or metres."""
+    dq: Numbers
+    """Their velocities."""
+    ddq: Numbers
+    """Their accelerations."""
+
+
+class Path(NamedTuple):
+    """A minimum-jerk path from rest to rest."""
+
+    start: Numbers
+    """Where it begins."""
+    end: Numbers
+    """Where it ends."""
+    duration: float
+    """T [s]; zero where there is no way to go."""
+
+    def at(self, time: float) -> Point:
+        """Return the path at a time since its begin [s]; before and after it rests."""
+        if time <= 0.0 and self.duration > 0.0:
+            return Point(self.start, (0.0,) * len(self.start), (0.0,) * len(self.start))
+        if time >= self.duration:
+            return Point(self.end, (0.0,) * len(self.end), (0.0,) * len(self.end))
+        T = self.duration
+        tau = time / T
+        s = tau**3 * (10.0 - tau * (15.0 - 6.0 * tau))
+        ds = 30.0 * (tau * (1.0 - tau)) ** 2 / T
+        dds = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / T**2
+        ways = [b - a for a, b in zip(self.start, self.end, strict=True)]
+        return Point(
+            tuple(a + s * way for a, way in zip(self.start, ways, strict=True)),
+            tuple(ds * way for way in ways),
+            tuple(dds * way for way in ways),
+        )
+
+
+def path_within(
+    start: Sequence[float],
+    end: Sequence[float],
+    velocity: Sequence[float],
+    acceleration: Sequence[float],
+) -> Path:
+    """Return the quickest minimum-jerk path within limits.
+
+    Args:
+        start: Where it begins, shape (n,).
+        end: Where it ends, shape (n,).
+        velocity: Limits of the velocities, positive, shape (n,).
+        acceleration: Limits of the accelerations, positive, shape (n,).
+
+    Raises:
+        InputError: A limit is not above zero.
+    """
+    duration = 0.0
+    for a, b, v, acc in zip(start, end, velocity, acceleration, strict=True):
+        if not (v > 0.0 and acc > 0.0):
+            raise InputError(
+                f"limits of {v:g} (velocity) and {acc:g} (acceleration); give positive numbers"
+            )
+        way = abs(b - a)
+        duration = max(duration, PEAK_VELOCITY * way / v, sqrt(PEAK_ACCELERATION * way / acc))
+    return Path(tuple(start), tuple(end), duration)

@@ -1,0 +1,215 @@
+r"""Is a hand on the pendulum? Told from the encoder alone: held, armed, released.
+
+Armed
+    The pendulum stands: |phi| < 1 deg and |mean phi_dot over 0.2 s| < 5 deg/s, for 0.5 s.
+Released
+    From armed, beyond 1.5 deg, it falls as a pendulum falls by itself: over the last 40 ms
+    phi_ddot agrees with w2 sin(phi) - c phi_dot within 30 %, and phi_dot / (w phi) lies in 0.6 to
+    3, w = sqrt(w2). This has to hold for 10 ms, or in two samples where
+    \|phi + phi_dot / w\| has reached 4 deg: there is no time left then.
+Held again
+    It was not found falling, and is beyond 4 deg, has come back below 1.5 deg, or stayed between
+    them for longer than a fall does: the hand is still on.
+
+phi + phi_dot / w grows as e^{w t}, by 40 % in 40 ms; phi - phi_dot / w dies away. The ratio is 1
+where a fall from rest ends. It starts above 1 where a trembling hand lets go with a rate: what
+falls from phi = 0 comes below 1.4 only after the growing part has become 2.4 times as large. Why
+the ratio goes to 3 and what the 10 ms are for: `docs/decisions/release.md`.
+"""
+
+from enum import Enum
+from math import inf, isfinite, radians, sin, sqrt
+from typing import Final
+
+import numpy as np
+
+from equipoise.model.pendulum import PendulumParameters
+
+ARM_ANGLE: Final = radians(1.0)
+"""Armed only where |phi| stays below this [rad]: the innermost boxes of the paper's table."""
+ARM_RATE: Final = radians(5.0)
+"""... and |mean phi_dot| below this [rad/s]: half the paper's innermost interval."""
+ARM_MEAN: Final = 0.2
+"""That mean is over so long [s]: a period and more of a hand's tremor."""
+ARM_TIME: Final = 0.5
+"""Both have to last so long [s]."""
+RELEASE_ANGLE: Final = radians(1.5)
+"""A release is looked for beyond this |phi| [rad]."""
+HELD_ANGLE: Final = radians(4.0)
+"""Whoever is beyond this |phi| [rad] without having been seen to fall is held."""
+WINDOW: Final = 0.04
+"""A parabola is fitted to the samples of so long [s]."""
+AGREEMENT: Final = 0.3
+"""phi_ddot may differ from that of a free fall by this share of it."""
+RATIO: Final = (0.6, 3.0)
+"""Where phi_dot / (w phi) may lie."""
+LASTING: Final = 0.01
+"""A fall has to be seen for so long [s]: the acceleration of a tremor passes through that of a
+fall in a third of this."""
+GROWN: Final = radians(4.0)
+"""... unless |phi + phi_dot / w| has reached this [rad]; at 11.7 deg no command can catch it."""
+HURRY: Final = 5e-4
+"""Then it has to be seen for so long only [s]: by two samples in a row at 1 kHz."""
+PATIENCE: Final = 0.2
+"""A fall takes less than this from 1.5 to 4 deg [s]: 0.12 s where it began near 0, 0.13 s at 1 deg,
+0.15 s at 1.3 deg."""
+GAP: Final = 0.02
+"""After a gap of so long [s] all is forgotten, and the hand is on."""
+SPACING: Final = 4e-4
+"""Samples that follow closer than this [s] are passed over, so that the memory has a size."""
+SIZE: Final = 512
+"""Samples in the memory: those of 0.2 s."""
+LEAST: Final = 12
+"""Fewer samples in the window give no parabola."""
+
+
+class Grip(Enum):
+    """Whose the pendulum is."""
+
+    HELD = "held"
+    """A hand's, or nobody can tell."""
+    ARMED = "armed"
+    """A hand's that holds it still: it may let go."""
+    RELEASED = "released"
+    """Its own: it falls, and has to be balanced now."""
+
+
+class ReleaseDetector:
+    """Tells from one encoder sample after the other whether a hand has let go.
+
+    Its memory has a fixed size. `RELEASED` stays until `reset`.
+    """
+
+    def __init__(self, pendulum: PendulumParameters) -> None:
+        """Begin with the hand on.
+
+        Args:
+            pendulum: The pendulum in use; w2 and c are needed.
+        """
+        self._w2, self._c, self._w = pendulum.w2, pendulum.c, sqrt(pendulum.w2)
+        self._time, self._phi = np.zeros(SIZE), np.zeros(SIZE)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the hand is on."""
+        self.grip = Grip.HELD
+        """Whose the pendulum is."""
+        self.denied = False
+        """Whether it was armed before, and the hand turned out to be still on."""
+        self._forget()
+
+    def feed(self, time: float, phi: float) -> Grip:
+        """Take a sample.
+
+        Args:
+            time: When it was taken [s].
+            phi: Angle from upright, in [-pi, pi) [rad].
+
+        Returns:
+            Whose the pendulum is now.
+        """
+        if self.grip is Grip.RELEASED:
+            return self.grip
+        if not (isfinite(time) and isfinite(phi)):
+            self._deny()
+            self._forget()
+            return self.grip
+        since_last = time - self._last
+        if 0.0 <= since_last < SPACING:
+            return self.grip
+        if not 0.0 <= since_last <= GAP:
+            if self._last > -inf:
+                self._deny()
+            self._forget()
+        self._keep(time, phi)
+        if self.grip is Grip.HELD:
+            self._wait(time, phi)
+        else:
+            self._watch(time, phi)
+        return self.grip
+
+    def _forget(self) -> None:
+        self._count, self._oldest = 0, 0
+        self._last = -inf
+        self._still_since = inf
+        self._beyond_since = inf
+        self._falling_since = inf
+
+    def _deny(self) -> None:
+        self.denied = self.grip is Grip.ARMED or self.denied
+        self.grip = Grip.HELD
+        self._still_since = self._beyond_since = self._falling_since = inf
+
+    def _keep(self, time: float, phi: float) -> None:
+        place = self._count % SIZE
+        self._time[place], self._phi[place] = time, phi
+        self._count += 1
+        self._last = time
+        # The newest sample that is at least 0.2 s old.
+        while self._oldest + 1 < self._count and time - self._of(self._oldest + 1)[0] >= ARM_MEAN:
+            self._oldest += 1
+
+    def _of(self, number: int) -> tuple[float, float]:
+        """Return time [s] and phi [rad] of a sample."""
+        return float(self._time[number % SIZE]), float(self._phi[number % SIZE])
+
+    def _wait(self, time: float, phi: float) -> None:
+        """Arm where it has been still for long enough."""
+        before, phi_before = self._of(self._oldest)
+        long_enough = time - before >= ARM_MEAN
+        if not (
+            long_enough
+            and abs(phi) < ARM_ANGLE
+            and abs(phi - phi_before) < ARM_RATE * (time - before)
+        ):
+            self._still_since = inf
+            return
+        self._still_since = min(self._still_since, time)
+        if time - self._still_since >= ARM_TIME:
+            self.grip, self.denied = Grip.ARMED, False
+
+    def _watch(self, time: float, phi: float) -> None:
+        """See whether it falls or is held."""
+        if abs(phi) <= RELEASE_ANGLE:
+            if self._beyond_since < inf:
+                self._deny()
+            return
+        self._beyond_since = min(self._beyond_since, time)
+        falls, grown = self._falls(time)
+        self._falling_since = min(self._falling_since, time) if falls else inf
+        if falls and time - self._falling_since >= (LASTING if grown < GROWN else HURRY):
+            self.grip = Grip.RELEASED
+        elif abs(phi) > HELD_ANGLE or time - self._beyond_since > PATIENCE:
+            self._deny()
+
+    def _falls(self, now: float) -> tuple[bool, float]:
+        """Return whether the last 40 ms look like a fall, and |phi + phi_dot / w| [rad]."""
+        n = 0
+        t1 = t2 = t3 = t4 = y0 = y1 = y2 = 0.0
+        number = self._count - 1
+        # In windows, so that the sums are of one size. Armed, the memory reaches back further.
+        while (t := (self._of(number)[0] - now) / WINDOW) >= -1.0:
+            phi = self._of(number)[1]
+            number -= 1
+            n += 1
+            tt = t * t
+            t1, t2, t3, t4 = t1 + t, t2 + tt, t3 + tt * t, t4 + tt * tt
+            y0, y1, y2 = y0 + phi, y1 + phi * t, y2 + phi * tt
+        if n < LEAST:
+            return False, 0.0
+        # The normal equations of phi = a + b t + d t^2, by Cramer's rule.
+        m00, m01, m02 = t2 * t4 - t3 * t3, t2 * t3 - t1 * t4, t1 * t3 - t2 * t2
+        m11, m12, m22 = n * t4 - t2 * t2, t1 * t2 - n * t3, n * t2 - t1 * t1
+        determinant = n * m00 + t1 * m01 + t2 * m02
+        phi = (m00 * y0 + m01 * y1 + m02 * y2) / determinant
+        b = (m01 * y0 + m11 * y1 + m12 * y2) / determinant
+        d = (m02 * y0 + m12 * y1 + m22 * y2) / determinant
+        phi_dot, phi_ddot = b / WINDOW, 2.0 * d / WINDOW**2
+        # A parabola's acceleration belongs to the middle of its window.
+        middle, middle_dot = phi - 0.5 * b + 0.25 * d, phi_dot - 0.5 * WINDOW * phi_ddot
+        free = self._w2 * sin(middle) - self._c * middle_dot
+        agrees = abs(phi_ddot - free) <= AGREEMENT * abs(free)
+        # The ratio's bounds, without a division by phi.
+        along = phi_dot if phi > 0.0 else -phi_dot
+        fast = RATIO[0] * self._w * abs(phi) <= along <= RATIO[1] * self._w * abs(phi)
+        return agrees and fast, abs(phi + phi_dot / self._w)

@@ -1,0 +1,725 @@
+r"""When a run on a rig has to stop: pure rules, each with its name, its words and its evidence.
+
+Two questions are asked, both without a clock and without I/O:
+
+`check_setpoint`, `check_first`
+    May this setpoint be sent? Asked of each, just before it goes out.
+`check`
+    May the run go on? Asked once per tick, of all that is known then (`View`), and of what has
+    been going on for a while (`Watch`, from `watch`).
+
+Each returns the first rule that is broken, in the order of `Rule`, or none. What a broken rule
+leads to is the business of `equipoise.control.states` and `equipoise.control.stop`: a latched stop.
+
+Guards never clip. A setpoint that may not be sent is not made smaller, and a speed that is too high
+is not cut: the controller would go on with a motion that does not happen.
+
+The limits of the joints are those of the rig's own arm; all other numbers stand here, each with its
+reason. Software guards are no safety functions: they run on a PC that may die, and a KST server
+goes on to its last target when it does. That target is always near, because of these rules.
+"""
+
+from collections.abc import Sequence
+from enum import Enum
+from math import copysign, inf, isfinite, nan, pi, radians
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from equipoise import paper
+from equipoise.model.arms.arm import Arm
+
+Numbers = tuple[float, ...]
+
+POSITION_MARGIN: Final = radians(3.0)
+"""Setpoints stay so far inside the position limits [rad]: the controller's own supervision stops
+the arm with its brakes at the limit."""
+STEP_LIMIT: Final = radians(2.0)
+"""No setpoint is further than this from the one before [rad], however long that was ago: five times
+what the slowest joint of an iiwa may go in 5 ms. Radians and degrees mixed up end here."""
+FIRST_LIMIT: Final = 0.005
+"""The first setpoint is no further than this from the measured posture [rad]: 5 mm at arm's
+length, a hundred times the noise of a measured joint."""
+ROUNDING: Final = 1e-6
+"""Velocities and accelerations may pass their limits by this share: setpoints are differenced."""
+STOP_DECELERATION: Final = 4.0
+"""The flange's deceleration on the way to rest [m/s^2]: twice the largest command, which an arm
+that balances follows with room to spare."""
+TRACK: Final = paper.X_LIMIT
+"""The flange stays within plus and minus this [m]."""
+ANGLE: Final = radians(paper.PHI_LIMIT_DEG)
+"""A pendulum that leans so far is lost [rad]."""
+T1_SPEED: Final = 0.23
+"""In T1 the flange stays below this [m/s]: the controller stops the arm with its brakes at
+0.25 m/s, and measured speeds are noisy."""
+ENCODER_LATE: Final = 0.005
+"""An encoder sample older than this is worth a warning [s]: at 1 kHz five were missed."""
+ENCODER_STALE: Final = 0.020
+"""An encoder sample older than this is no measurement [s]: the observer bridges two ticks."""
+RATE_LIMIT: Final = 20.0
+"""A pendulum turns no faster [rad/s]: falling from upright it reaches 2 sqrt(w2) = 17 rad/s."""
+KINK_LIMIT: Final = radians(0.6)
+"""Counts do not leave the straight line through the two before by more than this, beyond what a
+step of the encoder and gravity explain [rad]: time stamps are wrong by up to 0.3 ms."""
+SHAKE: Final = 150.0
+"""What accelerates a pendulum at most [rad/s^2]: gravity 70, its pivot 15, a hand the rest."""
+LATE: Final = 0.020
+"""A tick may begin so late [s]: the observer and the last setpoints bridge two ticks."""
+MISSED_LIMIT: Final = 3
+"""... and fewer than so many ticks in a row may be missed, each late by a tick or more."""
+OVERDUE: Final = 0.050
+"""A reply of the robot may take so long [s]: a round trip takes 1 to 4 ms, and the operator has to
+know within 100 ms that software cannot stop the robot any more."""
+TORQUE_SHARE: Final = 0.10
+"""An external torque may differ from that at home by this share of the joint's limit: 32 N m at A1
+of an iiwa 14, a push of some 60 N at the flange."""
+FOLLOWING_LIMIT: Final = 0.03
+"""A measured joint may differ from the expected one by this [rad]: 20 mm at the flange, ten times
+what a delay misjudged by 10 ms makes at the speeds of balancing."""
+FOLLOWING_TIME: Final = 0.05
+"""... or by more, for less than this [s]."""
+STILL_LIMIT: Final = 5e-4
+"""A joint whose measured angle changes by less than this has not moved [rad]: ten times its
+noise."""
+STILL_MOTION: Final = 0.01
+"""An arm that has not moved while some joint was expected to go so far [rad] does not follow:
+emergency stop, enabling switch, protective stop or another mode."""
+SINGULAR_SHARE: Final = 0.1
+"""|det J| stays above this share of its value at home: twice that from which CLIK damps."""
+DRIFT_LIMIT: Final = 0.015
+"""The flange stays so near to its line [m]; its controller keeps it to 1 mm."""
+TILT_LIMIT: Final = radians(2.0)
+"""The flange keeps its orientation to this [rad]: a wrong pitch is a wrong angle."""
+
+
+class Rule(Enum):
+    """What can be broken; of several the first in this order is named.
+
+    First what makes all other numbers meaningless, then what is out of reach, then what hurts, then
+    what ends the balance.
+    """
+
+    NUMBER = "not a number"
+    """Something that should be a finite number is none."""
+    COUNT = "wrong count"
+    """A setpoint has more or fewer numbers than the arm has joints."""
+    LINK = "link overdue"
+    """The robot does not answer in time: software may be unable to stop it."""
+    NOT_FOLLOWING = "robot not following"
+    """The arm stands still while it should move: something else has stopped it."""
+    TORQUE = "contact"
+    """External torque: something touches the arm."""
+    FOLLOWING = "following error"
+    """The arm is not where it should be."""
+    FIRST = "first setpoint"
+    """The first setpoint is away from the measured posture."""
+    POSITION = "joint position"
+    """A setpoint is too near to a position limit, or could not be stopped before it."""
+    JUMP = "jump"
+    """A setpoint is far from the one before."""
+    VELOCITY = "joint velocity"
+    """A setpoint asks for more than the joint's velocity."""
+    ACCELERATION = "joint acceleration"
+    """A setpoint asks for more than the joint's acceleration."""
+    SINGULAR = "near singularity"
+    """The arm is close to a posture in which it cannot move the flange at will."""
+    TRACK = "track"
+    """The flange could not be stopped within its track any more."""
+    T1 = "T1 speed"
+    """The flange is faster than T1 allows."""
+    DRIFT = "flange drift"
+    """The flange has left its line."""
+    TILT = "flange tilt"
+    """The flange has left its orientation."""
+    TICK = "late tick"
+    """The loop does not keep its time."""
+    ENCODER_STALE = "stale encoder"
+    """No encoder sample came for too long."""
+    ENCODER_ILLEGAL = "illegal transition"
+    """The encoder's two lines changed at once: counts are lost."""
+    ENCODER_GAP = "encoder gap"
+    """Encoder samples are missing: how far it turned meanwhile is not known."""
+    ENCODER_JUMP = "count jump"
+    """The counts moved as no pendulum does."""
+    ANGLE = "angle"
+    """The pendulum has fallen."""
+
+
+FROM_MEASURED: Final = frozenset({Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.TORQUE, Rule.FIRST})
+"""Where these are broken the arm is not where it was sent: targets go on from measured joints."""
+
+
+class Violation(NamedTuple):
+    """A broken rule."""
+
+    rule: Rule
+    """Which."""
+    reason: str
+    """What the operator is told: what is, what may be."""
+    value: float
+    """The number that is out of bounds, in the rule's unit (SI)."""
+    limit: float
+    """The bound."""
+    joint: int | None = None
+    """Which joint, counted from one; none where it is not about one."""
+
+    @property
+    def from_measured(self) -> bool:
+        """Whether the targets have to go on from the measured posture."""
+        return self.rule in FROM_MEASURED
+
+
+class Limits(NamedTuple):
+    """What setpoints have to keep to, one entry per joint, the held one included."""
+
+    lower: Numbers
+    """Lower limits of the position, the margin taken off [rad]."""
+    upper: Numbers
+    """Upper limits of the position, the margin taken off [rad]."""
+    velocity: Numbers
+    """Limits of the velocity [rad/s]."""
+    acceleration: Numbers
+    """Limits of the acceleration [rad/s^2]."""
+
+    @property
+    def joints(self) -> int:
+        """How many joints there are."""
+        return len(self.lower)
+
+
+def limits_of(arm: Arm) -> Limits:
+    """Return what the setpoints for an arm have to keep to."""
+    return Limits(
+        lower=tuple(joint.lower + POSITION_MARGIN for joint in arm.joints),
+        upper=tuple(joint.upper - POSITION_MARGIN for joint in arm.joints),
+        velocity=tuple(joint.velocity for joint in arm.joints),
+        acceleration=tuple(joint.acceleration for joint in arm.joints),
+    )
+
+
+class Guard(NamedTuple):
+    """The rules with the numbers of a rig."""
+
+    limits: Limits
+    """Of the joints."""
+    torque: Numbers
+    """How far an external torque may be from that at home [N m], per joint."""
+    reaction: float
+    """T of the track rule: transport delay and lag of the arm [s]."""
+    u_max: float
+    """Largest acceleration that the policy commands [m/s^2]."""
+    least_manipulability: float
+    """|det J| stays above this [m^3]."""
+    h: float
+    """Time between ticks [s]."""
+    resolution: float
+    """Angle of one encoder count [rad]."""
+    t1: bool = False
+    """Whether T1 limits the speed of the flange."""
+
+
+def make_guard(
+    arm: Arm, *, reaction: float, u_max: float, h: float, counts_per_rev: int, t1: bool = False
+) -> Guard:
+    """Return the rules for a rig.
+
+    Args:
+        arm: The rig's arm, with its home posture.
+        reaction: Transport delay and lag of the arm [s].
+        u_max: Largest acceleration that the policy commands [m/s^2].
+        h: Time between ticks [s].
+        counts_per_rev: Encoder counts per revolution, after x4.
+        t1: Whether T1 limits the speed of the flange.
+    """
+    at_home = abs(float(np.linalg.det(arm.kinematics(arm.home_free).jacobian)))
+    return Guard(
+        limits=limits_of(arm),
+        torque=tuple(TORQUE_SHARE * joint.torque for joint in arm.joints),
+        reaction=reaction,
+        u_max=u_max,
+        least_manipulability=SINGULAR_SHARE * at_home,
+        h=h,
+        resolution=2.0 * pi / counts_per_rev,
+        t1=t1,
+    )
+
+
+# Setpoints.
+
+
+def check_setpoint(
+    limits: Limits, q: Sequence[float], last: Numbers, before: Numbers, dt: float
+) -> Violation | None:
+    """Return what forbids to send a setpoint, or none.
+
+    Args:
+        limits: What it has to keep to.
+        q: The setpoint [rad], shape (n,).
+        last: The one sent before [rad], shape (n,).
+        before: The one before that [rad], shape (n,); the same as `last` where the arm is at rest.
+        dt: Time between setpoints in the stream [s].
+    """
+    broken = _not_numbers(limits, q)
+    if broken is not None:
+        return broken
+    for rule in (_position, _jump, _velocity, _acceleration):
+        broken = rule(limits, q, last, before, dt)
+        if broken is not None:
+            return broken
+    return None
+
+
+def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -> Violation | None:
+    """Return what forbids to send the first setpoint of a stream, or none.
+
+    Args:
+        limits: What it has to keep to.
+        q: The setpoint [rad], shape (n,).
+        measured: The measured joints [rad], shape (n,).
+    """
+    broken = _not_numbers(limits, q) or _not_numbers(limits, measured, "the measured posture")
+    if broken is not None:
+        return broken
+    for number, (place, there) in enumerate(zip(q, measured, strict=True), start=1):
+        away = abs(place - there)
+        if away > FIRST_LIMIT:
+            return Violation(
+                Rule.FIRST,
+                f"the first setpoint of joint {number} is {away:.4f} rad from where it is "
+                f"measured, expected at most {FIRST_LIMIT:g} rad",
+                away,
+                FIRST_LIMIT,
+                number,
+            )
+    return _position(limits, q, tuple(q), tuple(q), inf)
+
+
+def _not_numbers(limits: Limits, q: Sequence[float], name: str = "a setpoint") -> Violation | None:
+    if len(q) != limits.joints:
+        return Violation(
+            Rule.COUNT,
+            f"{name} has {len(q)} numbers, expected {limits.joints}, one per joint",
+            float(len(q)),
+            float(limits.joints),
+        )
+    for number, place in enumerate(q, start=1):
+        if not isfinite(place):
+            return Violation(
+                Rule.NUMBER,
+                f"{name} has {place} for joint {number}, expected a finite number",
+                place,
+                nan,
+                number,
+            )
+    return None
+
+
+def _position(
+    limits: Limits, q: Sequence[float], last: Numbers, before: Numbers, dt: float
+) -> Violation | None:
+    for i, place in enumerate(q):
+        velocity = (place - last[i]) / dt
+        # Where it comes to rest at the joint's largest deceleration.
+        rest = place + copysign(0.5 * velocity**2 / limits.acceleration[i], velocity)
+        lower, upper = limits.lower[i], limits.upper[i]
+        for end, what in ((place, "is"), (rest, "could only be stopped")):
+            if lower <= end <= upper:
+                continue
+            return Violation(
+                Rule.POSITION,
+                f"the setpoint of joint {i + 1} {what} at {end:.4f} rad, expected "
+                f"{lower:.4f} to {upper:.4f} rad (its limits less 3 deg)",
+                end,
+                lower if end < lower else upper,
+                i + 1,
+            )
+    return None
+
+
+def _jump(
+    limits: Limits, q: Sequence[float], last: Numbers, before: Numbers, dt: float
+) -> Violation | None:
+    for i, place in enumerate(q):
+        step = abs(place - last[i])
+        if step > STEP_LIMIT:
+            return Violation(
+                Rule.JUMP,
+                f"the setpoint of joint {i + 1} jumps by {step:.4f} rad, expected at most "
+                f"{STEP_LIMIT:.4f} rad; are its units right?",
+                step,
+                STEP_LIMIT,
+                i + 1,
+            )
+    return None
+
+
+def _velocity(
+    limits: Limits, q: Sequence[float], last: Numbers, before: Numbers, dt: float
+) -> Violation | None:
+    for i, place in enumerate(q):
+        velocity, limit = abs(place - last[i]) / dt, limits.velocity[i]
+        if velocity > limit * (1.0 + ROUNDING):
+            return Violation(
+                Rule.VELOCITY,
+                f"the setpoint of joint {i + 1} asks for {velocity:.3f} rad/s, expected at most "
+                f"{limit:.3f} rad/s",
+                velocity,
+                limit,
+                i + 1,
+            )
+    return None
+
+
+def _acceleration(
+    limits: Limits, q: Sequence[float], last: Numbers, before: Numbers, dt: float
+) -> Violation | None:
+    for i, place in enumerate(q):
+        change = place - 2.0 * last[i] + before[i]
+        acceleration, limit = abs(change) / dt**2, limits.acceleration[i]
+        if acceleration > limit * (1.0 + ROUNDING):
+            return Violation(
+                Rule.ACCELERATION,
+                f"the setpoint of joint {i + 1} asks for {acceleration:.2f} rad/s^2, expected at "
+                f"most {limit:.2f} rad/s^2",
+                acceleration,
+                limit,
+                i + 1,
+            )
+    return None
+
+
+# The run.
+
+
+class View(NamedTuple):
+    """What is known at a tick. The defaults are those of a run in which all is well."""
+
+    lateness: float = 0.0
+    """How late the tick began [s]."""
+    overdue: float = 0.0
+    """How long the oldest unanswered setpoint has been waiting for its reply [s]."""
+    measured: Numbers | None = None
+    """Measured joints [rad], all of them; none where no new ones came."""
+    expected: Numbers | None = None
+    """Where the model of the arm has them at the time of `measured` [rad]."""
+    torque: Numbers | None = None
+    """External torques less those at home [N m]; none where no new ones came."""
+    encoder_age: float = 0.0
+    """Age of the newest encoder sample [s]."""
+    encoder_illegal: bool = False
+    """Whether the board met an illegal transition since the tick before."""
+    encoder_missing: int = 0
+    """Encoder samples lost since the tick before."""
+    encoder_jump: float = 0.0
+    """Largest `unexplained` turn since the tick before [rad]."""
+    balancing: bool = False
+    """Whether the policy commands."""
+    x: float = 0.0
+    """Displacement of the flange from home along base x [m]."""
+    x_dot: float = 0.0
+    """Its velocity [m/s]."""
+    phi: float = 0.0
+    """Angle of the pendulum from upright [rad]."""
+    on_track: bool = False
+    """Whether the flange is on its track, where its line and orientation count; on the way home it
+    is not."""
+    manipulability: float = inf
+    """|det J| [m^3]; inf where it is not looked at."""
+    drift: float = 0.0
+    """Distance of the flange from its line [m]."""
+    tilt: float = 0.0
+    """Angle of the flange from its orientation [rad]."""
+
+
+class Watch(NamedTuple):
+    """What has been going on for some ticks."""
+
+    missed: int = 0
+    """Ticks in a row that were late by a tick or more."""
+    astray: float = 0.0
+    """For how long some joint has been far from where it was expected [s]."""
+    rest: Numbers | None = None
+    """Measured joints when the arm was last seen to move [rad]."""
+    expected: Numbers | None = None
+    """Where it was expected then [rad]."""
+    farthest: float = 0.0
+    """How far some joint was expected to move since then [rad]."""
+
+
+def watch(guard: Guard, before: Watch, view: View) -> Watch:
+    """Return what has been going on, a tick later.
+
+    Args:
+        guard: The rules.
+        before: The same at the tick before.
+        view: What is known now; to be looked at with `check` first, which finds what is no number.
+    """
+    missed = before.missed + 1 if view.lateness >= guard.h else 0
+    measured, expected = view.measured, view.expected
+    if measured is None or expected is None:
+        return before._replace(missed=missed)
+    error = _largest(measured, expected)[0]
+    astray = before.astray + guard.h if error > FOLLOWING_LIMIT else 0.0
+    if (
+        before.rest is None
+        or before.expected is None
+        or _largest(measured, before.rest)[0] > STILL_LIMIT
+    ):
+        return Watch(missed, astray, measured, expected)
+    farthest = max(before.farthest, _largest(expected, before.expected)[0])
+    return Watch(missed, astray, before.rest, before.expected, farthest)
+
+
+def check(guard: Guard, watched: Watch, view: View) -> Violation | None:
+    """Return why the run must not go on, or none; of several reasons the first of `Rule`.
+
+    Args:
+        guard: The rules.
+        watched: What has been going on, this tick included.
+        view: What is known now.
+    """
+    return (
+        _numbers(view)
+        or _link(view)
+        or _motion(guard, watched, view)
+        or (_flange(guard, view) if view.on_track else None)
+        or _tick(watched, view)
+        or _encoder(view)
+        or (_angle(view) if view.balancing else None)
+    )
+
+
+def _numbers(view: View) -> Violation | None:
+    for name, value in zip(view._fields, view, strict=True):
+        if value is None:
+            continue
+        if name == "manipulability" and value == inf:
+            continue
+        for number in value if isinstance(value, tuple) else (value,):
+            if not isfinite(number):
+                return Violation(
+                    Rule.NUMBER,
+                    f"{name} is {number}, expected a finite number",
+                    number,
+                    nan,
+                )
+    return None
+
+
+def _link(view: View) -> Violation | None:
+    if view.overdue <= OVERDUE:
+        return None
+    return Violation(
+        Rule.LINK,
+        f"the robot has not answered for {1e3 * view.overdue:.0f} ms, expected at most "
+        f"{1e3 * OVERDUE:.0f} ms; software may be unable to stop it: use the emergency stop",
+        view.overdue,
+        OVERDUE,
+    )
+
+
+def _motion(guard: Guard, watched: Watch, view: View) -> Violation | None:
+    if watched.farthest > STILL_MOTION:
+        return Violation(
+            Rule.NOT_FOLLOWING,
+            f"the arm stands still where a joint should have moved by {watched.farthest:.3f} rad: "
+            "emergency stop, enabling switch, protective stop or another mode",
+            watched.farthest,
+            STILL_MOTION,
+        )
+    if view.torque is not None:
+        for number, (torque, limit) in enumerate(
+            zip(view.torque, guard.torque, strict=True), start=1
+        ):
+            if abs(torque) > limit:
+                return Violation(
+                    Rule.TORQUE,
+                    f"the external torque at joint {number} is {torque:.1f} N m from that at home, "
+                    f"expected at most {limit:.1f} N m: something touches the arm",
+                    torque,
+                    limit,
+                    number,
+                )
+    if watched.astray > FOLLOWING_TIME and view.measured is not None and view.expected is not None:
+        error, number = _largest(view.measured, view.expected)
+        return Violation(
+            Rule.FOLLOWING,
+            f"joint {number} is {error:.3f} rad from where it is expected for "
+            f"{1e3 * watched.astray:.0f} ms, expected at most {FOLLOWING_LIMIT:g} rad",
+            error,
+            FOLLOWING_LIMIT,
+            number,
+        )
+    return None
+
+
+def _flange(guard: Guard, view: View) -> Violation | None:
+    if view.manipulability < guard.least_manipulability:
+        return Violation(
+            Rule.SINGULAR,
+            f"the arm is near a singularity: |det J| is {view.manipulability:.2g} m^3, expected at "
+            f"least {guard.least_manipulability:.2g} m^3",
+            view.manipulability,
+            guard.least_manipulability,
+        )
+    reach = stopping_reach(view.x, view.x_dot, guard.reaction, guard.u_max)
+    if not max(reach, abs(view.x)) < TRACK:
+        return Violation(
+            Rule.TRACK,
+            f"the flange is at {view.x:.3f} m with {view.x_dot:.3f} m/s and could be stopped at "
+            f"{reach:.3f} m, expected less than {TRACK:g} m from home",
+            max(reach, abs(view.x)),
+            TRACK,
+        )
+    if guard.t1 and abs(view.x_dot) >= T1_SPEED:
+        return Violation(
+            Rule.T1,
+            f"the flange moves at {view.x_dot:.3f} m/s, expected less than {T1_SPEED:g} m/s in T1",
+            view.x_dot,
+            T1_SPEED,
+        )
+    if view.drift > DRIFT_LIMIT:
+        return Violation(
+            Rule.DRIFT,
+            f"the flange is {1e3 * view.drift:.1f} mm off its line, expected at most "
+            f"{1e3 * DRIFT_LIMIT:g} mm",
+            view.drift,
+            DRIFT_LIMIT,
+        )
+    if abs(view.tilt) > TILT_LIMIT:
+        return Violation(
+            Rule.TILT,
+            f"the flange is tilted by {np.rad2deg(view.tilt):.2f} deg, expected at most "
+            f"{np.rad2deg(TILT_LIMIT):g} deg",
+            view.tilt,
+            TILT_LIMIT,
+        )
+    return None
+
+
+def stopping_reach(x: float, x_dot: float, reaction: float, u_max: float) -> float:
+    r"""Return how far out the flange comes to rest, if the stop is decided now [m].
+
+    .. math:: s x + |\dot x| T + \tfrac12 u_{max} T^2 + \frac{(|\dot x| + u_{max} T)^2}{2 \cdot 4},
+              \qquad s = \mathrm{sign}\,\dot x
+
+    Until the stop takes effect, T from now, the command in flight may accelerate the flange
+    outwards; then it slows down at 4 m/s^2. Negative where it moves inwards from the other end.
+
+    Args:
+        x: Displacement from home along base x [m].
+        x_dot: Its velocity [m/s]; at rest it may go out on the side where it is.
+        reaction: T, transport delay and lag of the arm [s].
+        u_max: Largest acceleration commanded [m/s^2].
+    """
+    s = copysign(1.0, x_dot if x_dot != 0.0 else x)
+    speed, T = abs(x_dot), reaction
+    gained = speed * T + 0.5 * u_max * T**2
+    return s * x + gained + (speed + u_max * T) ** 2 / (2.0 * STOP_DECELERATION)
+
+
+def _tick(watched: Watch, view: View) -> Violation | None:
+    if view.lateness > LATE:
+        return Violation(
+            Rule.TICK,
+            f"the loop was {1e3 * view.lateness:.1f} ms late, expected at most "
+            f"{1e3 * LATE:g} ms; `equipoise doctor` looks for the cause",
+            view.lateness,
+            LATE,
+        )
+    if watched.missed >= MISSED_LIMIT:
+        return Violation(
+            Rule.TICK,
+            f"the loop missed {watched.missed} ticks in a row, expected fewer than "
+            f"{MISSED_LIMIT}; `equipoise doctor` looks for the cause",
+            float(watched.missed),
+            float(MISSED_LIMIT),
+        )
+    return None
+
+
+def _encoder(view: View) -> Violation | None:
+    if view.encoder_age > ENCODER_STALE:
+        return Violation(
+            Rule.ENCODER_STALE,
+            f"the newest encoder sample is {1e3 * view.encoder_age:.1f} ms old, expected at most "
+            f"{1e3 * ENCODER_STALE:g} ms; look at its cable",
+            view.encoder_age,
+            ENCODER_STALE,
+        )
+    if view.encoder_illegal:
+        return Violation(
+            Rule.ENCODER_ILLEGAL,
+            "the encoder's lines changed both at once: counts are lost; look at its wiring",
+            1.0,
+            0.0,
+        )
+    if view.encoder_missing > 0:
+        return Violation(
+            Rule.ENCODER_GAP,
+            f"{view.encoder_missing} encoder samples are missing, expected none; look at its "
+            "cable and at the load of this machine",
+            float(view.encoder_missing),
+            0.0,
+        )
+    if view.encoder_jump > KINK_LIMIT:
+        return Violation(
+            Rule.ENCODER_JUMP,
+            f"the encoder jumped by {np.rad2deg(view.encoder_jump):.2f} deg more than a pendulum "
+            f"moves, expected at most {np.rad2deg(KINK_LIMIT):g} deg; look at its coupling",
+            view.encoder_jump,
+            KINK_LIMIT,
+        )
+    return None
+
+
+def _angle(view: View) -> Violation | None:
+    if abs(view.phi) < ANGLE:
+        return None
+    return Violation(
+        Rule.ANGLE,
+        f"the pendulum leans by {np.rad2deg(view.phi):.1f} deg, expected less than "
+        f"{paper.PHI_LIMIT_DEG:g} deg",
+        view.phi,
+        ANGLE,
+    )
+
+
+def encoder_is_late(age: float) -> bool:
+    """Return whether the age of the newest encoder sample [s] is worth a warning."""
+    return age > ENCODER_LATE
+
+
+def unexplained(
+    times: tuple[float, float, float], counts: tuple[int, int, int], resolution: float
+) -> float:
+    """Return how far the newest of three counts is from what a pendulum can do [rad].
+
+    A pendulum goes straight on from the two counts before, but for a step of the encoder each and
+    for what accelerates it; and it turns no faster than `RATE_LIMIT`.
+
+    Args:
+        times: When they were counted [s], the oldest first.
+        counts: The counts.
+        resolution: Angle of one count [rad].
+
+    Returns:
+        Zero where nothing has to be explained; inf where time does not go on.
+    """
+    first, dt = times[1] - times[0], times[2] - times[1]
+    if not (first > 0.0 and dt > 0.0):
+        return inf
+    turned = (counts[2] - counts[1]) * resolution
+    straight = (counts[1] - counts[0]) * resolution * dt / first
+    allowed = resolution * (1.0 + dt / first) + 0.5 * SHAKE * dt * (dt + first)
+    kink = abs(turned - straight) - allowed
+    return max(kink, abs(turned) - resolution - RATE_LIMIT * dt, 0.0)
+
+
+def _largest(a: Numbers, b: Numbers) -> tuple[float, int]:
+    """Return the largest difference, and between which entries, counted from one."""
+    largest, number = 0.0, 1
+    for i, (one, other) in enumerate(zip(a, b, strict=True), start=1):
+        if abs(one - other) > largest:
+            largest, number = abs(one - other), i
+    return largest, number

@@ -1,0 +1,420 @@
+r"""Does the hanging pendulum answer a known motion as the model says? And where is its zero?
+
+The flange makes a minimum-jerk move of 40 mm in 0.8 s, which is about a period: the pendulum
+answers with a swing of several degrees, that then decays. The model is driven by the *measured*
+motion of the pivot, and fitted to the encoder:
+
+.. math:: counts(t + \tau) \cdot 2\pi/N = G\,\theta(t) + zero, \qquad
+          \ddot\theta = -w_2 \sin\theta - c\,\dot\theta - f\,\mathrm{sign}\,\dot\theta
+                        - \frac{w_2}{g} \cos\theta\;\ddot x
+
+G is 1 where sign and counts per revolution are right. w2 is mostly the period's, G the amplitude's,
+tau the phase's, and the zero is the middle of the swing: five numbers that a wrong rig gets wrong
+one by one. The friction c, f and the first state are fitted along.
+
+The intervals come from blocks of half a period: errors within a block hang together.
+"""
+
+from enum import Enum
+from math import pi, radians, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.compiled import kernel
+from equipoise.control.minimum_jerk import Path
+from equipoise.model.pendulum import PendulumParameters, step
+
+Array = npt.NDArray[np.float64]
+
+MOVE: Final = 0.04
+"""How far the flange moves [m]."""
+MOVE_TIME: Final = 0.8
+"""In what time [s]."""
+SWING_TIME: Final = 4.0
+"""How long the pendulum is watched afterwards [s]: five periods."""
+COUNTS_TOLERANCE: Final = 0.05
+"""G may differ from 1 or -1 by this: halfway to the smallest mistake, 10 %."""
+W2_TOLERANCE: Final = 0.05
+"""w2 may differ by this share: training varies it by 2 % (one standard deviation)."""
+DELAY_TOLERANCE: Final = 0.015
+"""tau may differ from what is expected by this [s]: the prediction has a margin of 5 ms, and 30 ms
+make it fail."""
+ZERO_TOLERANCE: Final = radians(0.5)
+"""The middle of the swing may be off the resting count by this [rad]: stiction explains 0.1 deg of
+a good bearing, and half of the trials survive 0.75 deg."""
+ZERO_INTERVAL: Final = radians(0.1)
+"""The zero is good when its interval is within plus and minus this [rad]."""
+LEAST_MOVE: Final = 0.5
+"""The flange has to have moved by this share of the 40 mm, or nothing was tested."""
+LEAST_ANSWER: Final = radians(0.5)
+"""An answer whose standard deviation is below this [rad] is none: a good one has 2 deg."""
+MISFIT: Final = 0.1
+"""A residual above this share of the answer's standard deviation is not understood."""
+STEP: Final = 0.004
+"""Step of the model [s]: a 190th of a period."""
+MOST_SAMPLES: Final = 2000
+"""Of more encoder samples every second, third ... is taken: counts 2 ms apart say as much."""
+KNOTS: Final = 0.04
+"""Spacing of the knots of the spline through the measured motion [s]: a twentieth of the move."""
+CONFIDENCE: Final = 0.975
+"""Quantile of the intervals: 95 % between both sides."""
+LEAST_SAMPLES: Final = 200
+"""Fewer samples of encoder or pivot are refused."""
+LONGEST_GAP: Final = 0.05
+"""A longer gap between samples is refused [s]: the pivot's motion is guessed over it."""
+LEAST_SWING: Final = 0.5
+"""The swing after the move has to be watched for this share of its time."""
+SLACK: Final = 0.15
+"""The model begins so long before the first sample, and ends so long after the last [s]: the
+delays that are looked for."""
+DELAYS: Final = (-0.06, -0.03, 0.0, 0.03, 0.06)
+"""Delays beyond the expected one from which the fit begins [s]."""
+RATES: Final = (0.6, 1.5, 181)
+"""Shares of sqrt(w2) at which the swing is looked for: from, to, how many."""
+DECAYS: Final = (0.05, 0.15, 0.3)
+"""Its decays [1/s]."""
+ITERATIONS: Final = 30
+"""Steps of the fit at most; it takes about ten."""
+DIFFERENCE: Final = 1e-4
+"""Step of the finite differences, in scales."""
+
+UNKNOWNS: Final = 8
+GAIN, W2, TAU, ZERO, C, COULOMB, THETA, THETA_DOT = range(UNKNOWNS)
+"""Places of the unknowns."""
+SCALES: Final = np.array([1.0, 70.0, 0.1, 0.1, 1.0, 1.0, 0.1, 1.0])
+"""What counts as much of each, in its unit."""
+
+
+class Verdict(Enum):
+    """What a self-test says."""
+
+    PASSED = "passed"
+    """All is as the model says, and the zero is known."""
+    REPEAT = "repeat"
+    """All is as the model says, but the zero's interval is too wide: let it swing once more."""
+    SIGN = "encoder sign"
+    """The counts grow the wrong way, or the pendulum is mounted the other way round."""
+    COUNTS = "counts factor"
+    """The encoder has another number of counts per revolution."""
+    W2 = "w2"
+    """It is another pendulum, or its mass has moved."""
+    DELAY = "delay"
+    """The answer comes later or earlier than it should."""
+    ZERO = "zero"
+    """The pendulum did not hang straight when it was referenced."""
+    NOT_UNDERSTOOD = "not understood"
+    """No answer, or one that no such pendulum gives."""
+
+
+class Interval(NamedTuple):
+    """An estimate with its 95 % interval."""
+
+    value: float
+    """Best value."""
+    half: float
+    """Half of the interval's width."""
+
+
+class SelfTest(NamedTuple):
+    """What the answer of the pendulum says."""
+
+    verdict: Verdict
+    """The first that is wrong, or that nothing is."""
+    reason: str
+    """What the operator is told."""
+    gain: Interval
+    """G, encoder over model."""
+    w2: Interval
+    """Gravity over inertia [1/s^2]."""
+    delay: Interval
+    """tau, of the encoder behind the measured motion [s]."""
+    zero: Interval
+    """Counts at which the pendulum hangs, less the resting count [rad]."""
+    misfit: float
+    """Root mean square of the residual over the answer's standard deviation."""
+
+
+def excitation(x: float, direction: float = 1.0) -> Path:
+    """Return the path of the flange, from x to 40 mm further [m].
+
+    Args:
+        x: Where it begins [m].
+        direction: 1 or -1.
+    """
+    return Path((x,), (x + direction * MOVE,), MOVE_TIME)
+
+
+@kernel
+def _driven_swing(
+    theta: float, theta_dot: float, u: Array, h: float, pendulum: PendulumParameters, thetas: Array
+) -> None:
+    """Write theta [rad] after each step of length h, the pivot's acceleration u held over each."""
+    phi, phi_dot = pi - theta, -theta_dot
+    thetas[0] = theta
+    for i in range(len(u)):
+        phi, phi_dot = step(phi, phi_dot, u[i], h, pendulum)
+        thetas[i + 1] = pi - phi
+
+
+def self_test(
+    time: Array,
+    counts: Array,
+    pivot_time: Array,
+    pivot_x: Array,
+    *,
+    pendulum: PendulumParameters,
+    counts_per_rev: int,
+    resting: float,
+    delay: float,
+) -> SelfTest:
+    """Judge the pendulum's answer to the motion of its pivot.
+
+    Args:
+        time: Times of the encoder samples [s], from before the move until some periods after it,
+            shape (n,).
+        counts: Encoder counts, shape (n,).
+        pivot_time: Times of the measured joints [s], over at least the same time, shape (m,).
+        pivot_x: Place of the pivot along base x, from the measured joints [m], shape (m,).
+        pendulum: The pendulum as it was identified; k / w2 is 1 / g.
+        counts_per_rev: Encoder counts per revolution, after x4.
+        resting: The count at which it was referenced.
+        delay: How much later the encoder's time stamps are expected to show the pendulum than
+            those of the joints show the arm [s].
+    """
+    problem = _unusable(time, counts, pivot_time, pivot_x)
+    if problem:
+        return _not_understood(problem)
+    angle = (counts - resting) * (2.0 * pi / counts_per_rev)
+    answer = float(np.std(angle))
+    if answer < LEAST_ANSWER:
+        return _not_understood(
+            f"the encoder moved by {np.degrees(answer):.2f} deg (standard deviation), expected at "
+            f"least {np.degrees(LEAST_ANSWER):g} deg: is the pendulum free, the encoder connected?"
+        )
+    every = -(-len(time) // MOST_SAMPLES)
+    recorded = _Answer.of(time[::every], angle[::every], pivot_time, pivot_x, pendulum)
+    guess = recorded.guess(delay, until=_rest(pivot_time, pivot_x))
+    return _judged(recorded, recorded.fitted(guess), answer, delay)
+
+
+def _unusable(time: Array, counts: Array, pivot_time: Array, pivot_x: Array) -> str:
+    """Return why these cannot be judged; empty where they can."""
+    for name, times, values in (("encoder", time, counts), ("pivot", pivot_time, pivot_x)):
+        if times.shape != values.shape or times.ndim != 1 or len(times) < LEAST_SAMPLES:
+            return (
+                f"the {name} gave {len(values)} samples for {len(times)} times, expected "
+                f"{LEAST_SAMPLES} or more"
+            )
+        if not (np.all(np.isfinite(times)) and np.all(np.isfinite(values))):
+            return f"the {name} gave what is no number"
+        if not np.all(np.diff(times) > 0.0):
+            return f"the times of the {name} do not increase"
+    gap = max(float(np.max(np.diff(time))), float(np.max(np.diff(pivot_time))))
+    if gap > LONGEST_GAP:
+        return f"there is a gap of {1e3 * gap:.0f} ms, expected at most {1e3 * LONGEST_GAP:g} ms"
+    moved = float(np.ptp(pivot_x))
+    if not LEAST_MOVE * MOVE < moved < 2.0 * MOVE:
+        return (
+            f"the flange was measured to move by {1e3 * moved:.1f} mm, expected {1e3 * MOVE:g} mm"
+        )
+    left = float(time[-1]) - _rest(pivot_time, pivot_x)
+    if left < LEAST_SWING * SWING_TIME:
+        return (
+            f"the pendulum was watched for {left:.1f} s after the move, expected {SWING_TIME:g} s"
+        )
+    return ""
+
+
+def _rest(pivot_time: Array, pivot_x: Array) -> float:
+    """Return when the pivot has come to rest [s]."""
+    away = np.abs(pivot_x - np.median(pivot_x[-len(pivot_x) // 8 :])) > 0.02 * np.ptp(pivot_x)
+    return float(pivot_time[np.flatnonzero(away)[-1]])
+
+
+class _Answer(NamedTuple):
+    """What was recorded, and the grid on which the model runs."""
+
+    time: Array
+    """Of the encoder samples [s]."""
+    angle: Array
+    """Counts less the resting count, as an angle [rad]."""
+    grid: Array
+    """Times of the model [s]."""
+    u: Array
+    """Acceleration of the pivot between them [m/s^2]."""
+    pendulum: PendulumParameters
+    """As identified."""
+
+    @classmethod
+    def of(
+        cls, time: Array, angle: Array, pivot_time: Array, pivot_x: Array, p: PendulumParameters
+    ) -> "_Answer":
+        from scipy.interpolate import make_lsq_spline
+
+        # Twice the derivative of noise is mostly fast, and the pendulum is slow: knots that follow
+        # the move are smooth enough.
+        begin, end = float(pivot_time[0]), float(pivot_time[-1])
+        pieces = max(int((end - begin) / KNOTS), 1)
+        inner = np.linspace(begin, end, pieces + 1)[1:-1]
+        knots = np.concatenate(([begin] * 6, inner, [end] * 6))
+        # The stub of SciPy does not know the second derivative's type.
+        u_of = make_lsq_spline(pivot_time, pivot_x, knots, k=5).derivative(2)
+        grid = np.arange(time[0] - SLACK, time[-1] + SLACK, STEP)
+        middle = grid[:-1] + 0.5 * STEP
+        inside = (middle > begin) & (middle < end)
+        u = np.where(inside, u_of(np.clip(middle, begin, end)), 0.0)
+        return cls(time, angle, grid, u, p)
+
+    def model(self, unknowns: Array) -> Array:
+        """Return what the encoder shows of the model [rad], shape (n,)."""
+        gain, w2, tau, zero, c, coulomb, theta, theta_dot = map(float, unknowns)
+        k = w2 * self.pendulum.k / self.pendulum.w2
+        thetas = np.empty_like(self.grid)
+        # No friction drives: below zero the fit finds nothing better.
+        parameters = PendulumParameters(w2, k, max(c, 0.0), max(coulomb, 0.0))
+        _driven_swing(theta, theta_dot, self.u, STEP, parameters, thetas)
+        return gain * np.interp(self.time - tau, self.grid, thetas) + zero
+
+    def guess(self, delay: float, until: float) -> Array:
+        """Return where to begin: w2 from the swing after the move, G and tau from a few tries."""
+        rate, decay = self._oscillation(until)
+        best, least = np.zeros(UNKNOWNS), np.inf
+        for tau in delay + np.array(DELAYS):
+            unknowns = np.array([1.0, rate**2, tau, 0.0, 2.0 * decay, 0.0, 0.0, 0.0])
+            columns = np.stack([self.model(unknowns), np.ones_like(self.angle)], axis=1)
+            solution = np.linalg.lstsq(columns, self.angle, rcond=None)[0]
+            left = float(np.sum((self.angle - columns @ solution) ** 2))
+            if left < least:
+                unknowns[GAIN], unknowns[ZERO] = solution
+                # The pendulum rests at first, so that the encoder shows its zero.
+                best, least = unknowns, left
+        return best
+
+    def _oscillation(self, begin: float) -> tuple[float, float]:
+        """Return rate [rad/s] and decay [1/s] of the swing from a time on."""
+        chosen = self.time > begin
+        every = max(int(np.sum(chosen)) // 400, 1)
+        t, y = self.time[chosen][::every] - begin, self.angle[chosen][::every]
+        best, least = (0.0, 0.0), np.inf
+        for rate in sqrt(self.pendulum.w2) * np.linspace(*RATES):
+            for decay in DECAYS:
+                faded = np.exp(-decay * t)
+                columns = np.stack(
+                    [faded * np.cos(rate * t), faded * np.sin(rate * t), np.ones_like(t)], axis=1
+                )
+                solution = np.linalg.lstsq(columns, y, rcond=None)[0]
+                left = float(np.sum((y - columns @ solution) ** 2))
+                if left < least:
+                    best, least = (float(rate), decay), left
+        return best
+
+    def sensitivities(self, unknowns: Array) -> Array:
+        """Return the derivatives of the model by the unknowns over their scales, (n, UNKNOWNS)."""
+        here = self.model(unknowns)
+        columns: list[Array] = []
+        for i in range(UNKNOWNS):
+            there = unknowns.copy()
+            there[i] += DIFFERENCE * SCALES[i]
+            columns.append((self.model(there) - here) / DIFFERENCE)
+        return np.stack(columns, axis=1)
+
+    def fitted(self, guess: Array) -> Array:
+        """Return the unknowns that leave the least squares."""
+        from scipy.optimize import least_squares
+
+        solution = least_squares(
+            lambda z: self.model(z * SCALES) - self.angle,
+            guess / SCALES,
+            # The stub of SciPy knows a name here, but no function.
+            jac=lambda z: self.sensitivities(z * SCALES),  # pyright: ignore[reportArgumentType]
+            method="lm",
+            xtol=1e-5,
+            ftol=1e-4,
+            gtol=1e-9,
+            max_nfev=ITERATIONS,
+        )
+        return np.asarray(solution.x * SCALES, dtype=np.float64)
+
+    def halves(self, unknowns: Array, residual: Array) -> Array:
+        """Return half of the width of the interval of each unknown."""
+        from scipy.stats import t as student
+
+        J = self.sensitivities(unknowns)
+        half_period = pi / sqrt(self.pendulum.w2)
+        block = ((self.time - self.time[0]) / half_period).astype(np.intp)
+        blocks = int(block[-1]) + 1
+        pulls = np.stack([J[block == b].T @ residual[block == b] for b in range(blocks)])
+        inverse = np.linalg.pinv(J.T @ J)
+        spread = inverse @ (pulls.T @ pulls) @ inverse * blocks / (blocks - 1)
+        # Where two unknowns cannot be told apart, rounding may leave less than nothing.
+        deviation = SCALES * np.sqrt(np.maximum(np.diag(spread), 0.0))
+        return float(student.ppf(CONFIDENCE, blocks - 1)) * deviation
+
+
+def _judged(recorded: _Answer, unknowns: Array, answer: float, delay: float) -> SelfTest:
+    residual = recorded.angle - recorded.model(unknowns)
+    misfit = float(np.sqrt(np.mean(residual**2))) / answer
+    half = recorded.halves(unknowns, residual)
+
+    def interval(i: int) -> Interval:
+        return Interval(float(unknowns[i]), float(half[i]))
+
+    gain, w2, tau, zero = (interval(i) for i in (GAIN, W2, TAU, ZERO))
+    verdict, reason = _verdict(gain, w2, tau, zero, misfit, recorded.pendulum.w2, delay)
+    return SelfTest(verdict, reason, gain, w2, tau, zero, misfit)
+
+
+def _verdict(
+    gain: Interval,
+    w2: Interval,
+    tau: Interval,
+    zero: Interval,
+    misfit: float,
+    known: float,
+    delay: float,
+) -> tuple[Verdict, str]:
+    if not misfit < MISFIT:
+        return Verdict.NOT_UNDERSTOOD, (
+            f"the model leaves {misfit:.0%} of the answer, expected less than {MISFIT:.0%}: is "
+            "the pendulum free, and nobody near it?"
+        )
+    if gain.value < 0.0:
+        return Verdict.SIGN, (
+            f"the counts fall where they should grow (G = {gain.value:.2f}, expected 1); change "
+            "the encoder's sign"
+        )
+    if abs(gain.value - 1.0) > COUNTS_TOLERANCE:
+        return Verdict.COUNTS, (
+            f"the encoder shows {gain.value:.3f} of the answer, expected 1 within "
+            f"{COUNTS_TOLERANCE:g}; correct its counts per revolution"
+        )
+    if abs(w2.value / known - 1.0) > W2_TOLERANCE:
+        return Verdict.W2, (
+            f"w2 is {w2.value:.2f} 1/s^2, expected {known:.2f} 1/s^2 within {W2_TOLERANCE:.0%}; "
+            "identify this pendulum"
+        )
+    if abs(tau.value - delay) > DELAY_TOLERANCE:
+        return Verdict.DELAY, (
+            f"the encoder is {1e3 * tau.value:.1f} ms behind the arm, expected {1e3 * delay:.1f} "
+            f"ms within {1e3 * DELAY_TOLERANCE:g} ms; look at its link and clock"
+        )
+    if abs(zero.value) > ZERO_TOLERANCE:
+        return Verdict.ZERO, (
+            f"the pendulum hangs {np.degrees(zero.value):.2f} deg from where it was referenced, "
+            f"expected at most {np.degrees(ZERO_TOLERANCE):g} deg; reference it again, hanging free"
+        )
+    if not zero.half <= ZERO_INTERVAL:
+        return Verdict.REPEAT, (
+            f"the zero is known to {np.degrees(zero.half):.2f} deg, expected "
+            f"{np.degrees(ZERO_INTERVAL):g} deg; swing again"
+        )
+    return Verdict.PASSED, "the pendulum answers as the model says"
+
+
+def _not_understood(reason: str) -> SelfTest:
+    unknown = Interval(float("nan"), float("inf"))
+    return SelfTest(
+        Verdict.NOT_UNDERSTOOD, reason, unknown, unknown, unknown, unknown, float("nan")
+    )

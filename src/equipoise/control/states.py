@@ -1,0 +1,173 @@
+r"""The states of a run on a rig, and what moves it from one to the next.
+
+::
+
+    IDLE --start--> HOMING --arrived--> AT_HOME --confirmed--> REFERENCING --referenced--> SELF_TEST
+                                                                    ^                       |     |
+                                                                    +-------- refused ------+     |
+                                                                                           passed |
+    BALANCING <--released-- ARMED --denied--> LIFTING <-------------------------------------------+
+                              ^---- armed -------+
+
+    any of them but IDLE --stop--> STOPPING --at rest--> STOPPED --re-armed--> IDLE
+    IDLE --stop--> STOPPED                    any state --lost--> LOST
+
+Setpoints are sent in the streaming states, HOMING to STOPPING, and in no other.
+
+A stop is latched. Out of STOPPED leads only the operator, who re-arms; the run then begins anew,
+and its first setpoint is the measured posture. The first cause stays, whatever follows. LOST is
+final: the link is gone, software commands nothing any more, and nothing reconnects.
+
+An event that has no place in the table changes nothing: what comes late must not move an arm.
+"""
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import Final, NamedTuple
+
+
+class Phase(Enum):
+    """Where a run is."""
+
+    IDLE = "idle"
+    """Connected, the servo not running."""
+    HOMING = "homing"
+    """On the way home, inside the servo stream."""
+    AT_HOME = "at home"
+    """Held there, until the operator confirms."""
+    REFERENCING = "referencing"
+    """Held, the pendulum hanging, until it is still and the button is pressed."""
+    SELF_TEST = "self-test"
+    """The flange moves by 40 mm, the pendulum answers and swings out."""
+    LIFTING = "lifting"
+    """Held, the operator lifts the pendulum."""
+    ARMED = "armed"
+    """Held, the pendulum stands in a hand that may let go."""
+    BALANCING = "balancing"
+    """The policy commands."""
+    STOPPING = "stopping"
+    """On the way to rest, inside the servo stream. Latched."""
+    STOPPED = "stopped"
+    """At rest, the servo not running. Latched."""
+    LOST = "lost"
+    """The link is gone: the arm holds or approaches the last target by itself. Latched, final."""
+
+
+class Event(Enum):
+    """What moves a run."""
+
+    START = "start"
+    """The servo runs, holding the measured posture."""
+    ARRIVED = "arrived"
+    """The path home is at its end."""
+    CONFIRMED = "confirmed"
+    """The operator says that this is home."""
+    REFERENCED = "referenced"
+    """The resting count is known."""
+    REFUSED = "refused"
+    """The self-test refuses the resting count as the zero."""
+    PASSED = "passed"
+    """The self-test found what it expected, and the zero."""
+    ARMED = "armed"
+    """The pendulum stands still."""
+    DENIED = "denied"
+    """The hand is still on."""
+    RELEASED = "released"
+    """The pendulum falls by itself."""
+    STOP = "stop"
+    """A guard, a key, a signal, an error or the end of the run."""
+    AT_REST = "at rest"
+    """The ramp is at its end, the arm is measured at rest, and the servo has ended."""
+    LOST = "lost"
+    """Robot or link do not answer any more."""
+    REARMED = "re-armed"
+    """The operator has seen the cause and lets the run begin anew."""
+
+
+STREAMING: Final = frozenset(
+    {
+        Phase.HOMING,
+        Phase.AT_HOME,
+        Phase.REFERENCING,
+        Phase.SELF_TEST,
+        Phase.LIFTING,
+        Phase.ARMED,
+        Phase.BALANCING,
+        Phase.STOPPING,
+    }
+)
+"""Where setpoints are sent."""
+LATCHED: Final = frozenset({Phase.STOPPING, Phase.STOPPED, Phase.LOST})
+"""Where a stop holds."""
+TABLE: Final[Mapping[tuple[Phase, Event], Phase]] = {
+    (Phase.IDLE, Event.START): Phase.HOMING,
+    (Phase.HOMING, Event.ARRIVED): Phase.AT_HOME,
+    (Phase.AT_HOME, Event.CONFIRMED): Phase.REFERENCING,
+    (Phase.REFERENCING, Event.REFERENCED): Phase.SELF_TEST,
+    (Phase.SELF_TEST, Event.REFUSED): Phase.REFERENCING,
+    (Phase.SELF_TEST, Event.PASSED): Phase.LIFTING,
+    (Phase.LIFTING, Event.ARMED): Phase.ARMED,
+    (Phase.ARMED, Event.DENIED): Phase.LIFTING,
+    (Phase.ARMED, Event.RELEASED): Phase.BALANCING,
+    (Phase.STOPPING, Event.AT_REST): Phase.STOPPED,
+    (Phase.STOPPED, Event.REARMED): Phase.IDLE,
+    (Phase.IDLE, Event.STOP): Phase.STOPPED,
+    **{(phase, Event.STOP): Phase.STOPPING for phase in STREAMING},
+    **{(phase, Event.LOST): Phase.LOST for phase in Phase},
+}
+"""Every move there is."""
+
+
+class Cause(NamedTuple):
+    """Why a run stops."""
+
+    name: str
+    """In a word or two, such as the name of a rule."""
+    reason: str
+    """What the operator is told."""
+    from_measured: bool = False
+    """The arm is not where it was sent: after the ramp the targets go to the measured posture."""
+
+
+class State(NamedTuple):
+    """The state of a run."""
+
+    phase: Phase = Phase.IDLE
+    """Where it is."""
+    cause: Cause | None = None
+    """What latched the stop; none where nothing did."""
+    from_measured: bool = False
+    """Whether any cause so far says that the arm is not where it was sent."""
+
+    @property
+    def streaming(self) -> bool:
+        """Whether setpoints are sent."""
+        return self.phase in STREAMING
+
+    @property
+    def latched(self) -> bool:
+        """Whether a stop holds."""
+        return self.phase in LATCHED
+
+
+UNKNOWN: Final = Cause("unknown", "the run was stopped without a cause", from_measured=True)
+"""What is believed of a stop that says nothing."""
+
+
+def step(state: State, event: Event, cause: Cause | None = None) -> State:
+    """Return the state after an event.
+
+    Args:
+        state: The state before it.
+        event: What happened.
+        cause: Why, for STOP and LOST.
+    """
+    phase = TABLE.get((state.phase, event))
+    if phase is None:
+        return state
+    if event in (Event.STOP, Event.LOST):
+        cause = cause or UNKNOWN
+        return State(phase, state.cause or cause, state.from_measured or cause.from_measured)
+    if event is Event.REARMED:
+        return State()
+    return state._replace(phase=phase)

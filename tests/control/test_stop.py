@@ -1,0 +1,164 @@
+"""The ramp to rest: its promises, over random states of an arm, and the path back."""
+
+from math import inf, nan
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from equipoise.control.safety import STOP_DECELERATION, check_setpoint, limits_of
+from equipoise.control.stop import RETURN_SHARE, ramp, way_back
+from equipoise.errors import InputError
+from equipoise.model.arms.iiwa import iiwa
+
+ARM = iiwa(14)
+LIMITS = limits_of(ARM)
+HOME = ARM.home
+DT = 0.005
+
+shares = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7)
+
+
+def stream(way, n=None):
+    """Return the setpoints from the begin of a ramp until after its end."""
+    n = int(way.duration / DT) + 4 if n is None else n
+    return np.array([way.at(i * DT) for i in range(n)])
+
+
+def speed_along_base(q, dq):
+    """Return the speed of the flange [m/s]."""
+    twist = ARM.kinematics(ARM.without_held(q), ARM.without_held(dq)).twist
+    return float(np.linalg.norm(twist[:3]))
+
+
+@given(shares, st.floats(0.0, 2.0))
+def test_the_arm_slows_down_at_once_goes_on_straight_and_ends_at_rest(share, speed):
+    dq = [s * limit for s, limit in zip(share, LIMITS.velocity, strict=True)]
+    way = ramp(HOME, dq, speed, LIMITS)
+    q = stream(way)
+    steps = np.diff(q, axis=0)
+    moving = np.abs(dq) > 1e-6
+    # In the very first step, every moving joint is slower than before.
+    assert np.all(np.abs(steps[0])[moving] < np.abs(dq)[moving] * DT)
+    assert np.all(np.abs(np.diff(np.abs(steps), axis=0)) >= -1e-15)
+    # All joints in proportion, and none turns back.
+    assert np.all(steps * np.array(dq) >= -1e-18)
+    np.testing.assert_allclose(np.outer(steps[:, 0], dq), steps * dq[0], atol=1e-12)
+    # Exactly at rest, and it stays.
+    assert np.array_equal(q[-1], q[-2])
+    assert way.speed_at(way.duration + DT) == pytest.approx((0.0,) * 7)
+    assert way.at(1e9) == tuple(q[-1])
+
+
+@given(shares, st.floats(0.0, 2.0))
+def test_each_setpoint_may_be_sent(share, speed):
+    dq = [s * limit for s, limit in zip(share, LIMITS.velocity, strict=True)]
+    way = ramp(HOME, dq, speed, LIMITS)
+    last = HOME
+    before = tuple(q - DT * v for q, v in zip(HOME, dq, strict=True))
+    for setpoint in stream(way)[1:]:
+        assert check_setpoint(LIMITS, tuple(setpoint), last, before, DT) is None
+        before, last = last, tuple(setpoint)
+
+
+def test_the_flange_slows_down_as_it_shall():
+    # Along the track at home, as when balancing.
+    J = ARM.kinematics(ARM.home_free).jacobian
+    for x_dot in (0.05, 0.2, 0.4):
+        dq = ARM.with_held(np.linalg.solve(J, np.eye(6)[0] * x_dot))
+        dq[2] = 0.0
+        way = ramp(HOME, dq, x_dot, LIMITS)
+        assert way.rate == pytest.approx(STOP_DECELERATION / x_dot)
+        assert way.duration == pytest.approx(x_dot / STOP_DECELERATION)
+        x = np.array([ARM.pose(ARM.without_held(q)).position[0] for q in stream(way)])
+        # Where the flange comes to rest: v^2 / 2a, but for the bend of its path in joint space.
+        assert x[-1] - x[0] == pytest.approx(x_dot**2 / (2 * STOP_DECELERATION), rel=0.02)
+        assert speed_along_base(way.at(0.5 * way.duration), way.speed_at(0.5 * way.duration)) == (
+            pytest.approx(0.5 * x_dot, rel=0.02)
+        )
+
+
+def test_no_joint_decelerates_by_more_than_its_limit():
+    dq = [0.0] * 7
+    dq[0] = 1.4
+    # The flange alone would ask for 4 / 0.5 = 8 1/s, the joint allows 10 / 1.4.
+    assert ramp(HOME, dq, 0.5, LIMITS).rate == pytest.approx(10.0 / 1.4)
+    assert ramp(HOME, dq, 2.0, LIMITS).rate == pytest.approx(2.0)
+
+
+def test_a_flange_that_does_not_move_leaves_it_to_the_joints():
+    dq = [0.0] * 6 + [1.0]
+    assert ramp(HOME, dq, 0.0, LIMITS).rate == pytest.approx(10.0)
+    assert ramp(HOME, dq, -2.0, LIMITS).rate == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("room", "rate"), [(0.5, 2.0), (0.08, 0.5 * 0.8 / 0.08), (0.01, 12.5), (0.0, 12.5), (-1, 12.5)]
+)
+def test_near_a_position_limit_it_stops_sooner(side, room, rate):
+    q, dq = list(HOME), [0.0] * 7
+    q[0] = side * (LIMITS.upper[0] - room)
+    dq[0] = side * 0.8
+    way = ramp(q, dq, 2.0, LIMITS)
+    assert way.rate == pytest.approx(rate)
+    if room >= 0.08:
+        assert abs(way.at(inf)[0]) <= LIMITS.upper[0] + 1e-12
+    # Away from the limit it does not matter.
+    dq[0] = -dq[0]
+    assert ramp(q, dq, 2.0, LIMITS).rate == pytest.approx(2.0)
+
+
+def test_at_rest_it_holds():
+    way = ramp(HOME, (0.0,) * 7, 0.3, LIMITS)
+    assert way.duration == 0.0
+    for time in (-1.0, 0.0, DT, 10.0):
+        assert way.at(time) == HOME
+        assert way.speed_at(time) == (0.0,) * 7
+
+
+def test_before_its_begin_it_is_where_it_begins():
+    way = ramp(HOME, (0.5,) + (0.0,) * 6, 0.0, LIMITS)
+    assert way.at(-1.0) == way.at(0.0) == HOME
+    assert way.speed_at(-1.0) == way.speed_at(0.0) == way.dq0
+    assert way.speed_at(0.5 * way.duration)[0] == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(
+    ("q", "dq", "speed", "name"),
+    [
+        (HOME[:6], (0.0,) * 7, 0.0, "q"),
+        (HOME, (0.0,) * 8, 0.0, "dq"),
+        ((nan,) * 7, (0.0,) * 7, 0.0, "q"),
+        (HOME, (inf,) * 7, 0.0, "dq"),
+        (HOME, (0.0,) * 7, nan, "flange_speed"),
+    ],
+)
+def test_it_starts_from_numbers(q, dq, speed, name):
+    with pytest.raises(InputError, match=f"^{name} is"):
+        ramp(q, dq, speed, LIMITS)
+
+
+def test_the_way_back_ends_where_the_arm_is():
+    q = [place + 0.03 for place in HOME]
+    path = way_back(q, HOME, LIMITS)
+    assert path.start == tuple(q)
+    assert path.end == HOME
+    time = np.linspace(0.0, path.duration, 2001)
+    dq = np.array([path.at(t).dq for t in time])
+    ddq = np.array([path.at(t).ddq for t in time])
+    used = np.abs(dq) / LIMITS.velocity, np.abs(ddq) / LIMITS.acceleration
+    assert max(used[0].max(), used[1].max()) == pytest.approx(RETURN_SHARE, rel=1e-3)
+    assert path.duration < 1.0
+
+
+def test_the_way_back_is_as_slow_as_the_way_home():
+    assert RETURN_SHARE == 0.1
+
+
+def test_the_way_back_stays_inside_the_limits():
+    measured = [limit + 0.01 for limit in LIMITS.upper]
+    assert way_back(HOME, measured, LIMITS).end == LIMITS.upper
+    measured = [limit - 0.01 for limit in LIMITS.lower]
+    assert way_back(HOME, measured, LIMITS).end == LIMITS.lower
