@@ -84,6 +84,22 @@ def pivot(arm: Arm, outward: float) -> Triple:
     return float(x), float(y), float(z)
 
 
+def build_bare(arm: Arm, rotor_inertia: float) -> Any:
+    """Return the MuJoCo model of the arm alone, as its cabinet knows it.
+
+    Args:
+        arm: An iiwa.
+        rotor_inertia: Inertia of motor and gear at each joint [kg m^2].
+
+    Raises:
+        ArmError: The masses of the arm's links are not known.
+    """
+    spec = _weighed(arm, SIZES, rotor_inertia)
+    spec.delete(spec.body("flange"))
+    spec.delete(spec.key("home"))
+    return spec.compile()
+
+
 def mass_matrix(arm: Arm, rotor_inertia: float) -> Floats:
     """Return the mass matrix of the bare arm at home, all joints [kg m^2], shape (n, n).
 
@@ -92,10 +108,7 @@ def mass_matrix(arm: Arm, rotor_inertia: float) -> Floats:
         rotor_inertia: Inertia of motor and gear at each joint [kg m^2].
     """
     mujoco = importlib.import_module("mujoco")
-    spec = _weighed(arm, SIZES, rotor_inertia)
-    spec.delete(spec.body("flange"))
-    spec.delete(spec.key("home"))
-    model = spec.compile()
+    model = build_bare(arm, rotor_inertia)
     data = mujoco.MjData(model)
     data.qpos[:] = arm.home
     mujoco.mj_forward(model, data)

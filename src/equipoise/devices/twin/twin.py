@@ -41,6 +41,7 @@ from equipoise.devices.twin.sensors import (
 )
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.random import TWIN, normal_pair, philox
 from equipoise.model.worlds import TwinSettings
 
 Array = npt.NDArray[np.float64]
@@ -182,6 +183,21 @@ def send_free(twin: TwinKernel, q: Array) -> None:
     for i in range(FREE_JOINTS):
         twin.setpoint[twin.free[i]] = q[i]
     send(twin.cabinet, twin.servo, twin.setpoint, twin.seed, twin.trial)
+
+
+@kernel
+def noise(twin: TwinKernel, sigma: float, stream: int, values: Array) -> None:
+    """Add the noise of this millisecond to what is measured at each joint.
+
+    Args:
+        twin: The time, and what the noise is drawn from.
+        sigma: Its standard deviation.
+        stream: One of the twin's streams of random numbers, counted from its first.
+        values: Changed in place, shape (n,).
+    """
+    for i in range(len(values)):
+        words = philox(twin.seed, twin.cabinet.clock[NOW], twin.trial, 1 + i, TWIN + stream)
+        values[i] += sigma * normal_pair(words[0], words[1])[0]
 
 
 @kernel

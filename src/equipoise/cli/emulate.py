@@ -1,0 +1,223 @@
+"""`equipoise emulate`: the rig's hardware on this machine, for a driver that cannot tell."""
+
+import gc
+import queue
+import signal
+import sys
+import threading
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from equipoise.cli.options import Json, Seed, read_arm, read_pendulum
+from equipoise.cli.output import Output, verb
+from equipoise.errors import InputError
+
+if TYPE_CHECKING:
+    from equipoise.devices.emulation import Emulation
+    from equipoise.devices.kuka.cabinet import Faults
+    from equipoise.model.pendulum import PendulumParameters
+    from equipoise.model.worlds import TwinSettings
+
+HOST = "127.0.0.1"
+
+
+@verb
+def emulate(
+    world: Annotated[
+        str,
+        typer.Option(metavar="WORLD", help="twin:nominal, twin:harsh or twin:FILE."),
+    ] = "twin:nominal",
+    arm: Annotated[str, typer.Option(metavar="ARM", help="iiwa7 or iiwa14.")] = "iiwa7",
+    pendulum: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="From equipoise identify; by default the shipped one."),
+    ] = None,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, metavar="N", help="Of the robot; 0 for any free one.")
+    ] = 30001,
+    encoder_link: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", help="Make this a link to the encoder's terminal."),
+    ] = None,
+    no_operator: Annotated[
+        bool,
+        typer.Option(
+            "--no-operator", help="Type what to do; else an operator acts on what is seen."
+        ),
+    ] = False,
+    clumsy: Annotated[
+        float,
+        typer.Option(min=0.0, max=1.0, metavar="P", help="Chance that the hand pushes or drags."),
+    ] = 0.0,
+    inject: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FAULTS",
+            help="Of the robot's answers: delay=S,jitter=S,drop=SHARE,refuse=SHARE.",
+        ),
+    ] = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Emulate robot, pendulum, encoder and operator, until Ctrl-C.
+
+    A KST server answers on a port of this machine, an encoder board on a
+    pseudo-terminal. The arm begins beside its home. The operator cannot see
+    your screen: the button is pressed when the arm rests at home and the
+    pendulum hangs, the pendulum lifted some time after the arm has moved there.
+    """
+    output = Output(as_json)
+    output.say(f"Emulating the {arm}, world {world}")
+    sys.stdout.flush()
+    faults = _faults(inject)
+    emulation = _emulation(
+        world, arm, pendulum, not no_operator, clumsy, faults, encoder_link, seed, _speaker(output)
+    )
+    terminal = emulation.terminal if encoder_link is None else encoder_link.absolute()
+    encoder = f"serial://{terminal}"
+
+    def ready(number: int) -> None:
+        robot = f"kst://{HOST}:{number}"
+        output.rows({"robot": robot, "encoder": encoder})
+        if no_operator:
+            output.say(f"type what to do: {', '.join(emulation.acts)}")
+        output.next("deploy", "--robot", robot, "--encoder", encoder)
+        output.result({"robot": robot, "encoder": encoder})
+        sys.stdout.flush()
+
+    words = _typed() if no_operator else None
+    gc.collect()
+    gc.freeze()  # a collection of all that was imported would be a stall
+    with _stoppable() as stopped:
+
+        def stop() -> bool:
+            if words is not None and not words.empty():
+                _act(output, emulation, words.get())
+            return stopped()
+
+        emulation.run(HOST, port, stop, listening=ready)
+    output.rows({"stalls of this host": str(emulation.stalls)})
+
+
+def _emulation(
+    world: str,
+    arm: str,
+    pendulum: Path | None,
+    operator: bool,
+    clumsy: float,
+    faults: "Faults",
+    link: Path | None,
+    seed: int,
+    say: Callable[[str], None],
+) -> "Emulation":
+    from equipoise.devices.clocks import SystemClock
+    from equipoise.devices.emulation import Emulation
+    from equipoise.model.worlds import read_world
+
+    settings = read_world(world).settings
+    return Emulation(
+        read_arm(arm),
+        _as_it_is(read_pendulum(pendulum).parameters(), settings, seed),
+        settings,
+        SystemClock(),
+        operator=operator,
+        clumsy=clumsy,
+        faults=faults,
+        link=link,
+        seed=seed,
+        say=say,
+    )
+
+
+def _as_it_is(
+    pendulum: "PendulumParameters", settings: "TwinSettings", seed: int
+) -> "PendulumParameters":
+    """Return the pendulum as it differs from what was identified, by the world's numbers."""
+    import numpy as np
+
+    from equipoise.learning.closed_loop import scaled
+
+    inertia, friction = np.random.default_rng([seed, 2]).standard_normal(2).tolist()
+    return scaled(
+        pendulum, 1.0 + settings.inertia_sigma * inertia, 1.0 + settings.friction_sigma * friction
+    )
+
+
+def _faults(inject: str | None) -> "Faults":
+    """Return the faults that `--inject` names.
+
+    Raises:
+        InputError: One is not known, is no number, or cannot be that much.
+    """
+    from equipoise.devices.kuka.cabinet import Faults
+
+    most = {"delay": 10.0, "jitter": 10.0, "drop": 1.0, "refuse": 1.0}
+    numbers: dict[str, float] = {}
+    for part in (inject or "").split(","):
+        name, _, text = part.strip().partition("=")
+        if not part.strip():
+            continue
+        try:
+            numbers[name] = float(text)
+        except ValueError:
+            numbers[name] = -1.0
+        if name not in most or not 0.0 <= numbers[name] <= most[name]:
+            known = ", ".join(f"{fault}=0 to {limit:g}" for fault, limit in most.items())
+            raise InputError(f"--inject says {part.strip()!r}; expected any of {known}")
+    return Faults(
+        delay=numbers.get("delay", 0.0),
+        jitter=numbers.get("jitter", 0.0),
+        drop=numbers.get("drop", 0.0),
+        refuse=numbers.get("refuse", 0.0),
+    )
+
+
+def _speaker(output: Output) -> Callable[[str], None]:
+    import time
+
+    began = time.monotonic()
+
+    def say(words: str) -> None:
+        output.say(f"{time.monotonic() - began:8.1f} s  {words}")
+        sys.stdout.flush()
+
+    return say
+
+
+def _act(output: Output, emulation: "Emulation", line: str) -> None:
+    act = emulation.acts.get(line.strip())
+    if act is not None:
+        act()
+    elif line.strip():
+        output.warn(f"{line.strip()!r} is none of {', '.join(emulation.acts)}")
+
+
+def _typed() -> "queue.SimpleQueue[str]":
+    """Return where the lines arrive that are typed from now on."""
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def read() -> None:
+        for line in sys.stdin:
+            lines.put(line)
+
+    threading.Thread(target=read, daemon=True).start()
+    return lines
+
+
+@contextmanager
+def _stoppable() -> Generator[Callable[[], bool]]:
+    """Yield what says whether Ctrl-C or a SIGTERM has come: they end this verb well."""
+    event = threading.Event()
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    if threading.current_thread() is not threading.main_thread():
+        numbers = ()
+    before = [signal.signal(number, lambda *_: event.set()) for number in numbers]
+    try:
+        yield event.is_set
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)

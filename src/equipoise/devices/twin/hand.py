@@ -1,0 +1,221 @@
+r"""The operator's hand on the pendulum: it grips, lifts, holds with a tremor, and lets go.
+
+It is where it wants to be, phi_h(t), and pulls the rod there as a stiff spring and damper
+
+.. math:: \tau = s\, I\,(\omega^2 (\varphi_h - \varphi) + 2 \omega (\dot\varphi_h - \dot\varphi))
+
+within the force of a hand; s falls from 1 to 0 while the fingers open. Angles are phi, from
+upright, relative to the flange, and go on beyond a turn. A hand that holds trembles: sines of 4 to
+10 Hz, and a slow drift. How it holds and lets go, its `Manner`, is drawn from a generator: equal
+generators give equal hands.
+"""
+
+from math import cos, pi, radians, sqrt
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Side = Literal["front", "back"]
+
+STIFFNESS: Final = 200.0
+"""omega [rad/s]: a grip gives way by w2 / omega^2, 0.1 deg, to a pendulum held level."""
+FORCE: Final = 10.0
+"""The most with which a hand pulls at the middle of the rod [N]. Assumed."""
+TONES: Final = 8
+"""Sines of which a tremor is made."""
+TREMOR_HZ: Final = (4.0, 10.0)
+"""Where a tremor's frequencies lie [Hz]."""
+TREMOR: Final = (radians(0.05), radians(0.3))
+"""Least and most root mean square of a tremor [rad]."""
+DRIFT_HZ: Final = (0.05, 0.3)
+"""Where the frequencies of the slow drift lie [Hz]."""
+DRIFT: Final = (radians(0.1), radians(1.0))
+"""Least and most amplitude of the slow drift [rad]."""
+LIFTING: Final = (1.5, 3.0)
+"""Least and most time from hanging to upright [s]."""
+HOLDING: Final = (2.0, 20.0)
+"""Least and most time for which the pendulum is held upright [s]."""
+OPENING: Final = (0.005, 0.030)
+"""Least and most time in which fingers open [s]."""
+DRAG_OPENING: Final = (0.05, 0.4)
+"""The same where they drag along the rod [s]."""
+PUSH: Final = (radians(5.0), radians(40.0))
+"""Least and most change of the rate by a push [rad/s]: the greatest leaves a pendulum that could
+still be caught, 40/8.4 deg ahead of where it is."""
+PUSH_TIME: Final = 0.05
+"""Length of a push [s]."""
+
+
+class Manner(NamedTuple):
+    """How a hand lifts, holds and lets go, once."""
+
+    side: Side
+    """Whether the pendulum is lifted in front, through positive phi, or at the back."""
+    lifting: float
+    """From hanging to upright [s]."""
+    holding: float
+    """From there until it is let go [s]."""
+    frequency: Array
+    """Angular frequencies of tremor and drift [rad/s], shape (TONES + 2,)."""
+    amplitude: Array
+    """Their amplitudes [rad], likewise."""
+    phase: Array
+    """Their phases [rad], likewise."""
+    opening: float
+    """In which the fingers open [s]."""
+    push: float
+    """Change of the rate that the pendulum is given on the way [rad/s]; zero if let go cleanly."""
+
+    @property
+    def clumsy(self) -> bool:
+        """Whether the hand pushes or drags."""
+        return self.push != 0.0 or self.opening > OPENING[1]
+
+    def tremble(self, time: float) -> tuple[float, float]:
+        """Return how far from where it is meant to be the hand is [rad], and the rate [rad/s]."""
+        angle = self.frequency * time + self.phase
+        return (
+            float(self.amplitude @ np.sin(angle)),
+            float((self.amplitude * self.frequency) @ np.cos(angle)),
+        )
+
+
+def draw_manner(
+    random: np.random.Generator, *, side: Side | None = None, clumsy: float = 0.25
+) -> Manner:
+    """Return how a hand acts, drawn at random.
+
+    Args:
+        random: The generator.
+        side: Where the pendulum is lifted; either if not given.
+        clumsy: Chance that it is let go with a push or a drag.
+    """
+    tremor = random.uniform(*TREMOR) * _shares(random, TONES) * sqrt(2.0)
+    drift = random.uniform(*DRIFT) * np.array([0.6, 0.4])
+    either: Side = "front" if random.random() < 0.5 else "back"
+    kind = random.random()
+    fumbled, pushed = kind < clumsy, kind < 0.5 * clumsy
+    opening = random.uniform(*(DRAG_OPENING if fumbled and not pushed else OPENING))
+    push = random.uniform(*PUSH) * (1.0 if random.random() < 0.5 else -1.0)
+    return Manner(
+        side=either if side is None else side,
+        lifting=float(random.uniform(*LIFTING)),
+        holding=float(random.uniform(*HOLDING)),
+        frequency=2.0 * pi * np.r_[random.uniform(*TREMOR_HZ, TONES), random.uniform(*DRIFT_HZ, 2)],
+        amplitude=np.r_[tremor, drift],
+        phase=random.uniform(0.0, 2.0 * pi, TONES + 2),
+        opening=float(opening),
+        push=float(push) if pushed else 0.0,
+    )
+
+
+def _shares(random: np.random.Generator, n: int) -> Array:
+    """Return positive numbers whose squares sum to one."""
+    weights = random.uniform(0.5, 1.0, n)
+    return weights / np.linalg.norm(weights)
+
+
+class Hand:
+    """A hand at the pendulum, in time."""
+
+    def __init__(self, inertia: float, reach: float) -> None:
+        """Stand by, not touching.
+
+        Args:
+            inertia: I of the pendulum about its spindle [kg m^2].
+            reach: From the spindle to where it is gripped [m].
+        """
+        self._inertia = inertia
+        self._most = FORCE * reach
+        self._manner: Manner | None = None
+        self._begin = self._duration = 0.0
+        self._from = self._to = 0.0
+        self._opens: float | None = None
+        self._pushes: list[tuple[float, float]] = []
+
+    @property
+    def holds(self) -> bool:
+        """Whether the hand is on the pendulum, fingers closed."""
+        return self._manner is not None and self._opens is None
+
+    @property
+    def idle(self) -> bool:
+        """Whether it neither touches the pendulum nor is about to push it."""
+        return self._manner is None and not self._pushes
+
+    def arrives(self) -> float:
+        """Return when the pendulum is where it is brought to [s]."""
+        return self._begin + self._duration
+
+    def lift(self, now: float, phi: float, manner: Manner) -> None:
+        """Grip the pendulum and bring it upright.
+
+        Args:
+            now: The time [s].
+            phi: Where it is, relative to the flange, beyond a turn where it went there [rad].
+            manner: How.
+        """
+        turns = np.floor(phi / (2.0 * pi)) if manner.side == "front" else np.ceil(phi / (2.0 * pi))
+        self._grip(now, phi, 2.0 * pi * float(turns), manner.lifting, manner)
+
+    def steady(self, now: float, phi: float, manner: Manner) -> None:
+        """Grip the pendulum and bring it to where it hangs, on the shorter way."""
+        to = 2.0 * pi * round((phi - pi) / (2.0 * pi)) + pi
+        still = manner._replace(amplitude=np.zeros_like(manner.amplitude), push=0.0)
+        self._grip(now, phi, to, manner.lifting, still)
+
+    def release(self, now: float) -> None:
+        """Let go, in the manner of this hold."""
+        if self._manner is None or self._opens is not None:
+            return
+        self._opens = now
+        if self._manner.push != 0.0:
+            self.push(now, self._manner.push)
+
+    def push(self, now: float, rate: float) -> None:
+        """Push the pendulum, so that its rate changes by so much if nothing holds it [rad/s]."""
+        self._pushes.append((now, rate))
+
+    def torque(self, now: float, phi: float, phi_dot: float) -> float:
+        """Return what the hand gives to the pendulum in the millisecond that begins [N m].
+
+        Args:
+            now: The time [s].
+            phi: Angle of the pendulum, relative to the flange [rad].
+            phi_dot: Its rate [rad/s].
+        """
+        pull = 0.0
+        if self._manner is not None:
+            share = 1.0
+            if self._opens is not None:
+                share = 1.0 - (now - self._opens) / self._manner.opening
+            if share <= 0.0:
+                self._manner = self._opens = None
+            else:
+                place, speed = self._place(now, self._manner)
+                pull = share * (STIFFNESS**2 * (place - phi) + 2.0 * STIFFNESS * (speed - phi_dot))
+        if self._pushes:
+            self._pushes = [push for push in self._pushes if now - push[0] < PUSH_TIME]
+            for begin, rate in self._pushes:
+                share = max(now - begin, 0.0) / PUSH_TIME
+                pull += rate / PUSH_TIME * (1.0 - cos(2.0 * pi * share))
+        return min(max(self._inertia * pull, -self._most), self._most)
+
+    def _grip(self, now: float, phi: float, to: float, duration: float, manner: Manner) -> None:
+        self._manner, self._opens = manner, None
+        self._begin, self._duration = now, duration
+        self._from, self._to = phi, to
+
+    def _place(self, now: float, manner: Manner) -> tuple[float, float]:
+        """Return where the hand is [rad], and its rate [rad/s]: minimum jerk, then still."""
+        s = min(max((now - self._begin) / self._duration, 0.0), 1.0)
+        way = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        speed = 30.0 * s**2 * (1.0 - s) ** 2 / self._duration
+        off, off_dot = manner.tremble(now - self._begin)
+        distance = self._to - self._from
+        return (
+            self._from + distance * way + way * off,
+            distance * speed + speed * off + way * off_dot,
+        )

@@ -1,0 +1,223 @@
+"""Robot and encoder of a bench in process: the interfaces of a rig without protocol and bytes.
+
+The times are the twin's: a setpoint is in force after its transport, a reply takes as long as its
+age says and tells the joints of half-way, a count is known when it is old enough. Nothing is lost
+and nothing fails: links that break belong to the drivers, whose emulated other ends stand on the
+same bench.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from math import ceil
+from typing import Final
+
+import numpy as np
+
+from equipoise.devices.interfaces import Array, Clock, Reply, Sample
+from equipoise.devices.setpoints import checked
+from equipoise.devices.twin.bench import Bench
+from equipoise.devices.twin.physics import TICK
+from equipoise.devices.twin.sensors import ROUNDING
+from equipoise.errors import LinkError
+from equipoise.model.encoder import counts_from_theta
+
+BRAKED: Final = 0.1
+"""An arm rests so long after its servo has ended [s]: the twin's drives brake for less than half
+of that."""
+KEPT: Final = 4096
+"""Samples that wait for a reader; then the oldest are lost."""
+
+
+class TwinRobot:
+    """The arm of a bench as a `Robot`."""
+
+    def __init__(self, bench: Bench, clock: Clock) -> None:
+        """Stand the arm on a bench.
+
+        Args:
+            bench: The bench, which `clock` drives.
+            clock: The rig's clock.
+        """
+        self._bench = bench
+        self._clock = clock
+        self._reply_age = bench.settings.reply_age
+        self._asked: deque[tuple[float, bool]] = deque()
+        self._replies: deque[Reply] = deque()
+        self._connected = self._streams = False
+        bench.watch(self._answer)
+
+    @property
+    def joints(self) -> int:
+        """How many joints there are, the held one included."""
+        return self._bench.joints
+
+    def connect(self) -> None:
+        """Connect."""
+        self._connected = True
+
+    def measured(self) -> Array:
+        """Ask for the measured joints [rad], shape (joints,).
+
+        Raises:
+            LinkError: It is not connected.
+        """
+        self._check(self._connected, "is not connected; call connect first")
+        self._clock.wait_until(self._clock.now() + self._reply_age)
+        return np.array(self._bench.body.measured())
+
+    def start(self) -> None:
+        """Let the servo begin, holding the arm where it is.
+
+        Raises:
+            LinkError: It is not connected, or what stopped the arm still does.
+        """
+        self._check(self._connected, "is not connected; call connect first")
+        body = self._bench.body
+        body.servo(True)
+        self._check(body.running, f"was stopped ({body.stopped}); set it free")
+        self._streams = True
+        self._asked.clear()
+        self._replies.clear()
+
+    def send(self, q: Sequence[float] | Array, *, torque: bool = False) -> None:
+        """Send a setpoint of all joints [rad].
+
+        Args:
+            q: The joints, shape (joints,).
+            torque: Ask for external torques instead of measured joints.
+
+        Raises:
+            LinkError: No servo was started.
+            InputError: The setpoint is not one finite number per joint; nothing was sent.
+        """
+        setpoint = checked(q, self.joints)
+        self._check(self._streams, "has no servo running; call start first")
+        self._bench.body.target(setpoint)
+        self._asked.append((self._clock.now(), torque))
+
+    def replies(self) -> list[Reply]:
+        """Take what came since the last call, the oldest first.
+
+        Raises:
+            LinkError: It is not connected.
+        """
+        self._check(self._connected, "is not connected; call connect first")
+        came = list[Reply]()
+        while self._replies and self._replies[0].received <= self._clock.now() + ROUNDING:
+            came.append(self._replies.popleft())
+        return came
+
+    def stop(self) -> None:
+        """Let the servo end, the arm at rest.
+
+        Raises:
+            LinkError: It is not connected.
+        """
+        self._check(self._connected, "is not connected; call connect first")
+        self._bench.body.servo(False)
+        self._streams = False
+        self._clock.wait_until(self._clock.now() + BRAKED)
+
+    def close(self) -> None:
+        """Say goodbye, which ends the servo."""
+        if self._streams:
+            self._bench.body.servo(False)
+        self._connected = self._streams = False
+
+    def _answer(self) -> None:
+        """Measure for the setpoints that are half-way to their replies."""
+        now = self._bench.now
+        while self._asked and self._asked[0][0] + 0.5 * self._reply_age <= now + ROUNDING:
+            sent, torque = self._asked.popleft()
+            body = self._bench.body
+            self._replies.append(
+                Reply(
+                    sent=sent,
+                    received=max(sent + self._reply_age, now),
+                    q=None if torque else body.measured(),
+                    torque=body.torques(external=True) if torque else None,
+                )
+            )
+
+    def _check(self, good: bool, otherwise: str) -> None:
+        if not good:
+            raise LinkError(f"the twin's robot {otherwise}")
+
+
+class TwinEncoder:
+    """The encoder of a bench as an `AngleSensor`, counting from where the pendulum is now."""
+
+    def __init__(self, bench: Bench, clock: Clock, *, sign: int = 1, factor: float = 1.0) -> None:
+        """Switch the encoder on.
+
+        Args:
+            bench: The bench, which `clock` drives.
+            clock: The rig's clock.
+            sign: 1 if counts grow with theta, -1 if they fall: a fault.
+            factor: So many times the counts that it says are in a revolution: a fault if not 1.
+        """
+        self._bench = bench
+        self._clock = clock
+        self._sign = float(sign)
+        self._per_rev = bench.settings.counts_per_rev * factor
+        self._age = ceil(bench.settings.encoder_age / TICK - ROUNDING) * TICK
+        self._jitter = bench.settings.encoder_jitter
+        self._random = np.random.default_rng([bench.seed, 1])
+        self._samples: deque[tuple[float, Sample]] = deque()
+        self._missing = 0
+        self._down = False
+        self._connected = False
+        self._switched_on = self._counted()
+        bench.watch(self._count)
+
+    @property
+    def counts_per_rev(self) -> int:
+        """Counts per revolution, after x4; as it says."""
+        return self._bench.settings.counts_per_rev
+
+    def connect(self) -> None:
+        """Connect, and wait for the first sample."""
+        self._connected = True
+        self._samples.clear()
+        self._missing = 0
+        self._clock.wait_until(self._clock.now() + TICK + self._age)
+
+    def samples(self) -> list[Sample]:
+        """Take what came since the last call, the oldest first.
+
+        Raises:
+            LinkError: It is not connected.
+        """
+        if not self._connected:
+            raise LinkError("the twin's encoder is not connected; call connect first")
+        came = list[Sample]()
+        while self._samples and self._samples[0][0] <= self._clock.now() + ROUNDING:
+            came.append(self._samples.popleft()[1]._replace(missing=self._missing))
+            self._missing = 0
+        return came
+
+    def close(self) -> None:
+        """Let go."""
+        self._connected = False
+
+    def _counted(self) -> int:
+        return int(counts_from_theta(self._bench.theta, self._per_rev, self._sign))
+
+    def _count(self) -> None:
+        """Take the sample of a millisecond."""
+        bench = self._bench
+        down, before = bench.button, self._down
+        self._down = down
+        if not self._connected:
+            return
+        if len(self._samples) == KEPT:
+            self._samples.popleft()
+            self._missing += 1
+        sample = Sample(
+            time=bench.now + float(self._random.uniform(-self._jitter, self._jitter)),
+            counts=self._counted() - self._switched_on,
+            pressed=down and not before,
+            illegal=False,
+            missing=0,
+        )
+        self._samples.append((bench.now + self._age, sample))

@@ -1,0 +1,136 @@
+"""`equipoise emulate` as a program of its own: what stands on its port and its terminal."""
+
+import contextlib
+import itertools
+import json
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from equipoise.devices.encoder.codec import Banner, Decoder, Flags
+
+LONGEST = 60.0  # a first start compiles [s]
+
+pytestmark = [
+    pytest.mark.compiled_only,
+    pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals"),
+]
+
+
+class Emulator:
+    def __init__(self, *options):
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "equipoise", "emulate", "--port", "0", "--json", *options],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+        )
+        assert select.select([self.process.stdout], [], [], LONGEST)[0]
+        self.ready = json.loads(self.process.stdout.readline())
+        self.port = int(self.ready["robot"].rpartition(":")[2])
+        self.terminal = self.ready["encoder"].removeprefix("serial://")
+
+    def connect(self):
+        return socket.create_connection(("127.0.0.1", self.port), timeout=5.0)
+
+    def type(self, word):
+        self.process.stdin.write(word + "\n")
+
+    def end(self):
+        self.process.send_signal(signal.SIGINT)
+        return self.process.wait(10.0)
+
+
+@contextlib.contextmanager
+def emulator(*options):
+    emulator = Emulator(*options)
+    try:
+        yield emulator
+    finally:
+        emulator.process.kill()
+        emulator.process.wait()
+        emulator.process.stdin.close()
+        emulator.process.stdout.close()
+
+
+def ask(connection, command):
+    connection.sendall(command)
+    answer = b""
+    while not answer.endswith(b"\n"):
+        answer += connection.recv(1024)
+    return answer.decode()
+
+
+def readings(terminal, seconds):
+    """What the board says for so long, decoded."""
+    port = os.open(terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    decoder, lines, end = Decoder(), [], time.monotonic() + seconds
+    try:
+        while time.monotonic() < end:
+            if select.select([port], [], [], 0.1)[0]:
+                lines += decoder.feed(os.read(port, 4096))
+    finally:
+        os.close(port)
+    return [line for line in lines if not isinstance(line, Banner)]
+
+
+def test_robot_and_board_answer_and_ctrl_c_ends_it_well(tmp_path):
+    link = tmp_path / "encoder"
+    with emulator("--encoder-link", str(link)) as it:
+        with it.connect() as robot:
+            answer = ask(robot, b"getJointsPositions\n")
+            assert re.fullmatch(r"(-?[0-9.E-]+_){7}\n", answer)
+            # It stands beside home, whose first joint is at a quarter of a turn.
+            assert float(answer.split("_")[0]) == pytest.approx(1.571 - 0.105, abs=0.01)
+            assert ask(robot, b"startDirectServoJoints\n") == "done\n"
+            assert it.terminal == str(link)
+            lines = readings(it.terminal, 1.0)
+        assert len(lines) > 500
+        steps = {b.t_us - a.t_us for a, b in itertools.pairwise(lines)}
+        assert 1000 in steps
+        assert it.end() == 0
+    assert not link.is_symlink()
+
+
+def test_it_survives_a_client_that_vanishes_and_does_what_is_typed():
+    with emulator("--no-operator") as it:
+        with it.connect() as robot:
+            assert ask(robot, b"startDirectServoJoints\n") == "done\n"
+        time.sleep(0.2)
+        with it.connect() as second:
+            second.settimeout(0.5)
+            with pytest.raises(TimeoutError):
+                ask(second, b"getJointsPositions\n")
+        it.type("press")
+        pressed = [line for line in readings(it.terminal, 1.0) if line.flags & Flags.DOWN]
+        it.type("nonsense")
+        it.type("start")
+        time.sleep(0.5)
+        with it.connect() as third:
+            assert ask(third, b"getJointsPositions\n").count("_") == 7
+            third.sendall(b"end\n")
+        assert len(pressed) > 0
+        assert it.process.poll() is None
+        assert it.end() == 0
+
+
+@pytest.mark.parametrize("faults", ["delay=x", "delay=-1", "drop=2", "noise=1", "delay"])
+def test_faults_that_cannot_be_are_refused(equipoise, faults):
+    ran = equipoise("emulate", "--inject", faults)
+    assert ran.code == 2
+    assert "drop=0 to 1" in ran.err
+
+
+def test_a_port_that_is_taken_is_told(equipoise):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        ran = equipoise("emulate", "--port", str(taken.getsockname()[1]))
+    assert ran.code == 3
+    assert "cannot listen" in ran.err
