@@ -1,5 +1,9 @@
 """`equipoise deploy`: a policy runs once, or an arm is moved to see how it follows."""
 
+import signal
+import threading
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,10 +26,14 @@ from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
+    from equipoise.cli.console import Console
     from equipoise.runlog import RunLog
 
 NOT_BALANCED = 1
 EXCITED = "To see how the arm follows"
+ON_A_RIG = "On a rig"
+DURATION = 60.0
+"""How long a run on a rig lasts, if nothing else is said [s]."""
 
 
 @verb
@@ -44,6 +52,36 @@ def deploy(
     ] = None,
     actuator: KnownActuator = None,
     seed: Seed = 0,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URI",
+            help="kst://HOST:30001; or twin:nominal, the whole course on a digital twin.",
+            rich_help_panel=ON_A_RIG,
+        ),
+    ] = None,
+    encoder: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URI",
+            help="serial:///dev/ttyACM0 or socket://HOST:PORT.",
+            rich_help_panel=ON_A_RIG,
+        ),
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(metavar="TOML", help="What the rig is like.", rich_help_panel=ON_A_RIG),
+    ] = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Do all but move.", rich_help_panel=ON_A_RIG),
+    ] = False,
+    t1: Annotated[
+        bool,
+        typer.Option(
+            "--t1", help="Stop where the flange reaches 0.23 m/s.", rich_help_panel=ON_A_RIG
+        ),
+    ] = False,
     excite: Annotated[
         bool,
         typer.Option(
@@ -74,19 +112,38 @@ def deploy(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Run a policy once on a digital twin, and write down what happens.
+    """Run a policy once, on a digital twin or on a rig, and write down what happens.
+
+    With --robot it runs on a rig: links and limits are looked at, a checklist
+    is acknowledged by typing, the arm goes home, tests itself, waits until the
+    pendulum is let go, and balances. Any key stops it. Exit code 3 says that
+    robot or encoder failed.
 
     With --excite the arm moves by itself: equipoise identify makes an actuator
     of that log. Exit code 1 says that the pendulum fell.
     """
     output = Output(as_json)
+    if duration is not None and not 0.01 <= duration <= 3600.0:
+        raise InputError(f"--duration is {duration:g} s; give a number from 0.01 to 3600")
+    if robot is None and rig is not None:
+        robot = _robot_of(rig)
+    if robot is not None:
+        if excite or arm is not None or pendulum is not None or video is not None:
+            raise InputError("--excite, --arm, --pendulum and --video do not go with --robot")
+        check_output(out, policy, suffix=".mcap")
+        code = _on_a_rig(
+            output, policy, robot, encoder, rig, actuator, duration, dry_run, t1, seed, out
+        )
+        if code:
+            raise typer.Exit(code)
+        return
+    if encoder is not None or dry_run or t1:
+        raise InputError("--encoder, --dry-run and --t1 belong to a rig; give --robot")
     what = "Exciting the arm" if excite else f"Running {policy or 'the policy that ships'}"
     output.say(f"{what}, world {world}")
     check_output(out, policy, pendulum, suffix=".mcap")
     if video is not None:
         check_output(video, policy, pendulum, suffix=".mp4", option="--video")
-    if duration is not None and not 0.01 <= duration <= 3600.0:
-        raise InputError(f"--duration is {duration:g} s; give a number from 0.01 to 3600")
     if excite:
         if policy is not None or actuator is not None or video is not None:
             raise InputError("POLICY, --actuator and --video do not go with --excite; leave them")
@@ -177,3 +234,99 @@ def _say(output: Output, run: "RunLog") -> None:
     if len(run.stream.time):
         rows["setpoints"] = f"{len(run.stream.time):,} sent"
     output.rows(rows)
+
+
+def _robot_of(rig: Path) -> str:
+    from equipoise.rigs import read_rig
+
+    robot = read_rig(rig).robot
+    if robot is None:
+        raise InputError(f"{rig} does not say where the robot is; give --robot")
+    return robot
+
+
+def _on_a_rig(
+    output: Output,
+    policy: Path | None,
+    robot: str,
+    encoder: str | None,
+    rig: Path | None,
+    actuator: str | None,
+    duration: float | None,
+    dry_run: bool,
+    t1: bool,
+    seed: int,
+    out: Path,
+) -> int:
+    """Run on a rig, and return the exit code."""
+    from equipoise.cli.console import Console, single_keys
+    from equipoise.deployment.processes import run_for_real
+    from equipoise.deployment.rig import Request, exit_code, rehearse_t1, run_virtually
+    from equipoise.rigs import check_addresses, is_virtual, read_rig
+
+    settings = read_rig(rig)
+    encoder = settings.encoder if encoder is None and not is_virtual(robot) else encoder
+    check_addresses(robot, encoder)
+    table = read_policy(policy)
+    response = read_actuator(actuator)
+    request = Request(
+        policy=table,
+        actuator=table.actuator if response is None else response,
+        settings=settings,
+        robot=robot,
+        encoder=encoder,
+        duration=DURATION if duration is None else duration,
+        t1=t1,
+        dry_run=dry_run,
+        seed=seed,
+    )
+    output.say(f"Running {policy or 'the policy that ships'} on {robot}")
+    if t1:
+        with output.busy("trying the policy in T1 on the twin"):
+            rehearse_t1(request)
+    console = Console(output)
+    if is_virtual(robot):
+        with stop_by_signal() as listener:
+            outcome = run_virtually(request, out, Listening(console, listener))
+    else:
+        with single_keys():
+            outcome = run_for_real(request, out, console)
+    told = {"ended": f"{outcome.cause}: {outcome.reason}", "balanced": f"{outcome.lasted:.2f} s"}
+    for name, times in (("ticks late", outcome.late), ("compute time", outcome.compute)):
+        if times:
+            told[name] = ", ".join(f"{key} {1e3 * value:.2f} ms" for key, value in times.items())
+    if outcome.missed:
+        told["missed ticks"] = str(outcome.missed)
+    output.rows(told)
+    output.wrote(out)
+    code = exit_code(outcome)
+    output.result({"run": str(out), "robot": robot, **outcome._asdict()})
+    return code
+
+
+class Listening:
+    """A console that is told, and speaks only by signals: an emulated operator types."""
+
+    def __init__(self, console: "Console", signalled: Callable[[], bool]) -> None:
+        """Listen to a console."""
+        self.tell, self._signalled = console.tell, signalled
+
+    def words(self) -> list[str]:
+        """Return a stop, once a signal came."""
+        return ["stop"] if self._signalled() else []
+
+
+@contextmanager
+def stop_by_signal() -> Generator[Callable[[], bool]]:
+    """Let SIGINT and SIGTERM be heard instead of ending the program; yields whether one came."""
+    came: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda n, _: came.append(n)) for number in numbers]
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)

@@ -1,0 +1,110 @@
+"""The operator at a terminal: events as lines, answers as words, and any key as a stop."""
+
+import os
+import select
+import sys
+from collections.abc import Generator
+from contextlib import contextmanager
+from math import degrees, isnan
+from typing import Any, Final
+
+from rich.text import Text
+
+from equipoise.cli.output import Output
+
+QUIET: Final = frozenset({"finding", "connecting"})
+"""Events that a table shows."""
+STYLES: Final = {
+    "fault": "bold red",
+    "stopping": "bold yellow",
+    "armed": "bold green",
+    "balancing": "bold green",
+    "notice": "yellow",
+}
+VERDICTS: Final = {"good": "green", "warning": "yellow", "refused": "bold red"}
+
+
+class Console:
+    """A person at a terminal."""
+
+    def __init__(self, output: Output) -> None:
+        """Speak through an output."""
+        self._output = output
+        self._answers: tuple[str, ...] = ()
+        self._typed = ""
+        self._live = False
+        self._ended = False
+
+    def tell(self, event: Any) -> None:
+        """Print an event."""
+        self._clear()
+        if event.name == "finding":
+            self._finding(*event.text.split("\t"))
+            return
+        if event.name != "word":
+            self._answers = tuple(event.answers)
+        text = event.text.replace("\a", "")
+        if "\a" in event.text and sys.stdout.isatty():
+            sys.stdout.write("\a")
+        self._output.say(Text(text, style=STYLES.get(event.name, "bold" if self._answers else "")))
+
+    def words(self) -> list[str]:
+        """Return what was typed: lines where an answer is asked for, else any key at once."""
+        if self._ended:
+            return []
+        came = ""
+        while select.select([sys.stdin], [], [], 0.0)[0]:
+            data = os.read(sys.stdin.fileno(), 1024)
+            if not data:
+                self._ended = True
+                break
+            came += data.decode("utf-8", "ignore")
+        if not came:
+            return []
+        if not self._answers and sys.stdin.isatty():
+            return [came]
+        if sys.stdin.isatty():
+            sys.stdout.write(came)
+            sys.stdout.flush()
+        self._typed += came.replace("\r", "\n")
+        *lines, self._typed = self._typed.split("\n")
+        return lines
+
+    def live(self, phase: str, phi: float) -> None:
+        """Show the angle, on a terminal."""
+        if not sys.stdout.isatty() or self._typed:
+            return
+        angle = "" if isnan(phi) else f"  phi {degrees(phi):+8.2f} deg"
+        sys.stdout.write(f"\r  {phase:<12}{angle}   ")
+        sys.stdout.flush()
+        self._live = True
+
+    def _clear(self) -> None:
+        if self._live:
+            sys.stdout.write("\r" + " " * 48 + "\r")
+            self._live = False
+
+    def _finding(self, name: str, verdict: str, found: str, cure: str) -> None:
+        line = Text.assemble(
+            ("  ", ""), (f"{verdict:<9}", VERDICTS[verdict]), (f"{name:<20}", "dim"), found
+        )
+        self._output.say(line)
+        if cure:
+            self._output.say(Text(f"{'':31}{cure}", style="dim"))
+
+
+@contextmanager
+def single_keys() -> Generator[None]:
+    """Let each key be heard at once, where there is a terminal; as before afterwards."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    import termios
+    import tty
+
+    before = termios.tcgetattr(sys.stdin)
+    try:
+        tty.setcbreak(sys.stdin)
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)

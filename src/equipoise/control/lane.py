@@ -1,0 +1,216 @@
+"""The controller of one arm, as Python drives it: the kernels of the training, on one lane.
+
+Nothing is computed here: measurements go into the lane's memory, `observe`, `act` and `command` of
+`equipoise.control.controller` and `.policy` run, and what they leave there comes out.
+"""
+
+from collections.abc import Sequence
+from math import asin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.compiled import kernel
+from equipoise.control.boxes import box_index
+from equipoise.control.clik import manipulability
+from equipoise.control.controller import (
+    SETPOINTS,
+    Controller,
+    begin,
+    command,
+    new_memory,
+    observe,
+)
+from equipoise.control.policy import PolicyKernel, act
+from equipoise.model.arms.arm import (
+    FRAME_SIZE,
+    FREE_JOINTS,
+    POSITION,
+    ROTATION,
+    TWIST,
+    Arm,
+    KinematicsFunction,
+)
+from equipoise.model.elementary import LANES, at
+
+Array = npt.NDArray[np.float64]
+
+
+class State(NamedTuple):
+    """What the policy sees."""
+
+    x: float
+    """Displacement of the flange from home [m]."""
+    x_dot: float
+    """Its velocity [m/s]."""
+    phi: float
+    """Angle of the pendulum from upright [rad]."""
+    phi_dot: float
+    """Its rate [rad/s]."""
+
+
+class Estimate(NamedTuple):
+    """What the observer believes now."""
+
+    phi: float
+    """Angle of the pendulum from upright [rad]."""
+    phi_dot: float
+    """Its rate [rad/s]."""
+    bias: float
+    """What the encoder reads too much of phi [rad]."""
+    v: float
+    """Velocity of the pivot along x [m/s]."""
+
+
+class Lane:
+    """A controller with its memory."""
+
+    def __init__(self, arm: Arm, controller: Controller) -> None:
+        """Begin at home, at rest."""
+        self._arm, self._controller = arm, controller
+        self._memory = new_memory()
+        self._free = list(arm.free)
+        self._home_x = float(controller.home_reference[POSITION])
+        self.begin(0.0, 0.0)
+
+    @property
+    def h(self) -> float:
+        """Time between ticks [s]."""
+        return self._controller.h
+
+    def begin(self, phi: float, phi_dot: float) -> None:
+        """Begin at home, at rest, with the pendulum as it was measured [rad], [rad/s]."""
+        begin(self._controller, self._memory, 0.0, 0.0, phi, phi_dot, 0)
+
+    def observe(
+        self, counts: float, encoder_age: float, q: Sequence[float], reply_age: float
+    ) -> State:
+        """Take the measurements of a tick, and return what the policy sees.
+
+        Args:
+            counts: Encoder counts from hanging, growing with theta.
+            encoder_age: How old they are [s].
+            q: Measured joints, all of them [rad].
+            reply_age: How old those are [s].
+        """
+        memory = self._memory
+        memory.counts[0] = counts
+        for row, joint in enumerate(self._free):
+            memory.measured[row * LANES] = q[joint]
+        observe(self._controller, memory, encoder_age, reply_age, 1)
+        return self.seen
+
+    @property
+    def seen(self) -> State:
+        """What the policy sees."""
+        return State(*self._memory.seen[::LANES].tolist())
+
+    @property
+    def estimate(self) -> Estimate:
+        """What the observer believes."""
+        return Estimate(*self._memory.estimate[::LANES].tolist())
+
+    def decide(self, policy: PolicyKernel) -> tuple[float, int]:
+        """Return u [m/s^2], and the box of what the policy sees."""
+        seen = self.seen
+        return float(act(policy, *seen, 0.0)), int(box_index(*seen, policy.boxes))
+
+    def command(self, u: float) -> tuple[tuple[float, ...], ...]:
+        """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""
+        memory = self._memory
+        memory.u[0] = u
+        command(self._controller, memory, 1)
+        free = memory.setpoints[::LANES].reshape(SETPOINTS, FREE_JOINTS).tolist()
+        return tuple(self._all(one) for one in free)
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the last command left a limit of a joint."""
+        return bool(self._memory.beyond[0])
+
+    @property
+    def q(self) -> tuple[float, ...]:
+        """Commanded joints at the end of the tick, all of them [rad]."""
+        return self._all(self._memory.q[::LANES].tolist())
+
+    @property
+    def dq(self) -> tuple[float, ...]:
+        """Their velocities [rad/s]."""
+        rates = [0.0] * len(self._arm.joints)
+        for joint, rate in zip(self._free, self._memory.dq[::LANES].tolist(), strict=True):
+            rates[joint] = rate
+        return tuple(rates)
+
+    @property
+    def x(self) -> float:
+        """Commanded displacement of the flange at the end of the tick [m]."""
+        return float(self._memory.frame[POSITION * LANES]) - self._home_x
+
+    @property
+    def x_dot(self) -> float:
+        """Its velocity [m/s]."""
+        return float(self._memory.frame[TWIST * LANES])
+
+    def _all(self, free: Sequence[float]) -> tuple[float, ...]:
+        joints = list(self._arm.home)
+        for joint, angle in zip(self._free, free, strict=True):
+            joints[joint] = angle
+        return tuple(joints)
+
+
+class Place(NamedTuple):
+    """Where the flange is, by measured joints."""
+
+    x: float
+    """Displacement from home along base x [m]."""
+    drift: float
+    """Distance from the line through home [m]."""
+    tilt: float
+    """Angle from its orientation at home [rad]."""
+    manipulability: float
+    """|det J| [m^3]."""
+
+
+class Flange:
+    """Where the flange is, for whoever watches over it."""
+
+    def __init__(self, arm: Arm, controller: Controller) -> None:
+        """Take the arm's kinematics."""
+        self._kinematics = controller.kinematics
+        self._home = controller.home_reference
+        self._free = list(arm.free)
+        self._q, self._dq = np.zeros(FREE_JOINTS * LANES), np.zeros(FREE_JOINTS * LANES)
+        self._frame = np.zeros(FRAME_SIZE * LANES)
+
+    def place(self, q: Sequence[float]) -> Place:
+        """Return where measured joints, all of them [rad], have the flange."""
+        for row, joint in enumerate(self._free):
+            self._q[row * LANES] = q[joint]
+        x, drift, tilt, w = place_of(self._kinematics, self._q, self._dq, self._frame, self._home)
+        return Place(float(x), float(drift), float(tilt), float(w))
+
+
+@kernel
+def place_of(
+    kinematics: KinematicsFunction, q: Array, dq: Array, frame: Array, home: Array
+) -> tuple[float, float, float, float]:
+    """Return the entries of `Place`, for the first lane of a block of joints.
+
+    Args:
+        kinematics: Of the arm.
+        q: Free joints [rad], a block of 6 rows.
+        dq: Zero, a block of 6 rows.
+        frame: Room for the record.
+        home: Pose of the flange at home, shape (24,).
+    """
+    kinematics(q, dq, frame, 1)
+    x = at(frame, POSITION, 0) - home[POSITION]
+    y = at(frame, POSITION + 1, 0) - home[POSITION + 1]
+    z = at(frame, POSITION + 2, 0) - home[POSITION + 2]
+    trace = 0.0
+    for i in range(9):
+        trace += at(frame, ROTATION + i, 0) * home[ROTATION + i]
+    # 1 - cos of the angle, from the trace of the rotation between them.
+    away = min(max(0.5 * (3.0 - trace), 0.0), 2.0)
+    return x, sqrt(y * y + z * z), 2.0 * asin(sqrt(0.5 * away)), abs(manipulability(frame, 0))

@@ -1,0 +1,251 @@
+"""Before anything moves: is this the rig that the policy was trained for, and does it answer?
+
+Each check ends in a finding: what was found, what is expected, and what to do where it is not so. A
+finding that is not good enough refuses the run; a doubtful one is a warning and goes into the log.
+"""
+
+from collections.abc import Iterator, Sequence
+from math import degrees
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+
+from equipoise.control.policy import TabularPolicy
+from equipoise.devices.interfaces import AngleSensor, Clock, Robot
+from equipoise.devices.realtime import Measure
+from equipoise.model.actuator import Actuator
+from equipoise.rigs import Attended, Rig, RigSettings
+
+Verdict = Literal["good", "warning", "refused"]
+
+PINGS: Final = 100
+"""Round trips that are timed."""
+PERIOD: Final = 0.010
+"""Time between two of them [s]."""
+QUICK: Final = 0.0055
+"""A round trip of up to this leaves room for two setpoints per tick of 10 ms [s]."""
+SLOW: Final = 0.009
+"""Replies that come later than this would be overdue at every tick [s]."""
+LISTENING: Final = 1.0
+"""How long the encoder is listened to [s]."""
+LEAST_RATE: Final = 200.0
+"""Fewer samples in a second leave a tick without a new one too often [1/s]."""
+GOOD_RATE: Final = 450.0
+"""What a board at 500 Hz or more gives [1/s]."""
+STALE: Final = 0.020
+"""A newest sample this old is a fault in a run [s]."""
+AGED: Final = 0.005
+"""A newest sample this old costs balance [s]."""
+SAME: Final = 1e-6
+"""Homes that differ by more than this are two [rad]."""
+
+
+class Finding(NamedTuple):
+    """What a check found."""
+
+    name: str
+    """What was checked."""
+    verdict: Verdict
+    """Whether a run may follow."""
+    found: str
+    """What is so."""
+    cure: str
+    """What to do about it; empty where all is well."""
+    outside: bool = False
+    """Whether the rig failed, rather than what was given."""
+
+
+def check_fit(
+    policy: TabularPolicy, actuator: Actuator, rig: RigSettings, counts_per_rev: int
+) -> Iterator[Finding]:
+    """Check a policy against the rig it is to run on.
+
+    Args:
+        policy: The policy.
+        actuator: How the rig's arm follows, as it was identified.
+        rig: What `rig.toml` says.
+        counts_per_rev: What the encoder says.
+    """
+    arm, trained = rig.described_arm, policy.arm
+    if trained.digest != arm.digest:
+        yield Finding(
+            "policy and arm",
+            "refused",
+            f"trained on {trained.name}, the rig has {arm.name}",
+            "train a policy for this arm, or correct `arm` in rig.toml",
+        )
+    elif len(trained.home) != len(arm.home) or any(
+        abs(a - b) > SAME for a, b in zip(trained.home, arm.home, strict=True)
+    ):
+        yield Finding(
+            "policy and home",
+            "refused",
+            f"trained at {_degrees(trained.home)} deg, the rig's home is {_degrees(arm.home)} deg",
+            "give the home of the training in rig.toml, or train for this one",
+        )
+    else:
+        yield Finding("policy and arm", "good", f"{arm.name}, home {_degrees(arm.home)} deg", "")
+    if max(abs(a - b) for a, b in zip(trained.pivot, arm.pivot, strict=True)) > 1e-3:
+        yield Finding(
+            "pendulum's pivot",
+            "warning",
+            "its place on the flange is not that of the training",
+            "the flange keeps its orientation, so that the motion is the same; measure it again "
+            "where it should be equal",
+        )
+    yield _actuator_fits(policy, actuator)
+    trained_counts = policy.settings.plant.counts_per_rev
+    if counts_per_rev != rig.counts_per_rev:
+        yield Finding(
+            "encoder's counts",
+            "refused",
+            f"the board says {counts_per_rev} per revolution, rig.toml {rig.counts_per_rev}",
+            "correct counts_per_rev in rig.toml, or the firmware",
+        )
+    elif counts_per_rev < trained_counts // 2:
+        yield Finding(
+            "encoder's counts",
+            "refused",
+            f"{counts_per_rev} per revolution, trained with {trained_counts}",
+            "train with --set plant.counts_per_rev, or use a finer encoder",
+        )
+    else:
+        yield Finding("encoder's counts", "good", f"{counts_per_rev} per revolution", "")
+
+
+def _actuator_fits(policy: TabularPolicy, actuator: Actuator) -> Finding:
+    name, trained, plant = "arm's response", policy.actuator, policy.settings.plant
+    cure = "train with --actuator and the file that identify makes of this rig's excitation"
+    if policy.settings.plant.ideal or trained.kind == "ideal":
+        return Finding(name, "refused", "the policy was trained on an ideal arm", cure)
+    if actuator.kind != trained.kind:
+        told = f"{actuator.kind}, trained with {trained.kind}"
+        return Finding(name, "refused", told, cure)
+    late = actuator.delay.value - trained.delay.value
+    found = f"{actuator.kind}, delay {1e3 * actuator.delay.value:.1f} ms"
+    if abs(late) > plant.delay_spread:
+        spread = 1e3 * plant.delay_spread
+        found += f", trained for {1e3 * trained.delay.value:.1f} ± {spread:.1f} ms"
+        return Finding(name, "refused", found, cure)
+    ratios = [
+        one.value / other.value if other.value > 0.0 else 1.0
+        for one, other in zip(actuator.lags, trained.lags, strict=True)
+    ]
+    worst = max(ratios, key=lambda ratio: abs(ratio - 1.0))
+    if abs(worst - 1.0) > plant.lag_spread:
+        return Finding(name, "refused", f"{found}, a lag {worst:.2f} times the trained one", cure)
+    return Finding(name, "good", found, "")
+
+
+def check_robot(robot: Robot, clock: Clock, rig: RigSettings) -> Iterator[Finding]:
+    """Time the robot's answers, and look at where it stands.
+
+    Raises:
+        LinkError: It does not answer.
+    """
+    trips, q = np.zeros(PINGS), robot.measured()
+    for ping in range(PINGS):
+        begin = clock.now()
+        q = robot.measured()
+        trips[ping] = clock.now() - begin
+        clock.wait_until(begin + PERIOD)
+    p50, p99, most = (1e3 * float(t) for t in (*np.percentile(trips, (50, 99)), trips.max()))
+    found = f"p50 {p50:.2f} ms, p99 {p99:.2f} ms, at most {most:.2f} ms"
+    cure = "use a direct cable and no other traffic; equipoise doctor finds more"
+    if p99 > 1e3 * SLOW:
+        yield Finding("link to the robot", "refused", found, cure, outside=True)
+    elif p99 > 1e3 * QUICK:
+        yield Finding("link to the robot", "warning", found, cure)
+    else:
+        yield Finding("link to the robot", "good", found, "")
+    arm, margin = rig.described_arm, rig.position_margin_deg
+    room = [
+        degrees(min(angle - joint.lower, joint.upper - angle))
+        for joint, angle in zip(arm.joints, q.tolist(), strict=True)
+    ]
+    closest = int(np.argmin(room))
+    name = arm.joints[closest].name
+    found = f"{name} is {room[closest]:.1f} deg inside its limit"
+    if room[closest] < margin:
+        cure = f"move {name} by hand to {margin:g} deg or more inside its limits"
+        yield Finding("posture", "refused", found, cure, outside=True)
+    else:
+        yield Finding("posture", "good", found, "")
+    homes = [
+        min(angle - joint.lower, joint.upper - angle)
+        for joint, angle in zip(arm.joints, arm.home, strict=True)
+    ]
+    if degrees(min(homes)) < margin + 5.0:
+        yield Finding(
+            "home",
+            "refused",
+            f"{degrees(min(homes)):.1f} deg from a joint's limit",
+            f"choose a home that is {margin + 5.0:g} deg or more inside all limits",
+        )
+
+
+def check_encoder(sensor: AngleSensor, clock: Clock) -> Iterator[Finding]:
+    """Listen to the encoder.
+
+    Raises:
+        LinkError: It says nothing.
+    """
+    sensor.samples()
+    begin, count, missing, illegal = clock.now(), 0, 0, 0
+    ages: list[float] = []
+    newest = -np.inf
+    while clock.now() < begin + LISTENING:
+        clock.wait_until(clock.now() + PERIOD)
+        for sample in sensor.samples():
+            count, newest = count + 1, sample.time
+            missing, illegal = missing + sample.missing, illegal + sample.illegal
+        ages.append(clock.now() - newest)
+    rate = count / (clock.now() - begin)
+    age = float(np.percentile(ages, 99.0))
+    found = f"{rate:.0f} samples/s, newest {1e3 * age:.1f} ms old (p99)"
+    if missing:
+        found += f", {missing} lost"
+    cure = "use a board with native USB, or set the serial adapter's latency timer to 1 ms"
+    if illegal:
+        found += f", {illegal} illegal transitions"
+        cure = "check the encoder's supply, screen and wiring"
+        yield Finding("encoder", "refused", found, cure, outside=True)
+    elif rate < LEAST_RATE or age > STALE:
+        yield Finding("encoder", "refused", found, cure, outside=True)
+    elif rate < GOOD_RATE or age > AGED or missing > 0.01 * count:
+        yield Finding("encoder", "warning", found, cure)
+    else:
+        yield Finding("encoder", "good", found, "")
+
+
+def check_machine(measures: Sequence[Measure]) -> Iterator[Finding]:
+    """Say what of real time the machine allowed."""
+    for measure in measures:
+        if measure.taken:
+            yield Finding(measure.name, "good", measure.note, "")
+        else:
+            yield Finding(measure.name, "warning", "not allowed", measure.note)
+
+
+def preflight(
+    policy: TabularPolicy,
+    actuator: Actuator,
+    settings: RigSettings,
+    rig: Rig,
+    measures: Sequence[Measure] = (),
+) -> list[Finding]:
+    """Check a connected rig and a policy against each other; nothing moves.
+
+    Raises:
+        LinkError: Robot or encoder does not answer.
+    """
+    return [
+        *check_fit(policy, actuator, settings, rig.sensor.counts_per_rev),
+        *check_robot(rig.robot, Attended(rig.clock, rig.sensor), settings),
+        *check_encoder(rig.sensor, rig.clock),
+        *check_machine(measures),
+    ]
+
+
+def _degrees(q: Sequence[float]) -> str:
+    return "(" + ", ".join(f"{degrees(angle):g}" for angle in q) + ")"

@@ -1,0 +1,410 @@
+"""A policy runs on a rig: connect, look before anything moves, ask the operator, run, come to rest.
+
+The same course serves a real rig in real time and an emulated one in virtual time; what differs is
+handed in (`equipoise.deployment.processes` has the real one).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from equipoise.control.controller import Controller, horizon, make_controller
+from equipoise.control.lane import Flange, Lane
+from equipoise.control.pilot import PHASES, Pilot
+from equipoise.control.policy import TabularPolicy
+from equipoise.control.safety import Guard, Rule, make_guard
+from equipoise.control.states import Cause
+from equipoise.control.ticks import Event
+from equipoise.deployment.preflight import Finding, preflight
+from equipoise.devices.guarded import GuardedRobot
+from equipoise.devices.interfaces import Clock
+from equipoise.devices.loop import Ending, Workshop, run_loop
+from equipoise.devices.operator import Operator
+from equipoise.devices.realtime import Measure
+from equipoise.errors import InputError, LinkError, OutsideError
+from equipoise.model.actuator import Actuator
+from equipoise.rigs import Attended, Rig, RigSettings, connect
+from equipoise.runwriter import Recorder, RunWriter, push_event
+
+LASTED: Final = "lasted"
+OPERATOR: Final = "operator"
+PROLOGUE: Final = 600.0
+"""Room in the record of punctuality for what comes before balancing [s]."""
+POLL: Final = 0.02
+"""Between two looks at what the operator types, while nothing moves [s]."""
+DRAIN: Final = 25
+"""In virtual time the rings are drained every so many ticks."""
+
+CHECKLIST: Final = (
+    ("estop", "Is the E-stop in somebody's hand, and was it tried today?"),
+    ("fence", "Is the fence closed, and nobody within reach of arm and pendulum?"),
+    ("monitoring", "Is KUKA's own monitoring of Cartesian and axis speed active?"),
+    ("t1", "Has this policy run in T1 before, or is T1 selected now?"),
+)
+"""What is acknowledged by typing the word."""
+NO_WATCHDOG: Final = (
+    "A KST server has no watchdog: if this computer or the cable fails, the arm goes on to its "
+    "last target, which is always near, and software cannot stop it. The E-stop can."
+)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to run where."""
+
+    policy: TabularPolicy
+    """The policy."""
+    actuator: Actuator
+    """How the rig's arm follows."""
+    settings: RigSettings
+    """What `rig.toml` says."""
+    robot: str
+    """Address of the robot."""
+    encoder: str | None
+    """Address of the encoder; none where the robot's has one."""
+    duration: float
+    """How long to balance [s]."""
+    t1: bool
+    """Whether the speed limit of T1 holds."""
+    dry_run: bool
+    """Whether everything is done but moving."""
+    seed: int
+    """Of what is random on an emulated rig."""
+
+    def controller(self, counts_per_rev: int) -> Controller:
+        """Return the constants of the control step on that rig.
+
+        Raises:
+            ArmError: Home is a singular posture.
+            SettingsError: The delay is longer than the controller remembers.
+        """
+        policy, plant = self.policy, self.policy.settings.plant
+        return make_controller(
+            self.settings.described_arm,
+            policy.settings,
+            self.actuator,
+            policy.pendulum.parameters(linearised=plant.linearised),
+            h=policy.h,
+            counts_per_rev=counts_per_rev,
+        )
+
+    def guard(self, counts_per_rev: int) -> Guard:
+        """Return the rules of that rig."""
+        arm = self.settings.described_arm
+        return make_guard(
+            arm,
+            reaction=horizon(arm, self.actuator, 0.0),
+            u_max=max(map(abs, self.policy.actions)),
+            h=self.policy.h,
+            counts_per_rev=counts_per_rev,
+            t1=self.t1,
+        )
+
+    def conditions(self) -> dict[str, Any]:
+        """Return what its log says first."""
+        arm = self.settings.described_arm
+        return {
+            "joints": len(arm.joints),
+            "joint_names": [joint.name for joint in arm.joints],
+            "arm": arm.name,
+            "held_joint": arm.held_joint,
+            "policy": self.policy.digest,
+            "pendulum": self.policy.pendulum.digest,
+            "actuator": self.actuator.digest,
+            "rig": self.settings.model_dump(mode="json"),
+            "rig_digest": self.settings.digest,
+            "robot": self.robot,
+            "encoder": self.encoder,
+            "settings": self.policy.settings.model_dump(mode="json"),
+            "h": self.policy.h,
+            "duration": self.duration,
+            "t1": self.t1,
+            "dry_run": self.dry_run,
+            "seed": self.seed,
+            "phases": [phase.value for phase in PHASES],
+        }
+
+
+class Outcome(NamedTuple):
+    """What came of a run."""
+
+    cause: str
+    """Why it ended: lasted, operator, dry run, or what stopped it, in a word or two."""
+    reason: str
+    """The same in a sentence."""
+    lasted: float
+    """How long it balanced [s]."""
+    stoppable: bool
+    """Whether software commanded the arm to its rest."""
+    zero: float | None
+    """Counts at which the pendulum hangs."""
+    missed: int
+    """Ticks that were left out."""
+    late: dict[str, float]
+    """p50, p99, p99.9 and largest lateness of a tick [s]."""
+    compute: dict[str, float]
+    """The same of the time from reading to sending [s]."""
+
+
+class Told:
+    """Tells the operator, and the log."""
+
+    def __init__(self, operator: Operator, recorder: Recorder, clock: Clock) -> None:
+        """Stand between both."""
+        self._operator, self._recorder, self._clock = operator, recorder, clock
+
+    def __call__(self, event: Event) -> None:
+        """Tell."""
+        now = self._clock.now()
+        push_event(self._recorder.event, now, event.name, event.answers, event.text)
+        self._operator.tell(event)
+
+    def ask(self, event: Event) -> str:
+        """Tell, and wait for a word."""
+        self(event)
+        while True:
+            for word in self._operator.words():
+                push_event(self._recorder.event, self._clock.now(), "word", (), word)
+                return word.strip().lower()
+            self._clock.wait_until(self._clock.now() + POLL)
+
+
+def run_on_rig(
+    request: Request,
+    rig: Rig,
+    operator: Operator,
+    recorder: Recorder,
+    *,
+    measures: Callable[[], Sequence[Measure]] = tuple,
+    workshop: Workshop | None = None,
+    idle: Callable[[], None] = lambda: None,
+) -> Outcome:
+    """Run a policy on a rig that is not connected yet; the arm rests and the rig is let go after.
+
+    Args:
+        request: What is to run.
+        rig: Where.
+        operator: Who is told and asked.
+        recorder: Rings for the log.
+        measures: Makes this process punctual, and says what was allowed.
+        workshop: Where longer jobs are done; at once if not given.
+        idle: Called in each tick, such as to drain the rings.
+
+    Raises:
+        InputError: The policy does not fit the rig.
+        OutsideError: The rig does not answer as it should.
+    """
+    waiting = Attended(rig.clock, rig.sensor)
+    tell = Told(operator, recorder, waiting)
+    period = request.policy.h / 2.0
+    robot = GuardedRobot(rig.robot, request.guard(request.settings.counts_per_rev).limits, period)
+    try:
+        tell(Event("connecting", f"Connecting to {request.robot}."))
+        rig.sensor.connect()
+        robot.connect()
+        findings = preflight(request.policy, request.actuator, request.settings, rig, measures())
+        for finding in findings:
+            tell(Event("finding", "\t".join(finding[:4])))
+        refuse(findings)
+        tell(Event("notice", NO_WATCHDOG))
+        for word, question in CHECKLIST:
+            said = tell.ask(Event("checklist", f"{question} Type {word}.", (word,)))
+            if said != word:
+                return _unmoved(OPERATOR, f"{word} was not acknowledged; nothing has moved")
+        if request.dry_run:
+            return _unmoved("dry run", "all but moving was done; nothing has moved")
+        question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
+        if tell.ask(Event("move", question, ("y", "n"))) != "y":
+            return _unmoved(OPERATOR, "the move was not allowed; nothing has moved")
+        return _run(request, rig, robot, operator, recorder, workshop, idle)
+    finally:
+        robot.close()
+        rig.sensor.close()
+
+
+def refuse(findings: Sequence[Finding]) -> None:
+    """Raise what forbids a run.
+
+    Raises:
+        InputError: What was given does not fit.
+        OutsideError: The rig is not as it should be.
+    """
+    refused = [finding for finding in findings if finding.verdict == "refused"]
+    if refused:
+        told = "; ".join(f"{f.name}: {f.found}; {f.cure}" for f in refused)
+        raise (OutsideError if all(f.outside for f in refused) else InputError)(told)
+
+
+def _run(
+    request: Request,
+    rig: Rig,
+    robot: GuardedRobot,
+    operator: Operator,
+    recorder: Recorder,
+    workshop: Workshop | None,
+    idle: Callable[[], None],
+) -> Outcome:
+    counts_per_rev = rig.sensor.counts_per_rev
+    arm, guard = request.settings.described_arm, request.guard(counts_per_rev)
+    controller, policy = request.controller(counts_per_rev), request.policy.kernel
+    warm_up(request, controller)
+    rig.sensor.samples()
+    robot.start()
+    q = robot.started_at
+    pilot = Pilot(arm, controller, policy, guard, q, duration=request.duration)
+    ending = run_loop(
+        robot,
+        rig.sensor,
+        rig.clock,
+        pilot,
+        recorder,
+        operator,
+        longest=PROLOGUE + request.duration,
+        workshop=workshop,
+        idle=idle,
+    )
+    if ending.stoppable:
+        try:
+            robot.stop()
+        except LinkError as error:
+            ending = ending._replace(fault=str(error), stoppable=False)
+    return _outcome(pilot, ending)
+
+
+def warm_up(request: Request, controller: Controller) -> None:
+    """Run all kernels of a tick once, so that none is compiled or loaded in the stream."""
+    arm = request.settings.described_arm
+    lane = Lane(arm, controller)
+    lane.observe(0.0, 0.0, arm.home, 0.0)
+    lane.command(lane.decide(request.policy.kernel)[0])
+    Flange(arm, controller).place(arm.home)
+
+
+def _outcome(pilot: Pilot, ending: Ending) -> Outcome:
+    cause = pilot.state.cause or Cause("fault", "the run ended without a cause")
+    if ending.fault is not None:
+        cause = Cause("fault" if ending.stoppable else "link lost", ending.fault)
+    timing = ending.timing
+    return Outcome(
+        cause=cause.name,
+        reason=cause.reason,
+        lasted=pilot.lasted,
+        stoppable=ending.stoppable,
+        zero=pilot.zero,
+        missed=timing.missed,
+        late=timing.percentiles(timing.late),
+        compute=timing.percentiles(timing.compute),
+    )
+
+
+def _unmoved(cause: str, reason: str) -> Outcome:
+    return Outcome(cause, reason, 0.0, True, None, 0, {}, {})
+
+
+def run_virtually(request: Request, out: Path | None, operator: Operator | None = None) -> Outcome:
+    """Run on an emulated rig in this process, in virtual time.
+
+    Args:
+        request: What is to run; its robot is `twin:...`.
+        out: The log; none writes none.
+        operator: Who is told besides the emulated operator, and may stop the run.
+
+    Raises:
+        InputError: The policy does not fit the rig.
+        OutsideError: The disk refuses.
+    """
+    pendulum = request.policy.pendulum.parameters()
+    rig = connect(request.robot, request.encoder, request.settings, pendulum, seed=request.seed)
+    return run_rig_virtually(request, rig, out, operator)
+
+
+def run_rig_virtually(
+    request: Request, rig: Rig, out: Path | None, operator: Operator | None = None
+) -> Outcome:
+    """Do the same on a rig that was put together already, such as one with faults."""
+    recorder = Recorder(rig.robot.joints)
+    writer = None
+    if out is not None:
+        writer = RunWriter(out, recorder.joints, request.conditions(), rig.clock.now())
+    ticks = 0
+
+    def idle() -> None:
+        nonlocal ticks
+        ticks += 1
+        if ticks % DRAIN == 0:
+            if writer is not None:
+                writer.drain(recorder)
+            else:
+                recorder.forget()
+
+    there = [one for one in (rig.operator, operator) if one is not None]
+    outcome: Outcome | None = None
+    try:
+        outcome = run_on_rig(request, rig, Together(there), recorder, idle=idle)
+        return outcome
+    finally:
+        if writer is not None:
+            writer.drain(recorder)
+            writer.finish(rig.clock.now(), outcome._asdict() if outcome is not None else {})
+
+
+class Together:
+    """Several operators as one: all are told, each may speak."""
+
+    def __init__(self, operators: Sequence[Operator]) -> None:
+        """Stand beside each other."""
+        self._operators = operators
+
+    def tell(self, event: Any) -> None:
+        """Tell all of them."""
+        for operator in self._operators:
+            operator.tell(event)
+
+    def words(self) -> list[str]:
+        """Return what any has typed."""
+        return [word for operator in self._operators for word in operator.words()]
+
+
+def rehearse_t1(request: Request, duration: float = 20.0) -> None:
+    """Let a policy balance on the twin under the limit of T1, before it is tried on a robot.
+
+    Raises:
+        InputError: It cannot.
+    """
+    from dataclasses import replace
+
+    there = request.settings.model_copy(update={"counts_per_rev": 8192, "encoder_sign": 1})
+    trial = replace(
+        request,
+        settings=there,
+        robot="twin:nominal",
+        encoder=None,
+        duration=duration,
+        t1=True,
+        dry_run=False,
+    )
+    outcome = run_virtually(trial, None)
+    if outcome.cause != LASTED:
+        raise InputError(
+            f"on the twin this policy does not last {duration:g} s in T1 ({outcome.reason}); "
+            "train one that does, for the arm moves faster than T1 allows"
+        )
+
+
+STOPPED_BY: Final = {
+    LASTED: 0,
+    "dry run": 0,
+    OPERATOR: 130,
+    "fault": 3,
+    "link lost": 3,
+    Rule.LINK.value: 3,
+}
+"""Exit codes of the causes that are not a fall or a broken rule."""
+
+
+def exit_code(outcome: Outcome) -> int:
+    """Return the exit code of the command: 0, 1 (fell, or a rule was broken), 3 or 130."""
+    if not outcome.stoppable:
+        return 3
+    return STOPPED_BY.get(outcome.cause, 1)

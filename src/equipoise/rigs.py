@@ -1,0 +1,425 @@
+"""A rig: which arm stands where with which pendulum holder and encoder, and how to reach it.
+
+`rig.toml` says it once, in the units of a tape measure and a protractor; every field has a default,
+unknown ones are refused::
+
+    arm = "iiwa7"
+    robot = "kst://172.31.1.147:30001"
+    encoder = "serial:///dev/ttyACM0"
+    counts_per_rev = 8192
+    encoder_sign = -1
+    media_flange_mm = 35
+
+`connect` is the only place that picks a device.
+"""
+
+import tomllib
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cached_property, partial
+from math import hypot, radians
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, NamedTuple
+from urllib.parse import urlsplit
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from equipoise.artefacts import Value, value_digest
+from equipoise.devices.clocks import SystemClock, VirtualClock
+from equipoise.devices.encoder.board import Board
+from equipoise.devices.encoder.sensor import LineEncoder
+from equipoise.devices.encoder.serial_port import FORMS, open_serial
+from equipoise.devices.interfaces import AngleSensor, Clock, Robot
+from equipoise.devices.kuka.cabinet import KstServer
+from equipoise.devices.kuka.codec import PORT
+from equipoise.devices.kuka.robot import KstRobot, dial
+from equipoise.devices.operator import EmulatedOperator, Operator
+from equipoise.devices.transports import MemoryPipe, memory_pipe
+from equipoise.devices.twin.bench import Bench
+from equipoise.devices.twin.robot import TwinEncoder, TwinRobot
+from equipoise.errors import ArmError, InputError, LinkError, SettingsError
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.arms.iiwa import HOME_DEG, PIVOT_OUTWARD, iiwa
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import PREFIX as TWIN
+from equipoise.model.worlds import World, read_world
+
+Degrees = Annotated[float, Field(ge=-180.0, le=180.0)]
+
+LARGEST_TILT_DEG: Final = 1.0
+"""A base that leans more than this is to be levelled [deg]: the track would climb, and gravity
+would pull along it by 0.17 m/s^2, a twelfth of the largest command."""
+
+
+ATTENTION: Final = 0.010
+"""So often whoever waits reads the encoder [s]: a terminal keeps 0.1 s of its lines."""
+AWAY: Final = 0.1
+"""An emulated arm stands up to so far from home at first, each joint [rad]."""
+
+
+NUDGE: Final = 0.1
+"""Change of the rate when an emulated hand nudges a pendulum that stands by itself [rad/s]."""
+
+
+class RigSettings(Value):
+    """What `rig.toml` says."""
+
+    name: str = "rig"
+    """What the rig is called in logs."""
+    arm: Literal["iiwa7", "iiwa14"] = "iiwa7"
+    """Which arm."""
+    robot: str | None = None
+    """Where the robot answers, if --robot is not given, e.g. kst://172.31.1.147:30001."""
+    encoder: str | None = None
+    """Where the encoder does, if --encoder is not given, e.g. serial:///dev/ttyACM0."""
+    home_deg: Annotated[tuple[Degrees, ...], Field(min_length=7, max_length=7)] = HOME_DEG
+    """Posture at x = 0, all joints [deg]: flange down, the pendulum's spindle along base y."""
+    pivot_outward_mm: float = Field(default=1e3 * PIVOT_OUTWARD, ge=0.0, le=500.0)
+    """From the axis of A7 to the plane in which the pendulum turns [mm]."""
+    media_flange_mm: Literal[0, 35, 61] = 0
+    """Height of the media flange: none, electric or pneumatic, touch pneumatic [mm]."""
+    counts_per_rev: int = Field(default=8192, ge=64, le=2**24)
+    """Encoder counts per revolution, after x4."""
+    encoder_sign: Literal[1, -1] = 1
+    """1 if counts grow with theta, the pendulum's angle from hanging, else -1."""
+    table_height_mm: float = Field(default=-1e4, ge=-1e4, le=2e3)
+    """The highest thing below the arm, above the plane of its base [mm]; the pendulum's tip must
+    not reach it."""
+    base_tilt_deg: tuple[Degrees, Degrees] = (0.0, 0.0)
+    """How the base leans, about its x and its y [deg]."""
+    position_margin_deg: float = Field(default=3.0, ge=1.0, le=30.0)
+    """Setpoints stay so far inside the joints' limits [deg]."""
+    speed_share: float = Field(default=0.8, gt=0.0, le=1.0)
+    """... and below this share of their velocity limits."""
+    torque_limit: float = Field(default=15.0, gt=0.0)
+    """External torque that stops a run, beyond what home shows, each joint [N m]."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all of it."""
+        return value_digest(self)
+
+    @cached_property
+    def described_arm(self) -> Arm:
+        """The arm as it stands there: its home, and the pendulum's place on its flange.
+
+        Raises:
+            ArmError: Home is out of the joints' limits.
+        """
+        bare = iiwa(7 if self.arm == "iiwa7" else 14, media_flange=self.media_flange_mm / 1e3)
+        fields: dict[str, Any] = {name: getattr(bare, name) for name in Arm.model_fields}
+        fields["home"] = tuple(radians(angle) for angle in self.home_deg)
+        fields["pivot"] = (-self.pivot_outward_mm / 1e3, 0.0, bare.pivot[2])
+        return Arm(**fields)
+
+
+def read_rig(path: Path | None) -> RigSettings:
+    """Return what a `rig.toml` says; without one, the defaults.
+
+    Raises:
+        SettingsError: The file cannot be read, or says what cannot be.
+    """
+    if path is None:
+        return RigSettings()
+    try:
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"cannot read the rig {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingsError(f"the rig {path} is not valid TOML: {error}") from None
+    try:
+        rig = RigSettings.model_validate(tree)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        known = ", ".join(RigSettings.model_fields)
+        hint = f"; known: {known}" if first["type"] == "extra_forbidden" else ""
+        raise SettingsError(f"the rig {path}: {where}: {first['msg']}{hint}") from None
+    try:
+        _ = rig.described_arm
+    except ArmError as error:
+        raise SettingsError(f"the rig {path}: {error}") from None
+    tilt = hypot(*rig.base_tilt_deg)
+    if tilt > LARGEST_TILT_DEG:
+        raise SettingsError(
+            f"the rig {path}: base_tilt_deg is {tilt:.2f} deg in all, expected at most "
+            f"{LARGEST_TILT_DEG:g}; level the base"
+        )
+    return rig
+
+
+class Attended:
+    """A clock for whoever waits before a run: meanwhile nothing piles up at the encoder."""
+
+    def __init__(self, clock: Clock, sensor: AngleSensor) -> None:
+        """Attend to a sensor."""
+        self._clock, self._sensor = clock, sensor
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        return self._clock.now()
+
+    def wait_until(self, time: float) -> None:
+        """Wait, and drop what the sensor says."""
+        until = self._clock.now()
+        while until < time:
+            until = min(time, until + ATTENTION)
+            self._clock.wait_until(until)
+            with suppress(LinkError):  # it is not connected yet; or says so again when asked
+                self._sensor.samples()
+
+
+class Rig(NamedTuple):
+    """A robot, an angle sensor on the pendulum, and the clock of both."""
+
+    robot: Robot
+    """The arm."""
+    sensor: AngleSensor
+    """The encoder."""
+    clock: Clock
+    """Their time."""
+    operator: Operator | None
+    """Who stands at an emulated rig; none where a person does."""
+
+    @property
+    def virtual(self) -> bool:
+        """Whether time passes only where someone waits."""
+        return isinstance(self.clock, VirtualClock)
+
+
+def is_virtual(robot: str) -> bool:
+    """Return whether an address is that of a rig in this process, in virtual time."""
+    return robot.startswith(TWIN)
+
+
+ALONE: Final = "a robot alone does not balance; give --encoder serial:///dev/ttyACM0"
+
+
+def check_addresses(robot: str, encoder: str | None) -> tuple[str, int]:
+    """Return host and port of a robot (none of a twin), if the addresses are some.
+
+    Raises:
+        InputError: They are not.
+    """
+    if is_virtual(robot):
+        if encoder is not None:
+            raise InputError(f"{robot} has an encoder of its own; leave --encoder out")
+        return "", 0
+    where = _host_and_port(robot)
+    if encoder is None:
+        raise InputError(ALONE)
+    _check_encoder(encoder)
+    return where
+
+
+def _host_and_port(robot: str) -> tuple[str, int]:
+    parts = urlsplit(robot)
+    try:
+        port = parts.port or PORT
+    except ValueError:
+        raise InputError(f"{robot!r} has a port that is none; expected 1 to 65535") from None
+    if parts.scheme != "kst" or not parts.hostname or parts.path.strip("/"):
+        raise InputError(
+            f"{robot!r} is no address of a robot; expected kst://HOST:{PORT} or twin:nominal"
+        )
+    return parts.hostname, port
+
+
+def _check_encoder(encoder: str) -> None:
+    if urlsplit(encoder).scheme not in ("serial", "socket"):
+        raise InputError(f"{encoder!r} is no address of an encoder; expected {FORMS}")
+
+
+def connect(
+    robot: str,
+    encoder: str | None,
+    settings: RigSettings,
+    pendulum: PendulumParameters,
+    *,
+    seed: int = 0,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Rig:
+    """Return the rig behind two addresses; nothing is opened before its parts are connected.
+
+    Args:
+        robot: `kst://HOST` or `kst://HOST:PORT`; or `twin:NAME`, a digital twin in this process
+            whose time passes as fast as it can, with its own encoder and operator.
+        encoder: `serial:///dev/ttyACM0` or `socket://HOST:PORT`; none for a twin.
+        settings: What `rig.toml` says.
+        pendulum: That hangs on a twin.
+        seed: Of what is random on a twin.
+        tell: Takes what the operator has to know while a connection is waited for.
+
+    Raises:
+        InputError: An address is none of these.
+        SettingsError: There is no such twin.
+    """
+    check_addresses(robot, encoder)
+    if is_virtual(robot):
+        return twin_rig(read_world(robot), settings, pendulum, seed=seed)
+    if encoder is None:  # checked above
+        raise InputError(ALONE)
+    clock = SystemClock()
+    sensor = encoder_at(
+        encoder,
+        clock,
+        counts_per_rev=settings.counts_per_rev,
+        sign=settings.encoder_sign,
+    )
+    return Rig(robot_at(robot, Attended(clock, sensor), tell=tell), sensor, clock, None)
+
+
+def robot_at(robot: str, clock: Clock, *, tell: Callable[[str], None] = lambda _: None) -> Robot:
+    """Return the robot behind an address; nothing is opened before it is connected.
+
+    Args:
+        robot: `kst://HOST` or `kst://HOST:PORT`.
+        clock: Its time.
+        tell: Takes what the operator has to know while a connection is waited for.
+
+    Raises:
+        InputError: It is no such address.
+    """
+    return KstRobot(dial(*_host_and_port(robot)), clock, tell=tell)
+
+
+def encoder_at(
+    encoder: str, clock: Clock, *, counts_per_rev: int | None = None, sign: int = 1
+) -> AngleSensor:
+    """Return the encoder behind an address; nothing is opened before it is connected.
+
+    Args:
+        encoder: `serial:///dev/ttyACM0` or `socket://HOST:PORT`.
+        clock: Its time.
+        counts_per_rev: What is expected of its board, after x4; any number if not given.
+        sign: 1 if its counts grow with theta, -1 if they fall.
+
+    Raises:
+        InputError: It is no such address.
+    """
+    _check_encoder(encoder)
+    return LineEncoder(
+        partial(open_serial, encoder),
+        clock,
+        counts_per_rev=counts_per_rev,
+        sign=sign,
+        name=encoder,
+    )
+
+
+def twin_rig(
+    world: World, settings: RigSettings, pendulum: PendulumParameters, *, seed: int = 0
+) -> Rig:
+    """Return a twin with its operator, robot and encoder in process, in virtual time.
+
+    Raises:
+        ArmError: The masses of the arm's links are not known.
+    """
+    clock, bench = _bench(world, settings, pendulum, seed)
+    operator = EmulatedOperator(clock, _acts(bench), seed=seed)
+    return Rig(TwinRobot(bench, clock), TwinEncoder(bench, clock), clock, operator)
+
+
+class Emulated(NamedTuple):
+    """A twin behind the protocols of the hardware, and what a test can do to it."""
+
+    rig: Rig
+    """The drivers."""
+    bench: Bench
+    """Arm, pendulum, hand and button."""
+    server: KstServer
+    """The robot's cabinet."""
+    board: Board
+    """The encoder's board."""
+    robot_link: MemoryPipe
+    """The cabinet's end of the link to the robot."""
+    encoder_link: MemoryPipe
+    """The board's end of the link to the encoder."""
+
+
+def emulated_rig(
+    world: World, settings: RigSettings, pendulum: PendulumParameters, *, seed: int = 0
+) -> Emulated:
+    """Return the drivers of the hardware in front of a twin that speaks its bytes, in virtual time.
+
+    The link to the cabinet takes half the twin's reply age each way; the rest of its transport is
+    the servo's own.
+
+    Raises:
+        ArmError: The masses of the arm's links are not known.
+    """
+    delay = 0.5 * world.settings.reply_age
+    within = world.settings.model_copy(
+        update={"transport": max(world.settings.transport - delay, 0.0)}
+    )
+    clock, bench = _bench(World(world.name, within), settings, pendulum, seed)
+    arm = settings.described_arm
+    server = KstServer(bench.body, [joint.velocity for joint in arm.joints], seed=seed)
+    board = Board(
+        lambda: bench.theta,
+        counts_per_rev=world.settings.counts_per_rev,
+        sign=settings.encoder_sign,
+        seed=seed,
+    )
+    host, cabinet = memory_pipe(clock, delay)
+    reader, wire = memory_pipe(clock, world.settings.encoder_age)
+    down = [False]
+
+    def work(now: float) -> None:
+        if not server.closed:
+            server.feed(cabinet.read(), now)
+            for segment in server.advance(now):
+                cabinet.write(segment)
+        if bench.button is not down[0]:
+            down[0] = bench.button
+            board.press() if down[0] else board.let_go()
+        board.feed(wire.read())
+        wire.write(board.advance(now))
+
+    clock.attach(work)
+    operator = EmulatedOperator(clock, _acts(bench), seed=seed)
+    sensor = LineEncoder(
+        lambda: reader,
+        clock,
+        counts_per_rev=settings.counts_per_rev,
+        sign=settings.encoder_sign,
+    )
+    robot = KstRobot(lambda: host, Attended(clock, sensor))
+    return Emulated(Rig(robot, sensor, clock, operator), bench, server, board, cabinet, wire)
+
+
+def _bench(
+    world: World, settings: RigSettings, pendulum: PendulumParameters, seed: int
+) -> tuple[VirtualClock, Bench]:
+    if world.settings.counts_per_rev != settings.counts_per_rev:
+        raise SettingsError(
+            f"{world.name} has {world.settings.counts_per_rev} counts per revolution, rig.toml "
+            f"{settings.counts_per_rev}; give one number"
+        )
+    clock = VirtualClock()
+    arm = settings.described_arm
+    elsewhere = arm.home_free + AWAY * np.random.default_rng(seed).uniform(-1.0, 1.0, FREE_JOINTS)
+    bench = Bench(arm, pendulum, world.settings, seed=seed, q=elsewhere)
+    clock.attach(bench.advance)
+    return clock, bench
+
+
+def _acts(bench: Bench) -> dict[str, Callable[[], Any]]:
+    """Return what an emulated operator does with its hands, by what it is told."""
+
+    def lift() -> None:
+        bench.lift(clumsy=0.0)
+
+    def press() -> None:
+        bench.let_go()
+        bench.press()
+
+    return {
+        "hang": bench.steady,
+        "reference": press,
+        "nudge": lambda: bench.push(NUDGE),
+        "lift": lift,
+        "disarmed": lift,
+        "armed": bench.let_go,
+    }

@@ -1,0 +1,153 @@
+"""A whole run on emulated rigs, in virtual time, with all guards on."""
+
+import numpy as np
+import pytest
+
+from equipoise.control.pilot import PHASES
+from equipoise.control.policy import shipped_policy
+from equipoise.control.states import Phase
+from equipoise.deployment.rig import Request, exit_code, run_rig_virtually
+from equipoise.errors import InputError
+from equipoise.model.worlds import read_world
+from equipoise.rigs import RigSettings, emulated_rig, twin_rig
+from equipoise.runwriter import read_rig_run
+
+pytestmark = pytest.mark.compiled_only
+
+NOMINAL = read_world("twin:nominal")
+
+
+class Spy:
+    """Is told, and speaks once after an event of a name."""
+
+    def __init__(self, after="", word="stop"):
+        self.names, self._after, self._word = [], after, word
+
+    def tell(self, event):
+        self.names.append(event.name)
+
+    def words(self):
+        if self._after and self._after in self.names:
+            self._after = ""
+            return [self._word]
+        return []
+
+
+def request(duration=2.0, settings=None, **changes):
+    policy = shipped_policy()
+    given = {
+        "policy": policy,
+        "actuator": policy.actuator,
+        "settings": settings or RigSettings(),
+        "robot": "twin:nominal",
+        "encoder": None,
+        "duration": duration,
+        "t1": False,
+        "dry_run": False,
+        "seed": 3,
+    }
+    return Request(**(given | changes))
+
+
+def on_the_twin(wanted, out=None, spy=None):
+    pendulum = wanted.policy.pendulum.parameters()
+    rig = twin_rig(NOMINAL, wanted.settings, pendulum, seed=wanted.seed)
+    return run_rig_virtually(wanted, rig, out, spy or Spy())
+
+
+def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
+    out, spy = tmp_path / "run.mcap", Spy()
+    outcome = on_the_twin(request(), out, spy)
+    assert (outcome.cause, outcome.lasted, exit_code(outcome)) == ("lasted", 2.0, 0)
+    order = ["homing", "home", "reference", "swing", "self-test", "lift", "armed", "balancing"]
+    assert [name for name in spy.names if name in order] == order
+    run = read_rig_run(out)
+    tick, stream = run.tables["tick"], run.tables["stream"]
+    balancing = tick["state"] == PHASES.index(Phase.BALANCING)
+    assert balancing.sum() == 200
+    assert np.abs(tick["phi"][balancing]).max() < np.radians(8.0)
+    # Two setpoints in each tick, within the limits of the arm, from first to last.
+    assert len(stream) == 2 * len(tick)
+    limits = np.array([(j.velocity, j.acceleration) for j in request().policy.arm.joints]).T
+    steps = np.diff(stream["q"], axis=0) / 0.005
+    assert (np.abs(steps) <= limits[0] * 1.001).all()
+    assert (np.abs(np.diff(steps, axis=0)) / 0.005 <= limits[1] * 1.001).all()
+    assert run.end is not None
+    assert run.end["cause"] == "lasted"
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_it_stands_behind_the_protocols_of_the_hardware(sign):
+    wanted = request(settings=RigSettings(encoder_sign=sign))
+    pendulum = wanted.policy.pendulum.parameters()
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3).rig
+    outcome = run_rig_virtually(wanted, rig, None, Spy())
+    assert (outcome.cause, outcome.lasted) == ("lasted", 2.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_it_stands_a_minute_behind_the_protocols_of_the_hardware(seed):
+    wanted = request(60.0)
+    pendulum = wanted.policy.pendulum.parameters()
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=seed).rig
+    outcome = run_rig_virtually(wanted, rig, None, Spy())
+    assert (outcome.cause, outcome.lasted) == ("lasted", 60.0)
+
+
+@pytest.mark.parametrize("when", ["homing", "hang", "swing", "armed", "balancing"])
+def test_any_word_stops_it_in_the_same_tick_and_the_arm_comes_to_rest(tmp_path, when):
+    out = tmp_path / "run.mcap"
+    outcome = on_the_twin(request(), out, Spy(after=when))
+    assert (outcome.cause, exit_code(outcome)) == ("operator", 130)
+    run = read_rig_run(out)
+    tick = run.tables["tick"]
+    stopping = tick["state"] == PHASES.index(Phase.STOPPING)
+    stopped_at = next(event.time for event in run.events if event.name == "stopping")
+    assert tick["time"][stopping][0] == pytest.approx(stopped_at)
+    assert np.abs(tick["dq"][-1]).max() == 0.0
+    # It never moves again.
+    assert stopping[np.argmax(stopping) :].all()
+
+
+def test_a_dry_run_moves_nothing(tmp_path):
+    out, spy = tmp_path / "run.mcap", Spy()
+    outcome = on_the_twin(request(dry_run=True), out, spy)
+    assert (outcome.cause, exit_code(outcome)) == ("dry run", 0)
+    assert "checklist" in spy.names
+    assert len(read_rig_run(out).tables["stream"]) == 0
+
+
+def test_an_encoder_that_counts_the_wrong_way_is_found_before_the_pendulum_is_lifted():
+    wanted = request()
+    pendulum = wanted.policy.pendulum.parameters()
+    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3)
+    emulated.board.sign = -1
+    spy = Spy()
+    outcome = run_rig_virtually(wanted, emulated.rig, None, spy)
+    assert outcome.cause == "self-test"
+    assert "sign" in outcome.reason
+    assert "lift" not in spy.names
+
+
+def test_a_link_that_goes_dead_is_told_at_once():
+    wanted = request(5.0)
+    pendulum = wanted.policy.pendulum.parameters()
+    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3)
+
+    class Cutter(Spy):
+        def tell(self, event):
+            super().tell(event)
+            if event.name == "balancing":
+                emulated.robot_link.cut = True
+
+    spy = Cutter()
+    outcome = run_rig_virtually(wanted, emulated.rig, None, spy)
+    assert exit_code(outcome) == 3
+    assert "fault" in spy.names
+    assert not outcome.stoppable
+
+
+def test_a_policy_for_another_arm_is_refused():
+    with pytest.raises(InputError, match="trained on iiwa7, the rig has iiwa14"):
+        on_the_twin(request(settings=RigSettings(arm="iiwa14")))

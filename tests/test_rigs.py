@@ -1,0 +1,86 @@
+"""What `rig.toml` may say, and which addresses are some."""
+
+import pytest
+
+from equipoise.errors import EquipoiseError, InputError, SettingsError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.rigs import RigSettings, check_addresses, read_rig
+
+
+def written(tmp_path, text):
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    return path
+
+
+def test_without_a_file_the_rig_is_the_arm_of_the_training():
+    assert read_rig(None).described_arm == iiwa(7)
+
+
+def test_a_rig_says_where_its_pendulum_is(tmp_path):
+    path = written(
+        tmp_path,
+        'arm = "iiwa14"\nmedia_flange_mm = 35\npivot_outward_mm = 150\nencoder_sign = -1\n'
+        "home_deg = [80, 30, 0, -70, 0, 80, 0]\n",
+    )
+    rig = read_rig(path)
+    arm = rig.described_arm
+    assert arm.pivot == pytest.approx((-0.15, 0.0, 0.035))
+    assert arm.home[0] == pytest.approx(1.3962634)
+    assert arm.digest == iiwa(14).digest
+    assert rig.encoder_sign == -1
+
+
+def test_equal_rigs_have_one_digest_and_others_another(tmp_path):
+    path = written(tmp_path, 'arm = "iiwa7"\n')
+    assert read_rig(path).digest == RigSettings().digest
+    assert RigSettings(encoder_sign=-1).digest != RigSettings().digest
+
+
+@pytest.mark.parametrize(
+    ("text", "saying"),
+    [
+        ("counts = 8192", "known: name, arm"),
+        ('arm = "iiwa"', "'iiwa7' or 'iiwa14'"),
+        ("media_flange_mm = 20", "0, 35 or 61"),
+        ("encoder_sign = 2", "1 or -1"),
+        ("home_deg = [0, 0, 0]", "at least 7 items"),
+        ("home_deg = [0, 130, 0, 0, 0, 0, 0]", "joint 2"),
+        ("home_deg = [1.57, 0.52, 0.1, -1.22, 0, 1.4, 0]", "joint 3"),
+        ("base_tilt_deg = [1.0, 1.0]", "level the base"),
+        ("counts_per_rev = nan", "finite number"),
+        ("= 3", "not valid TOML"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path, text, saying):
+    with pytest.raises(SettingsError, match=saying):
+        read_rig(written(tmp_path, text))
+
+
+def test_a_rig_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(SettingsError, match="cannot read"):
+        read_rig(tmp_path / "rig.toml")
+
+
+@pytest.mark.parametrize(
+    ("robot", "encoder"),
+    [
+        ("kst://", "serial:///dev/ttyACM0"),
+        ("kst://host:70000", "serial:///dev/ttyACM0"),
+        ("http://host", "serial:///dev/ttyACM0"),
+        ("kst://host", None),
+        ("kst://host", "/dev/ttyACM0"),
+        ("twin:nominal", "serial:///dev/ttyACM0"),
+        ("model", None),
+    ],
+)
+def test_an_address_that_is_none_is_refused(robot, encoder):
+    with pytest.raises(InputError) as refused:
+        check_addresses(robot, encoder)
+    assert isinstance(refused.value, EquipoiseError)
+
+
+def test_addresses_of_a_robot():
+    assert check_addresses("kst://172.31.1.147", "serial:///dev/ttyACM0") == ("172.31.1.147", 30001)
+    assert check_addresses("kst://localhost:3", "socket://localhost:4") == ("localhost", 3)
+    assert check_addresses("twin:nominal", None) == ("", 0)

@@ -1,0 +1,168 @@
+"""The log of a run on a rig: what is written comes back, and whatever breaks off leaves a file."""
+
+import io
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from equipoise import runwriter
+from equipoise.errors import ArtefactError
+from equipoise.runwriter import TAIL, Recorder, RunWriter, push_event, read_rig_run, take_events
+
+CONDITIONS = {"joints": 7, "policy": "sha256:0"}
+POSTURE = np.linspace(0.0, 0.6, 7)
+
+
+def push(recorder, ticks, begin=0):
+    for i in range(begin, begin + ticks):
+        t = 0.01 * i
+        recorder.tick.push(
+            t, 1e-5, 2e-4, 3, 0.1, np.nan, 0.2, 0.3, 17, -2.0, 0.2, 0.3, 0.0, POSTURE, POSTURE
+        )
+        recorder.stream.push(t, 0, POSTURE)
+        recorder.reply.push(t, t - 0.004, POSTURE, np.full(7, np.nan))
+        recorder.encoder.push(t, 4096 + i, 0, 0, 0, t)
+
+
+def drained(path, ticks, recorder=None):
+    recorder = recorder or Recorder(7)
+    writer = RunWriter(path, 7, CONDITIONS, 0.0)
+    for begin in range(0, ticks, 100):
+        push(recorder, min(100, ticks - begin), begin)
+        writer.drain(recorder)
+    return recorder, writer
+
+
+def counted(path):
+    """What a reader of others finds."""
+    reader = make_reader(io.BytesIO(path.read_bytes()), validate_crcs=True)
+    reader.get_summary()
+    return sum(1 for _ in reader.iter_messages())
+
+
+def test_what_is_written_comes_back(tmp_path):
+    path = tmp_path / "run.mcap"
+    recorder, writer = drained(path, 250)
+    push_event(recorder.event, 2.5, "stopping", ("y", "n"), "stop – it fell")
+    writer.drain(recorder)
+    writer.finish(2.5, {"cause": "lasted"})
+    run = read_rig_run(path)
+    assert run.conditions == CONDITIONS
+    assert run.end == {"cause": "lasted"}
+    assert run.events == ((2.5, "stopping", ("y", "n"), "stop – it fell"),)
+    tick, reply = run.tables["tick"], run.tables["reply"]
+    assert tick["time"] == pytest.approx(0.01 * np.arange(250))
+    assert np.isnan(tick["x_dot"]).all()
+    assert tick["q"][3] == pytest.approx(POSTURE)
+    assert np.isnan(reply["torque"]).all()
+    assert run.tables["encoder"]["counts"].tolist() == list(range(4096, 4346))
+    assert counted(path) == 4 * 250 + 2
+
+
+def test_after_each_chunk_the_file_is_one_that_every_reader_takes(tmp_path):
+    path, sizes = tmp_path / "run.mcap", set()
+    recorder = Recorder(7)
+    writer = RunWriter(path, 7, CONDITIONS, 0.0)
+    assert read_rig_run(path).conditions == CONDITIONS
+    for begin in range(0, 2000, 100):
+        push(recorder, 100, begin)
+        writer.drain(recorder)
+        count = counted(path)
+        run = read_rig_run(path)
+        assert sum(map(len, run.tables.values())) == count
+        assert run.end is None
+        sizes.add(count)
+    assert len(sizes) > 3
+    # No more is kept back than a chunk, of which a second has 200 kB.
+    assert max(sizes) > 4 * 2000 - 4 * 150
+
+
+def test_a_torn_tail_leaves_what_stands_before_it(tmp_path):
+    path = tmp_path / "run.mcap"
+    drained(path, 1500)
+    whole = path.read_bytes()
+    before = len(read_rig_run(path).tables["tick"])
+    for cut in range(len(whole) - len(TAIL), len(whole), 7):
+        path.write_bytes(whole[:cut])
+        assert len(read_rig_run(path).tables["tick"]) == before
+    path.write_bytes(whole[: len(whole) // 2])
+    assert 0 < len(read_rig_run(path).tables["tick"]) < before
+
+
+def test_a_writer_that_is_killed_leaves_its_chunks(tmp_path):
+    path = tmp_path / "run.mcap"
+    script = (
+        "import sys; from pathlib import Path; from tests.test_runwriter import drained\n"
+        "drained(Path(sys.argv[1]), 1000); print('written', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script, str(path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(["src", ".", *sys.path])},
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"written\n"
+        process.send_signal(signal.SIGKILL)
+    assert counted(path) > 3000
+    assert len(read_rig_run(path).tables["tick"]) > 800
+
+
+def test_a_full_disk_ends_the_log_and_leaves_it_whole(tmp_path, monkeypatch):
+    path, room = tmp_path / "run.mcap", 30_000
+    real = os.pwrite
+
+    def full(file, data, place):
+        taken = data[: max(room - place, 0)]
+        if data and not taken:
+            raise OSError(28, "No space left on device")
+        return real(file, taken, place)
+
+    monkeypatch.setattr(runwriter.os, "pwrite", full)
+    recorder, writer = drained(path, 3000)
+    assert writer.problem is not None
+    assert "no space left" in writer.problem.lower()
+    writer.finish(30.0, {"cause": "lasted"})
+    assert path.stat().st_size <= room
+    assert counted(path) > 500
+    assert read_rig_run(path).end is None
+    # The rings are drained on, so that nothing is dropped that others may want.
+    assert recorder.lost == 0
+
+
+def test_a_ring_that_nobody_drains_drops_and_counts():
+    recorder = Recorder(7)
+    push(recorder, 1500)
+    assert recorder.tick.lost == 500
+    assert len(recorder.tick.take()) == 1000
+    assert recorder.tick.take().size == 0
+    push(recorder, 10)
+    assert len(recorder.tick.take()) == 10
+
+
+def test_rings_lie_in_memory_that_two_share():
+    buffer = bytearray(Recorder.room(7))
+    one, other = Recorder(7, buffer), Recorder(7, buffer)
+    push(one, 3)
+    assert other.stream.take()["time"] == pytest.approx([0.0, 0.01, 0.02])
+    push_event(one.told, 1.0, "lift", (), "Lift the pendulum.")
+    assert take_events(other.told) == [(1.0, "lift", (), "Lift the pendulum.")]
+    other.words.push(b"stop")
+    assert one.words.take()["word"].tolist() == [b"stop"]
+    one.pulse[0] = 5.0
+    assert other.pulse[0] == 5.0
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", TAIL])
+def test_what_is_no_log_is_refused(tmp_path, content):
+    path = tmp_path / "run.mcap"
+    with pytest.raises(ArtefactError, match="there is no file"):
+        read_rig_run(path)
+    path.write_bytes(content)
+    with pytest.raises(ArtefactError, match="is no log of a run on a rig"):
+        read_rig_run(path)
