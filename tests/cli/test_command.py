@@ -17,20 +17,31 @@ VERBS = (
     "train",
     "evaluate",
     "deploy",
+    "emulate",
+    "record",
     "certify",
     "gap",
     "refine",
     "verify",
     "bench",
+    "doctor",
 )
+NEEDS = {
+    "identify": ["x.csv"],
+    "verify": ["x.csv"],
+    "record": ["--encoder", "serial:///dev/ttyACM0"],
+}
+"""What a verb cannot do without."""
 HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
 
 
 def test_help_shows_the_verbs_in_their_panels(equipoise):
     ran = equipoise("--help")
     assert ran.code == 0
-    story, studies = ran.out.split("The story")[1].split("Studies")
+    story, rest = ran.out.split("The story")[1].split("The rig")
+    rig, studies = rest.split("Studies")
     assert all(f" {verb} " in story for verb in ("reproduce", "identify", "train", "evaluate"))
+    assert all(f" {verb} " in rig for verb in ("emulate", "record"))
     assert all(f" {verb} " in studies for verb in ("certify", "gap", "refine", "verify", "bench"))
 
 
@@ -78,7 +89,7 @@ def first_words(self, words, **_):
     assert words
     raise SystemExit(0)
 output.Output.say = first_words
-main([{verb!r}] + [["x.csv"], []][{verb!r} not in ("identify", "verify")])
+main([{verb!r}, *{NEEDS.get(verb, [])}])
 """
     assert loaded_after(program) == []
 

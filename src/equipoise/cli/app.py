@@ -7,15 +7,19 @@ import typer
 from equipoise.cli.bench import bench
 from equipoise.cli.certify import certify
 from equipoise.cli.deploy import deploy
+from equipoise.cli.doctor import doctor
+from equipoise.cli.emulate import emulate
 from equipoise.cli.evaluate import evaluate
 from equipoise.cli.gap import gap
 from equipoise.cli.identify import identify
+from equipoise.cli.record import record
 from equipoise.cli.refine import refine
 from equipoise.cli.reproduce import reproduce
 from equipoise.cli.train import train
 from equipoise.cli.verify import verify
 
 STORY = "The story"
+RIG = "The rig"
 STUDIES = "Studies"
 
 app = typer.Typer(
@@ -31,6 +35,8 @@ app = typer.Typer(
 
 for verb in (reproduce, identify, train, evaluate, deploy):
     app.command(rich_help_panel=STORY)(verb)
+for verb in (doctor, record, emulate):
+    app.command(rich_help_panel=RIG)(verb)
 for verb in (certify, gap, refine, verify, bench):
     app.command(rich_help_panel=STUDIES)(verb)
 
