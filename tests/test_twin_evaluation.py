@@ -39,7 +39,7 @@ def test_results_do_not_depend_on_the_number_of_workers(behind_a_servo, evaluati
 
 
 def test_the_evaluation_says_in_which_world_and_behind_what(behind_a_servo, evaluation):
-    assert evaluation.world == "twin:nominal-1"
+    assert evaluation.world == "twin:nominal-2"
     assert evaluation.world_settings.transport == 0.010
     assert evaluation.actuator == behind_a_servo.actuator.digest
 
@@ -132,3 +132,36 @@ def test_a_delay_that_the_controller_cannot_remember_is_refused(behind_a_servo):
     actuator = behind_a_servo.actuator.model_copy(update={"delay": late})
     with pytest.raises(SettingsError, match="delay"):
         evaluate(behind_a_servo, world=WORLD, actuator=actuator, with_yardsticks=False)
+
+
+def test_guards_end_trials_in_the_worlds_that_have_them(evaluation, behind_a_servo):
+    """What falls in a world without guards falls there with a guard, no later."""
+    before = evaluate(behind_a_servo, world="twin:nominal-1", seed=4)
+    assert "guard" not in {c for results in (before.results, *before.yardsticks)
+                           for c in results.causes}  # fmt: skip
+    assert "guards" not in before.results.model_dump()
+    told = []
+    for free, held in zip(
+        (before.results, *before.yardsticks),
+        (evaluation.results, *evaluation.yardsticks),
+        strict=True,
+    ):
+        guards = held.guards or ("",) * len(held.causes)
+        assert [cause == "guard" for cause in held.causes] == [bool(guard) for guard in guards]
+        for late, soon, guard in zip(free.survival, held.survival, guards, strict=True):
+            assert soon <= late if guard else soon == late
+        told += guards
+    assert {"track", "angle"} & set(told)
+
+
+def test_a_run_that_a_guard_ends_says_which(behind_a_servo, tmp_path):
+    for seed in range(20):
+        run = deploy(behind_a_servo, world=WORLD, seed=seed, duration=20.0)
+        if run.conditions.cause == "guard":
+            break
+    assert run.conditions.cause == "guard"
+    assert run.conditions.guard in {"track", "angle"}
+    run.save(tmp_path / "run.mcap", command="deploy")
+    again = RunLog.load(tmp_path / "run.mcap")
+    assert again.conditions == run.conditions
+    assert again.digest == run.digest

@@ -20,7 +20,13 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
 
 from equipoise.errors import ArtefactError, OutsideError
 
@@ -33,6 +39,21 @@ class Value(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
+
+
+class Extended(Value):
+    """A value that has got fields since files of it were first written.
+
+    They are left out of a file where they say nothing: what is older keeps its digest.
+    """
+
+    LATER: ClassVar[tuple[str, ...]] = ()
+    """Those fields."""
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        body = dump(self)
+        return {name: told for name, told in body.items() if told or name not in self.LATER}
 
 
 class Estimate(Value):

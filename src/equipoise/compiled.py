@@ -9,6 +9,8 @@ kernels that it calls. Ours is keyed by a digest of *all* files that hold kernel
 user's cache directory (`EQUIPOISE_CACHE_DIR` moves it), and where that is not writable the kernels
 compile anew in each process, after one warning.
 
+`@compilable` leaves a function to Python and lets kernels call it.
+
 `function_pointer` compiles a function of fixed signature that kernels take as an *argument*: this
 is how one training loop serves every arm (a dispatcher passed as an argument would never be found
 in the cache).
@@ -134,6 +136,19 @@ def inlined(function: F) -> F:
     only if nothing is called in it.
     """
     return _lazily_compiled(function, forceinline=True)
+
+
+def compilable(function: F) -> F:
+    """Leave `function` to Python as it is, and compile it into each kernel that calls it.
+
+    For rules that a rig asks in Python, where nothing may compile in the midst of a run, and trials
+    in kernels: equal code for both.
+    """
+    if _disabled():
+        return function
+    from numba.extending import register_jitable
+
+    return register_jitable(error_model="numpy")(function)
 
 
 def _lazily_compiled(function: F, **options: Any) -> F:

@@ -17,9 +17,10 @@ import numpy as np
 from scipy.stats import binomtest
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Value, value_digest
-from equipoise.control.boxes import CAUSES
+from equipoise.artefacts import Artefact, Extended, Value, value_digest
+from equipoise.control.boxes import CAUSES, cause_named
 from equipoise.control.controller import make_controller
+from equipoise.control.guards import guard_named, trial_guard
 from equipoise.control.policy import Policy, PolicyKernel, TabularPolicy, with_first_settings
 from equipoise.control.yardsticks import yardsticks
 from equipoise.learning.closed_loop import Plant, make_plant, scaled
@@ -65,15 +66,19 @@ class Summary(NamedTuple):
     """How many trials ended in which way."""
 
 
-class TrialResults(Value):
+class TrialResults(Extended):
     """The trials of one policy, in their order."""
+
+    LATER: ClassVar[tuple[str, ...]] = ("guards",)
 
     name: str
     """Whose trials these are."""
     survival: tuple[float, ...]
     """How long each trial lasted [s]."""
     causes: tuple[str, ...]
-    """How each ended: lasted, angle, track, joint limit."""
+    """How each ended: lasted, angle, track, joint limit, guard."""
+    guards: tuple[str, ...] = ()
+    """Which guard ended each, empty where none did; no entries where no guard ended any."""
 
     def summary(self) -> Summary:
         """Return share, interval, quantiles and causes."""
@@ -355,6 +360,7 @@ class _Bench:
             duration=e.duration,
             seed=self._seed,
             workers=self._workers,
+            guard=trial_guard(self._arm, settings, self._actuator, kernel, self._h),
             done=one_done,
         )
         return self._results(name, results)
@@ -382,10 +388,13 @@ class _Bench:
         return draw_trials(count, self._settings, self._seed, TEST, spread=1.0)
 
     def _results(self, name: str, trials: Trials) -> TrialResults:
+        codes = trials.cause.tolist()
+        guards = tuple(map(guard_named, codes))
         return TrialResults(
             name=name,
             survival=tuple(round(steps * self._h, 6) for steps in trials.steps.tolist()),
-            causes=tuple(CAUSES[cause] for cause in trials.cause.tolist()),
+            causes=tuple(map(cause_named, codes)),
+            guards=guards if any(guards) else (),
         )
 
 

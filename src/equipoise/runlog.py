@@ -28,13 +28,13 @@ from dataclasses import dataclass, field, fields
 from functools import partial
 from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self, TypeAlias, TypeVar
+from typing import Any, ClassVar, Final, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from equipoise.artefacts import DIGEST_PREFIX, Provenance, Value, write_whole
+from equipoise.artefacts import DIGEST_PREFIX, Extended, Provenance, write_whole
 from equipoise.errors import ArtefactError
 from equipoise.settings import Settings
 
@@ -47,8 +47,10 @@ Array: TypeAlias = npt.NDArray[np.float64]
 Whole: TypeAlias = npt.NDArray[np.int64]
 
 
-class RunConditions(Value):
+class RunConditions(Extended):
     """Where a run took place, and what decided about it."""
+
+    LATER: ClassVar[tuple[str, ...]] = ("guard",)
 
     policy: str
     """Digest of the policy that ran; empty where the arm was only excited."""
@@ -82,7 +84,9 @@ class RunConditions(Value):
     settings: Settings
     """Resolved settings: gains, noise, ranges of the start."""
     cause: str
-    """How the run ended: lasted, angle, track, joint limit."""
+    """How the run ended: lasted, angle, track, joint limit, guard."""
+    guard: str = ""
+    """Which guard ended it; empty where none did."""
 
     @property
     def free(self) -> tuple[int, ...]:

@@ -5,11 +5,16 @@ from math import pi, radians
 import numpy as np
 import pytest
 
-from equipoise.control.boxes import ANGLE, LASTED, TRACK, boxes
+from equipoise.control.boxes import ANGLE, GUARD, LASTED, TRACK, boxes
 from equipoise.control.controller import begin, command, make_controller, new_memory, observe
+from equipoise.control.guards import guard_named, new_watching, trial_guard
 from equipoise.control.policy import LINEAR, RANDOM, act, policy_kernel
+from equipoise.control.safety import TRACK as TRACK_LIMIT
+from equipoise.control.safety import Rule
+from equipoise.control.stop import ramp
 from equipoise.control.yardsticks import lqr_gains
 from equipoise.devices.twin.trial import (
+    Rows,
     Trial,
     new_rows,
     record_trial,
@@ -18,6 +23,7 @@ from equipoise.devices.twin.trial import (
 )
 from equipoise.devices.twin.twin import Twin
 from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import TWIST
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import LANES
 from equipoise.model.pendulum import PendulumParameters
@@ -27,6 +33,7 @@ from equipoise.settings import Settings
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.15)
 WORLD = TwinSettings()
+WATCHING = new_watching(ARM, None)
 LQR = policy_kernel(LINEAR, gains=lqr_gains(PENDULUM, 0.01))
 STILL = policy_kernel(LINEAR)
 TRIALS = [
@@ -89,7 +96,9 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it(controller):
     twin = Twin(ARM, trial.pendulum, WORLD, seed=3, index=1)
     rows = new_rows(steps, 7)
     start = (trial.phi, trial.phi_dot)
-    outcome = run_trial(twin.kernel, controller, new_memory(), LQR, *start, steps, boxes(), rows)
+    outcome = run_trial(
+        twin.kernel, controller, new_memory(), LQR, *start, steps, boxes(), WATCHING, rows
+    )
     assert (outcome.steps, outcome.cause) == (steps, LASTED)
 
     memory, sum_x2 = new_memory(), 0.0
@@ -128,7 +137,9 @@ def test_the_estimate_is_near_the_truth(controller):
     steps = 500
     twin = Twin(ARM, PENDULUM, WORLD, seed=3)
     rows = new_rows(steps, 7)
-    run_trial(twin.kernel, controller, new_memory(), LQR, 0.03, 0.15, steps, boxes(), rows)
+    run_trial(
+        twin.kernel, controller, new_memory(), LQR, 0.03, 0.15, steps, boxes(), WATCHING, rows
+    )
     late = slice(steps // 2, None)
     phi, phi_dot, bias, v = (rows.estimate[late] - rows.truth[late][:, [2, 3, 2, 1]]).T
     del bias
@@ -150,3 +161,110 @@ def test_a_record_ends_with_its_trial(controller):
     assert rows.truth[0] == pytest.approx([0.0, 0.0, trial.phi, trial.phi_dot], abs=1e-12)
     assert radians(9.0) < abs(rows.truth[-1, 2]) < radians(11.0)
     assert abs(zero - 0.01) <= world.zero_error
+
+
+# Guards.
+
+
+def run_until_the_guard(controller, policy, guard, number=0, seconds=5.0):
+    """Return a twin, the memory of its controller and the outcome of its trial."""
+    trial = TRIALS[number]
+    twin = Twin(ARM, trial.pendulum, WORLD, seed=3, index=number)
+    memory, rows = new_memory(), new_rows(round(seconds / 0.01), 7)
+    outcome = run_trial(
+        twin.kernel, controller, memory, policy, trial.phi, trial.phi_dot, len(rows.u), boxes(),
+        new_watching(ARM, guard), rows,
+    )  # fmt: skip
+    return twin, memory, outcome, Rows(*(row[: outcome.steps] for row in rows))
+
+
+@pytest.fixture(scope="module")
+def guard():
+    actuator = Actuator.assumed("kst", delay=0.0105, lag=0.008)
+    return trial_guard(ARM, TwinSettings(guards=True), actuator, LQR, 0.01)
+
+
+@pytest.fixture(scope="module")
+def away():
+    """A regulator that wants to be elsewhere than at home."""
+    x, x_dot, phi, phi_dot = lqr_gains(PENDULUM, 0.01)
+    return policy_kernel(LINEAR, gains=(-3.0 * x, x_dot, phi, phi_dot))
+
+
+def test_a_run_towards_the_end_of_the_track_is_stopped_in_time(controller, guard, away):
+    ended = 0
+    for number in range(len(TRIALS)):
+        twin, memory, outcome, rows = run_until_the_guard(controller, away, guard, number)
+        if guard_named(outcome.cause) != Rule.TRACK.value:
+            continue
+        ended += 1
+        x = twin.truth().x
+        assert max(abs(rows.truth[:, 0]).max(), abs(x)) < TRACK_LIMIT
+        # The verdict is that of the rule, and came as soon as it could.
+        q, dq = (ARM.with_held(block[::LANES]) for block in (memory.q, memory.dq))
+        dq[ARM.held_joint - 1] = 0.0
+        slowing = ramp(q.tolist(), dq.tolist(), abs(memory.reference[TWIST * LANES]), guard.limits)
+        furthest, time = abs(x), 0.0
+        while time < slowing.duration + 0.2:
+            time += 0.005
+            twin.send(np.array(ARM.without_held(slowing.at(time))))
+            twin.advance(0.005)
+            furthest = max(furthest, abs(twin.truth().x))
+        assert abs(twin.truth().x_dot) < 0.02
+        assert furthest < TRACK_LIMIT
+        # No braver than it has to be, no more timid either.
+        assert furthest > 0.8 * TRACK_LIMIT
+    assert ended > 1
+
+
+def test_a_guard_ends_nothing_that_stands_and_changes_no_bit_of_it(controller, guard):
+    free = run(controller, LQR)
+    held = run_over_cores(
+        ARM, WORLD, controller, LQR, TRIALS, duration=2.0, seed=1, workers=1, guard=guard
+    )
+    assert held == free
+
+
+def test_until_a_guard_ends_it_a_trial_is_the_same(controller, guard, away):
+    _, _, stopped, held = run_until_the_guard(controller, away, guard)
+    _, _, outcome, free = run_until_the_guard(controller, away, None)
+    assert outcome.cause < GUARD <= stopped.cause
+    assert stopped.steps <= outcome.steps
+    for with_guard, without in zip(held, free, strict=True):
+        assert np.array_equal(with_guard, without[: stopped.steps])
+
+
+def test_the_limit_of_t1_ends_a_trial_that_is_too_fast(controller, guard, away):
+    t1 = guard._replace(t1=True)
+    ended = [run_until_the_guard(controller, away, t1, number)[2] for number in range(4)]
+    assert Rule.T1.value in {guard_named(outcome.cause) for outcome in ended}
+
+
+def test_a_pendulum_that_seems_to_have_fallen_ends_a_trial(controller, guard):
+    # What the encoder reads too much makes the estimate reach the limit before the truth does.
+    world = WORLD.model_copy(update={"zero_error": 0.0, "zero_offset": radians(2.0)})
+    leaning = TRIALS[0]._replace(phi=radians(2.0), phi_dot=radians(15.0))
+    outcome = run_over_cores(
+        ARM, world, controller, STILL, [leaning], duration=2.0, seed=1, workers=1, guard=guard
+    )[0]
+    assert guard_named(outcome.cause) == Rule.ANGLE.value
+
+
+def test_an_arm_that_is_elsewhere_than_expected_ends_a_trial(controller, guard):
+    # A transport of 150 ms that nobody has told the controller of.
+    world = WORLD.model_copy(update={"transport": 0.15})
+    outcomes = run_over_cores(
+        ARM, world, controller, LQR, TRIALS, duration=2.0, seed=1, workers=1, guard=guard
+    )
+    assert Rule.FOLLOWING.value in {guard_named(outcome.cause) for outcome in outcomes}
+
+
+def test_a_setpoint_that_may_not_be_sent_ends_a_trial_before_it_is_sent(controller, guard):
+    slow = guard._replace(
+        limits=guard.limits._replace(acceleration=tuple(0.5 for _ in guard.limits.acceleration))
+    )
+    twin, _, outcome, rows = run_until_the_guard(controller, LQR, slow)
+    assert guard_named(outcome.cause) == Rule.ACCELERATION.value
+    assert outcome.steps == 1
+    assert twin.now == 0.0
+    assert rows.u[0] != 0.0

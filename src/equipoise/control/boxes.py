@@ -31,7 +31,9 @@ LASTED: Final = 0
 ANGLE: Final = 1
 TRACK: Final = 2
 JOINT_LIMIT: Final = 3
-CAUSES: Final = ("lasted", "angle", "track", "joint limit")
+GUARD: Final = 4
+"""From here on a code says too which guard it was, see `equipoise.control.guards.guard_named`."""
+CAUSES: Final = ("lasted", "angle", "track", "joint limit", "guard")
 """How a trial ends, by code: the outer limits are where a failure is declared."""
 
 
@@ -68,6 +70,11 @@ class BoxDescription(Value):
     """Intervals of the displacement [m]."""
     x_dot: tuple[str, ...]
     """Intervals of the velocity [m/s]."""
+
+
+def cause_named(code: int) -> str:
+    """Return how a trial ended, by the code of its cause."""
+    return CAUSES[min(code, GUARD)]
 
 
 def describe() -> BoxDescription:

@@ -26,7 +26,15 @@ from equipoise.control.lane import Flange, Lane, Place
 from equipoise.control.minimum_jerk import Path, path_within
 from equipoise.control.policy import PolicyKernel
 from equipoise.control.release import Grip, ReleaseDetector
-from equipoise.control.safety import Guard, View, Watch, check, unexplained, watch
+from equipoise.control.safety import (
+    Guard,
+    View,
+    Watch,
+    check,
+    newest_before,
+    unexplained,
+    watch,
+)
 from equipoise.control.self_test import (
     MOVE_TIME,
     SWING_TIME,
@@ -311,11 +319,8 @@ class Pilot:
     def _expected(self, time: float) -> tuple[float, ...]:
         """Return where the arm should have been at a time [rad]: where it was sent, T before."""
         since = time - self._guard.reaction
-        for back in range(1, min(self._setpoints, REMEMBERED) + 1):
-            place = (self._setpoints - back) % REMEMBERED
-            if self._sent_at[place] <= since:
-                return tuple(self._commanded[place].tolist())
-        return tuple(self._commanded[self._setpoints % REMEMBERED].tolist())
+        place = newest_before(self._sent_at, self._setpoints, since)
+        return tuple(self._commanded[place].tolist())
 
     def _hear(self, words: Sequence[str]) -> None:
         """Take an expected answer; anything else stops, but a stray Enter while nothing moves."""

@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.control.boxes import CAUSES, box_index, boxes
+from equipoise.control.boxes import box_index, boxes, cause_named
 from equipoise.control.controller import SETPOINTS, make_controller
+from equipoise.control.guards import guard_named, trial_guard
 from equipoise.control.policy import TabularPolicy
 from equipoise.learning.closed_loop import (
     make_plant,
@@ -145,7 +146,7 @@ def _on_the_model(
             actuator=_named(actuator),
             twin=None,
             zero_error=float(trials.zero[0]) if plant.controller.observes else None,
-            cause=CAUSES[cause],
+            cause=cause_named(cause),
         ),
         tracked=rows.tracked,
         q=q,
@@ -188,6 +189,7 @@ def _on_a_twin(
         phi_dot=float(trials.start[0, 3]),
         duration=duration,
         seed=seed,
+        guard=trial_guard(policy.arm, world.settings, actuator, policy.kernel, policy.h),
     )
     arm, h, x_dot = policy.arm, policy.h, rows.truth[:, 1]
     time = np.arange(len(rows.u)) * h
@@ -208,7 +210,8 @@ def _on_a_twin(
             actuator=_named(actuator),
             twin=world,
             zero_error=zero,
-            cause=CAUSES[outcome.cause],
+            cause=cause_named(outcome.cause),
+            guard=guard_named(outcome.cause),
         ),
         tracked=np.diff(x_dot, append=x_dot[-1:]) / h,
         q=_all_joints(arm, rows.command[:, :FREE_JOINTS]),

@@ -13,11 +13,11 @@ import tomllib
 from collections.abc import Mapping
 from math import radians
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, ClassVar, Final, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
-from equipoise.artefacts import Value
+from equipoise.artefacts import Extended
 from equipoise.errors import SettingsError
 
 MODEL: Final = "model"
@@ -27,8 +27,10 @@ PREFIX: Final = "twin:"
 Inner = Literal["velocity", "pd", "trajectory40"]
 
 
-class TwinSettings(Value):
+class TwinSettings(Extended):
     """The digital twin's numbers; the defaults are `nominal-1`."""
+
+    LATER: ClassVar[tuple[str, ...]] = ("guards", "t1")
 
     transport: float = Field(default=0.010, ge=0.0, le=0.2)
     """From sending a setpoint to the servo's use of it [s]. Assumed: one request and reply through
@@ -85,6 +87,10 @@ class TwinSettings(Value):
     arm's repeatability of 0.1 mm at 0.8 m is 6e-5 rad."""
     substeps: int = Field(default=1, ge=1, le=16)
     """Steps of the physics engine in a millisecond."""
+    guards: bool = False
+    """Whether the rules that would stop a run on a rig end a trial (cause `guard`)."""
+    t1: bool = False
+    """Whether the speed limit of T1 is one of them."""
 
 
 class World(NamedTuple):
@@ -96,24 +102,31 @@ class World(NamedTuple):
     """Its numbers."""
 
 
+_HARSH: Final[Mapping[str, Any]] = {
+    "transport": 0.030,
+    "counts_per_rev": 4096,
+    "coulomb": 0.3,
+    "zero_error": radians(0.4),
+    "inertia_sigma": 0.04,
+    "friction_sigma": 0.4,
+}
+_BARE: Final[Mapping[str, Any]] = {"rotor_inertia": 0.0}
+_GUARDED: Final[Mapping[str, Any]] = {"guards": True}
+
 SETS: Final[Mapping[str, Mapping[str, Any]]] = {
     "nominal-1": {},
-    "harsh-1": {
-        "transport": 0.030,
-        "counts_per_rev": 4096,
-        "coulomb": 0.3,
-        "zero_error": radians(0.4),
-        "inertia_sigma": 0.04,
-        "friction_sigma": 0.4,
-    },
-    "bare-1": {"rotor_inertia": 0.0},
+    "harsh-1": _HARSH,
+    "bare-1": _BARE,
+    "nominal-2": _GUARDED,
+    "harsh-2": _HARSH | _GUARDED,
+    "bare-2": _BARE | _GUARDED,
 }
-"""Frozen sets, as differences to nominal-1."""
+"""Frozen sets, as differences to nominal-1. Those of version 2 have guards."""
 
 NEWEST: Final[Mapping[str, str]] = {
-    "nominal": "nominal-1",
-    "harsh": "harsh-1",
-    "bare": "bare-1",
+    "nominal": "nominal-2",
+    "harsh": "harsh-2",
+    "bare": "bare-2",
 }
 
 
@@ -130,7 +143,7 @@ def read_world(name: str) -> World:
     Example:
         >>> world = read_world("twin:harsh")
         >>> world.name, world.settings.transport
-        ('twin:harsh-1', 0.03)
+        ('twin:harsh-2', 0.03)
     """
     if not name.startswith(PREFIX):
         raise SettingsError(
@@ -143,7 +156,7 @@ def read_world(name: str) -> World:
         return World(PREFIX + which, TwinSettings.model_validate(SETS[which]))
     file = Path(which)
     try:
-        differences = tomllib.loads(file.read_text(encoding="utf-8"))
+        differences = SETS[NEWEST["nominal"]] | tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise SettingsError(
             f"there is no world {name!r}: no set of that name, and no such file "

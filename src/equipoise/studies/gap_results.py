@@ -14,6 +14,7 @@ from scipy.stats import t as student
 from equipoise import paper
 from equipoise.artefacts import Artefact, Value
 from equipoise.control.boxes import CAUSES, TRACK
+from equipoise.control.safety import Rule
 from equipoise.evaluation import CONFIDENCE, TrialResults
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import Settings
@@ -167,9 +168,13 @@ def differs(found: Seconds) -> bool:
 
 
 def track_share(results: TrialResults) -> float | None:
-    """Return the share of the failures that ended on the track limit; none where nothing failed."""
+    """Return the share of the failures at the end of the track; none where nothing failed.
+
+    There the limit ended them, or the guard that stops the flange before it.
+    """
     failed = len(results.causes) - results.causes.count(LASTED)
-    return results.causes.count(CAUSES[TRACK]) / failed if failed else None
+    ends = results.causes.count(CAUSES[TRACK]) + results.guards.count(Rule.TRACK.value)
+    return ends / failed if failed else None
 
 
 def words(gap: Gap) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ def how_it_ended(cause: str) -> str:
         "angle": "fell over",
         "track": "left the track",
         "joint limit": "met a joint limit",
+        "guard": "was stopped by a guard",
     }.get(cause, cause)
 
 

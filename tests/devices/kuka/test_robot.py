@@ -343,7 +343,7 @@ def test_joints_that_cannot_have_been_reached_are_not_believed(streaming, step, 
 
 def test_too_many_setpoints_without_an_answer_end_the_link(streaming):
     streaming.fault(drop=1.0)
-    with pytest.raises(LinkError, match="10 setpoints wait"):
+    with pytest.raises(LinkError, match="20 setpoints wait"):
         streaming.stream(1.0, period=0.0005)
     assert latched(streaming)
 

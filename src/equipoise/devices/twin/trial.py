@@ -2,8 +2,9 @@
 
 The control step is the one of training and deployment: what the sensors show becomes what the
 policy sees, its u becomes two setpoints. The truth decides how a trial ends, not what the sensors
-show. A trial depends on its conditions, the master seed and its number, and on nothing else: not on
-the number of workers, nor on the trials before it.
+show; but where a world has guards, these decide too, by what a rig would know. A trial depends on
+its conditions, the master seed and its number, and on nothing else: not on the number of workers,
+nor on the trials before it.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import kernel
-from equipoise.control.boxes import ANGLE, JOINT_LIMIT, LASTED, TRACK, Boxes, boxes
+from equipoise.control.boxes import ANGLE, GUARD, JOINT_LIMIT, LASTED, TRACK, Boxes, boxes
 from equipoise.control.controller import (
     PHI_DOT_SEEN,
     PHI_SEEN,
@@ -29,7 +30,9 @@ from equipoise.control.controller import (
     new_memory,
     observe,
 )
+from equipoise.control.guards import Watching, begin_watching, new_watching, refused, stopped
 from equipoise.control.policy import RANDOM, PolicyKernel, act
+from equipoise.control.safety import KEPT, Guard
 from equipoise.devices.twin.cabinet import NOW, make_servo
 from equipoise.devices.twin.physics import TICK
 from equipoise.devices.twin.sensors import encoder, reply
@@ -62,7 +65,7 @@ class Outcome(NamedTuple):
     steps: int
     """How many control steps it lasted."""
     cause: int
-    """How it ended: LASTED, ANGLE, TRACK or JOINT_LIMIT."""
+    """How it ended: LASTED, ANGLE, TRACK, JOINT_LIMIT, or from GUARD on which guard ended it."""
     sum_x2: float
     """Sum of x^2 over its steps [m^2]."""
 
@@ -127,7 +130,9 @@ def release(
 
 
 @kernel
-def step(twin: TwinKernel, controller: Controller, memory: Memory, limits: Boxes) -> int:
+def step(
+    twin: TwinKernel, controller: Controller, memory: Memory, limits: Boxes, watching: Watching
+) -> int:
     """Let a control step pass: send what u asks for, and see what the sensors show at its end.
 
     Args:
@@ -135,6 +140,7 @@ def step(twin: TwinKernel, controller: Controller, memory: Memory, limits: Boxes
         controller: Constants.
         memory: Reads u; changed in place.
         limits: |x| and |phi| of failure.
+        watching: What guards remember; changed in place.
 
     Returns:
         The cause of failure, LASTED if none.
@@ -144,6 +150,10 @@ def step(twin: TwinKernel, controller: Controller, memory: Memory, limits: Boxes
     for s in range(SETPOINTS):
         for i in range(FREE_JOINTS):
             q[i] = at(memory.setpoints, 6 * s + i, 0)
+        if watching.active:
+            broken = refused(watching, q, twin.cabinet.clock[NOW] * TICK)
+            if broken != KEPT:
+                return GUARD + broken
         send_free(twin, q)
         advance(twin, round(controller.h / SETPOINTS / TICK))
     tick = twin.cabinet.clock[NOW]
@@ -159,7 +169,13 @@ def step(twin: TwinKernel, controller: Controller, memory: Memory, limits: Boxes
         return ANGLE
     if not abs(real.x) < limits.x_limit:
         return TRACK
-    return JOINT_LIMIT if memory.beyond[0] else LASTED
+    if memory.beyond[0]:
+        return JOINT_LIMIT
+    if watching.active:
+        broken = stopped(watching, controller, memory, q, measured)
+        if broken != KEPT:
+            return GUARD + broken
+    return LASTED
 
 
 @kernel
@@ -190,6 +206,7 @@ def run_trial(
     phi_dot: float,
     longest: int,
     limits: Boxes,
+    watching: Watching,
     rows: Rows,
 ) -> Outcome:
     """Run one trial.
@@ -203,16 +220,18 @@ def run_trial(
         phi_dot: Its rate [rad/s].
         longest: Number of steps after which a trial has lasted.
         limits: |x| and |phi| of failure.
+        watching: Guards, and room for what they remember.
         rows: Receives a row per step, as far as there is room.
     """
     release(twin, controller, memory, phi, phi_dot)
+    begin_watching(watching, controller.home)
     steps, cause, sum_x2 = 0, LASTED, 0.0
     while steps < longest and cause == LASTED:
         decide(twin, memory, policy)
         recorded = steps < len(rows.u)
         if recorded:
             record_before(twin, memory, rows, steps)
-        cause = step(twin, controller, memory, limits)
+        cause = step(twin, controller, memory, limits, watching)
         if recorded:
             record_after(twin, memory, rows, steps)
         steps += 1
@@ -261,6 +280,7 @@ def run_over_cores(
     duration: float,
     seed: int,
     workers: int,
+    guard: Guard | None = None,
     done: Callable[[Trial, Outcome], None] = lambda _trial, _outcome: None,
 ) -> list[Outcome]:
     """Run trials on `workers` threads, each on a twin of its own.
@@ -274,6 +294,7 @@ def run_over_cores(
         duration: Length of a trial [s].
         seed: Master seed.
         workers: Number of threads; the results do not depend on it.
+        guard: The rules that end a trial; none where there are none.
         done: Called with each trial that is finished, from its thread.
 
     Returns:
@@ -287,7 +308,8 @@ def run_over_cores(
 
     def outcome(trial: Trial) -> Outcome:
         twin = Twin(arm, trial.pendulum, settings, seed=seed, index=trial.number, servo=servo)
-        result = _outcome(twin, controller, policy, trial.phi, trial.phi_dot, longest, nothing)
+        start, watching = (trial.phi, trial.phi_dot), new_watching(arm, guard)
+        result = _outcome(twin, controller, policy, start, longest, watching, nothing)
         done(trial, result)
         return result
 
@@ -308,6 +330,7 @@ def record_trial(
     phi_dot: float,
     duration: float,
     seed: int,
+    guard: Guard | None = None,
 ) -> tuple[Outcome, Rows, float]:
     """Run one trial and record it.
 
@@ -321,6 +344,7 @@ def record_trial(
         phi_dot: Its rate [rad/s].
         duration: Length of the trial [s].
         seed: Master seed.
+        guard: The rules that end it; none where there are none.
 
     Returns:
         The outcome, a row for each step, and what the encoder reads too much of phi [rad].
@@ -330,7 +354,8 @@ def record_trial(
     """
     longest = round(duration / controller.h)
     twin, rows = Twin(arm, pendulum, settings, seed=seed), new_rows(longest, len(arm.joints))
-    outcome = _outcome(twin, controller, policy, phi, phi_dot, longest, rows)
+    watching = new_watching(arm, guard)
+    outcome = _outcome(twin, controller, policy, (phi, phi_dot), longest, watching, rows)
     return outcome, Rows(*(row[: outcome.steps] for row in rows)), twin.kernel.sensors.zero
 
 
@@ -338,13 +363,13 @@ def _outcome(
     twin: Twin,
     controller: Controller,
     policy: PolicyKernel,
-    phi: float,
-    phi_dot: float,
+    start: tuple[float, float],
     longest: int,
+    watching: Watching,
     rows: Rows,
 ) -> Outcome:
     memory, limits = new_memory(), boxes()
     steps, cause, sum_x2 = run_trial(
-        twin.kernel, controller, memory, policy, phi, phi_dot, longest, limits, rows
+        twin.kernel, controller, memory, policy, *start, longest, limits, watching, rows
     )
     return Outcome(int(steps), int(cause), float(sum_x2))

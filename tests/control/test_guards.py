@@ -1,0 +1,223 @@
+"""The rules as kernels ask them: the same verdicts as in Python, and when they are asked."""
+
+from math import radians
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from equipoise.compiled import kernel
+from equipoise.control import safety
+from equipoise.control.boxes import ANGLE, CAUSES, GUARD, LASTED, cause_named
+from equipoise.control.guards import (
+    REMEMBERED,
+    begin_watching,
+    guard_named,
+    new_watching,
+    refused,
+    trial_guard,
+)
+from equipoise.control.policy import LINEAR, policy_kernel
+from equipoise.control.safety import (
+    KEPT,
+    RULES,
+    Rule,
+    View,
+    Watch,
+    broken_flange,
+    broken_setpoint,
+    check,
+    check_setpoint,
+    has_fallen,
+    is_astray,
+    largest_difference,
+    make_guard,
+    newest_before,
+    pushed,
+    stopping_reach,
+    time_astray,
+    watch,
+)
+from equipoise.model.actuator import shipped_actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.worlds import read_world
+
+ARM = iiwa(7)
+GUARD_7 = make_guard(ARM, reaction=0.03, u_max=2.0, h=0.01, counts_per_rev=8192)
+ANY_POLICY = policy_kernel(LINEAR)
+DT = 0.005
+
+
+def near(middle, wide):
+    return st.floats(middle - wide, middle + wide)
+
+
+def numbers(wide):
+    return st.tuples(*(near(0.0, wide) for _ in ARM.joints))
+
+
+@kernel
+def compiled_setpoint(limits, q, last, before, dt):
+    return broken_setpoint(limits, q, last, before, dt)
+
+
+@kernel
+def compiled_flange(guard, x, x_dot, drift, tilt, w):
+    return broken_flange(guard, x, x_dot, drift, tilt, w)
+
+
+@kernel
+def compiled_rest(guard, measured, expected, before, torque, phi):
+    error, joint = largest_difference(measured, expected)
+    astray = time_astray(before, error, guard.h)
+    pressed = pushed(torque, guard.torque)
+    return error, joint, astray, is_astray(astray), pressed, has_fallen(phi)
+
+
+@kernel
+def compiled_newest(sent, number, since):
+    return newest_before(sent, number, since)
+
+
+@pytest.mark.compiled_only
+@settings(deadline=None, max_examples=300)
+@given(
+    place=st.sampled_from([0.0, 1.0, 1.5, 2.0]),
+    change=numbers(0.02),
+    bend=numbers(3e-4),
+    jump=st.sampled_from([0.0, 0.0, 0.0, 0.036]),
+)
+def test_a_setpoint_has_the_same_verdict_compiled_and_in_python(place, change, bend, jump):
+    last = np.array(ARM.home) + place
+    q = last + np.array(change) * 0.1 + jump
+    before = last - np.array(change) * 0.1 + np.array(bend)
+    violation = check_setpoint(GUARD_7.limits, q.tolist(), tuple(last), tuple(before), DT)
+    code, joint, value, limit = compiled_setpoint(GUARD_7.limits, q, last, before, DT)
+    if violation is None:
+        assert code == KEPT
+    else:
+        assert (RULES[code], joint) == (violation.rule, violation.joint)
+        assert (value, limit) == pytest.approx((violation.value, violation.limit), rel=1e-12)
+
+
+@pytest.mark.compiled_only
+@settings(deadline=None, max_examples=300)
+@given(
+    x=near(0.0, 0.3),
+    x_dot=near(0.0, 0.8),
+    drift=st.floats(0.0, 0.02),
+    tilt=near(0.0, 0.05),
+    w=st.floats(0.0, 0.1),
+    t1=st.booleans(),
+)
+def test_a_flange_has_the_same_verdict_compiled_and_in_python(x, x_dot, drift, tilt, w, t1):
+    guard = GUARD_7._replace(t1=t1)
+    view = View(on_track=True, x=x, x_dot=x_dot, drift=drift, tilt=tilt, manipulability=w)
+    violation = check(guard, Watch(), view)
+    code, value, limit = compiled_flange(guard, x, x_dot, drift, tilt, w)
+    if violation is None:
+        assert code == KEPT
+    else:
+        assert RULES[code] is violation.rule
+        assert (value, limit) == pytest.approx((violation.value, violation.limit), rel=1e-12)
+
+
+@pytest.mark.compiled_only
+@settings(deadline=None, max_examples=200)
+@given(
+    off=numbers(0.05),
+    before=st.floats(0.0, 0.1),
+    torque=numbers(40.0),
+    phi=near(0.0, radians(15.0)),
+)
+def test_all_else_has_the_same_verdict_compiled_and_in_python(off, before, torque, phi):
+    expected = ARM.home
+    measured = tuple(float(a + b) for a, b in zip(expected, off, strict=True))
+    view = View(measured=measured, expected=expected, torque=torque, phi=phi, balancing=True)
+    watched = watch(GUARD_7, Watch(astray=before), view)
+    *_, joint, astray, lost, pressed, fallen = compiled_rest(
+        GUARD_7, np.array(measured), np.array(expected), before, np.array(torque), phi
+    )
+    assert astray == watched.astray
+    violation = check(GUARD_7, watched, view)
+    if pressed:
+        assert (violation.rule, violation.joint) == (Rule.TORQUE, pressed)
+    elif lost:
+        assert (violation.rule, violation.joint) == (Rule.FOLLOWING, joint)
+    elif fallen:
+        assert violation.rule is Rule.ANGLE
+    else:
+        assert violation is None
+
+
+@pytest.mark.parametrize("by", [newest_before, compiled_newest])
+def test_the_setpoint_in_force_is_the_newest_that_was_sent_by_then(by):
+    sent = np.array([0.04, 0.01, 0.02, 0.03])  # the fifth has taken the place of the first
+    assert [by(sent, 5, since) for since in (0.045, 0.04, 0.039, 0.02, 0.01)] == [0, 0, 3, 2, 1]
+    assert by(sent, 5, 0.005) == 1  # all were sent later: the oldest
+    assert by(np.array([0.0, 0.01, 9.0, 9.0]), 2, 10.0) == 1
+
+
+def test_a_number_that_is_none_breaks_a_rule():
+    nan = float("nan")
+    home = np.array(ARM.home)
+    broken = home.copy()
+    broken[3] = nan
+    assert broken_setpoint(GUARD_7.limits, broken, home, home, DT)[:2] == (
+        safety.POSITION_CODE, 4,
+    )  # fmt: skip
+    assert broken_flange(GUARD_7, nan, 0.0, 0.0, 0.0, 1.0)[0] == safety.TRACK_CODE
+    assert broken_flange(GUARD_7, 0.0, nan, 0.0, 0.0, 1.0)[0] == safety.TRACK_CODE
+    assert has_fallen(nan)
+
+
+def test_rules_act_where_a_world_has_them_with_the_numbers_of_a_rig():
+    actuator = shipped_actuator()
+    assert trial_guard(ARM, read_world("twin:nominal-1").settings, actuator, ANY_POLICY, 0.01) is (
+        None
+    )
+    world = read_world("twin:nominal").settings
+    guard = trial_guard(ARM, world, actuator, ANY_POLICY, 0.01)
+    assert guard is not None
+    assert guard.limits == GUARD_7.limits
+    assert guard.u_max == 2.0
+    assert actuator.delay.value < guard.reaction < 0.05
+    assert not guard.t1
+    t1 = trial_guard(ARM, world.model_copy(update={"t1": True}), actuator, ANY_POLICY, 0.01)
+    assert t1 == guard._replace(t1=True)
+
+
+def test_the_free_joints_alone_are_asked():
+    watching = new_watching(ARM, GUARD_7)
+    assert len(watching.guard.limits.upper) == len(watching.guard.torque) == 6
+    assert watching.active
+    assert not new_watching(ARM, None).active
+
+
+def test_what_may_not_be_sent_is_not_remembered_as_sent():
+    watching, home = new_watching(ARM, GUARD_7), ARM.home_free.copy()
+    begin_watching(watching, home)
+    assert refused(watching, home, 0.0) == KEPT
+    assert refused(watching, home + 1e-5, 0.005) == KEPT
+    far = home + 1e-5
+    far[2] += 0.02
+    assert RULES[refused(watching, far, 0.01)] is Rule.VELOCITY
+    assert watching.number[0] == REMEMBERED + 2
+    newest = newest_before(watching.sent, watching.number[0], 1.0)
+    assert watching.setpoints[newest] == pytest.approx(home + 1e-5)
+    assert RULES[refused(watching, home + 6e-4, 0.01)] is Rule.ACCELERATION
+
+
+def test_a_cause_says_which_guard_it_was():
+    code = GUARD + safety.TRACK_CODE
+    assert (cause_named(code), guard_named(code)) == ("guard", "track")
+    assert (cause_named(ANGLE), guard_named(ANGLE)) == ("angle", "")
+    assert (cause_named(LASTED), guard_named(LASTED)) == ("lasted", "")
+    assert {cause_named(GUARD + place) for place in range(len(RULES))} == {CAUSES[-1]}
+
+
+def test_the_reach_of_a_stop_is_that_of_the_issue():
+    T, u, v, x = 0.03, 2.0, 0.5, 0.1
+    expected = x + v * T + 0.5 * u * T**2 + (v + u * T) ** 2 / 8.0
+    assert stopping_reach(x, v, T, u) == pytest.approx(expected)
