@@ -25,7 +25,7 @@ def push(recorder, ticks, begin=0):
             t, 1e-5, 2e-4, 3, 0.1, np.nan, 0.2, 0.3, 17, -2.0, 0.2, 0.3, 0.0, POSTURE, POSTURE
         )
         recorder.stream.push(t, 0, POSTURE)
-        recorder.reply.push(t, t - 0.004, POSTURE, np.full(7, np.nan))
+        recorder.reply.push(t, t - 0.004, POSTURE, np.full(7, np.nan), t)
         recorder.encoder.push(t, 4096 + i, 0, 0, 0, t)
 
 

@@ -84,7 +84,9 @@ def tables(joints: int) -> dict[str, np.dtype[Any]]:
     """Return the columns of each table, for an arm of so many joints.
 
     Times are those of the rig's clock [s]; angles are in radians, torques in newton metres. NaN
-    stands for what is not known.
+    stands for what is not known. `taken` of a reply and `received` of a count are the time of the
+    tick that saw them first; the one reply that belongs to no setpoint is the posture at which the
+    servo began.
     """
     posture = (SCALAR, (joints,))
     columns: dict[str, list[tuple[Any, ...]]] = {
@@ -111,6 +113,7 @@ def tables(joints: int) -> dict[str, np.dtype[Any]]:
             ("sent", SCALAR),
             ("q", *posture),
             ("torque", *posture),
+            ("taken", SCALAR),
         ],
         "encoder": [
             ("time", SCALAR),
@@ -391,6 +394,12 @@ def _schemas(layout: Mapping[str, np.dtype[Any]]) -> dict[str, dict[str, Any]]:
     return schemas | {"/end": {"type": "object"}}
 
 
+WORD_TYPED: Final = "word"
+"""Name of the event that holds what an operator typed."""
+FAILED: Final = "failed"
+"""Name of the event that holds what the loop told the heart of a failure."""
+
+
 class Event(NamedTuple):
     """Something that happened in a run, in words."""
 
@@ -416,6 +425,15 @@ class RigRun:
     """What happened, in order."""
     end: Mapping[str, Any] | None
     """How it ended; none where the log breaks off."""
+
+
+def is_rig_run(path: Path) -> bool:
+    """Return whether a file says that it is the log of a run on a rig."""
+    try:
+        with path.open("rb") as file:
+            return FORMAT.encode() in file.read(128)  # the library that wrote it, in its header
+    except OSError:
+        return False  # who reads it says what is wrong
 
 
 def read_rig_run(path: Path) -> RigRun:

@@ -10,10 +10,14 @@ from equipoise.cli.deploy import deploy
 from equipoise.cli.doctor import doctor
 from equipoise.cli.emulate import emulate
 from equipoise.cli.evaluate import evaluate
+from equipoise.cli.explain import explain
+from equipoise.cli.export import export
 from equipoise.cli.gap import gap
 from equipoise.cli.identify import identify
 from equipoise.cli.record import record
 from equipoise.cli.refine import refine
+from equipoise.cli.rehearse import rehearse
+from equipoise.cli.replay import replay
 from equipoise.cli.reproduce import reproduce
 from equipoise.cli.train import train
 from equipoise.cli.verify import verify
@@ -35,9 +39,9 @@ app = typer.Typer(
 
 for verb in (reproduce, identify, train, evaluate, deploy):
     app.command(rich_help_panel=STORY)(verb)
-for verb in (doctor, record, emulate):
+for verb in (doctor, record, emulate, rehearse):
     app.command(rich_help_panel=RIG)(verb)
-for verb in (certify, gap, refine, verify, bench):
+for verb in (explain, replay, certify, gap, refine, verify, export, bench):
     app.command(rich_help_panel=STUDIES)(verb)
 
 

@@ -134,9 +134,9 @@ def _identify_actuator(output: Output, log: Path, out: Path) -> None:
     check_output(out, log)
 
     from equipoise.identification.actuator import identify_run
-    from equipoise.runlog import RunLog
+    from equipoise.studies.runs import load_run
 
-    run = RunLog.load(log)
+    run = load_run(log)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
     actuator.save(out, command="identify", inputs={"run": run.digest})

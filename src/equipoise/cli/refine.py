@@ -67,11 +67,11 @@ def refine(
         check_output(path, policy, *runs)
 
     from equipoise.control.policy import TabularPolicy
-    from equipoise.runlog import RunLog
     from equipoise.studies.refinement import inspect
+    from equipoise.studies.runs import load_run
 
     table = TabularPolicy.load(policy)
-    logs = {str(path): RunLog.load(path) for path in runs}
+    logs = {str(path): load_run(path) for path in runs}
     with output.busy("identifying again"):
         findings = inspect(table, logs)
     _say(output, table, findings)

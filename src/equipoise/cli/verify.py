@@ -47,22 +47,23 @@ def verify(
     if policy is not None and found.what != "certificate":
         raise InputError(f"{file} is a {found.what}, and --policy repeats a certificate")
     history = found.provenance
-    output.rows(
-        {
-            "is": f"a sound {found.what} ({found.format}, version {found.version})",
-            "holds": found.content,
-            "made": f"by {history.command} of Equipoise "
-            f"{history.software.get('equipoise', 'unknown')}, {history.created}",
-            "digest": f"matches, {found.digest[:19]}...",
-        }
-    )
+    rows = {
+        "is": f"a sound {found.what} ({found.format}, version {found.version})",
+        "holds": found.content,
+    }
+    if history is not None:
+        software = history.software.get("equipoise", "unknown")
+        rows["made"] = f"by {history.command} of Equipoise {software}, {history.created}"
+    if found.digest is not None:
+        rows["digest"] = f"matches, {found.digest[:19]}..."
+    output.rows(rows)
     result: dict[str, object] = {
         "what": found.what,
         "format": found.format,
         "version": found.version,
         "digest": found.digest,
         "content": found.content,
-        "provenance": history.model_dump(mode="json"),
+        "provenance": history and history.model_dump(mode="json"),
     }
     if policy is None:
         command = _NEXT.get(found.what, ("reproduce",))
@@ -80,6 +81,8 @@ def verify(
 _NEXT = {
     "pendulum": ("train", "{file}"),
     "policy": ("evaluate", "{file}"),
+    "run log": ("explain", "{file}"),
+    "log of a run on a rig": ("explain", "{file}"),
     "certificate": ("verify", "{file}", "--policy", "POLICY"),
 }
 """What to do with a file."""

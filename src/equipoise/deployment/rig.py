@@ -6,6 +6,7 @@ handed in (`equipoise.deployment.processes` has the real one).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import nan
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -15,7 +16,7 @@ from equipoise.control.pilot import PHASES, Pilot
 from equipoise.control.policy import TabularPolicy
 from equipoise.control.safety import Guard, Rule, make_guard
 from equipoise.control.states import Cause
-from equipoise.control.ticks import Event
+from equipoise.control.ticks import Event, Heart
 from equipoise.deployment.preflight import Finding, preflight
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Clock
@@ -25,7 +26,7 @@ from equipoise.devices.realtime import Measure
 from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.model.actuator import Actuator
 from equipoise.rigs import Attended, Rig, RigSettings, connect
-from equipoise.runwriter import Recorder, RunWriter, push_event
+from equipoise.runwriter import WORD_TYPED, Recorder, RunWriter, push_event
 
 LASTED: Final = "lasted"
 OPERATOR: Final = "operator"
@@ -103,7 +104,7 @@ class Request:
 
     def conditions(self) -> dict[str, Any]:
         """Return what its log says first."""
-        arm = self.settings.described_arm
+        arm, plant = self.settings.described_arm, self.policy.settings.plant
         return {
             "joints": len(arm.joints),
             "joint_names": [joint.name for joint in arm.joints],
@@ -117,6 +118,8 @@ class Request:
             "robot": self.robot,
             "encoder": self.encoder,
             "settings": self.policy.settings.model_dump(mode="json"),
+            "believed": self.policy.pendulum.parameters(linearised=plant.linearised)._asdict(),
+            "u_max": max(map(abs, self.policy.actions)),
             "h": self.policy.h,
             "duration": self.duration,
             "t1": self.t1,
@@ -165,7 +168,7 @@ class Told:
         self(event)
         while True:
             for word in self._operator.words():
-                push_event(self._recorder.event, self._clock.now(), "word", (), word)
+                push_event(self._recorder.event, self._clock.now(), WORD_TYPED, (), word)
                 return word.strip().lower()
             self._clock.wait_until(self._clock.now() + POLL)
 
@@ -179,6 +182,7 @@ def run_on_rig(
     measures: Callable[[], Sequence[Measure]] = tuple,
     workshop: Workshop | None = None,
     idle: Callable[[], None] = lambda: None,
+    around: Callable[[Heart], Heart] = lambda heart: heart,
 ) -> Outcome:
     """Run a policy on a rig that is not connected yet; the arm rests and the rig is let go after.
 
@@ -190,6 +194,7 @@ def run_on_rig(
         measures: Makes this process punctual, and says what was allowed.
         workshop: Where longer jobs are done; at once if not given.
         idle: Called in each tick, such as to drain the rings.
+        around: Stands between heart and loop; a rehearsal puts its faults there.
 
     Raises:
         InputError: The policy does not fit the rig.
@@ -217,7 +222,7 @@ def run_on_rig(
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
         if tell.ask(Event("move", question, ("y", "n"))) != "y":
             return _unmoved(OPERATOR, "the move was not allowed; nothing has moved")
-        return _run(request, rig, robot, operator, recorder, workshop, idle)
+        return _run(request, rig, robot, operator, recorder, workshop, idle, around)
     finally:
         robot.close()
         rig.sensor.close()
@@ -244,6 +249,7 @@ def _run(
     recorder: Recorder,
     workshop: Workshop | None,
     idle: Callable[[], None],
+    around: Callable[[Heart], Heart],
 ) -> Outcome:
     counts_per_rev = rig.sensor.counts_per_rev
     arm, guard = request.settings.described_arm, request.guard(counts_per_rev)
@@ -252,12 +258,14 @@ def _run(
     rig.sensor.samples()
     robot.start()
     q = robot.started_at
+    began = rig.clock.now()
+    recorder.reply.push(began, nan, q, recorder.unknown, began)
     pilot = Pilot(arm, controller, policy, guard, q, duration=request.duration)
     ending = run_loop(
         robot,
         rig.sensor,
         rig.clock,
-        pilot,
+        around(pilot),
         recorder,
         operator,
         longest=PROLOGUE + request.duration,
@@ -320,7 +328,12 @@ def run_virtually(request: Request, out: Path | None, operator: Operator | None 
 
 
 def run_rig_virtually(
-    request: Request, rig: Rig, out: Path | None, operator: Operator | None = None
+    request: Request,
+    rig: Rig,
+    out: Path | None,
+    operator: Operator | None = None,
+    *,
+    around: Callable[[Heart], Heart] = lambda heart: heart,
 ) -> Outcome:
     """Do the same on a rig that was put together already, such as one with faults."""
     recorder = Recorder(rig.robot.joints)
@@ -341,7 +354,7 @@ def run_rig_virtually(
     there = [one for one in (rig.operator, operator) if one is not None]
     outcome: Outcome | None = None
     try:
-        outcome = run_on_rig(request, rig, Together(there), recorder, idle=idle)
+        outcome = run_on_rig(request, rig, Together(there), recorder, idle=idle, around=around)
         return outcome
     finally:
         if writer is not None:

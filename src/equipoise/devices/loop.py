@@ -23,7 +23,7 @@ from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import AngleSensor, Clock, Reply, Sample
 from equipoise.devices.operator import Operator
 from equipoise.errors import EquipoiseError, LinkError
-from equipoise.runwriter import PULSE, Recorder, push_event
+from equipoise.runwriter import FAILED, PULSE, WORD_TYPED, Recorder, push_event
 
 Array = npt.NDArray[np.float64]
 
@@ -146,7 +146,7 @@ def run_loop(
             output = heart.tick(
                 now, Inputs(samples, replies, words, faults, lateness, workshop.result())
             )
-            faults = []
+            failed, faults = faults, []
             first, *rest = output.setpoints
             robot.send(first)
         except LinkError as error:
@@ -159,7 +159,10 @@ def run_loop(
         if ticks < room:
             late[ticks], compute[ticks] = lateness, took
         ticks += 1
-        _record(recorder, now, lateness, sent, took, samples, replies, output)
+        _record(recorder, now, lateness, sent, took, samples, replies, output, robot.last)
+        for name, said in ((WORD_TYPED, words), (FAILED, failed)):
+            for text in said:
+                push_event(recorder.event, now, name, (), text)
         for event in output.events:
             _tell(recorder, operator, now, event)
         try:
@@ -167,7 +170,7 @@ def run_loop(
                 clock.wait_until(deadline + place * h / len(output.setpoints))
                 moment = clock.now()
                 robot.send(setpoint, torque=output.torque)
-                recorder.stream.push(moment, int(output.torque), setpoint)
+                recorder.stream.push(moment, int(output.torque), robot.last)
         except LinkError as error:
             fault, stoppable = str(error), False
             break
@@ -232,6 +235,7 @@ def _record(
     samples: Sequence[Sample],
     replies: Sequence[Reply],
     output: Output,
+    went: Sequence[float] | None,
 ) -> None:
     seen, unknown = output.seen, recorder.unknown
     for sample in samples:
@@ -242,6 +246,7 @@ def _record(
             reply.sent,
             unknown if reply.q is None else reply.q,
             unknown if reply.torque is None else reply.torque,
+            now,
         )
     recorder.tick.push(
         now,
@@ -260,7 +265,7 @@ def _record(
         output.q,
         output.dq,
     )
-    recorder.stream.push(sent, 0, output.setpoints[0])
+    recorder.stream.push(sent, 0, went)  # not what the heart wanted: the guard may hold it back
     pulse = recorder.pulse
     pulse[0], pulse[_STATE], pulse[_PHI] = now, output.state, seen.estimated_phi
     pulse[_TICKS] += 1.0

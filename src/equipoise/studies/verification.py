@@ -11,15 +11,20 @@ from typing import Any, NamedTuple
 
 from equipoise.artefacts import Artefact, Provenance, read_document
 from equipoise.control.policy import TabularPolicy
+from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation
 from equipoise.model.actuator import Actuator
 from equipoise.model.pendulum import Pendulum
 from equipoise.runlog import FORMAT as RUN_FORMAT
 from equipoise.runlog import RunLog, read_header
+from equipoise.runwriter import FORMAT as RIG_FORMAT
+from equipoise.runwriter import VERSION as RIG_VERSION
+from equipoise.runwriter import RigRun, is_rig_run, read_rig_run
 from equipoise.studies.certification import Certificate, check_evaluation, evaluation_path
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.results import Record
+from equipoise.studies.runs import ending, phase_ticks
 from equipoise.studies.wording import falls
 
 MCAP = b"\x89MCAP"
@@ -35,12 +40,12 @@ class Verified(NamedTuple):
     """Name of its format."""
     version: int
     """Version of the format that the file has."""
-    digest: str
-    """SHA-256 of its body."""
+    digest: str | None
+    """SHA-256 of its body; none of a log that grows with its run, whose chunks have checksums."""
     content: str
     """One line on what it holds."""
-    provenance: Provenance
-    """Where it comes from."""
+    provenance: Provenance | None
+    """Where it comes from; of such a log the content says it."""
 
 
 def verify(path: Path) -> Verified:
@@ -53,6 +58,15 @@ def verify(path: Path) -> Verified:
         ArtefactError: The file is missing, not ours, edited, damaged, or newer than this Equipoise;
             or a certificate is not that of the trials beside it.
     """
+    if is_rig_run(path):
+        return Verified(
+            what="log of a run on a rig",
+            format=RIG_FORMAT,
+            version=RIG_VERSION,
+            digest=None,
+            content=_rig_run(read_rig_run(path)),
+            provenance=None,
+        )
     if _begins_with(path, MCAP):
         run, header = RunLog.load(path), read_header(path)
         return Verified(
@@ -166,6 +180,17 @@ def _run(run: RunLog) -> str:
     return (
         f"{run.lasted:g} s of {conditions.duration:g} s on the {conditions.arm}, world "
         f"{conditions.world}, {len(run.time):,} ticks, ended: {conditions.cause}"
+    )
+
+
+def _rig_run(run: RigRun) -> str:
+    told, how, tick = run.conditions, ending(run), run.tables["tick"]["time"]
+    lasted = len(phase_ticks(run, Phase.BALANCING)) * float(told["h"])
+    reach = "" if how.whole else f"; the log breaks off, {len(tick):,} ticks are whole"
+    return (
+        f"{lasted:g} s of {told['duration']:g} s balanced by the {told['arm']} at "
+        f"{told['robot']}, policy {told['policy'][:19]}..., {len(tick):,} ticks, ended: "
+        f"{how.cause}{reach}"
     )
 
 

@@ -45,8 +45,9 @@ from equipoise.errors import LinkError
 TIMEOUT: Final = 0.1
 """The answer to a setpoint is overdue after this [s]: a cabled link takes one or two
 milliseconds, and a garbage collection on the cabinet tens."""
-OUTSTANDING: Final = 10
-"""So many setpoints may wait for their answer: 50 ms of a stream at 200 Hz."""
+OUTSTANDING: Final = 20
+"""So many setpoints may wait for their answer: 100 ms of a stream at 200 Hz. A run that is stopped
+after 50 ms without an answer can still send its way to rest."""
 AT_REST: Final = 1.0
 """The answer to anything else is overdue after this [s]."""
 FASTEST: Final = 4.0

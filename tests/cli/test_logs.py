@@ -1,0 +1,112 @@
+"""`equipoise explain`, `replay` and `export`: what is asked of the log of a run."""
+
+import pytest
+
+from equipoise.control.policy import shipped_policy
+from equipoise.deployment import deploy
+from tests.studies.faulted import draw_fault, run_with
+
+pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
+
+
+@pytest.fixture(scope="module")
+def pushed(tmp_path_factory):
+    """The log of a run on a rig whose pendulum was pushed."""
+    path = tmp_path_factory.mktemp("pushed") / "run.mcap"
+    run_with(draw_fault("push", 2), 2, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def on_a_twin(tmp_path_factory):
+    path = tmp_path_factory.mktemp("twin") / "run.mcap"
+    deploy(shipped_policy(), world="twin:nominal", duration=0.4).save(path, command="test")
+    return path
+
+
+def test_explain_names_the_cause_with_evidence_and_advice(equipoise, pushed):
+    ran = equipoise("explain", pushed)
+    assert ran.code == 0
+    assert "Why: push" in ran.out
+    assert "deg/s within 80 ms, beyond what gravity and the flange explain" in ran.out
+    assert "keep hands, cables and draughts away" in ran.out
+    picture = [line for line in ran.out.splitlines() if line.endswith("]") or "[ " in line]
+    assert len(picture) > 8
+    assert f"next: equipoise replay {pushed}" in ran.out
+
+
+def test_explain_in_json(equipoise, pushed, on_a_twin):
+    found = equipoise("explain", pushed, "--json").json
+    assert found["cause"] == found["causes"][0]["name"] == "push"
+    assert set(found["causes"][0]) == {"name", "score", "time_s", "evidence", "advice"}
+    assert found["whole"] is True
+    other = equipoise("explain", on_a_twin, "--json").json
+    assert (other["cause"], other["lasted_s"]) == ("lasted", 0.4)
+
+
+def test_a_log_that_breaks_off_is_explained_with_a_warning(equipoise, pushed, tmp_path):
+    (tmp_path / "cut.mcap").write_bytes(pushed.read_bytes()[: pushed.stat().st_size // 2])
+    ran = equipoise("explain", "cut.mcap")
+    assert ran.code == 0
+    assert "the log breaks off" in ran.out
+
+
+def test_replay_says_that_it_is_the_same(equipoise, on_a_twin):
+    ran = equipoise("replay", on_a_twin)
+    assert ran.code == 0
+    assert "The same: 40 ticks, bit for bit." in ran.out
+    found = equipoise("replay", on_a_twin, "--json").json
+    assert (found["same"], found["ticks"], found["difference"]) == (True, 40, None)
+
+
+def test_replay_says_where_it_differs(equipoise, tmp_path):
+    # The seed of the log says nothing of it: one command was written down otherwise.
+    import dataclasses
+
+    log = deploy(shipped_policy(), world="twin:nominal", duration=0.3)
+    u = log.u.copy()
+    u[12] = 0.125
+    dataclasses.replace(log, u=u).save(tmp_path / "run.mcap", command="test")
+    ran = equipoise("replay", "run.mcap")
+    assert ran.code == 1
+    assert "12 ticks are the same; in the next, at 0.120 s, u is" in ran.out
+    assert "the log says 0.125" in ran.out
+    found = equipoise("replay", "run.mcap", "--json")
+    assert found.code == 1
+    assert found.json["difference"]["what"] == "u"
+    assert equipoise("replay", "run.mcap", "--tolerance", "3").code == 0
+
+
+@pytest.mark.parametrize("tolerance", ["-1", "nan"])
+def test_a_tolerance_that_is_none_is_refused(equipoise, on_a_twin, tolerance):
+    ran = equipoise("replay", on_a_twin, f"--tolerance={tolerance}")
+    assert ran.code == 2
+    assert "give 0 or more" in ran.err
+
+
+def test_export_writes_the_tables_beside_the_log(equipoise, on_a_twin, tmp_path):
+    (tmp_path / "run.mcap").write_bytes(on_a_twin.read_bytes())
+    ran = equipoise("export", "run.mcap")
+    assert ran.code == 0
+    made = sorted(path.name for path in (tmp_path / "run-csv").iterdir())
+    assert made == ["encoder.csv", "reply.csv", "stream.csv", "tick.csv", "truth.csv"]
+    assert equipoise("export", "run.mcap", "--out", "run.mcap").code == 2
+
+
+@pytest.mark.parametrize("verb", ["explain", "replay", "export"])
+def test_what_is_no_log_is_refused(equipoise, tmp_path, verb):
+    (tmp_path / "x.mcap").write_bytes(b"hello")
+    for name in ("x.mcap", "nowhere.mcap"):
+        ran = equipoise(verb, name)
+        assert ran.code == 2
+        assert name in ran.err
+        assert "Traceback" not in ran.err
+
+
+def test_verify_takes_the_log_of_a_rig(equipoise, pushed):
+    ran = equipoise("verify", pushed)
+    assert ran.code == 0
+    assert "a sound log of a run on a rig" in ran.out
+    assert f"next: equipoise explain {pushed}" in ran.out
+    found = equipoise("verify", pushed, "--json").json
+    assert (found["digest"], found["provenance"]) == (None, None)

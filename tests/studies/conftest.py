@@ -1,0 +1,40 @@
+"""A run on a rig that several tests read."""
+
+import pytest
+
+from equipoise.control.policy import shipped_policy
+from equipoise.deployment.rig import Request, run_rig_virtually
+from equipoise.model.worlds import read_world
+from equipoise.rigs import RigSettings, emulated_rig
+
+
+@pytest.fixture(scope="session")
+def rig_log(tmp_path_factory):
+    """The log of a whole course on an emulated rig: home, self-test, lift, 1.5 s of balancing."""
+    path, policy = tmp_path_factory.mktemp("rig") / "run.mcap", shipped_policy()
+    settings = RigSettings()
+    emulated = emulated_rig(
+        read_world("twin:nominal"), settings, policy.pendulum.parameters(), seed=3
+    )
+    request = Request(
+        policy=policy,
+        actuator=policy.actuator,
+        settings=settings,
+        robot="kst://emulated",
+        encoder="serial:///emulated",
+        duration=1.5,
+        t1=False,
+        dry_run=False,
+        seed=3,
+    )
+    assert run_rig_virtually(request, emulated.rig, path).cause == "lasted"
+    return path
+
+
+@pytest.fixture
+def broken_off(rig_log, tmp_path):
+    """The same, cut half a second before its end."""
+    path = tmp_path / "cut.mcap"
+    whole = rig_log.read_bytes()
+    path.write_bytes(whole[: int(0.94 * len(whole))])
+    return path

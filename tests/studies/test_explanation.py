@@ -1,0 +1,150 @@
+"""Explain names what was done to a run; each fault is injected on the twin."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from equipoise.control.boxes import CAUSES
+from equipoise.control.policy import shipped_policy
+from equipoise.deployment import deploy
+from equipoise.model.worlds import World, read_world
+from equipoise.runwriter import Recorder, RunWriter, read_rig_run
+from equipoise.studies.explanation import ADVICE, LOOKS, Name, _course, explain
+from equipoise.studies.runs import balancing, load_run
+from tests.studies.faulted import KINDS, Fault, draw_fault, run_with
+
+pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
+
+SEEDS = 14
+"""Runs of each kind in the full statistics: 210 in all."""
+SHARE = 0.95
+"""So many are named rightly."""
+
+
+def why(kind, seed, folder):
+    """What explain names for a drawn fault, and what it should."""
+    fault, path = draw_fault(kind, seed), folder / f"{kind}-{seed}.mcap"
+    outcome = run_with(fault, seed, path)
+    assert outcome.cause != "lasted", f"{kind} {seed} did not end the run"
+    found = explain(read_rig_run(path))
+    path.unlink()
+    return found, fault.name
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_fault_that_was_injected_is_named(kind, tmp_path):
+    found, name = why(kind, 1, tmp_path)
+    assert found.causes[0].name is name, found.causes
+    assert found.causes[0].evidence
+    assert found.causes[0].advice == ADVICE[name]
+    scores = [cause.score for cause in found.causes]
+    assert scores == sorted(scores, reverse=True)
+
+
+@pytest.mark.slow
+def test_95_of_100_faults_are_named(tmp_path):
+    wrong = [
+        (kind, seed)
+        for kind in KINDS
+        for seed in range(100, 100 + SEEDS)
+        if (found := why(kind, seed, tmp_path))[0].causes[0].name is not found[1]
+    ]
+    assert len(wrong) <= (1.0 - SHARE) * len(KINDS) * SEEDS, wrong
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_run_that_lasts_raises_no_suspicion(seed, tmp_path):
+    fault = Fault(Name.LASTED, start=draw_fault("push", seed).start)
+    path = tmp_path / "run.mcap"
+    assert run_with(fault, seed, path).cause == "lasted"
+    run = read_rig_run(path)
+    assert [cause.name for cause in explain(run).causes] == [Name.LASTED]
+    # Nor would it if it had ended: no look finds anything.
+    course = _course(run, balancing(run))
+    assert [found for look in LOOKS if (found := look(course))] == []
+    # The unexplained rate stays where it is: to 1 deg/s over 80 ms.
+    steps = course.rate[16:] - course.rate[:-16]
+    assert np.rad2deg(np.std(steps)) < 3.0
+
+
+def test_a_push_is_measured(tmp_path):
+    rate, at = 2.6, 1.2
+    fault = draw_fault("push", 0)._replace(at=at, once=lambda stage: stage.bench.push(rate))
+    run_with(fault, 0, tmp_path / "run.mcap")
+    run = read_rig_run(tmp_path / "run.mcap")
+    course = _course(run, balancing(run))
+    i = int(np.searchsorted(course.time, at))
+    assert course.rate[i + 10] - course.rate[i - 10] == pytest.approx(rate, rel=0.15)
+    push = explain(run).causes[0]
+    assert push.time == pytest.approx(at, abs=0.05)
+
+
+def test_a_wrong_zero_is_measured(tmp_path):
+    error = np.deg2rad(3.0)
+    fault = draw_fault("zero", 0)._replace(zero=error)
+    run_with(fault, 0, tmp_path / "run.mcap")
+    run = read_rig_run(tmp_path / "run.mcap")
+    course = _course(run, balancing(run))
+    slope = np.polyfit(course.time, course.rate, 1)[0]
+    assert -slope / course.pendulum.w2 == pytest.approx(error, rel=0.15)
+
+
+def test_a_log_that_breaks_off_is_explained_as_far_as_it_goes(tmp_path, rig_log, broken_off):
+    found = explain(read_rig_run(broken_off))
+    assert (found.causes[0].name, found.ending.whole) == (Name.UNKNOWN, False)
+    # A push is seen in what is there, whether or not the log says how the run ended.
+    path = tmp_path / "run.mcap"
+    run_with(draw_fault("push", 5), 5, path)
+    whole = read_rig_run(path)
+    cut = dataclasses.replace(whole, end=whole.end | {"cause": "error", "reason": ""})
+    assert explain(cut).causes[0].name is Name.PUSH
+
+
+def test_a_run_that_never_balanced_is_explained_by_its_reason(tmp_path, rig_log):
+    path = tmp_path / "run.mcap"
+    writer = RunWriter(path, 7, read_rig_run(rig_log).conditions, 0.0)
+    writer.drain(Recorder(7))
+    writer.finish(1.0, {"cause": "self-test", "reason": "the encoder turns the wrong way round"})
+    found = explain(read_rig_run(path))
+    assert found.log is None
+    assert found.causes[0].name is Name.SELF_TEST
+    assert found.causes[0].evidence == "the encoder turns the wrong way round"
+
+
+def on_twin(seed=0, **numbers):
+    world = read_world("twin:nominal")
+    there = World("twin:other", world.settings.model_copy(update=numbers))
+    return deploy(shipped_policy(), world=there, seed=seed, duration=5.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_zero_error_is_named_in_a_log_of_a_twin(seed):
+    sign = (-1.0) ** seed
+    log = on_twin(seed, zero_offset=sign * np.deg2rad(5.0), zero_error=0.0)
+    assert log.conditions.cause != "lasted"
+    assert explain(log).causes[0].name is Name.ZERO
+
+
+def test_a_release_outside_the_recoverable_set_is_named_in_a_log_of_a_twin():
+    policy = shipped_policy()
+    wide = policy.settings.evaluation.model_copy(
+        update={"phi_low": 0.14, "phi_high": 0.15, "phi_dot_low": 1.0, "phi_dot_high": 1.1}
+    )
+    settings = policy.settings.model_copy(update={"evaluation": wide})
+    log = deploy(policy, world="twin:nominal", settings=settings, duration=3.0)
+    assert log.conditions.cause != "lasted"
+    assert explain(log).causes[0].name is Name.OUTSIDE
+
+
+def test_a_run_on_a_twin_that_lasts_has_nothing_to_explain():
+    log = on_twin()
+    assert log.conditions.cause == CAUSES[0] == "lasted"
+    assert [cause.name for cause in explain(log).causes] == [Name.LASTED]
+    course = _course(log, log)
+    assert [found for look in LOOKS if (found := look(course))] == []
+
+
+def test_every_cause_says_what_to_do(rig_log):
+    assert set(ADVICE) == set(Name)
+    assert explain(load_run(rig_log)).causes[0].name is Name.LASTED
