@@ -31,6 +31,18 @@ def test_a_name_stands_for_its_newest_version_which_has_a_name_of_its_own(short)
     assert read_world(f"twin:{short}").name == f"twin:{NEWEST[short]}"
 
 
+@pytest.mark.parametrize("short", NEWEST)
+def test_a_set_without_guards_stays_as_it_was_published(short):
+    before, now = (read_world(f"twin:{short}-{version}").settings for version in (1, 2))
+    assert now == before.model_copy(update={"guards": True})
+    assert not before.guards
+    # Digests of what was found there do not know of guards.
+    assert not {"guards", "t1"} & set(before.model_dump())
+    assert now.model_dump()["guards"] is True
+    for settings in (before, now):
+        assert TwinSettings.model_validate_json(settings.model_dump_json()) == settings
+
+
 def test_each_set_can_be_told_from_the_others():
     assert len({read_world(f"twin:{name}").settings.model_dump_json() for name in SETS}) == len(
         SETS
@@ -46,7 +58,7 @@ def test_a_file_holds_differences_to_nominal_and_keeps_its_own_name(tmp_path):
     file = tmp_path / "nominal-1.toml"
     file.write_text("transport = 0.02\nzero_offset = 0.0087\n")
     world = read_world(f"twin:{file}")
-    assert world.settings == TwinSettings(transport=0.02, zero_offset=0.0087)
+    assert world.settings == TwinSettings(transport=0.02, zero_offset=0.0087, guards=True)
     assert world.name == f"twin:{file}"
 
 

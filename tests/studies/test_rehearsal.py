@@ -1,0 +1,277 @@
+"""The rehearsal: its list is whole, its judge finds what is wrong, and the faults end well."""
+
+from math import inf, nan
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from equipoise.control.safety import POSITION_MARGIN
+from equipoise.deployment.rig import Outcome
+from equipoise.errors import InputError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.rigs import RigSettings
+from equipoise.studies.rehearsal import FAULTS, REAL_TIME, choose, rehearse, rehearse_all
+from equipoise.studies.rehearsal.judgement import (
+    Sent,
+    came_to_rest,
+    judge,
+    limits_kept,
+    setpoints_of,
+)
+from equipoise.studies.rehearsal.stage import Look, Told
+
+pytestmark = pytest.mark.compiled_only
+
+ARM = RigSettings().described_arm
+HOME = np.array(ARM.home)
+
+ISSUE = """
+encoder unplugged, encoder frozen, count jump, slow count loss, wrong sign, wrong counts: half,
+zeroed while swinging, zero error, stale samples, malformed lines, wall clock stepped, late tick,
+CPU load, TCP drop, half-open link, command backlog, nak, robot not following, E-stop, mode change,
+contact, joint limit, velocity limit, track limit, near singularity, flange drift,
+flange pitch error, first command away from the measured pose, reconnect in mid-run, second client,
+NaN from the encoder's line, NaN from the robot's line, NaN in a setpoint, NaN in the policy,
+release too early, release too late, push, policy of another rig, corrupt policy, bad settings,
+unit slip, disk full, power cut in the log, control process killed
+"""
+"""What the list has to hold."""
+
+QUICK = (
+    "encoder unplugged in the self-test",
+    "robot not following",
+    "infinity in a setpoint",
+    "key: homing",
+    "near singularity",
+    "first command away from the measured pose",
+    "TCP drop",
+    "corrupt policy",
+    "bad settings",
+)
+"""A subset: something of most kinds, and little to wait for."""
+
+
+def fault(name):
+    return next(one for one in FAULTS if one.name == name)
+
+
+def test_the_list_holds_what_it_has_to():
+    names = {one.name for one in (*FAULTS, *REAL_TIME)}
+    wanted = {name.strip() for name in ISSUE.replace("\n", " ").split(",")}
+    assert wanted <= names
+    signals = [one.name for one in REAL_TIME if one.name.startswith(("SIGINT", "SIGTERM"))]
+    assert len(signals) >= 4
+
+
+def test_each_fault_has_a_name_of_its_own_and_says_what_should_happen():
+    everything = (*FAULTS, *REAL_TIME)
+    assert len({one.name for one in everything}) == len(everything)
+    assert all(one.injected and one.should for one in everything)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_fault_ends_as_it_should(name):
+    result = rehearse(fault(name))
+    assert result.problems == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [one.name for one in FAULTS if one.name not in QUICK])
+def test_each_other_fault_ends_as_it_should(name):
+    result = rehearse(fault(name))
+    assert result.problems == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("live", REAL_TIME, ids=lambda live: live.name)
+def test_each_fault_in_real_time_ends_as_it_should(live):
+    did, problems = live.play()
+    assert problems == [], did
+
+
+def test_what_needs_real_time_is_not_passed_over_as_good():
+    results = list(rehearse_all(["second client"]))
+    assert [(one.ran, one.did) for one in results] == [(False, "needs --real-time")]
+
+
+def test_a_fault_that_ends_otherwise_is_found():
+    # What is injected is a key; what is expected is that the run lasts.
+    wrong = fault("key: homing")._replace(ends=frozenset({"lasted"}))
+    assert any("it ended with operator" in problem for problem in rehearse(wrong).problems)
+
+
+def test_an_unknown_name_is_refused():
+    with pytest.raises(InputError, match="no fault 'encoder unplugd'"):
+        choose(["encoder unplugd"])
+
+
+def test_a_kind_chooses_all_of_it():
+    virtual, live = choose(["numbers"])
+    assert {one.kind for one in virtual} == {"numbers"}
+    assert live == []
+
+
+# The judge, on courses written by hand: 5 ms apart, joint 1 moves.
+
+
+def course(*speeds, begin=0.0):
+    """Setpoints that begin at home and move joint 1 at these speeds [rad/s]."""
+    sent = [Sent(begin, tuple(HOME))]
+    for speed in speeds:
+        q = np.array(sent[-1].q)
+        q[0] += speed * 0.005
+        sent.append(Sent(sent[-1].time + 0.005, tuple(q.tolist())))
+    return sent
+
+
+SLOWING = (0.4, 0.4, 0.4, 0.3, 0.2, 0.1, 0.0, 0.0)
+
+
+def test_a_ramp_that_begins_at_once_is_rest():
+    # The stop is told with the fourth setpoint that moves.
+    assert came_to_rest(ARM, course(*SLOWING), 0.020) == []
+
+
+@pytest.mark.parametrize(
+    ("speeds", "saying"),
+    [
+        ((0.4, 0.4, 0.4, 0.41, 0.2, 0.1, 0.0, 0.0), "no slower"),
+        ((0.4, 0.4, 0.4, 0.3, 0.2, 0.25, 0.0, 0.0), "no slower"),
+        ((0.4, 0.4, 0.4, 0.3, 0.2, 0.1, 0.0, 1.0), "sent away again"),
+        ((0.4, 0.4, 0.4, 0.3, 0.2, 0.1), "still moves"),
+        ((0.4, 0.4, 0.4), "no setpoint was sent"),
+    ],
+)
+def test_a_stop_that_is_none_is_found(speeds, saying):
+    assert any(saying in problem for problem in came_to_rest(ARM, course(*speeds), 0.020))
+
+
+def test_a_stop_that_begins_late_is_found():
+    late = [one._replace(time=one.time + 0.05) for one in course(*SLOWING)]
+    assert any("came 0.0" in problem for problem in came_to_rest(ARM, late, 0.020))
+
+
+@pytest.mark.parametrize("number", [nan, inf, -inf])
+def test_a_setpoint_that_is_no_number_is_found(number):
+    assert limits_kept(ARM, [Sent(0.0, (number, *HOME[1:]))])
+
+
+def test_a_setpoint_beyond_a_limit_is_found():
+    for i, joint in enumerate(ARM.joints):
+        for end in (joint.lower + POSITION_MARGIN - 1e-3, joint.upper - POSITION_MARGIN + 1e-3):
+            q = HOME.copy()
+            q[i] = end
+            assert limits_kept(ARM, [Sent(0.0, tuple(q))])
+    assert limits_kept(ARM, [Sent(0.0, tuple(HOME))]) == []
+    assert limits_kept(ARM, [Sent(0.0, tuple(HOME[:6]))])
+
+
+def test_a_setpoint_faster_than_a_joint_is_found():
+    velocity = ARM.joints[0].velocity
+    assert limits_kept(ARM, course(0.999 * velocity)) == []
+    assert limits_kept(ARM, course(1.001 * velocity))
+
+
+def test_setpoints_are_read_from_the_bytes():
+    # As iiwaPy3 writes them; another command is none.
+    lines = [
+        (0.1, b"jpJP_1.0_2.0_3.0_4.0_5.0_6.0_7.0_\n"),
+        (0.2, b"stopDirectServoJoints\n"),
+        (0.3, b"jpExT_1.0_2.0_3.0_4.0_5.0_6.0_-7.5e-05_\n"),
+        (0.4, b"jRelVel_0.1_\n"),
+    ]
+    read = setpoints_of(lines)
+    assert [one.time for one in read] == [0.1, 0.3]
+    assert read[1].q[-1] == -7.5e-05
+
+
+class Seen:
+    """What a stage shows to the judge, written by hand: a stop as it should be."""
+
+    def __init__(self):
+        self.scene = SimpleNamespace(settings=RigSettings())
+        text = "_".join
+        sent = [
+            (one.time, f"jpJP_{text(f'{angle:.9g}' for angle in one.q)}_\n".encode())
+            for one in course(*SLOWING, *(0.0,) * 20)
+        ]
+        self.robot_wire = SimpleNamespace(sent=sent)
+        self.broken_at, self.held_at_start = 0.012, False
+        self.told = [Told(-1.0, "home", ""), Told(0.020, "stopping", "look at the cable")]
+        self.looks = [Look(0.002 * i, 0.1, tuple(HOME)) for i in range(500)]
+
+
+ENDED = Outcome("stale encoder", "", 0.0, True, None, 0, {}, {})
+
+
+def judged(seen, outcome=ENDED, **changes):
+    expected = {
+        "ends": frozenset({"stale encoder"}),
+        "within": 0.01,
+        "stoppable": True,
+        "says": "cable",
+    }
+    return judge(seen, outcome, **expected | changes)
+
+
+def test_a_stop_as_it_should_be_has_no_problems():
+    assert judged(Seen()) == []
+
+
+def test_the_judge_finds_each_thing_that_is_wrong():
+    assert any("ended with" in one for one in judged(Seen(), ENDED._replace(cause="track")))
+    assert any("did not read" in one for one in judged(Seen(), says="coupling"))
+    assert any("after the fault" in one for one in judged(Seen(), within=0.005))
+
+    seen = Seen()
+    seen.held_at_start = True
+    assert any("the hand held" in one for one in judged(seen))
+    assert judged(seen, held_at_start=True) == []
+
+    seen = Seen()
+    seen.told.append(Told(0.5, "balancing", ""))
+    assert any("went on after its stop" in one for one in judged(seen))
+
+    seen = Seen()
+    seen.looks[-1] = Look(1.0, 0.1, tuple(HOME + 0.02))
+    assert any("at the end" in one for one in judged(seen))
+
+    seen = Seen()
+    seen.looks[100] = Look(0.2, 0.23, tuple(HOME))
+    assert any("from home" in one for one in judged(seen))
+
+    seen = Seen()
+    seen.robot_wire.sent.insert(-3, (0.06, b"stopDirectServoJoints\n"))
+    assert any("after the servo had ended" in one for one in judged(seen))
+
+    seen = Seen()
+    seen.broken_at = None
+    assert any("never came to the fault" in one for one in judged(seen))
+
+    seen = Seen()
+    del seen.told[1:]
+    assert any("told nothing" in one for one in judged(seen, says=""))
+
+
+def test_a_lost_robot_has_to_be_told_within_100_ms():
+    words = "software cannot stop the robot: press the E-stop"
+    for late, good in ((0.099, True), (0.101, False)):
+        seen = Seen()
+        seen.told[1] = Told(seen.broken_at + late, "fault", words)
+        assert (judged(seen, stoppable=False, says="", within=1.0) == []) is good
+    seen = Seen()
+    seen.told[1] = Told(0.02, "fault", "the link is gone")
+    assert any("nobody told" in one for one in judged(seen, stoppable=False, says=""))
+
+
+def test_a_refused_run_sends_nothing():
+    seen = Seen()
+    refused = {"ends": frozenset({"refused"}), "says": ""}
+    assert any("setpoints were sent" in one for one in judged(seen, InputError("no"), **refused))
+    del seen.robot_wire.sent[1:]
+    assert judged(seen, InputError("no"), **refused) == []
+
+
+def test_the_arm_of_the_rehearsal_is_the_one_that_the_policy_knows():
+    assert ARM.digest == iiwa(7).digest

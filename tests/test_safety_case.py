@@ -1,0 +1,69 @@
+"""The safety case names tests that exist, and leaves out no guard and no rehearsed fault."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from equipoise.control.safety import Rule
+from equipoise.studies.rehearsal import FAULTS, REAL_TIME
+
+ROOT = Path(__file__).parent.parent
+PAGE = (ROOT / "docs" / "safety-case.md").read_text(encoding="utf-8")
+NAMED = sorted(set(re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", PAGE)))
+TABLES = "\n".join(line for line in PAGE.splitlines() if line.startswith("|"))
+
+
+def names_in(path):
+    """Return the names of the test functions in a file, wherever in it they stand."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return {
+        node.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    }
+
+
+def test_the_page_names_tests():
+    assert len(NAMED) > 15
+
+
+@pytest.mark.parametrize(("path", "name"), NAMED)
+def test_each_test_that_is_named_exists(path, name):
+    assert (ROOT / path).is_file(), path
+    assert name in names_in(ROOT / path)
+
+
+def test_whatever_looks_like_a_test_is_read_as_one():
+    # A name with a slip in its form would escape the check above.
+    assert PAGE.count("::") == len(re.findall(r"`tests/[\w/]+\.py::\w+`", PAGE))
+
+
+@pytest.mark.parametrize("rule", Rule, ids=lambda rule: rule.name)
+def test_each_guard_stands_in_a_table(rule):
+    assert f"*{rule.value}*" in TABLES
+
+
+@pytest.mark.parametrize("fault", [*FAULTS, *REAL_TIME], ids=lambda fault: fault.name)
+def test_each_rehearsed_fault_stands_in_a_table(fault):
+    assert f"`{fault.name}`" in TABLES
+
+
+def test_no_fault_is_named_that_is_not_rehearsed():
+    known = {fault.name for fault in (*FAULTS, *REAL_TIME)}
+    cells = [line.split("|")[3] for line in TABLES.splitlines() if line.count("|") == 4]
+    named = {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
+    assert named == known
+
+
+def test_each_number_of_the_page_is_that_of_the_code():
+    from equipoise.control import pilot, safety
+    from equipoise.studies.rehearsal.judgement import TOLD
+
+    assert f"within {1e3 * TOLD:.0f} ms" in PAGE
+    assert f"({safety.STOP_DECELERATION:g} m/s² at the flange" in PAGE
+    assert f"{100 * safety.TORQUE_SHARE:.0f} % of the joint's torque" in PAGE
+    assert f"a following error of {safety.FOLLOWING_LIMIT:g} rad" in PAGE
+    assert pilot.HOMING_SHARE == 0.1
+    assert "a tenth of the joints' speed" in PAGE
