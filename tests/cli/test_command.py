@@ -17,8 +17,10 @@ VERBS = (
     "train",
     "evaluate",
     "deploy",
-    "emulate",
+    "doctor",
     "record",
+    "emulate",
+    "rehearse",
     "certify",
     "gap",
     "refine",
@@ -27,7 +29,6 @@ VERBS = (
     "export",
     "verify",
     "bench",
-    "doctor",
 )
 NEEDS = {
     "identify": ["x.csv"],
@@ -48,7 +49,7 @@ def test_help_shows_the_verbs_in_their_panels(equipoise):
     story, rest = ran.out.split("The story")[1].split("The rig")
     rig, studies = rest.split("Studies")
     assert all(f" {verb} " in story for verb in ("reproduce", "identify", "train", "evaluate"))
-    assert all(f" {verb} " in rig for verb in ("doctor", "emulate", "record"))
+    assert all(f" {verb} " in rig for verb in ("doctor", "record", "emulate", "rehearse"))
     assert all(f" {verb} " in studies for verb in STUDIES)
 
 
