@@ -166,6 +166,7 @@ def deploy(
             "world": run.conditions.world,
             "lasted_s": run.lasted,
             "cause": run.conditions.cause,
+            "guard": run.conditions.guard or None,
             "ticks": len(run.time),
             "setpoints": len(run.stream.time),
             "video": str(video) if video else None,
@@ -223,7 +224,8 @@ def _run(
 
 def _say(output: Output, run: "RunLog") -> None:
     conditions, truth = run.conditions, run.truth
-    rows = {"lasted": f"{run.lasted:g} s of {conditions.duration:g} s, ended: {conditions.cause}"}
+    cause = conditions.cause + (f" ({conditions.guard})" if conditions.guard else "")
+    rows = {"lasted": f"{run.lasted:g} s of {conditions.duration:g} s, ended: {cause}"}
     if len(truth.x):
         rows["flange"] = f"within {1e3 * float(abs(truth.x).max()):.0f} mm of home"
     if conditions.zero_error is not None and len(run.bias):

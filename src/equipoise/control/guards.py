@@ -124,8 +124,10 @@ def new_watching(arm: Arm, guard: Guard | None) -> Watching:
 @kernel
 def begin_watching(watching: Watching, q: Array) -> None:
     """Begin with an arm that rests at the free joints `q` [rad], shape (6,)."""
-    watching.sent[:] = -inf
-    watching.setpoints[:] = q
+    for row in range(REMEMBERED):
+        watching.sent[row] = -inf
+        for i in range(FREE_JOINTS):
+            watching.setpoints[row, i] = q[i]
     watching.number[0] = REMEMBERED
     watching.astray[0] = 0.0
 
@@ -144,7 +146,8 @@ def refused(watching: Watching, q: Array, now: float) -> int:
     code, _, _, _ = broken_setpoint(guard.limits, q, last, before, guard.h / SETPOINTS)
     if code == KEPT:
         watching.sent[count % REMEMBERED] = now
-        setpoints[count % REMEMBERED] = q
+        for i in range(FREE_JOINTS):
+            setpoints[count % REMEMBERED, i] = q[i]
         watching.number[0] = count + 1
     return code
 
