@@ -1,7 +1,11 @@
 """What `rig.toml` may say, and which addresses are some."""
 
+import numpy as np
 import pytest
 
+from equipoise.control.policy import shipped_policy
+from equipoise.deployment.preflight import check_room
+from equipoise.deployment.rig import Request
 from equipoise.errors import EquipoiseError, InputError, SettingsError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.rigs import RigSettings, check_addresses, read_rig
@@ -84,3 +88,38 @@ def test_addresses_of_a_robot():
     assert check_addresses("kst://172.31.1.147", "serial:///dev/ttyACM0") == ("172.31.1.147", 30001)
     assert check_addresses("kst://localhost:3", "socket://localhost:4") == ("localhost", 3)
     assert check_addresses("twin:nominal", None) == ("", 0)
+
+
+def test_what_a_rig_says_of_its_limits_becomes_its_rules(tmp_path):
+    text = "position_margin_deg = 10\nspeed_share = 0.5\ntorque_share = 0.2\n"
+    file = written(tmp_path, text)
+    policy = shipped_policy()
+
+    def guard(rig):
+        request = Request(
+            policy=policy,
+            actuator=policy.actuator,
+            settings=rig,
+            robot="twin:nominal",
+            encoder=None,
+            duration=1.0,
+            t1=False,
+            dry_run=False,
+            seed=0,
+        )
+        return request.guard(8192)
+
+    usual, strict = guard(RigSettings()), guard(read_rig(file))
+    assert np.subtract(strict.limits.lower, usual.limits.lower) == pytest.approx(np.radians(7.0))
+    assert np.subtract(usual.limits.upper, strict.limits.upper) == pytest.approx(np.radians(7.0))
+    assert np.divide(strict.limits.velocity, usual.limits.velocity) == pytest.approx(0.5)
+    assert np.divide(strict.torque, usual.torque) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("height", "verdict"), [(None, None), (0.0, "good"), (230.0, "good"), (232.0, "refused")]
+)
+def test_the_hanging_pendulum_needs_room(height, verdict):
+    """The pivot is 491 mm above the base, a rod of w2 = 70.2 1/s^2 is 209.6 mm long."""
+    found = list(check_room(shipped_policy(), RigSettings(table_height_mm=height)))
+    assert [finding.verdict for finding in found] == ([] if verdict is None else [verdict])

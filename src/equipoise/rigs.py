@@ -17,7 +17,7 @@ import tomllib
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property, partial
-from math import hypot, radians
+from math import degrees, hypot, radians
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
 from urllib.parse import urlsplit
@@ -26,6 +26,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from equipoise.artefacts import Value, value_digest
+from equipoise.control.safety import POSITION_MARGIN, TORQUE_SHARE
 from equipoise.devices.clocks import SystemClock, VirtualClock
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.sensor import LineEncoder
@@ -83,17 +84,18 @@ class RigSettings(Value):
     """Encoder counts per revolution, after x4."""
     encoder_sign: Literal[1, -1] = 1
     """1 if counts grow with theta, the pendulum's angle from hanging, else -1."""
-    table_height_mm: float = Field(default=-1e4, ge=-1e4, le=2e3)
-    """The highest thing below the arm, above the plane of its base [mm]; the pendulum's tip must
-    not reach it."""
+    table_height_mm: float | None = Field(default=None, ge=-2e3, le=2e3)
+    """The highest thing below the track, above the plane of the arm's base [mm]; none if there is
+    nothing. The hanging pendulum must not come near it."""
     base_tilt_deg: tuple[Degrees, Degrees] = (0.0, 0.0)
     """How the base leans, about its x and its y [deg]."""
-    position_margin_deg: float = Field(default=3.0, ge=1.0, le=30.0)
+    position_margin_deg: float = Field(default=degrees(POSITION_MARGIN), ge=1.0, le=30.0)
     """Setpoints stay so far inside the joints' limits [deg]."""
-    speed_share: float = Field(default=0.8, gt=0.0, le=1.0)
-    """... and below this share of their velocity limits."""
-    torque_limit: float = Field(default=15.0, gt=0.0)
-    """External torque that stops a run, beyond what home shows, each joint [N m]."""
+    speed_share: float = Field(default=1.0, gt=0.0, le=1.0)
+    """... and below this share of their velocity limits; a run stops before it is passed."""
+    torque_share: float = Field(default=TORQUE_SHARE, gt=0.0, le=1.0)
+    """Of the torque that a joint can give: a run stops where the external one is further than that
+    from what it was at home."""
 
     @property
     def digest(self) -> str:

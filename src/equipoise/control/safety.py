@@ -214,12 +214,18 @@ class Limits(NamedTuple):
         return len(self.lower)
 
 
-def limits_of(arm: Arm) -> Limits:
-    """Return what the setpoints for an arm have to keep to."""
+def limits_of(arm: Arm, *, margin: float = POSITION_MARGIN, speed_share: float = 1.0) -> Limits:
+    """Return what the setpoints for an arm have to keep to.
+
+    Args:
+        arm: The arm.
+        margin: Setpoints stay so far inside the joints' limits [rad].
+        speed_share: ... and below this share of their velocity limits.
+    """
     return Limits(
-        lower=tuple(joint.lower + POSITION_MARGIN for joint in arm.joints),
-        upper=tuple(joint.upper - POSITION_MARGIN for joint in arm.joints),
-        velocity=tuple(joint.velocity for joint in arm.joints),
+        lower=tuple(joint.lower + margin for joint in arm.joints),
+        upper=tuple(joint.upper - margin for joint in arm.joints),
+        velocity=tuple(speed_share * joint.velocity for joint in arm.joints),
         acceleration=tuple(joint.acceleration for joint in arm.joints),
     )
 
@@ -246,7 +252,16 @@ class Guard(NamedTuple):
 
 
 def make_guard(
-    arm: Arm, *, reaction: float, u_max: float, h: float, counts_per_rev: int, t1: bool = False
+    arm: Arm,
+    *,
+    reaction: float,
+    u_max: float,
+    h: float,
+    counts_per_rev: int,
+    t1: bool = False,
+    margin: float = POSITION_MARGIN,
+    speed_share: float = 1.0,
+    torque_share: float = TORQUE_SHARE,
 ) -> Guard:
     """Return the rules for a rig.
 
@@ -257,11 +272,15 @@ def make_guard(
         h: Time between ticks [s].
         counts_per_rev: Encoder counts per revolution, after x4.
         t1: Whether T1 limits the speed of the flange.
+        margin: Setpoints stay so far inside the joints' limits [rad].
+        speed_share: ... and below this share of their velocity limits.
+        torque_share: Of the torque that a joint can give: how far an external one may be from that
+            at home.
     """
     at_home = abs(float(np.linalg.det(arm.kinematics(arm.home_free).jacobian)))
     return Guard(
-        limits=limits_of(arm),
-        torque=tuple(TORQUE_SHARE * joint.torque for joint in arm.joints),
+        limits=limits_of(arm, margin=margin, speed_share=speed_share),
+        torque=tuple(torque_share * joint.torque for joint in arm.joints),
         reaction=reaction,
         u_max=u_max,
         least_manipulability=SINGULAR_SHARE * at_home,

@@ -11,6 +11,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from equipoise.control.policy import TabularPolicy
+from equipoise.control.safety import ENCODER_LATE, ENCODER_STALE
 from equipoise.devices.interfaces import AngleSensor, Clock, Robot
 from equipoise.devices.realtime import Measure
 from equipoise.model.actuator import Actuator
@@ -32,10 +33,8 @@ LEAST_RATE: Final = 200.0
 """Fewer samples in a second leave a tick without a new one too often [1/s]."""
 GOOD_RATE: Final = 450.0
 """What a board at 500 Hz or more gives [1/s]."""
-STALE: Final = 0.020
-"""A newest sample this old is a fault in a run [s]."""
-AGED: Final = 0.005
-"""A newest sample this old costs balance [s]."""
+LEAST_ROOM_MM: Final = 50.0
+"""What the hanging pendulum's tip has to leave below it [mm]."""
 SAME: Final = 1e-6
 """Homes that differ by more than this are two [rad]."""
 
@@ -210,12 +209,29 @@ def check_encoder(sensor: AngleSensor, clock: Clock) -> Iterator[Finding]:
         found += f", {illegal} illegal transitions"
         cure = "check the encoder's supply, screen and wiring"
         yield Finding("encoder", "refused", found, cure, outside=True)
-    elif rate < LEAST_RATE or age > STALE:
+    elif rate < LEAST_RATE or age > ENCODER_STALE:
         yield Finding("encoder", "refused", found, cure, outside=True)
-    elif rate < GOOD_RATE or age > AGED or missing > 0.01 * count:
+    elif rate < GOOD_RATE or age > ENCODER_LATE or missing > 0.01 * count:
         yield Finding("encoder", "warning", found, cure)
     else:
         yield Finding("encoder", "good", found, "")
+
+
+def check_room(policy: TabularPolicy, rig: RigSettings) -> Iterator[Finding]:
+    """Say whether the hanging pendulum has room, taken as a uniform rod."""
+    if rig.table_height_mm is None:
+        return
+    arm, pendulum = rig.described_arm, policy.pendulum
+    pose = arm.pose(arm.home_free)
+    pivot = pose.position + pose.rotation @ np.array(arm.pivot)
+    length = 1.5 * pendulum.g / pendulum.w2.value
+    room = 1e3 * float(pivot[2] - length) - rig.table_height_mm
+    found = f"the tip hangs {room:.0f} mm above the table"
+    if room < LEAST_ROOM_MM:
+        cure = f"choose a home that leaves {LEAST_ROOM_MM:g} mm, or clear the table"
+        yield Finding("room below", "refused", found, cure)
+    else:
+        yield Finding("room below", "good", found, "")
 
 
 def check_machine(measures: Sequence[Measure]) -> Iterator[Finding]:
@@ -241,6 +257,7 @@ def preflight(
     """
     return [
         *check_fit(policy, actuator, settings, rig.sensor.counts_per_rev),
+        *check_room(policy, settings),
         *check_robot(rig.robot, Attended(rig.clock, rig.sensor), settings),
         *check_encoder(rig.sensor, rig.clock),
         *check_machine(measures),

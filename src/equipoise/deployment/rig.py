@@ -6,7 +6,7 @@ handed in (`equipoise.deployment.processes` has the real one).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import nan
+from math import nan, radians
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -100,6 +100,9 @@ class Request:
             h=self.policy.h,
             counts_per_rev=counts_per_rev,
             t1=self.t1,
+            margin=radians(self.settings.position_margin_deg),
+            speed_share=self.settings.speed_share,
+            torque_share=self.settings.torque_share,
         )
 
     def conditions(self) -> dict[str, Any]:

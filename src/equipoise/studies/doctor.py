@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import Value
-from equipoise.deployment.preflight import AGED, GOOD_RATE, LEAST_RATE, QUICK, SLOW, STALE
+from equipoise.control.safety import ENCODER_LATE, ENCODER_STALE
+from equipoise.deployment.preflight import GOOD_RATE, LEAST_RATE, QUICK, SLOW
 from equipoise.devices.machine import Machine
 from equipoise.devices.probes import PERIOD, Heard
 from equipoise.devices.realtime import Measure
@@ -25,13 +26,13 @@ Array = npt.NDArray[np.float64]
 State = Literal["good", "care", "bad", "unknown"]
 Verdict = Literal["fit", "usable with care", "not fit"]
 
-SHARES: Final = (0.001, PERIOD, STALE)
+SHARES: Final = (0.001, PERIOD, ENCODER_STALE)
 """Deadlines that were missed by more than these are counted [s]: by a jitter that a controller does
 not feel, by a whole period of the stream, and by what is a fault in a run."""
 PUNCTUAL: Final = 0.001
 """99 of 100 deadlines are met within this [s]: a fifth of the stream's period, and well below the
 delay of the arm, so that nothing of it is felt."""
-FAULT: Final = STALE
+FAULT: Final = ENCODER_STALE
 """A deadline missed by more than this ends a run [s]: two ticks went by without a decision, and a
 pendulum that falls gains a sixth (exp(8.4 * 0.02) - 1) in that time."""
 BUSY: Final = 0.5
@@ -353,9 +354,9 @@ def _stream(encoder: EncoderReading) -> Finding:
         "use a board with native USB (Teensy, Pico), or set the adapter's latency timer to 1 ms: "
         "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
     )
-    if encoder.rate < LEAST_RATE or age.p99 > STALE:
+    if encoder.rate < LEAST_RATE or age.p99 > ENCODER_STALE:
         return Finding(name=name, state="bad", found=found, cure=cure)
-    if encoder.rate < GOOD_RATE or age.p99 > AGED:
+    if encoder.rate < GOOD_RATE or age.p99 > ENCODER_LATE:
         return Finding(name=name, state="care", found=found, cure=cure)
     return Finding(name=name, state="good", found=found)
 
