@@ -12,6 +12,9 @@ def test_a_run_on_a_twin_is_told_and_written(equipoise, tmp_path):
     assert ran.code == 0, ran
     assert ran.json["cause"] == "lasted"
     assert ran.json["lasted"] == 1.0
+    # Whoever stands there is told, though a program reads the result.
+    assert "no watchdog" in ran.err
+    assert "Moving to home" in ran.err
     assert read_rig_run(tmp_path / "run.mcap").end["cause"] == "lasted"
 
 

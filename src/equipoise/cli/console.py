@@ -44,9 +44,9 @@ class Console:
         if event.name != "word":
             self._answers = tuple(event.answers)
         text = event.text.replace("\a", "")
-        if "\a" in event.text and sys.stdout.isatty():
-            sys.stdout.write("\a")
-        self._output.say(Text(text, style=STYLES.get(event.name, "bold" if self._answers else "")))
+        if "\a" in event.text and self._output.stream.isatty():
+            self._output.stream.write("\a")
+        self._output.tell(Text(text, style=STYLES.get(event.name, "bold" if self._answers else "")))
 
     def words(self) -> list[str]:
         """Return what was typed: lines where an answer is asked for, else any key at once."""
@@ -64,33 +64,33 @@ class Console:
         if not self._answers and sys.stdin.isatty():
             return [came]
         if sys.stdin.isatty():
-            sys.stdout.write(came)
-            sys.stdout.flush()
+            self._output.stream.write(came)
+            self._output.stream.flush()
         self._typed += came.replace("\r", "\n")
         *lines, self._typed = self._typed.split("\n")
         return lines
 
     def live(self, phase: str, phi: float) -> None:
         """Show the angle, on a terminal."""
-        if not sys.stdout.isatty() or self._typed:
+        if not self._output.stream.isatty() or self._typed:
             return
         angle = "" if isnan(phi) else f"  phi {degrees(phi):+8.2f} deg"
-        sys.stdout.write(f"\r  {phase:<12}{angle}   ")
-        sys.stdout.flush()
+        self._output.stream.write(f"\r  {phase:<12}{angle}   ")
+        self._output.stream.flush()
         self._live = True
 
     def _clear(self) -> None:
         if self._live:
-            sys.stdout.write("\r" + " " * 48 + "\r")
+            self._output.stream.write("\r" + " " * 48 + "\r")
             self._live = False
 
     def _finding(self, name: str, verdict: str, found: str, cure: str) -> None:
         line = Text.assemble(
             ("  ", ""), (f"{verdict:<9}", VERDICTS[verdict]), (f"{name:<20}", "dim"), found
         )
-        self._output.say(line)
+        self._output.tell(line)
         if cure:
-            self._output.say(Text(f"{'':31}{cure}", style="dim"))
+            self._output.tell(Text(f"{'':31}{cure}", style="dim"))
 
 
 @contextmanager

@@ -9,11 +9,12 @@ import json
 import math
 import shlex
 import signal
+import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TextIO, TypeVar
 
 import typer
 from rich.console import Console
@@ -50,6 +51,15 @@ class Output:
     def say(self, what: Any = "", *, style: str | None = None) -> None:
         """Print words or a table."""
         self._words.print(what, style=style)
+
+    def tell(self, what: Any) -> None:
+        """Print what a person has to hear also where a program reads the result."""
+        (self._progress if self._as_json else self._words).print(what)
+
+    @property
+    def stream(self) -> TextIO:
+        """Where that goes."""
+        return sys.stderr if self._as_json else sys.stdout
 
     def rows(self, rows: Mapping[str, str]) -> None:
         """Print a name and a text on each line, in two columns."""
