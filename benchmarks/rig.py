@@ -65,7 +65,7 @@ def main() -> None:
                 rig.wait()
             lasted += outcome.get("cause") == "lasted"
             stalled += outcome["stalls"] > 0
-            print(json.dumps({"run": number, **outcome}), flush=True)
+            print(json.dumps({"number": number, **outcome}), flush=True)
     print(json.dumps({"runs": given.runs, "lasted": lasted, "host_stalled_in": stalled}))
 
 
