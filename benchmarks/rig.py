@@ -12,7 +12,6 @@ than 20 ms, as the emulator saw it, is marked as such.
 
 import argparse
 import json
-import re
 import signal
 import subprocess
 import sys
@@ -21,7 +20,8 @@ import threading
 import time
 from pathlib import Path
 
-ANSWERS = ((re.compile(r"Type (\w+)\."), None), (re.compile(r"y or n"), "y"))
+from equipoise.studies.rehearsal.real_time import ANSWERS
+
 STALL = "the host stalled"
 EQUIPOISE = (sys.executable, "-u", "-m", "equipoise")
 

@@ -1,12 +1,9 @@
 """`equipoise explain`: why did a run end?"""
 
 from math import degrees
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from equipoise.cli.options import Json
+from equipoise.cli.options import Json, RunFile
 from equipoise.cli.output import Output, verb
 
 if TYPE_CHECKING:
@@ -34,9 +31,7 @@ HEADER = {
 
 @verb
 def explain(
-    run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="A log from deploy.", show_default=False)
-    ],
+    run: RunFile,
     as_json: Json = False,
 ) -> None:
     """Say why a run ended: causes that its log speaks for, the most likely first.

@@ -5,15 +5,13 @@ from typing import Annotated
 
 import typer
 
-from equipoise.cli.options import IN_AND_OUT, Json, check_folder
+from equipoise.cli.options import IN_AND_OUT, Json, RunFile, check_folder
 from equipoise.cli.output import Output, verb
 
 
 @verb
 def export(
-    run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="A log from deploy.", show_default=False)
-    ],
+    run: RunFile,
     out: Annotated[
         Path | None,
         typer.Option(

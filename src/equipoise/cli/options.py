@@ -122,6 +122,9 @@ PolicyFile = Annotated[
         show_default=False,
     ),
 ]
+RunFile = Annotated[
+    Path, typer.Argument(metavar="RUN", help="A log from deploy.", show_default=False)
+]
 Held = Annotated[
     str | None,
     typer.Option(

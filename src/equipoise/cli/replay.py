@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from equipoise.cli.options import Json, KnownActuator, read_actuator, read_policy
+from equipoise.cli.options import Json, KnownActuator, RunFile, read_actuator, read_policy
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
 
@@ -15,9 +15,7 @@ OTHERWISE = 1
 
 @verb
 def replay(
-    run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="A log from deploy.", show_default=False)
-    ],
+    run: RunFile,
     policy: Annotated[
         Path | None,
         typer.Argument(

@@ -251,7 +251,7 @@ def judge_lateness(lateness: Spread) -> Finding:
             "(kernel, governor, priority); measure again with --seconds 60"
         )
         return Finding(name=name, state="bad", found=found, cure=cure)
-    if lateness.p99 > PUNCTUAL or lateness.most > PERIOD:
+    if _uneven(lateness):
         cure = (
             "setpoints will come unevenly: end other programs, set the governor, allow real-time "
             "priority; measure again with --seconds 60"
@@ -266,13 +266,18 @@ def judge_loaded(loaded: Spread) -> Finding:
     At worst it asks for care: in a run nobody needs to keep the cores busy.
     """
     name, found = "deadlines under load", _spread(loaded)
-    if loaded.p99 > PUNCTUAL or loaded.most > PERIOD:
+    if _uneven(loaded):
         cure = (
             "nothing else may run during a run; allow real-time priority, and take a kernel with "
             "PREEMPT_RT"
         )
         return Finding(name=name, state="care", found=found, cure=cure)
     return Finding(name=name, state="good", found=found)
+
+
+def _uneven(lateness: Spread) -> bool:
+    """Return whether setpoints would come unevenly."""
+    return lateness.p99 > PUNCTUAL or lateness.most > PERIOD
 
 
 def judge_link(link: Spread) -> Finding:
