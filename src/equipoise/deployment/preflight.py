@@ -13,26 +13,25 @@ import numpy as np
 from equipoise.control.policy import TabularPolicy
 from equipoise.control.safety import ENCODER_LATE, ENCODER_STALE
 from equipoise.devices.interfaces import AngleSensor, Clock, Robot
+from equipoise.devices.probes import listen, round_trips
 from equipoise.devices.realtime import Measure
 from equipoise.model.actuator import Actuator
 from equipoise.rigs import Attended, Rig, RigSettings
 
 Verdict = Literal["good", "warning", "refused"]
 
-PINGS: Final = 100
-"""Round trips that are timed."""
-PERIOD: Final = 0.010
-"""Time between two of them [s]."""
+LISTENING: Final = 1.0
+"""How long robot and encoder are listened to, one after the other [s]."""
 QUICK: Final = 0.0055
 """A round trip of up to this leaves room for two setpoints per tick of 10 ms [s]."""
 SLOW: Final = 0.009
 """Replies that come later than this would be overdue at every tick [s]."""
-LISTENING: Final = 1.0
-"""How long the encoder is listened to [s]."""
 LEAST_RATE: Final = 200.0
 """Fewer samples in a second leave a tick without a new one too often [1/s]."""
 GOOD_RATE: Final = 450.0
 """What a board at 500 Hz or more gives [1/s]."""
+LOST: Final = 0.01
+"""More than this share of the encoder's samples lost or rejected says that a wire is bad [-]."""
 LEAST_ROOM_MM: Final = 50.0
 """What the hanging pendulum's tip has to leave below it [mm]."""
 SAME: Final = 1e-6
@@ -142,21 +141,11 @@ def check_robot(robot: Robot, clock: Clock, rig: RigSettings) -> Iterator[Findin
     Raises:
         LinkError: It does not answer.
     """
-    trips, q = np.zeros(PINGS), robot.measured()
-    for ping in range(PINGS):
-        begin = clock.now()
-        q = robot.measured()
-        trips[ping] = clock.now() - begin
-        clock.wait_until(begin + PERIOD)
-    p50, p99, most = (1e3 * float(t) for t in (*np.percentile(trips, (50, 99)), trips.max()))
-    found = f"p50 {p50:.2f} ms, p99 {p99:.2f} ms, at most {most:.2f} ms"
+    trips, q = round_trips(robot, clock, LISTENING), robot.measured()
+    p50, p99, most = (float(t) for t in (*np.percentile(trips, (50, 99)), trips.max()))
+    found = f"p50 {1e3 * p50:.2f} ms, p99 {1e3 * p99:.2f} ms, at most {1e3 * most:.2f} ms"
     cure = "use a direct cable and no other traffic; equipoise doctor finds more"
-    if p99 > 1e3 * SLOW:
-        yield Finding("link to the robot", "refused", found, cure, outside=True)
-    elif p99 > 1e3 * QUICK:
-        yield Finding("link to the robot", "warning", found, cure)
-    else:
-        yield Finding("link to the robot", "good", found, "")
+    yield _finding("link to the robot", link_verdict(p99), found, cure)
     arm, margin = rig.described_arm, rig.position_margin_deg
     room = [
         degrees(min(angle - joint.lower, joint.upper - angle))
@@ -189,32 +178,46 @@ def check_encoder(sensor: AngleSensor, clock: Clock) -> Iterator[Finding]:
     Raises:
         LinkError: It says nothing.
     """
-    sensor.samples()
-    begin, count, missing, illegal = clock.now(), 0, 0, 0
-    ages: list[float] = []
-    newest = -np.inf
-    while clock.now() < begin + LISTENING:
-        clock.wait_until(clock.now() + PERIOD)
-        for sample in sensor.samples():
-            count, newest = count + 1, sample.time
-            missing, illegal = missing + sample.missing, illegal + sample.illegal
-        ages.append(clock.now() - newest)
-    rate = count / (clock.now() - begin)
-    age = float(np.percentile(ages, 99.0))
+    heard = listen(sensor, clock, LISTENING)
+    count = len(heard.delays)
+    rate, age = count / heard.seconds, float(np.percentile(heard.ages, 99.0))
     found = f"{rate:.0f} samples/s, newest {1e3 * age:.1f} ms old (p99)"
-    if missing:
-        found += f", {missing} lost"
-    cure = "use a board with native USB, or set the serial adapter's latency timer to 1 ms"
-    if illegal:
-        found += f", {illegal} illegal transitions"
+    lost = heard.missing + (heard.rejected or 0)
+    if lost:
+        found += f", {lost} lost or damaged"
+    if heard.illegal:
+        found += f", {heard.illegal} illegal transitions"
         cure = "check the encoder's supply, screen and wiring"
-        yield Finding("encoder", "refused", found, cure, outside=True)
-    elif rate < LEAST_RATE or age > ENCODER_STALE:
-        yield Finding("encoder", "refused", found, cure, outside=True)
-    elif rate < GOOD_RATE or age > ENCODER_LATE or missing > 0.01 * count:
-        yield Finding("encoder", "warning", found, cure)
-    else:
-        yield Finding("encoder", "good", found, "")
+        yield _finding("encoder", "refused", found, cure)
+        return
+    cure = "use a board with native USB, or set the serial adapter's latency timer to 1 ms"
+    verdict = stream_verdict(rate, age)
+    if verdict == "good" and lost:
+        cure = "change the cable, and keep it away from the motors'"
+        verdict = line_verdict(lost, count)
+    yield _finding("encoder", verdict, found, cure)
+
+
+def link_verdict(p99: float) -> Verdict:
+    """Judge a link by the time in which 99 of 100 round trips are done [s]."""
+    return "refused" if p99 > SLOW else "warning" if p99 > QUICK else "good"
+
+
+def stream_verdict(rate: float, age: float) -> Verdict:
+    """Judge an encoder's stream.
+
+    Args:
+        rate: Samples in a second [1/s].
+        age: What the newest sample's age stays below in 99 of 100 looks [s].
+    """
+    if rate < LEAST_RATE or age > ENCODER_STALE:
+        return "refused"
+    return "warning" if rate < GOOD_RATE or age > ENCODER_LATE else "good"
+
+
+def line_verdict(lost: int, count: int) -> Verdict:
+    """Judge an encoder's line by how many samples were lost or rejected, and how many came."""
+    return "warning" if lost > LOST * count else "good"
 
 
 def check_room(policy: TabularPolicy, rig: RigSettings) -> Iterator[Finding]:
@@ -262,6 +265,12 @@ def preflight(
         *check_encoder(rig.sensor, rig.clock),
         *check_machine(measures),
     ]
+
+
+def _finding(name: str, verdict: Verdict, found: str, cure: str) -> Finding:
+    """Return a finding about the rig, with its cure where one is needed."""
+    good = verdict == "good"
+    return Finding(name, verdict, found, "" if good else cure, verdict == "refused")
 
 
 def _degrees(q: Sequence[float]) -> str:

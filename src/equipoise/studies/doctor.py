@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import Value
-from equipoise.control.safety import ENCODER_LATE, ENCODER_STALE
-from equipoise.deployment.preflight import GOOD_RATE, LEAST_RATE, QUICK, SLOW
+from equipoise.control.safety import ENCODER_STALE
+from equipoise.deployment import preflight
+from equipoise.deployment.preflight import line_verdict, link_verdict, stream_verdict
 from equipoise.devices.machine import Machine
 from equipoise.devices.probes import PERIOD, Heard
 from equipoise.devices.realtime import Measure
@@ -40,8 +41,12 @@ BUSY: Final = 0.5
 ROOM: Final = 1 << 30
 """A run of ten minutes writes tens of megabytes; with less than this left [B] a day's runs may not
 fit, and a full disk ends a log."""
-LOST: Final = 0.01
-"""More than this share of the encoder's samples lost or rejected says that a wire is bad [-]."""
+STATES: Final[Mapping[preflight.Verdict, State]] = {
+    "good": "good",
+    "warning": "care",
+    "refused": "bad",
+}
+"""What a verdict of the pre-flight is called here, where nothing is refused."""
 
 EDGES: Final = tuple(digit * 10.0**power for power in range(-5, 0) for digit in (1.0, 2.0, 5.0))
 """Upper ends of a histogram's ranges [s], from 10 us to 0.5 s; the last range has none."""
@@ -287,11 +292,7 @@ def judge_link(link: Spread) -> Finding:
         "connect cabinet and computer by one direct cable, on a network card of their own (no "
         "USB adapter, no Wi-Fi), and switch other networks off; then see docs/how-to/real-time.md"
     )
-    if link.p99 > SLOW:
-        return Finding(name=name, state="bad", found=found, cure=cure)
-    if link.p99 > QUICK:
-        return Finding(name=name, state="care", found=found, cure=cure)
-    return Finding(name=name, state="good", found=found)
+    return _judged(name, link_verdict(link.p99), found, cure)
 
 
 def judge_networks(machine: Machine) -> Finding:
@@ -359,11 +360,7 @@ def _stream(encoder: EncoderReading) -> Finding:
         "use a board with native USB (Teensy, Pico), or set the adapter's latency timer to 1 ms: "
         "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
     )
-    if encoder.rate < LEAST_RATE or age.p99 > ENCODER_STALE:
-        return Finding(name=name, state="bad", found=found, cure=cure)
-    if encoder.rate < GOOD_RATE or age.p99 > ENCODER_LATE:
-        return Finding(name=name, state="care", found=found, cure=cure)
-    return Finding(name=name, state="good", found=found)
+    return _judged(name, stream_verdict(encoder.rate, age.p99), found, cure)
 
 
 def _losses(encoder: EncoderReading) -> Finding:
@@ -372,10 +369,14 @@ def _losses(encoder: EncoderReading) -> Finding:
         ", rejected ones are not counted here" if rejected is None else f", {rejected} rejected"
     )
     n = encoder.delay.n if encoder.delay is not None else 0
-    if encoder.missing + (rejected or 0) > LOST * n:
-        cure = "change the cable, keep it away from the motors', and check the baud rate"
-        return Finding(name=name, state="care", found=found, cure=cure)
-    return Finding(name=name, state="good", found=found)
+    cure = "change the cable, keep it away from the motors', and check the baud rate"
+    return _judged(name, line_verdict(encoder.missing + (rejected or 0), n), found, cure)
+
+
+def _judged(name: str, verdict: preflight.Verdict, found: str, cure: str) -> Finding:
+    """Return a finding on what the pre-flight of a run judges as well."""
+    state = STATES[verdict]
+    return Finding(name=name, state=state, found=found, cure="" if state == "good" else cure)
 
 
 def _kernel(machine: Machine) -> Finding:

@@ -1,0 +1,96 @@
+"""What the pre-flight finds of links, with made-up devices in virtual time."""
+
+import numpy as np
+import pytest
+
+from equipoise.deployment.preflight import check_encoder, check_robot
+from equipoise.devices.clocks import VirtualClock
+from equipoise.devices.interfaces import Sample
+from equipoise.rigs import RigSettings
+
+RIG = RigSettings()
+
+
+class Robot:
+    """A robot at home that answers after a time; each tenth answer may take longer."""
+
+    joints = 7
+
+    def __init__(self, clock, takes, tenth=None):
+        self.clock, self.takes, self.tenth = clock, takes, takes if tenth is None else tenth
+        self.asked = 0
+
+    def measured(self):
+        self.asked += 1
+        late = self.tenth if self.asked % 10 == 0 else self.takes
+        self.clock.wait_until(self.clock.now() + late)
+        return np.array(RIG.described_arm.home)
+
+
+class Sensor:
+    """An encoder whose driver gives out a hundred samples at most per call."""
+
+    counts_per_rev = 8192
+
+    def __init__(self, clock, *, rate=1000.0, waiting=0.0, lost=0.0, illegal=False):
+        self.clock, self.rate, self.lost, self.illegal = clock, rate, lost, illegal
+        self.given = -int(waiting * rate)
+        self.begin = clock.now()
+
+    def samples(self):
+        there = int((self.clock.now() - self.begin) * self.rate + 1e-6)
+        new = range(self.given + 1, min(there, self.given + 100) + 1)
+        self.given = max(new, default=self.given)
+        missing = [int(self.lost > 0.0 and n % round(1 / self.lost) == 0) for n in new]
+        return [
+            Sample(self.begin + n / self.rate, 5, False, self.illegal, m)
+            for n, m in zip(new, missing, strict=True)
+        ]
+
+
+def found(checked):
+    return {finding.name: finding for finding in checked}
+
+
+@pytest.mark.parametrize(
+    ("takes", "tenth", "verdict"),
+    [
+        (0.002, None, "good"),
+        (0.005, None, "good"),
+        (0.002, 0.007, "warning"),
+        (0.002, 0.010, "refused"),
+        (0.050, None, "refused"),
+    ],
+)
+def test_the_link_is_judged_by_its_slowest_answers(takes, tenth, verdict):
+    clock = VirtualClock()
+    link = found(check_robot(Robot(clock, takes, tenth), clock, RIG))["link to the robot"]
+    assert (link.verdict, link.outside) == (verdict, verdict == "refused")
+    assert bool(link.cure) == (verdict != "good")
+    assert clock.now() < 1.2
+
+
+@pytest.mark.parametrize(
+    ("sensor", "verdict", "says"),
+    [
+        ({}, "good", "1000 samples/s"),
+        ({"rate": 300.0}, "warning", "latency timer"),
+        ({"rate": 100.0}, "refused", "native USB"),
+        ({"lost": 0.005}, "good", "5 lost"),
+        ({"lost": 0.05}, "warning", "change the cable"),
+        ({"illegal": True}, "refused", "supply, screen and wiring"),
+        ({"rate": 100.0, "lost": 0.05}, "refused", "native USB"),
+    ],
+)
+def test_the_encoder_is_judged_by_rate_losses_and_signals(sensor, verdict, says):
+    clock = VirtualClock()
+    (encoder,) = check_encoder(Sensor(clock, **sensor), clock)
+    assert encoder.verdict == verdict
+    assert says in f"{encoder.found}; {encoder.cure}"
+
+
+def test_what_waited_before_does_not_count_for_the_rate():
+    clock = VirtualClock()
+    (encoder,) = check_encoder(Sensor(clock, rate=150.0, waiting=4.0), clock)
+    assert encoder.verdict == "refused"
+    assert "150 samples/s" in encoder.found
