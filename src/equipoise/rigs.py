@@ -38,6 +38,7 @@ from equipoise.devices.kuka.robot import KstRobot, dial
 from equipoise.devices.operator import EmulatedOperator, Operator
 from equipoise.devices.transports import MemoryPipe, memory_pipe
 from equipoise.devices.twin.bench import Bench
+from equipoise.devices.twin.hands import hands
 from equipoise.devices.twin.robot import TwinEncoder, TwinRobot
 from equipoise.errors import ArmError, InputError, LinkError, SettingsError
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
@@ -51,16 +52,10 @@ Degrees = Annotated[float, Field(ge=-180.0, le=180.0)]
 LARGEST_TILT_DEG: Final = 1.0
 """A base that leans more than this is to be levelled [deg]: the track would climb, and gravity
 would pull along it by 0.17 m/s^2, a twelfth of the largest command."""
-
-
 ATTENTION: Final = 0.010
 """So often whoever waits reads the encoder [s]: a terminal keeps 0.1 s of its lines."""
 AWAY: Final = 0.1
 """An emulated arm stands up to so far from home at first, each joint [rad]."""
-
-
-NUDGE: Final = 0.1
-"""Change of the rate when an emulated hand nudges a pendulum that stands by itself [rad/s]."""
 
 
 class RigSettings(Value):
@@ -319,7 +314,7 @@ def twin_rig(
         ArmError: The masses of the arm's links are not known.
     """
     clock, bench = _bench(world, settings, pendulum, seed)
-    operator = EmulatedOperator(clock, _acts(bench), seed=seed)
+    operator = EmulatedOperator(clock, hands(bench), seed=seed)
     return Rig(TwinRobot(bench, clock), TwinEncoder(bench, clock), clock, operator)
 
 
@@ -383,7 +378,7 @@ def emulated_rig(
             wire.write(said)
 
     clock.attach(work)
-    operator = EmulatedOperator(clock, _acts(bench), seed=seed)
+    operator = EmulatedOperator(clock, hands(bench), seed=seed)
     sensor = LineEncoder(
         lambda: reader,
         clock,
@@ -408,23 +403,3 @@ def _bench(
     bench = Bench(arm, pendulum, world.settings, seed=seed, q=elsewhere)
     clock.attach(bench.advance)
     return clock, bench
-
-
-def _acts(bench: Bench) -> dict[str, Callable[[], Any]]:
-    """Return what an emulated operator does with its hands, by what it is told."""
-
-    def lift() -> None:
-        bench.lift(clumsy=0.0)
-
-    def press() -> None:
-        bench.let_go()
-        bench.press()
-
-    return {
-        "hang": bench.steady,
-        "reference": press,
-        "nudge": lambda: bench.push(NUDGE),
-        "lift": lift,
-        "disarmed": lift,
-        "armed": bench.let_go,
-    }
