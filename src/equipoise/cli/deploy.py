@@ -43,7 +43,7 @@ def deploy(
         str,
         typer.Option(
             metavar="WORLD",
-            help="twin:nominal, twin:harsh, twin:FILE, or model: the plant of the training.",
+            help="twin:nominal, twin:harsh, twin:FILE; or model, the plant of the training.",
         ),
     ] = "twin:nominal",
     duration: Annotated[
