@@ -93,6 +93,22 @@ def test_export_writes_the_tables_beside_the_log(equipoise, on_a_twin, tmp_path)
     assert equipoise("export", "run.mcap", "--out", "run.mcap").code == 2
 
 
+@pytest.mark.parametrize("log", ["pushed", "on_a_twin"])
+def test_export_films_the_log_of_a_rig_and_of_a_twin(equipoise, request, log, tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    run = request.getfixturevalue(log)
+    ran = equipoise("export", run, "--video", "run.mp4", "--json")
+    if "cannot draw pictures" in ran.err:
+        pytest.skip(ran.err)
+    assert ran.code == 0, ran
+    assert ran.json == {"run": str(run), "tables": [], "video": "run.mp4"}
+    assert b"ftyp" in (tmp_path / "run.mp4").read_bytes()[:16]
+
+
+def test_a_film_of_another_kind_is_refused_before_a_table_is_written(refused, on_a_twin):
+    refused("export", on_a_twin, "--video", "run.gif", "--out", "t", saying="ends in .mp4")
+
+
 @pytest.mark.parametrize("verb", ["explain", "replay", "export"])
 def test_what_is_no_log_is_refused(equipoise, tmp_path, verb):
     (tmp_path / "x.mcap").write_bytes(b"hello")

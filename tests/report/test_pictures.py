@@ -25,15 +25,6 @@ SIZE = (240, 270)
 
 
 @pytest.fixture(scope="module")
-def canvas():
-    """Skips where there is no OpenGL."""
-    try:
-        next(frames(ARM, np.array([ARM.home]), np.zeros(1), size=(32, 32)))
-    except OutsideError as error:
-        pytest.skip(str(error))
-
-
-@pytest.fixture(scope="module")
 def policy():
     return made_up.policy(made_up.pendulum(made_up.swing()))
 

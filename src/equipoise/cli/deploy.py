@@ -1,5 +1,6 @@
 """`equipoise deploy`: a policy runs once, or an arm is moved to see how it follows."""
 
+import shlex
 import signal
 import threading
 from collections.abc import Callable, Generator
@@ -128,8 +129,13 @@ def deploy(
     if robot is None and rig is not None:
         robot = _robot_of(rig)
     if robot is not None:
-        if excite or arm is not None or pendulum is not None or video is not None:
-            raise InputError("--excite, --arm, --pendulum and --video do not go with --robot")
+        if excite or arm is not None or pendulum is not None:
+            raise InputError("--excite, --arm and --pendulum do not go with --robot")
+        if video is not None:
+            raise InputError(
+                "--video does not go with --robot; film the log afterwards: "
+                f"equipoise export {shlex.quote(str(out))} --video {shlex.quote(str(video))}"
+            )
         check_output(out, policy, suffix=".mcap")
         code = _on_a_rig(
             output, policy, robot, encoder, rig, actuator, duration, dry_run, t1, seed, out

@@ -1,12 +1,17 @@
-"""`equipoise export`: a run log becomes tables that any program reads."""
+"""`equipoise export`: a run log becomes tables that any program reads, or a film."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equipoise.cli.options import IN_AND_OUT, Json, RunFile, check_folder
+from equipoise.cli.options import IN_AND_OUT, Json, RunFile, check_folder, check_output
 from equipoise.cli.output import Output, verb
+from equipoise.errors import InputError
+
+if TYPE_CHECKING:
+    from equipoise.runlog import RunLog
+    from equipoise.runwriter import RigRun
 
 
 @verb
@@ -20,23 +25,61 @@ def export(
             rich_help_panel=IN_AND_OUT,
         ),
     ] = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="A film instead, MP4; with --out as well.",
+            rich_help_panel=IN_AND_OUT,
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Write each table of a run log as a CSV file.
+    """Write each table of a run log as a CSV file, or film the run.
 
     Headers end in the unit: time_s, phi_rad. A log that breaks off is
-    written as far as it goes.
+    written as far as it goes. The film of a run on a rig begins shortly before
+    the release.
     """
     output = Output(as_json)
-    folder = run.with_name(f"{run.stem}-csv") if out is None else out
-    output.say(f"Writing the tables of {run}")
+    folder = out
+    if out is None and video is None:
+        folder = run.with_name(f"{run.stem}-csv")
+    what = " and ".join((["the tables"] if folder else []) + (["a film"] if video else []))
+    output.say(f"Writing {what} of {run}")
 
     from equipoise.studies.runs import export as write
     from equipoise.studies.runs import read_any
 
     log = read_any(run)
-    check_folder(folder)
-    made = write(log, folder)
-    output.wrote(*made)
+    if video is not None:
+        check_output(video, run, suffix=".mp4", option="--video")
+    made: list[Path] = []
+    if folder is not None:
+        check_folder(folder)
+        made += write(log, folder)
+    if video is not None:
+        _film(output, log, run, video)
+    output.wrote(*made, *([video] if video else []))
     output.next("explain", run)
-    output.result({"run": str(run), "tables": [str(path) for path in made]})
+    output.result(
+        {
+            "run": str(run),
+            "tables": [str(path) for path in made],
+            "video": str(video) if video else None,
+        }
+    )
+
+
+def _film(output: Output, log: "RunLog | RigRun", run: Path, video: Path) -> None:
+    from equipoise.report.pictures import write_video
+    from equipoise.studies.runs import arm_of
+
+    arm = arm_of(log)
+    if arm is None:
+        raise InputError(
+            f"{run} does not describe its arm, which is none that ships; "
+            "repeat the run with equipoise deploy --video"
+        )
+    with output.busy("drawing the film"):
+        write_video(log, arm, video)

@@ -140,6 +140,23 @@ def phase_ticks(run: RigRun, *phases: Phase) -> npt.NDArray[np.int64]:
     return np.flatnonzero(np.isin(run.tables["tick"]["state"], states))
 
 
+def balancing_ticks(run: RigRun) -> npt.NDArray[np.int64]:
+    """Return the places of the ticks in which the policy decided, shape (n,).
+
+    Raises:
+        RecordingError: The run did not get so far.
+    """
+    ticks = phase_ticks(run, Phase.BALANCING)
+    if len(ticks) == 0:
+        how = ending(run)
+        where = how.phase.value if how.phase else "connecting"
+        raise RecordingError(
+            f"the run did not get as far as balancing, it ended while {where}"
+            f"{f' ({how.reason})' if how.reason else ''}; give one that did"
+        )
+    return ticks
+
+
 def balancing(run: RigRun) -> RunLog:
     """Return the balancing of a run on a rig.
 
@@ -151,15 +168,7 @@ def balancing(run: RigRun) -> RunLog:
         ArtefactError: The log does not hold what it should.
         RecordingError: The run did not get so far.
     """
-    told, ticks = run.conditions, phase_ticks(run, Phase.BALANCING)
-    if len(ticks) == 0:
-        how = ending(run)
-        where = how.phase.value if how.phase else "connecting"
-        raise RecordingError(
-            f"the run did not get as far as balancing, it ended while {where}"
-            f"{f' ({how.reason})' if how.reason else ''}; give one that did"
-        )
-    rows = run.tables["tick"][ticks]
+    told, rows = run.conditions, run.tables["tick"][balancing_ticks(run)]
     began, last = float(rows["time"][0]), float(rows["time"][-1])
     h = float(told["h"])
 
@@ -170,7 +179,7 @@ def balancing(run: RigRun) -> RunLog:
     encoder = within("encoder", run.tables["encoder"]["time"])
     reply = within("reply", run.tables["reply"]["time"])
     reply = reply[np.isfinite(reply["q"]).all(axis=1) & np.isfinite(reply["sent"])]
-    zero = _zero(run)
+    zero = encoder_zero(run)
     first = {name: float(rows[name][0]) for name in ("x", "x_dot", "phi", "phi_dot")}
     try:
         conditions = RunConditions(
@@ -218,11 +227,14 @@ def balancing(run: RigRun) -> RunLog:
     )
 
 
-def _zero(run: RigRun) -> float:
+def encoder_zero(run: RigRun) -> float:
     """Return what the encoder counts where the pendulum hangs, up to whole turns.
 
     It is told at the end; of a log that has none, the last angle in the operator's hand and the
     newest count of that tick tell it.
+
+    Raises:
+        ArtefactError: The log has neither.
     """
     if run.end is not None and run.end.get("zero") is not None:
         return float(run.end["zero"])

@@ -8,11 +8,12 @@ import numpy as np
 from equipoise import paper
 from equipoise.model.arms.arm import Arm
 from equipoise.report.pictures.camera import Size
-from equipoise.report.pictures.moments import moments
+from equipoise.report.pictures.moments import moments, span
 from equipoise.report.pictures.rendering import draw
 from equipoise.report.pictures.stage import stage
 from equipoise.report.style import drawn, new_figure
 from equipoise.runlog import RunLog
+from equipoise.runwriter import RigRun
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,7 +27,7 @@ COUNT: Final = 8
 
 
 @drawn
-def strip(run: RunLog, arm: Arm, times: Sequence[float] | None = None) -> "Figure":
+def strip(run: RunLog | RigRun, arm: Arm, times: Sequence[float] | None = None) -> "Figure":
     """Draw frames of a run in the order of time, each with its time, displacement and angle.
 
     Args:
@@ -38,10 +39,11 @@ def strip(run: RunLog, arm: Arm, times: Sequence[float] | None = None) -> "Figur
     Raises:
         ArmError: Another arm ran.
         ArtefactError: No policy ran.
+        RecordingError: A run on a rig did not get as far as balancing.
         OutsideError: There is nothing to draw with.
     """
     if times is None:
-        at = np.linspace(0.0, min(run.lasted, paper.SECONDS_BALANCED), COUNT)
+        at = np.linspace(0.0, min(span(run)[1], paper.SECONDS_BALANCED), COUNT)
     else:
         at = np.array(times, np.float64)
     shown, scene = moments(run, arm, at), stage(arm, FRAME)

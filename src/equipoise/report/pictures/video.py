@@ -13,11 +13,12 @@ from equipoise.artefacts import write_whole
 from equipoise.errors import MissingExtraError, OutsideError
 from equipoise.model.arms.arm import Arm
 from equipoise.report.pictures.camera import Size
-from equipoise.report.pictures.moments import Moments, moments, signed
+from equipoise.report.pictures.moments import Moments, moments, signed, span
 from equipoise.report.pictures.rendering import Picture, draw
 from equipoise.report.pictures.stage import Stage, stage
 from equipoise.report.style import GREY, INK
 from equipoise.runlog import RunLog
+from equipoise.runwriter import RigRun
 
 FRAME: Final[Size] = (960, 720)
 """Of each frame; multiples of 16, as encoders want them."""
@@ -30,7 +31,7 @@ LETTERS: Final = 26
 
 
 def write_video(
-    run: RunLog,
+    run: RunLog | RigRun,
     arm: Arm,
     path: Path,
     *,
@@ -40,7 +41,7 @@ def write_video(
     """Write a run as an MP4 (H.264) with time, displacement and angle in the picture.
 
     Args:
-        run: The run.
+        run: The run; of one on a rig, from shortly before the release until the arm rests.
         arm: The arm that ran.
         path: The file, written whole or not at all.
         fps: Frames per second.
@@ -50,15 +51,18 @@ def write_video(
         MissingExtraError: imageio-ffmpeg is not installed.
         ArmError: Another arm ran.
         ArtefactError: No policy ran.
+        RecordingError: A run on a rig did not get as far as balancing.
         OutsideError: There is nothing to draw with, or the disk or the encoder refuses.
     """
     try:
         ffmpeg: Any = import_module("imageio_ffmpeg")  # it has no types
     except ImportError:
         raise MissingExtraError("imageio-ffmpeg", "video") from None
-    count = max(1, round(run.lasted * fps))
-    shown, scene = moments(run, arm, np.arange(count) / fps), stage(arm, FRAME)
-    title = f"{arm.name} · {run.conditions.world}"
+    begin, end = span(run)
+    count = max(1, round((end - begin) * fps))
+    shown, scene = moments(run, arm, begin + np.arange(count) / fps), stage(arm, FRAME)
+    where = run.conditions["robot"] if isinstance(run, RigRun) else run.conditions.world
+    title = f"{arm.name} · {where}"
     pictures = _written_on(draw(scene, shown.q, shown.phi), scene, shown, title)
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -107,7 +111,9 @@ def _written_on(
         (scene.camera.pixel(post.foot), f"x = {signed(post.x, 2)} m", -1 if post.x > 0.0 else 1)
         for post in scene.posts
     ]
-    for picture, lines in zip(pictures, shown.captions(), strict=True):
+    captions = shown.captions()
+    phases = shown.phase or ("",) * len(captions)
+    for picture, lines, phase in zip(pictures, captions, phases, strict=True):
         image = Image.fromarray(picture)
         pen = ImageDraw.Draw(image)
         pen.text((FRAME[0] - 24, 24), title, GREY, small, "ra")
@@ -115,4 +121,5 @@ def _written_on(
             pen.text((column + 24 * side, row), label, INK, small, "lm" if side > 0 else "rm")
         for number, line in enumerate(lines):
             pen.text((24, 24 + 1.5 * LETTERS * number), line, INK, large)
+        pen.text((24, 24 + 1.5 * LETTERS * len(lines)), phase, GREY, small)
         yield np.asarray(image)
