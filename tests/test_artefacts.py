@@ -346,6 +346,11 @@ def test_a_body_that_does_not_fit_is_refused_and_says_where(path, change, where)
     assert f": {where}: " in message
 
 
+def test_a_field_that_only_a_newer_program_knows_is_refused_by_name(path):
+    message = refusal(path, signed({"label": "a", "part": {"size": 1.0, "width": 2.0}}))
+    assert "part.width: this Equipoise does not know that field; upgrade it" in message
+
+
 def test_a_field_that_is_missing_is_refused(path):
     assert ": label: " in refusal(path, signed({"count": 3}))
 

@@ -320,6 +320,12 @@ def test_an_edited_run_is_refused(file, edit):
         RunLog.load(file)
 
 
+def test_conditions_that_only_a_newer_program_knows_are_refused_by_name(file):
+    edited(file, EDITS["an unknown setting"])
+    with pytest.raises(ArtefactError, match="does not know the field luck; upgrade it"):
+        RunLog.load(file)
+
+
 def test_a_newer_version_is_refused(file):
     edited(file, lambda t, c: c | {"version": "3"} if t == "metadata" else c)
     with pytest.raises(ArtefactError, match="upgrade Equipoise"):

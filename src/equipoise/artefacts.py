@@ -44,7 +44,8 @@ class Value(BaseModel):
 class Extended(Value):
     """A value that has got fields since files of it were first written.
 
-    They are left out of a file where they say nothing: what is older keeps its digest.
+    They are left out of a file where they say nothing: what is older keeps its digest, and an older
+    program reads what it understands. Where they say something it refuses the file by their name.
     """
 
     LATER: ClassVar[tuple[str, ...]] = ()
@@ -110,7 +111,7 @@ class Artefact(Value):
     FORMAT: ClassVar[str]
     """Name of the format, written in the file."""
     VERSION: ClassVar[int]
-    """Version of the format; raised with any change of the fields."""
+    """Version of the format; raised with a change of the fields, but for those of an `Extended`."""
     UPGRADES: ClassVar[Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]]] = {}
     """For each older version, a pure function from its body to the next version's."""
 
@@ -172,9 +173,11 @@ class Artefact(Value):
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"]) or "body"
+            what, cure = first["msg"], "make the file again"
+            if first["type"] == "extra_forbidden":  # and the digest says that it was written so
+                what, cure = "this Equipoise does not know that field", f"upgrade it, or {cure}"
             raise ArtefactError(
-                f"{path} is not a valid {cls.FORMAT!r} file: {where}: {first['msg']}; "
-                "make the file again"
+                f"{path} is not a valid {cls.FORMAT!r} file: {where}: {what}; {cure}"
             ) from None
 
 

@@ -311,7 +311,14 @@ class RunLog:
                 given[name] = kind._make(columns.get(f"{name}.{of}", ()) for of in kind._fields)
             text = _json(conditions)
             run = cls(conditions=RunConditions.model_validate_json(text, strict=True), **given)
-        except (KeyError, IndexError, TypeError, ValueError):
+        except (KeyError, IndexError, TypeError, ValueError) as error:
+            first = error.errors()[0] if isinstance(error, ValidationError) else None
+            if first is not None and first["type"] == "extra_forbidden":
+                field = ".".join(map(str, first["loc"]))
+                raise ArtefactError(
+                    f"{path} is not a valid {FORMAT!r} file: this Equipoise does not know the "
+                    f"field {field}; upgrade it, or record the run again"
+                ) from None
             raise ArtefactError(
                 f"{path} is not a valid {FORMAT!r} file: its messages are incomplete; "
                 "record the run again"
