@@ -4,9 +4,12 @@ PYTHON ?= python
 # Tests that take seconds, compiled or not: the lower rooms, without the fits of whole recordings.
 QUICK = $(filter-out tests/test_identification.py, $(wildcard tests/test_*.py)) \
         tests/model tests/control
+# Tests of the modules in which every branch has to be tested: [tool.coverage.run] names these.
+COVERING = $(patsubst %,tests/control/test_%.py,safety guards states stop release) \
+           tests/devices/kuka/test_codec.py tests/devices/encoder/test_codec.py
 
 .DEFAULT_GOAL := help
-.PHONY: help install check lint quick plain test slow generated demo bench
+.PHONY: help install check lint quick plain cover test slow generated demo bench
 
 help:  ## list these words
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -27,6 +30,10 @@ quick:  ## the tests of the lower rooms
 
 plain:  ## the same without compilation: the kernels as the Python that one reads
 	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q -m 'not slow and not compiled_only' $(QUICK)
+
+cover:  ## every branch of safety rules, codecs and state machine is tested; half a minute
+	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q --cov --cov-report=term-missing:skip-covered \
+	  -m 'not slow and not compiled_only' $(COVERING)
 
 test:  ## every test but the full statistics
 	$(PYTHON) -m pytest

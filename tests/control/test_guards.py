@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from equipoise.compiled import kernel
 from equipoise.control import safety
 from equipoise.control.boxes import ANGLE, CAUSES, GUARD, LASTED, cause_named
+from equipoise.control.controller import PHI_NOW, V_BEFORE, make_controller, new_memory
 from equipoise.control.guards import (
-    REMEMBERED,
     begin_watching,
     guard_named,
     new_watching,
     refused,
+    stopped,
     trial_guard,
 )
 from equipoise.control.policy import LINEAR, policy_kernel
@@ -39,9 +40,12 @@ from equipoise.control.safety import (
     time_astray,
     watch,
 )
-from equipoise.model.actuator import shipped_actuator
+from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import LANES
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import read_world
+from equipoise.settings import Settings
 
 ARM = iiwa(7)
 GUARD_7 = make_guard(ARM, reaction=0.03, u_max=2.0, h=0.01, counts_per_rev=8192)
@@ -184,6 +188,8 @@ def test_rules_act_where_a_world_has_them_with_the_numbers_of_a_rig():
     assert guard.u_max == 2.0
     assert actuator.delay.value < guard.reaction < 0.05
     assert not guard.t1
+    left = trial_guard(ARM, world, actuator, ANY_POLICY._replace(actions=(-3.0, 1.0)), 0.01)
+    assert left == guard._replace(u_max=3.0)
     t1 = trial_guard(ARM, world.model_copy(update={"t1": True}), actuator, ANY_POLICY, 0.01)
     assert t1 == guard._replace(t1=True)
 
@@ -203,10 +209,91 @@ def test_what_may_not_be_sent_is_not_remembered_as_sent():
     far = home + 1e-5
     far[2] += 0.02
     assert RULES[refused(watching, far, 0.01)] is Rule.VELOCITY
-    assert watching.number[0] == REMEMBERED + 2
     newest = newest_before(watching.sent, watching.number[0], 1.0)
     assert watching.setpoints[newest] == pytest.approx(home + 1e-5)
     assert RULES[refused(watching, home + 6e-4, 0.01)] is Rule.ACCELERATION
+
+
+class Tick:
+    """The first lane of a controller, told what it measures and believes."""
+
+    def __init__(self, guard=GUARD_7, begin=(0.0,) * 6):
+        self.controller = make_controller(
+            ARM, Settings(), IDEAL_ACTUATOR, PendulumParameters(70.2, 7.16, 0.15), h=0.01,
+            counts_per_rev=8192,
+        )  # fmt: skip
+        self.memory, self.watching = new_memory(), new_watching(ARM, guard)
+        begin_watching(self.watching, ARM.home_free + begin)
+
+    def __call__(self, away=(0.0,) * 6, v=0.0, phi=0.0, measured_at=0.0):
+        """Return the rule that ends the run, or none; joints are told as seen from home [rad]."""
+        q = ARM.home_free + away
+        self.memory.measured[::LANES] = q
+        self.memory.estimate[V_BEFORE * LANES], self.memory.estimate[PHI_NOW * LANES] = v, phi
+        code = stopped(self.watching, self.controller, self.memory, q, measured_at)
+        return None if code == KEPT else RULES[code]
+
+
+def test_a_stream_of_any_length_is_judged_by_its_last_two_setpoints():
+    # To half a radian per second with 9 of 10 rad/s^2, on with that speed, and to rest at once.
+    speed = np.minimum(9.0 * DT * np.arange(300), 0.45)
+    tick = Tick()
+    for time, place in enumerate(np.cumsum(speed) * DT):
+        last = ARM.home_free - joint(0, place)
+        assert refused(tick.watching, last, DT * time) == KEPT
+    assert RULES[refused(tick.watching, last, 1.5)] is Rule.ACCELERATION
+    # Another trial begins at rest, wherever that is.
+    begin_watching(tick.watching, ARM.home_free)
+    assert refused(tick.watching, ARM.home_free, 0.0) == KEPT
+
+
+def joint(row, by):
+    return np.eye(6)[row] * by
+
+
+@pytest.mark.parametrize(
+    ("rule", "kept", "not_kept"),
+    [
+        # To rest from 1 m/s it takes 171 mm, from 1.2 m/s 235 mm.
+        (Rule.TRACK, {"v": 1.0}, {"v": 1.2}),
+        (Rule.TRACK, {"v": -1.0}, {"v": -1.2}),
+        (Rule.ANGLE, {"phi": radians(10.9)}, {"phi": radians(11.0)}),
+        (Rule.ANGLE, {"phi": -radians(10.9)}, {"phi": -radians(11.0)}),
+        # The first joint takes the flange, 0.59 m away, along its track, the second one, 0.61 m
+        # away, off its line; the last one tilts it.
+        (Rule.TRACK, {"away": joint(0, 0.02)}, {"away": joint(0, 0.4)}),
+        (Rule.DRIFT, {"away": joint(1, 0.024)}, {"away": joint(1, 0.025)}),
+        (Rule.TILT, {"away": joint(5, radians(1.9))}, {"away": joint(5, radians(2.1))}),
+        (Rule.TRACK, {}, {"v": 1.2, "phi": 1.0}),
+    ],
+)
+def test_a_trial_ends_where_a_rig_would_stop(rule, kept, not_kept):
+    assert Tick(begin=kept.get("away", joint(0, 0.0)))(**kept) is None
+    assert Tick(begin=not_kept.get("away", joint(0, 0.0)))(**not_kept) is rule
+
+
+def test_a_trial_in_t1_ends_where_a_rig_would_stop():
+    assert Tick(GUARD_7._replace(t1=True))(v=0.229) is None
+    assert Tick(GUARD_7._replace(t1=True))(v=-0.231) is Rule.T1
+
+
+def test_a_trial_ends_where_the_arm_is_elsewhere_for_long():
+    tick, off = Tick(), joint(3, 0.031)
+    assert [tick(off) for _ in range(6)] == [None] * 5 + [Rule.FOLLOWING]
+    begun = Tick()
+    assert [begun(off) for _ in range(5)] == [None] * 5
+    begin_watching(begun.watching, ARM.home_free)
+    assert begun(off) is None, "another trial has not been elsewhere yet"
+
+
+@pytest.mark.parametrize(("measured_at", "astray"), [(1.029, False), (1.031, True)])
+def test_an_arm_is_expected_where_it_was_sent_before_its_reaction(measured_at, astray):
+    wide = (1e9,) * 7
+    limits = GUARD_7.limits._replace(velocity=wide, acceleration=wide)
+    tick = Tick(GUARD_7._replace(limits=limits))
+    assert refused(tick.watching, ARM.home_free + joint(4, 0.034), 1.0) == KEPT
+    said = {tick(measured_at=measured_at) for _ in range(6)}
+    assert (Rule.FOLLOWING in said) == astray
 
 
 def test_a_cause_says_which_guard_it_was():
@@ -214,6 +301,7 @@ def test_a_cause_says_which_guard_it_was():
     assert (cause_named(code), guard_named(code)) == ("guard", "track")
     assert (cause_named(ANGLE), guard_named(ANGLE)) == ("angle", "")
     assert (cause_named(LASTED), guard_named(LASTED)) == ("lasted", "")
+    assert [guard_named(GUARD + place) for place in range(len(RULES))] == [r.value for r in Rule]
     assert {cause_named(GUARD + place) for place in range(len(RULES))} == {CAUSES[-1]}
 
 

@@ -109,6 +109,8 @@ def test_a_stop_without_a_cause_believes_the_worst():
 
 def test_most_causes_leave_the_arm_where_it_was_sent():
     assert not Cause("key", "a key was pressed").from_measured
+    assert not State().from_measured
+    assert not step(State(Phase.BALANCING), Event.STOP, KEY).from_measured
 
 
 def test_a_cause_of_another_event_is_no_cause():

@@ -132,6 +132,8 @@ def test_before_its_begin_it_is_where_it_begins():
         (HOME, (0.0,) * 8, 0.0, "dq"),
         ((nan,) * 7, (0.0,) * 7, 0.0, "q"),
         (HOME, (inf,) * 7, 0.0, "dq"),
+        ((*HOME[:6], nan), (0.0,) * 7, 0.0, "q"),
+        (HOME, (inf,) + (0.0,) * 6, 0.0, "dq"),
         (HOME, (0.0,) * 7, nan, "flange_speed"),
     ],
 )
@@ -151,6 +153,12 @@ def test_the_way_back_ends_where_the_arm_is():
     used = np.abs(dq) / LIMITS.velocity, np.abs(ddq) / LIMITS.acceleration
     assert max(used[0].max(), used[1].max()) == pytest.approx(RETURN_SHARE, rel=1e-3)
     assert path.duration < 1.0
+
+
+def test_the_way_back_needs_a_measured_angle_for_each_joint():
+    for measured in (HOME[:6], (*HOME, 0.0)):
+        with pytest.raises(ValueError, match="zip"):
+            way_back(HOME, measured, LIMITS)
 
 
 def test_the_way_back_is_as_slow_as_the_way_home():

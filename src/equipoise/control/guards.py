@@ -49,6 +49,8 @@ Array = npt.NDArray[np.float64]
 
 REMEMBERED: Final = 64
 """Setpoints that are remembered: 0.32 s, more than delay and age of a reply together."""
+AT_REST: Final = 2
+"""Equal setpoints say that an arm is at rest."""
 _NONE: Final = (0.0,) * FREE_JOINTS
 NO_GUARD: Final = Guard(Limits(_NONE, _NONE, _NONE, _NONE), _NONE, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Stands where no rule is asked."""
@@ -124,11 +126,12 @@ def new_watching(arm: Arm, guard: Guard | None) -> Watching:
 @kernel
 def begin_watching(watching: Watching, q: Array) -> None:
     """Begin with an arm that rests at the free joints `q` [rad], shape (6,)."""
-    for row in range(REMEMBERED):
+    # The last two setpoints: what was sent before them does not matter.
+    for row in range(AT_REST):
         watching.sent[row] = -inf
         for i in range(FREE_JOINTS):
             watching.setpoints[row, i] = q[i]
-    watching.number[0] = REMEMBERED
+    watching.number[0] = AT_REST
     watching.astray[0] = 0.0
 
 

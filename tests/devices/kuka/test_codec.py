@@ -9,6 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from equipoise.devices.kuka import codec
 from equipoise.devices.kuka.codec import (
     JOINTS,
     PORT,
@@ -64,15 +65,35 @@ JAVA = {
 def test_setpoint_is_the_line_of_the_captured_session():
     assert setpoint(Q, "done") == b"jp_0.0013_0.4364_0_-1.3962_0_1.309_0_\n"
     assert setpoint(np.array(Q)) == b"jpJP_0.0013_0.4364_0_-1.3962_0_1.309_0_\n"
-    assert {setpoint(Q, asked).split(b"_")[0].decode() for asked in SETPOINTS} == {
-        "jp", "jpJP", "jpExT", "jpMT", "jpEEfP", "jpEEfFrelEEF", "jf",
+    assert {asked: setpoint(Q, asked).split(b"_")[0].decode() for asked in SETPOINTS} == {
+        "done": "jp", "joints": "jpJP", "external": "jpExT", "measured": "jpMT", "pose": "jpEEfP",
+        "force": "jpEEfFrelEEF", "nothing": "jf",
     }  # fmt: skip
-    assert {velocity(Q, asked).split(b"_")[0].decode() for asked in VELOCITIES} == {
-        "velJDC", "velJDCJP", "velJDCExT", "velJDCMT", "velJDCEEfP",
+    assert {asked: velocity(Q, asked).split(b"_")[0].decode() for asked in VELOCITIES} == {
+        "done": "velJDC", "joints": "velJDCJP", "external": "velJDCExT", "measured": "velJDCMT",
+        "pose": "velJDCEEfP",
     }  # fmt: skip
     assert speed(0.1) == b"jRelVel_0.1_\n"
     assert speed(1.0) == b"jRelVel_1_\n"
     assert PORT == 30001
+
+
+@pytest.mark.parametrize(
+    ("command", "line"),
+    [
+        (codec.GET_JOINTS, b"getJointsPositions\n"),
+        (codec.GET_EXTERNAL, b"Torques_ext_J\n"),
+        (codec.GET_MEASURED, b"Torques_m_J\n"),
+        (codec.GET_POSE, b"Eef_pos\n"),
+        (codec.START_SERVO, b"startDirectServoJoints\n"),
+        (codec.START_VELOCITY, b"stVelDcJoint_\n"),
+        (codec.STOP_SERVO, b"stopDirectServoJoints\n"),
+        (codec.MOVE, b"doPTPinJS\n"),
+        (codec.END, b"end\n"),
+    ],
+)
+def test_a_command_is_spelt_as_the_server_spells_it(command, line):
+    assert command == line
 
 
 @given(st.lists(SEVEN, min_size=20, max_size=20))
@@ -177,6 +198,7 @@ def test_replies_of_the_captured_session_are_read():
         b"-Infinity_",
         b"nan_",
         b"1.0E999_",  # not finite
+        b"0.0_1.0E999_",
         b"1.0e-4_",
         b"1.0E_",
         b"+1.0_",
