@@ -21,6 +21,7 @@ from equipoise.control.safety import (
     encoder_is_late,
     limits_of,
     make_guard,
+    newest_before,
     stopping_reach,
     unexplained,
     watch,
@@ -82,6 +83,11 @@ def test_a_guard_knows_its_arm():
     assert (GUARD.reaction, GUARD.u_max, GUARD.h, GUARD.t1) == (0.03, 2.0, H, False)
     w = abs(np.linalg.det(ARM.kinematics(ARM.home_free).jacobian))
     assert GUARD.least_manipulability == pytest.approx(0.1 * w)
+    other_way = (*ARM.home[:5], -ARM.home[5], *ARM.home[6:])
+    elbow = ARM.model_copy(update={"home": other_way})
+    assert np.linalg.det(elbow.kinematics(elbow.home_free).jacobian) < 0.0
+    least = make_guard(elbow, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9).least_manipulability
+    assert least == pytest.approx(GUARD.least_manipulability)
     plain = safety.Guard(LIMITS, (), 0.0, 0.0, 0.0, H, RESOLUTION)
     assert not plain.t1
     assert make_guard(iiwa(7), reaction=0.0, u_max=1.0, h=H, counts_per_rev=9, t1=True).t1
@@ -93,6 +99,9 @@ def test_a_guard_knows_its_arm():
 def test_a_good_setpoint_may_be_sent():
     assert check_setpoint(LIMITS, HOME, HOME, HOME, DT) is None
     assert check_first(LIMITS, HOME, HOME) is None
+    assert safety.broken_setpoint(LIMITS, HOME, HOME, HOME, DT) == (safety.KEPT, 0, 0.0, 0.0)
+    assert safety.broken_flange(GUARD, 0.0, 0.0, 0.0, 0.0, 1.0) == (safety.KEPT, 0.0, 0.0)
+    assert safety.KEPT not in range(len(Rule)), "no rule has the code of none"
 
 
 @pytest.mark.parametrize("number", [nan, inf, -inf])
@@ -139,6 +148,8 @@ def test_a_setpoint_stays_inside_the_position_limits(joint, upper):
     assert violation.limit == limit
     assert violation.value == beyond[joint - 1]
     assert " is at " in violation.reason
+    bounds = LIMITS.lower[joint - 1], LIMITS.upper[joint - 1]
+    assert "expected {:.4f} to {:.4f} rad".format(*bounds) in violation.reason
     assert check_first(LIMITS, at, at) is None
     first = check_first(LIMITS, beyond, beyond)
     assert first is not None
@@ -158,18 +169,18 @@ def test_at_its_bound_a_setpoint_may_be_sent():
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_setpoint_can_be_stopped_before_the_limit(side):
-    # 1 rad/s needs 1 / (2 10) = 50 mrad.
-    for room, may in ((0.0501, True), (0.0499, False)):
+    # 1.2 rad/s needs 1.44 / (2 10) = 72 mrad.
+    for room, may in ((0.0721, True), (0.0719, False)):
         q = moved(HOME, 1, side * (LIMITS.upper[0] - room) - HOME[0])
-        last, before = moved(q, 1, -side * DT), moved(q, 1, -2 * side * DT)
+        last, before = moved(q, 1, -1.2 * side * DT), moved(q, 1, -2.4 * side * DT)
         violation = check_setpoint(LIMITS, q, last, before, DT)
         assert (violation is None) == may
         if violation:
             assert violation.rule is Rule.POSITION
             assert "could only be stopped" in violation.reason
-            assert violation.value == pytest.approx(side * (LIMITS.upper[0] - room + 0.05))
+            assert violation.value == pytest.approx(side * (LIMITS.upper[0] - room + 0.072))
         # On the way back it may be there.
-        assert check_setpoint(LIMITS, last, q, moved(q, 1, side * DT), DT) is None
+        assert check_setpoint(LIMITS, last, q, moved(q, 1, 1.2 * side * DT), DT) is None
 
 
 @pytest.mark.parametrize("joint", range(1, 8))
@@ -187,6 +198,7 @@ def test_no_joint_is_sent_faster_than_it_can(joint, side, dt):
             assert violation.joint == joint
             assert violation.value == pytest.approx(share * LIMITS.velocity[joint - 1])
             assert violation.limit == LIMITS.velocity[joint - 1]
+            assert violation.reason.endswith(" rad/s")
 
 
 @pytest.mark.parametrize("joint", range(1, 8))
@@ -205,6 +217,7 @@ def test_no_joint_is_sent_harder_than_it_can(joint, side, dt):
                 assert violation.joint == joint
                 assert violation.value == pytest.approx(10.0 * share)
                 assert violation.limit == 10.0
+                assert violation.reason.endswith(" rad/s^2")
 
 
 def test_at_the_limits_themselves_rounding_is_forgiven():
@@ -232,6 +245,7 @@ def test_a_jump_is_a_jump_however_long_ago_the_last_one_was(side):
     assert violation.joint == 1
     assert violation.value == pytest.approx(0.035)
     assert violation.limit == pytest.approx(radians(2.0))
+    assert "jumps by 0.0350 rad" in violation.reason
 
 
 def test_degrees_for_radians_are_found():
@@ -259,6 +273,8 @@ def test_the_first_setpoint_is_the_measured_posture(joint, side):
 def test_nothing_wrong_breaks_no_rule():
     assert check(GUARD, CALM, View()) is None
     assert check(T1, CALM, View(balancing=True, on_track=True)) is None
+    assert set(View(manipulability=0.0)) == set(Watch()) == {0.0, None}
+    assert safety.pushed((0.0,) * 7, GUARD.torque) == 0
 
 
 BOUNDS = [
@@ -292,6 +308,14 @@ BOUNDS = [
     (Rule.ANGLE, {"phi": -radians(10.99)}, {"phi": -radians(11.0)}),
 ]
 
+WORDS = {
+    Rule.SINGULAR: "near a singularity",
+    Rule.TRACK: "could be stopped at",
+    Rule.DRIFT: "mm off its line",
+    Rule.TILT: "tilted by",
+}
+"""What the operator is told of the flange."""
+
 
 @pytest.mark.parametrize(("rule", "kept", "not_kept"), BOUNDS)
 def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
@@ -304,6 +328,7 @@ def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
     assert any(character.isdigit() for character in violation.reason) or (
         rule is Rule.ENCODER_ILLEGAL
     )
+    assert WORDS.get(rule, "") in violation.reason
     assert abs(violation.value) >= abs(violation.limit) or rule is Rule.SINGULAR
 
 
@@ -333,6 +358,14 @@ def test_at_their_bounds_these_are_kept():
     assert watch(GUARD, rested, view).rest == HOME
 
 
+def test_who_would_come_to_rest_at_the_very_end_of_the_track_is_stopped():
+    at_once = GUARD._replace(reaction=0.0)
+    # From 0.5 m/s to rest it takes 31.25 mm.
+    for x_dot, x in ((0.0, 0.22), (0.5, 0.22 - 0.03125)):
+        assert broken(View(on_track=True, x=x, x_dot=x_dot), at_once) is Rule.TRACK
+        assert broken(View(on_track=True, x=x - 1e-9, x_dot=x_dot), at_once) is None
+
+
 def test_flange_and_angle_count_where_they_mean_something():
     away = View(x=9.0, x_dot=9.0, drift=9.0, tilt=9.0, manipulability=0.0, phi=3.0)
     assert check(T1, CALM, away) is None
@@ -348,6 +381,7 @@ def test_t1_is_slow_and_a_stop_not_a_clip():
         assert broken(fast) is None
     violation = check(T1, CALM, fast)
     assert (violation.value, violation.limit) == (-0.23, 0.23)
+    assert violation.reason.endswith(" in T1")
 
 
 def test_the_violation_names_the_joint_that_is_touched():
@@ -562,6 +596,16 @@ def test_the_reach_is_the_formula_of_the_issue():
 def test_at_rest_the_reach_is_on_the_side_where_it_is():
     assert stopping_reach(-0.2, 0.0, 0.0, 2.0) == pytest.approx(0.2)
     assert stopping_reach(0.2, -0.0, 0.0, 2.0) == pytest.approx(0.2)
+
+
+def test_the_setpoint_in_force_is_the_newest_that_was_sent_by_then():
+    sent = [0.04, 0.01, 0.02, 0.03]  # the fifth has taken the place of the first
+    in_force = [newest_before(sent, 5, since) for since in (0.045, 0.04, 0.039, 0.02, 0.01)]
+    assert in_force == [0, 0, 3, 2, 1]
+    assert newest_before(sent, 5, 0.005) == 1, "all were sent later: the oldest"
+    begun = [0.04, 0.05, -inf, -inf]
+    assert newest_before(begun, 2, 10.0) == 1
+    assert begun[newest_before(begun, 2, 0.0)] == -inf, "where it rested before the first"
 
 
 # Encoder.

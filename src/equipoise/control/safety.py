@@ -404,8 +404,8 @@ def _worded_setpoint(
         what = "is" if value == q[joint - 1] else "could only be stopped"
         lower, upper = limits.lower[joint - 1], limits.upper[joint - 1]
         reason = (
-            f"{where} {what} at {value:.4f} rad, expected {lower:.4f} to {upper:.4f} rad (its "
-            "limits less 3 deg)"
+            f"{where} {what} at {value:.4f} rad, expected {lower:.4f} to {upper:.4f} rad: its "
+            "limits less the margin of the rig"
         )
     elif code == JUMP_CODE:
         reason = (
@@ -620,7 +620,8 @@ def newest_before(sent: Row, count: int, since: float) -> int:
     """Return the place of the setpoint that was in force at a time, in a ring of those sent.
 
     Args:
-        sent: When each was sent [s], at its number modulo the ring's length, which is the shape.
+        sent: When each was sent [s], at its number modulo the ring's length, which is the shape;
+            -inf where none has been yet.
         count: How many have been sent.
         since: The time [s].
 
@@ -628,7 +629,7 @@ def newest_before(sent: Row, count: int, since: float) -> int:
         The place; that of the oldest where all were sent later.
     """
     length = len(sent)
-    for back in range(1, min(count, length) + 1):
+    for back in range(1, length):
         place = (count - back) % length
         if sent[place] <= since:
             return place
