@@ -69,7 +69,7 @@ def test_the_flange_slows_down_as_it_shall():
         dq = ARM.with_held(np.linalg.solve(J, np.eye(6)[0] * x_dot))
         dq[2] = 0.0
         way = ramp(HOME, dq, x_dot, LIMITS)
-        assert way.rate == pytest.approx(STOP_DECELERATION / x_dot)
+        assert min(way.rates) == pytest.approx(STOP_DECELERATION / x_dot)
         assert way.duration == pytest.approx(x_dot / STOP_DECELERATION)
         x = np.array([ARM.pose(ARM.without_held(q)).position[0] for q in stream(way)])
         # Where the flange comes to rest: v^2 / 2a, but for the bend of its path in joint space.
@@ -83,14 +83,14 @@ def test_no_joint_decelerates_by_more_than_its_limit():
     dq = [0.0] * 7
     dq[0] = 1.4
     # The flange alone would ask for 4 / 0.5 = 8 1/s, the joint allows 10 / 1.4.
-    assert ramp(HOME, dq, 0.5, LIMITS).rate == pytest.approx(10.0 / 1.4)
-    assert ramp(HOME, dq, 2.0, LIMITS).rate == pytest.approx(2.0)
+    assert ramp(HOME, dq, 0.5, LIMITS).rates[0] == pytest.approx(10.0 / 1.4)
+    assert ramp(HOME, dq, 2.0, LIMITS).rates[0] == pytest.approx(2.0)
 
 
 def test_a_flange_that_does_not_move_leaves_it_to_the_joints():
     dq = [0.0] * 6 + [1.0]
-    assert ramp(HOME, dq, 0.0, LIMITS).rate == pytest.approx(10.0)
-    assert ramp(HOME, dq, -2.0, LIMITS).rate == pytest.approx(2.0)
+    assert ramp(HOME, dq, 0.0, LIMITS).rates[6] == pytest.approx(10.0)
+    assert ramp(HOME, dq, -2.0, LIMITS).rates[6] == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -102,12 +102,26 @@ def test_near_a_position_limit_it_stops_sooner(side, room, rate):
     q[0] = side * (LIMITS.upper[0] - room)
     dq[0] = side * 0.8
     way = ramp(q, dq, 2.0, LIMITS)
-    assert way.rate == pytest.approx(rate)
+    assert min(way.rates) == pytest.approx(rate)
     if room >= 0.08:
         assert abs(way.at(inf)[0]) <= LIMITS.upper[0] + 1e-12
     # Away from the limit it does not matter.
     dq[0] = -dq[0]
-    assert ramp(q, dq, 2.0, LIMITS).rate == pytest.approx(2.0)
+    assert ramp(q, dq, 2.0, LIMITS).rates[0] == pytest.approx(2.0)
+
+
+def test_a_joint_near_its_limit_does_not_wait_for_one_that_cannot_stop_so_soon():
+    q, dq = list(HOME), [0.0] * 7
+    dq[6] = 2.0  # stops in 0.2 s, and not sooner
+    q[0], dq[0] = LIMITS.upper[0] - 0.02, 0.5  # would go 0.05 rad meanwhile
+    way = ramp(q, dq, 0.0, LIMITS)
+    assert way.rates[6] == pytest.approx(10.0 / 2.0)
+    assert way.at(inf)[0] == pytest.approx(LIMITS.upper[0])
+    assert way.at(inf)[6] == pytest.approx(HOME[6] + 2.0**2 / (2 * 10.0))
+    assert way.speed_at(0.1)[0] == 0.0
+    assert way.speed_at(0.1)[6] == pytest.approx(1.0)
+    assert way.duration == pytest.approx(0.2)
+    assert np.all(stream(way) <= np.array(LIMITS.upper) + 1e-12)
 
 
 def test_at_rest_it_holds():

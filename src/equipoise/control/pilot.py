@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from equipoise.control import states
 from equipoise.control.controller import Controller
+from equipoise.control.gaps import Gaps
 from equipoise.control.lane import Flange, Lane, Place
 from equipoise.control.minimum_jerk import Path, path_within
 from equipoise.control.policy import PolicyKernel
@@ -44,7 +45,7 @@ from equipoise.control.self_test import (
     self_test,
 )
 from equipoise.control.states import Cause, Phase, State
-from equipoise.control.stop import Ramp, ramp, way_back
+from equipoise.control.stop import Ramp, at_rest, ramp, way_back
 from equipoise.control.ticks import Counted, Event, Inputs, Job, Measured, Output, Seen
 from equipoise.model.arms.arm import Arm
 
@@ -60,6 +61,9 @@ FALL_WINDOW: Final = 0.04
 """Samples of so long give angle and rate at the release [s]."""
 TORQUE_EVERY: Final = 5
 """In every so manieth tick the second setpoint asks for external torques."""
+UNSURE: Final = 2.0
+"""Before the torques at home are known, those with which the servo began stand for them, and a
+contact is one beyond so many times the limit: what hangs on the flange pulls differently there."""
 SETTLING: Final = 0.5
 """After a ramp the arm is held for so long before the servo ends [s]."""
 REST_BEFORE: Final = 0.3
@@ -133,7 +137,7 @@ class Pilot:
             [HOMING_SHARE * velocity for velocity, _ in limits],
             [HOMING_SHARE * acceleration for _, acceleration in limits],
         )
-        self._ramp = Ramp(self._q, self._dq, inf)
+        self._ramp: Ramp = at_rest(self._q)
         self._back: Path | None = None
         self._back_since = 0
         self.phase_before = Phase.IDLE
@@ -145,8 +149,13 @@ class Pilot:
         self._answered = nan
         self._torque_sum, self._torques = np.zeros(len(q)), 0
         self._at_home: Array | None = None
+        self._at_start: Array | None = None
+        # The cabinet knows the arm's own weight, but not what hangs on it.
+        unsure = tuple(UNSURE * torque for torque in guard.torque)
+        self._guard_unsure = guard._replace(torque=unsure)
         self._place: Place | None = None
         self._missing, self._illegal, self._jump = 0, False, 0.0
+        self._gaps, self._warned = Gaps(), False
         self._fresh_q = self._fresh_torque = False
         self._ticks = 0  # of this phase
         self._all_ticks = 0
@@ -227,7 +236,8 @@ class Pilot:
             place = self._remembered % REMEMBERED
             self._times[place], self._counts[place] = sample.time, sample.counts
             self._remembered += 1
-            self._missing += sample.missing
+            if sample.missing and self.zero is not None:
+                self._missing += self._gaps.serious(sample.time, sample.missing)
             self._illegal = self._illegal or sample.illegal
             self._jump = max(self._jump, self._unexplained())
             if self.phase is Phase.REFERENCING:
@@ -261,6 +271,8 @@ class Pilot:
                     self._swing.moved(self._measured_at, x)
             if reply.torque is not None:
                 self._torque, self._fresh_torque = tuple(reply.torque), True
+                if self._at_start is None:  # the way home has hardly begun
+                    self._at_start = np.array(reply.torque)
                 if self._at_home is None and self.phase in (Phase.AT_HOME, Phase.REFERENCING):
                     self._torque_sum += reply.torque
                     self._torques += 1
@@ -269,6 +281,26 @@ class Pilot:
 
     def _watch_over(self, now: float, lateness: float) -> None:
         """Ask the rules, and stop where one is broken."""
+        guard = self._guard if self._at_home is not None else self._guard_unsure
+        warned, bridged = self._warned, self._gaps.bridged
+        view = self._view(now, lateness)
+        self._missing, self._illegal, self._jump = 0, False, 0.0
+        self._watch = watch(guard, self._watch, view)
+        # The observer is given nothing that a rule forbids; then it is asked what it believes now.
+        measured_well = view._replace(on_track=False, balancing=False)
+        if view.balancing and check(guard, self._watch, measured_well) is None:
+            self._observe(now)
+            estimate = self._lane.estimate
+            view = view._replace(x_dot=estimate.v, phi=estimate.phi)
+        broken = check(guard, self._watch, view)
+        if broken is not None:
+            self._stop(Cause(broken.rule.value, broken.reason, broken.from_measured))
+        elif bridged and not warned:
+            self._warned = True
+            self._tell("warning", "An encoder sample was lost on its way. Look at its cable later.")
+
+    def _view(self, now: float, lateness: float) -> View:
+        """Return what is known, with the estimate of the tick before."""
         phase = self.phase
         on_track = phase in ON_TRACK
         moves = phase in MOVING or phase in (Phase.ARMED, Phase.STOPPING)
@@ -279,10 +311,11 @@ class Pilot:
         place, estimate = self._place, self._lane.estimate
         x_dot = self._lane.x_dot if not balancing else estimate.v
         self._answered = now if isnan(self._answered) else self._answered
-        view = View(
+        return View(
             # While nothing moves a late tick is no danger; the fit of a swing takes some.
             lateness=lateness if moves else 0.0,
-            overdue=max(now - self._answered - self._h, 0.0),
+            # What the loop itself was late is no delay of the robot's.
+            overdue=max(now - lateness - self._answered - self._h, 0.0),
             measured=self._measured if self._fresh_q else None,
             expected=self._expected(self._measured_at) if self._fresh_q else None,
             torque=self._pushed() if self._fresh_torque else None,
@@ -299,17 +332,24 @@ class Pilot:
             drift=place.drift if place is not None and on_track else 0.0,
             tilt=place.tilt if place is not None and on_track else 0.0,
         )
-        self._missing, self._illegal, self._jump = 0, False, 0.0
-        self._watch = watch(self._guard, self._watch, view)
-        broken = check(self._guard, self._watch, view)
-        if broken is not None:
-            self._stop(Cause(broken.rule.value, broken.reason, broken.from_measured))
+
+    def _observe(self, now: float) -> None:
+        """Let the observer take the measurements of this tick."""
+        if self._sample is None or self.zero is None:
+            return
+        self._lane.observe(
+            self._sample.counts - self.zero,
+            now - self._sample.time,
+            self._measured,
+            now - self._measured_at,
+        )
 
     def _pushed(self) -> tuple[float, ...] | None:
-        """Return the external torques less those at home [N m]; none before those are known."""
-        if self._at_home is None or self._torque is None:
+        """Return the external torques less those at rest [N m]; none before those are known."""
+        at_rest = self._at_start if self._at_home is None else self._at_home
+        if at_rest is None or self._torque is None:
             return None
-        return tuple((np.asarray(self._torque) - self._at_home).tolist())
+        return tuple((np.asarray(self._torque) - at_rest).tolist())
 
     def _remember(self, time: float, q: Sequence[float]) -> None:
         place = self._setpoints % REMEMBERED
@@ -494,17 +534,9 @@ class Pilot:
         return self._still()
 
     def _balance(self, now: float) -> Setpoints:
-        sample = self._sample
-        if sample is None or self.zero is None:  # balancing follows from a reference
+        if self._sample is None or self.zero is None:  # balancing follows from a reference
             self._stop(Cause("fault", "the encoder shows nothing"))
-            return self._come_to_rest(now)
-        self._lane.observe(
-            sample.counts - self.zero,
-            now - sample.time,
-            self._measured,
-            now - self._measured_at,
-        )
-        if self._lane.beyond:
+        elif self._lane.beyond:
             self._stop(Cause("joint limit", "the policy asks for more than a joint can do"))
         elif self._ticks * self._h >= self._duration - 0.5 * self._h:
             self._stop(Cause("lasted", f"It stood for {self._duration:g} s. Catch the pendulum."))

@@ -79,7 +79,7 @@ OVERDUE: Final = 0.050
 """A reply of the robot may take so long [s]: a round trip takes 1 to 4 ms, and the operator has to
 know within 100 ms that software cannot stop the robot any more."""
 TORQUE_SHARE: Final = 0.10
-"""An external torque may differ from that at home by this share of the joint's limit: 32 N m at A1
+"""An external torque may differ from that at rest by this share of the joint's limit: 32 N m at A1
 of an iiwa 14, a push of some 60 N at the flange."""
 FOLLOWING_LIMIT: Final = 0.03
 """A measured joint may differ from the expected one by this [rad]: 20 mm at the flange, seven times
@@ -236,7 +236,7 @@ class Guard(NamedTuple):
     limits: Limits
     """Of the joints."""
     torque: Numbers
-    """How far an external torque may be from that at home [N m], per joint."""
+    """How far an external torque may be from that at rest [N m], per joint."""
     reaction: float
     """T of the track rule: transport delay and lag of the arm [s]."""
     u_max: float
@@ -374,7 +374,7 @@ def broken_setpoint(
         lower, upper = limits.lower[i], limits.upper[i]
         velocity = (q[i] - last[i]) / dt
         # Where it comes to rest at the joint's largest deceleration.
-        rest = q[i] + copysign(0.5 * velocity**2 / limits.acceleration[i], velocity)
+        rest = q[i] + copysign(0.5 * velocity * velocity / limits.acceleration[i], velocity)
         for end in (q[i], rest):
             if not lower <= end <= upper:
                 return POSITION_CODE, i + 1, end, lower if end < lower else upper
@@ -434,7 +434,7 @@ class View(NamedTuple):
     expected: Numbers | None = None
     """Where the model of the arm has them at the time of `measured` [rad]."""
     torque: Numbers | None = None
-    """External torques less those at home [N m]; none where no new ones came."""
+    """External torques less those at rest [N m]; none where no new ones came."""
     encoder_age: float = 0.0
     """Age of the newest encoder sample [s]."""
     encoder_illegal: bool = False
@@ -564,7 +564,7 @@ def _motion(guard: Guard, watched: Watch, view: View) -> Violation | None:
             torque, limit = view.torque[number - 1], guard.torque[number - 1]
             return Violation(
                 Rule.TORQUE,
-                f"the external torque at joint {number} is {torque:.1f} N m from that at home, "
+                f"the external torque at joint {number} is {torque:.1f} N m from that at rest, "
                 f"expected at most {limit:.1f} N m: something touches the arm",
                 torque,
                 limit,
@@ -606,7 +606,7 @@ def pushed(torque: Row, limit: Row) -> int:
     """Return the first joint whose external torque is beyond its limit, counted from one; or 0.
 
     Args:
-        torque: External torques less those at home [N m], shape (n,).
+        torque: External torques less those at rest [N m], shape (n,).
         limit: How far they may go [N m], shape (n,).
     """
     for i in range(len(limit)):

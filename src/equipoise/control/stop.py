@@ -8,7 +8,8 @@ From the commanded joints q0, with their velocities dq0, every joint slows down 
 so that the arm goes on in the direction in which it moves, ever slower, and is at rest at 1/r. The
 rate r is such that the flange slows down at 4 m/s^2, or sooner at rest where a position limit is
 near, but no joint decelerates by more than its limit. A flange that does not move says nothing
-about r: then the joints alone decide.
+about r: then the joints alone decide. A joint that would reach its position limit all the same,
+because another one cannot stop so soon, stops sooner than the rest.
 
 Where the arm was not where it was sent (`from_measured`), the ramp is followed by a minimum-jerk
 path from its end to the measured joints: then nothing pulls at the arm, and no old target is left
@@ -37,24 +38,38 @@ class Ramp(NamedTuple):
     """Where it begins [rad]."""
     dq0: Numbers
     """The velocities there [rad/s]."""
-    rate: float
-    """r [1/s]; inf where the arm is at rest."""
+    rates: Numbers
+    """r of each joint [1/s]; inf of one at rest."""
 
     @property
     def duration(self) -> float:
         """How long it takes [s]."""
-        return 1.0 / self.rate
+        return 1.0 / min(self.rates)
 
     def at(self, time: float) -> Numbers:
         """Return the joints at a time since its begin [rad]; the last ones for ever after."""
-        t = min(max(time, 0.0), self.duration)
-        sigma = t * (1.0 - 0.5 * self.rate * t) if t > 0.0 else 0.0
-        return tuple(q + dq * sigma for q, dq in zip(self.q0, self.dq0, strict=True))
+        return tuple(
+            q + dq * _sigma(rate, time)
+            for q, dq, rate in zip(self.q0, self.dq0, self.rates, strict=True)
+        )
 
     def speed_at(self, time: float) -> Numbers:
         """Return the velocities at a time since its begin [rad/s]."""
-        left = max(1.0 - self.rate * max(time, 0.0), 0.0) if time > 0.0 else 1.0
-        return tuple(left * dq for dq in self.dq0)
+        if time <= 0.0:
+            return self.dq0
+        return tuple(
+            max(1.0 - rate * time, 0.0) * dq for dq, rate in zip(self.dq0, self.rates, strict=True)
+        )
+
+
+def at_rest(q: Sequence[float]) -> Ramp:
+    """Return the ramp of joints that do not move."""
+    return Ramp(tuple(q), (0.0,) * len(q), (inf,) * len(q))
+
+
+def _sigma(rate: float, time: float) -> float:
+    t = min(max(time, 0.0), 1.0 / rate)
+    return t * (1.0 - 0.5 * rate * t) if t > 0.0 else 0.0
 
 
 def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: Limits) -> Ramp:
@@ -77,14 +92,20 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
             )
     moving = [i for i, velocity in enumerate(dq) if velocity != 0.0]
     if not moving:
-        return Ramp(tuple(q), tuple(dq), inf)
+        return at_rest(q)
     # The joints' limits bound r from above; flange and position limits ask for at least so much.
-    most = min(limits.acceleration[i] / abs(dq[i]) for i in moving)
-    least = STOP_DECELERATION / abs(flange_speed) if flange_speed != 0.0 else most
+    most = {i: limits.acceleration[i] / abs(dq[i]) for i in moving}
+    least: dict[int, float] = {}
     for i in moving:
         room = limits.upper[i] - q[i] if dq[i] > 0.0 else q[i] - limits.lower[i]
-        least = max(least, 0.5 * abs(dq[i]) / room if room > 0.0 else inf)
-    return Ramp(tuple(q), tuple(dq), min(least, most))
+        least[i] = 0.5 * abs(dq[i]) / room if room > 0.0 else inf
+    together = min(most.values())
+    if flange_speed != 0.0:
+        together = min(together, max(STOP_DECELERATION / abs(flange_speed), *least.values()))
+    rates = [inf] * limits.joints
+    for i in moving:
+        rates[i] = min(max(together, least[i]), most[i])
+    return Ramp(tuple(q), tuple(dq), tuple(rates))
 
 
 def way_back(q: Sequence[float], measured: Sequence[float], limits: Limits) -> Path:

@@ -1,23 +1,31 @@
 """A run on a real rig, over three processes.
 
 The *loop* has the links and the deadlines, and nothing else to do. The *writer* drains its rings
-to the disk. The *parent* talks to the operator, and watches the loop's heartbeat: when it stops
-beating while the servo runs, the operator is told at once that software does not command the arm
-any more.
+to the disk; without it the run goes on, and the operator is warned. The *parent* talks to the
+operator, and watches the loop's heartbeat: when it stops beating while the servo runs, the operator
+is told at once that software does not command the arm any more. A loop whose parent is gone, or
+whose operator cannot be told anything, brings the arm to rest.
 
-Signals that would end a program (SIGINT, SIGTERM) are words to the loop: it brings the arm to rest
-inside the stream, whatever it was doing.
+Signals that would end a program (SIGINT, SIGTERM, SIGHUP) are words to the loop: it brings the arm
+to rest inside the stream, whatever it was doing.
 """
 
 import ctypes
 import multiprocessing
+import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from equipoise.control.pilot import PHASES
+from equipoise.control.self_test import SelfTest, self_test
 from equipoise.control.states import STREAMING
 from equipoise.control.ticks import Event, Job
 from equipoise.deployment.rig import Outcome, Request, run_on_rig
@@ -25,6 +33,7 @@ from equipoise.devices import realtime
 from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
 from equipoise.errors import EquipoiseError, OutsideError
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.rigs import connect
 from equipoise.runwriter import PULSE, Recorder, RunWriter, push_event, take_events
 
@@ -39,8 +48,14 @@ FAREWELL: Final = 5.0
 """So long a process may take to end by itself [s]."""
 STOP: Final = "stop"
 """What a signal says to the loop."""
+ALONE: Final = "nobody is there to be told"
+"""What the loop says to itself once its parent is gone."""
+SIGNALS: Final = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+"""What would end a program: Ctrl-C, a wish of the system, a terminal that is closed."""
 
-_STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("state", "phi", "ticks"))
+_TIME, _STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("time", "state", "phi", "ticks"))
 
 
 class Person(Operator, Protocol):
@@ -73,72 +88,119 @@ def run_for_real(request: Request, out: Path, person: Person) -> Outcome:
     )
     loop = context.Process(target=_loop, args=(request, memory, joints, theirs), daemon=False)
     words: list[str] = []
-    before = {
-        number: signal.signal(number, lambda *_: words.append(STOP))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    before = {number: signal.signal(number, lambda *_: words.append(STOP)) for number in SIGNALS}
+    log = _Log(writer, told[1])
     try:
-        writer.start()
-        problem = told[1].recv()
-        if problem is not None:
-            raise OutsideError(problem)
-        loop.start()
+        with _unheard():
+            writer.start()
+        told[0].close()
+        log.begin()
+        with _unheard():
+            loop.start()
         theirs.close()
-        result = _attend(loop, recorder, person, words, ours)
-        told[1].send(result._asdict() if isinstance(result, Outcome) else {"fault": str(result)})
+        try:
+            result = _attend(loop, recorder, person, words, ours, log)
+        except BaseException:
+            recorder.words.push(STOP.encode())  # nobody is left who could
+            raise
+        log.end(result._asdict() if isinstance(result, Outcome) else {"fault": str(result)})
     finally:
         if loop.pid is not None:
             loop.join(FAREWELL)
         done.set()
-        writer.join(FAREWELL)
+        if writer.pid is not None:
+            writer.join(FAREWELL)
         for number, handler in before.items():
             signal.signal(number, handler)
-    while told[1].poll():
-        person.tell(Event("warning", f"the log is incomplete: {told[1].recv()}"))
+    log.mind(person)
     if isinstance(result, EquipoiseError):
         raise result
     return result
 
 
+@contextmanager
+def _unheard() -> Generator[None]:
+    """Let a process that is started here hear of no signal before it is ready to."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Log:
+    """The writer's process as the parent sees it."""
+
+    def __init__(self, writer: Any, told: Any) -> None:
+        self._writer, self._told = writer, told
+        self._minded = False
+
+    def begin(self) -> None:
+        """Wait until the file is there."""
+        try:
+            problem = self._told.recv()
+        except (EOFError, OSError):
+            problem = "the process that writes the log has ended at its begin; try again"
+        if problem is not None:
+            raise OutsideError(problem)
+
+    def mind(self, person: Person) -> None:
+        """Warn once where the log is not written any more."""
+        problem = None if self._minded else self._problem()
+        if problem is not None:
+            self._minded = True
+            person.tell(Event("warning", f"the log is incomplete: {problem}"))
+
+    def end(self, outcome: dict[str, Any]) -> None:
+        """Say how the run ended."""
+        with suppress(OSError):  # nobody writes any more; it was told
+            self._told.send(outcome)
+
+    def _problem(self) -> str | None:
+        try:
+            if self._told.poll():
+                return str(self._told.recv())
+        except (EOFError, OSError):
+            pass
+        if self._writer.is_alive() or self._writer.exitcode == 0:
+            return None
+        return f"the process that writes it has ended with {self._writer.exitcode}"
+
+
 def _attend(
-    loop: Any, recorder: Recorder, person: Person, words: list[str], ours: Any
+    loop: Any, recorder: Recorder, person: Person, words: list[str], ours: Any, log: _Log
 ) -> Outcome | EquipoiseError:
     """Talk, and watch, until the loop's process has ended; return what it sent."""
     result: Outcome | EquipoiseError | None = None
     silent = False
     while True:
         alive = loop.is_alive()
+        if result is None:
+            result = _received(ours)
+        # Before anything is printed: that may take its time.
+        pulse = recorder.pulse
+        streams = pulse[_TICKS] > 0 and result is None
+        beats = alive and time.monotonic() - float(pulse[_TIME]) < SILENT
+        if streams and not beats and not silent:
+            person.tell(Event("fault", f"the loop does not answer: {CANNOT_STOP}"))
+        silent = streams and not beats
         for event in take_events(recorder.told):
             person.tell(event)
+        log.mind(person)
         said = [*person.words(), *words]
         words.clear()
         for word in said:
             recorder.words.push(word.encode()[:64])
-        if result is None and ours.poll():
-            try:
-                result = ours.recv()
-            except EOFError:
-                alive = False
-        pulse = recorder.pulse
-        streams = pulse[_TICKS] > 0 and result is None
-        if streams:
+        if streams and alive:
             phase = PHASES[int(pulse[_STATE])]
             if phase in STREAMING:
                 person.live(phase.value, float(pulse[_PHI]))
-            beats = time.monotonic() - float(pulse[0]) < SILENT
-            if not silent and (not beats or not alive):
-                person.tell(Event("fault", f"the loop does not answer: {CANNOT_STOP}"))
-            silent = not beats or not alive
         if not alive:
             break
         time.sleep(LOOK)
-    if result is None and ours.poll():
-        try:
-            result = ours.recv()
-        except EOFError:
-            result = None
-    for event in take_events(recorder.told):
-        person.tell(event)
     if result is None:
         code = loop.exitcode
         return OutsideError(
@@ -148,11 +210,20 @@ def _attend(
     return result
 
 
+def _received(pipe: Any) -> Any:
+    """Return what a process has sent; none where nothing came, or never will."""
+    try:
+        return pipe.recv() if pipe.poll() else None
+    except (EOFError, OSError):
+        return None
+
+
 class _Across:
     """The operator as the loop's process sees it: on the other side of two rings."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
+        self._parent = os.getppid()
         self.signalled = False
 
     def tell(self, event: Any) -> None:
@@ -164,6 +235,9 @@ class _Across:
         if self.signalled:
             self.signalled = False
             words.append(STOP)
+        if os.getppid() != self._parent:
+            self._parent = os.getppid()
+            words.append(ALONE)
         return words
 
 
@@ -175,12 +249,14 @@ class _Aside:
         self._pipe, theirs = context.Pipe()
         # As a daemon it ends with this process, whatever becomes of that.
         self._process = context.Process(target=_work, args=(theirs,), daemon=True)
-        self._process.start()
+        with _unheard():
+            self._process.start()
         theirs.close()
-        self._pipe.recv()
+        self._practise()
 
     def begin(self, job: Job) -> None:
-        self._pipe.send(job)
+        with suppress(OSError):  # where it is gone, `result` says so
+            self._pipe.send(job)
 
     def result(self) -> Any:
         try:
@@ -194,13 +270,39 @@ class _Aside:
         if self._process.is_alive():
             self._process.kill()
 
+    def _practise(self) -> None:
+        """Send a self-test there and take its verdict, so that in the stream both are old hat."""
+        time_ = np.linspace(0.0, 6.0, 1200)
+        move = 0.04 / (1.0 + np.exp(-12.0 * (time_ - 0.7)))
+        self.begin(partial(_judge_nothing, time_, np.round(200.0 * np.sin(8.4 * time_)), move))
+        while (result := self.result()) is None:
+            time.sleep(LOOK)
+        if isinstance(result, Exception):
+            self.close()
+            raise OutsideError(f"the process for the self-test does not work ({result})")
+
+
+Array = npt.NDArray[np.float64]
+
+
+def _judge_nothing(time_: Array, counts: Array, move: Array) -> SelfTest:
+    """Judge a swing that no pendulum makes."""
+    with np.errstate(all="ignore"):
+        return self_test(
+            time_,
+            counts,
+            time_,
+            move,
+            pendulum=PendulumParameters(70.2, 7.16, 0.15),
+            counts_per_rev=8192,
+            resting=0.0,
+            delay=0.0,
+        )
+
 
 def _work(pipe: Any) -> None:
     """Be the process beside the loop's: do one job after the other until the loop is gone."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    _warm()
-    pipe.send(None)
+    _be_deaf()
     while True:
         try:
             job = pipe.recv()
@@ -212,26 +314,10 @@ def _work(pipe: Any) -> None:
             pipe.send(RuntimeError(str(error)))
 
 
-def _warm() -> None:
-    """Import and compile what a self-test needs."""
-    import numpy as np
-
-    from equipoise.control.self_test import self_test
-    from equipoise.model.pendulum import PendulumParameters
-
-    time_ = np.linspace(0.0, 6.0, 1200)
-    move = 0.04 / (1.0 + np.exp(-12.0 * (time_ - 0.7)))
-    with np.errstate(all="ignore"):  # no pendulum answers like this
-        self_test(
-            time_,
-            np.round(200.0 * np.sin(8.4 * time_)),
-            time_,
-            move,
-            pendulum=PendulumParameters(70.2, 7.16, 0.15),
-            counts_per_rev=8192,
-            resting=0.0,
-            delay=0.0,
-        )
+def _be_deaf() -> None:
+    """Leave signals to the others: this process ends when it is not needed any more."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _loop(request: Request, memory: Any, joints: int, pipe: Any) -> None:
@@ -242,8 +328,10 @@ def _loop(request: Request, memory: Any, joints: int, pipe: Any) -> None:
     def stop(*_: object) -> None:
         across.signalled = True
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         signal.signal(number, stop)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     aside: _Aside | None = None
     result: Outcome | EquipoiseError
     try:
@@ -262,7 +350,8 @@ def _loop(request: Request, memory: Any, joints: int, pipe: Any) -> None:
         result = type(error)(str(error))
     except Exception as error:  # the parent shall say it in one sentence
         result = OutsideError(f"the run failed ({type(error).__name__}: {error}); please report it")
-    pipe.send(result)
+    with suppress(OSError):  # nobody is there to take it
+        pipe.send(result)
     if aside is not None:
         aside.close()
 
@@ -271,8 +360,8 @@ def _write(
     memory: Any, joints: int, out: Path, conditions: dict[str, Any], done: Any, told: Any
 ) -> None:
     """Be the writer's process."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
+    _be_deaf()
+    parent = os.getppid()
     recorder = Recorder(joints, memoryview(memory).cast("B"))
     try:
         writer = RunWriter(out, joints, conditions, time.monotonic())
@@ -281,15 +370,19 @@ def _write(
         return
     told.send(None)
     said = False
+    until = float("inf")
     ended: Callable[[], bool] = done.is_set
     while True:
-        last = ended()
+        last = ended() or time.monotonic() > until
         writer.drain(recorder)
         if writer.problem is not None and not said:
-            told.send(writer.problem)
+            with suppress(OSError):
+                told.send(writer.problem)
             said = True
         if last:
             break
+        if os.getppid() != parent:  # the loop brings the arm to rest now
+            until = min(until, time.monotonic() + FAREWELL)
         time.sleep(WRITE)
-    outcome = told.recv() if told.poll() else {}
+    outcome = _received(told) or {}
     writer.finish(time.monotonic(), {**outcome, "lost_rows": recorder.lost})

@@ -153,10 +153,33 @@ class Outcome(NamedTuple):
     """The same of the time from reading to sending [s]."""
 
 
+class Hearing:
+    """An operator whose words can be taken one at a time; what is left over is heard later."""
+
+    def __init__(self, operator: Operator) -> None:
+        """Listen to an operator."""
+        self._operator = operator
+        self._heard: list[str] = []
+
+    def tell(self, event: Any) -> None:
+        """Tell the operator."""
+        self._operator.tell(event)
+
+    def words(self) -> list[str]:
+        """Return all that was typed and not taken yet."""
+        heard, self._heard = self._heard, []
+        return [*heard, *self._operator.words()]
+
+    def word(self) -> str | None:
+        """Take the oldest word; none where nothing was typed."""
+        self._heard = self.words()
+        return self._heard.pop(0) if self._heard else None
+
+
 class Told:
     """Tells the operator, and the log."""
 
-    def __init__(self, operator: Operator, recorder: Recorder, clock: Clock) -> None:
+    def __init__(self, operator: Hearing, recorder: Recorder, clock: Clock) -> None:
         """Stand between both."""
         self._operator, self._recorder, self._clock = operator, recorder, clock
 
@@ -169,11 +192,10 @@ class Told:
     def ask(self, event: Event) -> str:
         """Tell, and wait for a word."""
         self(event)
-        while True:
-            for word in self._operator.words():
-                push_event(self._recorder.event, self._clock.now(), WORD_TYPED, (), word)
-                return word.strip().lower()
+        while (word := self._operator.word()) is None:
             self._clock.wait_until(self._clock.now() + POLL)
+        push_event(self._recorder.event, self._clock.now(), WORD_TYPED, (), word)
+        return word.strip().lower()
 
 
 def run_on_rig(
@@ -203,8 +225,8 @@ def run_on_rig(
         InputError: The policy does not fit the rig.
         OutsideError: The rig does not answer as it should.
     """
-    waiting = Attended(rig.clock, rig.sensor)
-    tell = Told(operator, recorder, waiting)
+    waiting, hearing = Attended(rig.clock, rig.sensor), Hearing(operator)
+    tell = Told(hearing, recorder, waiting)
     period = request.policy.h / 2.0
     robot = GuardedRobot(rig.robot, request.guard(request.settings.counts_per_rev).limits, period)
     try:
@@ -225,7 +247,7 @@ def run_on_rig(
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
         if tell.ask(Event("move", question, ("y", "n"))) != "y":
             return _unmoved(OPERATOR, "the move was not allowed; nothing has moved")
-        return _run(request, rig, robot, operator, recorder, workshop, idle, around)
+        return _run(request, rig, robot, hearing, recorder, workshop, idle, around)
     finally:
         robot.close()
         rig.sensor.close()

@@ -139,7 +139,7 @@ class GuardedRobot:
         if self._ramp is None:
             self._begin_ramp()
         while not self.at_rest:
-            yield self._last
+            yield self._upcoming
 
     def _begin_ramp(self) -> None:
         last = self._last
@@ -149,8 +149,12 @@ class GuardedRobot:
         # How fast the flange goes is not known here: the joints alone decide.
         self._ramp, self._sent = ramp(last, dq, 0.0, self._limits), 0
 
-    def _next(self) -> tuple[float, ...]:
+    @property
+    def _upcoming(self) -> tuple[float, ...]:
         assert self._ramp is not None  # noqa: S101 - its only callers have begun it
+        return self._ramp.at((self._sent + 1) * self._period)
+
+    def _next(self) -> tuple[float, ...]:
+        self._before, self._last = self._last or (), self._upcoming
         self._sent += 1
-        self._before, self._last = self._last or (), self._ramp.at(self._sent * self._period)
         return self._last

@@ -12,6 +12,7 @@ and returns.
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from time import perf_counter
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -22,7 +23,7 @@ from equipoise.control.ticks import Event, Heart, Inputs, Job, Output
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import AngleSensor, Clock, Reply, Sample
 from equipoise.devices.operator import Operator
-from equipoise.errors import EquipoiseError, LinkError
+from equipoise.errors import LinkError
 from equipoise.runwriter import FAILED, PULSE, WORD_TYPED, Recorder, push_event
 
 Array = npt.NDArray[np.float64]
@@ -121,26 +122,26 @@ def run_loop(
     workshop = AtOnce() if workshop is None else workshop
     ticks = missed = 0
     faults: list[str] = []
-    sensor_lost = False
+    sensor_lost = refused = False
     deadline = clock.now() + h
     fault: str | None = None
     stoppable = True
-    while True:
-        clock.wait_until(deadline)
-        now, begin = clock.now(), perf_counter()
-        lateness = now - deadline
-        left_out = int(lateness / h)  # whole ticks that have passed already
-        if left_out > 0:
-            deadline += left_out * h
-            missed += left_out
-        samples: list[Sample] = []
-        if not sensor_lost:
-            try:
-                samples = sensor.samples()
-            except LinkError as error:
-                sensor_lost = True
-                faults.append(str(error))
-        try:
+    try:
+        while True:
+            clock.wait_until(deadline)
+            now, begin = clock.now(), perf_counter()
+            lateness = now - deadline
+            left_out = int(lateness / h)  # whole ticks that have passed already
+            if left_out > 0:
+                deadline += left_out * h
+                missed += left_out
+            samples: list[Sample] = []
+            if not sensor_lost:
+                try:
+                    samples = sensor.samples()
+                except LinkError as error:
+                    sensor_lost = True
+                    faults.append(str(error))
             replies = robot.replies()
             words = operator.words()
             output = heart.tick(
@@ -149,48 +150,41 @@ def run_loop(
             failed, faults = faults, []
             first, *rest = output.setpoints
             robot.send(first)
-        except LinkError as error:
-            fault, stoppable = str(error), False
-            break
-        except Exception as error:  # whatever it is, the arm is to come to rest
-            fault = f"the controller failed ({type(error).__name__}: {error})"
-            break
-        sent, took = clock.now(), perf_counter() - begin
-        if ticks < room:
-            late[ticks], compute[ticks] = lateness, took
-        ticks += 1
-        _record(recorder, now, lateness, sent, took, samples, replies, output, robot.last)
-        for name, said in ((WORD_TYPED, words), (FAILED, failed)):
-            for text in said:
-                push_event(recorder.event, now, name, (), text)
-        for event in output.events:
-            _tell(recorder, operator, now, event)
-        try:
+            sent, took = clock.now(), perf_counter() - begin
+            if ticks < room:
+                late[ticks], compute[ticks] = lateness, took
+            ticks += 1
+            _record(recorder, now, lateness, sent, took, samples, replies, output, robot.last)
+            for name, said in ((WORD_TYPED, words), (FAILED, failed)):
+                for text in said:
+                    push_event(recorder.event, now, name, (), text)
+            for event in output.events:
+                _tell(recorder, operator, now, event)
             for place, setpoint in enumerate(rest, start=1):
                 clock.wait_until(deadline + place * h / len(output.setpoints))
                 moment = clock.now()
                 robot.send(setpoint, torque=output.torque)
                 recorder.stream.push(moment, int(output.torque), robot.last)
-        except LinkError as error:
-            fault, stoppable = str(error), False
-            break
-        if output.job is not None:
-            workshop.begin(output.job)
-        if robot.held_back is not None:
-            faults.append(robot.held_back)
-        if output.done:
-            break
-        idle()
-        deadline += h
+            if output.job is not None:
+                workshop.begin(output.job)
+            if robot.held_back is not None and not refused:
+                refused = True
+                faults.append(robot.held_back)
+            if output.done:
+                break
+            idle()
+            deadline += h
+    except LinkError as error:
+        # Where the guard has refused the first setpoint, none was sent and the arm stands.
+        fault, stoppable = str(error), robot.held_back is not None and robot.last is None
+    except Exception as error:  # whatever it is, the arm is to come to rest
+        fault = f"the controller failed ({type(error).__name__}: {error})"
     if fault is not None:
-        told = Event("fault", fault if stoppable else f"{fault}; {CANNOT_STOP}")
-        _tell(recorder, operator, clock.now(), told)
-        if stoppable:
-            stoppable = _rest(robot, clock, recorder, h / 2.0)
-            if not stoppable:
-                _tell(recorder, operator, clock.now(), Event("fault", CANNOT_STOP))
-    elif not robot.at_rest:
+        _tell_surely(recorder, operator, clock, fault if stoppable else f"{fault}; {CANNOT_STOP}")
+    if stoppable and (fault is not None or not robot.at_rest):
         stoppable = _rest(robot, clock, recorder, h / 2.0)
+        if not stoppable:
+            _tell_surely(recorder, operator, clock, CANNOT_STOP)
     recorder.pulse[_TICKS] = 0.0  # nobody need wait for another
     idle()
     timing = Timing(late[: min(ticks, room)], compute[: min(ticks, room)], missed)
@@ -211,11 +205,19 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
             moment += period
             clock.wait_until(moment)
             robot.replies()
+            now = clock.now()
             robot.send(setpoint)
-            recorder.stream.push(moment, 0, setpoint)
-    except EquipoiseError:
+            recorder.stream.push(now, 0, robot.last)
+            recorder.pulse[_TIME] = now  # the loop still commands the arm
+    except Exception:  # of a link that is gone, or of what has failed already
         return False
     return True
+
+
+def _tell_surely(recorder: Recorder, operator: Operator, clock: Clock, text: str) -> None:
+    """Tell of a fault; where that fails too, the arm is still to come to rest."""
+    with suppress(Exception):
+        _tell(recorder, operator, clock.now(), Event("fault", text))
 
 
 def _tell(recorder: Recorder, operator: Operator, now: float, event: Event) -> None:
@@ -223,7 +225,7 @@ def _tell(recorder: Recorder, operator: Operator, now: float, event: Event) -> N
     operator.tell(event)
 
 
-_STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("state", "phi", "ticks"))
+_TIME, _STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("time", "state", "phi", "ticks"))
 
 
 def _record(
@@ -267,5 +269,5 @@ def _record(
     )
     recorder.stream.push(sent, 0, went)  # not what the heart wanted: the guard may hold it back
     pulse = recorder.pulse
-    pulse[0], pulse[_STATE], pulse[_PHI] = now, output.state, seen.estimated_phi
+    pulse[_TIME], pulse[_STATE], pulse[_PHI] = now, output.state, seen.estimated_phi
     pulse[_TICKS] += 1.0
