@@ -274,7 +274,7 @@ ENCODER: Final = (
         "malformed lines",
         "encoder",
         "one of fifty lines is damaged, while balancing",
-        "none is believed; a stop at the first gap",
+        "none is believed; a stop at the third gap",
         _ends(Rule.ENCODER_GAP),
         _damage_lines,
         within=0.5,
@@ -637,7 +637,6 @@ ROBOT: Final = (
         _ends("fault", "link lost"),
         _setpoint(lambda q, since: tuple(angle + 0.02 for angle in q)),
         AT_START,
-        stoppable=False,
         says="nothing was sent",
     ),
     Fault(
