@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from equipoise import rigs
 from equipoise.control.policy import shipped_policy
 from equipoise.deployment.preflight import check_room
 from equipoise.deployment.rig import Request
+from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import EquipoiseError, InputError, SettingsError
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.rigs import RigSettings, check_addresses, read_rig
+from equipoise.rigs import RigSettings, check_addresses, read_rig, robot_at
 
 
 def written(tmp_path, text):
@@ -71,6 +73,12 @@ def test_a_rig_that_is_not_there_is_refused(tmp_path):
     [
         ("kst://", "serial:///dev/ttyACM0"),
         ("kst://host:70000", "serial:///dev/ttyACM0"),
+        ("kst://host:0", "serial:///dev/ttyACM0"),
+        ("kst://host:port", "serial:///dev/ttyACM0"),
+        ("kst://host?port=3", "serial:///dev/ttyACM0"),
+        ("kst://[::1", "serial:///dev/ttyACM0"),
+        ("kst://host", "serial://"),
+        ("kst://host", "socket://host"),
         ("http://host", "serial:///dev/ttyACM0"),
         ("kst://host", None),
         ("kst://host", "/dev/ttyACM0"),
@@ -84,10 +92,26 @@ def test_an_address_that_is_none_is_refused(robot, encoder):
     assert isinstance(refused.value, EquipoiseError)
 
 
-def test_addresses_of_a_robot():
-    assert check_addresses("kst://172.31.1.147", "serial:///dev/ttyACM0") == ("172.31.1.147", 30001)
-    assert check_addresses("kst://localhost:3", "socket://localhost:4") == ("localhost", 3)
-    assert check_addresses("twin:nominal", None) == ("", 0)
+@pytest.mark.parametrize(
+    ("robot", "where"),
+    [
+        ("kst://172.31.1.147", ("172.31.1.147", 30001)),
+        ("kst://localhost:3", ("localhost", 3)),
+        ("kst://[::1]:30002/", ("::1", 30002)),
+    ],
+)
+def test_addresses_of_a_robot(robot, where, monkeypatch):
+    check_addresses(robot, "socket://localhost:4")
+    dialled = []
+    monkeypatch.setattr(rigs, "dial", lambda *to: dialled.append(to))
+    robot_at(robot, VirtualClock())
+    assert dialled == [where]
+
+
+def test_a_twin_has_an_encoder_of_its_own():
+    check_addresses("twin:nominal", None)
+    with pytest.raises(SettingsError, match="there is no world"):
+        check_addresses("twin:nowhere", None)
 
 
 def test_what_a_rig_says_of_its_limits_becomes_its_rules(tmp_path):

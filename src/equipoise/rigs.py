@@ -30,7 +30,7 @@ from equipoise.control.safety import POSITION_MARGIN, TORQUE_SHARE
 from equipoise.devices.clocks import SystemClock, VirtualClock
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.sensor import LineEncoder
-from equipoise.devices.encoder.serial_port import FORMS, open_serial
+from equipoise.devices.encoder.serial_port import check_serial, open_serial
 from equipoise.devices.interfaces import AngleSensor, Clock, Robot
 from equipoise.devices.kuka.cabinet import KstServer
 from equipoise.devices.kuka.codec import PORT
@@ -131,8 +131,9 @@ def read_rig(path: Path | None) -> RigSettings:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         known = ", ".join(RigSettings.model_fields)
-        hint = f"; known: {known}" if first["type"] == "extra_forbidden" else ""
-        raise SettingsError(f"the rig {path}: {where}: {first['msg']}{hint}") from None
+        unknown = first["type"] == "extra_forbidden"
+        what = f"there is no such setting; known: {known}" if unknown else first["msg"]
+        raise SettingsError(f"the rig {path}: {where}: {what}") from None
     try:
         _ = rig.described_arm
     except ArmError as error:
@@ -193,39 +194,38 @@ def is_virtual(robot: str) -> bool:
 ALONE: Final = "a robot alone does not balance; give --encoder serial:///dev/ttyACM0"
 
 
-def check_addresses(robot: str, encoder: str | None) -> tuple[str, int]:
-    """Return host and port of a robot (none of a twin), if the addresses are some.
+def check_addresses(robot: str, encoder: str | None) -> None:
+    """Check that two addresses are those of a rig; nothing is opened.
 
     Raises:
         InputError: They are not.
+        SettingsError: There is no such twin.
     """
     if is_virtual(robot):
         if encoder is not None:
             raise InputError(f"{robot} has an encoder of its own; leave --encoder out")
-        return "", 0
-    where = _host_and_port(robot)
+        read_world(robot)
+        return
+    _host_and_port(robot)
     if encoder is None:
         raise InputError(ALONE)
-    _check_encoder(encoder)
-    return where
+    check_serial(encoder)
 
 
 def _host_and_port(robot: str) -> tuple[str, int]:
-    parts = urlsplit(robot)
     try:
-        port = parts.port or PORT
-    except ValueError:
-        raise InputError(f"{robot!r} has a port that is none; expected 1 to 65535") from None
-    if parts.scheme != "kst" or not parts.hostname or parts.path.strip("/"):
+        parts = urlsplit(robot)
+    except ValueError:  # a bracket is open
+        parts = urlsplit("")
+    if parts.scheme != "kst" or not parts.hostname or parts.path.strip("/") or parts.query:
         raise InputError(
             f"{robot!r} is no address of a robot; expected kst://HOST:{PORT} or twin:nominal"
         )
-    return parts.hostname, port
-
-
-def _check_encoder(encoder: str) -> None:
-    if urlsplit(encoder).scheme not in ("serial", "socket"):
-        raise InputError(f"{encoder!r} is no address of an encoder; expected {FORMS}")
+    with suppress(ValueError):  # it is no number, or a large one
+        port = PORT if parts.port is None else parts.port
+        if port > 0:
+            return parts.hostname, port
+    raise InputError(f"{robot!r} has a port that is none; expected 1 to 65535")
 
 
 def connect(
@@ -295,7 +295,7 @@ def encoder_at(
     Raises:
         InputError: It is no such address.
     """
-    _check_encoder(encoder)
+    check_serial(encoder)
     return LineEncoder(
         partial(open_serial, encoder),
         clock,

@@ -14,7 +14,7 @@ from equipoise.devices.clocks import SystemClock
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.codec import REQUEST, Banner, Decoder
 from equipoise.devices.encoder.sensor import LineEncoder
-from equipoise.devices.encoder.serial_port import BAUD, open_serial
+from equipoise.devices.encoder.serial_port import BAUD, check_serial, open_serial
 from equipoise.devices.encoder.terminal import Terminal
 from equipoise.errors import InputError, LinkError, OutsideError
 
@@ -149,11 +149,25 @@ def test_each_refusal_has_its_cure(monkeypatch, number, cure):
         "serial:///dev/ttyACM0?baud=fast",
         "serial:///dev/ttyACM0?baud=0",
         "serial:///dev/ttyACM0?speed=9600",
+        "socket://host",
+        "socket://host:0",
+        "socket://host:99999",
+        "socket://:3000",
+        "socket://host:3000/path",
+        "socket://[::1",
     ],
 )
 def test_what_is_no_address_is_refused(uri):
-    with pytest.raises(InputError, match=r"no address of a serial port|options that are unknown"):
-        open_serial(uri)
+    for use in (check_serial, open_serial):
+        with pytest.raises(
+            InputError, match=r"no address of a serial port|options that are unknown"
+        ):
+            use(uri)
+
+
+@pytest.mark.parametrize("uri", ["serial:///dev/nowhere", "serial://COM3", "socket://nowhere:1"])
+def test_an_address_is_checked_without_opening_it(uri):
+    check_serial(uri)
 
 
 def test_the_speed_can_be_chosen(served):

@@ -70,6 +70,15 @@ class SerialTransport:
         return LinkError(f"{self._name} is gone ({error}); check its cable, then connect again")
 
 
+def check_serial(uri: str) -> None:
+    """Check that an address is one of a serial port; nothing is opened.
+
+    Raises:
+        InputError: It is not.
+    """
+    _device(uri)
+
+
 def open_serial(uri: str) -> SerialTransport:
     """Open a serial port for ourselves alone.
 
@@ -81,13 +90,24 @@ def open_serial(uri: str) -> SerialTransport:
         InputError: The address is none of these.
         LinkError: The port cannot be opened; the message says why, and what helps.
     """
-    parts = urlsplit(uri)
-    if parts.scheme == "socket":
+    device = _device(uri)
+    if device is None:
         return SerialTransport(_open_socket(uri), uri)
+    return SerialTransport(_open_device(*device), device[0])
+
+
+def _device(uri: str) -> tuple[str, int] | None:
+    """Return name and speed of the device at an address; none where it is on the network."""
+    try:
+        parts = urlsplit(uri)
+        if parts.scheme == "socket" and parts.hostname and parts.port and parts.path in ("", "/"):
+            return None
+    except ValueError:  # the port is no number, or a bracket is open
+        parts = urlsplit("")
     name = parts.path if not parts.netloc else parts.netloc
     if parts.scheme != "serial" or not name or (parts.netloc and parts.path.strip("/")):
         raise InputError(f"{uri!r} is no address of a serial port; expected {FORMS}")
-    return SerialTransport(_open_device(name, _baud(uri, parts.query)), name)
+    return name, _baud(uri, parts.query)
 
 
 def _baud(uri: str, query: str) -> int:
