@@ -21,6 +21,9 @@ STYLES: Final = {
     "balancing": "bold green",
     "notice": "yellow",
 }
+BUTTON: Final = "ok"
+"""Among the answers, where the pendulum's button may be pressed instead of typing."""
+DENIED: Final = "n"
 VERDICTS: Final = {"good": "green", "warning": "yellow", "refused": "bold red"}
 
 
@@ -33,7 +36,7 @@ class Console:
         self._answers: tuple[str, ...] = ()
         self._typed = ""
         self._live = False
-        self._ended = False
+        self._ended = sys.stdin is None or sys.stdin.closed
 
     def tell(self, event: Any) -> None:
         """Print an event."""
@@ -49,9 +52,15 @@ class Console:
         self._output.tell(Text(text, style=STYLES.get(event.name, "bold" if self._answers else "")))
 
     def words(self) -> list[str]:
-        """Return what was typed: lines where an answer is asked for, else any key at once."""
+        """Return what was typed: lines where an answer is asked for, else any key at once.
+
+        Where nothing can be typed any more, what is asked for is denied at once; but not a press of
+        the pendulum's button, which needs no keyboard.
+        """
         if self._ended:
-            return []
+            denied = bool(self._answers) and BUTTON not in self._answers
+            self._answers = () if denied else self._answers
+            return [DENIED] if denied else []
         came = ""
         while select.select([sys.stdin], [], [], 0.0)[0]:
             data = os.read(sys.stdin.fileno(), 1024)
@@ -96,7 +105,7 @@ class Console:
 @contextmanager
 def single_keys() -> Generator[None]:
     """Let each key be heard at once, where there is a terminal; as before afterwards."""
-    if not sys.stdin.isatty():
+    if sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
         yield
         return
     import termios
