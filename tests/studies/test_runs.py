@@ -1,6 +1,7 @@
 """Logs of either format are read as one, and exported."""
 
 import csv
+import dataclasses
 
 import numpy as np
 import pytest
@@ -134,3 +135,11 @@ def test_verify_knows_the_log_of_a_rig(rig_log, broken_off):
     assert "1.5 s of 1.5 s balanced by the iiwa7 at kst://emulated" in found.content
     assert found.content.endswith("ended: lasted")
     assert "the log breaks off" in verify(broken_off).content
+
+
+@pytest.mark.parametrize("end", [{}, {"lost_rows": 0}, {"fault": "no device", "lost_rows": 0}])
+def test_a_run_that_ended_with_an_error_says_so(rig_log, end):
+    whole = read_rig_run(rig_log)
+    how = ending(dataclasses.replace(whole, end=end))
+    assert (how.cause, how.whole) == ("error", True)
+    assert how.reason == end.get("fault", "an error ended the run; deploy has said which")

@@ -111,10 +111,11 @@ def ending(run: RigRun) -> Ending:
     before = [phase for phase in course if phase is not Phase.STOPPING]
     phase = before[-1] if before else None
     told = [event.text for event in run.events if event.name in (STOPPING, "fault")]
-    if run.end == {}:
-        return Ending("error", "an error ended the run; deploy has said which", phase, True)
-    if run.end is not None:
+    if run.end is not None and "cause" in run.end:
         return Ending(str(run.end["cause"]), str(run.end["reason"]), phase, True)
+    if run.end is not None:
+        fault = run.end.get("fault", "an error ended the run; deploy has said which")
+        return Ending("error", str(fault), phase, True)
     return Ending(BROKEN_OFF, told[-1] if told else "", phase, False)
 
 
