@@ -26,18 +26,67 @@ def test_a_dry_run_ends_before_the_arm_moves(equipoise):
     assert "Moving to home" not in ran.out
 
 
-def test_what_does_not_go_together_is_refused(refused, tmp_path):
-    refused("deploy", "--dry-run", saying="give --robot")
-    refused("deploy", "--t1", saying="give --robot")
-    refused("deploy", "--robot", "kst://host", saying="give --encoder")
-    refused("deploy", "--robot", "host", saying="is no address of a robot")
-    refused("deploy", "--robot", "twin:nominal", "--excite", saying="do not go with --robot")
-    refused("deploy", "--robot", "twin:nominal", "--rig", "none.toml", saying="cannot read")
+KST, BOARD = "kst://127.0.0.1:9", "serial:///dev/nowhere"
+REFUSED = {
+    "a dry run without a rig": (("--dry-run",), "give --robot"),
+    "T1 without a rig": (("--t1",), "give --robot"),
+    "an encoder without a rig": (("--encoder", BOARD), "give --robot"),
+    "no encoder": (("--robot", KST), "give --encoder"),
+    "no scheme": (("--robot", "host"), "is no address of a robot"),
+    "another robot": (("--robot", "ros://host", "--encoder", BOARD), "expected kst://HOST:30001"),
+    "the model": (("--robot", "model:"), "is no address of a robot"),
+    "port 0": (("--robot", "kst://host:0", "--encoder", BOARD), "expected 1 to 65535"),
+    "no port": (("--robot", "kst://host:x", "--encoder", BOARD), "expected 1 to 65535"),
+    "another encoder": (("--robot", KST, "--encoder", "usb:///x"), "expected serial:///dev"),
+    "a socket without a port": (("--robot", KST, "--encoder", "socket://h"), "expected serial://"),
+    "no such twin": (("--robot", "twin:nowhere"), "there is no world 'twin:nowhere'"),
+    "two encoders": (("--robot", "twin:nominal", "--encoder", BOARD), "leave --encoder out"),
+    "two worlds": (("--robot", "twin:nominal", "--world", "twin:harsh"), "do not go with"),
+    "an excitation": (("--robot", "twin:nominal", "--excite"), "do not go with --robot"),
+    "a film": (("--robot", "twin:nominal", "--video", "x.mp4"), "equipoise export run.mcap"),
+    "no rig": (("--robot", "twin:nominal", "--rig", "none.toml"), "cannot read the rig none.toml"),
+    "a rig without a robot": (("--rig", "rig.toml"), "give --robot"),
+    "an unknown key": (("--robot", "twin:nominal", "--rig", "unknown.toml"), "no such setting"),
+    "no TOML": (("--robot", "twin:nominal", "--rig", "binary.toml"), "is not valid TOML"),
+    "no policy": (("nowhere.json", "--robot", "twin:nominal"), "there is no file nowhere.json"),
+    "a rig as a policy": (("rig.toml", "--robot", "twin:nominal"), "is not a file of Equipoise"),
+    "an ideal arm": (("--robot", KST, "--encoder", BOARD, "--actuator", "ideal"), "ideal, trained"),
+    "another arm": (("--robot", KST, "--encoder", BOARD, "--rig", "rig14.toml"), "has iiwa14"),
+    "another log": (("--robot", "twin:nominal", "--out", "run.csv"), "ends in .mcap"),
+    "a log in a file": (("--robot", "twin:nominal", "--out", "rig.toml/x.mcap"), "is a file"),
+    "no duration": (("--robot", "twin:nominal", "--duration", "nan"), "from 0.01 to 3600"),
+}
+
+
+@pytest.mark.parametrize("flaw", REFUSED)
+def test_what_cannot_be_meant_is_refused_before_anything_is_opened(refused, tmp_path, flaw):
     (tmp_path / "rig.toml").write_text("arm = 'iiwa7'\n")
-    refused("deploy", "--rig", "rig.toml", saying="give --robot")
+    (tmp_path / "rig14.toml").write_text("arm = 'iiwa14'\n")
+    (tmp_path / "unknown.toml").write_text("arms = 'iiwa7'\n")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    options, saying = REFUSED[flaw]
+    refused("deploy", *options, saying=saying)
 
 
-def test_a_policy_for_another_arm_is_refused(equipoise, policy_file):
-    ran = equipoise("deploy", policy_file, "--robot", "twin:nominal")
-    assert ran.code == 2
-    assert "trained on iiwa14, the rig has iiwa7" in ran.err
+def test_an_encoder_that_is_not_there_is_told_in_one_sentence(equipoise, tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.stdin", None)
+    (tmp_path / "run.mcap").write_bytes(b"the log of an earlier run")
+    ran = equipoise("deploy", "--robot", KST, "--encoder", BOARD)
+    assert ran.code == 3
+    assert ran.err.startswith("error: there is no device /dev/nowhere; plug the board in")
+    assert len(ran.err.splitlines()) == 1, ran
+    assert "wrote run-2.mcap" in ran.out
+    assert (tmp_path / "run.mcap").read_bytes() == b"the log of an earlier run"
+    assert "no device" in read_rig_run(tmp_path / "run-2.mcap").end["fault"]
+    # The log says so as well, to whoever asks it.
+    explained = equipoise("explain", "run-2.mcap")
+    assert explained.code == 0, explained
+    assert "there is no device /dev/nowhere" in explained.out
+    for verb in ("verify", "replay", "export"):
+        ran = equipoise(verb, "run-2.mcap")
+        assert ran.code in (0, 2), ran
+        assert "Traceback" not in ran.err
+
+
+def test_a_policy_for_another_arm_is_refused(refused, policy_file):
+    refused("deploy", policy_file, "--robot", "twin:nominal", saying="on iiwa14, the rig has iiwa7")

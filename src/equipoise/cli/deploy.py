@@ -1,10 +1,12 @@
 """`equipoise deploy`: a policy runs once, or an arm is moved to see how it follows."""
 
+import os
 import shlex
 import signal
 import threading
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from itertools import chain, count
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -24,7 +26,7 @@ from equipoise.cli.options import (
     read_policy,
 )
 from equipoise.cli.output import Output, verb
-from equipoise.errors import InputError
+from equipoise.errors import EquipoiseError, InputError
 
 if TYPE_CHECKING:
     from equipoise.cli.console import Console
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
 NOT_BALANCED = 1
 EXCITED = "To see how the arm follows"
 ON_A_RIG = "On a rig"
+LOG = Path("run.mcap")
+"""The log, if nothing else is said."""
 DURATION = 60.0
 """How long a run on a rig lasts, if nothing else is said [s]."""
 
@@ -41,12 +45,13 @@ DURATION = 60.0
 def deploy(
     policy: PolicyFile = None,
     world: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="WORLD",
-            help="twin:nominal, twin:harsh, twin:FILE; or model, the plant of the training.",
+            help="twin:nominal (the default), twin:harsh, twin:FILE; or model, the plant of the "
+            "training.",
         ),
-    ] = "twin:nominal",
+    ] = None,
     duration: Annotated[
         float | None,
         typer.Option(metavar="SECONDS", help="Length of the run; 60, or 10 with --excite."),
@@ -104,9 +109,13 @@ def deploy(
         ),
     ] = None,
     out: Annotated[
-        Path,
-        typer.Option(metavar="FILE", help="The run log, MCAP.", rich_help_panel=IN_AND_OUT),
-    ] = Path("run.mcap"),
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="The run log, MCAP; run.mcap, and on a rig run-2.mcap where there is one.",
+            rich_help_panel=IN_AND_OUT,
+        ),
+    ] = None,
     video: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Film of the run, MP4.", rich_help_panel=IN_AND_OUT),
@@ -129,8 +138,9 @@ def deploy(
     if robot is None and rig is not None:
         robot = _robot_of(rig)
     if robot is not None:
-        if excite or arm is not None or pendulum is not None:
-            raise InputError("--excite, --arm and --pendulum do not go with --robot")
+        if excite or arm is not None or pendulum is not None or world is not None:
+            raise InputError("--excite, --arm, --pendulum and --world do not go with --robot")
+        out = _free(LOG) if out is None else out
         if video is not None:
             raise InputError(
                 "--video does not go with --robot; film the log afterwards: "
@@ -145,6 +155,8 @@ def deploy(
         return
     if encoder is not None or dry_run or t1:
         raise InputError("--encoder, --dry-run and --t1 belong to a rig; give --robot")
+    out = LOG if out is None else out
+    world = "twin:nominal" if world is None else world
     what = "Exciting the arm" if excite else f"Running {policy or 'the policy that ships'}"
     output.say(f"{what}, world {world}")
     check_output(out, policy, pendulum, suffix=".mcap")
@@ -244,6 +256,12 @@ def _say(output: Output, run: "RunLog") -> None:
     output.rows(rows)
 
 
+def _free(path: Path) -> Path:
+    """Return a name beside that of a log which no earlier log has: those of a rig are kept."""
+    names = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
+    return next(name for name in chain((path,), names) if not os.path.lexists(name))
+
+
 def _robot_of(rig: Path) -> str:
     from equipoise.rigs import read_rig
 
@@ -269,7 +287,13 @@ def _on_a_rig(
     """Run on a rig, and return the exit code."""
     from equipoise.cli.console import Console, single_keys
     from equipoise.deployment.processes import run_for_real
-    from equipoise.deployment.rig import Request, exit_code, rehearse_t1, run_virtually
+    from equipoise.deployment.rig import (
+        Request,
+        check_request,
+        exit_code,
+        rehearse_t1,
+        run_virtually,
+    )
     from equipoise.rigs import check_addresses, is_virtual, read_rig
 
     settings = read_rig(rig)
@@ -288,17 +312,23 @@ def _on_a_rig(
         dry_run=dry_run,
         seed=seed,
     )
+    check_request(request)
     output.say(f"Running {policy or 'the policy that ships'} on {robot}")
     if t1:
         with output.busy("trying the policy in T1 on the twin"):
             rehearse_t1(request)
     console = Console(output)
-    if is_virtual(robot):
-        with stop_by_signal() as listener:
-            outcome = run_virtually(request, out, Listening(console, listener))
-    else:
-        with single_keys():
-            outcome = run_for_real(request, out, console)
+    try:
+        if is_virtual(robot):
+            with stop_by_signal() as listener:
+                outcome = run_virtually(request, out, Listening(console, listener))
+        else:
+            with single_keys():
+                outcome = run_for_real(request, out, console)
+    except EquipoiseError:
+        if out.exists():
+            output.wrote(out)
+        raise
     told = {"ended": f"{outcome.cause}: {outcome.reason}", "balanced": f"{outcome.lasted:.2f} s"}
     for name, times in (("ticks late", outcome.late), ("compute time", outcome.compute)):
         if times:
@@ -307,6 +337,7 @@ def _on_a_rig(
         told["missed ticks"] = str(outcome.missed)
     output.rows(told)
     output.wrote(out)
+    output.next("explain", out)
     code = exit_code(outcome)
     output.result({"run": str(out), "robot": robot, **outcome._asdict()})
     return code

@@ -159,17 +159,6 @@ def check_robot(robot: Robot, clock: Clock, rig: RigSettings) -> Iterator[Findin
         yield Finding("posture", "refused", found, cure, outside=True)
     else:
         yield Finding("posture", "good", found, "")
-    homes = [
-        min(angle - joint.lower, joint.upper - angle)
-        for joint, angle in zip(arm.joints, arm.home, strict=True)
-    ]
-    if degrees(min(homes)) < margin + 5.0:
-        yield Finding(
-            "home",
-            "refused",
-            f"{degrees(min(homes)):.1f} deg from a joint's limit",
-            f"choose a home that is {margin + 5.0:g} deg or more inside all limits",
-        )
 
 
 def check_encoder(sensor: AngleSensor, clock: Clock) -> Iterator[Finding]:
@@ -220,6 +209,22 @@ def line_verdict(lost: int, count: int) -> Verdict:
     return "warning" if lost > LOST * count else "good"
 
 
+def check_home(rig: RigSettings) -> Iterator[Finding]:
+    """Say so where a joint has hardly any room at home."""
+    arm, margin = rig.described_arm, rig.position_margin_deg
+    homes = [
+        min(angle - joint.lower, joint.upper - angle)
+        for joint, angle in zip(arm.joints, arm.home, strict=True)
+    ]
+    if degrees(min(homes)) < margin + 5.0:
+        yield Finding(
+            "home",
+            "refused",
+            f"{degrees(min(homes)):.1f} deg from a joint's limit",
+            f"choose a home that is {margin + 5.0:g} deg or more inside all limits",
+        )
+
+
 def check_room(policy: TabularPolicy, rig: RigSettings) -> Iterator[Finding]:
     """Say whether the hanging pendulum has room, taken as a uniform rod."""
     if rig.table_height_mm is None:
@@ -260,6 +265,7 @@ def preflight(
     """
     return [
         *check_fit(policy, actuator, settings, rig.sensor.counts_per_rev),
+        *check_home(settings),
         *check_room(policy, settings),
         *check_robot(rig.robot, Attended(rig.clock, rig.sensor), settings),
         *check_encoder(rig.sensor, rig.clock),

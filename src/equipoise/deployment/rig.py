@@ -17,13 +17,19 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.control.safety import Guard, Rule, make_guard
 from equipoise.control.states import Cause
 from equipoise.control.ticks import Event, Heart
-from equipoise.deployment.preflight import Finding, preflight
+from equipoise.deployment.preflight import (
+    Finding,
+    check_fit,
+    check_home,
+    check_room,
+    preflight,
+)
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Clock
 from equipoise.devices.loop import Ending, Workshop, run_loop
 from equipoise.devices.operator import Operator
 from equipoise.devices.realtime import Measure
-from equipoise.errors import InputError, LinkError, OutsideError
+from equipoise.errors import EquipoiseError, InputError, LinkError, OutsideError
 from equipoise.model.actuator import Actuator
 from equipoise.rigs import Attended, Rig, RigSettings, connect
 from equipoise.runwriter import WORD_TYPED, Recorder, RunWriter, push_event
@@ -253,6 +259,22 @@ def run_on_rig(
         rig.sensor.close()
 
 
+def check_request(request: Request) -> None:
+    """Refuse what needs no rig to be told: the pre-flight tells the rest.
+
+    Raises:
+        InputError: Policy, actuator and `rig.toml` do not fit each other.
+    """
+    policy, settings = request.policy, request.settings
+    refuse(
+        [
+            *check_fit(policy, request.actuator, settings, settings.counts_per_rev),
+            *check_home(settings),
+            *check_room(policy, settings),
+        ]
+    )
+
+
 def refuse(findings: Sequence[Finding]) -> None:
     """Raise what forbids a run.
 
@@ -377,14 +399,18 @@ def run_rig_virtually(
                 recorder.forget()
 
     there = [one for one in (rig.operator, operator) if one is not None]
-    outcome: Outcome | None = None
+    end: dict[str, Any] = {}
     try:
         outcome = run_on_rig(request, rig, Together(there), recorder, idle=idle, around=around)
+        end = outcome._asdict()
         return outcome
+    except EquipoiseError as error:
+        end = {"fault": str(error)}
+        raise
     finally:
         if writer is not None:
             writer.drain(recorder)
-            writer.finish(rig.clock.now(), outcome._asdict() if outcome is not None else {})
+            writer.finish(rig.clock.now(), end)
 
 
 class Together:
