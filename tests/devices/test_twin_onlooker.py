@@ -1,8 +1,12 @@
 """The operator who sees the bench only, at a made-up run."""
 
+import itertools
+
 import numpy as np
 import pytest
 
+from equipoise.devices.twin import bench
+from equipoise.devices.twin.hand import draw_manner
 from equipoise.devices.twin.onlooker import Doing, Onlooker
 from equipoise.model.arms.posture import along_x
 from tests.devices.in_process import ARM, stand
@@ -113,3 +117,34 @@ def test_after_a_run_it_takes_hold_of_the_pendulum_and_begins_again(tested):
     tested.move(0.0)
     tested.until(Doing.PRESSED)
     assert tested.said.count("lifts") == 1
+
+
+@pytest.fixture
+def standing(tested, monkeypatch):
+    """The same, let go so calmly that the pendulum stands by its dry friction."""
+
+    def calm(random, **more):
+        manner = draw_manner(random, **more)
+        return manner._replace(amplitude=np.zeros_like(manner.amplitude))
+
+    monkeypatch.setattr(bench, "draw_manner", calm)
+    tested.until(Doing.RELEASED)
+    return tested
+
+
+def test_a_pendulum_that_stands_by_itself_is_nudged(standing):
+    standing.wait(2.5)
+    assert abs(standing.bench.truth().phi) < np.radians(0.1)
+    standing.until(Doing.FALLEN, 4.0)
+    assert standing.said[-3:] == ["lets", "nudges", "sees"]
+
+
+def test_a_pendulum_above_an_arm_that_moves_is_left_alone(standing, monkeypatch):
+    truth = standing.bench.truth()
+    # Three looks in turn: to one side, to the other, at rest; where it began all the time.
+    balanced = itertools.cycle([0.05, -0.05, 0.0])
+    monkeypatch.setattr(
+        standing.bench, "truth", lambda: truth._replace(phi=0.0, x_dot=next(balanced))
+    )
+    standing.wait(10.0)
+    assert standing.said[-1] == "lets"

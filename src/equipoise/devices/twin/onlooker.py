@@ -7,7 +7,8 @@ What a run asks for follows from what can be seen. The script:
 2. The arm moves away from there: that is the self-test. When it has rested for as long as that may
    take, lift the pendulum, from either side, hold it upright, let go.
 3. The arm moves: it balances; keep hands off. Once the pendulum has fallen and the arm rests, take
-   hold of it, let it hang, and begin again.
+   hold of it, let it hang, and begin again. Where neither moves, the pendulum stands by its dry
+   friction: nudge it.
 4. The arm does not move: lift the pendulum once more; then begin again.
 """
 
@@ -19,6 +20,7 @@ from typing import Final
 import numpy as np
 
 from equipoise.devices.twin.bench import Bench
+from equipoise.devices.twin.hands import NUDGE
 from equipoise.devices.twin.physics import TICK
 
 LOOKS: Final = 10
@@ -43,6 +45,9 @@ SWUNG_OUT: Final = 8.0
 """A self-test is over when the arm has rested for so long [s]: it watches the swing for 4 s."""
 STEADY: Final = 1.0
 """A pendulum is kept hanging for so long before it is let go [s]."""
+STANDS: Final = 3.0
+"""A pendulum that has not fallen for so long, above an arm that rests, stands by itself [s]: a fall
+takes less than 2 s from where friction just lets it go."""
 FALLEN: Final = radians(45.0)
 """Beyond this the pendulum has fallen [rad]."""
 LAID_DOWN: Final = 2.0
@@ -146,6 +151,9 @@ class Onlooker:
             case Doing.RELEASED:
                 if fallen:
                     self._begin(Doing.FALLEN, f"sees it fall after {spent:.1f} s", keep=True)
+                elif min(spent, now - self._rested) > STANDS:
+                    bench.push(NUDGE)
+                    self._begin(Doing.RELEASED, "nudges it: it stands by itself")
             case Doing.FALLEN:
                 if spent < LAID_DOWN or now - self._rested < LAID_DOWN / 2.0:
                     return
