@@ -187,9 +187,9 @@ def changes(node: ast.AST) -> list[Callable[[], None]]:
         case ast.Constant(value=float()):
             return put("value", *{node.value * 1.02, node.value + 1.0} - {node.value})
         case ast.Constant(value=bytes()):
-            return put("value", node.value + b"~")
+            return put("value", node.value + b"z")
         case ast.Constant(value=str()) if node.value.isidentifier():
-            return put("value", node.value + "~")
+            return put("value", node.value + "z")
         case _:
             return []
 

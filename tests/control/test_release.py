@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from equipoise.control import release
 from equipoise.control.release import (
     GAP,
     SIZE,
@@ -57,6 +58,16 @@ def fall(start_deg, rate_deg, begin, rate=RATE, until_deg=20.0):
 # What the rules say.
 
 
+def test_the_numbers_are_those_that_were_asked_for_and_those_of_the_decision():
+    in_degrees = release.ARM_ANGLE, release.ARM_RATE, release.RELEASE_ANGLE, release.HELD_ANGLE
+    assert np.degrees(in_degrees) == pytest.approx([1.0, 5.0, 1.5, 4.0])
+    assert (release.ARM_MEAN, release.ARM_TIME, release.WINDOW) == (0.2, 0.5, 0.04)
+    assert (release.AGREEMENT, release.RATIO, release.LASTING) == (0.3, (0.6, 3.0), 0.01)
+    assert (np.degrees(release.GROWN), release.PATIENCE) == (pytest.approx(4.0), 0.2)
+    # At 1 kHz two samples are 1 ms apart.
+    assert 0.0 < release.HURRY < 1e-3
+
+
 def test_a_pendulum_that_stands_still_arms_after_the_mean_and_half_a_second():
     _, time = armed()
     assert time == pytest.approx(0.7, abs=0.002)
@@ -72,17 +83,14 @@ def test_the_pendulum_has_to_stand_within_a_degree(angle, drift, arms):
     assert (Grip.ARMED in said) == arms
 
 
-@pytest.mark.parametrize(("rate", "arms"), [(4.0, True), (-4.0, True), (5.5, False), (-5.5, False)])
-def test_a_hand_that_moves_faster_than_five_degrees_per_second_does_not_arm(rate, arms):
-    # A triangle around zero: its mean rate over 0.2 s is `rate` but near the turns.
-    detector = ReleaseDetector(PENDULUM)
-    time = np.arange(0.0, 0.19 + 3.6 / abs(rate), 0.001)
-    phi = np.clip(rate * (time - 0.9 / abs(rate)), -0.99, 0.99)
-    began = int(np.argmax(np.abs(phi) < 0.99))
-    # Still until it moves, but not for so long that it arms.
-    said = fed(detector, time[max(began - 200, 0) :], phi[max(began - 200, 0) :])
-    moving = said[: int(1.9 / abs(rate) * RATE)]
-    assert Grip.ARMED not in moving or arms
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("rate", "arms_after"), [(4.95, 0.7), (5.05, 0.4 + 0.2 + 0.5)])
+def test_a_hand_that_moves_faster_than_five_degrees_per_second_begins_anew(side, rate, arms_after):
+    # At once after 0.4 s, as far as that rate takes it in 0.2 s, over which its mean is taken.
+    time = np.arange(2000) / RATE
+    phi = side * rate * 0.2 * np.where(time < 0.4, -0.5, 0.5)
+    said = fed(ReleaseDetector(PENDULUM), time, phi)
+    assert time[said.index(Grip.ARMED)] == pytest.approx(arms_after, abs=0.003)
 
 
 def test_an_armed_hand_may_move_up_to_the_angle_of_release():
@@ -153,14 +161,14 @@ def test_a_hand_that_carries_it_away_evenly_is_still_on():
 
 def test_beyond_four_degrees_the_hand_is_still_on():
     detector, begin = armed()
-    said = fed(detector, begin + np.array([0.001, 0.002]), [3.9, 4.1])
+    said = fed(detector, begin + np.array([0.001, 0.002]), [3.99, 4.01])
     assert said == [Grip.ARMED, Grip.HELD]
     assert detector.denied
 
 
 def test_what_comes_back_is_held():
     detector, begin = armed()
-    said = fed(detector, begin + np.array([0.001, 0.002, 0.003]), [1.4, 1.6, 1.4])
+    said = fed(detector, begin + np.array([0.001, 0.002, 0.003]), [1.49, 1.51, 1.49])
     assert said == [Grip.ARMED, Grip.ARMED, Grip.HELD]
     assert detector.denied
 
@@ -182,17 +190,38 @@ def test_a_denied_hand_arms_again():
 
 
 @pytest.mark.parametrize(
-    "sample",
-    [(0.001, float("nan")), (float("inf"), 0.0), (2 * GAP, 0.0), (-0.1, 0.0)],
+    ("sample", "on"),
+    [
+        ((0.001, float("nan")), 0.002),
+        ((float("inf"), 0.0), 0.002),
+        ((2 * GAP, 0.0), 2 * GAP + 0.001),
+        ((-0.1, 0.0), -0.099),
+    ],
     ids=["no angle", "no time", "gap", "back in time"],
 )
-def test_a_sample_that_cannot_be_forgets_all(sample):
+def test_a_sample_that_cannot_be_forgets_all(sample, on):
     detector, begin = armed()
     assert detector.feed(begin + sample[0], radians(sample[1])) is Grip.HELD
     assert detector.denied
-    later = begin + 0.05 + np.arange(690) / RATE
+    later = begin + on + np.arange(690) / RATE
     assert set(fed(detector, later, np.zeros(690))) == {Grip.HELD}
     assert detector.feed(later[-1] + 0.012, 0.0) is Grip.ARMED
+
+
+@pytest.mark.parametrize(("after", "grip"), [(0.0199, Grip.ARMED), (0.0201, Grip.HELD)])
+def test_a_gap_of_twenty_milliseconds_is_bridged_and_no_longer_one(after, grip):
+    detector, begin = armed()
+    assert detector.feed(begin + after, 0.0) is grip
+
+
+@pytest.mark.parametrize(
+    ("after", "grip"),
+    [(0.0, Grip.ARMED), (3.95e-4, Grip.ARMED), (4.05e-4, Grip.HELD), (-1e-6, Grip.HELD)],
+)
+def test_a_sample_that_follows_too_closely_is_passed_over(after, grip):
+    detector, begin = armed()
+    # Five degrees: the hand would be on.
+    assert detector.feed(begin + after, radians(5.0)) is grip
 
 
 def test_a_broken_sample_before_arming_denies_nothing():
@@ -209,11 +238,12 @@ def test_samples_come_as_fast_as_they_like():
     assert detector.grip is Grip.ARMED
 
 
-def test_too_few_samples_show_no_fall():
-    # At 125 Hz the window holds six.
-    detector, begin = armed(rate=125)
-    said = fed(detector, *fall(0.5, 0.0, begin, rate=125))
-    assert Grip.RELEASED not in said
+@pytest.mark.parametrize(("rate", "seen"), [(125, False), (270, False), (285, True)])
+def test_fewer_than_twelve_samples_show_no_fall(rate, seen):
+    # The window of 40 ms holds 6, 11 and 12.
+    detector, begin = armed(rate=rate)
+    said = fed(detector, *fall(0.5, 0.0, begin, rate=rate))
+    assert (Grip.RELEASED in said) == seen
 
 
 # How they do.

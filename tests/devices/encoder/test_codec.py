@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from equipoise.devices.encoder.codec import (
     LONGEST,
+    REQUEST,
     Banner,
     Decoder,
     Flags,
@@ -243,6 +244,17 @@ def test_a_question_is_a_mark_alone_on_its_line(sent, asked):
     assert Requests().feed(sent) == asked
     requests = Requests()
     assert sum(requests.feed(bytes([byte])) for byte in sent) == asked
+
+
+def test_no_other_byte_ends_or_makes_a_question():
+    for byte in set(range(256)) - set(b"\r\n"):
+        assert Requests().feed(b"?%c\n" % byte) == 0
+        assert Requests().feed(b"%c\n" % byte) == (byte == ord("?"))
+
+
+def test_what_the_host_asks_with_is_a_question():
+    requests = Requests()
+    assert [requests.feed(REQUEST) for _ in range(3)] == [1, 1, 1]
 
 
 # Damage.
