@@ -279,6 +279,7 @@ def test_a_trial_in_t1_ends_where_a_rig_would_stop():
 
 def test_a_trial_ends_where_the_arm_is_elsewhere_for_long():
     tick, off = Tick(), joint(3, 0.031)
+    assert [tick() for _ in range(10)] == [None] * 10
     assert [tick(off) for _ in range(6)] == [None] * 5 + [Rule.FOLLOWING]
     begun = Tick()
     assert [begun(off) for _ in range(5)] == [None] * 5

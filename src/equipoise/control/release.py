@@ -111,15 +111,12 @@ class ReleaseDetector:
         if self.grip is Grip.RELEASED:
             return self.grip
         if not (isfinite(time) and isfinite(phi)):
-            self._deny()
             self._forget()
             return self.grip
         since_last = time - self._last
         if 0.0 <= since_last < SPACING:
             return self.grip
         if not 0.0 <= since_last <= GAP:
-            if self._last > -inf:
-                self._deny()
             self._forget()
         self._keep(time, phi)
         if self.grip is Grip.HELD:
@@ -129,11 +126,8 @@ class ReleaseDetector:
         return self.grip
 
     def _forget(self) -> None:
-        self._count, self._oldest = 0, 0
-        self._last = -inf
-        self._still_since = inf
-        self._beyond_since = inf
-        self._falling_since = inf
+        self._deny()
+        self._count, self._oldest, self._last = 0, 0, -inf
 
     def _deny(self) -> None:
         self.denied = self.grip is Grip.ARMED or self.denied
