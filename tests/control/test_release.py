@@ -74,10 +74,10 @@ def test_a_pendulum_that_stands_still_arms_after_the_mean_and_half_a_second():
 
 
 @pytest.mark.parametrize(
-    ("angle", "drift", "arms"),
-    [(0.99, 0.0, True), (1.01, 0.0, False), (-0.99, 0.0, True), (-1.01, 0.0, False)],
+    ("angle", "arms"),
+    [(0.99, True), (1.0, False), (1.01, False), (-0.99, True), (-1.0, False), (-1.01, False)],
 )
-def test_the_pendulum_has_to_stand_within_a_degree(angle, drift, arms):
+def test_the_pendulum_has_to_stand_within_a_degree(angle, arms):
     detector = ReleaseDetector(PENDULUM)
     said = fed(detector, np.arange(2000) / RATE, np.full(2000, angle))
     assert (Grip.ARMED in said) == arms
@@ -107,8 +107,10 @@ def test_a_fall_from_rest_is_seen_while_it_can_be_caught(start, rate):
     said = fed(detector, time, phi)
     at = said.index(Grip.RELEASED)
     assert Grip.HELD not in said
-    # It has to be seen for 10 ms beyond 1.5 deg, where the ratio has passed 0.6.
     assert 1.5 < abs(phi[at]) < 2.2
+    # It has to be seen for 10 ms beyond 1.5 deg, where the ratio has passed 0.6.
+    beyond = int(np.argmax(np.abs(phi) > 1.5))
+    assert time[at] - time[beyond] == pytest.approx(0.010, abs=1.01 / rate)
     assert not detector.denied
 
 
@@ -137,16 +139,38 @@ def test_a_fast_fall_is_not_waited_for():
     at = said.index(Grip.RELEASED)
     growing = 3.0 * np.exp(W * (time[at] - begin))
     assert growing < 5.0
+    assert at == np.argmax(np.array(phi) > 1.5) + 1, "two samples have to do"
 
 
-@pytest.mark.parametrize("share", [0.5, 1.6])
-def test_another_pendulum_does_not_fall_like_this_one(share):
-    # What falls with another w2 is something else, such as a hand that moves on.
-    detector, begin = armed(pendulum=PENDULUM._replace(w2=PENDULUM.w2 * share))
-    time, phi = fall(0.5, 0.0, begin)
-    said = fed(detector, time, phi)
-    assert Grip.RELEASED not in said
-    assert detector.denied
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("c", [0.0, 3.0])
+@pytest.mark.parametrize(
+    ("share", "seen"),
+    [(0.5, False), (0.767, False), (0.776, True), (1.424, True), (1.444, False), (1.6, False)],
+)
+def test_another_pendulum_does_not_fall_like_this_one(share, seen, c, side):
+    # What falls otherwise is something else, such as a hand that moves on. Here phi_ddot is w^2 phi
+    # and phi_dot is w phi, and a free fall has `share` times that phi_ddot: 1 / 1.3 to 1 / 0.7
+    # agree, but for 0.2 % that a parabola differs, and 0.4 % for one sample in the window.
+    other = PENDULUM._replace(w2=PENDULUM.w2 * share + c * W, c=c)
+    detector, begin = armed(pendulum=other)
+    said = fed(detector, *fall(side * 0.9, side * 0.9 * W, begin))
+    assert (Grip.RELEASED in said) == seen
+    assert detector.denied != seen
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_fall_is_believed_from_a_ratio_of_three_down_to_one_of_six_tenths(side):
+    # From rest at 1.4 deg the ratio is tanh(w t), beyond 0.6 after 82.7 ms; then it has to last.
+    detector, begin = armed()
+    time, phi = fall(side * 1.4, 0.0, begin)
+    at = fed(detector, time, phi).index(Grip.RELEASED)
+    assert time[at] - begin == pytest.approx(0.0827 + 0.010, abs=0.003)
+    # As 6 deg sinh(w t) through upright, after 28.6 ms, it is coth, below 3 after 41.4 ms more.
+    detector, begin = armed()
+    time, phi = fall(side * -1.45, side * sqrt(6.0**2 + 1.45**2) * W, begin)
+    at = fed(detector, time, phi).index(Grip.RELEASED)
+    assert time[at] - begin == pytest.approx(0.0286 + 0.0414 + 0.001, abs=0.003)
 
 
 def test_a_hand_that_carries_it_away_evenly_is_still_on():
@@ -159,16 +183,17 @@ def test_a_hand_that_carries_it_away_evenly_is_still_on():
     assert detector.denied
 
 
-def test_beyond_four_degrees_the_hand_is_still_on():
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_beyond_four_degrees_the_hand_is_still_on(side):
     detector, begin = armed()
-    said = fed(detector, begin + np.array([0.001, 0.002]), [3.99, 4.01])
+    said = fed(detector, begin + np.array([0.001, 0.002]), [side * 4.0, side * 4.01])
     assert said == [Grip.ARMED, Grip.HELD]
     assert detector.denied
 
 
 def test_what_comes_back_is_held():
     detector, begin = armed()
-    said = fed(detector, begin + np.array([0.001, 0.002, 0.003]), [1.49, 1.51, 1.49])
+    said = fed(detector, begin + np.array([0.001, 0.002, 0.003]), [1.5, 1.51, 1.5])
     assert said == [Grip.ARMED, Grip.ARMED, Grip.HELD]
     assert detector.denied
 

@@ -461,6 +461,7 @@ def test_three_missed_ticks_in_a_row_are_too_many():
     assert seen(late, late, in_time, late, late)[1] is None
     watched, violation = seen(late, late, late)
     assert watched.missed == 3
+    assert watch(GUARD, watched, View()).missed == 0
     assert violation.rule is Rule.TICK
     assert (violation.value, violation.limit) == (3.0, 3.0)
     # Measured joints or not.
