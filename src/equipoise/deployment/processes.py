@@ -381,8 +381,9 @@ def _write(
             said = True
         if last:
             break
-        if os.getppid() != parent:  # the loop brings the arm to rest now
-            until = min(until, time.monotonic() + FAREWELL)
+        if os.getppid() != parent:  # the loop brings the arm to rest, and then beats no more
+            rests = recorder.pulse[_TICKS] == 0.0
+            until = min(until, time.monotonic() + (0.0 if rests else FAREWELL))
         time.sleep(WRITE)
     outcome = _received(told) or {}
     writer.finish(time.monotonic(), {**outcome, "lost_rows": recorder.lost})
