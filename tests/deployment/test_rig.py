@@ -6,11 +6,13 @@ import pytest
 from equipoise.control.pilot import PHASES
 from equipoise.control.policy import shipped_policy
 from equipoise.control.states import Phase
-from equipoise.deployment.rig import Request, exit_code, run_rig_virtually
+from equipoise.control.ticks import Event
+from equipoise.deployment.rig import Hearing, Request, Told, exit_code, run_rig_virtually
+from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import InputError
 from equipoise.model.worlds import read_world
 from equipoise.rigs import RigSettings, emulated_rig, twin_rig
-from equipoise.runwriter import read_rig_run
+from equipoise.runwriter import Recorder, read_rig_run, take_events
 
 pytestmark = pytest.mark.compiled_only
 
@@ -116,6 +118,54 @@ def test_a_dry_run_moves_nothing(tmp_path):
     assert (outcome.cause, exit_code(outcome)) == ("dry run", 0)
     assert "checklist" in spy.names
     assert len(read_rig_run(out).tables["stream"]) == 0
+
+
+class Script:
+    """Types all it has to say at once."""
+
+    def __init__(self, *words):
+        self.told, self._words = [], list(words)
+
+    def tell(self, event):
+        self.told.append(event.text)
+
+    def words(self):
+        words, self._words = self._words, []
+        return words
+
+
+def test_words_that_come_together_answer_one_question_after_the_other():
+    clock, recorder = VirtualClock(), Recorder(7)
+    hearing = Hearing(Script("estop", " Fence \n", "stop"))
+    tell = Told(hearing, recorder, clock)
+    assert [tell.ask(Event("checklist", text, ())) for text in "ab"] == ["estop", "fence"]
+    # What was left over is not lost: the loop hears it, and stops.
+    assert hearing.words() == ["stop"]
+    assert hearing.words() == []
+    logged = [(event.name, event.text) for event in take_events(recorder.event)]
+    assert logged == [
+        ("checklist", "a"),
+        ("word", "estop"),
+        ("checklist", "b"),
+        ("word", " Fence \n"),
+    ]
+
+
+def test_whoever_asks_waits_for_a_word():
+    clock, script = VirtualClock(), Script()
+    clock.attach(lambda now: script._words.extend(["y"] if now == 1.0 else []))
+    assert Told(Hearing(script), Recorder(7), clock).ask(Event("move")) == "y"
+    assert clock.now() == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_stop_that_came_with_the_last_answer_is_heard_in_the_first_tick():
+    wanted = request()
+    pendulum = wanted.policy.pendulum.parameters()
+    rig = twin_rig(NOMINAL, wanted.settings, pendulum)._replace(operator=None)
+    script = Script("estop", "fence", "monitoring", "t1", "y", "stop")
+    outcome = run_rig_virtually(wanted, rig, None, script)
+    assert (outcome.cause, outcome.lasted) == ("operator", 0.0)
+    assert "stopped by the operator (stop)" in script.told
 
 
 def test_an_encoder_that_counts_the_wrong_way_is_found_before_the_pendulum_is_lifted():

@@ -4,7 +4,7 @@ import os
 import select
 import sys
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import degrees, isnan
 from typing import Any, Final
 
@@ -20,6 +20,7 @@ STYLES: Final = {
     "armed": "bold green",
     "balancing": "bold green",
     "notice": "yellow",
+    "warning": "yellow",
 }
 BUTTON: Final = "ok"
 """Among the answers, where the pendulum's button may be pressed instead of typing."""
@@ -63,7 +64,10 @@ class Console:
             return [DENIED] if denied else []
         came = ""
         while select.select([sys.stdin], [], [], 0.0)[0]:
-            data = os.read(sys.stdin.fileno(), 1024)
+            try:
+                data = os.read(sys.stdin.fileno(), 1024)
+            except OSError:  # the terminal was closed
+                data = b""
             if not data:
                 self._ended = True
                 break
@@ -116,4 +120,5 @@ def single_keys() -> Generator[None]:
         tty.setcbreak(sys.stdin)
         yield
     finally:
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+        with suppress(termios.error):  # the terminal was closed
+            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
