@@ -5,6 +5,7 @@ import pytest
 
 from equipoise.control.pilot import PHASES
 from equipoise.control.policy import shipped_policy
+from equipoise.control.safety import Rule
 from equipoise.control.states import Phase
 from equipoise.control.ticks import Event
 from equipoise.deployment.rig import Hearing, Request, Told, exit_code, run_rig_virtually
@@ -201,3 +202,29 @@ def test_a_link_that_goes_dead_is_told_at_once():
 def test_a_policy_for_another_arm_is_refused():
     with pytest.raises(InputError, match="trained on iiwa7, the rig has iiwa14"):
         on_the_twin(request(settings=RigSettings(arm="iiwa14")))
+
+
+@pytest.mark.parametrize("force", [(150.0, 0.0, 0.0), (0.0, -150.0, 0.0), (0.0, 0.0, 150.0)])
+def test_a_push_on_the_way_home_stops_the_arm(force):
+    wanted = request()
+    pendulum = wanted.policy.pendulum.parameters()
+    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=wanted.seed)
+    bench, clock = emulated.bench, emulated.rig.clock
+
+    class Pusher(Spy):
+        def tell(self, event):
+            super().tell(event)
+            if event.name == "homing":
+                self.at = clock.now() + 0.3
+                clock.attach(self.push)
+            elif event.name == "stopping":
+                self.stopped = clock.now()
+
+        def push(self, now):
+            bench.touch(force if self.at <= now < self.at + 0.3 else (0.0, 0.0, 0.0))
+
+    pusher = Pusher()
+    outcome = run_rig_virtually(wanted, emulated.rig, None, pusher)
+    assert outcome.cause == Rule.TORQUE.value
+    assert pusher.stopped - pusher.at <= 0.1
+    assert "home" not in pusher.names

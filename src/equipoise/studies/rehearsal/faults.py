@@ -274,7 +274,7 @@ ENCODER: Final = (
         "malformed lines",
         "encoder",
         "one of fifty lines is damaged, while balancing",
-        "none is believed; a stop at the third gap",
+        "none is believed; a stop once gaps repeat",
         _ends(Rule.ENCODER_GAP),
         _damage_lines,
         within=0.5,
