@@ -360,7 +360,14 @@ class _Bench:
             duration=e.duration,
             seed=self._seed,
             workers=self._workers,
-            guard=trial_guard(self._arm, settings, self._actuator, kernel, self._h),
+            guard=trial_guard(
+                self._arm,
+                settings,
+                self._actuator,
+                kernel,
+                self._h,
+                self._settings.plant.max_speed,
+            ),
             done=one_done,
         )
         return self._results(name, results)

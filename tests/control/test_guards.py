@@ -113,10 +113,10 @@ def test_a_setpoint_has_the_same_verdict_compiled_and_in_python(place, change, b
     drift=st.floats(0.0, 0.02),
     tilt=near(0.0, 0.05),
     w=st.floats(0.0, 0.1),
-    t1=st.booleans(),
+    speed=st.sampled_from([float("inf"), safety.T1_SPEED, 0.4]),
 )
-def test_a_flange_has_the_same_verdict_compiled_and_in_python(x, x_dot, drift, tilt, w, t1):
-    guard = GUARD_7._replace(t1=t1)
+def test_a_flange_has_the_same_verdict_compiled_and_in_python(x, x_dot, drift, tilt, w, speed):
+    guard = GUARD_7._replace(speed=speed)
     view = View(on_track=True, x=x, x_dot=x_dot, drift=drift, tilt=tilt, manipulability=w)
     violation = check(guard, Watch(), view)
     code, value, limit = compiled_flange(guard, x, x_dot, drift, tilt, w)
@@ -187,11 +187,20 @@ def test_rules_act_where_a_world_has_them_with_the_numbers_of_a_rig():
     assert guard.limits == GUARD_7.limits
     assert guard.u_max == 2.0
     assert actuator.delay.value < guard.reaction < 0.05
-    assert not guard.t1
+    assert guard.speed == float("inf")
     left = trial_guard(ARM, world, actuator, ANY_POLICY._replace(actions=(-3.0, 1.0)), 0.01)
     assert left == guard._replace(u_max=3.0)
     t1 = trial_guard(ARM, world.model_copy(update={"t1": True}), actuator, ANY_POLICY, 0.01)
-    assert t1 == guard._replace(t1=True)
+    assert t1 == guard._replace(speed=0.23)
+
+
+@pytest.mark.parametrize(
+    ("t1", "max_speed", "speed"), [(False, 0.3, 0.3), (True, 0.3, 0.23), (True, 0.2, 0.2)]
+)
+def test_of_two_speed_limits_the_lower_acts(t1, max_speed, speed):
+    world = read_world("twin:nominal").settings.model_copy(update={"t1": t1})
+    guard = trial_guard(ARM, world, shipped_actuator(), ANY_POLICY, 0.01, max_speed)
+    assert guard.speed == speed
 
 
 def test_the_free_joints_alone_are_asked():

@@ -35,7 +35,7 @@ H = 0.01
 DT = 0.005
 RESOLUTION = 2 * pi / 8192
 GUARD = make_guard(ARM, reaction=0.03, u_max=2.0, h=H, counts_per_rev=8192)
-T1 = GUARD._replace(t1=True)
+T1 = GUARD._replace(speed=safety.T1_SPEED)
 CALM = Watch()
 
 
@@ -80,7 +80,7 @@ def test_a_guard_knows_its_arm():
     assert GUARD.torque == pytest.approx([32.0, 32.0, 17.6, 17.6, 11.0, 4.0, 4.0])
     assert GUARD.resolution == pytest.approx(RESOLUTION)
     assert GUARD.limits == LIMITS
-    assert (GUARD.reaction, GUARD.u_max, GUARD.h, GUARD.t1) == (0.03, 2.0, H, False)
+    assert (GUARD.reaction, GUARD.u_max, GUARD.h, GUARD.speed) == (0.03, 2.0, H, inf)
     w = abs(np.linalg.det(ARM.kinematics(ARM.home_free).jacobian))
     assert GUARD.least_manipulability == pytest.approx(0.1 * w)
     other_way = (*ARM.home[:5], -ARM.home[5], *ARM.home[6:])
@@ -89,8 +89,9 @@ def test_a_guard_knows_its_arm():
     least = make_guard(elbow, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9).least_manipulability
     assert least == pytest.approx(GUARD.least_manipulability)
     plain = safety.Guard(LIMITS, (), 0.0, 0.0, 0.0, H, RESOLUTION)
-    assert not plain.t1
-    assert make_guard(iiwa(7), reaction=0.0, u_max=1.0, h=H, counts_per_rev=9, t1=True).t1
+    assert plain.speed == inf
+    slow = make_guard(iiwa(7), reaction=0.0, u_max=1.0, h=H, counts_per_rev=9, speed=0.3)
+    assert slow.speed == 0.3
 
 
 # Setpoints.
@@ -377,7 +378,7 @@ def test_t1_is_slow_and_a_stop_not_a_clip():
     for side in (1.0, -1.0):
         slow, fast = (View(on_track=True, x_dot=side * v) for v in (0.2299, 0.23))
         assert broken(slow, T1) is None
-        assert broken(fast, T1) is Rule.T1
+        assert broken(fast, T1) is Rule.SPEED
         assert broken(fast) is None
     violation = check(T1, CALM, fast)
     assert (violation.value, violation.limit) == (-0.23, 0.23)
@@ -418,7 +419,7 @@ def test_of_several_the_first_in_the_order_of_the_rules_is_named():
         Rule.TORQUE: {"torque": (99.0,) * 7},
         Rule.SINGULAR: {"manipulability": 0.0},
         Rule.TRACK: {"x": 0.3},
-        Rule.T1: {"x_dot": -0.3},
+        Rule.SPEED: {"x_dot": -0.3},
         Rule.DRIFT: {"drift": 1.0},
         Rule.TILT: {"tilt": 1.0},
         Rule.TICK: {"lateness": 1.0},

@@ -8,7 +8,14 @@ from equipoise.control.policy import shipped_policy
 from equipoise.control.safety import Rule
 from equipoise.control.states import Phase
 from equipoise.control.ticks import Event
-from equipoise.deployment.rig import Hearing, Request, Told, exit_code, run_rig_virtually
+from equipoise.deployment.rig import (
+    Hearing,
+    Request,
+    Told,
+    exit_code,
+    rehearse_t1,
+    run_rig_virtually,
+)
 from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import InputError
 from equipoise.model.worlds import read_world
@@ -228,3 +235,71 @@ def test_a_push_on_the_way_home_stops_the_arm(force):
     assert outcome.cause == Rule.TORQUE.value
     assert pusher.stopped - pusher.at <= 0.1
     assert "home" not in pusher.names
+
+
+# The speed of the flange.
+
+
+def limited(max_speed):
+    """Return the shipped policy, as if it had been trained for a speed of the flange."""
+    policy = shipped_policy()
+    plant = policy.settings.plant.model_copy(update={"max_speed": max_speed})
+    return policy.model_copy(
+        update={"settings": policy.settings.model_copy(update={"plant": plant})}
+    )
+
+
+def test_a_policy_that_lives_with_t1_on_the_twin_may_run_there():
+    rehearse_t1(request(t1=True), trials=4, duration=2.0)
+
+
+def test_a_policy_that_is_too_fast_on_the_twin_is_refused():
+    # No run of this policy stays below 50 mm/s.
+    with pytest.raises(
+        InputError, match=r"lasts 2 s in 0 of 4 trials, expected 4 .*flange speed 4.*--max-speed"
+    ):
+        rehearse_t1(request(policy=limited(0.05), t1=True), trials=4, duration=2.0)
+
+
+def test_a_policy_for_another_rig_is_refused_before_it_is_tried_in_t1():
+    with pytest.raises(InputError, match="trained on iiwa7, the rig has iiwa14"):
+        rehearse_t1(request(settings=RigSettings(arm="iiwa14"), t1=True))
+
+
+class Pusher(Spy):
+    """Pushes the pendulum once it balances."""
+
+    def __init__(self, bench, rate):
+        super().__init__()
+        self._bench, self._rate = bench, rate
+
+    def tell(self, event):
+        super().tell(event)
+        if event.name == "balancing":
+            self._bench.push(self._rate)
+
+
+@pytest.mark.parametrize("t1", [True, False])
+def test_in_t1_a_run_stops_softly_where_the_flange_is_too_fast(tmp_path, t1):
+    wanted, out = request(1.5, t1=t1), tmp_path / "run.mcap"
+    emulated = emulated_rig(NOMINAL, wanted.settings, wanted.policy.pendulum.parameters(), seed=3)
+    spy = Pusher(emulated.bench, 1.0)
+    outcome = run_rig_virtually(wanted, emulated.rig, out, spy)
+    run = read_rig_run(out)
+    tick = run.tables["tick"]
+    fast = np.abs(tick["x_dot"][tick["state"] == PHASES.index(Phase.BALANCING)]).max()
+    if not t1:
+        # The same push, and it goes on: the rule alone has stopped the other run.
+        assert outcome.cause == "lasted"
+        assert fast > 0.23
+        return
+    assert (outcome.cause, exit_code(outcome), outcome.stoppable) == ("flange speed", 1, True)
+    assert "0.23 m/s" in outcome.reason
+    assert "speed limit" in spy.names
+    # Nothing was clipped on the way there, and the ramp to rest takes its time.
+    stopping = tick["state"] == PHASES.index(Phase.STOPPING)
+    ramp = tick["dq"][stopping]
+    assert np.abs(ramp[-1]).max() == 0.0
+    accelerations = [joint.acceleration for joint in wanted.policy.arm.joints]
+    assert (np.abs(np.diff(ramp, axis=0)).max(axis=0) <= 0.01 * np.array(accelerations)).all()
+    assert np.count_nonzero(np.abs(ramp).max(axis=1) > 0.0) > 4

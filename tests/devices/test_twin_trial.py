@@ -9,8 +9,8 @@ from equipoise.control.boxes import ANGLE, GUARD, LASTED, TRACK, boxes
 from equipoise.control.controller import begin, command, make_controller, new_memory, observe
 from equipoise.control.guards import guard_named, new_watching, trial_guard
 from equipoise.control.policy import LINEAR, RANDOM, act, policy_kernel
+from equipoise.control.safety import T1_SPEED, Rule
 from equipoise.control.safety import TRACK as TRACK_LIMIT
-from equipoise.control.safety import Rule
 from equipoise.control.stop import ramp
 from equipoise.control.yardsticks import lqr_gains
 from equipoise.devices.twin.trial import (
@@ -235,9 +235,9 @@ def test_until_a_guard_ends_it_a_trial_is_the_same(controller, guard, away):
 
 
 def test_the_limit_of_t1_ends_a_trial_that_is_too_fast(controller, guard, away):
-    t1 = guard._replace(t1=True)
+    t1 = guard._replace(speed=T1_SPEED)
     ended = [run_until_the_guard(controller, away, t1, number)[2] for number in range(4)]
-    assert Rule.T1.value in {guard_named(outcome.cause) for outcome in ended}
+    assert Rule.SPEED.value in {guard_named(outcome.cause) for outcome in ended}
 
 
 def test_a_pendulum_that_seems_to_have_fallen_ends_a_trial(controller, guard):

@@ -14,6 +14,7 @@ from equipoise.cli.options import (
     Held,
     Json,
     KnownActuator,
+    MaxSpeed,
     PolicyFile,
     Seed,
     Tip,
@@ -68,6 +69,7 @@ def evaluate(
             help="model: the plant of the training; twin:nominal, twin:harsh or twin:FILE.",
         ),
     ] = "model",
+    max_speed: MaxSpeed = None,
     actuator: KnownActuator = None,
     with_yardsticks: Annotated[
         bool,
@@ -115,10 +117,10 @@ def evaluate(
         from equipoise.cli.functions import read_function
         from equipoise.model.worlds import MODEL
 
-        if world != MODEL or actuator is not None or not with_yardsticks:
+        if world != MODEL or actuator or max_speed is not None or not with_yardsticks:
             raise InputError(
                 "--policy runs on the plant of the paper, beside the yardsticks; leave out "
-                "--world, --actuator and --no-yardsticks"
+                "--world, --actuator, --max-speed and --no-yardsticks"
             )
         evaluation = _evaluate_function(
             output,
@@ -143,6 +145,7 @@ def evaluate(
             read_actuator(actuator),
             trials,
             duration,
+            max_speed,
             seed,
             workers,
             with_yardsticks,
@@ -197,6 +200,7 @@ def _evaluate_table(
     actuator: "Actuator | None",
     trials: int | None,
     duration: float | None,
+    max_speed: float | None,
     seed: int,
     workers: int | None,
     with_yardsticks: bool,
@@ -205,6 +209,11 @@ def _evaluate_table(
     from equipoise.evaluation import evaluate
 
     settings = _settings(policy.settings, trials, duration)
+    if max_speed is not None:
+        if not 0.01 <= max_speed <= 2.0:
+            raise InputError(f"--max-speed is {max_speed:g} m/s; give a number from 0.01 to 2")
+        plant = settings.plant.model_copy(update={"max_speed": max_speed})
+        settings = settings.model_copy(update={"plant": plant})
     runs = _runs(policy.pendulum) if with_yardsticks else 1
     with trial_bar(output, runs * settings.evaluation.trials) as done:
         return evaluate(
@@ -282,9 +291,10 @@ def _say(output: Output, evaluation: "Evaluation") -> bool:
     from rich.table import Table
 
     duration, trials = evaluation.duration, len(evaluation.results.survival)
+    limit = evaluation.settings.plant.max_speed
     output.say(
         f"{trials} trials of {duration:g} s on the {evaluation.arm}, world {evaluation.world}, "
-        f"seed {evaluation.seed}"
+        f"seed {evaluation.seed}" + (f", flange below {limit:g} m/s" if limit else "")
     )
     table = Table(box=SIMPLE, pad_edge=False)
     table.add_column("", no_wrap=True)

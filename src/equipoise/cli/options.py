@@ -38,6 +38,13 @@ SettingsFile = Annotated[
         rich_help_panel=IN_AND_OUT,
     ),
 ]
+MaxSpeed = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M/S",
+        help="A trial fails where the flange reaches this; in T1 0.23, by default nothing.",
+    ),
+]
 Set = Annotated[
     list[str] | None,
     typer.Option(

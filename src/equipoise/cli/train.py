@@ -13,6 +13,7 @@ from equipoise.cli.options import (
     Base,
     Held,
     Json,
+    MaxSpeed,
     Seed,
     Set,
     SettingsFile,
@@ -25,6 +26,7 @@ from equipoise.cli.options import (
     read_pendulum,
 )
 from equipoise.cli.output import FIRST_WORDS, Output, stoppable, verb
+from equipoise.errors import InputError
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -64,6 +66,7 @@ def train(
             help="Learners to train over the cores, by default 3; the best of a selection is kept.",
         ),
     ] = None,
+    max_speed: MaxSpeed = None,
     seed: Seed = 0,
     workers: Workers = None,
     held: Held = None,
@@ -93,7 +96,12 @@ def train(
     chosen = list(settings or ())
     if episodes is not None:
         chosen.append(f"learning.episodes={episodes}")
-    resolved = resolve(recipe, settings_file, chosen)
+    resolved = resolve(recipe, settings_file, chosen, max_speed=max_speed)
+    if max_speed is not None and not resolved.selection.every:
+        raise InputError(
+            f"--max-speed needs a selection, and recipe {recipe} takes the last table; give "
+            "another, or --set selection.every=20"
+        )
     source = read_pendulum(pendulum)
     machine = read_arm(arm, held, base, tip)
     response = read_actuator(actuator)
@@ -204,6 +212,8 @@ def _say(output: Output, policies: "list[TabularPolicy]", wall: float, speed: fl
     steps = sum(policy.steps for policy in policies)
     of_each = f" each of {len(policies)} learners" if len(policies) > 1 else ""
     rows = {"trained": f"{best.episodes:,} episodes{of_each}, {steps:,} steps in {wall:.1f} s"}
+    if (limit := best.settings.plant.max_speed) is not None:
+        rows["for a flange"] = f"below {limit:g} m/s"
     if speed:
         rows["speed"] = f"{speed:,.0f} steps/s, selection included"
     for policy in policies:

@@ -29,6 +29,7 @@ from equipoise.control.safety import (
     FOLLOWING_CODE,
     KEPT,
     RULES,
+    T1_SPEED,
     Guard,
     Limits,
     broken_flange,
@@ -83,6 +84,7 @@ def trial_guard(
     actuator: Actuator,
     policy: PolicyKernel,
     h: float,
+    max_speed: float | None = None,
 ) -> Guard | None:
     """Return the rules that act in a world, as they would on a rig; none where none do.
 
@@ -92,6 +94,7 @@ def trial_guard(
         actuator: What the controller knows of the arm's response.
         policy: What decides.
         h: Time between ticks [s].
+        max_speed: What the task limits the flange's speed to [m/s]; none where it does not.
     """
     if not settings.guards:
         return None
@@ -101,7 +104,7 @@ def trial_guard(
         u_max=max(map(abs, policy.actions)),
         h=h,
         counts_per_rev=settings.counts_per_rev,
-        t1=settings.t1,
+        speed=min(T1_SPEED if settings.t1 else inf, inf if max_speed is None else max_speed),
     )
 
 

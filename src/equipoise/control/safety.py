@@ -135,8 +135,8 @@ class Rule(Enum):
     """The arm is close to a posture in which it cannot move the flange at will."""
     TRACK = "track"
     """The flange could not be stopped within its track any more."""
-    T1 = "T1 speed"
-    """The flange is faster than T1 allows."""
+    SPEED = "flange speed"
+    """The flange is faster than it may be, such as in T1."""
     DRIFT = "flange drift"
     """The flange has left its line."""
     TILT = "flange tilt"
@@ -167,7 +167,7 @@ VELOCITY_CODE: Final = RULES.index(Rule.VELOCITY)
 ACCELERATION_CODE: Final = RULES.index(Rule.ACCELERATION)
 SINGULAR_CODE: Final = RULES.index(Rule.SINGULAR)
 TRACK_CODE: Final = RULES.index(Rule.TRACK)
-T1_CODE: Final = RULES.index(Rule.T1)
+SPEED_CODE: Final = RULES.index(Rule.SPEED)
 DRIFT_CODE: Final = RULES.index(Rule.DRIFT)
 TILT_CODE: Final = RULES.index(Rule.TILT)
 ANGLE_CODE: Final = RULES.index(Rule.ANGLE)
@@ -247,8 +247,8 @@ class Guard(NamedTuple):
     """Time between ticks [s]."""
     resolution: float
     """Angle of one encoder count [rad]."""
-    t1: bool = False
-    """Whether T1 limits the speed of the flange."""
+    speed: float = inf
+    """The flange stays below this [m/s]; inf where nothing limits it."""
 
 
 def make_guard(
@@ -258,7 +258,7 @@ def make_guard(
     u_max: float,
     h: float,
     counts_per_rev: int,
-    t1: bool = False,
+    speed: float = inf,
     margin: float = POSITION_MARGIN,
     speed_share: float = 1.0,
     torque_share: float = TORQUE_SHARE,
@@ -271,7 +271,7 @@ def make_guard(
         u_max: Largest acceleration that the policy commands [m/s^2].
         h: Time between ticks [s].
         counts_per_rev: Encoder counts per revolution, after x4.
-        t1: Whether T1 limits the speed of the flange.
+        speed: The flange stays below this [m/s].
         margin: Setpoints stay so far inside the joints' limits [rad].
         speed_share: ... and below this share of their velocity limits.
         torque_share: Of the torque that a joint can give: how far an external one may be from that
@@ -286,7 +286,7 @@ def make_guard(
         least_manipulability=SINGULAR_SHARE * at_home,
         h=h,
         resolution=2.0 * pi / counts_per_rev,
-        t1=t1,
+        speed=speed,
     )
 
 
@@ -653,8 +653,8 @@ def _flange(guard: Guard, view: View) -> Violation | None:
             f"the flange is at {view.x:.3f} m with {view.x_dot:.3f} m/s and could be stopped at "
             f"{reach:.3f} m, expected less than {limit:g} m from home"
         )
-    elif code == T1_CODE:
-        reason = f"the flange moves at {value:.3f} m/s, expected less than {limit:g} m/s in T1"
+    elif code == SPEED_CODE:
+        reason = f"the flange moves at {value:.3f} m/s, expected less than {limit:.3g} m/s"
     elif code == DRIFT_CODE:
         reason = (
             f"the flange is {1e3 * value:.1f} mm off its line, expected at most {1e3 * limit:g} mm"
@@ -690,8 +690,8 @@ def broken_flange(
     # Written so that a number that is none breaks the rule.
     if not (reach < TRACK and abs(x) < TRACK):
         return TRACK_CODE, max(reach, abs(x)), TRACK
-    if guard.t1 and abs(x_dot) >= T1_SPEED:
-        return T1_CODE, x_dot, T1_SPEED
+    if abs(x_dot) >= guard.speed:
+        return SPEED_CODE, x_dot, guard.speed
     if drift > DRIFT_LIMIT:
         return DRIFT_CODE, drift, DRIFT_LIMIT
     if abs(tilt) > TILT_LIMIT:

@@ -147,6 +147,7 @@ def _on_the_model(
             twin=None,
             zero_error=float(trials.zero[0]) if plant.controller.observes else None,
             cause=cause_named(cause),
+            guard=guard_named(cause),
         ),
         tracked=rows.tracked,
         q=q,
@@ -189,7 +190,14 @@ def _on_a_twin(
         phi_dot=float(trials.start[0, 3]),
         duration=duration,
         seed=seed,
-        guard=trial_guard(policy.arm, world.settings, actuator, policy.kernel, policy.h),
+        guard=trial_guard(
+            policy.arm,
+            world.settings,
+            actuator,
+            policy.kernel,
+            policy.h,
+            settings.plant.max_speed,
+        ),
     )
     arm, h, x_dot = policy.arm, policy.h, rows.truth[:, 1]
     time = np.arange(len(rows.u)) * h

@@ -5,25 +5,30 @@ finding that is not good enough refuses the run; a doubtful one is a warning and
 """
 
 from collections.abc import Iterator, Sequence
-from math import degrees
+from math import degrees, floor, inf
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from equipoise.control.policy import TabularPolicy
-from equipoise.control.safety import ENCODER_LATE, ENCODER_STALE
+from equipoise.control.safety import ENCODER_LATE, ENCODER_STALE, T1_SPEED
+from equipoise.control.slow_link import flange_speed
 from equipoise.devices.interfaces import AngleSensor, Clock, Robot
 from equipoise.devices.probes import listen, round_trips
 from equipoise.devices.realtime import Measure
 from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import Arm
 from equipoise.rigs import Attended, Rig, RigSettings
 
+Array = npt.NDArray[np.float64]
 Verdict = Literal["good", "warning", "refused"]
 
 LISTENING: Final = 1.0
 """How long robot and encoder are listened to, one after the other [s]."""
 QUICK: Final = 0.0055
-"""A round trip of up to this leaves room for two setpoints per tick of 10 ms [s]."""
+"""A round trip of up to this leaves room for two setpoints per tick of 10 ms [s]. Over a slower
+link setpoints may come as seldom as replies do, and the flange's speed is limited."""
 SLOW: Final = 0.009
 """Replies that come later than this would be overdue at every tick [s]."""
 LEAST_RATE: Final = 200.0
@@ -51,6 +56,15 @@ class Finding(NamedTuple):
     """What to do about it; empty where all is well."""
     outside: bool = False
     """Whether the rig failed, rather than what was given."""
+
+
+class Preflight(NamedTuple):
+    """What was found before anything moves."""
+
+    findings: list[Finding]
+    """Each in a row of the table."""
+    max_speed: float
+    """The run stops where the flange reaches this [m/s]; inf where nothing limits it."""
 
 
 def check_fit(
@@ -135,17 +149,54 @@ def _actuator_fits(policy: TabularPolicy, actuator: Actuator) -> Finding:
     return Finding(name, "good", found, "")
 
 
-def check_robot(robot: Robot, clock: Clock, rig: RigSettings) -> Iterator[Finding]:
-    """Time the robot's answers, and look at where it stands.
-
-    Raises:
-        LinkError: It does not answer.
-    """
-    trips, q = round_trips(robot, clock, LISTENING), robot.measured()
+def check_link(trips: Array) -> Iterator[Finding]:
+    """Judge the round trips of a link to the robot [s], shape (n,)."""
     p50, p99, most = (float(t) for t in (*np.percentile(trips, (50, 99)), trips.max()))
     found = f"p50 {1e3 * p50:.2f} ms, p99 {1e3 * p99:.2f} ms, at most {1e3 * most:.2f} ms"
     cure = "use a direct cable and no other traffic; equipoise doctor finds more"
     yield _finding("link to the robot", link_verdict(p99), found, cure)
+
+
+def link_speed(arm: Arm, trips: Array) -> float:
+    """Return how fast the flange may go over a link [m/s]; inf over a quick one.
+
+    Args:
+        arm: The rig's arm, with its home posture.
+        trips: Round trips [s], shape (n,).
+    """
+    longest = float(np.percentile(trips, 99.0))
+    # In whole millimetres, so that the log says the very number.
+    return inf if longest <= QUICK else floor(1e3 * flange_speed(arm, longest)) / 1e3
+
+
+def check_speed(policy: TabularPolicy, t1: bool, of_link: float) -> Iterator[Finding]:
+    """Say what limits the speed of the flange, and whether the policy was trained for that.
+
+    Args:
+        policy: The policy.
+        t1: Whether the limit of T1 holds.
+        of_link: What the link allows [m/s].
+    """
+    limit = min(T1_SPEED if t1 else inf, of_link)
+    if limit == inf:
+        return
+    why = "a slow link" if of_link <= limit else "T1"
+    found = f"the run stops at {limit:.3g} m/s ({why})"
+    trained = policy.settings.plant.max_speed
+    if trained is not None and trained <= limit:
+        yield Finding("flange speed", "good", f"{found}; trained for {trained:g} m/s", "")
+        return
+    cure = f"train --max-speed {limit:.3g} makes a policy that lives with it"
+    yield Finding("flange speed", "warning", f"{found}, which the policy was not trained for", cure)
+
+
+def check_posture(q: Array, rig: RigSettings) -> Iterator[Finding]:
+    """Look at where the robot stands, and at its home.
+
+    Args:
+        q: The measured joints [rad], shape (joints,).
+        rig: What `rig.toml` says.
+    """
     arm, margin = rig.described_arm, rig.position_margin_deg
     room = [
         degrees(min(angle - joint.lower, joint.upper - angle))
@@ -257,20 +308,35 @@ def preflight(
     settings: RigSettings,
     rig: Rig,
     measures: Sequence[Measure] = (),
-) -> list[Finding]:
+    *,
+    t1: bool = False,
+) -> Preflight:
     """Check a connected rig and a policy against each other; nothing moves.
+
+    Args:
+        policy: The policy.
+        actuator: How the rig's arm follows.
+        settings: What `rig.toml` says.
+        rig: The rig.
+        measures: What of real time the machine allowed.
+        t1: Whether the speed limit of T1 holds.
 
     Raises:
         LinkError: Robot or encoder does not answer.
     """
-    return [
+    trips = round_trips(rig.robot, Attended(rig.clock, rig.sensor), LISTENING)
+    of_link = link_speed(settings.described_arm, trips)
+    findings = [
         *check_fit(policy, actuator, settings, rig.sensor.counts_per_rev),
         *check_home(settings),
         *check_room(policy, settings),
-        *check_robot(rig.robot, Attended(rig.clock, rig.sensor), settings),
+        *check_link(trips),
+        *check_speed(policy, t1, of_link),
+        *check_posture(rig.robot.measured(), settings),
         *check_encoder(rig.sensor, rig.clock),
         *check_machine(measures),
     ]
+    return Preflight(findings, min(T1_SPEED if t1 else inf, of_link))
 
 
 def _finding(name: str, verdict: Verdict, found: str, cure: str) -> Finding:

@@ -4,9 +4,10 @@ The same course serves a real rig in real time and an emulated one in virtual ti
 handed in (`equipoise.deployment.processes` has the real one).
 """
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from math import nan, radians
+from math import ceil, inf, nan, radians
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -14,9 +15,10 @@ from equipoise.control.controller import Controller, horizon, make_controller
 from equipoise.control.lane import Flange, Lane
 from equipoise.control.pilot import PHASES, Pilot
 from equipoise.control.policy import TabularPolicy
-from equipoise.control.safety import Guard, Rule, make_guard
+from equipoise.control.safety import T1_SPEED, Guard, Rule, make_guard
 from equipoise.control.states import Cause
 from equipoise.control.ticks import Event, Heart
+from equipoise.deployment import deploy
 from equipoise.deployment.preflight import (
     Finding,
     check_fit,
@@ -31,11 +33,20 @@ from equipoise.devices.operator import Operator
 from equipoise.devices.realtime import Measure
 from equipoise.errors import EquipoiseError, InputError, LinkError, OutsideError
 from equipoise.model.actuator import Actuator
+from equipoise.model.worlds import read_world
 from equipoise.rigs import Attended, Rig, RigSettings, connect
 from equipoise.runwriter import WORD_TYPED, Recorder, RunWriter, push_event
 
 LASTED: Final = "lasted"
 OPERATOR: Final = "operator"
+T1_TRIALS: Final = 20
+"""So many trials on the twin come before a run in T1 ..."""
+T1_DURATION: Final = 20.0
+"""... of this length [s] ..."""
+T1_SHARE: Final = 0.9
+"""... of which such a share has to last."""
+SPEED_LIMIT: Final = "speed limit"
+"""Name of the event that says how fast the flange may go in a run."""
 PROLOGUE: Final = 600.0
 """Room in the record of punctuality for what comes before balancing [s]."""
 POLL: Final = 0.02
@@ -96,8 +107,13 @@ class Request:
             counts_per_rev=counts_per_rev,
         )
 
-    def guard(self, counts_per_rev: int) -> Guard:
-        """Return the rules of that rig."""
+    def guard(self, counts_per_rev: int, max_speed: float = inf) -> Guard:
+        """Return the rules of that rig.
+
+        Args:
+            counts_per_rev: What its encoder says.
+            max_speed: The flange stays below this [m/s], as the pre-flight said.
+        """
         arm = self.settings.described_arm
         return make_guard(
             arm,
@@ -105,7 +121,7 @@ class Request:
             u_max=max(map(abs, self.policy.actions)),
             h=self.policy.h,
             counts_per_rev=counts_per_rev,
-            t1=self.t1,
+            speed=max_speed,
             margin=radians(self.settings.position_margin_deg),
             speed_share=self.settings.speed_share,
             torque_share=self.settings.torque_share,
@@ -239,10 +255,14 @@ def run_on_rig(
         tell(Event("connecting", f"Connecting to {request.robot}."))
         rig.sensor.connect()
         robot.connect()
-        findings = preflight(request.policy, request.actuator, request.settings, rig, measures())
-        for finding in findings:
+        before = preflight(
+            request.policy, request.actuator, request.settings, rig, measures(), t1=request.t1
+        )
+        for finding in before.findings:
             tell(Event("finding", "\t".join(finding[:4])))
-        refuse(findings)
+        refuse(before.findings)
+        if before.max_speed < inf:
+            tell(speed_limit(before.max_speed))
         tell(Event("notice", NO_WATCHDOG))
         for word, question in CHECKLIST:
             said = tell.ask(Event("checklist", f"{question} Type {word}.", (word,)))
@@ -253,7 +273,9 @@ def run_on_rig(
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
         if tell.ask(Event("move", question, ("y", "n"))) != "y":
             return _unmoved(OPERATOR, "the move was not allowed; nothing has moved")
-        return _run(request, rig, robot, hearing, recorder, workshop, idle, around)
+        return _run(
+            request, rig, robot, hearing, recorder, before.max_speed, workshop, idle, around
+        )
     finally:
         robot.close()
         rig.sensor.close()
@@ -275,6 +297,21 @@ def check_request(request: Request) -> None:
     )
 
 
+def speed_limit(max_speed: float) -> Event:
+    """Return what the operator and the log are told of the flange's limit [m/s]."""
+    return Event(SPEED_LIMIT, f"{max_speed!r} m/s: the run stops where the flange is as fast.")
+
+
+def told_limit(events: Iterable[tuple[str, str]]) -> float:
+    """Return the flange's limit [m/s] from names and texts of a log's events; inf if there is none.
+
+    Args:
+        events: Name and text of each.
+    """
+    told = [float(text.split()[0]) for name, text in events if name == SPEED_LIMIT]
+    return told[0] if told else inf
+
+
 def refuse(findings: Sequence[Finding]) -> None:
     """Raise what forbids a run.
 
@@ -294,12 +331,13 @@ def _run(
     robot: GuardedRobot,
     operator: Operator,
     recorder: Recorder,
+    max_speed: float,
     workshop: Workshop | None,
     idle: Callable[[], None],
     around: Callable[[Heart], Heart],
 ) -> Outcome:
     counts_per_rev = rig.sensor.counts_per_rev
-    arm, guard = request.settings.described_arm, request.guard(counts_per_rev)
+    arm, guard = request.settings.described_arm, request.guard(counts_per_rev, max_speed)
     controller, policy = request.controller(counts_per_rev), request.policy.kernel
     warm_up(request, controller)
     rig.sensor.samples()
@@ -430,29 +468,40 @@ class Together:
         return [word for operator in self._operators for word in operator.words()]
 
 
-def rehearse_t1(request: Request, duration: float = 20.0) -> None:
+def rehearse_t1(
+    request: Request, *, trials: int = T1_TRIALS, duration: float = T1_DURATION
+) -> None:
     """Let a policy balance on the twin under the limit of T1, before it is tried on a robot.
 
-    Raises:
-        InputError: It cannot.
-    """
-    from dataclasses import replace
+    Args:
+        request: What is to run where.
+        trials: How many trials.
+        duration: Length of each [s].
 
-    there = request.settings.model_copy(update={"counts_per_rev": 8192, "encoder_sign": 1})
-    trial = replace(
-        request,
-        settings=there,
-        robot="twin:nominal",
-        encoder=None,
-        duration=duration,
-        t1=True,
-        dry_run=False,
-    )
-    outcome = run_virtually(trial, None)
-    if outcome.cause != LASTED:
+    Raises:
+        InputError: It does not fit the rig, or a run in T1 would probably be stopped for its speed.
+    """
+    check_request(request)
+    policy, counts_per_rev = request.policy, request.settings.counts_per_rev
+    nominal = read_world("twin:nominal")
+    in_t1 = nominal.settings.model_copy(update={"t1": True, "counts_per_rev": counts_per_rev})
+    ended = Counter[str]()
+    for seed in range(trials):
+        run = deploy(
+            policy,
+            world=nominal._replace(settings=in_t1),
+            actuator=request.actuator,
+            seed=seed,
+            duration=duration,
+        ).conditions
+        ended[run.guard or run.cause] += 1
+    least = ceil(T1_SHARE * trials)
+    if ended[LASTED] < least:
+        others = ", ".join(f"{cause} {n}" for cause, n in ended.items() if cause != LASTED)
         raise InputError(
-            f"on the twin this policy does not last {duration:g} s in T1 ({outcome.reason}); "
-            "train one that does, for the arm moves faster than T1 allows"
+            f"on the twin in T1 this policy lasts {duration:g} s in {ended[LASTED]} of "
+            f"{trials} trials, expected {least} (ended by: {others}); train one that lives "
+            f"with it: equipoise train --max-speed {T1_SPEED:g}"
         )
 
 

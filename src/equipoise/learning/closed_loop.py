@@ -15,7 +15,7 @@ Training, evaluation, the recorded run and any policy written in Python call the
 happens in a lane does not depend on the others.
 """
 
-from math import floor, pi
+from math import floor, inf, pi
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ import numpy.typing as npt
 from equipoise.compiled import inlined, kernel
 from equipoise.control.boxes import (
     ANGLE,
+    GUARD,
     JOINT_LIMIT,
     LASTED,
     TRACK,
@@ -49,6 +50,7 @@ from equipoise.control.controller import (
     observe,
     pivot_velocity,
 )
+from equipoise.control.safety import SPEED_CODE
 from equipoise.model.actuator import (
     CYCLE,
     IDEAL_ACTUATOR,
@@ -69,6 +71,8 @@ Array = npt.NDArray[np.float64]
 LEAST_INERTIA_FACTOR: Final = 0.1
 SENT: Final = 32
 """Setpoints that may be under way to the arm."""
+TOO_FAST: Final = GUARD + SPEED_CODE
+"""Cause of failure where the task limits the flange's speed: that of the guard of a rig."""
 
 # Rows of the block of states.
 X: Final = 0
@@ -90,6 +94,8 @@ class Plant(NamedTuple):
     """|phi| of failure [rad]."""
     x_limit: float
     """|x| of failure [m]."""
+    speed_limit: float
+    """|x_dot| of failure [m/s]; inf where nothing limits it."""
     position_noise: float
     """Standard deviation of the noise on the position part of e [m]."""
     orientation_noise: float
@@ -165,7 +171,7 @@ def make_plant(
         ArmError: Home is a singular posture.
         SettingsError: The delay is longer than the controller remembers.
     """
-    limits = boxes()
+    limits, max_speed = boxes(), settings.plant.max_speed
     return Plant(
         controller=make_controller(
             arm,
@@ -178,6 +184,7 @@ def make_plant(
         ),
         phi_limit=limits.phi_limit,
         x_limit=limits.x_limit,
+        speed_limit=inf if max_speed is None else max_speed,
         position_noise=settings.plant.position_error_sigma,
         orientation_noise=settings.plant.orientation_error_sigma,
         linearised=settings.plant.linearised,
@@ -296,7 +303,8 @@ def step(plant: Plant, block: Block, lanes: int) -> None:
         put(state, X_DOT, n, at(frame, TWIST, n))
     advance_pendula(state, block.pendula, h, plant.linearised, lanes)
     for n in range(lanes):
-        within = JOINT_LIMIT if memory.beyond[n] else LASTED
+        slow = abs(at(state, X_DOT, n)) < plant.speed_limit
+        within = JOINT_LIMIT if memory.beyond[n] else (LASTED if slow else TOO_FAST)
         on_track = abs(at(state, X, n)) < plant.x_limit
         upright = abs(at(state, PHI, n)) < plant.phi_limit
         cause[n] = (within if on_track else TRACK) if upright else ANGLE

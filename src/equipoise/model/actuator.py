@@ -18,7 +18,7 @@ The training plant, the controller's observer and the identification run the ker
 
 import functools
 from importlib import resources
-from math import exp, inf, log, sqrt
+from math import exp, expm1, inf, log, log1p, sqrt
 from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
 
 import numpy as np
@@ -232,6 +232,40 @@ def steady_error(dq: float, lag: float, actuator: ActuatorParameters) -> float:
     part = min(abs(dq) * actuator.cycle / actuator.amplitude, 0.999)
     e = actuator.width * sqrt(-log(1.0 - part))
     return e if dq >= 0.0 else -e
+
+
+def shaped_peak(speed: float, period: float) -> float:
+    r"""Return the peak of the velocity that the shaping law asks a joint for [rad/s].
+
+    Setpoints that are a period P apart are v P apart. Each makes the error e_0, from which it falls
+    by v P until the next. While it is small the law is quadratic, k = a / (b^2 t_c), and
+
+    .. math:: e_0 = \frac{v P}{2} + \sqrt{\left(\frac{v P}{2}\right)^2 + \frac{v}{k}}, \qquad
+              \dot q_c = \frac{a}{t_c} \left(1 - e^{-(e_0 / b)^2}\right)
+
+    A drive that lags evens the steps out, so that the peak is lower there.
+
+    Args:
+        speed: Velocity v of the setpoints [rad/s].
+        period: Time P between two of them [s].
+    """
+    half, k = 0.5 * speed * period, AMPLITUDE / (WIDTH**2 * CYCLE)
+    e = half + sqrt(half**2 + speed / k)
+    return AMPLITUDE / CYCLE * -expm1(-((e / WIDTH) ** 2))
+
+
+def speed_of_peak(peak: float, period: float) -> float:
+    """Return the velocity of setpoints at which the shaping law asks for a peak [rad/s].
+
+    The inverse of `shaped_peak`: v = k e_0^2 / (1 + k e_0 P).
+
+    Args:
+        peak: Of the velocity that the law asks for, below a / t_c = 70 [rad/s].
+        period: Time between two setpoints [s].
+    """
+    k = AMPLITUDE / (WIDTH**2 * CYCLE)
+    e = WIDTH * sqrt(-log1p(-peak * CYCLE / AMPLITUDE))
+    return k * e**2 / (1.0 + k * e * period)
 
 
 @kernel

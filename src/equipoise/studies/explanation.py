@@ -118,8 +118,8 @@ class Name(Enum):
     """The robot did not answer."""
     POSTURE = "flange astray"
     """The flange left its line or orientation."""
-    SPEED = "T1 speed"
-    """The flange was faster than T1 allows."""
+    SPEED = "flange speed"
+    """The flange was faster than it may be: in T1, or over a slow link."""
     SELF_TEST = "self-test"
     """The pendulum did not answer as the model says, before it was lifted."""
     FAULT = "fault"
@@ -147,7 +147,7 @@ ADVICE: Final = {
     Name.NOT_FOLLOWING: "look at the smartPAD: emergency stop, enabling switch, mode",
     Name.LINK: "look at cable and network; `equipoise doctor` measures round trips",
     Name.POSTURE: "look at the mounting of base and flange, and at the actuator that is believed",
-    Name.SPEED: "train with --max-speed 0.23, or leave T1",
+    Name.SPEED: "train with --max-speed, leave T1, or make the link to the robot faster",
     Name.SELF_TEST: "do what the self-test says",
     Name.FAULT: "read the reason",
     Name.UNKNOWN: "look at what the operator saw",
@@ -165,7 +165,7 @@ TELLING: Final = {
     Rule.FOLLOWING.value: Name.NOT_FOLLOWING,
     Rule.FIRST.value: Name.NOT_FOLLOWING,
     Rule.TORQUE.value: Name.CONTACT,
-    Rule.T1.value: Name.SPEED,
+    Rule.SPEED.value: Name.SPEED,
     Rule.DRIFT.value: Name.POSTURE,
     Rule.TILT.value: Name.POSTURE,
     Rule.TICK.value: Name.LATE,

@@ -22,7 +22,7 @@ from equipoise.control.lane import Lane
 from equipoise.control.pilot import Pilot
 from equipoise.control.policy import TabularPolicy
 from equipoise.control.ticks import Inputs, Output
-from equipoise.deployment.rig import Request
+from equipoise.deployment.rig import Request, told_limit
 from equipoise.devices.interfaces import Reply, Sample
 from equipoise.errors import ArtefactError
 from equipoise.model.actuator import Actuator
@@ -167,7 +167,7 @@ def _of_rig(run: RigRun, policy: TabularPolicy, actuator: Actuator) -> Rows:
         request.settings.described_arm,
         request.controller(counts_per_rev),
         policy.kernel,
-        request.guard(counts_per_rev),
+        request.guard(counts_per_rev, told_limit((e.name, e.text) for e in run.events)),
         began["q"][0].tolist(),
         duration=request.duration,
     )
