@@ -319,3 +319,24 @@ def test_what_the_design_asks_for_is_the_default():
     assert settings.clik.K_p == 400.0
     assert settings.clik.K_d == 40.0
     assert settings.learning.episodes == 10_000
+
+
+# A limited speed
+
+
+def test_a_limited_speed_brings_its_differences_unless_others_are_given(tmp_path):
+    slow = resolve(max_speed=0.23)
+    assert (slow.plant.max_speed, slow.learning.gamma) == (0.23, 0.95)
+    assert resolve().plant.max_speed is None
+    assert resolve(overrides=["learning.gamma=0.9"], max_speed=0.23).learning.gamma == 0.9
+    file = toml(tmp_path, "[learning]\ngamma = 0.98\n[plant]\nmax_speed = 0.5\n")
+    assert resolve(file=file, max_speed=0.23).plant.max_speed == 0.23
+    assert resolve(file=file).plant.max_speed == 0.5
+    with pytest.raises(SettingsError, match=r"plant\.max_speed"):
+        resolve(max_speed=0.0)
+
+
+def test_settings_without_a_limit_are_written_as_before():
+    assert "max_speed" not in Settings().model_dump()["plant"]
+    assert resolve(max_speed=0.23).model_dump()["plant"]["max_speed"] == 0.23
+    assert Settings.model_validate(Settings().model_dump()) == Settings()

@@ -2,6 +2,7 @@
 
 import pytest
 
+from equipoise.control.policy import shipped_policy
 from equipoise.runwriter import read_rig_run
 
 pytestmark = pytest.mark.compiled_only
@@ -90,3 +91,25 @@ def test_an_encoder_that_is_not_there_is_told_in_one_sentence(equipoise, tmp_pat
 
 def test_a_policy_for_another_arm_is_refused(refused, policy_file):
     refused("deploy", policy_file, "--robot", "twin:nominal", saying="on iiwa14, the rig has iiwa7")
+
+
+def test_a_policy_that_is_too_fast_for_t1_is_refused_before_anything_is_connected(
+    equipoise, tmp_path
+):
+    policy = shipped_policy()
+    plant = policy.settings.plant.model_copy(update={"max_speed": 0.05})
+    settings = policy.settings.model_copy(update={"plant": plant})
+    policy.model_copy(update={"settings": settings}).save(tmp_path / "fast.json", command="test")
+    ran = equipoise("deploy", "fast.json", "--robot", "twin:nominal", "--t1")
+    assert ran.code == 2
+    assert "lasts 20 s in 0 of 20 trials, expected 18 (ended by: flange speed 20)" in ran.err
+    assert "equipoise train --max-speed 0.23" in ran.err
+    assert not (tmp_path / "run.mcap").exists()
+
+
+@pytest.mark.slow
+def test_a_policy_that_lives_with_t1_runs_there(equipoise):
+    ran = equipoise("deploy", "--robot", "twin:nominal", "--t1", "--duration", 1, "--json")
+    assert ran.code == 0, ran
+    assert "0.23 m/s (T1)" in ran.err
+    assert ran.json["cause"] == "lasted"

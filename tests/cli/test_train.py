@@ -175,3 +175,25 @@ def test_an_interruption_stops_the_learners_and_writes_nothing(
     assert ran.err == "interrupted\n"
     assert contents(tmp_path) == before
     assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_a_limited_speed_is_in_the_policy_and_in_its_evaluation(equipoise, pendulum_file, tmp_path):
+    ran = equipoise("train", pendulum_file, *SHORT, "--max-speed", 0.23)
+    assert ran.code == 0, ran
+    assert "below 0.23 m/s" in ran.out
+    settings = TabularPolicy.load(tmp_path / "policy.json").settings
+    assert (settings.plant.max_speed, settings.learning.gamma) == (0.23, 0.95)
+    few = ("--trials", 4, "--duration", 1, "--no-yardsticks")
+    assert "flange below 0.23 m/s" in equipoise("evaluate", "policy.json", *few).out
+    # At a crawl no trial lasts, whatever the policy was trained for.
+    slow = equipoise("evaluate", "policy.json", *few, "--max-speed", 0.02, "--json")
+    assert slow.code == 1
+    assert slow.json["causes"] == {"guard": 4}
+
+
+def test_an_impossible_limit_of_the_speed_is_refused(refused):
+    refused("train", "--max-speed", -1, saying="plant.max_speed")
+    refused(
+        "train", "--recipe", "paper", "--max-speed", 0.23, saying="--max-speed needs a selection"
+    )
+    refused("evaluate", "--max-speed", 5, saying="give a number from 0.01 to 2")
