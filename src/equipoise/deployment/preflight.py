@@ -14,7 +14,7 @@ import numpy.typing as npt
 from equipoise.control.policy import TabularPolicy
 from equipoise.control.safety import ENCODER_LATE, ENCODER_STALE, T1_SPEED
 from equipoise.control.slow_link import flange_speed
-from equipoise.devices.interfaces import AngleSensor, Clock, Robot
+from equipoise.devices.interfaces import AngleSensor, Clock
 from equipoise.devices.probes import listen, round_trips
 from equipoise.devices.realtime import Measure
 from equipoise.model.actuator import Actuator
