@@ -282,8 +282,8 @@ def test_a_trial_ends_where_a_rig_would_stop(rule, kept, not_kept):
 
 
 def test_a_trial_in_t1_ends_where_a_rig_would_stop():
-    assert Tick(GUARD_7._replace(t1=True))(v=0.229) is None
-    assert Tick(GUARD_7._replace(t1=True))(v=-0.231) is Rule.T1
+    assert Tick(GUARD_7._replace(speed=0.23))(v=0.229) is None
+    assert Tick(GUARD_7._replace(speed=0.23))(v=-0.231) is Rule.SPEED
 
 
 def test_a_trial_ends_where_the_arm_is_elsewhere_for_long():

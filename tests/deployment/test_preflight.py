@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from equipoise.deployment.preflight import check_encoder, check_robot
+from equipoise.deployment.preflight import LISTENING, check_encoder, check_link
 from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.interfaces import Sample
+from equipoise.devices.probes import round_trips
 from equipoise.rigs import RigSettings
 
 RIG = RigSettings()
@@ -48,10 +49,6 @@ class Sensor:
         ]
 
 
-def found(checked):
-    return {finding.name: finding for finding in checked}
-
-
 @pytest.mark.parametrize(
     ("takes", "tenth", "verdict"),
     [
@@ -64,7 +61,7 @@ def found(checked):
 )
 def test_the_link_is_judged_by_its_slowest_answers(takes, tenth, verdict):
     clock = VirtualClock()
-    link = found(check_robot(Robot(clock, takes, tenth), clock, RIG))["link to the robot"]
+    (link,) = check_link(round_trips(Robot(clock, takes, tenth), clock, LISTENING))
     assert (link.verdict, link.outside) == (verdict, verdict == "refused")
     assert bool(link.cure) == (verdict != "good")
     assert clock.now() < 1.2
