@@ -388,3 +388,16 @@ def test_episodes_last_longer_as_the_training_goes_on(pendulum, actuator):
     durations, n = [point.duration for point in curve], len(curve)
     # Chance: on six seeds the second half was 2.8 to 14 times as long as the first sixth.
     assert np.mean(durations[n // 2 :]) > 1.8 * np.mean(durations[: n // 6])
+
+
+# A limited speed
+
+
+def test_a_limited_speed_selects_among_the_tables_of_the_same_training(pendulum):
+    limited = train(pendulum, ARM, settings("plant.max_speed=0.02"), seed=5)
+    free = train(pendulum, ARM, settings(), seed=5)
+    assert [p.duration for p in limited.learning_curve] == [p.duration for p in free.learning_curve]
+    assert limited.steps == free.steps
+    assert free.candidates[0].mean_duration > limited.candidates[0].mean_duration
+    assert limited.candidates[0].survived == 0
+    assert limited.settings.plant.max_speed == 0.02

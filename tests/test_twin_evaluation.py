@@ -165,3 +165,20 @@ def test_a_run_that_a_guard_ends_says_which(behind_a_servo, tmp_path):
     again = RunLog.load(tmp_path / "run.mcap")
     assert again.conditions == run.conditions
     assert again.digest == run.digest
+
+
+def test_what_a_policy_was_trained_for_limits_its_speed_on_plant_and_twin(behind_a_servo):
+    settings = behind_a_servo.settings
+    plant = settings.plant.model_copy(update={"max_speed": 0.02})
+    slow = settings.model_copy(update={"plant": plant})
+    policy = behind_a_servo.model_copy(update={"settings": slow})
+    for world in ("model", WORLD):
+        results = evaluate(policy, world=world, seed=4, with_yardsticks=False).results
+        assert set(results.guards) == {"flange speed"}
+        run = deploy(policy, world=world, seed=4, duration=2.0)
+        assert (run.conditions.cause, run.conditions.guard) == ("guard", "flange speed")
+        assert abs(run.truth.x_dot).max() < 0.1
+    # A world without guards has none.
+    assert not evaluate(
+        policy, world="twin:nominal-1", seed=4, with_yardsticks=False
+    ).results.guards

@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from equipoise import paper
-from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, LASTED, TRACK
+from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, LASTED, TRACK, cause_named
+from equipoise.control.guards import guard_named
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, TABLE, act, policy_kernel
 from equipoise.control.yardsticks import lqr_gains
 from equipoise.learning.closed_loop import (
+    X_DOT,
     Variation,
     X,
     draw_noise,
@@ -409,3 +411,21 @@ def test_what_is_not_a_number_is_a_failure(plant):
 
 def test_there_is_a_core():
     assert available_cores() >= 1
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_flange_at_the_limit_of_its_speed_is_a_failure_and_one_just_below_is_not(plant, sign):
+    def after(plant, x=0.0):
+        block = new_block()
+        still = PendulumParameters(0.0, 0.0, 0.0)
+        reset(plant, block, still, NOMINAL, (x, sign * 0.2, 0.0, 0.0), 0)
+        step(plant, block, 1)
+        return abs(float(block.state[X_DOT * LANES])), int(block.cause[0])
+
+    reached, cause = after(plant)
+    assert (plant.speed_limit, cause) == (inf, LASTED)
+    ended = after(plant._replace(speed_limit=reached))[1]
+    assert (cause_named(ended), guard_named(ended)) == ("guard", "flange speed")
+    assert after(plant._replace(speed_limit=nextafter(reached, inf)))[1] == LASTED
+    # Off the track is named first: it is what the flange's speed may lead to.
+    assert after(plant._replace(speed_limit=0.1), x=sign * 0.2195)[1] == TRACK
