@@ -44,6 +44,7 @@ ROOT = Path(__file__).resolve().parent.parent
 ROOMS = {
     "safety": "control",
     "guards": "control",
+    "gaps": "control",
     "states": "control",
     "stop": "control",
     "release": "control",

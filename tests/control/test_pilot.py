@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from equipoise.control.controller import horizon, make_controller
-from equipoise.control.gaps import OFTEN, WINDOW, Gaps
 from equipoise.control.pilot import TORQUE_EVERY, UNSURE, Pilot
 from equipoise.control.policy import shipped_policy
 from equipoise.control.safety import ANGLE, ENCODER_STALE, LATE, OVERDUE, Rule, make_guard
@@ -289,27 +288,6 @@ def test_before_there_is_a_zero_a_gap_means_nothing():
     lose(course, *range(500, 1000, 10))
     course.until(Phase.SELF_TEST)
     assert "warning" not in course.told
-
-
-def test_gaps_are_counted_in_any_window_of_a_second():
-    gaps = Gaps()
-    assert gaps.serious(0.0, 0) == 0
-    assert gaps.serious(0.0, 1) == 0
-    assert gaps.serious(0.6, 1) == 0
-    assert gaps.serious(0.5 + WINDOW, 1) == 0  # two in this second
-    assert gaps.serious(0.59 + WINDOW, 1) == 1  # three
-    assert gaps.bridged == OFTEN
-    assert gaps.serious(9.0, 2) == 2
-    # One of several samples counts towards what comes often.
-    assert gaps.serious(9.1, 1) == 0
-    assert gaps.serious(9.2, 1) == 1
-
-
-def test_a_gap_at_no_time_is_not_bridged():
-    gaps = Gaps()
-    for _ in range(OFTEN):
-        serious = gaps.serious(nan, 1)
-    assert serious == 1
 
 
 # External torques.
