@@ -35,7 +35,7 @@ class Gaps:
         if missing == 0:
             return 0
         often = not time - self._times[0] > WINDOW
-        self._times[:-1], self._times[-1] = self._times[1:], time
+        self._times = [*self._times[1:], time]
         if missing > 1 or often:
             return missing
         self.bridged += 1
