@@ -156,6 +156,11 @@ def test_a_rig_that_cannot_be_read_is_refused(refused):
     refused("doctor", *QUICK, "--rig", "nowhere.toml", saying="cannot read the rig nowhere.toml")
 
 
+def test_logs_go_to_a_folder(refused, tmp_path):
+    (tmp_path / "runs").write_text("")
+    refused("doctor", *QUICK, "--logs", "runs", saying="give the name of a folder")
+
+
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf", "soon"])
 def test_durations_that_cannot_be_meant_are_refused(refused, seconds):
     refused("doctor", "--seconds", seconds, saying="--seconds")

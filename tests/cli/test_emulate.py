@@ -129,6 +129,12 @@ def test_faults_that_cannot_be_are_refused(equipoise, faults):
     assert "drop=0 to 1" in ran.err
 
 
+def test_the_plant_of_the_training_has_no_hardware(equipoise):
+    ran = equipoise("emulate", "--world", "model")
+    assert ran.code == 2
+    assert "is no digital twin; choose twin:nominal" in ran.err
+
+
 def test_a_port_that_is_taken_is_told(equipoise):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         ran = equipoise("emulate", "--port", str(taken.getsockname()[1]))

@@ -337,8 +337,11 @@ def _on_a_rig(
         told["missed ticks"] = str(outcome.missed)
     output.rows(told)
     output.wrote(out)
-    output.next("explain", out)
     code = exit_code(outcome)
+    if code:
+        output.next("explain", out)
+    elif not dry_run:
+        output.next("replay", out, *((policy,) if policy else ()))
     output.result({"run": str(out), "robot": robot, **outcome._asdict()})
     return code
 

@@ -69,6 +69,8 @@ def doctor(
     """
     if not math.isfinite(seconds):  # typer lets nan through its range
         raise InputError(f"--seconds is {seconds}; give a number of seconds, such as 5")
+    if logs.is_file():
+        raise InputError(f"--logs is the file {logs}; give the name of a folder")
     output = Output(as_json)
     looked_at = "this machine" if robot is None and encoder is None else "machine and rig"
     output.say(f"Looking at {looked_at}; nothing moves")

@@ -145,11 +145,11 @@ def read_world(name: str) -> World:
         >>> world.name, world.settings.transport
         ('twin:harsh-2', 0.03)
     """
+    twins = f"{', '.join(PREFIX + short for short in NEWEST)} or {PREFIX}FILE.toml"
+    if name == MODEL:
+        raise SettingsError(f"the plant of the training is no digital twin; choose {twins}")
     if not name.startswith(PREFIX):
-        raise SettingsError(
-            f"there is no world {name!r}; choose {MODEL}, "
-            f"{', '.join(PREFIX + short for short in NEWEST)} or {PREFIX}FILE.toml"
-        )
+        raise SettingsError(f"there is no world {name!r}; choose {MODEL}, {twins}")
     which = name.removeprefix(PREFIX)
     which = NEWEST.get(which, which)
     if which in SETS:

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from equipoise.devices.clocks import TICK, SystemClock
+from equipoise.devices.clocks import TICK, SystemClock, VirtualClock
 from equipoise.devices.kuka.cabinet import KstServer
 from equipoise.devices.kuka.listener import serve
 from equipoise.devices.kuka.robot import KstRobot, dial
@@ -138,3 +138,11 @@ def test_port_in_use_is_named():
         server = KstServer(Follower(), SPEEDS)
         with pytest.raises(OutsideError, match=f"port {port}"):
             serve(server, "127.0.0.1", port, SystemClock(), lambda _: None, lambda: True)
+
+
+def test_a_host_that_has_no_address_is_not_waited_for():
+    clock = VirtualClock()
+    robot = KstRobot(dial("no.such.host.invalid"), clock)
+    with pytest.raises(OutsideError, match="there is no host no.such.host.invalid"):
+        robot.connect()
+    assert clock.now() < 1.0  # an address that does not answer is tried for a minute

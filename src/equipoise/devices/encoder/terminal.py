@@ -58,7 +58,9 @@ class Terminal:
             link.unlink(missing_ok=True)
             link.symlink_to(self.path)
         except OSError as error:
-            raise OutsideError(f"cannot make the link {link} ({error.strerror})") from None
+            raise OutsideError(
+                f"cannot make the link {link} ({error.strerror}); give a name in another folder"
+            ) from None
         self._link = link
 
     def __enter__(self) -> "Terminal":

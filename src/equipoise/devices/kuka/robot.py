@@ -40,7 +40,7 @@ from equipoise.devices.kuka.codec import (
     speed,
 )
 from equipoise.devices.transports import TcpTransport
-from equipoise.errors import LinkError
+from equipoise.errors import LinkError, OutsideError
 
 TIMEOUT: Final = 0.1
 """The answer to a setpoint is overdue after this [s]: a cabled link takes one or two
@@ -92,6 +92,11 @@ def dial(host: str, port: int = PORT) -> Callable[[], Transport]:
     def opened() -> Transport:
         try:
             return TcpTransport(socket.create_connection((host, port), timeout=DIAL))
+        except socket.gaierror as error:  # no application on the smartPAD will change that
+            raise OutsideError(
+                f"there is no host {host} ({error.strerror}); check the name, or give its number, "
+                "such as 172.31.1.147"
+            ) from None
         except OSError as error:
             raise LinkError(
                 f"no connection to {host}, port {port} ({error}); check cable, address and that "
