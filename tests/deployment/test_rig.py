@@ -11,7 +11,7 @@ from equipoise.control.ticks import Event
 from equipoise.deployment.rig import (
     Hearing,
     Request,
-    Told,
+    Teller,
     exit_code,
     rehearse_t1,
     run_rig_virtually,
@@ -145,7 +145,7 @@ class Script:
 def test_words_that_come_together_answer_one_question_after_the_other():
     clock, recorder = VirtualClock(), Recorder(7)
     hearing = Hearing(Script("estop", " Fence \n", "stop"))
-    tell = Told(hearing, recorder, clock)
+    tell = Teller(hearing, recorder, clock)
     assert [tell.ask(Event("checklist", text, ())) for text in "ab"] == ["estop", "fence"]
     # What was left over is not lost: the loop hears it, and stops.
     assert hearing.words() == ["stop"]
@@ -162,7 +162,7 @@ def test_words_that_come_together_answer_one_question_after_the_other():
 def test_whoever_asks_waits_for_a_word():
     clock, script = VirtualClock(), Script()
     clock.attach(lambda now: script._words.extend(["y"] if now == 1.0 else []))
-    assert Told(Hearing(script), Recorder(7), clock).ask(Event("move")) == "y"
+    assert Teller(Hearing(script), Recorder(7), clock).ask(Event("move")) == "y"
     assert clock.now() == pytest.approx(1.0, abs=0.02)
 
 

@@ -12,8 +12,6 @@ from rich.text import Text
 
 from equipoise.cli.output import Output
 
-QUIET: Final = frozenset({"finding", "connecting"})
-"""Events that a table shows."""
 STYLES: Final = {
     "fault": "bold red",
     "stopping": "bold yellow",

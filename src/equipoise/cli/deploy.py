@@ -2,10 +2,7 @@
 
 import os
 import shlex
-import signal
-import threading
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
 from itertools import chain, count
 from math import degrees
 from pathlib import Path
@@ -25,7 +22,7 @@ from equipoise.cli.options import (
     read_pendulum,
     read_policy,
 )
-from equipoise.cli.output import Output, verb
+from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.errors import EquipoiseError, InputError
 
 if TYPE_CHECKING:
@@ -320,8 +317,8 @@ def _on_a_rig(
     console = Console(output)
     try:
         if is_virtual(robot):
-            with stop_by_signal() as listener:
-                outcome = run_virtually(request, out, Listening(console, listener))
+            with stop_by_signal() as stopped:
+                outcome = run_virtually(request, out, Listening(console, stopped))
         else:
             with single_keys():
                 outcome = run_for_real(request, out, console)
@@ -349,26 +346,10 @@ def _on_a_rig(
 class Listening:
     """A console that is told, and speaks only by signals: an emulated operator types."""
 
-    def __init__(self, console: "Console", signalled: Callable[[], bool]) -> None:
-        """Listen to a console."""
-        self.tell, self._signalled = console.tell, signalled
+    def __init__(self, console: "Console", stopped: Callable[[], bool]) -> None:
+        """Tell a console, and ask whether a signal came."""
+        self.tell, self._stopped = console.tell, stopped
 
     def words(self) -> list[str]:
         """Return a stop, once a signal came."""
-        return ["stop"] if self._signalled() else []
-
-
-@contextmanager
-def stop_by_signal() -> Generator[Callable[[], bool]]:
-    """Let SIGINT and SIGTERM be heard instead of ending the program; yields whether one came."""
-    came: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
-        return
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda n, _: came.append(n)) for number in numbers]
-    try:
-        yield lambda: bool(came)
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
+        return ["stop"] if self._stopped() else []

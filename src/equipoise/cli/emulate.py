@@ -2,18 +2,16 @@
 
 import gc
 import queue
-import signal
 import sys
 import threading
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from equipoise.cli.options import Json, Seed, read_arm, read_pendulum
-from equipoise.cli.output import Output, verb
+from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
@@ -92,7 +90,7 @@ def emulate(
     words = _typed() if no_operator else None
     gc.collect()
     gc.freeze()  # a collection of all that was imported would be a stall
-    with _stoppable() as stopped:
+    with stop_by_signal() as stopped:
 
         def stop() -> bool:
             if words is not None and not words.empty():
@@ -206,18 +204,3 @@ def _typed() -> "queue.SimpleQueue[str]":
 
     threading.Thread(target=read, daemon=True).start()
     return lines
-
-
-@contextmanager
-def _stoppable() -> Generator[Callable[[], bool]]:
-    """Yield what says whether Ctrl-C or a SIGTERM has come: they end this verb well."""
-    event = threading.Event()
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    if threading.current_thread() is not threading.main_thread():
-        numbers = ()
-    before = [signal.signal(number, lambda *_: event.set()) for number in numbers]
-    try:
-        yield event.is_set
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)

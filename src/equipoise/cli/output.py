@@ -176,6 +176,22 @@ def stoppable() -> Generator[Callable[[], None]]:
         signal.signal(signal.SIGINT, before)
 
 
+@contextmanager
+def stop_by_signal() -> Generator[Callable[[], bool]]:
+    """Let SIGINT and SIGTERM be heard instead of ending the program; yields whether one came."""
+    came = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield came.is_set
+        return
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda *_: came.set()) for number in numbers]
+    try:
+        yield came.is_set
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
 def spelled(value: float, half_width: float = 0.0) -> str:
     """Return a number with as many decimals as its uncertainty leaves meaning (two digits of it).
 

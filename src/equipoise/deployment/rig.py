@@ -51,6 +51,8 @@ PROLOGUE: Final = 600.0
 """Room in the record of punctuality for what comes before balancing [s]."""
 POLL: Final = 0.02
 """Between two looks at what the operator types, while nothing moves [s]."""
+T1_WORLD: Final = "twin:nominal"
+"""Where a policy is tried in T1 before a robot is."""
 DRAIN: Final = 25
 """In virtual time the rings are drained every so many ticks."""
 
@@ -198,7 +200,7 @@ class Hearing:
         return self._heard.pop(0) if self._heard else None
 
 
-class Told:
+class Teller:
     """Tells the operator, and the log."""
 
     def __init__(self, operator: Hearing, recorder: Recorder, clock: Clock) -> None:
@@ -248,7 +250,7 @@ def run_on_rig(
         OutsideError: The rig does not answer as it should.
     """
     waiting, hearing = Attended(rig.clock, rig.sensor), Hearing(operator)
-    tell = Told(hearing, recorder, waiting)
+    tell = Teller(hearing, recorder, waiting)
     period = request.policy.h / 2.0
     robot = GuardedRobot(rig.robot, request.guard(request.settings.counts_per_rev).limits, period)
     try:
