@@ -142,21 +142,14 @@ def test_a_fast_fall_is_not_waited_for():
     assert at == np.argmax(np.array(phi) > 1.5) + 1, "two samples have to do"
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
-@pytest.mark.parametrize("c", [0.0, 3.0])
-@pytest.mark.parametrize(
-    ("share", "seen"),
-    [(0.5, False), (0.767, False), (0.776, True), (1.424, True), (1.444, False), (1.6, False)],
-)
-def test_another_pendulum_does_not_fall_like_this_one(share, seen, c, side):
-    # What falls otherwise is something else, such as a hand that moves on. Here phi_ddot is w^2 phi
-    # and phi_dot is w phi, and a free fall has `share` times that phi_ddot: 1 / 1.3 to 1 / 0.7
-    # agree, but for 0.2 % that a parabola differs, and 0.4 % for one sample in the window.
-    other = PENDULUM._replace(w2=PENDULUM.w2 * share + c * W, c=c)
-    detector, begin = armed(pendulum=other)
-    said = fed(detector, *fall(side * 0.9, side * 0.9 * W, begin))
-    assert (Grip.RELEASED in said) == seen
-    assert detector.denied != seen
+@pytest.mark.parametrize("share", [0.25, 1.6])
+def test_another_pendulum_does_not_fall_like_this_one(share):
+    # What falls with another w2 is something else, such as a hand that moves on.
+    detector, begin = armed(pendulum=PENDULUM._replace(w2=PENDULUM.w2 * share))
+    time, phi = fall(0.5, 0.0, begin)
+    said = fed(detector, time, phi)
+    assert Grip.RELEASED not in said
+    assert detector.denied
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

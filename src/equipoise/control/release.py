@@ -4,9 +4,10 @@ Armed
     The pendulum stands: |phi| < 1 deg and |mean phi_dot over 0.2 s| < 5 deg/s, for 0.5 s.
 Released
     From armed, beyond 1.5 deg, it falls as a pendulum falls by itself: over the last 40 ms
-    phi_ddot agrees with w2 sin(phi) - c phi_dot within 30 %, and phi_dot / (w phi) lies in 0.6 to
-    3, w = sqrt(w2). This has to hold for 10 ms, or in two samples where
-    \|phi + phi_dot / w\| has reached 4 deg: there is no time left then.
+    phi_ddot agrees with w2 sin(phi) - c phi_dot within 30 %, its derivative with w2 phi_dot as far
+    as counts show it, and phi_dot / (w phi) lies in 0.6 to 3, w = sqrt(w2). This has to hold for
+    10 ms. Where \|phi + phi_dot / w\| has reached 4 deg there is no time left: then two samples
+    do, also before 1.5 deg, and phi_ddot may be off by what counts leave open.
 Held again
     It was not found falling, and is beyond 4 deg, has come back below 1.5 deg, or stayed between
     them for longer than a fall does: the hand is still on.
@@ -14,11 +15,11 @@ Held again
 phi + phi_dot / w grows as e^{w t}, by 40 % in 40 ms; phi - phi_dot / w dies away. The ratio is 1
 where a fall from rest ends. It starts above 1 where a trembling hand lets go with a rate: what
 falls from phi = 0 comes below 1.4 only after the growing part has become 2.4 times as large. Why
-the ratio goes to 3 and what the 10 ms are for: `docs/decisions/release.md`.
+the ratio goes to 3 and what the 10 ms and the 4 deg are for: `docs/decisions/release.md`.
 """
 
 from enum import Enum
-from math import inf, isfinite, radians, sin, sqrt
+from math import cosh, inf, isfinite, radians, sin, sinh, sqrt
 from typing import Final
 
 import numpy as np
@@ -34,20 +35,27 @@ ARM_MEAN: Final = 0.2
 ARM_TIME: Final = 0.5
 """Both have to last so long [s]."""
 RELEASE_ANGLE: Final = radians(1.5)
-"""A release is looked for beyond this |phi| [rad]."""
+"""A release is looked for beyond this |phi| [rad], or where it has `GROWN`."""
 HELD_ANGLE: Final = radians(4.0)
 """Whoever is beyond this |phi| [rad] without having been seen to fall is held."""
 WINDOW: Final = 0.04
-"""A parabola is fitted to the samples of so long [s]."""
+"""A cubic is fitted to the samples of so long [s]."""
 AGREEMENT: Final = 0.3
-"""phi_ddot may differ from that of a free fall by this share of it."""
+"""phi_ddot may differ from that of a free fall by this share of it ..."""
+NOISE: Final = 1.0
+"""... or, where it has `GROWN`, by this [rad/s^2]: 8192 counts at 1 kHz show it to 0.6 (one
+standard deviation)."""
+JERK: Final = 300.0
+"""Its derivative may differ by this [rad/s^3]: counts show it to 170. A tremor of 4 Hz with the
+rate of a fall that is still near 0 differs by as much, one of 10 Hz by 1700."""
 RATIO: Final = (0.6, 3.0)
 """Where phi_dot / (w phi) may lie."""
 LASTING: Final = 0.01
 """A fall has to be seen for so long [s]: the acceleration of a tremor passes through that of a
 fall in a third of this."""
 GROWN: Final = radians(4.0)
-"""... unless |phi + phi_dot / w| has reached this [rad]; at 11.7 deg no command can catch it."""
+"""... unless |phi + phi_dot / w| has reached this [rad]; at 11.7 deg no command can catch it.
+What falls across 0 reaches it before 1.5 deg."""
 HURRY: Final = 5e-4
 """Then it has to be seen for so long only [s]: by two samples in a row at 1 kHz."""
 PATIENCE: Final = 0.2
@@ -60,7 +68,11 @@ SPACING: Final = 4e-4
 SIZE: Final = 512
 """Samples in the memory: those of 0.2 s."""
 LEAST: Final = 12
-"""Fewer samples in the window give no parabola."""
+"""Fewer samples in the window give no cubic."""
+LATEST: Final = np.arange(int(WINDOW / SPACING) + 1)
+"""So many samples, counted back from the newest, lie in the window at most."""
+POWERS: Final = np.arange(4)
+"""Of a cubic."""
 
 
 class Grip(Enum):
@@ -164,46 +176,43 @@ class ReleaseDetector:
 
     def _watch(self, time: float, phi: float) -> None:
         """See whether it falls or is held."""
-        if abs(phi) <= RELEASE_ANGLE:
-            if self._beyond_since < inf:
-                self._deny()
+        beyond = abs(phi) > RELEASE_ANGLE
+        if not beyond and self._beyond_since < inf:
+            self._deny()
             return
-        self._beyond_since = min(self._beyond_since, time)
         falls, grown = self._falls(time)
+        falls = falls and (beyond or grown >= GROWN)
         self._falling_since = min(self._falling_since, time) if falls else inf
         if falls and time - self._falling_since >= (LASTING if grown < GROWN else HURRY):
             self.grip = Grip.RELEASED
-        elif abs(phi) > HELD_ANGLE or time - self._beyond_since > PATIENCE:
-            self._deny()
+        elif beyond:
+            self._beyond_since = min(self._beyond_since, time)
+            if abs(phi) > HELD_ANGLE or time - self._beyond_since > PATIENCE:
+                self._deny()
 
     def _falls(self, now: float) -> tuple[bool, float]:
         """Return whether the last 40 ms look like a fall, and |phi + phi_dot / w| [rad]."""
-        n = 0
-        t1 = t2 = t3 = t4 = y0 = y1 = y2 = 0.0
-        number = self._count - 1
-        # In windows, so that the sums are of one size. Armed, the memory reaches back further.
-        while (t := (self._of(number)[0] - now) / WINDOW) >= -1.0:
-            phi = self._of(number)[1]
-            number -= 1
-            n += 1
-            tt = t * t
-            t1, t2, t3, t4 = t1 + t, t2 + tt, t3 + tt * t, t4 + tt * tt
-            y0, y1, y2 = y0 + phi, y1 + phi * t, y2 + phi * tt
-        if n < LEAST:
+        places = (self._count - 1 - LATEST[: self._count]) % SIZE
+        # In half windows from the middle, so that all is of one size.
+        half = 0.5 * WINDOW
+        t = (self._time[places] - now) / half + 1.0
+        within = t >= -1.0
+        if within.sum() < LEAST:
             return False, 0.0
-        # The normal equations of phi = a + b t + d t^2, by Cramer's rule.
-        m00, m01, m02 = t2 * t4 - t3 * t3, t2 * t3 - t1 * t4, t1 * t3 - t2 * t2
-        m11, m12, m22 = n * t4 - t2 * t2, t1 * t2 - n * t3, n * t2 - t1 * t1
-        determinant = n * m00 + t1 * m01 + t2 * m02
-        phi = (m00 * y0 + m01 * y1 + m02 * y2) / determinant
-        b = (m01 * y0 + m11 * y1 + m12 * y2) / determinant
-        d = (m02 * y0 + m12 * y1 + m22 * y2) / determinant
-        phi_dot, phi_ddot = b / WINDOW, 2.0 * d / WINDOW**2
-        # A parabola's acceleration belongs to the middle of its window.
-        middle, middle_dot = phi - 0.5 * b + 0.25 * d, phi_dot - 0.5 * WINDOW * phi_ddot
-        free = self._w2 * sin(middle) - self._c * middle_dot
-        agrees = abs(phi_ddot - free) <= AGREEMENT * abs(free)
+        powers = t[within, None] ** POWERS
+        a, b, d, e = np.linalg.solve(powers.T @ powers, powers.T @ self._phi[places[within]])
+        phi, phi_dot = float(a), float(b) / half
+        phi_ddot, jerk = 2.0 * float(d) / half**2, 6.0 * float(e) / half**3
+        free = self._w2 * sin(phi) - self._c * phi_dot
+        off, off_jerk = abs(phi_ddot - free), abs(jerk - self._w2 * phi_dot)
+        # Now: from the middle on it falls freely, if it does; a cubic's ends are less sure.
+        w = self._w
+        c, s = cosh(w * half), sinh(w * half)
+        phi, phi_dot = phi * c + phi_dot * s / w, phi * w * s + phi_dot * c
+        grown = abs(phi + phi_dot / w)
+        share = AGREEMENT * abs(free)
+        agrees = off <= (share if grown < GROWN else max(share, NOISE)) and off_jerk <= JERK
         # The ratio's bounds, without a division by phi.
         along = phi_dot if phi > 0.0 else -phi_dot
-        fast = RATIO[0] * self._w * abs(phi) <= along <= RATIO[1] * self._w * abs(phi)
-        return agrees and fast, abs(phi + phi_dot / self._w)
+        fast = RATIO[0] * w * abs(phi) <= along <= RATIO[1] * w * abs(phi)
+        return agrees and fast, grown

@@ -6,7 +6,7 @@ on the screen, and uses these hands a reaction time later::
     operator = EmulatedOperator(clock, hands(bench))
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Final
 
 from equipoise.devices.twin.bench import Bench
@@ -15,7 +15,7 @@ NUDGE: Final = 0.1
 """Change of the rate of a pendulum that is nudged because it stands by itself [rad/s]."""
 
 
-def hands(bench: Bench, *, clumsy: float = 0.0) -> Mapping[str, Callable[[], None]]:
+def hands(bench: Bench, *, clumsy: float = 0.0) -> dict[str, Callable[[], None]]:
     """Return what hands do, by the name of the event that asks for it.
 
     Args:
