@@ -39,6 +39,8 @@ from equipoise.runwriter import WORD_TYPED, Recorder, RunWriter, push_event
 
 LASTED: Final = "lasted"
 OPERATOR: Final = "operator"
+T1_WORLD: Final = "twin:nominal"
+"""Where a policy is tried in T1 before a robot is."""
 T1_TRIALS: Final = 20
 """So many trials on the twin come before a run in T1 ..."""
 T1_DURATION: Final = 20.0
@@ -51,8 +53,6 @@ PROLOGUE: Final = 600.0
 """Room in the record of punctuality for what comes before balancing [s]."""
 POLL: Final = 0.02
 """Between two looks at what the operator types, while nothing moves [s]."""
-T1_WORLD: Final = "twin:nominal"
-"""Where a policy is tried in T1 before a robot is."""
 DRAIN: Final = 25
 """In virtual time the rings are drained every so many ticks."""
 
@@ -485,7 +485,7 @@ def rehearse_t1(
     """
     check_request(request)
     policy, counts_per_rev = request.policy, request.settings.counts_per_rev
-    nominal = read_world("twin:nominal")
+    nominal = read_world(T1_WORLD)
     in_t1 = nominal.settings.model_copy(update={"t1": True, "counts_per_rev": counts_per_rev})
     ended = Counter[str]()
     for seed in range(trials):
