@@ -47,6 +47,7 @@ class Hands:
         self.released = None
         """When it was let go after that [s]; none before."""
         self.acts = at_the_bench(bench, clumsy=clumsy) | {
+            "hang": lambda: bench.steady(),  # whatever a fault makes of it
             "lift": self._lift,
             "armed": self._may_let_go,
             "disarmed": self._hold_on,

@@ -760,8 +760,8 @@ def _encoder(view: View) -> Violation | None:
     if view.encoder_missing > 0:
         return Violation(
             Rule.ENCODER_GAP,
-            f"{view.encoder_missing} encoder samples are missing, expected none; look at its "
-            "cable and at the load of this machine",
+            f"{view.encoder_missing} encoder samples are missing, expected one at most, and that "
+            "seldom; look at its cable and at the load of this machine",
             float(view.encoder_missing),
             0.0,
         )
