@@ -23,6 +23,8 @@ STYLES: Final = {
 BUTTON: Final = "ok"
 """Among the answers, where the pendulum's button may be pressed instead of typing."""
 DENIED: Final = "n"
+BACKSPACE: Final = "\b\x7f"
+"""Takes the last key back, on one keyboard or another."""
 VERDICTS: Final = {"good": "green", "warning": "yellow", "refused": "bold red"}
 
 
@@ -74,11 +76,26 @@ class Console:
             return []
         if not self._answers and sys.stdin.isatty():
             return [came]
+        return self._lines(came.replace("\r", "\n"))
+
+    def _lines(self, came: str) -> list[str]:
+        """Return the lines that keys end; what a terminal would do with a line is done here."""
+        lines: list[str] = []
+        shown = ""
+        for key in came:
+            if key in BACKSPACE:
+                shown += "\b \b" if self._typed else ""
+                self._typed = self._typed[:-1]
+                continue
+            shown += key
+            if key == "\n":
+                lines.append(self._typed)
+                self._typed = ""
+            else:
+                self._typed += key
         if sys.stdin.isatty():
-            self._output.stream.write(came)
+            self._output.stream.write(shown)
             self._output.stream.flush()
-        self._typed += came.replace("\r", "\n")
-        *lines, self._typed = self._typed.split("\n")
         return lines
 
     def live(self, phase: str, phi: float) -> None:
