@@ -28,7 +28,7 @@ from equipoise.control.pilot import PHASES
 from equipoise.control.self_test import SelfTest, self_test
 from equipoise.control.states import STREAMING
 from equipoise.control.ticks import Event, Job
-from equipoise.deployment.rig import Outcome, Request, run_on_rig
+from equipoise.deployment.rig import Outcome, Request, run_on_rig, warm_up
 from equipoise.devices import realtime
 from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
@@ -336,6 +336,7 @@ def _loop(request: Request, memory: Any, joints: int, pipe: Any) -> None:
     result: Outcome | EquipoiseError
     try:
         aside = _Aside()
+        warm_up(request)  # before a link is there that could not be listened to meanwhile
         rig = connect(
             request.robot,
             request.encoder,

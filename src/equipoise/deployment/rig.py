@@ -341,7 +341,6 @@ def _run(
     counts_per_rev = rig.sensor.counts_per_rev
     arm, guard = request.settings.described_arm, request.guard(counts_per_rev, max_speed)
     controller, policy = request.controller(counts_per_rev), request.policy.kernel
-    warm_up(request, controller)
     rig.sensor.samples()
     robot.start()
     q = robot.started_at
@@ -367,9 +366,15 @@ def _run(
     return _outcome(pilot, ending)
 
 
-def warm_up(request: Request, controller: Controller) -> None:
-    """Run all kernels of a tick once, so that none is compiled or loaded in the stream."""
-    arm = request.settings.described_arm
+def warm_up(request: Request) -> None:
+    """Run all kernels of a tick once, so that none is compiled or loaded in the stream.
+
+    Raises:
+        ArmError: Home is a singular posture.
+        SettingsError: The delay is longer than the controller remembers.
+    """
+    settings = request.settings
+    arm, controller = settings.described_arm, request.controller(settings.counts_per_rev)
     lane = Lane(arm, controller)
     lane.observe(0.0, 0.0, arm.home, 0.0)
     lane.command(lane.decide(request.policy.kernel)[0])
