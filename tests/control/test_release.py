@@ -138,8 +138,7 @@ def test_a_fast_fall_is_not_waited_for():
     said = fed(detector, time, phi)
     at = said.index(Grip.RELEASED)
     growing = 3.0 * np.exp(W * (time[at] - begin))
-    assert growing < 5.0
-    assert at == np.argmax(np.array(phi) > 1.5) + 1, "two samples have to do"
+    assert 4.0 < growing < 4.3, "two samples have to do, also before 1.5 deg"
 
 
 @pytest.mark.parametrize("share", [0.25, 1.6])
