@@ -192,6 +192,32 @@ def test_it_comes_from_home_to_balance_and_goes_on(course):
     assert "warning" not in course.told
 
 
+@pytest.mark.parametrize("word", ["ok", ""])
+def test_a_confirmation_that_comes_after_the_pendulum_has_moved_is_not_a_stop(word):
+    course = Course().until(Phase.REFERENCING)
+    while "reference" not in course.told:
+        course.tick()
+    course.answers = []
+    moved = course.now
+    course.theta = lambda time: radians(1.0) if time > moved else 0.0
+    course.tick()
+    course.tick()
+    course.tick(words=[word])
+    assert course.pilot.phase is Phase.REFERENCING
+    # It is asked again, once the pendulum has come to rest.
+    course.until(Phase.SELF_TEST, 5.0)
+    assert course.told.count("reference") == 2
+    assert course.pilot.zero == pytest.approx(radians(1.0) * PER_RADIAN, abs=1.0)
+
+
+def test_a_confirmation_of_nothing_stops_what_moves():
+    course = Course(q=tuple(np.add(ARM.home, 0.1)))
+    course.tick()
+    assert course.pilot.phase is Phase.HOMING
+    course.tick(words=["ok"])
+    assert course.cause == "operator"
+
+
 # Time.
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 from rich.text import Text
 
 from equipoise.cli.output import Output
+from equipoise.control.ticks import OK
 
 STYLES: Final = {
     "fault": "bold red",
@@ -20,8 +21,6 @@ STYLES: Final = {
     "notice": "yellow",
     "warning": "yellow",
 }
-BUTTON: Final = "ok"
-"""Among the answers, where the pendulum's button may be pressed instead of typing."""
 DENIED: Final = "n"
 BACKSPACE: Final = "\b\x7f"
 """Takes the last key back, on one keyboard or another."""
@@ -59,7 +58,7 @@ class Console:
         the pendulum's button, which needs no keyboard.
         """
         if self._ended:
-            denied = bool(self._answers) and BUTTON not in self._answers
+            denied = bool(self._answers) and OK not in self._answers
             self._answers = () if denied else self._answers
             return [DENIED] if denied else []
         came = ""

@@ -46,7 +46,7 @@ from equipoise.control.self_test import (
 )
 from equipoise.control.states import Cause, Phase, State
 from equipoise.control.stop import Ramp, at_rest, ramp, way_back
-from equipoise.control.ticks import Counted, Event, Inputs, Job, Measured, Output, Seen
+from equipoise.control.ticks import OK, Counted, Event, Inputs, Job, Measured, Output, Seen
 from equipoise.model.arms.arm import Arm
 
 Array = npt.NDArray[np.float64]
@@ -363,14 +363,16 @@ class Pilot:
         return tuple(self._commanded[place].tolist())
 
     def _hear(self, words: Sequence[str]) -> None:
-        """Take an expected answer; anything else stops, but a stray Enter while nothing moves."""
+        """Take an expected answer; anything else stops, but a late Enter while nothing moves."""
         self._answer = None
         for word in words:
-            said = word.strip().lower()
-            if said in self._answers or (said == "" and "ok" in self._answers):
-                self._answer = said or "ok"
-            elif said != "" or self.phase in MOVING:
-                self._stop(Cause("operator", f"stopped by the operator ({said or 'Enter'})"))
+            said = word.strip().lower() or OK
+            if said in self._answers:
+                self._answer = said
+            elif said != OK or self.phase in MOVING:
+                self._stop(
+                    Cause("operator", f"stopped by the operator ({word.strip() or 'Enter'})")
+                )
 
     def _phi(self) -> float:
         """Return the newest angle from upright, in [-pi, pi) [rad]; NaN while there is no zero."""
@@ -447,9 +449,9 @@ class Pilot:
             self._ask(
                 "reference",
                 "The pendulum hangs still. Take your hand away, then press its button or Enter.",
-                ("ok",),
+                (OK,),
             )
-        elif self._pressed or self._answer == "ok":
+        elif self._pressed or self._answer == OK:
             self.zero = rest.middle
             if self._torques:
                 self._at_home = self._torque_sum / self._torques

@@ -5,9 +5,12 @@ devices give it has the attributes that stand here.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
+
+OK: Final = "ok"
+"""Among an event's answers: what Enter says there, and the pendulum's button does as well."""
 
 
 class Counted(Protocol):
