@@ -138,8 +138,11 @@ class GuardedRobot:
             return
         if self._ramp is None:
             self._begin_ramp()
+        if self.at_rest:
+            return
         while not self.at_rest:
             yield self._upcoming
+        yield self._upcoming  # the same again: with it nothing moves any more
 
     def _begin_ramp(self) -> None:
         last = self._last

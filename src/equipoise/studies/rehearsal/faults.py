@@ -69,7 +69,7 @@ def _ends(*causes: str | Rule) -> frozenset[str]:
     return frozenset(cause.value if isinstance(cause, Rule) else cause for cause in causes)
 
 
-FELL: Final = _ends(Rule.ANGLE, Rule.TRACK)
+FELL: Final = _ends(Rule.ANGLE, Rule.TRACK, Rule.SPEED)
 """A balance that ends since nothing tells what really is; the arm is stopped on its track."""
 
 
