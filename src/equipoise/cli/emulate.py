@@ -1,6 +1,5 @@
 """`equipoise emulate`: the rig's hardware on this machine, for a driver that cannot tell."""
 
-import gc
 import queue
 import sys
 import threading
@@ -12,6 +11,7 @@ import typer
 
 from equipoise.cli.options import Json, Seed, read_arm, read_pendulum
 from equipoise.cli.output import Output, stop_by_signal, verb
+from equipoise.devices import realtime
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
@@ -88,8 +88,9 @@ def emulate(
         sys.stdout.flush()
 
     words = _typed() if no_operator else None
-    gc.collect()
-    gc.freeze()  # a collection of all that was imported would be a stall
+    # A cabinet is a machine of its own: nothing here may hold it up, least of all the run's loop,
+    # which stays on the last core.
+    realtime.prepare(core=0)
     with stop_by_signal() as stopped:
 
         def stop() -> bool:

@@ -28,11 +28,11 @@ class Measure(NamedTuple):
     """How it is now, or what to do about it."""
 
 
-def prepare(core: int | None = None) -> tuple[Measure, ...]:
+def prepare(core: int = -1) -> tuple[Measure, ...]:
     """Make this process punctual; call it once all memory is laid out and all code was run.
 
     Args:
-        core: The processor core to stay on; the last one if not given.
+        core: Place of the core to stay on among those that are allowed; the last one if not given.
 
     Returns:
         What was done, and what was not allowed.
@@ -81,15 +81,19 @@ def real_time_priority(priority: int = PRIORITY) -> Measure:
     return Measure(name, True, f"SCHED_FIFO {priority}")
 
 
-def stay_on_core(core: int | None = None) -> Measure:
-    """Stay on one processor core, so that its caches stay warm."""
+def stay_on_core(core: int = -1) -> Measure:
+    """Stay on one processor core, so that its caches stay warm.
+
+    Args:
+        core: Its place among those that are allowed.
+    """
     name = "own core"
     if sys.platform != "linux":
         return Measure(name, False, f"{sys.platform} cannot do that; use Linux")
     allowed = sorted(os.sched_getaffinity(0))
     if len(allowed) < 2:
         return Measure(name, False, "there is one core only; use a machine with two or more")
-    chosen = allowed[-1] if core is None else core
+    chosen = allowed[core]
     try:
         os.sched_setaffinity(0, {chosen})
     except OSError as error:
