@@ -92,7 +92,7 @@ class Emulation:
         bench = Bench(arm, pendulum, settings, seed=seed, start=clock.now(), q=away_from_home(arm))
         self.bench = bench
         """What stands behind it all."""
-        bench.advance(bench.now + 0.001)  # compiles, or loads what is compiled
+        _warm_up(bench)
         # The rest may take its time from here on: the arm just stands there.
         counts_per_rev = settings.counts_per_rev
         self._board = Board(
@@ -217,3 +217,13 @@ class Emulation:
             self._say("the client has vanished; its servo, if any, goes on")
         elif self._operator and now > self._vanished + NOTICED:
             self._restart()
+
+
+def _warm_up(bench: Bench) -> None:
+    """Do once what a client asks for: to compile it, or to load it, would be a stall later."""
+    body = bench.body
+    body.servo(True)
+    body.target(body.measured())
+    body.torques(external=True)
+    bench.advance(bench.now + 0.001)
+    body.servo(False)
