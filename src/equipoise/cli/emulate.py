@@ -79,6 +79,9 @@ def emulate(
     encoder = f"serial://{terminal}"
 
     def ready(number: int) -> None:
+        # A cabinet is a machine of its own: nothing here may hold it up, least of all the run's
+        # loop, which stays on the last core.
+        realtime.prepare(core=0)
         robot = f"kst://{HOST}:{number}"
         output.rows({"robot": robot, "encoder": encoder})
         if no_operator:
@@ -88,9 +91,6 @@ def emulate(
         sys.stdout.flush()
 
     words = _typed() if no_operator else None
-    # A cabinet is a machine of its own: nothing here may hold it up, least of all the run's loop,
-    # which stays on the last core.
-    realtime.prepare(core=0)
     with stop_by_signal() as stopped:
 
         def stop() -> bool:

@@ -151,6 +151,7 @@ class Emulation:
             nonlocal begun, port
             if not begun:
                 listening(number)
+                self._last = self._clock.now()  # whatever that took
             begun, port = True, number
 
         self._last = self._clock.now()
