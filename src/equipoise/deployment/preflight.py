@@ -191,7 +191,7 @@ def check_speed(policy: TabularPolicy, t1: bool, of_link: float) -> Iterator[Fin
 
 
 def check_posture(q: Array, rig: RigSettings) -> Iterator[Finding]:
-    """Look at where the robot stands, and at its home.
+    """Look at where the robot stands.
 
     Args:
         q: The measured joints [rad], shape (joints,).
