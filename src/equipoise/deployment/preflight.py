@@ -169,6 +169,11 @@ def link_speed(arm: Arm, trips: Array) -> float:
     return inf if longest <= QUICK else floor(1e3 * flange_speed(arm, longest)) / 1e3
 
 
+def lower_limit(t1: bool, of_link: float) -> float:
+    """Return what the flange stays below [m/s]: the limit of T1, if it holds, or of the link."""
+    return min(T1_SPEED if t1 else inf, of_link)
+
+
 def check_speed(policy: TabularPolicy, t1: bool, of_link: float) -> Iterator[Finding]:
     """Say what limits the speed of the flange, and whether the policy was trained for that.
 
@@ -177,7 +182,7 @@ def check_speed(policy: TabularPolicy, t1: bool, of_link: float) -> Iterator[Fin
         t1: Whether the limit of T1 holds.
         of_link: What the link allows [m/s].
     """
-    limit = min(T1_SPEED if t1 else inf, of_link)
+    limit = lower_limit(t1, of_link)
     if limit == inf:
         return
     why = "a slow link" if of_link <= limit else "T1"
@@ -336,7 +341,7 @@ def preflight(
         *check_encoder(rig.sensor, rig.clock),
         *check_machine(measures),
     ]
-    return Preflight(findings, min(T1_SPEED if t1 else inf, of_link))
+    return Preflight(findings, lower_limit(t1, of_link))
 
 
 def _finding(name: str, verdict: Verdict, found: str, cure: str) -> Finding:
