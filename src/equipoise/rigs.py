@@ -236,6 +236,7 @@ def connect(
     *,
     seed: int = 0,
     tell: Callable[[str], None] = lambda _: None,
+    attend: Callable[[], None] = lambda: None,
 ) -> Rig:
     """Return the rig behind two addresses; nothing is opened before its parts are connected.
 
@@ -247,6 +248,7 @@ def connect(
         pendulum: That hangs on a twin.
         seed: Of what is random on a twin.
         tell: Takes what the operator has to know while a connection is waited for.
+        attend: Called now and then meanwhile; what this raises ends the wait.
 
     Raises:
         InputError: An address is none of these.
@@ -264,21 +266,29 @@ def connect(
         counts_per_rev=settings.counts_per_rev,
         sign=settings.encoder_sign,
     )
-    return Rig(robot_at(robot, Attended(clock, sensor), tell=tell), sensor, clock, None)
+    waiting = Attended(clock, sensor)
+    return Rig(robot_at(robot, waiting, tell=tell, attend=attend), sensor, clock, None)
 
 
-def robot_at(robot: str, clock: Clock, *, tell: Callable[[str], None] = lambda _: None) -> Robot:
+def robot_at(
+    robot: str,
+    clock: Clock,
+    *,
+    tell: Callable[[str], None] = lambda _: None,
+    attend: Callable[[], None] = lambda: None,
+) -> Robot:
     """Return the robot behind an address; nothing is opened before it is connected.
 
     Args:
         robot: `kst://HOST` or `kst://HOST:PORT`.
         clock: Its time.
         tell: Takes what the operator has to know while a connection is waited for.
+        attend: Called now and then meanwhile; what this raises ends the wait.
 
     Raises:
         InputError: It is no such address.
     """
-    return KstRobot(dial(*_host_and_port(robot)), clock, tell=tell)
+    return KstRobot(dial(*_host_and_port(robot)), clock, tell=tell, attend=attend)
 
 
 def encoder_at(

@@ -16,7 +16,6 @@ from equipoise.control.self_test import Verdict
 from equipoise.control.states import Phase
 from equipoise.deployment.rig import Request, run_rig_virtually
 from equipoise.devices.operator import EmulatedOperator
-from equipoise.devices.twin.hands import NUDGE
 from equipoise.devices.twin.hands import hands as at_the_bench
 from equipoise.learning.closed_loop import scaled
 from equipoise.model.worlds import read_world
@@ -46,7 +45,9 @@ class Hands:
         """How the pendulum was lifted last."""
         self.released = None
         """When it was let go after that [s]; none before."""
-        self.acts = at_the_bench(bench, clumsy=clumsy) | {
+        acts = at_the_bench(bench, clumsy=clumsy)
+        self._give_a_nudge = acts["nudge"]
+        self.acts = acts | {
             "hang": lambda: bench.steady(),  # whatever a fault makes of it
             "lift": self._lift,
             "armed": self._may_let_go,
@@ -70,7 +71,7 @@ class Hands:
 
     def _nudge(self):
         if not self._bench.hand.holds:
-            self._bench.push(NUDGE)
+            self._give_a_nudge()
 
     def _let_go_when_due(self):
         if self._may and self._due is not None and self._bench.now >= self._due:

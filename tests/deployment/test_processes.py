@@ -324,6 +324,18 @@ def test_where_the_operator_cannot_be_told_anything_the_arm_comes_to_rest(run, t
     assert came_to_rest(log)
 
 
+@pytest.mark.parametrize("word", [processes.STOP, processes.ALONE])
+def test_a_wait_for_the_robot_can_be_given_up(word):
+    recorder = Recorder(7, memoryview(bytearray(Recorder.room(7))))
+    across = processes._Across(recorder)
+    recorder.words.push(b"ok")
+    across.attend()  # what else is typed does not end it, and is no answer to what comes
+    recorder.words.push(word.encode())
+    with pytest.raises(OutsideError, match="nothing has moved. Start the server"):
+        across.attend()
+    assert across.words() == []
+
+
 def run_alone(request, out, pids):
     processes._loop = moving
 

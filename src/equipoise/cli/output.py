@@ -178,17 +178,18 @@ def stoppable() -> Generator[Callable[[], None]]:
 
 @contextmanager
 def stop_by_signal() -> Generator[Callable[[], bool]]:
-    """Let SIGINT and SIGTERM be heard instead of ending the program; yields whether one came."""
+    """Let what would end the program be heard instead; yields whether such a signal came."""
+    from equipoise.deployment.processes import SIGNALS
+
     came = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield came.is_set
         return
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda *_: came.set()) for number in numbers]
+    before = [signal.signal(number, lambda *_: came.set()) for number in SIGNALS]
     try:
         yield came.is_set
     finally:
-        for number, handler in zip(numbers, before, strict=True):
+        for number, handler in zip(SIGNALS, before, strict=True):
             signal.signal(number, handler)
 
 

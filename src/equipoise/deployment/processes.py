@@ -240,6 +240,14 @@ class _Across:
             words.append(ALONE)
         return words
 
+    def attend(self) -> None:
+        """Give up waiting for a robot, once that is wished; nothing else is meant to be typed."""
+        if {STOP, ALONE} & set(self.words()):
+            raise OutsideError(
+                "stopped while the robot was waited for; nothing has moved. Start the server on "
+                "the smartPAD, and deploy again"
+            )
+
 
 class _Aside:
     """A process for jobs that take longer than a tick; it is started before the stream is."""
@@ -343,6 +351,7 @@ def _loop(request: Request, memory: Any, joints: int, pipe: Any) -> None:
             request.settings,
             request.policy.pendulum.parameters(),
             tell=lambda text: across.tell(Event("waiting", text)),
+            attend=across.attend,
         )
         result = run_on_rig(
             request, rig, across, recorder, measures=realtime.prepare, workshop=aside

@@ -18,7 +18,10 @@ class Rig(Bench):
     def __init__(self, *, opens_after=0.0, **options):
         super().__init__(**options)
         self.told, self.opened, self.tried, self.opens_after = [], 0, 0, opens_after
-        self.robot = KstRobot(self.open, self.clock, tell=self.told.append)
+        self.robot = KstRobot(
+            self.open, self.clock, tell=self.told.append, attend=lambda: self.attend()
+        )
+        self.attend = lambda: None
 
     def open(self):
         self.tried += 1
@@ -101,6 +104,19 @@ def test_connect_waits_for_the_operator_with_instructions():
     assert "smartPAD" in INSTRUCTIONS
     assert 31.0 <= rig.clock.now() < 33.0
     assert rig.robot.measured() == pytest.approx(HOME)
+
+
+def test_who_attends_to_the_wait_can_end_it():
+    def give_up():
+        if rig.clock.now() > 5.0:
+            raise InterruptedError
+
+    rig = Rig(opens_after=30.0)
+    rig.attend = give_up
+    with pytest.raises(InterruptedError):
+        rig.robot.connect()
+    assert 5.0 < rig.clock.now() < 7.0
+    assert rig.opened == 0
 
 
 def test_connect_says_nothing_where_the_server_runs(rig):

@@ -117,6 +117,7 @@ class KstRobot:
         clock: Clock,
         *,
         tell: Callable[[str], None] = lambda _: None,
+        attend: Callable[[], None] = lambda: None,
         timeout: float = TIMEOUT,
         outstanding: int = OUTSTANDING,
         patience: float = APPLICATION,
@@ -127,11 +128,13 @@ class KstRobot:
             open_transport: Opens a connection to the server, or raises `LinkError`.
             clock: The rig's.
             tell: Takes what the operator has to know while `connect` waits.
+            attend: Called now and then while it waits; what this raises ends the wait.
             timeout: The answer to a setpoint is overdue after this [s].
             outstanding: So many setpoints may wait for their answer.
             patience: `connect` tries so long [s].
         """
-        self._open, self._clock, self._tell = open_transport, clock, tell
+        self._open, self._clock = open_transport, clock
+        self._tell, self._attend = tell, attend
         self._timeout, self._most, self._patience = timeout, outstanding, patience
         self._transport: Transport | None = None
         self._failure = ""
@@ -284,6 +287,7 @@ class KstRobot:
                 self._tell(INSTRUCTIONS)
                 told = True
             self._wait(RETRY)
+            self._attend()
 
     def _at_rest(self, what: str) -> None:
         self._link()
