@@ -33,7 +33,7 @@ from equipoise.control.safety import (
     watch,
 )
 from equipoise.control.states import LATCHED, STREAMING, Cause, Event, Phase, State, step
-from equipoise.control.stop import RETURN_SHARE, ramp, way_back
+from equipoise.control.stop import RETURN_SHARE, ramp, stoppable_speeds, way_back
 from equipoise.model.arms.iiwa import iiwa
 
 ARM = iiwa(14)
@@ -164,6 +164,8 @@ class Run(RuleBasedStateMachine):
         if before.phase is not Phase.STOPPING and self.state.phase is Phase.STOPPING:
             self.ticks_since_stop = 0
             q = self.last if self.last is not None else self.measured
+            if self.last is not None:
+                self.dq = stoppable_speeds(self.dq, self.last, self.before, H)
             speed = float(
                 np.linalg.norm(
                     ARM.kinematics(ARM.without_held(q), ARM.without_held(self.dq)).twist[:3]
@@ -205,7 +207,8 @@ class Run(RuleBasedStateMachine):
     def judge(self, setpoint):
         if self.last is None:
             return check_first(LIMITS, setpoint, self.measured)
-        return check_setpoint(LIMITS, setpoint, self.last, self.before, H)
+        to_rest = self.state.phase is Phase.STOPPING
+        return check_setpoint(LIMITS, setpoint, self.last, self.before, H, to_rest)
 
     def next(self, share, wild):
         phase = self.state.phase

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise.control.safety import STOP_DECELERATION, check_setpoint, limits_of
-from equipoise.control.stop import RETURN_SHARE, ramp, way_back
+from equipoise.control.stop import RETURN_SHARE, SPARE, ramp, stoppable_speeds, way_back
 from equipoise.errors import InputError
 from equipoise.model.arms.iiwa import iiwa
 
@@ -60,6 +60,46 @@ def test_each_setpoint_may_be_sent(share, speed):
     for setpoint in stream(way)[1:]:
         assert check_setpoint(LIMITS, tuple(setpoint), last, before, DT) is None
         before, last = last, tuple(setpoint)
+
+
+@given(
+    st.integers(0, 6), st.sampled_from([-1.0, 1.0]), st.floats(0.01, 0.3), st.floats(1e-9, 1.0),
+    st.floats(0.0, 5.0),
+)  # fmt: skip
+def test_a_ramp_from_where_a_joint_can_just_be_stopped_ends_inside_its_limit(
+    joint, side, share, before_the_last, flange_speed
+):
+    v = side * share * LIMITS.velocity[joint]
+    limit = LIMITS.upper[joint] if side > 0.0 else LIMITS.lower[joint]
+    farthest = limit - side * 0.5 * v * v / LIMITS.acceleration[joint]
+
+    def at(place):
+        return (*HOME[:joint], place, *HOME[joint + 1 :])
+
+    # The farthest setpoint that may be sent, but for less than the way of one more.
+    last = at(farthest - v * DT * before_the_last)
+    before = at(last[joint] - v * DT)
+    assert check_setpoint(LIMITS, last, before, at(before[joint] - v * DT), DT) is None
+    dq = [(a - b) / DT for a, b in zip(last, before, strict=True)]
+    for setpoint in stream(ramp(last, dq, flange_speed, LIMITS))[1:]:
+        assert check_setpoint(LIMITS, tuple(setpoint), last, before, DT, to_rest=True) is None
+        before, last = last, tuple(setpoint)
+
+
+def test_a_ramp_begins_with_the_smaller_of_commanded_and_mean_speed():
+    last, before = (0.01, 0.01, -0.01, -0.01, 0.5), (0.0, 0.0, 0.0, 0.0, 0.5)
+    # Mean: 2, 2, -2, -2, 0 rad/s.
+    dq = (3.0, 1.0, -3.0, -1.0, 0.1)
+    assert stoppable_speeds(dq, last, before, DT) == pytest.approx((2.0, 1.0, -2.0, -1.0, 0.0))
+
+
+def test_a_ramp_leaves_room_for_rounding_before_a_limit():
+    room = 0.5 * 0.2**2 / LIMITS.acceleration[6] * 1.5
+    q = (*HOME[:6], LIMITS.upper[6] - room)
+    way = ramp(q, (*(0.0,) * 6, 0.2), 1.0, LIMITS)
+    left = LIMITS.upper[6] - way.at(way.duration)[6]
+    assert left == pytest.approx(room * SPARE, abs=2e-15)
+    assert 0.0 < SPARE < 1e-6
 
 
 def test_the_flange_slows_down_as_it_shall():

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise.control.safety import FIRST_LIMIT, limits_of
+from equipoise.control.stop import ramp
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Reply, Robot
 from equipoise.errors import LinkError
@@ -101,6 +102,30 @@ def test_it_is_a_robot():
     robot.stop()
     robot.close()
     assert tape.calls == ["connect", "start", "stop", "close"]
+
+
+def test_a_way_to_rest_that_ends_at_a_limit_is_not_taken_over():
+    limits = limits_of(ARM)
+    v = 0.2
+    begin = UPPER[6] - 0.5 * v**2 / ACCELERATION[6] - 0.3 * v * PERIOD
+
+    def sent_on(**how):
+        robot, tape = guarded((*HOME[:6], begin))
+        robot._last, robot._before = (*HOME[:6], begin), (*HOME[:6], begin - v * PERIOD)
+        way = ramp(robot.last, (*(0.0,) * 6, v), 1.0, limits)
+        assert way.duration < v / 4.0  # the limit is near
+        n = int(way.duration / PERIOD) + 3
+        for k in range(1, n):
+            robot.send(way.at(k * PERIOD), **how)
+        return robot, tape, [way.at(k * PERIOD) for k in range(1, n)]
+
+    robot, tape, setpoints = sent_on(to_rest=True)
+    assert robot.held_back is None
+    assert tape.sent == setpoints
+    # Who does not say that it is on its way to rest is asked where it could be stopped.
+    robot, tape, setpoints = sent_on()
+    assert "could only be stopped at" in robot.held_back
+    assert max(q[6] for q in tape.sent) <= UPPER[6] + 1e-12
 
 
 def test_what_may_be_sent_leaves_as_it_came():

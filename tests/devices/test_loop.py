@@ -360,6 +360,17 @@ def test_a_setpoint_that_the_guard_holds_back_is_a_fault_of_the_next_tick():
     assert came_to_rest(course.arm.sent, 19)
 
 
+@pytest.mark.parametrize("to_rest", [False, True])
+def test_the_guard_is_told_of_a_way_to_rest(to_rest):
+    course = Course(
+        Heart(3, {n: lambda output: output._replace(to_rest=to_rest) for n in range(3)})
+    )
+    told, send = [], course.robot.send
+    course.robot.send = lambda q, **how: told.append(how["to_rest"]) or send(q, **how)
+    course.run()
+    assert told[:6] == [to_rest] * 6
+
+
 def test_a_heart_that_is_done_too_soon_does_not_leave_a_ramp_unfinished():
     bad = (*HOME[:6], HOME[6] + 1.0)
     heart = Heart(20, {19: lambda output: output._replace(setpoints=(bad, bad))})

@@ -45,7 +45,7 @@ from equipoise.control.self_test import (
     self_test,
 )
 from equipoise.control.states import Cause, Phase, State
-from equipoise.control.stop import Ramp, at_rest, ramp, way_back
+from equipoise.control.stop import Ramp, at_rest, ramp, stoppable_speeds, way_back
 from equipoise.control.ticks import OK, Counted, Event, Inputs, Job, Measured, Output, Seen
 from equipoise.model.arms.arm import Arm
 
@@ -141,7 +141,7 @@ class Pilot:
         self._back: Path | None = None
         self._back_since = 0
         self.phase_before = Phase.IDLE
-        self._rested = False
+        self._rested = self._to_rest = False
         self._watch = Watch()
         self._commanded = np.tile(np.array(q, np.float64), (REMEMBERED, 1))
         self._sent_at = np.full(REMEMBERED, -inf)
@@ -195,6 +195,7 @@ class Pilot:
             self._stop(Cause("fault", fault))
         self._watch_over(now, inputs.lateness)
         self._seen = Seen(estimated_phi=self._phi())
+        self._to_rest = False
         before = self.phase
         first, second = self._STEPS[before](self, now)
         self._remember(now, first)
@@ -211,6 +212,7 @@ class Pilot:
             seen=self._seen,
             events=events,
             job=self._job,
+            to_rest=self._to_rest,
             done=self.phase is Phase.STOPPING and self._rested,
         )
 
@@ -555,7 +557,12 @@ class Pilot:
         return first, second
 
     def _come_to_rest(self, now: float) -> Setpoints:
+        self._to_rest = True
         if self._ticks == 0:
+            before, last = (
+                self._commanded[(self._setpoints - n) % REMEMBERED].tolist() for n in (2, 1)
+            )
+            self._dq = stoppable_speeds(self._dq, last, before, 0.5 * self._h)
             speed = abs(self._lane.x_dot) if self.phase_before in ON_TRACK else 0.0
             self._ramp = ramp(self._q, self._dq, speed, self._guard.limits)
         h, begin = self._h, self._ticks * self._h

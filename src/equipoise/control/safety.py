@@ -294,7 +294,12 @@ def make_guard(
 
 
 def check_setpoint(
-    limits: Limits, q: Sequence[float], last: Numbers, before: Numbers, dt: float
+    limits: Limits,
+    q: Sequence[float],
+    last: Numbers,
+    before: Numbers,
+    dt: float,
+    to_rest: bool = False,
 ) -> Violation | None:
     """Return what forbids to send a setpoint, or none.
 
@@ -304,9 +309,13 @@ def check_setpoint(
         last: The one sent before [rad], shape (n,).
         before: The one before that [rad], shape (n,); the same as `last` where the arm is at rest.
         dt: Time between setpoints in the stream [s].
+        to_rest: Whether it is on a way to rest, which is known to end inside the limits: then
+            nobody asks where the joint could be stopped.
     """
     broken = _not_numbers(limits, q)
-    return broken or _worded_setpoint(limits, q, broken_setpoint(limits, q, last, before, dt))
+    return broken or _worded_setpoint(
+        limits, q, broken_setpoint(limits, q, last, before, dt, to_rest)
+    )
 
 
 def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -> Violation | None:
@@ -356,7 +365,7 @@ def _not_numbers(limits: Limits, q: Sequence[float], name: str = "a setpoint") -
 
 @compilable
 def broken_setpoint(
-    limits: Limits, q: Row, last: Row, before: Row, dt: float
+    limits: Limits, q: Row, last: Row, before: Row, dt: float, to_rest: bool = False
 ) -> tuple[int, int, float, float]:
     """Return the first rule that a setpoint breaks: its code, the joint, what it asks, the bound.
 
@@ -366,6 +375,7 @@ def broken_setpoint(
         last: The one sent before [rad], shape (n,).
         before: The one before that [rad], shape (n,).
         dt: Time between setpoints in the stream [s].
+        to_rest: Whether it is on a way to rest that ends inside the limits.
 
     Returns:
         The joint is counted from one; `KEPT` and zeros where none is broken.
@@ -375,7 +385,7 @@ def broken_setpoint(
         velocity = (q[i] - last[i]) / dt
         # Where it comes to rest at the joint's largest deceleration.
         rest = q[i] + copysign(0.5 * velocity * velocity / limits.acceleration[i], velocity)
-        for end in (q[i], rest):
+        for end in (q[i], q[i] if to_rest else rest):
             if not lower <= end <= upper:
                 return POSITION_CODE, i + 1, end, lower if end < lower else upper
     for i in range(len(q)):

@@ -29,6 +29,8 @@ Numbers = tuple[float, ...]
 RETURN_SHARE: Final = 0.1
 """Share of the joints' velocities and accelerations on the way to the measured joints: as slow as
 the way home."""
+SPARE: Final = 1e-9
+"""Share of the room before a position limit that a ramp leaves for rounding."""
 
 
 class Ramp(NamedTuple):
@@ -72,6 +74,24 @@ def _sigma(rate: float, time: float) -> float:
     return t * (1.0 - 0.5 * rate * t) if t > 0.0 else 0.0
 
 
+def stoppable_speeds(
+    dq: Sequence[float], last: Sequence[float], before: Sequence[float], dt: float
+) -> Numbers:
+    """Return the velocities with which a ramp begins [rad/s], shape (n,).
+
+    The commanded ones, or, of a joint that speeds up, the mean one on the way to the last setpoint:
+    for that the guard has asked where the joint can be stopped.
+
+    Args:
+        dq: The commanded velocities at the last setpoint [rad/s], shape (n,).
+        last: The setpoint sent last [rad], shape (n,).
+        before: The one before that [rad], shape (n,).
+        dt: Time between the two [s].
+    """
+    mean = [(b - a) / dt for a, b in zip(before, last, strict=True)]
+    return tuple(v if abs(v) < abs(m) else m for v, m in zip(dq, mean, strict=True))
+
+
 def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: Limits) -> Ramp:
     """Return the way to rest.
 
@@ -98,7 +118,7 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
     least: dict[int, float] = {}
     for i in moving:
         room = limits.upper[i] - q[i] if dq[i] > 0.0 else q[i] - limits.lower[i]
-        least[i] = 0.5 * abs(dq[i]) / room if room > 0.0 else inf
+        least[i] = 0.5 * abs(dq[i]) / (room * (1.0 - SPARE)) if room > 0.0 else inf
     together = min(most.values())
     if flange_speed != 0.0:
         together = min(together, max(STOP_DECELERATION / abs(flange_speed), *least.values()))

@@ -123,6 +123,8 @@ class Output(NamedTuple):
     """For the operator, and for the log."""
     job: Job | None = None
     """What takes longer than a tick, and is to be done beside the loop."""
+    to_rest: bool = False
+    """Whether the setpoints are on a way to rest: from them on the arm need not be stopped."""
     done: bool = False
     """Whether the arm is at rest and the run is over; the setpoints are sent."""
 

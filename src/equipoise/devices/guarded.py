@@ -81,12 +81,16 @@ class GuardedRobot:
         self._last = None
         self._robot.start()
 
-    def send(self, q: Sequence[float] | Array, *, torque: bool = False) -> None:
+    def send(
+        self, q: Sequence[float] | Array, *, torque: bool = False, to_rest: bool = False
+    ) -> None:
         """Send a setpoint, or, where it may not be sent, the next one of a ramp to rest.
 
         Args:
             q: The joints [rad], shape (joints,).
             torque: Ask for external torques instead of measured joints.
+            to_rest: It is on a way to rest that ends inside the limits: it is not asked where the
+                arm could be stopped.
 
         Raises:
             LinkError: The link is down, replies are overdue; or nothing was sent yet and the first
@@ -102,7 +106,7 @@ class GuardedRobot:
                     raise LinkError(f"nothing was sent: {broken.reason}")
                 before = setpoint
             else:
-                broken = check_setpoint(self._limits, setpoint, last, before, self._period)
+                broken = check_setpoint(self._limits, setpoint, last, before, self._period, to_rest)
             if broken is None:
                 self._robot.send(setpoint, torque=torque)
                 self._before = setpoint if last is None else last

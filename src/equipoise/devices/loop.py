@@ -149,7 +149,7 @@ def run_loop(
             )
             failed, faults = faults, []
             first, *rest = output.setpoints
-            robot.send(first)
+            robot.send(first, to_rest=output.to_rest)
             sent, took = clock.now(), perf_counter() - begin
             if ticks < room:
                 late[ticks], compute[ticks] = lateness, took
@@ -163,7 +163,7 @@ def run_loop(
             for place, setpoint in enumerate(rest, start=1):
                 clock.wait_until(deadline + place * h / len(output.setpoints))
                 moment = clock.now()
-                robot.send(setpoint, torque=output.torque)
+                robot.send(setpoint, torque=output.torque, to_rest=output.to_rest)
                 recorder.stream.push(moment, int(output.torque), robot.last)
             if output.job is not None:
                 workshop.begin(output.job)
