@@ -184,6 +184,19 @@ def test_a_setpoint_can_be_stopped_before_the_limit(side):
         assert check_setpoint(LIMITS, last, q, moved(q, 1, 1.2 * side * DT), DT) is None
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_only_on_a_way_to_rest_nobody_asks_where_a_joint_could_be_stopped(side):
+    limit = LIMITS.upper[6] if side > 0.0 else LIMITS.lower[6]
+    stream = [(*HOME[:6], limit - side * far) for far in (1e-9, 0.0011, 0.0022)]
+    broken = safety.broken_setpoint(LIMITS, *stream, DT)
+    assert broken[:2] == (safety.POSITION_CODE, 7)
+    assert safety.broken_setpoint(LIMITS, *stream, DT, True)[0] == safety.KEPT
+    assert check_setpoint(LIMITS, *stream, DT, to_rest=True) is None
+    # The limit itself stays one.
+    beyond = ((*HOME[:6], limit + side * 1e-9), *stream[1:])
+    assert check_setpoint(LIMITS, *beyond, DT, to_rest=True).rule is Rule.POSITION
+
+
 @pytest.mark.parametrize("joint", range(1, 8))
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("dt", [0.002, 0.005, 0.01])
