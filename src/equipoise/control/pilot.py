@@ -141,7 +141,7 @@ class Pilot:
         self._back: Path | None = None
         self._back_since = 0
         self.phase_before = Phase.IDLE
-        self._rested = self._to_rest = False
+        self._rested = False
         self._watch = Watch()
         self._commanded = np.tile(np.array(q, np.float64), (REMEMBERED, 1))
         self._sent_at = np.full(REMEMBERED, -inf)
@@ -195,7 +195,6 @@ class Pilot:
             self._stop(Cause("fault", fault))
         self._watch_over(now, inputs.lateness)
         self._seen = Seen(estimated_phi=self._phi())
-        self._to_rest = False
         before = self.phase
         first, second = self._STEPS[before](self, now)
         self._remember(now, first)
@@ -203,6 +202,7 @@ class Pilot:
         self._ticks = self._ticks + 1 if self.phase is before else 1
         self._all_ticks += 1
         events, self._events = self._events, []
+        to_rest = self.phase is Phase.STOPPING  # whatever stops it has begun the ramp by now
         return Output(
             setpoints=(first, second),
             torque=self._all_ticks % TORQUE_EVERY == 0,
@@ -212,8 +212,8 @@ class Pilot:
             seen=self._seen,
             events=events,
             job=self._job,
-            to_rest=self._to_rest,
-            done=self.phase is Phase.STOPPING and self._rested,
+            to_rest=to_rest,
+            done=to_rest and self._rested,
         )
 
     @property
@@ -557,7 +557,6 @@ class Pilot:
         return first, second
 
     def _come_to_rest(self, now: float) -> Setpoints:
-        self._to_rest = True
         if self._ticks == 0:
             before, last = (
                 self._commanded[(self._setpoints - n) % REMEMBERED].tolist() for n in (2, 1)
