@@ -140,3 +140,23 @@ def test_a_host_that_stalls_is_told_and_time_is_made_up_for():
     assert stage.emulation.stalls == 1
     assert "stalled" in stage.said[0]
     assert stage.emulation.bench.now == pytest.approx(1.0, abs=0.003)
+
+
+def test_an_arm_that_sags_under_its_load_ends_its_motion_all_the_same():
+    stage, came = Stage(), []
+    bench = stage.emulation.bench
+    wanted = list(ARM.home)
+    wanted[1] += 0.1
+    target = "_".join(str(q) for q in wanted)
+    stage.at(0.1, stage.connect)
+    stage.at(0.2, stage.send(b"jRelVel_0.5_\n"))
+    stage.at(0.3, stage.send(f"jp_{target}_\n\n".encode()))
+    stage.at(0.4, lambda: came.append(stage.came()))
+    stage.at(0.4, stage.send(b"doPTPinJS\n"))
+    stage.at(0.5, lambda: came.append(stage.came()))
+    stage.at(4.0, lambda: came.append(stage.came()))
+    stage.run(4.1)
+    stage.client.close()
+    assert came == [b"done\ndone\n", b"done\n", b"done\n"]
+    assert bench.body.measured() == pytest.approx(wanted, abs=5e-3)
+    assert bench.body.measured() != pytest.approx(wanted, abs=1e-3)  # it does sag

@@ -129,7 +129,7 @@ def test_command_that_comes_right_after_an_acknowledgement_is_erased(bench):
     bench.wait(0.001)
     assert bench.client.read() == b"done\n"
     bench.client.write(b"jRelVel_0.2_\n")
-    bench.wait(0.001)
+    bench.wait(0.0001)
     assert bench.say("jRelVel_0.2_") == b"done\n"
 
 

@@ -64,7 +64,6 @@ def test_session():
     assert client.recv() == b"done\n"
     assert bench.clock.now() - acknowledged >= 0.02
     assert bench.body.measured() == pytest.approx(HOME, abs=1e-3)
-    bench.wait(0.05)
 
     # realTime_startDirectServoJoints
     assert client.ask(b"startDirectServoJoints\n") == b"done\n"

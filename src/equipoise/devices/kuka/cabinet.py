@@ -53,9 +53,9 @@ from equipoise.errors import InputError, LinkError
 
 PIN: Final = b"1\n\n"
 """Every input of the flange reads as one, and with two line ends."""
-CLEARING: Final = 2e-3
+CLEARING: Final = 2e-4
 """From an acknowledgement of the main thread until it has cleared its string [s]. The real window
-is shorter, and rarely met; a client that waits as it should never meets it."""
+is shorter; only a client that answers at once meets it, and one behind a socket does not."""
 
 
 @dataclass(frozen=True)

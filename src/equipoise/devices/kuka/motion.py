@@ -30,8 +30,11 @@ that receives both at once waits for ever for the second."""
 REACHED: Final = 1e-3
 """A motion has ended when no joint is further from its end than this [rad]: the servo's shaping
 takes a third of a second for the rest of a milliradian."""
-PATIENCE: Final = 2.0
-"""A motion fails that has not reached its end so long after its path has [s]."""
+PATIENCE: Final = 0.5
+"""So long after the end of its path a motion waits for the arm to reach that [s]."""
+SAG: Final = 5e-3
+"""Where an arm rests short of its end by no more, the motion has succeeded, too [rad]: drives that
+do not know their load, and have no integral term, hold it a few milliradians lower."""
 PEAK: Final = 1.875
 """Peak speed of a minimum-jerk path over its mean speed."""
 EPSILON: Final = 1e-9
@@ -200,9 +203,9 @@ class Move:
         if late < -EPSILON:
             return False
         error = np.asarray(self._body.measured()) - self._to
-        there = float(np.max(np.abs(error))) <= REACHED
-        if not there and late < PATIENCE:
+        missing = float(np.max(np.abs(error)))
+        if missing > REACHED and late < PATIENCE:
             return False
         self._body.servo(False)
-        self.last_words = DONE if there else NAK
+        self.last_words = DONE if missing <= SAG else NAK
         return True
