@@ -112,6 +112,7 @@ class Emulation:
         self.acts: Mapping[str, Callable[[], object]] = {
             "press": bench.press,
             "lift": lambda: bench.lift(clumsy=clumsy),
+            "aside": bench.aside,
             "release": bench.let_go,
             "steady": bench.steady,
             "push": lambda: bench.push(PUSH),

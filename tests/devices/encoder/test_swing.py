@@ -14,6 +14,7 @@ from equipoise.devices.encoder.swing import (
     record_swing,
 )
 from equipoise.devices.interfaces import Sample
+from equipoise.devices.twin.robot import TwinEncoder
 from equipoise.errors import LinkError, RecordingError
 from equipoise.identification import identify
 from equipoise.model.pendulum import Pendulum
@@ -21,6 +22,7 @@ from equipoise.settings import IdentificationSettings
 from equipoise.trajectory import read_swing, write_swing
 from tests.devices.encoder.by_hand import RELEASE, ByHand
 from tests.devices.encoder.rig import Bench
+from tests.devices.in_process import PENDULUM, stand
 
 N = 8192
 PERIOD = 2.0 * pi / np.sqrt(70.2)
@@ -169,6 +171,32 @@ def test_what_moves_is_not_taken_for_hanging():
 def test_over_the_top_is_refused():
     with pytest.raises(RecordingError, match="over the top; lift it by 40 to 60 degrees"):
         recorded(ByHand(3.0, theta_dot=-10.0))
+
+
+def test_over_the_top_in_the_hand_is_refused_at_once():
+    def lifted_too_far(time):
+        return min(max(time - 4.0, 0.0), 3.5)
+
+    with pytest.raises(RecordingError, match="over the top; lift it by 40 to 60 degrees"):
+        recorded(lifted_too_far)
+
+
+@pytest.mark.compiled_only
+def test_a_swing_at_the_twin_is_recorded_and_identified():
+    bench, clock = stand()
+    sensor = TwinEncoder(bench, clock)
+    sensor.connect()
+
+    def watch(recorder):
+        if recorder.stage is Stage.READY and bench.hand.idle:
+            bench.aside()
+        elif recorder.stage is Stage.LIFTED and clock.now() > bench.hand.arrives() + 2.0:
+            bench.let_go()
+
+    swing, recorder = record_swing(sensor, clock, 20.0, watch)
+    assert degrees(recorder.first_amplitude) == pytest.approx(50.0, abs=4.0)
+    pendulum = identify(swing, IdentificationSettings())
+    assert pendulum.w2.value == pytest.approx(PENDULUM.w2, rel=0.01)
 
 
 def changed(at, **fields):

@@ -210,6 +210,7 @@ class SwingRecorder:
 
     def _watch_hand(self) -> None:
         """Wait until the pendulum falls through the zero."""
+        self._refuse_over_the_top()
         height = self._side * self.theta
         self._extreme = max(height, 0.0)
         if height > 0.0:
@@ -222,10 +223,7 @@ class SwingRecorder:
         self._enter(Stage.SWINGING)
 
     def _watch_swing(self) -> None:
-        if abs(self.theta) >= pi:
-            raise RecordingError(
-                "the pendulum went over the top; lift it by 40 to 60 degrees, then record again"
-            )
+        self._refuse_over_the_top()
         height = self._side * self.theta
         self._extreme = max(self._extreme, height)
         back = max(3.0 * self._step, 0.1 * self._extreme)
@@ -235,6 +233,12 @@ class SwingRecorder:
             self._again("the hand was still on it")
         if self.stage is Stage.SWINGING and self.elapsed >= self._duration:
             self._enter(Stage.DONE)
+
+    def _refuse_over_the_top(self) -> None:
+        if abs(self.theta) >= pi:
+            raise RecordingError(
+                "the pendulum went over the top; lift it by 40 to 60 degrees, then record again"
+            )
 
     def _turn(self) -> None:
         if not self._turns and self._extreme < max(RISE * self._from, LEAST):

@@ -10,7 +10,7 @@ What can go wrong with the bodies is a method each: see `Bench.push`, `touch`, `
 """
 
 from collections.abc import Callable, Sequence
-from math import cos, pi, sin
+from math import cos, pi, radians, sin
 from typing import Final
 
 import numpy as np
@@ -26,6 +26,8 @@ from equipoise.settings import GRAVITY
 
 PRESS: Final = 0.1
 """How long a finger keeps a button down [s]."""
+ASIDE: Final = radians(50.0)
+"""So far aside the pendulum is held for a free swing [rad]."""
 
 
 class Bench:
@@ -143,6 +145,10 @@ class Bench:
     def steady(self) -> None:
         """Grip the pendulum and bring it to where it hangs; it is held until `let_go`."""
         self.hand.steady(self.now, self.phi, draw_manner(self._random, clumsy=0.0))
+
+    def aside(self) -> None:
+        """Grip the pendulum and hold it aside, until `let_go`: it is a free swing then."""
+        self.hand.aside(self.now, self.phi, ASIDE, draw_manner(self._random, clumsy=0.0))
 
     def let_go(self) -> None:
         """Let go of the pendulum."""

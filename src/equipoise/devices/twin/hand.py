@@ -162,9 +162,20 @@ class Hand:
 
     def steady(self, now: float, phi: float, manner: Manner) -> None:
         """Grip the pendulum and bring it to where it hangs, on the shorter way."""
-        to = 2.0 * pi * round((phi - pi) / (2.0 * pi)) + pi
         still = manner._replace(amplitude=np.zeros_like(manner.amplitude), push=0.0)
-        self._grip(now, phi, to, manner.lifting, still)
+        self._grip(now, phi, _hanging(phi), manner.lifting, still)
+
+    def aside(self, now: float, phi: float, height: float, manner: Manner) -> None:
+        """Grip the pendulum and hold it aside, for a free swing.
+
+        Args:
+            now: The time [s].
+            phi: Where it is, relative to the flange [rad].
+            height: How far from where it hangs it is held [rad].
+            manner: How, and on which side.
+        """
+        to = _hanging(phi) + (height if manner.side == "back" else -height)
+        self._grip(now, phi, to, manner.lifting, manner)
 
     def release(self, now: float) -> None:
         """Let go, in the manner of this hold."""
@@ -219,3 +230,8 @@ class Hand:
             self._from + distance * way + way * off,
             distance * speed + speed * off + way * off_dot,
         )
+
+
+def _hanging(phi: float) -> float:
+    """Return where the pendulum hangs [rad], in the turn that it is in."""
+    return 2.0 * pi * round((phi - pi) / (2.0 * pi)) + pi
