@@ -78,6 +78,7 @@ SWAPS: dict[type, list[type]] = {
     ast.Add: [ast.Sub],
     ast.Sub: [ast.Add],
     ast.Mult: [ast.Div],
+    ast.MatMult: [ast.Mult],
     ast.Div: [ast.Mult],
     ast.Mod: [ast.Mult],
     ast.Pow: [ast.Mult],
