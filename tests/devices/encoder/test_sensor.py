@@ -376,7 +376,9 @@ def test_a_board_of_malformed_lines_gives_only_true_samples():
 def test_a_clock_that_is_too_slow_is_an_error():
     bench = Bench(drift=-5e-3)
     bench.sensor.connect()
-    took = failing(bench, r"lines ever later, by \d+ ms now: its clock is slow", within=20.0)
+    took = failing(
+        bench, r"lines late, even the fastest .* by \d+ ms, .* clock is slow by", within=20.0
+    )
     assert 4.0 < took < 8.0
 
 
@@ -387,7 +389,7 @@ def test_a_link_that_is_too_slow_is_an_error(bench):
         bench.device.delay = 0.001 + 0.02 * (now - began)
 
     bench.clock.attach(work)
-    failing(bench, "or the link too slow for its rate", within=5.0)
+    failing(bench, "the link is too slow for its rate", within=5.0)
 
 
 def test_a_host_that_stalls_reads_what_waited_with_its_true_times():

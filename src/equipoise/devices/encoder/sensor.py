@@ -6,6 +6,11 @@ pendulum can do. One that does not follow is dropped and counted; when several i
 is the board that has changed (it restarted, or its counts jumped), and the zero is void: that is an
 error, which stays. What passes can be wrong by no more than a true motion could be.
 
+Lines that follow are never a restart, however late they arrive (a USB adapter's latency timer, a
+host that stands still). Where they arrive earlier than those before, the times given out catch up
+at once while nothing depends on them: in the first second, and while the count stands still. At
+another time that is an error, which names the lateness.
+
 Nothing in `samples` blocks, prints or waits.
 """
 
@@ -14,7 +19,7 @@ from math import ceil, inf, pi
 from typing import Final, NamedTuple
 
 from equipoise.devices.encoder.codec import REQUEST, Banner, Decoder, Flags, Reading
-from equipoise.devices.encoder.mapping import WRAP_US, HostTime
+from equipoise.devices.encoder.mapping import HURRY, SLEW, WRAP_US, HostTime
 from equipoise.devices.interfaces import Clock, Sample, Transport
 from equipoise.errors import LinkError
 
@@ -37,12 +42,16 @@ its boot loader waits 2 s."""
 ASKING: Final = 0.5
 """So often it is asked until then [s]."""
 ANSWERS: Final = 1.0
-"""So long after connecting a banner may still be an answer [s]; a later one tells of a restart."""
+"""Time after connecting in which a banner may still be an answer, a later one tells of a restart,
+and in which nothing depends on the times of samples [s]."""
 SETTLING: Final = 0.2
-"""So long lines are only timed, before the first sample is given out [s]."""
+"""Time for which lines are only timed before the first sample is given out [s]; it begins again
+where a line arrives earlier than those before by more than `POLL`."""
+STILL: Final = 1.0
+"""Nothing depends on the times of a count that has stood still for this long [s]."""
 LATEST: Final = 0.02
-"""Where even the fastest line of a second comes this late, lines come ever later; and none comes
-this long before it was sent [s]."""
+"""Largest accepted lateness of the fastest line of a second, and largest time by which a line may
+arrive before the time that is given to it [s]."""
 POLL: Final = 0.005
 """Pause between two looks while connecting [s]."""
 _COUNT_WRAP: Final = 2**32
@@ -110,6 +119,7 @@ class LineEncoder:
         self._last: Reading | None = None
         self._counts = 0
         self._down = False
+        self._rest_counts, self._moved = 0, self._clock.now()
         self._strangers = 0
         self._stride = 0.0
         self._heard = self._clock.now()
@@ -212,6 +222,8 @@ class LineEncoder:
                     self._last = None
                 if self._last is None:
                     self._time, ready = HostTime(line.t_us, now), now + SETTLING
+                elif self._time.ahead(line.t_us, now) > POLL:
+                    ready = now + SETTLING
                 self._strangers = 0
                 self._time.settle(line.t_us, now)
                 self._heard = now
@@ -229,6 +241,7 @@ class LineEncoder:
     def _begin(self, now: float, last: Reading) -> None:
         self._answered = now + ANSWERS
         self._block_end, self._block_lateness = now + 1.0, inf
+        self._rest_counts, self._moved = self._counts, now
         time = self._time(last.t_us, now)
         self._first = [Sample(time, self._counts, False, bool(last.flags & Flags.ILLEGAL), 0)]
         self._tally = Tally(accepted=1, illegal=int(self._first[0].illegal))
@@ -274,12 +287,12 @@ class LineEncoder:
 
     def _take(self, line: Reading, now: float) -> Sample | None:
         last = self._last or line
-        why = self._why_not(line, last)
-        if not why and self._time.ahead(line.t_us, now) > LATEST:
-            why = "time"
+        ahead = self._time.ahead(line.t_us, now)
+        why = self._why_not(line, last) or self._leaps(line, last, ahead)
         if why:
             self._drop(line, last, why)
             return None
+        slew = SLEW if ahead <= LATEST else self._catch_up(ahead, now)
         self._strangers = 0
         self._heard = now
         missing = (line.seq - last.seq) % _SEQ_WRAP - 1
@@ -296,7 +309,9 @@ class LineEncoder:
             missing=tally.missing + missing,
             illegal=tally.illegal + illegal,
         )
-        time = self._time(line.t_us, now)
+        if abs(self._counts - self._rest_counts) > SLACK_COUNTS:
+            self._rest_counts, self._moved = self._counts, now
+        time = self._time(line.t_us, now, slew)
         self._watch_lateness(now)
         return Sample(time, self._counts, pressed, illegal, missing)
 
@@ -312,6 +327,32 @@ class LineEncoder:
         per_radian = self.banner.counts_per_rev / (2.0 * pi)
         most = ceil(self._fastest * per_radian * self._stride) + SLACK_COUNTS
         return "count" if abs(_signed(line.counts - last.counts)) > most else ""
+
+    def _leaps(self, line: Reading, last: Reading, ahead: float) -> str:
+        """Return "time" for a line that is ahead of its arrival only because lines are missing.
+
+        A forged line is so alone. Several in a row show that the lines before came late, but for
+        those that are ahead by more than `SILENCE`: no line comes that late.
+        """
+        passed = 1e-6 * ((line.t_us - last.t_us) % WRAP_US)
+        alone = self._strangers + 1 < PERSISTENT
+        leaps = min(ahead, passed) > LATEST and (alone or ahead > SILENCE)
+        return "time" if leaps else ""
+
+    def _catch_up(self, ahead: float, now: float) -> float:
+        """Return how fast the times may catch up with lines that do not come late any more.
+
+        Raises:
+            LinkError: Something depends on the times that were given out.
+        """
+        if now <= self._answered or now > self._moved + STILL:
+            return HURRY
+        raise self._fail(
+            f"delivered its lines {1e3 * ahead:.0f} ms late until now, expected at most "
+            f"{1e3 * LATEST:.0f} ms: the times of its samples were wrong by that while the count "
+            "moved; set the USB adapter's latency timer to 1 ms or take load off the host, then "
+            "connect again"
+        )
 
     def _drop(self, line: Reading, last: Reading, why: str) -> None:
         tally = self._tally
@@ -347,9 +388,11 @@ class LineEncoder:
             return
         if self._block_lateness > LATEST:
             raise self._fail(
-                f"sends lines ever later, by {1e3 * self._block_lateness:.0f} ms now: its "
-                "clock is slow by more than 0.1 %, or the link too slow for its rate; use a board "
-                "with a quartz, a faster link or a lower rate"
+                f"delivers its lines late, even the fastest of a second by "
+                f"{1e3 * self._block_lateness:.0f} ms, expected at most {1e3 * LATEST:.0f} ms: the "
+                "host or a USB adapter holds them back, the link is too slow for its rate, or its "
+                "clock is slow by more than 0.1 %; take load off the host, set the adapter's "
+                "latency timer to 1 ms, use a faster link or lower rate, or a board with a quartz"
             )
         self._block_end, self._block_lateness = now + 1.0, inf
 
