@@ -9,6 +9,8 @@ import io
 import sys
 from collections.abc import Sequence
 
+from equipoise.printable import printable
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
@@ -33,6 +35,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as end:
         if end.code is None or isinstance(end.code, int):
             return end.code or 0
-        print(end.code, file=sys.stderr)
+        print(printable(str(end.code)), file=sys.stderr)
         return 1
     return 0

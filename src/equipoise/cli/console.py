@@ -1,6 +1,7 @@
 """The operator at a terminal: events as lines, answers as words, and any key as a stop."""
 
 import os
+import re
 import select
 import sys
 from collections.abc import Generator
@@ -12,6 +13,7 @@ from rich.text import Text
 
 from equipoise.cli.output import Output
 from equipoise.control.ticks import OK
+from equipoise.printable import printable
 
 STYLES: Final = {
     "fault": "bold red",
@@ -25,6 +27,23 @@ DENIED: Final = "n"
 BACKSPACE: Final = "\b\x7f"
 """Takes the last key back, on one keyboard or another."""
 VERDICTS: Final = {"good": "green", "warning": "yellow", "refused": "bold red"}
+SEQUENCE: Final = re.compile("\x1b(?:\\[[0-?]*[ -/]*[@-~]|O[ -~]|[ -~])?")
+"""What a terminal sends for a key without a character: ESC, and what follows it at once."""
+KEYS: Final = {
+    "A": "up arrow",
+    "B": "down arrow",
+    "C": "right arrow",
+    "D": "left arrow",
+    "F": "End",
+    "H": "Home",
+    "Z": "Shift-Tab",
+    "2~": "Insert",
+    "3~": "Delete",
+    "5~": "Page Up",
+    "6~": "Page Down",
+    "": "Esc",
+}
+"""Names of keys, by what follows ESC and `[` or `O`."""
 
 
 class Console:
@@ -42,11 +61,11 @@ class Console:
         """Print an event."""
         self._clear()
         if event.name == "finding":
-            self._finding(*event.text.split("\t"))
+            self._finding(*(*event.text.split("\t"), "", "", "")[:4])  # a long one was cut
             return
         if event.name != "word":
             self._answers = tuple(event.answers)
-        text = event.text.replace("\a", "")
+        text = printable(event.text.replace("\a", ""))
         if "\a" in event.text and self._output.stream.isatty():
             self._output.stream.write("\a")
         self._output.tell(Text(text, style=STYLES.get(event.name, "bold" if self._answers else "")))
@@ -74,14 +93,16 @@ class Console:
         if not came:
             return []
         if not self._answers and sys.stdin.isatty():
-            return [came]
-        return self._lines(came.replace("\r", "\n"))
+            return [key_names(came)]
+        return self._lines(SEQUENCE.sub("", came.replace("\r", "\n")))
 
     def _lines(self, came: str) -> list[str]:
         """Return the lines that keys end; what a terminal would do with a line is done here."""
         lines: list[str] = []
         shown = ""
         for key in came:
+            if key not in BACKSPACE and key != "\n" and not key.isprintable():
+                continue
             if key in BACKSPACE:
                 shown += "\b \b" if self._typed else ""
                 self._typed = self._typed[:-1]
@@ -113,11 +134,32 @@ class Console:
 
     def _finding(self, name: str, verdict: str, found: str, cure: str) -> None:
         line = Text.assemble(
-            ("  ", ""), (f"{verdict:<9}", VERDICTS[verdict]), (f"{name:<20}", "dim"), found
+            ("  ", ""),
+            (f"{verdict:<9}", VERDICTS.get(verdict, "")),
+            (f"{name:<20}", "dim"),
+            printable(found),
         )
         self._output.tell(line)
         if cure:
-            self._output.tell(Text(f"{'':31}{cure}", style="dim"))
+            self._output.tell(Text(f"{'':31}{printable(cure)}", style="dim"))
+
+
+def key_names(typed: str) -> str:
+    r"""Return what was typed with the names of keys in place of what a terminal sends for them.
+
+    Example:
+        >>> key_names("\x1b[A"), key_names("\x03"), key_names("q")
+        ('up arrow', 'Ctrl-C', 'q')
+    """
+
+    def name(found: re.Match[str]) -> str:
+        sequence = found[0][1:]
+        return f" {KEYS.get(sequence.removeprefix('[').removeprefix('O'), 'a function key')} "
+
+    named = SEQUENCE.sub(name, typed)
+    named = re.sub("[\x01-\x08\x0e-\x1a]", lambda key: f" Ctrl-{chr(ord(key[0]) + 64)} ", named)
+    named = named.replace("\x7f", " Backspace ")
+    return " ".join(named.split()) if named != typed else typed
 
 
 @contextmanager

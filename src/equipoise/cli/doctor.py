@@ -9,6 +9,7 @@ import typer
 from equipoise.cli.options import IN_AND_OUT, Json
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError, LinkError
+from equipoise.printable import printable
 
 if TYPE_CHECKING:
     from equipoise.devices.interfaces import AngleSensor, Clock, Robot
@@ -166,9 +167,9 @@ def _say(output: Output, diagnosis: "Diagnosis", looked_at: str) -> None:
     table.add_column(overflow="fold")
     for finding in diagnosis.findings:
         words, style = LOOKS[finding.state]
-        table.add_row(Text(f"  {words}", style=style), finding.name, Text(finding.found))
+        table.add_row(Text(f"  {words}", style=style), finding.name, finding.found)
         if finding.cure:
-            table.add_row("", "", Text(f"-> {finding.cure}", style="italic"))
+            table.add_row("", "", Text(f"-> {printable(finding.cure)}", style="italic"))
     output.say()
     output.say(table)
     output.say()

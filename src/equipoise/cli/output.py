@@ -1,7 +1,7 @@
 """What a verb says, and where: results on stdout, progress and errors on stderr.
 
-With `--json` stdout carries one object and nothing else. Files named by users are printed as they
-are: nothing here is markup.
+With `--json` stdout carries one object and nothing else. Nothing here is markup, and text from
+files and wires goes out with its control characters escaped (`equipoise.printable`).
 """
 
 import functools
@@ -17,10 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TextIO, TypeVar
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.text import Text
 
 from equipoise.errors import EquipoiseError
+from equipoise.printable import printable
 
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
@@ -35,8 +37,28 @@ FIRST_WORDS = "compiling, half a minute the first time"
 """What a bar says until the first report comes: no more is known by then."""
 
 
+class _EscapingConsole(Console):
+    """A console that writes no control character but its own.
+
+    Text as a string is escaped before it is measured and wrapped; all else when it is rendered, and
+    may then be longer than its place in a table.
+    """
+
+    def render_str(self, text: str, **kwargs: Any) -> Text:
+        """Return a string as rich text."""
+        return super().render_str(printable(text, layout=True), **kwargs)
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """Yield the pieces of what goes out."""
+        for piece in super().render(renderable, options):
+            text = piece.text if piece.control else printable(piece.text, layout=True)
+            yield Segment(text, piece.style, piece.control)
+
+
 def _console(*, stderr: bool = False, quiet: bool = False) -> Console:
-    return Console(stderr=stderr, quiet=quiet, markup=False, emoji=False, highlight=False)
+    return _EscapingConsole(stderr=stderr, quiet=quiet, markup=False, emoji=False, highlight=False)
 
 
 class Output:
@@ -69,7 +91,7 @@ class Output:
         table.add_column(no_wrap=True, style="dim")
         table.add_column(overflow="fold")
         for name, text in rows.items():
-            table.add_row(f"  {name}", text)
+            table.add_row(f"  {printable(name)}", printable(text))
         self.say(table)
 
     def points(self, lines: Iterable[str]) -> None:
@@ -78,24 +100,24 @@ class Output:
 
         table = Table.grid(padding=(0, 1, 0, 0))
         for line in lines:
-            table.add_row("-", line)
+            table.add_row("-", printable(line))
         self.say()
         self.say(table)
         self.say()
 
     def warn(self, what: str) -> None:
         """Print a warning."""
-        self.say(Text.assemble(("warning: ", "bold yellow"), what))
+        self.say(Text.assemble(("warning: ", "bold yellow"), printable(what)))
 
     def wrote(self, *paths: Path) -> None:
         """Name the files that were written."""
-        *first, last = (str(path) for path in paths)
+        *first, last = (printable(str(path)) for path in paths)
         names = f"{', '.join(first)} and {last}" if first else last
         self._words.print(Text.assemble(("wrote ", "dim"), names), soft_wrap=True)
 
     def next(self, *command: str | int | Path) -> None:
         """Name the next command to try."""
-        words = shlex.join(["equipoise", *(str(word) for word in command)])
+        words = printable(shlex.join(["equipoise", *(str(word) for word in command)]))
         self._words.print(Text.assemble(("next: ", "dim"), (words, "bold")), soft_wrap=True)
 
     def result(self, result: Mapping[str, Any]) -> None:
@@ -147,7 +169,7 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
 
 def _complain(label: str, message: str) -> None:
     console = _console(stderr=True)
-    console.print(Text.assemble((label, "bold red"), message), soft_wrap=True)
+    console.print(Text.assemble((label, "bold red"), printable(message)), soft_wrap=True)
 
 
 @contextmanager

@@ -34,6 +34,7 @@ from equipoise.devices.realtime import Measure
 from equipoise.errors import EquipoiseError, InputError, LinkError, OutsideError
 from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import read_world
+from equipoise.printable import printable
 from equipoise.rigs import Attended, Rig, RigSettings, connect
 from equipoise.runwriter import WORD_TYPED, Recorder, RunWriter, push_event
 
@@ -261,7 +262,7 @@ def run_on_rig(
             request.policy, request.actuator, request.settings, rig, measures(), t1=request.t1
         )
         for finding in before.findings:
-            tell(Event("finding", "\t".join(finding[:4])))
+            tell(Event("finding", "\t".join(map(printable, finding[:4]))))
         refuse(before.findings)
         if before.max_speed < inf:
             tell(speed_limit(before.max_speed))

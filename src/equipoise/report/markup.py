@@ -3,8 +3,10 @@
 import base64
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
+from html import escape as html_escape
 from typing import Final, NamedTuple
+
+from equipoise.printable import printable
 
 CODE: Final = re.compile(r"`([^`]+)`")
 SIGN: Final = re.compile(r"(?<![\w.\]])-(?=[\d∞])")
@@ -32,6 +34,11 @@ class Part(NamedTuple):
     """Its heading."""
     html: str
     """All of it."""
+
+
+def escape(text: str) -> str:
+    """Return a text that is shown as it is: neither markup nor control characters work in it."""
+    return html_escape(printable(text, layout=True))
 
 
 def part(name: str, title: str, *html: str) -> Part:

@@ -5,7 +5,6 @@ No file is fetched, no script runs; the page can be printed, mailed and read in 
 """
 
 from collections.abc import Callable, Mapping
-from html import escape
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -14,7 +13,7 @@ from equipoise.artefacts import Provenance, read_document, write_whole
 from equipoise.errors import OutsideError
 from equipoise.report import figures
 from equipoise.report.appendix import left_open, origins
-from equipoise.report.markup import Missing, Part, Pictures
+from equipoise.report.markup import Missing, Part, Pictures, escape
 from equipoise.report.opening import opening
 from equipoise.report.outcome import outcome
 from equipoise.report.pictures import strip

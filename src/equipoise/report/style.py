@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
 from equipoise.artefacts import write_whole
+from equipoise.printable import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,8 +93,13 @@ def new_figure(height: float, title: str) -> "Figure":
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTH, height))
-    figure.suptitle(title, x=0.01, ha="left")
+    figure.suptitle(plain(title), x=0.01, ha="left")
     return figure
+
+
+def plain(text: str) -> str:
+    """Return a text from a file as Matplotlib shows it unchanged: a dollar begins no formula."""
+    return printable(text).replace("$", r"\$")
 
 
 def limit_lines(axes: "Axes", values: Sequence[float], label: str = "") -> None:

@@ -17,6 +17,7 @@ from equipoise.report.style import (
     VERMILION,
     drawn,
     new_figure,
+    plain,
 )
 from equipoise.studies.wording import LASTED
 
@@ -50,7 +51,7 @@ def survival(evaluation: Evaluation) -> "Figure":
         left.plot(
             *_curve(results, shortest, evaluation.duration),
             drawstyle="steps-post",
-            label=results.name,
+            label=plain(results.name),
             **line,
         )
     left.set_xscale("log")
@@ -102,7 +103,7 @@ def _shares(panel: Any, everyone: list[TrialResults], duration: float) -> None:
             ha="left" if rate < 50.0 else "right",
             fontsize=7.5,
         )
-    panel.set_yticks(range(len(everyone)), [results.name for results in everyone])
+    panel.set_yticks(range(len(everyone)), [plain(results.name) for results in everyone])
     panel.set_ylim(len(everyone) - 0.5, -0.7)
     panel.set_xlim(-4.0, 104.0)
     panel.grid(visible=False, axis="y")

@@ -1,0 +1,185 @@
+"""Text from files and wires never reaches a terminal or a page raw."""
+
+import dataclasses
+import json
+import socketserver
+import threading
+import unicodedata
+
+import pytest
+from rich.table import Table
+from rich.text import Text
+
+from equipoise.artefacts import read_document
+from equipoise.cli.console import Console, key_names
+from equipoise.cli.output import Output
+from equipoise.control.pilot import PHASES
+from equipoise.devices.operator import Told
+from equipoise.report import markup
+from equipoise.runwriter import Recorder, RunWriter, push_event
+from tests.cli.damage import rebuilt
+from tests.test_runlog import made_up
+
+ESCAPES = "\x1b[2J\x1b]0;owned\x07\x9b31m\x7f\u202e"
+"""Clears the screen, sets the title, colours, deletes, and reverses what follows."""
+HOSTILE = f"evil{ESCAPES}\r\u2028\nerror: forged [bold red]$x^{{$"
+SHOWN = r"evil\x1b[2J\x1b]0;owned\x07\x9b31m\x7f\u202e"
+
+
+def raw(text):
+    """The characters of an output that a terminal would act on."""
+    return {c for c in text if unicodedata.category(c) in ("Cc", "Cf", "Zl", "Zp") and c != "\n"}
+
+
+def check(ran, *, shown=SHOWN):
+    said = ran.out + ran.err
+    assert not raw(said), ran
+    assert not any(line.startswith("error: forged") for line in said.splitlines())
+    assert "Traceback" not in said
+    assert shown in said.replace("\n", ""), ran
+
+
+def test_output_escapes_whatever_it_is_given(capsys):
+    output = Output(as_json=False)
+    table = Table(HOSTILE)
+    table.add_row(HOSTILE)
+    ways = (
+        lambda: output.say(HOSTILE),
+        lambda: output.say(Text(HOSTILE)),
+        lambda: output.say(table),
+        lambda: output.tell(HOSTILE),
+        lambda: output.rows({HOSTILE: HOSTILE}),
+        lambda: output.points([HOSTILE]),
+        lambda: output.warn(HOSTILE),
+        lambda: output.next(HOSTILE),
+        lambda: Console(output).tell(Told("notice", HOSTILE)),
+        lambda: Console(output).tell(Told("finding", f"{HOSTILE}\tgood\t{HOSTILE}\t{HOSTILE}")),
+    )
+    for way in ways:
+        way()
+        said = capsys.readouterr().out
+        assert "owned" in said
+        assert not raw(said), said
+
+
+def test_a_live_display_escapes_its_words(capsys, monkeypatch):
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")  # rich takes it for a terminal
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with Output(as_json=False).busy(HOSTILE) as rename:
+        rename(HOSTILE)
+    said = capsys.readouterr().err
+    assert r"evil\x1b[2J" in said
+    assert "\x1b[2J" not in said
+    assert "\x1b]0;" not in said
+
+
+@pytest.fixture
+def twin_log(tmp_path):
+    made = made_up()
+    words = {"cause": HOSTILE, "world": HOSTILE, "arm": HOSTILE, "guard": HOSTILE}
+    conditions = made.conditions.model_copy(update={**words, "joints": (HOSTILE, "A2")})
+    path = tmp_path / "twin.mcap"
+    dataclasses.replace(made, conditions=conditions).save(path, command=HOSTILE)
+    return path
+
+
+@pytest.fixture
+def rig_log(tmp_path):
+    """The log of a run that stopped before it balanced."""
+    path, recorder = tmp_path / "rig.mcap", Recorder(2)
+    conditions = {
+        "joints": 2,
+        "joint_names": [HOSTILE, "A2"],
+        "phases": [phase.value for phase in PHASES],
+        **dict.fromkeys(("arm", "robot", "policy"), HOSTILE),
+        "h": 0.01,
+        "duration": 5.0,
+    }
+    writer = RunWriter(path, 2, conditions, 0.0)
+    push_event(recorder.event, 0.5, "stopping", (), HOSTILE)
+    writer.drain(recorder)
+    writer.finish(1.0, {"cause": HOSTILE, "reason": HOSTILE})
+    return path
+
+
+@pytest.mark.parametrize("verb", ["explain", "verify", "replay", "identify", "export"])
+def test_a_log(equipoise, twin_log, rig_log, verb):
+    for path in (twin_log, rig_log):
+        ran = equipoise(verb, path)
+        check(ran, shown=SHOWN if verb in ("explain", "verify") else "")
+        if equipoise(verb, path, "--json").out:
+            assert equipoise(verb, path, "--json").json
+
+
+def test_a_policy_and_a_pendulum(equipoise, tmp_path, policy_file, pendulum_file):
+    body = read_document(policy_file)["body"]
+    assert "recipe" in body
+    rebuilt(policy_file, lambda body: body.update(recipe=HOSTILE))
+    check(equipoise("verify", policy_file))
+    rebuilt(pendulum_file, lambda body: body.update({HOSTILE: 1.0}))
+    check(equipoise("verify", pendulum_file))
+    (tmp_path / "key.json").write_text(json.dumps({HOSTILE: 1}))
+    check(equipoise("verify", "key.json"), shown="")
+    document = json.loads(policy_file.read_text()) | {"format": HOSTILE}
+    policy_file.write_text(json.dumps(document))
+    check(equipoise("verify", policy_file))
+
+
+def test_a_recording(equipoise, csv):
+    check(equipoise("identify", csv(f"time_s,evil{ESCAPES}", [0, 1], [0, 1])))
+    name = f"evil{ESCAPES}.csv"
+    check(equipoise("identify", csv("time_s,theta_rad", [0, 1], [0, 1], name=name)))
+
+
+def test_settings_worlds_and_rigs(equipoise, tmp_path):
+    key = json.dumps(HOSTILE)
+    (tmp_path / "bad.toml").write_text(f"{key} = 1\n", encoding="utf-8")
+    for arguments in (
+        ("train", "--settings", "bad.toml"),
+        ("evaluate", "--world", "twin:bad.toml"),
+        ("doctor", "--rig", "bad.toml"),
+    ):
+        check(equipoise(*arguments))
+
+
+def test_an_arm(equipoise, tmp_path):
+    # XML knows no C0 characters; what it knows may still reverse a line.
+    name = "evil\x9b31m\x7f\u202egnp.exe\u2028"
+    joint = f'<joint name="{name}" type="revolute"><parent link="a"/><child link="b"/></joint>'
+    text = f'<robot name="{name}"><link name="a"/><link name="b"/>{joint}</robot>'
+    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
+    check(equipoise("train", "--arm", "arm.urdf"), shown=r"evil\x9b31m\x7f\u202egnp.exe\u2028")
+
+
+def test_a_robot_server(equipoise):
+    class Server(socketserver.BaseRequestHandler):
+        def handle(self):
+            self.request.recv(1000)
+            self.request.sendall(HOSTILE.encode() + b"\n")
+            self.request.recv(1000)
+
+    with socketserver.TCPServer(("127.0.0.1", 0), Server) as server:
+        threading.Thread(target=server.handle_request, daemon=True).start()
+        robot = f"kst://127.0.0.1:{server.server_address[1]}"
+        check(equipoise("doctor", "--robot", robot, "--seconds", "0.05"), shown=r"evil")
+
+
+def test_the_page():
+    assert markup.prose(HOSTILE).startswith(SHOWN)
+    assert not raw(markup.table([HOSTILE], [[HOSTILE]]) + markup.listing([HOSTILE]))
+
+
+def test_a_figure_takes_a_name_from_a_file_as_it_is(small_evaluation):
+    from equipoise.report.figures.standing import survival
+    from equipoise.report.style import to_svg
+
+    renamed = small_evaluation.results.model_copy(update={"name": HOSTILE})
+    svg = to_svg(survival(small_evaluation.model_copy(update={"results": renamed})))
+    assert not raw(svg)
+    assert SHOWN in svg
+
+
+def test_keys_without_a_character_have_names():
+    assert key_names("\x1bOB\x1b[C") == "down arrow right arrow"
+    assert key_names("\x1b[15~") == "a function key"
+    assert key_names("\x01") == "Ctrl-A"
