@@ -50,10 +50,7 @@ def test_the_regulator_stands_where_chance_falls_on_the_same_trials(evaluation):
     assert by_name["random"].survived == 0
 
 
-def test_an_interrupted_evaluation_goes_on_where_it_stopped(
-    behind_a_servo, evaluation, tmp_path, monkeypatch
-):
-    monkeypatch.setattr("equipoise.evaluation.KEEP_EVERY", 0.0)
+def test_an_interrupted_evaluation_goes_on_where_it_stopped(behind_a_servo, evaluation, tmp_path):
     partial, finished = tmp_path / "partial.json", []
 
     def interrupt(count):
@@ -73,8 +70,7 @@ def test_an_interrupted_evaluation_goes_on_where_it_stopped(
     assert not partial.exists()
 
 
-def test_trials_of_another_seed_are_not_taken_for_finished(behind_a_servo, tmp_path, monkeypatch):
-    monkeypatch.setattr("equipoise.evaluation.KEEP_EVERY", 0.0)
+def test_trials_of_another_seed_are_not_taken_for_finished(behind_a_servo, tmp_path):
     partial = tmp_path / "partial.json"
 
     def interrupt(count):

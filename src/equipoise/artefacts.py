@@ -14,6 +14,7 @@ import os
 import platform
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from importlib import metadata
@@ -31,6 +32,11 @@ from pydantic import (
 from equipoise.errors import ArtefactError, OutsideError
 
 DIGEST_PREFIX = "sha256:"
+KEEP_EVERY = 5.0
+"""Minimum time between two writings of unfinished work [s]."""
+WRITING_SHARE = 0.02
+"""Maximum share of the time that goes into writing unfinished work: what takes long to write is
+written less often."""
 
 
 class Value(BaseModel):
@@ -240,6 +246,59 @@ def write_whole(path: Path, content: str | bytes) -> None:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+class PartialFile:
+    """A file of unfinished work, written from time to time, each time whole or not at all.
+
+    As a context it writes once more where the work inside is interrupted.
+    """
+
+    def __init__(
+        self, path: Path | None, command: str, state: Callable[[], Artefact | None]
+    ) -> None:
+        """Name the file, nothing if none is to be written.
+
+        Args:
+            path: The file.
+            command: The verb or function that does the work.
+            state: Returns the work so far, none if there is nothing to keep.
+        """
+        self._path, self._command, self._state = path, command, state
+        self._writing, self._due = threading.Lock(), time.monotonic() + KEEP_EVERY
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            with self._writing:
+                self._write()
+
+    def update(self) -> None:
+        """Write the work so far where the last writing is long enough ago; for any thread.
+
+        Raises:
+            OutsideError: The disk refuses.
+        """
+        if time.monotonic() < self._due or not self._writing.acquire(blocking=False):
+            return
+        try:
+            begin = time.monotonic()
+            self._write()
+            end = time.monotonic()
+            self._due = end + max(KEEP_EVERY, (end - begin) / WRITING_SHARE)
+        finally:
+            self._writing.release()
+
+    def _write(self) -> None:
+        if self._path is not None and (state := self._state()) is not None:
+            state.save(self._path, command=self._command)
+
+
+def partial_path(out: Path) -> Path:
+    """Return the path of the file that keeps the unfinished work on `out`, beside it."""
+    return out.with_suffix(".partial.json")
 
 
 def value_digest(value: BaseModel) -> str:

@@ -7,7 +7,6 @@ for every policy, and the yardsticks run the same trials.
 """
 
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -17,7 +16,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Extended, Value, value_digest
+from equipoise.artefacts import Artefact, Extended, PartialFile, Value, value_digest
 from equipoise.control.boxes import CAUSES, cause_named
 from equipoise.control.controller import make_controller
 from equipoise.control.guards import guard_named, trial_guard
@@ -42,8 +41,6 @@ if TYPE_CHECKING:
     from equipoise.devices.twin.trial import Trial
 
 CONFIDENCE = 0.95
-KEEP_EVERY = 5.0
-"""Time between two writings of a partial evaluation [s]."""
 
 Done = Callable[[int], None]
 """Called with the number of trials that have just finished."""
@@ -344,32 +341,33 @@ class _Bench:
             self._done(1)
 
         conditions = twin_trials(self._settings, settings, self._parameters, self._seed, TEST)
-        run_over_cores(
-            self._arm,
-            settings,
-            make_controller(
-                self._arm,
-                self._settings,
-                self._actuator,
-                self._parameters,
-                h=self._h,
-                counts_per_rev=settings.counts_per_rev,
-            ),
-            kernel,
-            [conditions[i] for i in todo],
-            duration=e.duration,
-            seed=self._seed,
-            workers=self._workers,
-            guard=trial_guard(
+        with kept:
+            run_over_cores(
                 self._arm,
                 settings,
-                self._actuator,
+                make_controller(
+                    self._arm,
+                    self._settings,
+                    self._actuator,
+                    self._parameters,
+                    h=self._h,
+                    counts_per_rev=settings.counts_per_rev,
+                ),
                 kernel,
-                self._h,
-                self._settings.plant.max_speed,
-            ),
-            done=one_done,
-        )
+                [conditions[i] for i in todo],
+                duration=e.duration,
+                seed=self._seed,
+                workers=self._workers,
+                guard=trial_guard(
+                    self._arm,
+                    settings,
+                    self._actuator,
+                    kernel,
+                    self._h,
+                    self._settings.plant.max_speed,
+                ),
+                done=one_done,
+            )
         return self._results(name, results)
 
     def _key(self, settings: TwinSettings, name: str, digest: str) -> str:
@@ -429,14 +427,15 @@ class PartialEvaluation(Artefact):
     about it."""
 
 
-class _Kept:
+class _Kept(PartialFile):
     """Finished trials in a file, which is written now and then as a whole."""
 
     def __init__(self, path: Path | None, key: str) -> None:
-        self._path, self._key = path, key
+        super().__init__(path, "evaluate", self._partial)
+        self._key = key
         self._others: dict[str, tuple[tuple[int, int, int], ...]] = {}
         self._finished: list[tuple[int, int, int]] = []
-        self._lock, self._saved = threading.Lock(), time.monotonic()
+        self._changing = threading.Lock()
         if path is not None and path.exists():
             self._others = dict(PartialEvaluation.load(path).finished)
             self._finished = list(self._others.pop(key, ()))
@@ -451,11 +450,12 @@ class _Kept:
         return [i for i in range(count) if i not in known]
 
     def add(self, i: int, steps: int, cause: int) -> None:
-        """Keep a finished trial; the file is brought up to date every few seconds."""
-        with self._lock:
+        """Keep a finished trial."""
+        with self._changing:
             self._finished.append((i, steps, cause))
-            if self._path is None or time.monotonic() < self._saved + KEEP_EVERY:
-                return
+        self.update()
+
+    def _partial(self) -> PartialEvaluation:
+        with self._changing:
             finished = self._others | {self._key: tuple(self._finished)}
-            PartialEvaluation(finished=finished).save(self._path, command="evaluate")
-            self._saved = time.monotonic()
+        return PartialEvaluation(finished=finished)

@@ -3,18 +3,25 @@
 A training runs its episodes in one compiled loop (`equipoise.learning.q_learning`) and stops now
 and then to take the greedy policy as a candidate. Candidates are screened on selection trials, the
 best go through a round of longer trials, and the winner is kept, with the table as it was then.
-Equal seed gives equal bits, whatever the number of workers.
+Equal seed gives equal bits, whatever the number of workers, and whether or not the training was
+interrupted and went on from its checkpoint.
 """
 
-from collections.abc import Callable
+import hashlib
+import json
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from math import inf
+from pathlib import Path
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
+from equipoise.artefacts import PartialFile, Provenance, value_digest
+from equipoise.compiled import kernel_sources_digest
 from equipoise.control import boxes
 from equipoise.control.boxes import LASTED
 from equipoise.control.policy import (
@@ -24,6 +31,15 @@ from equipoise.control.policy import (
     TabularPolicy,
     greedy_accelerations,
     policy_kernel,
+)
+from equipoise.errors import ArtefactError
+from equipoise.learning.checkpoint import (
+    Checkpoint,
+    Finalist,
+    LearnerState,
+    pack,
+    table,
+    unpack,
 )
 from equipoise.learning.closed_loop import Plant, make_plant
 from equipoise.learning.q_learning import (
@@ -53,6 +69,8 @@ the worst plants of its selection."""
 
 Report = Callable[[LearningPoint], None]
 """Called with each point of the learning curve as it is made."""
+Selecting = Callable[[int, int], None]
+"""Called with the number of trials of the final round that have finished, and with all of them."""
 
 
 class _Snapshot(NamedTuple):
@@ -60,7 +78,6 @@ class _Snapshot(NamedTuple):
 
     Q: Array
     visits: npt.NDArray[np.int64]
-    u_of_box: Array
     candidate: Candidate
 
 
@@ -75,7 +92,9 @@ def train(
     recipe: str = "robust",
     warm: TabularPolicy | None = None,
     workers: int = 1,
+    partial: Path | None = None,
     report: Report = lambda _: None,
+    selecting: Selecting = lambda _, __: None,
 ) -> TabularPolicy:
     """Train one policy.
 
@@ -91,64 +110,22 @@ def train(
         recipe: Name of the settings, for the record.
         warm: A policy to go on from, of which table and visits are the start; zeros if not given.
         workers: Threads for the selection trials; the result does not depend on it.
-        report: Called with each new point of the learning curve.
+        partial: File for checkpoints. A training whose checkpoint is there goes on from it. The
+            file stays; delete it once the policy is saved.
+        report: Called with each new point of the learning curve; first with the last one of a
+            checkpoint.
+        selecting: Called as the trials of the final round finish, also from other threads.
 
     Returns:
         The policy, with its learning curve and the finalists of its selection.
+
+    Raises:
+        ArtefactError: `partial` is the checkpoint of another training, or damaged.
+        OutsideError: The disk refuses a checkpoint.
     """
-    if actuator is None:
-        actuator = IDEAL_ACTUATOR if settings.plant.ideal else shipped_actuator()
-    parameters = pendulum.parameters(linearised=settings.plant.linearised)
-    plant = make_plant(arm, settings, paper.STEP, parameters, actuator)
-    # A table cannot see such a failure coming: it is the selection that finds those that avoid it.
-    of_episodes = plant._replace(speed_limit=inf)
-    constants = _learner(settings)
-    progress = new_progress()
-    if warm is not None:
-        progress.Q[:], progress.visits[:] = warm.table, warm.visits
-    selection = _Selection(plant, parameters, settings, seed, workers)
-    every = settings.selection.every or max(1, constants.episodes // REPORTS)
-    curve: list[LearningPoint] = []
-    h = plant.controller.h
-    while progress.totals[ENDED] < constants.episodes:
-        ended, steps = int(progress.totals[ENDED]), int(progress.totals[ENDED_STEPS])
-        until = min(ended + every, constants.episodes)
-        train_episodes(of_episodes, parameters, constants, progress, until, seed, learner)
-        point = LearningPoint(
-            episodes=int(progress.totals[ENDED]),
-            steps=int(progress.totals[STEPS]),
-            duration=h
-            * (int(progress.totals[ENDED_STEPS]) - steps)
-            / (int(progress.totals[ENDED]) - ended),
-        )
-        if settings.selection.every > 0:
-            screened = selection.screen(progress)
-            share = screened.survived / screened.trials
-            point = point.model_copy(update={"survival": share})
-        curve.append(point)
-        report(point)
-    finalists = selection.final_round()
-    Q, visits = (
-        (finalists[0].Q, finalists[0].visits) if finalists else (progress.Q, progress.visits)
-    )
-    return TabularPolicy(
-        boxes=boxes.describe(),
-        actions=paper.ACTIONS,
-        Q=tuple(tuple(row) for row in Q.tolist()),
-        visits=tuple(tuple(row) for row in visits.tolist()),
-        h=h,
-        pendulum=pendulum,
-        arm=arm,
-        actuator=actuator,
-        recipe=recipe,
-        settings=settings,
-        seed=seed,
-        learner=learner,
-        episodes=int(progress.totals[ENDED]),
-        steps=int(progress.totals[STEPS]),
-        learning_curve=tuple(curve),
-        candidates=tuple(snapshot.candidate for snapshot in finalists),
-    )
+    task = _task(pendulum, arm, settings, actuator, seed, recipe, warm)
+    with _Checkpoints(partial, task, (learner,)) as checkpoints:
+        return _train(task, learner, workers, checkpoints, report, selecting)
 
 
 def train_several(
@@ -161,7 +138,9 @@ def train_several(
     seed: int = 0,
     recipe: str = "robust",
     workers: int = 1,
+    partial: Path | None = None,
     report: Callable[[int, LearningPoint], None] = lambda _, __: None,
+    selecting: Callable[[int, int, int], None] = lambda _, __, ___: None,
 ) -> list[TabularPolicy]:
     """Train several learners of one seed over the cores; the best of the selection comes first.
 
@@ -177,23 +156,29 @@ def train_several(
         seed: Master seed.
         recipe: Name of the settings, for the record.
         workers: Threads; the results do not depend on it.
+        partial: File for the checkpoints of all learners; as in `train`.
         report: Called with the learner and each new point of its learning curve.
+        selecting: Called with the learner, the trials of its final round that have finished, and
+            all of them.
+
+    Raises:
+        ArtefactError: `partial` is the checkpoint of another training, or damaged.
+        OutsideError: The disk refuses a checkpoint.
     """
+    task = _task(pendulum, arm, settings, actuator, seed, recipe, None)
 
     def one(learner: int) -> TabularPolicy:
-        return train(
-            pendulum,
-            arm,
-            settings,
-            actuator=actuator,
-            seed=seed,
-            learner=learner,
-            recipe=recipe,
-            workers=1 if learners > 1 else workers,
-            report=lambda point: report(learner, point),
+        return _train(
+            task,
+            learner,
+            1 if learners > 1 else workers,
+            checkpoints,
+            lambda point: report(learner, point),
+            lambda done, of: selecting(learner, done, of),
         )
 
-    with ThreadPoolExecutor(workers) as pool:
+    checkpoints = _Checkpoints(partial, task, range(learners))
+    with checkpoints, ThreadPoolExecutor(workers) as pool:
         policies = list(pool.map(one, range(learners)))
     return sorted(policies, key=lambda p: -p.candidates[0].score if p.candidates else 0.0)
 
@@ -210,6 +195,155 @@ def judge(policy: TabularPolicy, *, seed: int = 0, workers: int = 1) -> Candidat
     plant = make_plant(policy.arm, policy.settings, policy.h, parameters, policy.actuator)
     selection = _Selection(plant, parameters, policy.settings, seed, workers)
     return selection.final(policy.u_of_box, policy.episodes)
+
+
+class _Task(NamedTuple):
+    """Inputs that decide about the result of a training, but for the learner."""
+
+    pendulum: Pendulum
+    arm: Arm
+    settings: Settings
+    actuator: Actuator
+    seed: int
+    recipe: str
+    warm: TabularPolicy | None
+
+
+def _task(
+    pendulum: Pendulum,
+    arm: Arm,
+    settings: Settings,
+    actuator: Actuator | None,
+    seed: int,
+    recipe: str,
+    warm: TabularPolicy | None,
+) -> _Task:
+    if actuator is None:
+        actuator = IDEAL_ACTUATOR if settings.plant.ideal else shipped_actuator()
+    return _Task(pendulum, arm, settings, actuator, seed, recipe, warm)
+
+
+def _train(
+    task: _Task,
+    learner: int,
+    workers: int,
+    checkpoints: "_Checkpoints",
+    report: Report,
+    selecting: Selecting,
+) -> TabularPolicy:
+    """Train one learner, from its checkpoint if there is one."""
+    settings, pendulum, seed = task.settings, task.pendulum, task.seed
+    parameters = pendulum.parameters(linearised=settings.plant.linearised)
+    plant = make_plant(task.arm, settings, paper.STEP, parameters, task.actuator)
+    # A table cannot see such a failure coming: it is the selection that finds those that avoid it.
+    of_episodes = plant._replace(speed_limit=inf)
+    constants = _learner(settings)
+    progress = new_progress()
+    if task.warm is not None:
+        progress.Q[:], progress.visits[:] = task.warm.table, task.warm.visits
+    selection = _Selection(plant, parameters, settings, seed, workers)
+    every = settings.selection.every or max(1, constants.episodes // REPORTS)
+    curve: list[LearningPoint] = []
+    h = plant.controller.h
+    if (before := checkpoints.of(learner)) is not None:
+        unpack(before.progress, progress)
+        selection.restore(before)
+        curve += before.curve
+        report(curve[-1])
+
+    def keep() -> None:
+        checkpoints.keep(learner, selection.state(progress, curve))
+
+    while progress.totals[ENDED] < constants.episodes:
+        ended, steps = int(progress.totals[ENDED]), int(progress.totals[ENDED_STEPS])
+        until = min(ended + every, constants.episodes)
+        train_episodes(of_episodes, parameters, constants, progress, until, seed, learner)
+        point = LearningPoint(
+            episodes=int(progress.totals[ENDED]),
+            steps=int(progress.totals[STEPS]),
+            duration=h
+            * (int(progress.totals[ENDED_STEPS]) - steps)
+            / (int(progress.totals[ENDED]) - ended),
+        )
+        if settings.selection.every > 0:
+            screened = selection.screen(progress)
+            share = screened.survived / screened.trials
+            point = point.model_copy(update={"survival": share})
+        curve.append(point)
+        keep()
+        report(point)
+    finalists = selection.final_round(keep, selecting)
+    Q, visits = (
+        (finalists[0].Q, finalists[0].visits) if finalists else (progress.Q, progress.visits)
+    )
+    return TabularPolicy(
+        boxes=boxes.describe(),
+        actions=paper.ACTIONS,
+        Q=tuple(tuple(row) for row in Q.tolist()),
+        visits=tuple(tuple(row) for row in visits.tolist()),
+        h=h,
+        pendulum=pendulum,
+        arm=task.arm,
+        actuator=task.actuator,
+        recipe=task.recipe,
+        settings=settings,
+        seed=seed,
+        learner=learner,
+        episodes=int(progress.totals[ENDED]),
+        steps=int(progress.totals[STEPS]),
+        learning_curve=tuple(curve),
+        candidates=tuple(snapshot.candidate for snapshot in finalists),
+    )
+
+
+class _Checkpoints(PartialFile):
+    """The states of all learners of a training, in one file."""
+
+    def __init__(self, path: Path | None, task: _Task, learners: Sequence[int]) -> None:
+        super().__init__(path, "train", self._checkpoint)
+        self._deciding = _deciding(task, learners)
+        self._states: dict[str, LearnerState] = {}
+        if path is None or not path.exists():
+            return
+        found = Checkpoint.load(path)
+        other = [
+            name for name, value in self._deciding.items() if found.deciding.get(name) != value
+        ]
+        if other:
+            raise ArtefactError(
+                f"{path} holds an interrupted training with another {' and '.join(other)}; go on "
+                "with what it began with, or delete it to begin anew"
+            )
+        self._states = dict(found.learners)
+
+    def of(self, learner: int) -> LearnerState | None:
+        """Return the state of a learner; none if it has not begun."""
+        return self._states.get(str(learner))
+
+    def keep(self, learner: int, state: LearnerState) -> None:
+        """Keep the state of a learner."""
+        self._states[str(learner)] = state
+        self.update()
+
+    def _checkpoint(self) -> Checkpoint | None:
+        states = dict(self._states)
+        return Checkpoint(deciding=self._deciding, learners=states) if states else None
+
+
+def _deciding(task: _Task, learners: Sequence[int]) -> dict[str, str]:
+    """Return a digest of each input that decides about the bits, by its name."""
+    software = Provenance.now("", None).software
+    return {
+        "pendulum": task.pendulum.digest,
+        "arm": task.arm.digest,
+        "actuator": task.actuator.digest,
+        "settings": value_digest(task.settings),
+        "recipe": task.recipe,
+        "seed": str(task.seed),
+        "number of learners": ", ".join(map(str, learners)),
+        "policy to go on from": "" if task.warm is None else task.warm.digest,
+        "version of Equipoise or its libraries": json.dumps(software) + kernel_sources_digest(),
+    }
 
 
 def _learner(settings: Settings) -> Learner:
@@ -251,8 +385,9 @@ class _Selection:
         self._plant, self._pendulum, self._settings = plant, pendulum, settings
         self._seed, self._workers = seed, workers
         self._averaged, self._screened = new_progress().Q, 0
-        self._known: dict[bytes, Candidate] = {}
+        self._known: dict[str, Candidate] = {}
         self._best: list[_Snapshot] = []
+        self._final: list[Candidate] = []
 
     def screen(self, progress: Progress) -> Candidate:
         """Run the screening trials of the averaged table's greedy policy, once for each policy."""
@@ -260,7 +395,7 @@ class _Selection:
         newest = max(self._settings.selection.averaging, 1.0 / self._screened)
         self._averaged += newest * (progress.Q - self._averaged)
         u_of_box = greedy_accelerations(self._averaged)
-        policy = u_of_box.tobytes()
+        policy = hashlib.sha256(u_of_box.tobytes()).hexdigest()
         if policy not in self._known:
             selection = self._settings.selection
             candidate = self._run(
@@ -271,30 +406,79 @@ class _Selection:
                 selection.duration,
             )
             self._known[policy] = candidate
-            snapshot = _Snapshot(self._averaged.copy(), progress.visits.copy(), u_of_box, candidate)
+            snapshot = _Snapshot(self._averaged.copy(), progress.visits.copy(), candidate)
             self._best = _sorted([*self._best, snapshot])[: selection.finalists]
         return self._known[policy]
 
-    def final_round(self) -> list[_Snapshot]:
-        """Run the longer trials of the finalists, and return them, the best first."""
+    def final_round(self, keep: Callable[[], None], selecting: Selecting) -> list[_Snapshot]:
+        """Run the longer trials of the finalists, and return them, the best first.
+
+        Args:
+            keep: Called after each finalist.
+            selecting: Called as trials finish.
+        """
+        trials = self._settings.selection.final_trials
+        finished, of = len(self._final) * trials, len(self._best) * trials
+        lock = Lock()
+
+        def done(count: int) -> None:
+            nonlocal finished
+            with lock:
+                finished += count
+                selecting(finished, of)
+
+        for snapshot in self._best[len(self._final) :]:
+            u_of_box = greedy_accelerations(snapshot.Q)
+            self._final.append(self.final(u_of_box, snapshot.candidate.episodes, done))
+            keep()
         return _sorted(
             [
-                snapshot._replace(
-                    candidate=self.final(snapshot.u_of_box, snapshot.candidate.episodes)
-                )
-                for snapshot in self._best
+                snapshot._replace(candidate=candidate)
+                for snapshot, candidate in zip(self._best, self._final, strict=True)
             ]
         )
 
-    def final(self, u_of_box: Array, episodes: int) -> Candidate:
+    def final(
+        self, u_of_box: Array, episodes: int, done: Callable[[int], None] = lambda _: None
+    ) -> Candidate:
         """Run the longer trials of one greedy policy, taken after so many episodes."""
         selection = self._settings.selection
         return self._run(
-            u_of_box, episodes, FINAL_ROUND, selection.final_trials, selection.final_duration
+            u_of_box, episodes, FINAL_ROUND, selection.final_trials, selection.final_duration, done
+        )
+
+    def restore(self, state: LearnerState) -> None:
+        """Go on from the state of a selection."""
+        self._averaged, self._screened = table(state.averaged, np.float64), state.screened
+        self._known, self._final = dict(state.known), list(state.final[: len(state.best)])
+        self._best = [
+            _Snapshot(table(one.Q, np.float64), table(one.visits, np.int64), one.candidate)
+            for one in state.best
+        ]
+
+    def state(self, progress: Progress, curve: Sequence[LearningPoint]) -> LearnerState:
+        """Return the state of the training and its selection."""
+        return LearnerState(
+            progress=pack(progress),
+            averaged=self._averaged.tobytes(),
+            screened=self._screened,
+            known=dict(self._known),
+            best=tuple(
+                Finalist(Q=one.Q.tobytes(), visits=one.visits.tobytes(), candidate=one.candidate)
+                for one in self._best
+            ),
+            final=tuple(self._final),
+            curve=tuple(curve),
         )
 
     def _run(
-        self, u_of_box: Array, episodes: int, stream: int, count: int, duration: float
+        self,
+        u_of_box: Array,
+        episodes: int,
+        stream: int,
+        count: int,
+        duration: float,
+        done: Callable[[int], None] = lambda _: None,
     ) -> Candidate:
         selection = self._settings.selection
         trials = draw_trials(count, self._settings, self._seed, stream, selection.spread)
@@ -307,6 +491,7 @@ class _Selection:
             seed=self._seed,
             stream=stream,
             workers=self._workers,
+            done=done,
         )
         mean_duration = float(np.mean(trials.steps)) * self._plant.controller.h
         rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))

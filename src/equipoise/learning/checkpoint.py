@@ -1,0 +1,127 @@
+"""Checkpoint: the state of an unfinished training, from which the same bits come as without a stop.
+
+A training is a function of its inputs and of its state between two calls of `train_episodes`. The
+state holds the episodes that the lanes are in, so a training goes on in the middle of them.
+"""
+
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ConfigDict, Field
+
+from equipoise.artefacts import Artefact, Value
+from equipoise.control.boxes import ACTIONS, COUNT
+from equipoise.control.policy import Candidate, LearningPoint
+from equipoise.errors import ArtefactError
+from equipoise.learning.q_learning import BEGUN, ENDED, IN_USE, Progress
+from equipoise.model.elementary import LANES
+
+
+class _Bytes(Value):
+    """A value whose bytes are base64 in a file."""
+
+    model_config = ConfigDict(ser_json_bytes="base64", val_json_bytes="base64")
+
+
+class Finalist(_Bytes):
+    """A table that may go on to the final round."""
+
+    Q: bytes
+    """State-action values, 270 x 8 float64."""
+    visits: bytes
+    """Updates of each, 270 x 8 int64."""
+    candidate: Candidate
+    """Its screening."""
+
+
+class LearnerState(_Bytes):
+    """The state of one learner between two screenings, or between two finalists."""
+
+    progress: bytes
+    """All arrays of `q_learning.Progress`, in their order."""
+    averaged: bytes
+    """Running average of the table, 270 x 8 float64."""
+    screened: int = Field(ge=0)
+    """Number of screenings."""
+    known: dict[str, Candidate]
+    """Screening of each greedy policy, by the SHA-256 of its accelerations."""
+    best: tuple[Finalist, ...]
+    """The best so far, the best first."""
+    final: tuple[Candidate, ...]
+    """Final round of the first of them."""
+    curve: tuple[LearningPoint, ...] = Field(min_length=1)
+    """The learning curve so far."""
+
+
+class Checkpoint(Artefact):
+    """An unfinished training of one or several learners."""
+
+    FORMAT: ClassVar[str] = "equipoise-checkpoint"
+    VERSION: ClassVar[int] = 1
+
+    deciding: dict[str, str]
+    """Digest of each input that decides about the result, by its name."""
+    learners: dict[str, LearnerState]
+    """State of each learner that has begun, by its number."""
+
+
+def pack(progress: Progress) -> bytes:
+    """Return all arrays of a training, one after the other."""
+    return b"".join(array.tobytes() for array in _arrays(progress))
+
+
+def unpack(data: bytes, progress: Progress) -> None:
+    """Write what `pack` returned into the arrays of a training.
+
+    Args:
+        data: The bytes.
+        progress: A new training, changed in place.
+
+    Raises:
+        ArtefactError: No training has such a state: its size is wrong, or an index is out of range.
+    """
+    arrays = list(_arrays(progress))
+    if len(data) != sum(array.nbytes for array in arrays):
+        raise _damaged(f"{len(data)} bytes of state")
+    place = 0
+    for array in arrays:
+        array[...] = np.frombuffer(data, array.dtype, array.size, place).reshape(array.shape)
+        place += array.nbytes
+    # Compiled code does not check its indices.
+    totals = progress.totals
+    bounds = {
+        "box": (progress.box, COUNT),
+        "action": (progress.action, ACTIONS),
+        "lanes in use": (totals[IN_USE], LANES + 1),
+        "episodes ended": (totals[ENDED], int(totals[BEGUN]) + 1),
+    }
+    for name, (values, end) in bounds.items():
+        if np.any(values < 0) or np.any(values >= end):
+            raise _damaged(f"{name} out of range")
+
+
+def table(data: bytes, kind: type[np.float64] | type[np.int64]) -> npt.NDArray[Any]:
+    """Return a table of 270 x 8 numbers from its bytes.
+
+    Raises:
+        ArtefactError: The bytes have another size.
+    """
+    if len(data) != COUNT * ACTIONS * 8:
+        raise _damaged(f"a table of {len(data)} bytes")
+    return np.frombuffer(data, kind).reshape(COUNT, ACTIONS).copy()
+
+
+def _arrays(values: Any) -> Iterator[npt.NDArray[Any]]:
+    for value in values:
+        if isinstance(value, np.ndarray):
+            yield value
+        else:
+            yield from _arrays(value)
+
+
+def _damaged(what: str) -> ArtefactError:
+    return ArtefactError(
+        f"the checkpoint has {what}, which no training has; delete it and train again"
+    )

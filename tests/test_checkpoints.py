@@ -1,0 +1,186 @@
+"""Checkpoints: an interrupted training goes on, and the same bits come out."""
+
+import json
+
+import numpy as np
+import pytest
+
+from equipoise import artefacts, training
+from equipoise.artefacts import PartialFile
+from equipoise.errors import ArtefactError
+from equipoise.learning.checkpoint import Checkpoint, pack, unpack
+from equipoise.learning.q_learning import new_progress
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.settings import resolve
+from equipoise.training import train, train_several
+
+# Thousands of steps: minutes without compilation.
+pytestmark = pytest.mark.compiled_only
+
+ARM = iiwa(14)
+QUICK = [
+    "learning.episodes=60",
+    "learning.episode_duration=1",
+    "selection.every=20",
+    "selection.screening_trials=8",
+    "selection.final_trials=70",  # more than one piece of 64 trials
+    "selection.finalists=3",
+    "selection.duration=1",
+    "selection.final_duration=1",
+]
+SETTINGS = {
+    "robust": resolve("robust", overrides=QUICK),
+    "paper": resolve("paper", overrides=[*QUICK, "selection.every=0"]),
+}
+
+
+class Interruption:
+    """Raises `KeyboardInterrupt` at the n-th call of any of its callbacks, in each thread."""
+
+    def __init__(self, after):
+        self.after = after
+
+    def __call__(self, *_):
+        self.after -= 1
+        if self.after < 0:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture(scope="module")
+def undisturbed(pendulum):
+    return [p.digest for p in train_several(pendulum, ARM, SETTINGS["robust"], learners=3, seed=5)]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_learners_that_are_interrupted_again_and_again_give_the_same_bits(
+    pendulum, undisturbed, tmp_path, workers
+):
+    partial, interruptions = tmp_path / "policy.partial.json", 0
+    while True:
+        # Each learner begins with a report; then screenings and pieces of a final round follow.
+        stop = Interruption(4 + interruptions % 3)
+        try:
+            policies = train_several(
+                pendulum,
+                ARM,
+                SETTINGS["robust"],
+                learners=3,
+                seed=5,
+                workers=workers,
+                partial=partial,
+                report=stop,
+                selecting=stop,
+            )
+        except KeyboardInterrupt:
+            interruptions += 1
+            assert interruptions < 30
+            continue
+        break
+    assert interruptions > 3
+    assert [policy.digest for policy in policies] == undisturbed
+
+
+@pytest.mark.parametrize("recipe", SETTINGS)
+def test_a_training_goes_on_from_any_checkpoint(pendulum, tmp_path, monkeypatch, recipe):
+    monkeypatch.setattr(artefacts, "KEEP_EVERY", 0.0)
+    monkeypatch.setattr(artefacts, "WRITING_SHARE", np.inf)
+    partial, checkpoints = tmp_path / "policy.partial.json", []
+
+    def copy(*_):
+        checkpoints.append(partial.read_bytes())
+
+    of_all = {"seed": 5, "recipe": recipe, "partial": partial}
+    settings = SETTINGS[recipe]
+    policy = train(pendulum, ARM, settings, **of_all, report=copy, selecting=copy)
+    assert len(set(checkpoints)) >= 4
+    # Without a selection there is a point for nearly each episode.
+    for content in checkpoints[:: max(len(checkpoints) // 4, 1)]:
+        partial.write_bytes(content)
+        points = []
+        again = train(pendulum, ARM, settings, **of_all, report=points.append)
+        assert again.digest == policy.digest
+        assert points[0] in policy.learning_curve
+        assert tuple(points) == policy.learning_curve[-len(points) :]
+
+
+def test_a_finished_training_comes_from_its_checkpoint_alone(pendulum, tmp_path, monkeypatch):
+    partial = tmp_path / "policy.partial.json"
+    monkeypatch.setattr(artefacts, "KEEP_EVERY", 0.0)
+    monkeypatch.setattr(artefacts, "WRITING_SHARE", np.inf)
+    policy = train(pendulum, ARM, SETTINGS["robust"], seed=5, partial=partial)
+    monkeypatch.setattr(training, "train_episodes", None)
+    monkeypatch.setattr(training, "run_over_cores", None)
+    again = train(pendulum, ARM, SETTINGS["robust"], seed=5, partial=partial)
+    assert again.digest == policy.digest
+
+
+@pytest.fixture(scope="module")
+def checkpoint(pendulum, tmp_path_factory):
+    """A training that was interrupted at its second screening."""
+    partial = tmp_path_factory.mktemp("checkpoint") / "policy.partial.json"
+    with pytest.raises(KeyboardInterrupt):
+        train(pendulum, ARM, SETTINGS["robust"], partial=partial, report=Interruption(1))
+    return partial
+
+
+OTHERS = {
+    "seed": {"seed": 1},
+    "recipe": {"recipe": "mine"},
+    "number of learners": {"learner": 1},
+    "settings": {"settings": resolve("robust", overrides=[*QUICK, "learning.gamma=0.96"])},
+    "arm": {"arm": iiwa(7)},
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_checkpoint_of_another_training_is_refused_by_what_differs(pendulum, checkpoint, name):
+    before = checkpoint.read_bytes()
+    task = {"pendulum": pendulum, "arm": ARM, "settings": SETTINGS["robust"]} | OTHERS[name]
+    with pytest.raises(ArtefactError, match=f"with another {name};"):
+        train(**task, partial=checkpoint)
+    assert checkpoint.read_bytes() == before
+
+
+def test_a_checkpoint_of_other_code_is_refused(pendulum, checkpoint, monkeypatch):
+    monkeypatch.setattr(training, "kernel_sources_digest", lambda: "other kernels")
+    with pytest.raises(ArtefactError, match="another version of Equipoise"):
+        train(pendulum, ARM, SETTINGS["robust"], partial=checkpoint)
+
+
+def test_a_checkpoint_is_small(checkpoint):
+    # Eight finalists and three learners take less than ten times as much.
+    assert checkpoint.stat().st_size < 500_000
+
+
+def test_a_state_that_no_training_has_is_refused():
+    progress = new_progress()
+    unpack(pack(progress), progress)
+    with pytest.raises(ArtefactError, match="bytes of state"):
+        unpack(pack(progress)[:-1], progress)
+    for name, value in (("action", 8), ("box", 270), ("box", -1), ("totals", 17)):
+        wrong = new_progress()
+        getattr(wrong, name)[2] = value
+        with pytest.raises(ArtefactError, match="out of range"):
+            unpack(pack(wrong), new_progress())
+
+
+def test_a_file_of_unfinished_work_takes_a_bounded_share_of_the_time(
+    checkpoint, tmp_path, monkeypatch
+):
+    now, written = [0.0], []
+    monkeypatch.setattr(artefacts.time, "monotonic", lambda: now[0])
+    state = Checkpoint.load(checkpoint)
+
+    def slow():
+        written.append(now[0])
+        now[0] += 2.0
+        return state
+
+    file = PartialFile(tmp_path / "work.partial.json", "test", slow)
+    while now[0] < 1000.0:
+        file.update()
+        now[0] += 0.5
+    assert written[0] == artefacts.KEEP_EVERY
+    assert np.min(np.diff(written)) >= 2.0 + 2.0 / artefacts.WRITING_SHARE
+    assert len(written) > 5
+    assert json.loads((tmp_path / "work.partial.json").read_text())["format"] == Checkpoint.FORMAT
