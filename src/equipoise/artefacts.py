@@ -233,7 +233,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
     if not path.name:
         raise OutsideError(f"cannot write {path}: it names a folder; give the name of a file")
     data = content.encode() if isinstance(content, str) else content
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.tmp")
+    temporary = temporary_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -299,6 +299,15 @@ class PartialFile:
 def partial_path(out: Path) -> Path:
     """Return the path of the file that keeps the unfinished work on `out`, beside it."""
     return out.with_suffix(".partial.json")
+
+
+def temporary_name(path: Path) -> Path:
+    """Return a hidden name beside a file, of this process and thread alone.
+
+    File systems take names of up to 255 bytes, so a long name is cut.
+    """
+    name = os.fsdecode(os.fsencode(path.name)[:150])
+    return path.with_name(f".{name}.{os.getpid()}.{threading.get_ident()}.tmp")
 
 
 def value_digest(value: BaseModel) -> str:

@@ -34,6 +34,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.artefacts import temporary_name
 from equipoise.errors import ArtefactError, OutsideError
 
 logger = logging.getLogger(__name__)
@@ -49,6 +50,8 @@ TALK: Final = 256
 """Events and words on their way between operator and loop."""
 TEXT: Final = 400
 """Longest text of an event [B]."""
+CONNECTING: Final = "connecting"
+"""Name of the event before a connection; a log that holds nothing else is not kept."""
 
 SCALAR: Final = "<f8"
 WHOLE: Final = "<i8"
@@ -253,29 +256,41 @@ class RunWriter:
     """An MCAP file that grows with a run; it is valid after each chunk."""
 
     def __init__(
-        self, path: Path, joints: int, conditions: Mapping[str, Any], origin: float
+        self,
+        path: Path,
+        joints: int,
+        conditions: Mapping[str, Any],
+        origin: float,
+        replace: bool = False,
     ) -> None:
         """Begin the file.
 
         Args:
-            path: The file; an older one is replaced.
+            path: The file.
             joints: Joints of the arm.
             conditions: What is to run, as JSON takes it.
             origin: Time of the rig's clock that log times count from [s].
+            replace: Whether an existing file is replaced, by the first row after a connection.
 
         Raises:
-            OutsideError: The disk refuses.
+            OutsideError: The file exists, or the disk refuses.
         """
         from mcap.writer import CompressionType, Writer
 
         self._path, self._origin, self._place = path, origin, 0
+        self._at = temporary_name(path) if replace else path
+        self._connected = False
         self._block, self._sequence = _Block(), 0
         self._layout = tables(joints)
         self.problem: str | None = None
         """Why the log ended early; none while all is well."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+            self._file = os.open(self._at, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        except FileExistsError:
+            raise OutsideError(
+                f"cannot write {path}: it was made a moment ago; give the same command again"
+            ) from None
         except OSError as error:
             raise OutsideError(
                 f"cannot write {path}: {error.strerror}; give another place for the log"
@@ -293,7 +308,7 @@ class RunWriter:
             self._channels[topic] = self._writer.register_channel(topic, "json", number)
         self._write(self._block.take())
         if self.problem is not None:
-            os.close(self._file)
+            self._discard()
             raise OutsideError(f"cannot write {path}: {self.problem}; make room on the disk")
 
     def drain(self, recorder: Recorder) -> None:
@@ -309,11 +324,19 @@ class RunWriter:
                 rows.append((row[0] or 0.0, f"/{name}", dict(zip(names, row, strict=True))))
         rows.sort(key=lambda row: row[0])
         for time, topic, row in rows:
+            if not self._connected and (topic != "/event" or row["name"] != CONNECTING):
+                self._keep()
             self._add(topic, time, row)
             self._write(self._block.take())
 
     def finish(self, time: float, outcome: Mapping[str, Any]) -> None:
-        """Say how it ended, and close the file. Never raises for the disk."""
+        """Say how it ended, and close the file. Never raises for the disk.
+
+        A file without a row from after the connection is removed.
+        """
+        if not self._connected:
+            self._discard()
+            return
         self._add("/end", time, dict(outcome))
         if self.problem is None:
             self._writer.finish()
@@ -321,6 +344,21 @@ class RunWriter:
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
+
+    def _keep(self) -> None:
+        """Give the file its name: the rig is connected."""
+        self._connected = True
+        if self._at != self._path:
+            try:
+                self._at.replace(self._path)
+            except OSError as error:
+                self.problem = f"{self._path} cannot be replaced ({error.strerror})"
+
+    def _discard(self) -> None:
+        """Close and remove the file."""
+        os.close(self._file)
+        self._file = -1
+        self._at.unlink(missing_ok=True)
 
     def _add(self, topic: str, time: float, row: dict[str, Any]) -> None:
         if self.problem is not None:

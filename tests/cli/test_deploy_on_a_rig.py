@@ -4,6 +4,7 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.runwriter import read_rig_run
+from tests.cli.conftest import contents
 
 pytestmark = pytest.mark.compiled_only
 
@@ -69,24 +70,35 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_opened(refused, tmp_
     refused("deploy", *options, saying=saying)
 
 
-def test_an_encoder_that_is_not_there_is_told_in_one_sentence(equipoise, tmp_path, monkeypatch):
+@pytest.mark.parametrize("options", [(), ("--force",), ("--out", "mine.mcap")])
+def test_a_connection_that_fails_is_told_in_one_sentence_and_leaves_no_file(
+    equipoise, tmp_path, monkeypatch, options
+):
     monkeypatch.setattr("sys.stdin", None)
     (tmp_path / "run.mcap").write_bytes(b"the log of an earlier run")
-    ran = equipoise("deploy", "--robot", KST, "--encoder", BOARD)
+    ran = equipoise("deploy", "--robot", KST, "--encoder", BOARD, *options)
     assert ran.code == 3
     assert ran.err.startswith("error: there is no device /dev/nowhere; plug the board in")
     assert len(ran.err.splitlines()) == 1, ran
+    assert "wrote" not in ran.out
+    assert contents(tmp_path) == {"run.mcap": b"the log of an earlier run"}
+
+
+def test_a_run_on_a_twin_keeps_the_log_of_an_earlier_run(equipoise, tmp_path):
+    (tmp_path / "run.mcap").write_bytes(b"the log of an earlier run")
+    ran = equipoise("deploy", "--robot", "twin:nominal", "--dry-run")
+    assert ran.code == 0, ran
+    assert "run.mcap exists and is kept; the result goes to run-2.mcap" in ran.out
     assert "wrote run-2.mcap" in ran.out
+    assert read_rig_run(tmp_path / "run-2.mcap").end["cause"] == "dry run"
     assert (tmp_path / "run.mcap").read_bytes() == b"the log of an earlier run"
-    assert "no device" in read_rig_run(tmp_path / "run-2.mcap").end["fault"]
-    # The log says so as well, to whoever asks it.
-    explained = equipoise("explain", "run-2.mcap")
-    assert explained.code == 0, explained
-    assert "there is no device /dev/nowhere" in explained.out
-    for verb in ("verify", "replay", "export"):
-        ran = equipoise(verb, "run-2.mcap")
-        assert ran.code in (0, 2), ran
-        assert "Traceback" not in ran.err
+    refused = equipoise("deploy", "--robot", "twin:nominal", "--dry-run", "--out", "run.mcap")
+    assert refused.code == 2
+    assert "run.mcap exists; give another --out, or --force" in refused.err
+    forced = equipoise("deploy", "--robot", "twin:nominal", "--dry-run", "--force", "--json")
+    assert forced.json["run"] == "run.mcap"
+    assert read_rig_run(tmp_path / "run.mcap").end["cause"] == "dry run"
+    assert sorted(contents(tmp_path)) == ["run-2.mcap", "run.mcap"]
 
 
 def test_a_policy_for_another_arm_is_refused(refused, policy_file):

@@ -151,4 +151,4 @@ def test_a_policy_without_cures_is_refused(refused, small_policy, paper_file):
 
 def test_the_table_that_is_trained_is_not_written_over_the_policy(refused, cured_file):
     beside = cured_file.rename(cured_file.with_name("gap-paper-policy.json"))
-    refused("gap", beside, saying="would be written over")
+    refused("gap", beside, "--force", saying="would be written over")

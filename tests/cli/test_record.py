@@ -65,7 +65,7 @@ def test_ctrl_c_keeps_nothing_and_says_so(equipoise, bench, tmp_path):
     bench.clock.attach(interrupt)
     ran = equipoise("record", "--encoder", URI)
     assert ran.code == 130
-    assert "nothing was recorded, swing.csv was not written" in ran.out
+    assert "nothing was recorded, swing-2.csv was not written" in ran.out
     assert contents(tmp_path) == {"swing.csv": b"an older one\n"}
     assert not bench.host._open
 

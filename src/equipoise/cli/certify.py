@@ -6,14 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.evaluate import trial_bar
 from equipoise.cli.options import (
     IN_AND_OUT,
+    Force,
     Json,
     PolicyFile,
     Workers,
     available_workers,
-    check_output,
     read_policy,
 )
 from equipoise.cli.output import Output, verb
@@ -48,13 +49,15 @@ def certify(
     ] = None,
     workers: Workers = None,
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             metavar="FILE",
             help="The certificate that is written, its trials beside it.",
             rich_help_panel=IN_AND_OUT,
+            show_default="certificate.json",
         ),
-    ] = Path("certificate.json"),
+    ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Grant a claim about a policy by an exact bound, or refuse it.
@@ -66,11 +69,19 @@ def certify(
     output = Output(as_json)
     output.say(f"Certifying {policy or 'the policy that ships with Equipoise'}")
 
+    from equipoise.artefacts import partial_path
     from equipoise.studies import certification as study
 
-    beside = study.evaluation_path(out)
-    for file in (out, beside):
-        check_output(file, policy)
+    destination = choose_file(
+        output,
+        out,
+        "certificate.json",
+        policy,
+        force=force,
+        beside=lambda path: (study.evaluation_path(path),),
+    )
+    partial = partial_path(study.evaluation_path(destination.path))
+    check_output(partial)
     claim = study.make_claim(probability, confidence, duration, world=world, trials=trials)
     table = read_policy(policy)
     output.rows(
@@ -84,13 +95,15 @@ def certify(
             table,
             claim,
             workers=available_workers(workers),
-            partial=beside.with_suffix(".partial.json"),
+            partial=partial,
             done=done,
         )
-    inputs = {"policy": certificate.policy, "pendulum": evaluation.pendulum}
-    evaluation.save(beside, command="certify", inputs=inputs)
-    inputs = {"policy": certificate.policy, "evaluation": certificate.evaluation}
-    certificate.save(out, command="certify", inputs=inputs)
+    with destination.claimed() as out:
+        beside = study.evaluation_path(out)
+        inputs = {"policy": certificate.policy, "pendulum": evaluation.pendulum}
+        evaluation.save(beside, command="certify", inputs=inputs)
+        inputs = {"policy": certificate.policy, "evaluation": certificate.evaluation}
+        certificate.save(out, command="certify", inputs=inputs)
     _say(output, certificate)
     output.wrote(out, beside)
     if certificate.granted:

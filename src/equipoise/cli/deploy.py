@@ -1,22 +1,21 @@
 """`equipoise deploy`: a policy runs once, or an arm is moved to see how it follows."""
 
-import os
 import shlex
 from collections.abc import Callable
-from itertools import chain, count
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli.destinations import Destination, choose_file
 from equipoise.cli.options import (
     IN_AND_OUT,
+    Force,
     Json,
     KnownActuator,
     PolicyFile,
     Seed,
-    check_output,
     read_actuator,
     read_arm,
     read_pendulum,
@@ -32,8 +31,8 @@ if TYPE_CHECKING:
 NOT_BALANCED = 1
 EXCITED = "To see how the arm follows"
 ON_A_RIG = "On a rig"
-LOG = Path("run.mcap")
-"""The log, if nothing else is said."""
+LOG = "run.mcap"
+"""Default name of a run's log."""
 DURATION = 60.0
 """How long a run on a rig lasts, if nothing else is said [s]."""
 
@@ -109,14 +108,16 @@ def deploy(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="The run log, MCAP; run.mcap, and on a rig run-2.mcap where there is one.",
+            help="The run log, MCAP.",
             rich_help_panel=IN_AND_OUT,
+            show_default=LOG,
         ),
     ] = None,
     video: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Film of the run, MP4.", rich_help_panel=IN_AND_OUT),
     ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Run a policy once, on a digital twin or on a rig, and write down what happens.
@@ -137,28 +138,30 @@ def deploy(
     if robot is not None:
         if excite or arm is not None or pendulum is not None or world is not None:
             raise InputError("--excite, --arm, --pendulum and --world do not go with --robot")
-        out = _free(LOG) if out is None else out
         if video is not None:
             raise InputError(
                 "--video does not go with --robot; film the log afterwards: "
-                f"equipoise export {shlex.quote(str(out))} --video {shlex.quote(str(video))}"
+                f"equipoise export {shlex.quote(str(out or LOG))} "
+                f"--video {shlex.quote(str(video))}"
             )
-        check_output(out, policy, suffix=".mcap")
+        log = choose_file(output, out, LOG, policy, rig, force=force, suffix=".mcap")
         code = _on_a_rig(
-            output, policy, robot, encoder, rig, actuator, duration, dry_run, t1, seed, out
+            output, policy, robot, encoder, rig, actuator, duration, dry_run, t1, seed, log
         )
         if code:
             raise typer.Exit(code)
         return
     if encoder is not None or dry_run or t1:
         raise InputError("--encoder, --dry-run and --t1 belong to a rig; give --robot")
-    out = LOG if out is None else out
     world = "twin:nominal" if world is None else world
     what = "Exciting the arm" if excite else f"Running {policy or 'the policy that ships'}"
     output.say(f"{what}, world {world}")
-    check_output(out, policy, pendulum, suffix=".mcap")
+    log = choose_file(output, out, LOG, policy, pendulum, force=force, suffix=".mcap")
+    film = None
     if video is not None:
-        check_output(video, policy, pendulum, suffix=".mp4", option="--video")
+        film = choose_file(
+            output, video, video, policy, pendulum, force=force, suffix=".mp4", option="--video"
+        )
     if excite:
         if policy is not None or actuator is not None or video is not None:
             raise InputError("POLICY, --actuator and --video do not go with --excite; leave them")
@@ -166,8 +169,12 @@ def deploy(
     else:
         if arm is not None or pendulum is not None:
             raise InputError("--arm and --pendulum belong to --excite; a policy has its own")
-        run = _run(output, policy, world, actuator, seed, duration, video)
-    run.save(out, command="deploy", inputs={"policy": run.conditions.policy} if policy else {})
+        run = _run(output, policy, world, actuator, seed, duration)
+    if film is not None:
+        with film.claimed() as video:
+            _film(output, run, policy, video)
+    with log.claimed() as out:
+        run.save(out, command="deploy", inputs={"policy": run.conditions.policy} if policy else {})
     _say(output, run)
     output.wrote(*(path for path in (out, video) if path is not None))
     if excite:
@@ -221,20 +228,20 @@ def _run(
     actuator: str | None,
     seed: int,
     duration: float | None,
-    video: Path | None,
 ) -> "RunLog":
     from equipoise.deployment import deploy
 
     table = read_policy(policy)
     response = read_actuator(actuator)
-    with output.busy("running") as rename:
-        run = deploy(table, world=world, actuator=response, seed=seed, duration=duration)
-        if video is not None:
-            from equipoise.report.pictures import write_video
+    with output.busy("running"):
+        return deploy(table, world=world, actuator=response, seed=seed, duration=duration)
 
-            rename("drawing the film")
-            write_video(run, table.arm, video)
-        return run
+
+def _film(output: Output, run: "RunLog", policy: Path | None, video: Path) -> None:
+    from equipoise.report.pictures import write_video
+
+    with output.busy("drawing the film"):
+        write_video(run, read_policy(policy).arm, video)
 
 
 def _say(output: Output, run: "RunLog") -> None:
@@ -251,12 +258,6 @@ def _say(output: Output, run: "RunLog") -> None:
     if len(run.stream.time):
         rows["setpoints"] = f"{len(run.stream.time):,} sent"
     output.rows(rows)
-
-
-def _free(path: Path) -> Path:
-    """Return a name beside that of a log which no earlier log has: those of a rig are kept."""
-    names = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
-    return next(name for name in chain((path,), names) if not os.path.lexists(name))
 
 
 def _robot_of(rig: Path) -> str:
@@ -279,7 +280,7 @@ def _on_a_rig(
     dry_run: bool,
     t1: bool,
     seed: int,
-    out: Path,
+    log: Destination,
 ) -> int:
     """Run on a rig, and return the exit code."""
     from equipoise.cli.console import Console, single_keys
@@ -314,16 +315,19 @@ def _on_a_rig(
     if t1:
         with output.busy("trying the policy in T1 on the twin"):
             rehearse_t1(request)
-    console = Console(output)
+    console, out = Console(output), log.path
+    before = _identity(out)
     try:
         if is_virtual(robot):
             with stop_by_signal() as stopped:
-                outcome = run_virtually(request, out, Listening(console, stopped))
+                outcome = run_virtually(
+                    request, out, Listening(console, stopped), replace=log.force
+                )
         else:
             with single_keys():
-                outcome = run_for_real(request, out, console)
+                outcome = run_for_real(request, out, console, replace=log.force)
     except EquipoiseError:
-        if out.exists():
+        if _identity(out) != before:
             output.wrote(out)
         raise
     told = {"ended": f"{outcome.cause}: {outcome.reason}", "balanced": f"{outcome.lasted:.2f} s"}
@@ -341,6 +345,11 @@ def _on_a_rig(
         output.next("replay", out, *((policy,) if policy else ()))
     output.result({"run": str(out), "robot": robot, **outcome._asdict()})
     return code
+
+
+def _identity(path: Path) -> int | None:
+    """Return what tells a file from one that replaces it; none where there is no file."""
+    return path.stat().st_ino if path.exists() else None
 
 
 class Listening:

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.options import (
     IN_AND_OUT,
     Base,
+    Force,
     Held,
     Json,
     KnownActuator,
@@ -20,7 +22,6 @@ from equipoise.cli.options import (
     Tip,
     Workers,
     available_workers,
-    check_output,
     read_actuator,
     read_arm,
     read_pendulum,
@@ -93,11 +94,15 @@ def evaluate(
     base: Base = None,
     tip: Tip = None,
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
-            metavar="FILE", help="The evaluation that is written.", rich_help_panel=IN_AND_OUT
+            metavar="FILE",
+            help="The evaluation that is written.",
+            rich_help_panel=IN_AND_OUT,
+            show_default="evaluation.json",
         ),
-    ] = Path("evaluation.json"),
+    ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Evaluate a policy: how long it stands, and why it falls.
@@ -108,7 +113,12 @@ def evaluate(
     """
     output = Output(as_json)
     output.say(f"Evaluating {function or policy or 'the policy that ships with Equipoise'}")
-    check_output(out, policy, pendulum)
+    destination = choose_file(output, out, "evaluation.json", policy, pendulum, force=force)
+
+    from equipoise.artefacts import partial_path
+
+    partial = partial_path(destination.path)
+    check_output(partial)
     if function is not None and policy is not None:
         raise InputError(f"both {policy} and --policy {function} are given; give one of them")
 
@@ -149,13 +159,11 @@ def evaluate(
             seed,
             workers,
             with_yardsticks,
-            out.with_suffix(".partial.json"),
+            partial,
         )
-    evaluation.save(
-        out,
-        command="evaluate",
-        inputs={"policy": evaluation.policy, "pendulum": evaluation.pendulum},
-    )
+    inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
+    with destination.claimed() as out:
+        evaluation.save(out, command="evaluate", inputs=inputs)
     balanced = _say(output, evaluation)
     output.wrote(out)
     if balanced:

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equipoise.cli.options import IN_AND_OUT, Json, RunFile, check_folder, check_output
+from equipoise.cli.destinations import choose_file, choose_folder
+from equipoise.cli.options import IN_AND_OUT, Force, Json, RunFile
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
 
@@ -33,6 +34,7 @@ def export(
             rich_help_panel=IN_AND_OUT,
         ),
     ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write each table of a run log as a CSV file, or film the run.
@@ -42,24 +44,26 @@ def export(
     the release.
     """
     output = Output(as_json)
-    folder = out
-    if out is None and video is None:
-        folder = run.with_name(f"{run.stem}-csv")
-    what = " and ".join((["the tables"] if folder else []) + (["a film"] if video else []))
+    tables = out is not None or video is None
+    what = " and ".join((["the tables"] if tables else []) + (["a film"] if video else []))
     output.say(f"Writing {what} of {run}")
 
     from equipoise.studies.runs import export as write
     from equipoise.studies.runs import read_any
 
     log = read_any(run)
+    film = folder = None
     if video is not None:
-        check_output(video, run, suffix=".mp4", option="--video")
+        film = choose_file(output, video, video, run, force=force, suffix=".mp4", option="--video")
+    if tables:
+        folder = choose_folder(output, out, run.with_name(f"{run.stem}-csv"), force=force)
     made: list[Path] = []
     if folder is not None:
-        check_folder(folder)
-        made += write(log, folder)
-    if video is not None:
-        _film(output, log, run, video)
+        with folder.claimed() as path:
+            made += write(log, path)
+    if film is not None:
+        with film.claimed() as video:
+            _film(output, log, run, video)
     output.wrote(*made, *([video] if video else []))
     output.next("explain", run)
     output.result(

@@ -5,15 +5,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from equipoise.cli.destinations import choose_file
 from equipoise.cli.evaluate import trial_bar
 from equipoise.cli.options import (
     IN_AND_OUT,
+    Force,
     Json,
     PolicyFile,
     Seed,
     Workers,
     available_workers,
-    check_output,
     read_actuator,
     read_policy,
 )
@@ -60,13 +61,15 @@ def gap(
     seed: Seed = 0,
     workers: Workers = None,
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             metavar="FILE",
             help="The study that is written, its figure beside it.",
             rich_help_panel=IN_AND_OUT,
+            show_default="gap.json",
         ),
-    ] = Path("gap.json"),
+    ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Take the gap between training plant and twin apart, effect by effect.
@@ -77,11 +80,15 @@ def gap(
     """
     output = Output(as_json)
     output.say(f"Measuring the gap of {policy or 'the policy that ships'} to {world}")
-    figure = out.with_suffix("")
-    beside = out.with_name(f"{out.stem}-paper-policy.json")
-    check_output(out, policy, paper_policy)
-    if paper_policy is None:
-        check_output(beside, policy)
+    destination = choose_file(
+        output,
+        out,
+        "gap.json",
+        policy,
+        paper_policy,
+        force=force,
+        beside=lambda path: (*_figure(path), *(() if paper_policy else (_paper_policy(path),))),
+    )
     if duration is not None and not 0.01 <= duration <= 3600.0:
         raise InputError(f"--duration is {duration:g} s; give a number from 0.01 to 3600")
 
@@ -113,15 +120,24 @@ def gap(
             done=done,
         )
     inputs = {"policy": found.policy, "paper policy": found.paper_policy}
-    found.save(out, command="gap", inputs=inputs)
-    wrote = [out, *save(gap_figure(found), figure)]
-    if paper_policy is None:
-        other.save(beside, command="gap", inputs={"pendulum": table.pendulum.digest})
-        wrote.append(beside)
+    with destination.claimed() as out:
+        found.save(out, command="gap", inputs=inputs)
+        wrote = [out, *save(gap_figure(found), out.with_suffix(""))]
+        if paper_policy is None:
+            wrote.append(_paper_policy(out))
+            other.save(wrote[-1], command="gap", inputs={"pendulum": table.pendulum.digest})
     _say(output, found)
     output.wrote(*wrote)
     output.next("certify", *((policy,) if policy else ()), "--world", world)
     output.result(_result(found, wrote))
+
+
+def _figure(out: Path) -> tuple[Path, ...]:
+    return out.with_suffix(".svg"), out.with_suffix(".png")
+
+
+def _paper_policy(out: Path) -> Path:
+    return out.with_name(f"{out.stem}-paper-policy.json")
 
 
 def _say(output: Output, found: "Gap") -> None:

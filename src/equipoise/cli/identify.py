@@ -6,16 +6,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli.destinations import choose_file
 from equipoise.cli.options import (
     IN_AND_OUT,
     CountsPerRev,
     End,
+    Force,
     FromUpright,
     Json,
     Set,
     SettingsFile,
     Start,
-    check_output,
 )
 from equipoise.cli.output import Output, measured, verb
 from equipoise.errors import InputError
@@ -76,6 +77,7 @@ def identify(
             show_default=False,
         ),
     ] = None,
+    force: Force = False,
     figure: Annotated[
         bool,
         typer.Option(
@@ -99,11 +101,15 @@ def identify(
             raise InputError(
                 f"{recording} is a run log; options other than --out and --json belong to a swing"
             )
-        out = Path("actuator.json") if out is None else out
-        _identify_actuator(output, recording, out)
+        _identify_actuator(output, recording, out, force)
         return
-    out = Path("pendulum.json") if out is None else out
-    check_output(out)
+    destination = choose_file(
+        output,
+        out,
+        "pendulum.json",
+        force=force,
+        beside=_pictures if figure else lambda _: (),
+    )
 
     from equipoise.identification import identify as fit
     from equipoise.settings import resolve
@@ -122,16 +128,17 @@ def identify(
     )
     with output.busy(f"fitting {len(swing.time):,} samples"):
         pendulum = fit(swing, resolved, m, l)
-        pendulum.save(out, command="identify", inputs={"recording": swing.sha256})
-        pictures = _draw(out.with_suffix(""), swing, pendulum) if figure else ()
+        with destination.claimed() as out:
+            pendulum.save(out, command="identify", inputs={"recording": swing.sha256})
+            pictures = _draw(out.with_suffix(""), swing, pendulum) if figure else ()
     _say(output, pendulum)
     output.wrote(out, *pictures)
     output.next("train", out)
     output.result(_result(pendulum, out))
 
 
-def _identify_actuator(output: Output, log: Path, out: Path) -> None:
-    check_output(out, log)
+def _identify_actuator(output: Output, log: Path, given: Path | None, force: bool) -> None:
+    destination = choose_file(output, given, "actuator.json", log, force=force)
 
     from equipoise.identification.actuator import identify_run
     from equipoise.studies.runs import load_run
@@ -139,7 +146,8 @@ def _identify_actuator(output: Output, log: Path, out: Path) -> None:
     run = load_run(log)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
-    actuator.save(out, command="identify", inputs={"run": run.digest})
+    with destination.claimed() as out:
+        actuator.save(out, command="identify", inputs={"run": run.digest})
     rows = {
         "servo law": actuator.kind,
         "transport delay": measured(_in_ms(actuator.delay), "ms"),
@@ -177,6 +185,10 @@ def _identify_actuator(output: Output, log: Path, out: Path) -> None:
 def _in_ms(time: "Estimate") -> "Estimate":
     value, low, high = (1e3 * end for end in (time.value, *time.interval))
     return time.model_copy(update={"value": value, "low": low, "high": high})
+
+
+def _pictures(out: Path) -> tuple[Path, ...]:
+    return out.with_suffix(".svg"), out.with_suffix(".png")
 
 
 def _draw(stem: Path, swing: "Trajectory", pendulum: "Pendulum") -> tuple[Path, ...]:

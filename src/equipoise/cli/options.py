@@ -1,8 +1,6 @@
 """Options that several verbs share, and what they mean."""
 
-import os
 import shlex
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,6 +25,14 @@ Json = Annotated[
     bool,
     typer.Option(
         "--json", help="Print one JSON object and nothing else.", rich_help_panel=IN_AND_OUT
+    ),
+]
+Force = Annotated[
+    bool,
+    typer.Option(
+        "--force",
+        help="Replace files that exist; else they are kept.",
+        rich_help_panel=IN_AND_OUT,
     ),
 ]
 SettingsFile = Annotated[
@@ -228,44 +234,6 @@ def read_arm(
         )
     joint = int(held) if held is not None and held.isdecimal() else held
     return read_urdf(Path(name), base=base, tip=tip, held=joint)
-
-
-def check_output(
-    path: Path, *inputs: Path | None, suffix: str = ".json", option: str = "--out"
-) -> None:
-    """Check before the work begins that `path` can be written and is none of the inputs.
-
-    Raises:
-        InputError: Its name ends otherwise, it is a folder or an input, or nothing can be written
-            there.
-    """
-    if path.suffix.lower() != suffix:
-        raise InputError(f"{option} is {path}; give a name that ends in {suffix}")
-    if path.is_dir():
-        raise InputError(f"{path} is a folder; give the name of a file to write")
-    for given in inputs:
-        if given is not None and given.exists() and path.exists() and path.samefile(given):
-            raise InputError(f"{path} is read and would be written over; give another {option}")
-    check_folder(path.parent)
-
-
-def check_folder(folder: Path) -> None:
-    """Check before the work begins that files can be written in `folder`, which may not exist yet.
-
-    Raises:
-        InputError: They cannot.
-    """
-    if folder.is_file():
-        raise InputError(f"{folder} is a file; give the name of a folder")
-    there = folder.absolute()
-    while not os.path.lexists(there):
-        there = there.parent
-    try:
-        tempfile.TemporaryFile(dir=there).close()
-    except OSError as error:
-        raise InputError(
-            f"cannot write in {there} ({error.strerror}); give another --out"
-        ) from None
 
 
 def available_workers(workers: int | None) -> int:

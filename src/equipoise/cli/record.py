@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equipoise.cli.options import IN_AND_OUT, CountsPerRev, Json, check_output
+from equipoise.cli.destinations import choose_file
+from equipoise.cli.options import IN_AND_OUT, CountsPerRev, Force, Json
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
 
@@ -32,9 +33,15 @@ def record(
     ] = 30.0,
     counts_per_rev: CountsPerRev = None,
     out: Annotated[
-        Path,
-        typer.Option(metavar="FILE", help="The recording, CSV.", rich_help_panel=IN_AND_OUT),
-    ] = Path("swing.csv"),
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="The recording, CSV.",
+            rich_help_panel=IN_AND_OUT,
+            show_default="swing.csv",
+        ),
+    ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Record a free swing of the pendulum from its encoder.
@@ -44,7 +51,7 @@ def record(
     """
     output = Output(as_json)
     output.say(f"Listening to {encoder}")
-    check_output(out, suffix=".csv")
+    destination = choose_file(output, out, "swing.csv", force=force, suffix=".csv")
     if not 1.0 <= duration <= 600.0:
         raise InputError(f"--duration is {duration:g} s; give a number from 1 to 600")
 
@@ -67,9 +74,10 @@ def record(
                 f"{board.rate_hz} per second"
             )
             swing, recorder = record_swing(sensor, clock, duration, _Prompter(output, rename))
-        write_swing(out, swing)
+        with destination.claimed() as out:
+            write_swing(out, swing)
     except KeyboardInterrupt:
-        output.warn(f"interrupted: nothing was recorded, {out} was not written")
+        output.warn(f"interrupted: nothing was recorded, {destination.path} was not written")
         raise
     finally:
         sensor.close()

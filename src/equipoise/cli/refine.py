@@ -5,13 +5,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli.destinations import choose_file
 from equipoise.cli.options import (
     IN_AND_OUT,
+    Force,
     Json,
     Seed,
     Workers,
     available_workers,
-    check_output,
 )
 from equipoise.cli.output import FIRST_WORDS, Output, measured, stoppable, verb
 
@@ -46,13 +47,15 @@ def refine(
     seed: Seed = 0,
     workers: Workers = None,
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             metavar="FILE",
             help="The policy that is written; pendulum and actuator beside it, if they moved.",
             rich_help_panel=IN_AND_OUT,
+            show_default="refined.json",
         ),
-    ] = Path("refined.json"),
+    ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Learn from the robot: does the model of a policy still hold in its logs?
@@ -62,9 +65,15 @@ def refine(
     """
     output = Output(as_json)
     output.say(f"Comparing {policy} with {', '.join(map(str, runs))}")
-    paths = {part: out.with_name(f"{out.stem}-{part}.json") for part in PARTS} | {"policy": out}
-    for path in paths.values():
-        check_output(path, policy, *runs)
+    destination = choose_file(
+        output,
+        out,
+        "refined.json",
+        policy,
+        *runs,
+        force=force,
+        beside=lambda path: tuple(_paths(path).values())[1:],
+    )
 
     from equipoise.control.policy import TabularPolicy
     from equipoise.studies.refinement import inspect
@@ -87,13 +96,20 @@ def refine(
         made["policy"] = refinement.policy
         _say_kept(output, refinement)
     inputs = {"policy": table.digest} | {name: log.digest for name, log in logs.items()}
-    for part, artefact in made.items():
-        artefact.save(paths[part], command="refine", inputs=inputs)
+    with destination.claimed() as out:
+        paths = _paths(out)
+        for part, artefact in made.items():
+            artefact.save(paths[part], command="refine", inputs=inputs)
     if made:
         output.wrote(*(paths[part] for part in made))
     output.next("deploy", out if refinement else policy)
     written = {part: str(paths[part]) if part in made else None for part in PARTS}
     output.result(_result(findings, refinement) | written)
+
+
+def _paths(out: Path) -> dict[str, Path]:
+    beside = {part: out.with_name(f"{out.stem}-{part}.json") for part in PARTS[1:]}
+    return {PARTS[0]: out} | beside
 
 
 def _retrain(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli.destinations import check_folder
 from equipoise.cli.options import (
     IN_AND_OUT,
     RECORDING,
@@ -25,7 +26,6 @@ from equipoise.cli.options import (
     Start,
     Tip,
     Workers,
-    check_folder,
     read_arm,
 )
 from equipoise.cli.output import FIRST_WORDS, Output, stoppable, verb

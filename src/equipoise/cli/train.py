@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli.destinations import check_output
 from equipoise.cli.options import (
     IN_AND_OUT,
     ActuatorFile,
@@ -20,7 +21,6 @@ from equipoise.cli.options import (
     Tip,
     Workers,
     available_workers,
-    check_output,
     read_actuator,
     read_arm,
     read_pendulum,

@@ -66,13 +66,14 @@ class Person(Operator, Protocol):
         ...
 
 
-def run_for_real(request: Request, out: Path, person: Person) -> Outcome:
+def run_for_real(request: Request, out: Path, person: Person, *, replace: bool = False) -> Outcome:
     """Run a policy on a rig in real time, and write the log.
 
     Args:
         request: What is to run where.
         out: The log.
         person: Who is told and asked.
+        replace: Whether an existing log is replaced, once this run is connected.
 
     Raises:
         EquipoiseError: What the loop's process raised; or it ended without a word.
@@ -84,7 +85,9 @@ def run_for_real(request: Request, out: Path, person: Person) -> Outcome:
     theirs, ours = context.Pipe()
     told, done = context.Pipe(), context.Event()
     writer = context.Process(
-        target=_write, args=(memory, joints, out, request.conditions(), done, told[0]), daemon=True
+        target=_write,
+        args=(memory, joints, out, replace, request.conditions(), done, told[0]),
+        daemon=True,
     )
     loop = context.Process(target=_loop, args=(request, memory, joints, theirs), daemon=False)
     words: list[str] = []
@@ -367,14 +370,20 @@ def _loop(request: Request, memory: Any, joints: int, pipe: Any) -> None:
 
 
 def _write(
-    memory: Any, joints: int, out: Path, conditions: dict[str, Any], done: Any, told: Any
+    memory: Any,
+    joints: int,
+    out: Path,
+    replace: bool,
+    conditions: dict[str, Any],
+    done: Any,
+    told: Any,
 ) -> None:
     """Be the writer's process."""
     _be_deaf()
     parent = os.getppid()
     recorder = Recorder(joints, memoryview(memory).cast("B"))
     try:
-        writer = RunWriter(out, joints, conditions, time.monotonic())
+        writer = RunWriter(out, joints, conditions, time.monotonic(), replace=replace)
     except OutsideError as error:
         told.send(str(error))
         return

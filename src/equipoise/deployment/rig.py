@@ -36,7 +36,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import read_world
 from equipoise.printable import printable
 from equipoise.rigs import Attended, Rig, RigSettings, connect
-from equipoise.runwriter import WORD_TYPED, Recorder, RunWriter, push_event
+from equipoise.runwriter import CONNECTING, WORD_TYPED, Recorder, RunWriter, push_event
 
 LASTED: Final = "lasted"
 OPERATOR: Final = "operator"
@@ -255,7 +255,7 @@ def run_on_rig(
     period = request.policy.h / 2.0
     robot = GuardedRobot(rig.robot, request.guard(request.settings.counts_per_rev).limits, period)
     try:
-        tell(Event("connecting", f"Connecting to {request.robot}."))
+        tell(Event(CONNECTING, f"Connecting to {request.robot}."))
         rig.sensor.connect()
         robot.connect()
         before = preflight(
@@ -403,13 +403,20 @@ def _unmoved(cause: str, reason: str) -> Outcome:
     return Outcome(cause, reason, 0.0, True, None, 0, {}, {})
 
 
-def run_virtually(request: Request, out: Path | None, operator: Operator | None = None) -> Outcome:
+def run_virtually(
+    request: Request,
+    out: Path | None,
+    operator: Operator | None = None,
+    *,
+    replace: bool = False,
+) -> Outcome:
     """Run on an emulated rig in this process, in virtual time.
 
     Args:
         request: What is to run; its robot is `twin:...`.
         out: The log; none writes none.
         operator: Who is told besides the emulated operator, and may stop the run.
+        replace: Whether an existing log is replaced, once this run is connected.
 
     Raises:
         InputError: The policy does not fit the rig.
@@ -417,7 +424,7 @@ def run_virtually(request: Request, out: Path | None, operator: Operator | None 
     """
     pendulum = request.policy.pendulum.parameters()
     rig = connect(request.robot, request.encoder, request.settings, pendulum, seed=request.seed)
-    return run_rig_virtually(request, rig, out, operator)
+    return run_rig_virtually(request, rig, out, operator, replace=replace)
 
 
 def run_rig_virtually(
@@ -426,13 +433,14 @@ def run_rig_virtually(
     out: Path | None,
     operator: Operator | None = None,
     *,
+    replace: bool = False,
     around: Callable[[Heart], Heart] = lambda heart: heart,
 ) -> Outcome:
     """Do the same on a rig that was put together already, such as one with faults."""
     recorder = Recorder(rig.robot.joints)
     writer = None
     if out is not None:
-        writer = RunWriter(out, recorder.joints, request.conditions(), rig.clock.now())
+        writer = RunWriter(out, recorder.joints, request.conditions(), rig.clock.now(), replace)
     ticks = 0
 
     def idle() -> None:
