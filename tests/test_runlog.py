@@ -211,8 +211,8 @@ def test_any_reader_of_mcap_finds_named_numbers_with_a_schema(file, run):
         assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
         known = json.loads(schema.data)["properties"]
         told = set(json.loads(message.data))
-        # Which guard ended a run is told where one did.
-        assert told | ({"guard"} & set(known)) == set(known)
+        # A guard is told where one ended the run, friction where a twin has it.
+        assert told | ({"guard", "friction"} & set(known)) == set(known)
     assert json.loads(found[-1][2].data) == {"lasted": 0.4, "cause": "track"}
 
 

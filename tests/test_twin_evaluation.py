@@ -11,6 +11,7 @@ from equipoise.evaluation import PartialEvaluation, evaluate
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
+from equipoise.model.pendulum import Pendulum
 from equipoise.runlog import RunLog
 from equipoise.training import train
 
@@ -39,7 +40,7 @@ def test_results_do_not_depend_on_the_number_of_workers(behind_a_servo, evaluati
 
 
 def test_the_evaluation_says_in_which_world_and_behind_what(behind_a_servo, evaluation):
-    assert evaluation.world == "twin:nominal-2"
+    assert evaluation.world == "twin:nominal-3"
     assert evaluation.world_settings.transport == 0.010
     assert evaluation.actuator == behind_a_servo.actuator.digest
 
@@ -115,6 +116,49 @@ def test_an_excitation_moves_every_free_joint_and_none_that_is_held(pendulum):
     speed = np.abs(np.diff(run.stream.q, axis=0) / 0.005).max(axis=0)
     assert speed[2] == 0.0
     assert np.all(np.delete(speed, 2) > 0.2)
+
+
+def test_the_twin_has_the_friction_that_was_identified_and_files_say_whose_it_is(behind_a_servo):
+    dry = behind_a_servo.pendulum.model_copy(
+        update={
+            "coulomb": Estimate.normal(1.957, 0.08, "identified"),
+            "drag": Estimate.normal(0.02, 0.001, "identified"),
+        }
+    )
+    policy = behind_a_servo.model_copy(update={"pendulum": dry})
+    for world, coulomb, drag, whose in (
+        ("twin:nominal", 1.957, 0.02, "pendulum"),
+        ("twin:nominal-2", 0.1, 0.0, "world"),
+    ):
+        run = deploy(policy, world=world, seed=1, duration=0.2).conditions
+        inertia = run.pendulum["w2"] / dry.w2.value if whose == "pendulum" else 1.0
+        assert run.pendulum["coulomb"] == pytest.approx(coulomb * inertia)
+        assert run.pendulum["drag"] == pytest.approx(drag * inertia)
+        assert run.friction["coulomb_from"] == whose
+        excited = excite(iiwa(7), world, dry, duration=0.2).conditions
+        assert excited.pendulum["coulomb"] == coulomb
+        few = policy.settings.evaluation.model_copy(update={"trials": 1, "duration": 0.2})
+        told = evaluate(
+            policy,
+            policy.settings.model_copy(update={"evaluation": few}),
+            world=world,
+            with_yardsticks=False,
+        ).friction
+        assert (told.coulomb, told.drag, told.coulomb_from) == (coulomb, drag, whose)
+
+
+def test_model_and_twin_agree_about_a_regulator_on_a_pivot_with_dry_friction(behind_a_servo):
+    """The vibration of the pivot within a tick breaks the hold of dry friction, on both."""
+    dry = Pendulum.assumed(120.26, 0.234).model_copy(
+        update={"coulomb": Estimate.normal(1.957, 0.08, "identified")}
+    )
+    policy = behind_a_servo.model_copy(update={"pendulum": dry})
+    few = policy.settings.evaluation.model_copy(update={"trials": 6, "duration": 12.0})
+    settings = policy.settings.model_copy(update={"evaluation": few})
+    for world in ("model", WORLD):
+        told = evaluate(policy, settings, world=world)
+        lqr = next(results for results in told.yardsticks if results.name == "LQR")
+        assert lqr.summary().survived == 6
 
 
 def test_an_arm_without_known_masses_has_no_twin(pendulum):

@@ -50,8 +50,8 @@ class Value(BaseModel):
 class Extended(Value):
     """A value that has got fields since files of it were first written.
 
-    They are left out of a file where they say nothing: what is older keeps its digest, and an older
-    program reads what it understands. Where they say something it refuses the file by their name.
+    They are left out of a file where they have their default: what is older keeps its digest, and
+    an older program reads what it understands. Elsewhere it refuses the file by their name.
     """
 
     LATER: ClassVar[tuple[str, ...]] = ()
@@ -59,8 +59,9 @@ class Extended(Value):
 
     @model_serializer(mode="wrap")
     def _as_before(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        body = dump(self)
-        return {name: told for name, told in body.items() if told or name not in self.LATER}
+        fields = type(self).model_fields
+        said_nothing = {name for name in self.LATER if getattr(self, name) == fields[name].default}
+        return {name: told for name, told in dump(self).items() if name not in said_nothing}
 
 
 class Estimate(Value):

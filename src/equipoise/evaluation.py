@@ -34,7 +34,14 @@ from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import TEST
-from equipoise.model.worlds import MODEL, TwinSettings, World, read_world
+from equipoise.model.worlds import (
+    MODEL,
+    PivotFriction,
+    TwinSettings,
+    World,
+    pivot_friction,
+    read_world,
+)
 from equipoise.settings import Settings
 
 if TYPE_CHECKING:
@@ -93,9 +100,10 @@ class TrialResults(Extended):
         )
 
 
-class Evaluation(Artefact):
+class Evaluation(Artefact, Extended):
     """All trials of a policy and of the yardsticks beside it."""
 
+    LATER: ClassVar[tuple[str, ...]] = ("friction",)
     FORMAT: ClassVar[str] = "equipoise-evaluation"
     VERSION: ClassVar[int] = 2
     UPGRADES: ClassVar[Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]]] = {
@@ -118,6 +126,9 @@ class Evaluation(Artefact):
     """Digest of the actuator that the controller knows."""
     pendulum: str
     """Digest of the pendulum that the trials vary."""
+    friction: PivotFriction | None = None
+    """Dry friction and drag of that pendulum in the twin; none on the training plant, where they
+    are the pendulum's own."""
     settings: Settings
     """Resolved settings: starts, noise, number and length of the trials."""
     seed: int
@@ -218,7 +229,7 @@ def evaluate_function(
 def twin_trials(
     settings: Settings,
     world: TwinSettings,
-    pendulum: PendulumParameters,
+    pendulum: Pendulum,
     seed: int,
     stream: int,
 ) -> "list[Trial]":
@@ -226,7 +237,7 @@ def twin_trials(
 
     Args:
         settings: Number and starts of the trials.
-        world: How far the pendulum of a trial differs from the nominal one.
+        world: How far the pendulum of a trial differs from the nominal one, and its frictions.
         pendulum: The nominal one.
         seed: Master seed.
         stream: Purpose of the trials.
@@ -235,11 +246,15 @@ def twin_trials(
 
     there = twin_settings(settings, world)
     drawn = draw_trials(settings.evaluation.trials, there, seed, stream, spread=1.0)
+    nominal = pendulum.parameters(linearised=settings.plant.linearised)
+    friction = pivot_friction(pendulum, world)
     return [
         Trial(
             number=i,
-            pendulum=PendulumParameters(
-                *scaled(pendulum, drawn.inertia_factor[i], drawn.friction_factor[i])
+            pendulum=friction.on(
+                PendulumParameters(
+                    *scaled(nominal, drawn.inertia_factor[i], drawn.friction_factor[i])
+                )
             ),
             phi=float(drawn.start[i, 2]),
             phi_dot=float(drawn.start[i, 3]),
@@ -315,6 +330,7 @@ class _Bench:
             arm_digest=self._arm.digest,
             actuator=self._actuator.digest,
             pendulum=self._pendulum.digest,
+            friction=self._friction(),
             settings=self._settings,
             seed=self._seed,
             results=results,
@@ -340,7 +356,7 @@ class _Bench:
             kept.add(i, outcome.steps, outcome.cause)
             self._done(1)
 
-        conditions = twin_trials(self._settings, settings, self._parameters, self._seed, TEST)
+        conditions = twin_trials(self._settings, settings, self._pendulum, self._seed, TEST)
         with kept:
             run_over_cores(
                 self._arm,
@@ -384,6 +400,9 @@ class _Bench:
             seed=self._seed,
         )
         return value_digest(told)
+
+    def _friction(self) -> PivotFriction | None:
+        return None if self._twin is None else pivot_friction(self._pendulum, self._twin.settings)
 
     def _plant(self) -> Plant:
         return make_plant(self._arm, self._settings, self._h, self._parameters, self._actuator)

@@ -43,9 +43,9 @@ from equipoise.devices.twin.robot import TwinEncoder, TwinRobot
 from equipoise.errors import ArmError, InputError, LinkError, SettingsError
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.iiwa import HOME_DEG, PIVOT_OUTWARD, iiwa
-from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import PREFIX as TWIN
-from equipoise.model.worlds import World, read_world
+from equipoise.model.worlds import World, pendulum_on, read_world
 
 Degrees = Annotated[float, Field(ge=-180.0, le=180.0)]
 
@@ -232,7 +232,7 @@ def connect(
     robot: str,
     encoder: str | None,
     settings: RigSettings,
-    pendulum: PendulumParameters,
+    pendulum: Pendulum,
     *,
     seed: int = 0,
     tell: Callable[[str], None] = lambda _: None,
@@ -256,7 +256,8 @@ def connect(
     """
     check_addresses(robot, encoder)
     if is_virtual(robot):
-        return twin_rig(read_world(robot), settings, pendulum, seed=seed)
+        world = read_world(robot)
+        return twin_rig(world, settings, pendulum_on(pendulum, world.settings), seed=seed)
     if encoder is None:  # checked above
         raise InputError(ALONE)
     clock = SystemClock()

@@ -50,7 +50,7 @@ Whole: TypeAlias = npt.NDArray[np.int64]
 class RunConditions(Extended):
     """Where a run took place, and what decided about it."""
 
-    LATER: ClassVar[tuple[str, ...]] = ("guard",)
+    LATER: ClassVar[tuple[str, ...]] = ("guard", "friction")
 
     policy: str
     """Digest of the policy that ran; empty where the arm was only excited."""
@@ -65,6 +65,9 @@ class RunConditions(Extended):
     pendulum: dict[str, float]
     """Numbers of the pendulum that really swung: w2 [1/s^2], k [1/m], c [1/s], coulomb [1/s^2],
     drag [1/rad]."""
+    friction: dict[str, float | str] | None = None
+    """Dry friction and drag of the pendulum on a twin, and who set them, by the names of
+    `PivotFriction`; none elsewhere."""
     start: tuple[float, float, float, float]
     """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release."""
     h: float
@@ -77,7 +80,7 @@ class RunConditions(Extended):
     """Digest of the actuator that the controller believed in, or `ideal`."""
     counts_per_rev: int | None
     """Encoder counts per revolution; none where the angle is known without an encoder."""
-    world_settings: dict[str, float | int | str] | None
+    world_settings: dict[str, float | int | str | None] | None
     """Resolved numbers of the digital twin; none elsewhere."""
     zero_error: float | None
     """Error of the encoder's zero [rad]; none where there is no encoder, or nobody knows."""

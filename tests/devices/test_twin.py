@@ -24,7 +24,7 @@ JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
 # An arm that does not yield: what the pendulum does to it is another matter.
-FIRM = TwinSettings(rotor_inertia=1e4, coulomb=0.0)
+FIRM = TwinSettings(rotor_inertia=1e4)
 
 
 def swing(settings, theta, duration, every=1, pendulum=PENDULUM):
@@ -58,9 +58,7 @@ def test_a_free_swing_is_that_of_the_equation(theta):
 
 @pytest.mark.compiled_only
 def test_dry_friction_takes_its_share_of_each_swing_and_lets_the_pendulum_rest():
-    pendulum = PENDULUM._replace(c=0.0)
-    dry = FIRM.model_copy(update={"coulomb": 1.0})
-    theta = swing(dry, 0.3, 12.0, pendulum=pendulum)
+    theta = swing(FIRM, 0.3, 12.0, pendulum=PENDULUM._replace(c=0.0, coulomb=1.0))
     turns = np.flatnonzero(np.diff(np.sign(np.diff(theta))) != 0) + 1
     heights = np.abs(theta[turns[:8]])
     # Small swings lose 2 f / w2 from one turning point to the next.
@@ -73,8 +71,7 @@ def test_dry_friction_takes_its_share_of_each_swing_and_lets_the_pendulum_rest()
 @pytest.mark.compiled_only
 def test_without_friction_a_swing_keeps_its_height_and_with_it_loses_some_each_time():
     for c, coulomb in ((0.0, 0.0), (0.1, 0.0), (0.0, 0.2)):
-        settings = FIRM.model_copy(update={"coulomb": coulomb})
-        theta = swing(settings, 1.0, 10.0, pendulum=PENDULUM._replace(c=c))
+        theta = swing(FIRM, 1.0, 10.0, pendulum=PENDULUM._replace(c=c, coulomb=coulomb))
         turns = np.flatnonzero(np.diff(np.sign(np.diff(theta))) != 0) + 1
         heights = np.abs(theta[turns])
         if c == coulomb == 0.0:
@@ -85,9 +82,14 @@ def test_without_friction_a_swing_keeps_its_height_and_with_it_loses_some_each_t
 
 
 @pytest.mark.compiled_only
-def test_a_pendulum_is_identified_as_it_was_built():
+@pytest.mark.parametrize(
+    ("model", "friction"),
+    [("coulomb", {"coulomb": 0.1}), ("quadratic", {"coulomb": 0.2, "drag": 0.04})],
+)
+def test_a_pendulum_is_identified_as_it_was_built(model, friction):
     settings = TwinSettings(rotor_inertia=1e4)
-    twin = Twin(ARM, PENDULUM, settings, seed=3)
+    pendulum = PENDULUM._replace(**friction)
+    twin = Twin(ARM, pendulum, settings, seed=3)
     twin.reset(phi=np.pi - 1.2)
     samples = []
     for _ in range(15_000):
@@ -99,10 +101,11 @@ def test_a_pendulum_is_identified_as_it_was_built():
         theta=theta_from_counts(counts, settings.counts_per_rev, 1),
         resolution=2 * np.pi / settings.counts_per_rev,
     )
-    found = identify(recording, IdentificationSettings(friction="coulomb"))
-    assert found.w2.value == pytest.approx(PENDULUM.w2, rel=1e-3)
-    assert found.c.value == pytest.approx(PENDULUM.c, rel=0.02)
-    assert found.coulomb.value == pytest.approx(settings.coulomb, rel=0.02)
+    found = identify(recording, IdentificationSettings(friction=model))
+    assert found.w2.value == pytest.approx(pendulum.w2, rel=1e-3)
+    assert found.c.value == pytest.approx(pendulum.c, rel=0.02)
+    assert found.coulomb.value == pytest.approx(pendulum.coulomb, rel=0.02)
+    assert found.drag.value == pytest.approx(pendulum.drag, rel=0.02)
     assert found.fit.offset == pytest.approx(-twin.kernel.sensors.zero, abs=1e-4)
     assert found.fit.warnings == ()
 

@@ -227,8 +227,7 @@ def test_an_encoder_that_slips_shows_more_and_the_pendulum_knows_nothing_of_it()
 
 
 def test_on_a_tilted_base_the_pendulum_hangs_elsewhere_relative_to_the_flange():
-    settings = NOMINAL.model_copy(update={"coulomb": 0.0})
-    bench = Bench(ARM, PENDULUM._replace(c=4.0), settings)
+    bench = Bench(ARM, PENDULUM._replace(c=4.0), NOMINAL)
     bench.advance(2.0)
     level = bench.theta
     bench.tilt(np.radians(1.0))

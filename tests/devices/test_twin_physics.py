@@ -74,8 +74,8 @@ def test_rotors_bracket_and_pendulum_have_their_inertia():
 
 @pytest.mark.parametrize("w2", [60.0, 70.2])
 def test_the_pendulum_is_a_uniform_rod_with_the_w2_and_k_that_it_shall_have(w2):
-    settings = TwinSettings(pendulum_mass=0.2, coulomb=0.3)
-    pendulum = PendulumParameters(w2=w2, k=w2 / GRAVITY, c=0.1)
+    settings = TwinSettings(pendulum_mass=0.2)
+    pendulum = PendulumParameters(w2=w2, k=w2 / GRAVITY, c=0.1, coulomb=0.3, drag=0.02)
     model = build(iiwa(7), pendulum, settings)
     home = [*iiwa(7).home, 0.0]
     I = matrix(model, home)[7, 7]
@@ -85,6 +85,7 @@ def test_the_pendulum_is_a_uniform_rod_with_the_w2_and_k_that_it_shall_have(w2):
     assert 0.2 * GRAVITY * l / I == pytest.approx(w2)
     # What an acceleration of the pivot does, k = m l / I: the flange's is that of A1 at home.
     assert model.dof_damping[7] == pytest.approx(0.1 * I)
+    assert model.dof_dampingpoly[7, 0] == pytest.approx(0.02 * I)
     assert model.dof_frictionloss[7] == pytest.approx(0.3 * I)
     flange = iiwa(7).kinematics(iiwa(7).home_free)
     x_per_a1 = flange.jacobian[0, 0] - 0.13  # the pivot is outward of the flange, along base y
@@ -130,7 +131,7 @@ def energy(model, data):
 
 def drift(substeps):
     """Largest change of the energy of an arm that moves freely with its pendulum [J]."""
-    settings = TwinSettings(rotor_inertia=0.0, coulomb=0.0, substeps=substeps)
+    settings = TwinSettings(rotor_inertia=0.0, substeps=substeps)
     model = build(iiwa(7), PENDULUM._replace(c=0.0), settings)
     data = mujoco.MjData(model)
     data.qpos[:] = [*iiwa(7).home, 2.0]

@@ -176,7 +176,7 @@ def test_what_nobody_can_claim_is_refused_in_a_sentence(flaw):
 
 
 def test_a_world_gets_its_version_and_has_to_exist(tmp_path):
-    assert make_claim(world="twin:nominal").world == "twin:nominal-2"
+    assert make_claim(world="twin:nominal").world == "twin:nominal-3"
     assert make_claim(world="twin:harsh-1").world == "twin:harsh-1"
     file = tmp_path / "mine.toml"
     file.write_text("transport = 0.02\n")

@@ -245,11 +245,16 @@ def _film(output: Output, run: "RunLog", policy: Path | None, video: Path) -> No
 
 
 def _say(output: Output, run: "RunLog") -> None:
+    from equipoise.model.worlds import PivotFriction
+
     conditions, truth = run.conditions, run.truth
     cause = conditions.cause + (f" ({conditions.guard})" if conditions.guard else "")
     rows = {"lasted": f"{run.lasted:g} s of {conditions.duration:g} s, ended: {cause}"}
     if len(truth.x):
         rows["flange"] = f"within {1e3 * float(abs(truth.x).max()):.0f} mm of home"
+    if conditions.friction is not None:
+        friction = PivotFriction.model_validate(conditions.friction)
+        rows["pendulum"] = friction.words(conditions.world)
     if conditions.zero_error is not None and len(run.bias):
         rows["encoder's zero"] = (
             f"wrong by {degrees(conditions.zero_error):+.2f} deg, "
@@ -312,6 +317,8 @@ def _on_a_rig(
     )
     check_request(request)
     output.say(f"Running {policy or 'the policy that ships'} on {robot}")
+    if (friction := request.friction) is not None:
+        output.rows({"pendulum": friction.words(robot)})
     if t1:
         with output.busy("trying the policy in T1 on the twin"):
             rehearse_t1(request)

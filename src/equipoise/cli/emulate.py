@@ -17,7 +17,7 @@ from equipoise.errors import InputError
 if TYPE_CHECKING:
     from equipoise.devices.emulation import Emulation
     from equipoise.devices.kuka.cabinet import Faults
-    from equipoise.model.pendulum import PendulumParameters
+    from equipoise.model.pendulum import Pendulum, PendulumParameters
     from equipoise.model.worlds import TwinSettings
 
 HOST = "127.0.0.1"
@@ -72,7 +72,7 @@ def emulate(
     output.say(f"Emulating the {arm}, world {world}")
     sys.stdout.flush()
     faults = _faults(inject)
-    emulation = _emulation(
+    emulation, friction = _emulation(
         world, arm, pendulum, not no_operator, clumsy, faults, encoder_link, seed, _speaker(output)
     )
     terminal = emulation.terminal if encoder_link is None else encoder_link.absolute()
@@ -83,7 +83,7 @@ def emulate(
         # loop, which stays on the last core.
         realtime.prepare(core=0)
         robot = f"kst://{HOST}:{number}"
-        output.rows({"robot": robot, "encoder": encoder})
+        output.rows({"robot": robot, "encoder": encoder, "pendulum": friction})
         if no_operator:
             output.say(f"type what to do: {', '.join(emulation.acts)}")
         output.next("deploy", "--robot", robot, "--encoder", encoder)
@@ -112,15 +112,17 @@ def _emulation(
     link: Path | None,
     seed: int,
     say: Callable[[str], None],
-) -> "Emulation":
+) -> "tuple[Emulation, str]":
+    """Return what is emulated, and the friction of its pendulum in words."""
     from equipoise.devices.clocks import SystemClock
     from equipoise.devices.emulation import Emulation
-    from equipoise.model.worlds import read_world
+    from equipoise.model.worlds import pivot_friction, read_world
 
-    settings = read_world(world).settings
-    return Emulation(
+    name, settings = read_world(world)
+    identified = read_pendulum(pendulum)
+    emulation = Emulation(
         read_arm(arm),
-        _as_it_is(read_pendulum(pendulum).parameters(), settings, seed),
+        _as_it_is(identified, settings, seed),
         settings,
         SystemClock(),
         operator=operator,
@@ -130,20 +132,23 @@ def _emulation(
         seed=seed,
         say=say,
     )
+    return emulation, pivot_friction(identified, settings).words(name)
 
 
-def _as_it_is(
-    pendulum: "PendulumParameters", settings: "TwinSettings", seed: int
-) -> "PendulumParameters":
+def _as_it_is(pendulum: "Pendulum", settings: "TwinSettings", seed: int) -> "PendulumParameters":
     """Return the pendulum as it differs from what was identified, by the world's numbers."""
     import numpy as np
 
     from equipoise.learning.closed_loop import scaled
+    from equipoise.model.worlds import pivot_friction
 
     inertia, friction = np.random.default_rng([seed, 2]).standard_normal(2).tolist()
-    return scaled(
-        pendulum, 1.0 + settings.inertia_sigma * inertia, 1.0 + settings.friction_sigma * friction
+    own = scaled(
+        pendulum.parameters(),
+        1.0 + settings.inertia_sigma * inertia,
+        1.0 + settings.friction_sigma * friction,
     )
+    return pivot_friction(pendulum, settings).on(own)
 
 
 def _faults(inject: str | None) -> "Faults":

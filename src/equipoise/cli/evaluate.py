@@ -304,6 +304,8 @@ def _say(output: Output, evaluation: "Evaluation") -> bool:
         f"{trials} trials of {duration:g} s on the {evaluation.arm}, world {evaluation.world}, "
         f"seed {evaluation.seed}" + (f", flange below {limit:g} m/s" if limit else "")
     )
+    if evaluation.friction is not None:
+        output.say(f"pendulum: {evaluation.friction.words(evaluation.world)}")
     table = Table(box=SIMPLE, pad_edge=False)
     table.add_column("", no_wrap=True)
     for title in ("lasted", "share", "95 % interval", "median"):

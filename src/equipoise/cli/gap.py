@@ -154,6 +154,8 @@ def _say(output: Output, found: "Gap") -> None:
         f"{found.trials} trials of {found.duration:g} s at each point, on the {found.arm}, world "
         f"{found.world}, seed {found.seed}"
     )
+    if found.friction is not None:
+        output.say(f"pendulum: {found.friction.words(found.world)}")
     output.say("\nMean survival [s], in brackets the share of the falls on the track limit [%]")
     output.say(_curves(found, "delay"))
     output.say(_curves(found, "zero"))

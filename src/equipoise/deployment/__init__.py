@@ -30,7 +30,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import DEPLOYMENT
-from equipoise.model.worlds import MODEL, World, read_world
+from equipoise.model.worlds import MODEL, World, pivot_friction, read_world
 from equipoise.runlog import IDEAL, EncoderSamples, Replies, RunConditions, RunLog, Stream, Truth
 from equipoise.settings import Settings
 
@@ -99,7 +99,8 @@ def excite(
     from equipoise.devices.twin import excitation
 
     twin = world if isinstance(world, World) else read_world(world)
-    parameters = pendulum.parameters()
+    friction = pivot_friction(pendulum, twin.settings)
+    parameters = friction.on(pendulum.parameters())
     record = excitation.excite(arm, twin.settings, parameters, seed, duration)
     return RunLog.of_excitation(
         _conditions(
@@ -114,6 +115,7 @@ def excite(
             seed=seed,
             actuator="",
             twin=twin,
+            friction=friction.model_dump(),
             zero_error=None,
             cause=EXCITED,
         ),
@@ -171,7 +173,12 @@ def _on_a_twin(
     nominal = policy.pendulum.parameters(linearised=settings.plant.linearised)
     there = twin_settings(settings, world.settings)
     trials = draw_trials(1, there, seed, DEPLOYMENT, spread=1.0)
-    real = scaled(nominal, float(trials.inertia_factor[0]), float(trials.friction_factor[0]))
+    friction = pivot_friction(policy.pendulum, world.settings)
+    real = friction.on(
+        PendulumParameters(
+            *scaled(nominal, float(trials.inertia_factor[0]), float(trials.friction_factor[0]))
+        )
+    )
     controller = make_controller(
         policy.arm,
         settings,
@@ -185,7 +192,7 @@ def _on_a_twin(
         world.settings,
         controller,
         policy.kernel,
-        PendulumParameters(*real),
+        real,
         phi=float(trials.start[0, 2]),
         phi_dot=float(trials.start[0, 3]),
         duration=duration,
@@ -203,7 +210,6 @@ def _on_a_twin(
     time = np.arange(len(rows.u)) * h
     sent = (time[:, None] + np.arange(SETPOINTS) * h / SETPOINTS).ravel()
     setpoints = rows.setpoints.reshape(-1, FREE_JOINTS)
-    real = real._replace(coulomb=world.settings.coulomb, drag=0.0)
     return RunLog(
         conditions=_conditions(
             arm,
@@ -217,6 +223,7 @@ def _on_a_twin(
             seed=seed,
             actuator=_named(actuator),
             twin=world,
+            friction=friction.model_dump(),
             zero_error=zero,
             cause=cause_named(outcome.cause),
             guard=guard_named(outcome.cause),

@@ -352,7 +352,7 @@ def _loop(request: Request, memory: Any, joints: int, pipe: Any) -> None:
             request.robot,
             request.encoder,
             request.settings,
-            request.policy.pendulum.parameters(),
+            request.policy.pendulum,
             tell=lambda text: across.tell(Event("waiting", text)),
             attend=across.attend,
         )

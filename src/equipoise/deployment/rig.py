@@ -33,9 +33,9 @@ from equipoise.devices.operator import Operator
 from equipoise.devices.realtime import Measure
 from equipoise.errors import EquipoiseError, InputError, LinkError, OutsideError
 from equipoise.model.actuator import Actuator
-from equipoise.model.worlds import read_world
+from equipoise.model.worlds import PivotFriction, pivot_friction, read_world
 from equipoise.printable import printable
-from equipoise.rigs import Attended, Rig, RigSettings, connect
+from equipoise.rigs import Attended, Rig, RigSettings, connect, is_virtual
 from equipoise.runwriter import CONNECTING, WORD_TYPED, Recorder, RunWriter, push_event
 
 LASTED: Final = "lasted"
@@ -133,7 +133,7 @@ class Request:
     def conditions(self) -> dict[str, Any]:
         """Return what its log says first."""
         arm, plant = self.settings.described_arm, self.policy.settings.plant
-        return {
+        conditions = {
             "joints": len(arm.joints),
             "joint_names": [joint.name for joint in arm.joints],
             "arm": arm.name,
@@ -155,6 +155,20 @@ class Request:
             "seed": self.seed,
             "phases": [phase.value for phase in PHASES],
         }
+        if (friction := self.friction) is not None:
+            conditions["friction"] = friction.model_dump(mode="json")
+        return conditions
+
+    @property
+    def friction(self) -> PivotFriction | None:
+        """Dry friction and drag of a twin's pendulum; none on a robot.
+
+        Raises:
+            SettingsError: There is no such twin.
+        """
+        if not is_virtual(self.robot):
+            return None
+        return pivot_friction(self.policy.pendulum, read_world(self.robot).settings)
 
 
 class Outcome(NamedTuple):
@@ -422,7 +436,7 @@ def run_virtually(
         InputError: The policy does not fit the rig.
         OutsideError: The disk refuses.
     """
-    pendulum = request.policy.pendulum.parameters()
+    pendulum = request.policy.pendulum
     rig = connect(request.robot, request.encoder, request.settings, pendulum, seed=request.seed)
     return run_rig_virtually(request, rig, out, operator, replace=replace)
 

@@ -294,14 +294,18 @@ def step(plant: Plant, block: Block, lanes: int) -> None:
         # u' starts as minus the velocity before the step.
         put(state, TRACKED, n, -pivot_velocity(frame, controller.pivot, n))
     command(controller, memory, lanes)
+    dry = False
+    for n in range(lanes):
+        dry = dry or at(block.pendula, 3, n) > 0.0
     if controller.observes:
-        move_arms(controller, block, lanes)
+        move_arms(controller, block, plant.linearised, dry, lanes)
     for n in range(lanes):
         v = pivot_velocity(frame, controller.pivot, n)
         put(state, TRACKED, n, (v + at(state, TRACKED, n)) / h)
         put(state, X, n, at(frame, POSITION, n) - home_x)
         put(state, X_DOT, n, at(frame, TWIST, n))
-    advance_pendula(state, block.pendula, h, plant.linearised, lanes)
+    if not (controller.observes and dry):
+        advance_pendula(state, block.pendula, h, plant.linearised, lanes)
     for n in range(lanes):
         slow = abs(at(state, X_DOT, n)) < plant.speed_limit
         within = JOINT_LIMIT if memory.beyond[n] else (LASTED if slow else TOO_FAST)
@@ -318,9 +322,25 @@ def step(plant: Plant, block: Block, lanes: int) -> None:
 
 
 @kernel
-def move_arms(controller: Controller, block: Block, lanes: int) -> None:
-    """Send the setpoints of the tick, and move the arms of the first lanes by one tick."""
+def move_arms(
+    controller: Controller, block: Block, linearised: bool, dry: bool, lanes: int
+) -> None:
+    """Send the setpoints of the tick, and move the arms of the first lanes by one tick.
+
+    Dry friction depends on the sign of the rate, which the pivot's vibration within a tick changes:
+    with it the pendulums move here, cycle by cycle.
+
+    Args:
+        controller: Constants.
+        block: Changed in place.
+        linearised: Whether the pendulums are those of equation (7).
+        dry: Whether some pendulum has dry friction.
+        lanes: How many lanes.
+    """
     sent, target, setpoints, delay = block.sent, block.target, block.memory.setpoints, block.delay
+    before, state = np.empty(LANES), block.state
+    for n in range(lanes):
+        before[n] = at(state, TRACKED, n)
     cycles = round(controller.h / SETPOINTS / CYCLE)
     for s in range(SETPOINTS):
         block.newest[0] = (block.newest[0] + 1) % SENT
@@ -336,6 +356,16 @@ def move_arms(controller: Controller, block: Block, lanes: int) -> None:
             for i in range(6):
                 put(target, i, n, at(sent, row + i, n))
         follow(block.q, block.dq, target, block.share, controller.actuator, lanes)
+        if dry:
+            for n in range(lanes):
+                put(state, TRACKED, n, -pivot_velocity(block.frame, controller.pivot, n))
+            controller.kinematics(block.q, block.dq, block.frame, lanes)
+            for n in range(lanes):
+                change = pivot_velocity(block.frame, controller.pivot, n) + at(state, TRACKED, n)
+                put(state, TRACKED, n, change / CYCLE)
+            advance_pendula(state, block.pendula, CYCLE, linearised, lanes)
+    for n in range(lanes):
+        put(state, TRACKED, n, before[n])
     controller.kinematics(block.q, block.dq, block.frame, lanes)
 
 

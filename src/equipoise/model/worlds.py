@@ -5,6 +5,10 @@ sets of the numbers of the digital twin, `twin:FILE` is a TOML file of differenc
 carry a version (`nominal-1`): published results stay comparable, and a changed number makes a new
 version.
 
+A twin's pendulum has the friction that was identified, viscous, dry and drag. A world may set dry
+friction and drag itself, as the sets of versions 1 and 2 do; `pivot_friction` says which friction
+acts and who set it.
+
 Each number says where it comes from: the source of the KUKA Sunrise Toolbox and the arm's data are
 facts; what is marked *assumed* is ours, chosen on the unforgiving side of what is plausible.
 """
@@ -17,20 +21,24 @@ from typing import Any, ClassVar, Final, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
-from equipoise.artefacts import Extended
+from equipoise.artefacts import Extended, Value
 from equipoise.errors import SettingsError
+from equipoise.model.pendulum import Pendulum, PendulumParameters
 
 MODEL: Final = "model"
 """The training plant, as `--world` and files name it."""
 PREFIX: Final = "twin:"
 
 Inner = Literal["velocity", "pd", "trajectory40"]
+FrictionSource = Literal["pendulum", "world", "assumed"]
+"""Who set a friction: the pendulum's identification, the world, or the world because it was not
+identified."""
 
 
 class TwinSettings(Extended):
     """The digital twin's numbers; the defaults are `nominal-1`."""
 
-    LATER: ClassVar[tuple[str, ...]] = ("guards", "t1")
+    LATER: ClassVar[tuple[str, ...]] = ("guards", "t1", "drag", "assumed_coulomb")
 
     transport: float = Field(default=0.010, ge=0.0, le=0.2)
     """From sending a setpoint to the servo's use of it [s]. Assumed: one request and reply through
@@ -62,8 +70,15 @@ class TwinSettings(Extended):
     """Mass of the pendulum, unknown to the drive [kg]; a uniform rod. Assumed."""
     pivot_outward: float = Field(default=0.13, ge=0.0)
     """From the axis of A7 to the plane in which the pendulum turns [m]: room for the wrist."""
-    coulomb: float = Field(default=0.1, ge=0.0)
-    """Dry friction of the pendulum over its inertia [1/s^2]; recorded pivots show 0.05 to 2."""
+    coulomb: float | None = Field(default=0.1, ge=0.0)
+    """Dry friction of the pendulum over its inertia, in place of the pendulum's own [1/s^2]; none:
+    the pendulum's own."""
+    drag: float | None = Field(default=0.0, ge=0.0)
+    """Quadratic drag of the pendulum over its inertia, in place of the pendulum's own [1/rad];
+    none: the pendulum's own."""
+    assumed_coulomb: float = Field(default=0.1, ge=0.0)
+    """Dry friction over inertia of a pendulum whose own was not identified [1/s^2]; used where
+    `coulomb` is none. Assumed: recorded pivots show 0.05 to 2."""
     inertia_sigma: float = Field(default=0.02, ge=0.0, lt=0.25)
     """Standard deviation of the factor on I, once per trial."""
     friction_sigma: float = Field(default=0.2, ge=0.0, lt=1.0)
@@ -93,6 +108,88 @@ class TwinSettings(Extended):
     """Whether the speed limit of T1 is one of them."""
 
 
+class PivotFriction(Value):
+    """Dry friction and drag of a twin's pendulum, and who set them."""
+
+    coulomb: float
+    """Dry friction over inertia [1/s^2]."""
+    drag: float
+    """Quadratic drag over inertia [1/rad]."""
+    coulomb_from: FrictionSource
+    """Who set the dry friction."""
+    drag_from: FrictionSource
+    """Who set the drag."""
+    own_coulomb: float
+    """The pendulum's own dry friction over inertia [1/s^2]; zero where it was not identified."""
+    own_drag: float
+    """The pendulum's own quadratic drag over inertia [1/rad]."""
+
+    def on(self, pendulum: PendulumParameters) -> PendulumParameters:
+        """Return a pendulum with this friction; what is the pendulum's own stays as it is there."""
+        set_here = {
+            name: float(getattr(self, name))
+            for name in ("coulomb", "drag")
+            if getattr(self, f"{name}_from") != "pendulum"
+        }
+        return pendulum._replace(**set_here)
+
+    def words(self, world: str) -> str:
+        """Return the frictions with their units, and who set each.
+
+        Args:
+            world: Name of the world.
+        """
+        identified = "as identified"
+        if self.coulomb_from == "world":
+            origin = f"set by {world}; the pendulum has {self.own_coulomb:.3g}"
+        elif self.coulomb_from == "assumed":
+            origin = f"assumed by {world}; not identified for this pendulum"
+        else:
+            origin = identified
+        words = f"dry friction {self.coulomb:.3g} 1/s^2 ({origin})"
+        if self.drag == self.own_drag == 0.0:
+            return words
+        if self.drag_from == "world":
+            identified = f"set by {world}; the pendulum has {self.own_drag:.3g}"
+        return f"{words}, drag {self.drag:.3g} 1/rad ({identified})"
+
+
+def pivot_friction(pendulum: Pendulum, settings: TwinSettings) -> PivotFriction:
+    """Return the dry friction and the drag that act on a pendulum in a twin.
+
+    Args:
+        pendulum: The pendulum, with the sources of its numbers.
+        settings: The world's numbers.
+    """
+    coulomb, drag = pendulum.coulomb.value, pendulum.drag.value
+    coulomb_from: FrictionSource = "pendulum"
+    drag_from: FrictionSource = "pendulum"
+    if settings.coulomb is not None:
+        coulomb, coulomb_from = settings.coulomb, "world"
+    elif pendulum.coulomb.source == "assumed":
+        coulomb, coulomb_from = settings.assumed_coulomb, "assumed"
+    if settings.drag is not None:
+        drag, drag_from = settings.drag, "world"
+    return PivotFriction(
+        coulomb=coulomb,
+        drag=drag,
+        coulomb_from=coulomb_from,
+        drag_from=drag_from,
+        own_coulomb=pendulum.coulomb.value,
+        own_drag=pendulum.drag.value,
+    )
+
+
+def pendulum_on(pendulum: Pendulum, settings: TwinSettings) -> PendulumParameters:
+    """Return a pendulum as it swings in a twin, its best values with the friction that acts there.
+
+    Args:
+        pendulum: The pendulum, with the sources of its numbers.
+        settings: The world's numbers.
+    """
+    return pivot_friction(pendulum, settings).on(pendulum.parameters())
+
+
 class World(NamedTuple):
     """A digital twin with the name of its set."""
 
@@ -112,6 +209,7 @@ _HARSH: Final[Mapping[str, Any]] = {
 }
 _BARE: Final[Mapping[str, Any]] = {"rotor_inertia": 0.0}
 _GUARDED: Final[Mapping[str, Any]] = {"guards": True}
+_OWN_FRICTION: Final[Mapping[str, Any]] = _GUARDED | {"coulomb": None, "drag": None}
 
 SETS: Final[Mapping[str, Mapping[str, Any]]] = {
     "nominal-1": {},
@@ -120,13 +218,17 @@ SETS: Final[Mapping[str, Mapping[str, Any]]] = {
     "nominal-2": _GUARDED,
     "harsh-2": _HARSH | _GUARDED,
     "bare-2": _BARE | _GUARDED,
+    "nominal-3": _OWN_FRICTION,
+    "harsh-3": _HARSH | _OWN_FRICTION | {"assumed_coulomb": _HARSH["coulomb"]},
+    "bare-3": _BARE | _OWN_FRICTION,
 }
-"""Frozen sets, as differences to nominal-1. Those of version 2 have guards."""
+"""Frozen sets, as differences to nominal-1. Version 2 has guards; version 3 has the pendulum's own
+friction, too, and versions 1 and 2 set it."""
 
 NEWEST: Final[Mapping[str, str]] = {
-    "nominal": "nominal-2",
-    "harsh": "harsh-2",
-    "bare": "bare-2",
+    "nominal": "nominal-3",
+    "harsh": "harsh-3",
+    "bare": "bare-3",
 }
 
 
@@ -143,7 +245,7 @@ def read_world(name: str) -> World:
     Example:
         >>> world = read_world("twin:harsh")
         >>> world.name, world.settings.transport
-        ('twin:harsh-2', 0.03)
+        ('twin:harsh-3', 0.03)
     """
     twins = f"{', '.join(PREFIX + short for short in NEWEST)} or {PREFIX}FILE.toml"
     if name == MODEL:

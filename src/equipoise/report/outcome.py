@@ -7,7 +7,7 @@ import numpy as np
 from equipoise import paper
 from equipoise.control.controller import horizon
 from equipoise.evaluation import Evaluation, TrialResults
-from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.model.worlds import MODEL, PivotFriction, TwinSettings
 from equipoise.report.markup import (
     Part,
     Pictures,
@@ -132,7 +132,7 @@ def _deployment(results: Results, pictures: Pictures) -> Part:
             f"The paper shows {paper.SECONDS_BALANCED:g} s on the real arm in its figures 3 to 7. "
             f"Here {_stand_in(results)}"
         ),
-        "" if world is None else _the_twin(TwinSettings.model_validate(world)),
+        "" if world is None else _the_twin(TwinSettings.model_validate(world), results),
         table(("", "what the policy was trained for", "the run"), _conditions(results)),
         picture(
             pictures["figure-3-frames"],
@@ -182,7 +182,14 @@ def _stand_in(results: Results) -> str:
     )
 
 
-def _the_twin(twin: TwinSettings) -> str:
+def _the_twin(twin: TwinSettings, results: Results) -> str:
+    conditions = results.run.conditions
+    dry = conditions.friction
+    friction = (
+        f"dry friction of {conditions.pendulum['coulomb']:.3g} 1/s^2 besides the viscous one"
+        if dry is None
+        else f"{PivotFriction.model_validate(dry).words(conditions.world)}, besides the viscous one"
+    )
     has = (
         f"A transport delay: a setpoint is used {1e3 * twin.transport:g} ms after it was sent, "
         f"give or take {1e3 * twin.transport_jitter:g} ms.",
@@ -192,7 +199,7 @@ def _the_twin(twin: TwinSettings) -> str:
         "They balance the arm's own weight and know its inertia at home; tool and pendulum "
         f"({1e3 * (twin.bracket_mass + twin.pendulum_mass):g} g) are unknown to them, and pull.",
         f"A pendulum that turns {1e3 * twin.pivot_outward:g} mm beside the last joint's axis, with "
-        f"dry friction of {twin.coulomb:g} 1/s^2 besides the viscous one that the policy knows.",
+        f"{friction}.",
         f"An encoder of {twin.counts_per_rev:,} counts a turn, read "
         f"{1e3 * twin.encoder_age:g} ms late, whose zero is wrong by up to "
         f"{np.rad2deg(twin.zero_error):.2g}°; and measured joints that are "

@@ -32,7 +32,7 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.errors import InputError
 from equipoise.evaluation import Done, TrialResults, evaluate
 from equipoise.model.actuator import CYCLE, Actuator
-from equipoise.model.worlds import MODEL, TwinSettings, World, read_world
+from equipoise.model.worlds import MODEL, TwinSettings, World, pivot_friction, read_world
 from equipoise.settings import ControllerSettings, EvaluationSettings, Settings, resolve
 from equipoise.studies.gap_results import (
     CURED,
@@ -230,6 +230,7 @@ def gap(
         delay=actuator.delay.value,
         world=twin.name,
         world_settings=twin.settings,
+        friction=pivot_friction(policy.pendulum, twin.settings),
         clean_settings=twin.settings.model_copy(update=CLEAN),
         settings=policy.settings.model_copy(update={"evaluation": evaluation}),
         seed=seed,

@@ -12,11 +12,11 @@ import numpy.typing as npt
 from scipy.stats import t as student
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Value
+from equipoise.artefacts import Artefact, Extended, Value
 from equipoise.control.boxes import CAUSES, TRACK
 from equipoise.control.safety import Rule
 from equipoise.evaluation import CONFIDENCE, TrialResults
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.worlds import PivotFriction, TwinSettings
 from equipoise.settings import Settings
 from equipoise.studies.wording import LASTED, percent
 
@@ -70,11 +70,12 @@ class Seconds(NamedTuple):
     """Upper end [s]."""
 
 
-class Gap(Artefact):
+class Gap(Artefact, Extended):
     """How long each controller balances, and what of the twin ends it."""
 
     FORMAT: ClassVar[str] = "equipoise-gap"
     VERSION: ClassVar[int] = 1
+    LATER: ClassVar[tuple[str, ...]] = ("friction",)
 
     quick: bool
     """The short form: fewer points, fewer and shorter trials."""
@@ -96,6 +97,8 @@ class Gap(Artefact):
     """The twin, by name."""
     world_settings: TwinSettings
     """Its numbers."""
+    friction: PivotFriction | None = None
+    """Dry friction and drag of the pendulum on the twin; none in studies that do not state it."""
     clean_settings: TwinSettings
     """Those of the clean twin."""
     settings: Settings

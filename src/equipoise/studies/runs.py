@@ -201,6 +201,7 @@ def balancing(run: RigRun) -> RunLog:
             world_settings=None,
             zero_error=None,
             settings=Settings.model_validate(told["settings"]),
+            friction=told.get("friction"),
             cause=ending(run).cause,
         )
     except (KeyError, TypeError, ValidationError) as error:

@@ -48,7 +48,7 @@ class Bench:
 
         Args:
             arm: An iiwa with its home posture.
-            pendulum: w2 and c; dry friction is the world's.
+            pendulum: The pendulum, with the friction that acts in the twin.
             settings: The world's numbers.
             seed: Seed of all that is random.
             start: The time at which it begins [s].

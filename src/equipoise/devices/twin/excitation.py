@@ -96,7 +96,7 @@ def excite(
     Args:
         arm: An iiwa with its home posture.
         settings: The world's numbers.
-        pendulum: w2 and c.
+        pendulum: The pendulum, with the friction that acts in the twin.
         seed: Master seed of jitter and noise.
         duration: Length of the record [s].
 

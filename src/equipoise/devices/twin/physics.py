@@ -45,8 +45,8 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
 
     Args:
         arm: An iiwa; its pivot's distance from the axis of the last joint is that of the settings.
-        pendulum: w2 and c; dry friction and drag are the world's.
-        settings: Masses, pivot, dry friction and steps.
+        pendulum: w2 and the frictions.
+        settings: Masses, pivot and steps; its frictions are not asked, see `pivot_friction`.
 
     Raises:
         ArmError: The masses of the arm's links are not known.
@@ -64,8 +64,9 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
     _weigh(spec.body("pendulum"), rod)
 
     phi = spec.joint("phi")
-    phi.damping[0] = pendulum.c * I
-    phi.frictionloss = settings.coulomb * I
+    # MuJoCo's torque is -(damping[0] + damping[1] |rate|) rate.
+    phi.damping[:2] = [pendulum.c * I, pendulum.drag * I]
+    phi.frictionloss = pendulum.coulomb * I
     phi.solref_friction = [DRY_TIME, 1.0]
     phi.solimp_friction = [DRY_SHARE, DRY_SHARE, *phi.solimp_friction[2:]]
     return spec.compile()

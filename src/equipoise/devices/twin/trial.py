@@ -52,7 +52,7 @@ class Trial(NamedTuple):
     number: int
     """With the seed it decides noise, jitter and the encoder's zero."""
     pendulum: PendulumParameters
-    """w2 and c of this trial."""
+    """The pendulum of this trial, with the friction that acts in the twin."""
     phi: float
     """Angle of the pendulum from upright at the release [rad]."""
     phi_dot: float
@@ -339,7 +339,7 @@ def record_trial(
         settings: The world's numbers.
         controller: Constants of the control step.
         policy: What decides.
-        pendulum: w2 and c.
+        pendulum: The pendulum, with the friction that acts in the twin.
         phi: Angle of the pendulum from upright at the release [rad].
         phi_dot: Its rate [rad/s].
         duration: Length of the trial [s].

@@ -245,7 +245,7 @@ class Twin:
 
         Args:
             arm: An iiwa with its home posture.
-            pendulum: w2 and c of this trial; dry friction and drag are the world's.
+            pendulum: The pendulum of this trial, with the friction that acts in the twin.
             settings: The world's numbers.
             seed: Master seed of jitter, noise and the error of the encoder's zero.
             index: Number of the trial.

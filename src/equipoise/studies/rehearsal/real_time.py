@@ -25,7 +25,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.devices.clocks import SystemClock
 from equipoise.devices.emulation import Emulation
 from equipoise.errors import EquipoiseError
-from equipoise.model.worlds import read_world
+from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rigs import RigSettings
 from equipoise.runwriter import read_rig_run
 from equipoise.studies.rehearsal.judgement import AT_REST, TOLD, Sent, came_to_rest, limits_kept
@@ -89,14 +89,14 @@ class Course(NamedTuple):
 @contextmanager
 def course() -> Generator[Course]:
     """Run the whole course beside this process."""
-    settings, policy = RigSettings(), shipped_policy()
+    settings, policy, world = RigSettings(), shipped_policy(), read_world(WORLD).settings
     over = threading.Event()
     ready: list[int] = []
     with tempfile.TemporaryDirectory(prefix="equipoise-") as folder:
         emulation = Emulation(
             settings.described_arm,
-            policy.pendulum.parameters(),
-            read_world(WORLD).settings,
+            pendulum_on(policy.pendulum, world),
+            world,
             SystemClock(),
         )
 

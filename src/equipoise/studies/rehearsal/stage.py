@@ -22,7 +22,7 @@ from equipoise.devices.interfaces import Clock, Transport
 from equipoise.devices.kuka.robot import KstRobot
 from equipoise.devices.operator import Event
 from equipoise.errors import EquipoiseError
-from equipoise.model.worlds import read_world
+from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rigs import Attended, Emulated, Rig, RigSettings, emulated_rig
 
 WORLD: Final = "twin:nominal"
@@ -158,8 +158,9 @@ class Stage:
         """
         self.scene = scene
         """What the run begins with."""
-        pendulum = scene.policy.pendulum.parameters()
-        self.parts: Emulated = emulated_rig(read_world(WORLD), scene.settings, pendulum)
+        world = read_world(WORLD)
+        pendulum = pendulum_on(scene.policy.pendulum, world.settings)
+        self.parts: Emulated = emulated_rig(world, scene.settings, pendulum)
         """Bench, cabinet, board and links."""
         clock = self.parts.rig.clock
         self.clock = Stalling(clock)
