@@ -1,10 +1,6 @@
-# /// script
-# requires-python = ">=3.11"
-# dependencies = ["equipoise"]
-# ///
 """Run a policy on the digital twin: an arm behind its servo, an encoder with a wrong zero.
 
-python deploy_on_the_twin.py [policy.json]
+python examples/deploy_on_the_twin.py [policy.json]
 """
 
 import sys

@@ -1,10 +1,6 @@
-# /// script
-# requires-python = ">=3.11"
-# dependencies = ["equipoise"]
-# ///
 """Identify a pendulum from a free swing: of your own, or of a simulated one.
 
-python identify_a_swing.py [swing.csv]
+python examples/identify_a_swing.py [swing.csv]
 """
 
 import sys

@@ -1,10 +1,10 @@
-# /// script
-# requires-python = ">=3.11"
-# dependencies = ["equipoise"]
-# ///
 """Write a policy of your own and evaluate it on the plant of the training.
 
-The same from the command line: equipoise evaluate --policy own_policy:Damped
+python examples/own_policy.py
+
+The same from the command line, in the folder of this file:
+
+equipoise evaluate --policy own_policy:Damped
 """
 
 from math import sqrt

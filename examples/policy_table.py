@@ -1,10 +1,6 @@
-# /// script
-# requires-python = ">=3.11"
-# dependencies = ["equipoise"]
-# ///
 """Read the table of a policy: what it commands in the middle of the track, flange nearly at rest.
 
-python policy_table.py [policy.json]
+python examples/policy_table.py [policy.json]
 """
 
 import sys

@@ -1,8 +1,7 @@
-# /// script
-# requires-python = ">=3.11"
-# dependencies = ["equipoise"]
-# ///
-"""Train a policy on an iiwa 14 and see how long it stands, beside the yardsticks."""
+"""Train a policy on an iiwa 14 and see how long it stands, beside the yardsticks.
+
+python examples/train_and_evaluate.py
+"""
 
 from pathlib import Path
 

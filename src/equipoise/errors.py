@@ -48,8 +48,8 @@ class MissingExtraError(InputError, ImportError):
     def __init__(self, package: str, extra: str) -> None:
         """Name the missing `package` and the `extra` that installs it."""
         super().__init__(
-            f"this needs the package {package}, which is not installed; "
-            f'install it with: python -m pip install "equipoise[{extra}]"'
+            f"this needs the package {package}, which is not installed; install it with: "
+            f"python -m pip install {package} (or '.[{extra}]' in the sources of Equipoise)"
         )
 
 

@@ -282,5 +282,5 @@ def test_a_drawing_that_fails_leaves_no_file(ffmpeg, run, tmp_path, monkeypatch)
 
 def test_without_the_extra_its_name_is_told(run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(MissingExtraError, match=r'imageio-ffmpeg.*"equipoise\[video\]"'):
+    with pytest.raises(MissingExtraError, match=r"pip install imageio-ffmpeg \(or '\.\[video\]'"):
         write_video(run, ARM, tmp_path / "run.mp4")

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from equipoise.cli.output import Output
 from equipoise.control.ticks import OK
+from equipoise.errors import OutsideError
 from equipoise.printable import printable
 
 STYLES: Final = {
@@ -164,13 +165,22 @@ def key_names(typed: str) -> str:
 
 @contextmanager
 def single_keys() -> Generator[None]:
-    """Let each key be heard at once, where there is a terminal; as before afterwards."""
+    """Let each key be heard at once, where there is a terminal; as before afterwards.
+
+    Raises:
+        OutsideError: This system has no such terminals, on which any key could stop a run.
+    """
+    try:
+        import termios
+        import tty
+    except ImportError:
+        raise OutsideError(
+            f"{sys.platform} cannot read single keys of a terminal, with which a run is stopped; "
+            "drive a robot from Linux"
+        ) from None
     if sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
         yield
         return
-    import termios
-    import tty
-
     before = termios.tcgetattr(sys.stdin)
     try:
         tty.setcbreak(sys.stdin)

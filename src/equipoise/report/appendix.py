@@ -158,7 +158,7 @@ def _commands(results: Results) -> list[str]:
         f"equipoise identify {SWING} --out {PENDULUM}",
         f"equipoise train {PENDULUM} --arm {results.policy.arm.name} --out {POLICY}",
         f"equipoise evaluate {POLICY} --world {world}",
-        f"equipoise deploy {POLICY} --world {world} --video run.mp4",
+        f"equipoise deploy {POLICY} --world {world}",
         *([f"equipoise gap {POLICY} --world {world}"] if results.gap else []),
         f"equipoise verify {RUN}",
     ]

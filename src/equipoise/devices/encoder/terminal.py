@@ -5,6 +5,7 @@ Whoever opens it cannot tell it from a board on USB. Linux and macOS only.
 
 import contextlib
 import os
+import sys
 from pathlib import Path
 from typing import Final
 
@@ -34,7 +35,12 @@ class Terminal:
             import tty
 
             self._ours, self._theirs = pty.openpty()
-        except (ImportError, OSError) as error:
+        except ImportError:
+            raise OutsideError(
+                f"{sys.platform} has no pseudo-terminals, on which an encoder's board is emulated; "
+                "use Linux or macOS"
+            ) from None
+        except OSError as error:
             raise OutsideError(f"cannot open a pseudo-terminal ({error})") from None
         # Held open here as well: without a listener reads on our side would be errors.
         tty.setraw(self._theirs)

@@ -13,7 +13,6 @@ of a joint's range does, by force), and the brakes' closing.
 """
 
 from collections.abc import Sequence
-from importlib import import_module
 from math import atan2, hypot
 from typing import Final
 
@@ -24,6 +23,7 @@ from equipoise.devices.twin.cabinet import NEWEST, NOW, send
 from equipoise.devices.twin.physics import build_bare
 from equipoise.devices.twin.twin import Twin, noise
 from equipoise.model.arms.arm import Arm
+from equipoise.model.physics_engine import mujoco
 from equipoise.model.worlds import TwinSettings
 
 Array = npt.NDArray[np.float64]
@@ -54,13 +54,13 @@ class TwinBody:
         Raises:
             ArmError: The masses of the arm's links are not known.
         """
-        mujoco = import_module("mujoco")
+        mj = mujoco()
         self._twin = twin
         self._n = len(arm.joints)
         self._joint_noise = settings.joint_noise
-        self._inverse = mujoco.mj_inverse
+        self._inverse = mj.mj_inverse
         self._bare = build_bare(arm, settings.rotor_inertia)
-        self._bare_data = mujoco.MjData(self._bare)
+        self._bare_data = mj.MjData(self._bare)
         self._error = np.zeros(self._n)
         self._braking = 0
         self._running = False

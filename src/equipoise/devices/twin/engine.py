@@ -14,6 +14,8 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic, overload
 
+from equipoise.model.physics_engine import mujoco
+
 
 class Engine(NamedTuple):
     """Addresses of `void (mjModel *, mjData *)` functions and of what they work on."""
@@ -41,6 +43,7 @@ def engine(model: Any, data: Any) -> Engine:
 @functools.cache
 def _library() -> ctypes.CDLL:
     """Return the library that MuJoCo's own Python module has loaded."""
+    mujoco()  # loads it
     if sys.platform == "win32":  # where a module does not offer what it was linked with
         return ctypes.CDLL("mujoco.dll")
     return ctypes.CDLL(importlib.import_module("mujoco._functions").__file__)

@@ -9,7 +9,6 @@ uniform rod; what its free swing identifies decides how long it is::
 Nothing collides: the trial is over before anything could.
 """
 
-import importlib
 from math import copysign
 from typing import Any, Final
 
@@ -20,6 +19,7 @@ from equipoise.model.arms.chain import Floats, Triple
 from equipoise.model.arms.inertials import Inertial, link_inertials
 from equipoise.model.arms.scene import SIZES, Sizes, scene
 from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.physics_engine import mujoco
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
 
@@ -108,25 +108,25 @@ def mass_matrix(arm: Arm, rotor_inertia: float) -> Floats:
         arm: An iiwa.
         rotor_inertia: Inertia of motor and gear at each joint [kg m^2].
     """
-    mujoco = importlib.import_module("mujoco")
+    mj = mujoco()
     model = build_bare(arm, rotor_inertia)
-    data = mujoco.MjData(model)
+    data = mj.MjData(model)
     data.qpos[:] = arm.home
-    mujoco.mj_forward(model, data)
+    mj.mj_forward(model, data)
     M = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, M)
+    mj.mj_fullM(model, data, M)
     return M
 
 
 def _weighed(arm: Arm, sizes: Sizes, rotor_inertia: float) -> Any:
     """Return the drawing with the arm's own masses."""
-    mujoco = importlib.import_module("mujoco")
+    mj = mujoco()
     spec = scene(arm, sizes=sizes)
     spec.memory = MEMORY
     spec.compiler.boundmass, spec.compiler.boundinertia = 0.0, 0.0
     spec.option.tolerance = TOLERANCE
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
-    off = mujoco.mjtDisableBit
+    off = mj.mjtDisableBit
     # A state that explodes shall be seen, not reset; the pendulum's damping needs no implicit step.
     for feature in ("CONTACT", "ISLAND", "EULERDAMP", "AUTORESET"):
         spec.option.disableflags |= int(getattr(off, f"mjDSBL_{feature}"))

@@ -7,7 +7,6 @@ a bracket from the flange and turns about base y: its joint angle is phi, zero u
 towards +x. MuJoCo is imported where it is used.
 """
 
-import importlib
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import Floats, rotation_from_rpy
 from equipoise.model.arms.posture import along_x
+from equipoise.model.physics_engine import mujoco
 from equipoise.paper import X_LIMIT
 
 
@@ -92,15 +92,15 @@ def clearance(
     Raises:
         ArmError: The arm cannot reach the ends of the track.
     """
-    mujoco = _mujoco()
+    mj = mujoco()
     spec, parts = _drawn(arm, table_height, sizes)
     model = spec.compile()
-    data = mujoco.MjData(model)
+    data = mj.MjData(model)
     nowhere = np.zeros(6)
 
     def distance(some: _Part, others: list[_Part]) -> float:
         return min(
-            mujoco.mj_geomDistance(model, data, model.geom(a).id, model.geom(b).id, 10.0, nowhere)
+            mj.mj_geomDistance(model, data, model.geom(a).id, model.geom(b).id, 10.0, nowhere)
             for other in others
             for a in some.geoms
             for b in other.geoms
@@ -112,31 +112,27 @@ def clearance(
     closest, lowest = np.inf, np.inf
     for q in along_x(arm, np.linspace(-track, track, round(track / 0.01) + 1)):
         data.qpos[: len(arm.joints)] = arm.with_held(q)
-        mujoco.mj_kinematics(model, data)
+        mj.mj_kinematics(model, data)
         closest = min([closest, *(distance(part, others) for part, others in apart if others)])
         lowest = min(lowest, distance(table, body[1:]))
         for phi in np.arange(0.0, 2.0 * np.pi, np.radians(5.0)):
             data.qpos[-1] = phi
-            mujoco.mj_kinematics(model, data)
+            mj.mj_kinematics(model, data)
             closest = min(closest, distance(rod, body[:-1]))
             lowest = min(lowest, distance(table, [rod]))
     return Clearance(float(closest), float(lowest))
 
 
-def _mujoco() -> Any:
-    return importlib.import_module("mujoco")  # it has no types
-
-
 def _drawn(arm: Arm, table_height: float, sizes: Sizes) -> tuple[Any, list[_Part]]:
     """Return the model, and its parts from the base to the pendulum."""
-    mujoco = _mujoco()
-    spec = mujoco.MjSpec()
+    mj = mujoco()
+    spec = mj.MjSpec()
     spec.modelname = arm.name
     spec.compiler.degree = False
     spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6  # of frames without geometry
     spec.worldbody.add_geom(
         name="table",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
+        type=mj.mjtGeom.mjGEOM_BOX,
         size=[1.5, 1.5, 0.05],
         pos=[0.0, 0.0, table_height - 0.05],
         contype=0,
@@ -146,13 +142,13 @@ def _drawn(arm: Arm, table_height: float, sizes: Sizes) -> tuple[Any, list[_Part
     def capsule(body: Any, name: str, start: Floats, end: Floats, radius: float) -> str:
         ends = np.concatenate([start, end])
         size = [radius, 0.0, 0.0]
-        shape = mujoco.mjtGeom.mjGEOM_CAPSULE
+        shape = mj.mjtGeom.mjGEOM_CAPSULE
         body.add_geom(name=name, type=shape, fromto=ends, size=size, contype=0, conaffinity=0)
         return name
 
     def child(body: Any, name: str, xyz: Any, rotation: Floats) -> Any:
         quaternion = np.zeros(4)
-        mujoco.mju_mat2Quat(quaternion, rotation.ravel())
+        mj.mju_mat2Quat(quaternion, rotation.ravel())
         return body.add_body(name=name, pos=xyz, quat=quaternion)
 
     steps = [np.array(joint.xyz) for joint in arm.joints] + [np.array(arm.flange_xyz)]
@@ -170,7 +166,7 @@ def _drawn(arm: Arm, table_height: float, sizes: Sizes) -> tuple[Any, list[_Part
         if number < len(arm.joints):
             joint = arm.joints[number]
             body = child(body, f"frame {number + 1}", step, rotation_from_rpy(joint.rpy))
-            hinge = mujoco.mjtJoint.mjJNT_HINGE
+            hinge = mj.mjtJoint.mjJNT_HINGE
             limits = [joint.lower, joint.upper]
             body.add_joint(name=joint.name, type=hinge, axis=joint.axis, range=limits)
             if across[number]:
@@ -184,7 +180,7 @@ def _drawn(arm: Arm, table_height: float, sizes: Sizes) -> tuple[Any, list[_Part
         name = capsule(flange, "bracket", np.zeros(3), pivot, sizes.bracket)
         parts.append(_Part([name], float(np.linalg.norm(pivot)), sizes.bracket))
     pendulum = child(flange, "pendulum", pivot, arm.pose(arm.home_free).rotation.T)
-    pendulum.add_joint(name="phi", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 1.0, 0.0])
+    pendulum.add_joint(name="phi", type=mj.mjtJoint.mjJNT_HINGE, axis=[0.0, 1.0, 0.0])
     top = np.array([0.0, 0.0, sizes.rod_length])
     name = capsule(pendulum, "rod", np.zeros(3), top, sizes.rod)
     parts.append(_Part([name], sizes.rod_length, sizes.rod))

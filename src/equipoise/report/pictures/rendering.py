@@ -1,11 +1,12 @@
 """Drawing without a screen: joint positions in, pictures out.
 
 MuJoCo draws through OpenGL, which EGL gives without a screen, and OSMesa where there is no EGL.
-`MUJOCO_GL` chooses otherwise; it must be set before MuJoCo is first imported.
+`MUJOCO_GL` chooses otherwise: egl, osmesa or glfw.
 """
 
 import os
 import sys
+import warnings
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from ctypes.util import find_library
@@ -17,6 +18,7 @@ import numpy.typing as npt
 
 from equipoise.errors import ArmError, OutsideError
 from equipoise.model.arms.arm import Arm
+from equipoise.model.physics_engine import mujoco
 from equipoise.report.pictures.camera import Size
 from equipoise.report.pictures.stage import CAMERA, Stage, stage
 
@@ -59,7 +61,7 @@ def draw(scene: Stage, q: Floats, phi: Floats) -> Iterator[Picture]:
     Raises:
         OutsideError: There is nothing to draw with.
     """
-    mj: Any = import_module("mujoco")  # it has no types
+    mj = mujoco()
     model, (width, height) = scene.model, scene.camera.size
     data, options, shapes = mj.MjData(model), mj.MjvOption(), mj.MjvScene(model, MAX_GEOMS)
     camera, everything = mj.MjvCamera(), mj.mjtCatBit.mjCAT_ALL
@@ -80,18 +82,21 @@ def draw(scene: Stage, q: Floats, phi: Floats) -> Iterator[Picture]:
 @contextmanager
 def _canvas(model: Any, size: Size) -> Generator[tuple[Callable[[], None], Any]]:
     """Give what MuJoCo draws on, off screen, and a function that makes it the current one."""
-    mj: Any = import_module("mujoco")
+    mj = mujoco()
     backend = _backend()
-    try:
-        context = import_module(backend).GLContext(*size)
-    except Exception as error:  # each of the backends and each driver fails in its own way
-        raise _nothing_to_draw_with(f"{backend} says: {error}") from None
-    try:
-        context.make_current()
-        canvas = mj.MjrContext(model, mj.mjtFontScale.mjFONTSCALE_100)
-    except Exception as error:
-        context.free()
-        raise _nothing_to_draw_with(f"{backend} says: {error}") from None
+    context: Any = None
+    # GLFW does not raise where there is no screen, it warns.
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        try:
+            context = import_module(backend).GLContext(*size)
+            context.make_current()
+            canvas = mj.MjrContext(model, mj.mjtFontScale.mjFONTSCALE_100)
+        except Exception as error:  # each of the backends and each driver fails in its own way
+            if context is not None:
+                context.free()
+            why = warned[0].message if warned else error
+            raise _nothing_to_draw_with(f"{backend} says: {why}", backend) from None
     try:
         mj.mjr_setBuffer(mj.mjtFramebuffer.mjFB_OFFSCREEN, canvas)
         yield context.make_current, canvas
@@ -101,18 +106,41 @@ def _canvas(model: Any, size: Size) -> Generator[tuple[Callable[[], None], Any]]
         context.free()
 
 
+BACKENDS: Final = {
+    "egl": "mujoco.egl",
+    "osmesa": "mujoco.osmesa",
+    "glfw": "mujoco.glfw",
+    "glx": "mujoco.glfw",
+}
+"""Module that opens an OpenGL context, by the value of `MUJOCO_GL` on Linux."""
+LIBRARIES: Final = {"mujoco.egl": "EGL", "mujoco.osmesa": "OSMesa"}
+"""Library of the system that a module needs; the first that is there is used by default."""
+
+
 def _backend() -> str:
-    """Return the module that opens an OpenGL context."""
-    if os.environ.get("MUJOCO_GL") or not sys.platform.startswith("linux"):
+    """Return the module that opens an OpenGL context.
+
+    Raises:
+        OutsideError: `MUJOCO_GL` names none, or there is no library to draw with.
+    """
+    if not sys.platform.startswith("linux"):
         return "mujoco.gl_context"  # MuJoCo's own choice
-    for library, backend in (("EGL", "mujoco.egl"), ("OSMesa", "mujoco.osmesa")):
+    if chosen := os.environ.get("MUJOCO_GL", "").lower().strip():
+        if chosen not in BACKENDS:
+            raise _nothing_to_draw_with(f"MUJOCO_GL is {chosen!r}")
+        return BACKENDS[chosen]
+    for backend, library in LIBRARIES.items():
         if find_library(library):
             return backend
     raise _nothing_to_draw_with("there is neither a library EGL nor OSMesa")
 
 
-def _nothing_to_draw_with(why: str) -> OutsideError:
+def _nothing_to_draw_with(why: str, backend: str = "") -> OutsideError:
+    library = LIBRARIES.get(backend)
+    if library is not None and not find_library(library):
+        why = f"{backend} needs the library {library}, which is not installed"
     return OutsideError(
         f"cannot draw pictures, expected OpenGL without a screen: {why}; install EGL "
-        "(Debian and Ubuntu: libegl1 and libgl1-mesa-dri), or set MUJOCO_GL to egl, osmesa or glfw"
+        "(Debian and Ubuntu: libegl1 and libgl1-mesa-dri), or set MUJOCO_GL to egl, osmesa, or, "
+        "where there is a screen, glfw"
     )

@@ -5,7 +5,6 @@ Added are the ends of the track as two posts in the pendulum's plane, the uprigh
 its pivot, a table with edges and legs, light, and a camera.
 """
 
-from importlib import import_module
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy.typing as npt
 
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.scene import Sizes, scene
+from equipoise.model.physics_engine import mujoco
 from equipoise.paper import X_LIMIT
 from equipoise.report.pictures.camera import FOV_DEG, Camera, Size, camera_that_sees
 from equipoise.report.style import BLUE, INK, VERMILION
@@ -117,17 +117,13 @@ def stage(arm: Arm, size: Size) -> Stage:
     return Stage(spec.compile(), camera, posts)
 
 
-def _mujoco() -> Any:
-    return import_module("mujoco")  # it has no types
-
-
 def _places_at_home(spec: Any) -> Floats:
     """Return the origins of all bodies, from the base to the pendulum [m], shape (bodies, 3)."""
-    mujoco = _mujoco()
+    mj = mujoco()
     model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-    mujoco.mj_kinematics(model, data)
+    data = mj.MjData(model)
+    mj.mj_resetDataKeyframe(model, data, model.key("home").id)
+    mj.mj_kinematics(model, data)
     return np.array(data.xpos)
 
 
@@ -153,7 +149,7 @@ def _dress(spec: Any) -> None:
             _add_cylinder(housing.parent, "cap", *cap, 0.67 * SLIM.housing)
     base, hand = parts["link"][0], parts["link"][-1]
     for link in (base, hand):  # flat on the table, and flat at the flange
-        link.type = _mujoco().mjtGeom.mjGEOM_CYLINDER
+        link.type = mujoco().mjtGeom.mjGEOM_CYLINDER
     start, _, along = _axis(base)
     _add_cylinder(base.parent, "shell", start, start + 0.03 * along, BASE)
     _, end, along = _axis(hand)
@@ -186,17 +182,17 @@ def _furnish(spec: Any, table: Any, surface: float, posts: tuple[Post, ...]) -> 
 
 def _light(spec: Any) -> None:
     """Light the scene softly from above the camera, before a light wall."""
-    mujoco = _mujoco()
+    mj = mujoco()
     spec.add_texture(
         name="wall",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        type=mj.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mj.mjtBuiltin.mjBUILTIN_FLAT,
         rgb1=WALL,
         width=8,
         height=48,  # six sides of a box
     )
     spec.worldbody.add_light(
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        type=mj.mjtLightType.mjLIGHT_DIRECTIONAL,
         dir=[0.5, -0.9, -1.0],
         diffuse=[0.45] * 3,
         specular=[0.15] * 3,
@@ -219,7 +215,7 @@ def _place_camera(spec: Any, places: Floats, posts: tuple[Post, ...], size: Size
     quaternion = np.zeros(4)
     back = np.cross(camera.right, camera.up)
     axes = np.column_stack([camera.right, camera.up, back])
-    _mujoco().mju_mat2Quat(quaternion, axes.ravel())
+    mujoco().mju_mat2Quat(quaternion, axes.ravel())
     spec.worldbody.add_camera(name=CAMERA, pos=camera.position, quat=quaternion, fovy=FOV_DEG)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.quality.offsamples = SAMPLES
@@ -234,7 +230,7 @@ def _axis(geom: Any) -> tuple[Floats, Floats, Floats]:
 
 def _add_cylinder(body: Any, material: str, start: Floats, end: Floats, radius: float) -> None:
     body.add_geom(
-        type=_mujoco().mjtGeom.mjGEOM_CYLINDER,
+        type=mujoco().mjtGeom.mjGEOM_CYLINDER,
         fromto=[*start, *end],
         size=[radius, 0.0, 0.0],
         material=material,

@@ -4,6 +4,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -64,6 +65,7 @@ def write_video(
     where = run.conditions["robot"] if isinstance(run, RigRun) else run.conditions.world
     title = f"{arm.name} · {where}"
     pictures = _written_on(draw(scene, shown.q, shown.phi), scene, shown, title)
+    pictures = chain([next(pictures)], pictures)  # it can be drawn, before the encoder begins
     try:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "run.mp4"

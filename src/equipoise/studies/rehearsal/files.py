@@ -2,6 +2,7 @@
 
 import io
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.errors import EquipoiseError
+from equipoise.errors import EquipoiseError, OutsideError
 from equipoise.rigs import read_rig
 from equipoise.runwriter import read_rig_run
 from equipoise.studies.rehearsal.faults import BALANCING, Fault
@@ -35,8 +36,12 @@ def _log(stage: Stage) -> Path:
 
 def _fill_the_disk(stage: Stage) -> None:
     """Let no file of this process grow any more: what a full disk does to a log."""
-    import resource  # not on Windows, where no rig's loop runs
-
+    try:
+        import resource
+    except ImportError:
+        raise OutsideError(
+            f"{sys.platform} cannot limit the size of files as a full disk does; rehearse on Linux"
+        ) from None
     size = _log(stage).stat().st_size
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     stage.undo.append(lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limits))
