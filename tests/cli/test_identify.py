@@ -169,3 +169,20 @@ def test_the_example_of_the_docs_is_json(equipoise, swing):
     text = equipoise("identify", swing, "--json", "--no-figure").out
     assert text.count("\n") == 1
     assert isinstance(json.loads(text), dict)
+
+
+def test_the_amplitudes_of_the_numbers_and_a_release_that_was_found_are_printed(
+    equipoise, csv, swing
+):
+    ran = equipoise("identify", swing, "--no-figure")
+    assert "deg at first" in ran.out
+    held = np.concatenate((np.full(250, COSINE[0]), COSINE))
+    path = csv("time_s,theta_rad", np.arange(held.size) * (TIME[1] - TIME[0]), held)
+    assert "(the hand lets go)" in equipoise("identify", path, "--no-figure").out
+    started = equipoise("identify", path, "--no-figure", "--start", 250 * (TIME[1] - TIME[0]))
+    assert "the hand lets go" not in started.out
+
+
+def test_milliseconds_taken_for_seconds_are_asked_about_and_nothing_is_trained(refused, csv):
+    path = csv("time_s,theta_rad", 1e3 * TIME, COSINE)
+    assert "next:" not in refused("identify", path, saying="is the time in seconds?").out

@@ -215,6 +215,10 @@ def _measured_apart(name: str, value: float | None, uncertainty: float | None) -
 
 
 def _say(output: Output, pendulum: "Pendulum") -> None:
+    import numpy as np
+
+    from equipoise.model.pendulum import amplitudes
+
     fit = pendulum.fit
     rows = {
         "w2 = m g l / I": measured(pendulum.w2, "1/s^2"),
@@ -234,6 +238,10 @@ def _say(output: Output, pendulum: "Pendulum") -> None:
         unit = "deg/s" if fit.quantity == "rate" else "deg"
         found = "" if fit.release is None else " (the hand lets go)"
         rows["window"] = f"{begin:.3f} s{found} to {end:.3f} s, {fit.periods:.1f} periods"
+        first, last = np.rad2deg(amplitudes(pendulum))
+        rows["amplitude"] = (
+            f"{first:.3g} deg at first, {last:.3g} deg at last: the numbers hold there"
+        )
         rows["residual"] = f"{fit.rms_deg:.3g} {unit} RMS over {fit.samples:,} samples"
     output.rows(rows)
     for warning in fit.warnings if fit else ():

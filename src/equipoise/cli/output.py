@@ -216,23 +216,36 @@ def stop_by_signal() -> Generator[Callable[[], bool]]:
 
 
 def spelled(value: float, half_width: float = 0.0) -> str:
-    """Return a number with as many decimals as its uncertainty leaves meaning (two digits of it).
+    """Return a number with as many digits as its uncertainty leaves meaning (two digits of it).
+
+    At most six digits, and a power of ten where zeros alone would stand before or behind them.
 
     Example:
         >>> spelled(64.07312, 0.0142), spelled(0.1), spelled(1234.5, 300.0)
         ('64.073', '0.1', '1234')
+        >>> spelled(6.4e-11, 1e-12), spelled(64.0731234, 1e-9)
+        ('6.40e-11', '64.0731')
     """
-    if not half_width > 0.0:
+    return _spelled(value, half_width, abs(value))
+
+
+def _spelled(value: float, half_width: float, size: float) -> str:
+    """Spell a number in the form that suits numbers of a size."""
+    if not half_width > 0.0 or value == 0.0:
         return f"{value:.4g}"
-    decimals = 1 - math.floor(math.log10(half_width))
-    return f"{value:.{min(max(decimals, 0), 12)}f}"
+    leading = math.floor(math.log10(size)) if size > 0.0 else 0
+    digits = min(max(leading - math.floor(math.log10(half_width)) + 1, 0), 5)
+    if -4 < leading < 6:
+        return f"{value:.{max(digits - leading, 0)}f}"
+    return f"{value:.{digits}e}"
 
 
 def measured(estimate: "Estimate", unit: str) -> str:
     """Return an estimate with its 95 % interval and unit."""
     half_width = (estimate.high - estimate.low) / 2.0
-    value = f"{spelled(estimate.value, half_width)} {unit}"
+    size = abs(estimate.value) or half_width
+    value = f"{_spelled(estimate.value, half_width, size)} {unit}"
     if not half_width > 0.0:
         return f"{value}  ({estimate.source})"
-    low, high = (spelled(end, half_width) for end in estimate.interval)
+    low, high = (_spelled(end, half_width, size) for end in estimate.interval)
     return f"{value}  (95 %: {low} to {high})"

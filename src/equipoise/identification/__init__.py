@@ -7,7 +7,7 @@ with theta from hanging. The frictions f and d go beyond the paper and are fitte
 was recorded is theta plus a zero offset, or from a gyro theta_dot plus a bias.
 
 1. Where does it swing freely? Turning points, then the acceleration that gravity and friction do
-   not explain: a hand on the pendulum is left out (`release`).
+   not explain: a hand on the pendulum is left out, and so is what goes over the top (`release`).
 2. Least squares against the nonlinear equation over a growing horizon (`fit`).
 3. Intervals from a jackknife: how far does the estimate move when one period is left out?
    Residuals of real swings last for many samples; errors that take them for independent are up to
@@ -15,12 +15,13 @@ was recorded is theta plus a zero offset, or from a gyro theta_dot plus a bias.
 4. Where the model does not explain the recording, a warning says so, and what to try.
 """
 
-from math import sqrt
+from math import pi, sqrt
 
 import numpy as np
 
 from equipoise.artefacts import Estimate
 from equipoise.errors import RecordingError
+from equipoise.identification.averages import Averages, average
 from equipoise.identification.fit import (
     COULOMB,
     DRAG,
@@ -34,16 +35,29 @@ from equipoise.identification.fit import (
     Fit,
     Recording,
     covariance,
-    fit_bounded,
     fit_growing,
+    fit_richer,
+    misfit,
+    noise_of,
     rms,
 )
-from equipoise.identification.release import FreeSwing, find_free_swing, find_oscillation
+from equipoise.identification.release import (
+    SAMPLES_PER_PERIOD,
+    FreeSwing,
+    find_free_swing,
+    without_spikes,
+)
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.settings import Friction, IdentificationSettings
 from equipoise.trajectory import Trajectory
 
 __all__ = ["identify"]
+
+SMALL = np.deg2rad(10.0)
+"""Largest amplitude [rad] of a swing that is warned of: on one rig w2 was 1.4 % higher at 3.6 deg
+than at 56 deg, and differed by 0.2 % from there to 149 deg."""
+TINY = np.deg2rad(1.5)
+"""Largest amplitude [rad] at which radians are perhaps taken for degrees."""
 
 
 def identify(
@@ -74,36 +88,53 @@ def identify(
             f"{np.max(np.abs(trajectory.x_ddot)):.3g} m/s^2, expected a pivot at rest; "
             "record a free swing on a fixed pivot"
         )
-    rough = find_oscillation(trajectory, settings)
-    free = find_free_swing(trajectory, rough, settings)
-    recording = Recording(
-        time=trajectory.time[free.keep],
-        values=trajectory.values[free.keep],
-        is_rate=trajectory.theta is None,
-        h=rough.period / settings.steps_per_period,
-        w2_range=(0.25 * free.w2, 4.0 * free.w2),
+    cleaned, notes = without_spikes(trajectory)
+    rough, free = find_free_swing(cleaned, settings)
+    inside = (cleaned.time >= free.begin) & (cleaned.time <= free.end)
+    samples = Averages(
+        cleaned.time[inside], cleaned.values[inside], np.zeros(int(np.count_nonzero(inside)))
     )
-    start = np.array([free.w2, free.c, 0.0, 0.0, free.theta, free.theta_dot, free.offset])
-    fit = fit_growing(recording, start, rough.period, settings)
-    residual = recording.residual(fit.unknowns)
-    periods = float(np.ptp(recording.time)) / rough.period
+    w2 = free.starts[0][W2]
+
+    def recording_of(samples: Averages) -> Recording:
+        return Recording(
+            free.begin,
+            *samples,
+            is_rate=trajectory.theta is None,
+            h=rough.period / settings.steps_per_period,
+            w2_range=(0.25 * w2, 4.0 * w2),
+        )
+
+    whole = recording_of(samples)
+    recording = recording_of(
+        average(samples.time, samples.values, rough.period / SAMPLES_PER_PERIOD)
+    )
+    fit = fit_growing(recording, free.starts, rough.period, settings)
+    if settings.friction != "viscous":
+        fit = _nested(recording, fit, free, rough.period, settings)
+    residual = whole.residual(fit.unknowns)
+    periods = float(np.ptp(whole.time)) / rough.period
     swing_fit = SwingFit(
         source=trajectory.source,
         sha256=trajectory.sha256,
         quantity="rate" if recording.is_rate else "angle",
-        window=(float(recording.time[0]), float(recording.time[-1])),
+        window=(free.begin, free.end),
         release=free.release,
-        samples=len(recording.time),
+        samples=len(whole.time),
         periods=periods,
         rms=rms(residual),
-        noise=_noise(residual, trajectory.resolution),
+        noise=noise_of(residual, trajectory.resolution),
         offset=float(fit.unknowns[OFFSET]),
         theta=float(fit.unknowns[THETA]),
         theta_dot=float(fit.unknowns[THETA_DOT]),
         settings=settings,
     )
-    _refuse_unexplained(recording, swing_fit)
-    warnings = _warnings(recording, fit, free, swing_fit)
+    _refuse_unexplained(whole, swing_fit)
+    warnings = (
+        *notes,
+        *free.warnings,
+        *_warnings(recording, whole, fit, rough.period, swing_fit),
+    )
     blocks = max(round(periods), settings.least_blocks)
     return _pendulum(
         fit.unknowns,
@@ -117,7 +148,7 @@ def identify(
 
 def _refuse_unexplained(recording: Recording, swing_fit: SwingFit) -> None:
     settings, spread = swing_fit.settings, float(np.std(recording.values))
-    left = _misfit(swing_fit) / spread
+    left = misfit(swing_fit.rms, swing_fit.noise) / spread
     if left > settings.unexplained:
         begin, end = swing_fit.window
         raise RecordingError(
@@ -127,41 +158,49 @@ def _refuse_unexplained(recording: Recording, swing_fit: SwingFit) -> None:
         )
 
 
-def _misfit(swing_fit: SwingFit) -> float:
-    """Return the part of the residual that is not noise, in the recording's unit."""
-    return sqrt(max(swing_fit.rms**2 - swing_fit.noise**2, 0.0))
-
-
-def _noise(residual: Array, resolution: float) -> float:
-    """Return the part of a residual that is new in each sample; at least the sensor's step."""
-    return max(float(np.std(np.diff(residual))) / sqrt(2.0), resolution / sqrt(12.0))
+def _nested(
+    recording: Recording, fit: Fit, free: FreeSwing, period: float, settings: IdentificationSettings
+) -> Fit:
+    """Return the better of a fit and those that begin at the optima of the simpler models."""
+    models = list(FRICTIONS)
+    viscous = settings.model_copy(update={"friction": models[0]})
+    simple = fit_growing(recording, free.starts, period, viscous)
+    for model in models[1 : models.index(settings.friction) + 1]:
+        simple = fit_richer(recording, model, simple, period, settings)
+    return min(fit, simple, key=lambda found: rms(recording.residual(found.unknowns)))
 
 
 def _warnings(
-    recording: Recording, fit: Fit, free: FreeSwing, swing_fit: SwingFit
+    recording: Recording, whole: Recording, fit: Fit, period: float, swing_fit: SwingFit
 ) -> tuple[str, ...]:
-    settings, left = swing_fit.settings, swing_fit.rms
+    settings = swing_fit.settings
     unit = "deg/s" if recording.is_rate else "deg"
-    residual = f"{np.rad2deg(left):.3g} {unit} RMS"
-    better = _better_friction(recording, fit, left, settings)
-    warnings = list(free.warnings)
+    residual = f"{np.rad2deg(swing_fit.rms):.3g} {unit} RMS"
+    model, left = _best_friction(recording, whole, fit, period, swing_fit)
+    better = model != settings.friction
+    richest = settings.friction == list(FRICTIONS)[-1]
+    warnings = list[str]()
     amplitude = float(np.max(np.abs(recording.values - swing_fit.offset)))
-    misfit = _misfit(swing_fit) / amplitude
-    if misfit > settings.misfit_share:
+    unexplained = misfit(swing_fit.rms, swing_fit.noise) / amplitude
+    if unexplained > settings.misfit_share:
+        look = (
+            "look for play, vibration or a pivot that moves, or choose another window with "
+            "--start and --end"
+        )
+        if better:
+            advice = f"try --friction {model}"
+        elif richest:
+            advice = f"it is the richest model here: {look}"
+        else:
+            advice = f"the richer models leave {left / swing_fit.rms:.0%} of it: {look}"
         warnings.append(
             f"{settings.friction} friction does not explain the recording: it leaves {residual}, "
-            f"{misfit:.1%} of the amplitude, where the noise is "
-            f"{np.rad2deg(swing_fit.noise):.2g} {unit}; "
-            + (
-                f"try --friction {better[0]}"
-                if better
-                else "no friction model here does better: look for play, vibration or a pivot "
-                "that moves, or choose another window with --start and --end"
-            )
+            f"{unexplained:.1%} of the amplitude, where the noise is "
+            f"{np.rad2deg(swing_fit.noise):.2g} {unit}; {advice}"
         )
     if better:
         warnings.append(
-            f"--friction {better[0]} leaves {np.rad2deg(better[1]):.3g} {unit} RMS instead of "
+            f"--friction {model} leaves {np.rad2deg(left):.3g} {unit} RMS instead of "
             f"{residual}: the numbers of {settings.friction} friction hold only near the "
             "amplitudes of this window"
         )
@@ -175,21 +214,46 @@ def _warnings(
             f"the swing lasts {swing_fit.periods:.1f} periods only, and the intervals are rough; "
             "record ten"
         )
+    largest = amplitude / (2.0 * pi / period if recording.is_rate else 1.0)
+    if largest < SMALL:
+        unit_wrong = (
+            "" if recording.is_rate else ", or name the column theta_rad if it holds radians"
+        )
+        warnings.append(
+            f"the swing stays within {np.rad2deg(largest):.2g} deg, where play and dry friction "
+            "count most: the intervals do not cover that w2 may be 1 or 2 % lower in larger "
+            "swings; release the pendulum from 40 to 60 deg"
+            + (unit_wrong if largest < TINY else "")
+        )
     return tuple(warnings)
 
 
-def _better_friction(
-    recording: Recording, fit: Fit, left: float, settings: IdentificationSettings
-) -> tuple[Friction, float] | None:
-    """Return the simplest richer friction model that leaves clearly less, and what it leaves."""
-    best: tuple[Friction, float] | None = None
+def _best_friction(
+    recording: Recording, whole: Recording, fit: Fit, period: float, swing_fit: SwingFit
+) -> tuple[Friction, float]:
+    """Return the simplest friction model that leaves clearly less than all simpler ones.
+
+    Returns:
+        The model and the root mean square that it leaves; the given model, where no richer one is
+        clearly better, with what the best of those leaves.
+    """
+    settings, left = swing_fit.settings, swing_fit.rms
+    best, least = settings.friction, left
+    # No friction explains noise, and what a pivot never reaches needs no better model.
+    enough = 0.1 * settings.misfit_share * float(np.std(recording.values))
+    if swing_fit.noise > settings.better_share * left or left < enough:
+        return best, left
+    # A quarter of the means tells models apart.
+    recording = recording.every(4) if np.any(recording.spread) else recording
     models = list(FRICTIONS)
+    richer = fit
     for model in models[models.index(settings.friction) + 1 :]:
-        richer = fit_bounded(recording, model, fit.unknowns)
-        its = rms(recording.residual(richer.unknowns))
+        richer = fit_richer(recording, model, richer, period, settings)
+        its = rms(whole.residual(richer.unknowns))
+        least = min(least, its)
         if its < settings.better_share * left:
-            best, left = (model, its), its
-    return best
+            best, left = model, its
+    return best, left if best != settings.friction else least
 
 
 def _pendulum(

@@ -4,6 +4,8 @@ Everything is integrated with fixed steps, so that the prediction depends smooth
 and finite differences give its sensitivities; through an adaptive integrator they would not.
 """
 
+from collections.abc import Sequence
+from math import ceil, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -26,27 +28,53 @@ FRICTIONS: dict[Friction, list[int]] = {
 """The unknowns of each friction model, from the paper's to the richest."""
 
 
-class Recording(NamedTuple):
-    """What is fitted."""
+EXPLAINED = 0.05
+"""Largest share of the motion's standard deviation that a fit in the right minimum leaves, noise
+apart; the wrong friction over 60 periods leaves that much."""
 
+
+class Recording(NamedTuple):
+    """Samples that are fitted, each the mean of those within a short time."""
+
+    begin: float
+    """Time to which the first state belongs [s]."""
     time: Array
-    """Time stamps [s], shape (n,)."""
+    """Mean time of each [s], shape (n,)."""
     values: Array
-    """Angle [rad], or rate [rad/s], as recorded; shape (n,)."""
+    """Mean angle [rad], or rate [rad/s], as recorded; shape (n,)."""
+    spread: Array
+    """Standard deviation of the times within each [s], shape (n,); zero for single samples."""
     is_rate: bool
     """A gyro recorded the rate."""
     h: float
     """Length of the Runge-Kutta steps [s]."""
     w2_range: tuple[float, float]
-    """Where w2 is looked for: upside down, with w2 < 0, every swing has a second solution."""
+    """Bounds of w2 [1/s^2]: upside down, with w2 < 0, every swing has a second solution."""
+
+    def until(self, end: float) -> "Recording":
+        """Return the part up to a time."""
+        n = int(np.searchsorted(self.time, end, side="right"))
+        return self._replace(time=self.time[:n], values=self.values[:n], spread=self.spread[:n])
+
+    def every(self, n: int) -> "Recording":
+        """Return one of `n` samples."""
+        return self._replace(time=self.time[::n], values=self.values[::n], spread=self.spread[::n])
 
     def predict(self, unknowns: Array) -> Array:
-        """Return what the sensor would have recorded, shape (n,)."""
-        thetas, theta_dots = np.empty_like(self.time), np.empty_like(self.time)
+        """Return what the sensor would have recorded, shape (n,).
+
+        The mean of a smooth motion over a short time is that of its two values one standard
+        deviation before and after the mean time, up to the fourth order.
+        """
+        averaged = bool(np.any(self.spread))
+        points = [self.time - self.spread, self.time + self.spread] if averaged else [self.time]
+        time = np.concatenate(([self.begin], np.stack(points, axis=1).ravel()))
+        thetas, theta_dots = np.empty_like(time), np.empty_like(time)
         w2, c, coulomb, drag, theta, theta_dot, offset = map(float, unknowns)
         pendulum = PendulumParameters(w2, 0.0, c, coulomb, drag)
-        swing(self.time, theta, theta_dot, self.h, pendulum, thetas, theta_dots)
-        return (theta_dots if self.is_rate else thetas) + offset
+        swing(time, theta, theta_dot, self.h, pendulum, thetas, theta_dots)
+        motion = (theta_dots if self.is_rate else thetas)[1:]
+        return motion.reshape(-1, len(points)).mean(axis=1) + offset
 
     def residual(self, unknowns: Array) -> Array:
         """Return recorded minus predicted, shape (n,)."""
@@ -65,61 +93,157 @@ class Fit(NamedTuple):
 
 
 def fit_growing(
-    recording: Recording, start: Array, period: float, settings: IdentificationSettings
+    recording: Recording, starts: Sequence[Array], period: float, settings: IdentificationSettings
 ) -> Fit:
-    """Fit over a growing horizon: fitted at once, a long window has false minima.
+    """Fit the recording over a growing horizon.
+
+    Fitted at once, a long window has false minima. Where the fit is poor all the same, other first
+    states and horizons that grow more slowly are tried, until two ways end in one minimum; a fit
+    that would be refused is the best of all.
 
     Args:
         recording: The free swing.
-        start: First guess of the unknowns, shape (7,).
+        starts: First guesses of the unknowns, the likeliest first; shape (7,) each.
         period: Period of the swing [s].
         settings: Friction model and horizons.
     """
-    time = recording.time
-    length = float(np.ptp(time))
-    fit = Fit(start, [], [])
-    for share in (*settings.horizons, 1.0):
-        horizon = max(share * length, min(settings.first_horizon_periods * period, length))
-        n = int(np.searchsorted(time, time[0] + horizon, side="right"))
-        part = recording._replace(time=time[:n], values=recording.values[:n])
-        fit = fit_bounded(part, settings.friction, fit.unknowns)
-    return fit
+    length = float(recording.time[-1] - recording.begin)
+    first = min(settings.first_horizon_periods * period, length)
+    growing = [max(share * length, first) for share in settings.horizons]
+    slowly = [first * 1.5**i for i in range(ceil(log(length / first, 1.5)))]
+    others = starts[1:]
+    ways = [(growing, starts[0]), *((slowly, start) for start in others[:1])]
+    ways += [*((growing, start) for start in others), (slowly, starts[0])]
+    found = list[tuple[float, Fit]]()
+    for horizons, start in ways:
+        fit = Fit(start, [], [])
+        for horizon in (*horizons, length):
+            part = recording.until(recording.begin + horizon)
+            fit = fit_bounded(part, settings.friction, fit.unknowns, tolerance=1e-6)
+        share = _unexplained(recording, fit)
+        again = any(abs(share - other) < 0.01 * other for other, _ in found)
+        found.append((share, fit))
+        if share < EXPLAINED or (again and share < settings.unexplained):
+            break
+    best = min(found, key=lambda one: one[0])[1]
+    return fit_bounded(recording, settings.friction, best.unknowns, thorough=True)
 
 
-def fit_bounded(recording: Recording, friction: Friction, start: Array) -> Fit:
+def _unexplained(recording: Recording, fit: Fit) -> float:
+    """Return what a fit leaves, noise apart, as a share of the motion's standard deviation."""
+    residual = recording.residual(fit.unknowns)
+    return misfit(rms(residual), noise_of(residual)) / float(np.std(recording.values))
+
+
+def fit_richer(
+    recording: Recording,
+    friction: Friction,
+    simple: Fit,
+    period: float,
+    settings: IdentificationSettings,
+) -> Fit:
+    """Fit a friction model from the optimum of a simpler one; never worse than that.
+
+    Args:
+        recording: The free swing.
+        friction: The richer friction model.
+        simple: Best fit of a simpler model.
+        period: Period of the swing [s].
+        settings: Horizons.
+    """
+    known = simple.unknowns
+    # Friction that takes half the power of the viscous one at the amplitude of the first period.
+    rate = max(float(np.ptp(recording.predict(known))) / 2.0, 1e-9)
+    rate *= 1.0 if recording.is_rate else sqrt(known[W2])
+    starts = [known]
+    for place, share in ((COULOMB, 0.8 * rate), (DRAG, 1.2 / rate)):
+        if place in FRICTIONS[friction]:
+            start = known.copy()
+            start[C] /= 2.0
+            start[place] = share * start[C]
+            starts.append(start)
+    fitted = [W2, *FRICTIONS[friction], THETA, THETA_DOT, OFFSET]
+    optima = [_least_squares(recording, start, fitted, 1e-6) for start in starts]
+    best = min(optima, key=lambda unknowns: rms(recording.residual(unknowns)))
+    fits = [fit_bounded(recording, friction, best, thorough=True)]
+    if _unexplained(recording, fits[0]) > EXPLAINED:
+        # Perhaps the simple model's fit lost count of the periods.
+        richer = settings.model_copy(update={"friction": friction})
+        fits.append(fit_growing(recording, starts[1:], period, richer))
+    least = min(fits, key=lambda fit: rms(recording.residual(fit.unknowns)))
+    if rms(recording.residual(least.unknowns)) <= rms(recording.residual(known)):
+        return least
+    bound = [place for place in FRICTIONS[friction] if place not in simple.fitted]
+    return Fit(known, simple.fitted, bound)
+
+
+def fit_bounded(
+    recording: Recording,
+    friction: Friction,
+    start: Array,
+    *,
+    thorough: bool = False,
+    tolerance: float = 1e-12,
+) -> Fit:
     """Fit with all frictions of a model at zero or above.
 
     Args:
         recording: The free swing.
         friction: The friction model.
         start: First guess of the unknowns, shape (7,).
+        thorough: Where a friction comes out below zero, keep each in turn at zero, and take the
+            best; otherwise only the most negative one.
+        tolerance: Relative change of the squares at which to stop.
     """
-    frictions, bound = list(FRICTIONS[friction]), list[int]()
-    unknowns = start
-    while True:
+    found: dict[tuple[int, ...], Array] = {}
+
+    def descend(frictions: tuple[int, ...], guess: Array) -> None:
+        if frictions in found:
+            return
         fitted = [W2, *frictions, THETA, THETA_DOT, OFFSET]
-        unknowns = _least_squares(recording, unknowns, fitted)
+        unknowns = _least_squares(recording, guess, fitted, tolerance)
+        found[frictions] = unknowns
         scales = _scales(unknowns)
-        worst = min(frictions, key=lambda i: unknowns[i] / scales[i], default=W2)
-        if unknowns[worst] > 0.0:
-            return Fit(unknowns, fitted, bound)
-        # What the others become, to first order, when the worst friction goes to zero: started
-        # elsewhere, the next fit would creep along a narrow valley.
-        others = [i for i in fitted if i != worst]
-        J = sensitivities(recording, unknowns, [*others, worst])
-        change = np.linalg.lstsq(
-            J[:, :-1] * scales[others], J[:, -1] * unknowns[worst], rcond=None
-        )[0]
-        unknowns[others] += change * scales[others]
-        frictions.remove(worst)
-        bound.append(worst)
-        unknowns[bound] = 0.0
-        if not np.all(np.isfinite(recording.predict(unknowns))):
-            unknowns = start.copy()
-            unknowns[bound] = 0.0
+        if all(unknowns[place] > 0.0 for place in frictions):
+            return
+        worst = min(frictions, key=lambda place: unknowns[place] / scales[place])
+        for place in frictions if thorough else (worst,):
+            left = tuple(other for other in frictions if other != place)
+            descend(left, _without(recording, unknowns, fitted, place, start))
+
+    descend(tuple(FRICTIONS[friction]), start)
+    kept = min(
+        (frictions for frictions in found if all(found[frictions][i] > 0.0 for i in frictions)),
+        key=lambda frictions: rms(recording.residual(found[frictions])),
+    )
+    bound = [place for place in FRICTIONS[friction] if place not in kept]
+    return Fit(found[kept], [W2, *kept, THETA, THETA_DOT, OFFSET], bound)
 
 
-def _least_squares(recording: Recording, start: Array, fitted: list[int]) -> Array:
+def _without(
+    recording: Recording, unknowns: Array, fitted: list[int], place: int, start: Array
+) -> Array:
+    """Return a first guess of the others for when one friction is zero.
+
+    They move to first order: started elsewhere, the next fit would creep along a narrow valley.
+    """
+    scales = _scales(unknowns)
+    others = [i for i in fitted if i != place]
+    J = sensitivities(recording, unknowns, [*others, place])
+    change = np.linalg.lstsq(J[:, :-1] * scales[others], J[:, -1] * unknowns[place], rcond=None)[0]
+    guess = unknowns.copy()
+    guess[others] += change * scales[others]
+    if not np.all(np.isfinite(recording.predict(guess))):
+        guess = start.copy()
+    for i in (C, COULOMB, DRAG):
+        if i not in others:
+            guess[i] = 0.0
+    return guess
+
+
+def _least_squares(
+    recording: Recording, start: Array, fitted: list[int], tolerance: float = 1e-12
+) -> Array:
     from scipy.optimize import least_squares
 
     unknowns, scales = start.copy(), _scales(start)[fitted]
@@ -139,9 +263,9 @@ def _least_squares(recording: Recording, start: Array, fitted: list[int]) -> Arr
         jac=lambda x: sensitivities(recording, at(x), fitted) * scales,  # pyright: ignore[reportArgumentType]
         bounds=(low / scales, high / scales),
         x_scale="jac",
-        xtol=1e-10,
-        ftol=1e-12,
-        gtol=1e-12,
+        xtol=100.0 * tolerance,
+        ftol=tolerance,
+        gtol=tolerance,
     )
     return at(solution.x).copy()
 
@@ -199,3 +323,13 @@ def _jackknife(recording: Recording, fit: Fit, places: list[int], blocks: int) -
 def rms(residual: Array) -> float:
     """Return the root mean square."""
     return float(np.sqrt(np.mean(residual**2)))
+
+
+def noise_of(residual: Array, resolution: float = 0.0) -> float:
+    """Return the part of a residual that is new in each sample; at least the sensor's step."""
+    return max(float(np.std(np.diff(residual))) / sqrt(2.0), resolution / sqrt(12.0))
+
+
+def misfit(residual: float, noise: float) -> float:
+    """Return the part of a residual's root mean square that is not noise."""
+    return sqrt(max(residual**2 - noise**2, 0.0))

@@ -2,20 +2,46 @@
 
 The turning points give a period and an amplitude. Polynomials over short windows give angle, rate
 and acceleration; where gravity and friction do not explain the acceleration, a hand is on the
-pendulum.
+pendulum. What goes over the top is left out, and the search goes on behind it.
 """
 
-from math import ceil, pi
+from dataclasses import replace
+from math import pi
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.errors import RecordingError
+from equipoise.identification.averages import average, spikes
+from equipoise.model.pendulum import PendulumParameters, swing
 from equipoise.settings import IdentificationSettings
 from equipoise.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+SAMPLES_PER_PERIOD = 200
+"""Means in a period that are analysed of a recording with more samples. Largest error of a mean
+taken for the motion in its middle: 1e-4 of the amplitude."""
+PERIODS = (0.05, 20.0)
+"""Periods of a small swing that are believed [s]: pendulums of 0.6 mm to 100 m. Beyond them a unit
+is wrong, mostly milliseconds taken for seconds."""
+HIGHEST = np.deg2rad(170.0)
+"""Largest amplitude [rad] from which a swing is used after going over the top: nearer to the top
+w2 and friction are told by how long the pendulum lingers there, and a small error counts much."""
+NOISIEST = 0.1
+"""Largest noise that a sensor is believed to have [rad], or [rad/s] of a gyro; more is a motion
+sampled too slowly."""
+LEAST_TURN = 0.1
+"""Smallest return that ends a rotation [rad]: well above an encoder's steps, well below a swing."""
+SAME_SWING = 0.05
+"""Largest change of a swing, as a share of its amplitude, across what is no touch: the law found so
+far is off by 2 % of the phase at most, a hand changes a swing by more."""
+STATE_WINDOWS = (1 / 8, 1 / 4, 1 / 16)
+"""Windows for the first state, in periods of a small swing, the likeliest first. Half a quarter of
+a period is short enough for a cubic; coarse encoders need more, the fastest part of a large swing
+less."""
 
 
 class Oscillation(NamedTuple):
@@ -29,27 +55,29 @@ class Oscillation(NamedTuple):
     """Half the median distance between turning points, in the recording's unit."""
     steady: tuple[float, float]
     """From when to when the turning points follow each other as those of a swing do [s]."""
+    w2: float
+    """Gravity over inertia, from period and amplitude [1/s^2]."""
+
+    @property
+    def small_period(self) -> float:
+        """Period of a small swing [s]."""
+        return 2.0 * pi / float(np.sqrt(self.w2))
 
 
 class FreeSwing(NamedTuple):
     """The part of a recording that swings freely, and a first guess at its law."""
 
-    keep: slice
-    """Its samples."""
+    begin: float
+    """Time of its first sample [s]."""
+    end: float
+    """Time of its last sample [s]."""
     release: float | None
-    """Time from which the swing was found to be free [s]; none where all before it is, too."""
-    w2: float
-    """Gravity over inertia [1/s^2]."""
-    c: float
-    """Viscous friction over inertia [1/s]."""
-    theta: float
-    """Angle from hanging at its first sample [rad]."""
-    theta_dot: float
-    """Its rate [rad/s]."""
-    offset: float
-    """Recorded minus true: zero offset [rad], or bias of the gyro [rad/s]."""
+    """Time at which a hand lets go [s]; none where that is not known."""
+    starts: list[Array]
+    """First guesses of w2, c, Coulomb friction and drag, the angle and its rate at `begin`, and
+    the offset, the likeliest first; shape (7,) each."""
     warnings: list[str]
-    """What was left out at the end, and why."""
+    """What was left out, and why."""
 
 
 # Turning points.
@@ -68,19 +96,31 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
             f"{name} has {len(time)} samples, expected at least "
             f"{2 * settings.samples_per_period:.0f}; record a swing of a few periods"
         )
+    lasts = float(np.ptp(time))
+    sampled = f"{(len(time) - 1) / lasts:.3g} samples per second"
     spread, noise = float(np.ptp(values)), _white_noise(values)
     quiet = max(1.5 * settings.noise_multiple * noise, 4.0 * trajectory.resolution)
+    least = max(settings.noise_multiple * noise, settings.turn_share * spread)
+    turns = _turning_points(values, max(least, 2.0 * trajectory.resolution))
+    seldom = _samples_per_period(values)
+    if (spread <= quiet or len(turns) < 2) and seldom < settings.samples_per_period:
+        raise RecordingError(
+            f"{name} is sampled too slowly: {sampled}, about {seldom:.1f} in a period, expected "
+            f"{settings.samples_per_period:g} or more; sample faster"
+        )
+    if spread <= quiet and noise > NOISIEST:
+        jump = float(np.median(np.abs(np.diff(values))))
+        raise RecordingError(
+            f"{name} is sampled too slowly, or holds nothing but noise: at {sampled} it moves by "
+            f"{jump:.2g} {unit} from one to the next, expected "
+            f"{settings.samples_per_period:g} samples or more in a period; sample faster"
+        )
     if spread <= quiet:
         raise RecordingError(
             f"{name} shows no oscillation above the noise: it varies by {spread:.3g} {unit}, "
-            f"expected more than {quiet:.3g} {unit} with its noise and sensor steps; "
-            "release the pendulum from a larger angle"
+            f"expected clearly more than its noise of {noise:.2g} {unit} and its sensor's step of "
+            f"{trajectory.resolution:.2g} {unit}; release the pendulum from a larger angle"
         )
-    least = max(settings.noise_multiple * noise, settings.turn_share * spread)
-    turns = _turning_points(values, max(least, 2.0 * trajectory.resolution))
-    if len(turns) < 2 and trajectory.theta is not None and spread > 2.0 * pi:
-        raise _over_the_top(name, float(time[-1]))
-    lasts = float(np.ptp(time))
     if len(turns) < 2:
         raise RecordingError(
             f"{name} holds less than one period of a swing: in {lasts:.3g} s it turns round "
@@ -94,20 +134,42 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
         )
     if (rate := len(time) * period / lasts) < settings.samples_per_period:
         raise RecordingError(
-            f"{name} shows no oscillation above the noise, or is sampled too slowly: it turns "
-            f"round every {0.5 * rate:.1f} samples, expected {0.5 * settings.samples_per_period:g} "
-            "or more; sample faster, or release the pendulum from a larger angle"
+            f"{name} shows no oscillation above the noise, or is sampled too slowly: at {sampled} "
+            f"it turns round every {0.5 * rate:.1f} samples, expected "
+            f"{0.5 * settings.samples_per_period:g} or more; sample faster, or release the "
+            "pendulum from a larger angle"
         )
     turns = turns[_steady_run(np.diff(time[turns]) / (0.5 * period))]
     begin, end = float(time[turns[0]]), float(time[turns[-1]])
     margin = max(0.5 * (period - (end - begin)), 0.0)
     ends = values[turns]
+    amplitude = float(np.median(np.abs(np.diff(ends)))) / 2.0
+    w2 = _w2_from_period(period, amplitude, trajectory.theta is None)
+    if not PERIODS[0] <= (small := 2.0 * pi / float(np.sqrt(w2))) <= PERIODS[1]:
+        raise RecordingError(
+            f"{name}: a small swing would have a period of {small:.3g} s, expected "
+            f"{PERIODS[0]:g} to {PERIODS[1]:g} s; is the time in seconds? Name its column time_ms "
+            "or time_us where it is not"
+        )
     return Oscillation(
         period=period,
         middle=float(np.median(ends[1:] + ends[:-1])) / 2.0,
-        amplitude=float(np.median(np.abs(np.diff(ends)))) / 2.0,
+        amplitude=amplitude,
         steady=(begin - margin, end + margin),
+        w2=w2,
     )
+
+
+def _samples_per_period(values: Array) -> float:
+    """Return how many samples a period has, where one frequency stands out; else infinity."""
+    n = len(values)
+    power = np.abs(np.fft.rfft(values - np.mean(values))) ** 2
+    peak = int(np.argmax(power))
+    width = max(2, n // 50)
+    near = power[max(peak - width, 1) : peak + width + 1]
+    if peak == 0 or float(np.sum(near)) < 0.4 * float(np.sum(power[1:])):
+        return float("inf")
+    return n / peak
 
 
 def _white_noise(values: Array) -> float:
@@ -120,7 +182,8 @@ def _turning_points(values: Array, least: float) -> npt.NDArray[np.intp]:
     """Return where the motion turns round, coming back by more than `least`."""
     turns: list[int] = []
     low = high = direction = 0
-    series = values.tolist()
+    places = _extremes(values)
+    series = values[places].tolist()
     for i, value in enumerate(series):
         if value > series[high]:
             high = i
@@ -133,7 +196,20 @@ def _turning_points(values: Array, least: float) -> npt.NDArray[np.intp]:
             turns.append(low)
             direction, low, high = 1, i, i
     # A recording that begins on its way turns nowhere near its first sample.
-    return np.array([turn for turn in turns if turn > 0], dtype=np.intp)
+    return places[[turn for turn in turns if turn > 0]]
+
+
+def _extremes(values: Array) -> npt.NDArray[np.intp]:
+    """Return the places among which the turning points are: of many samples only the extremes."""
+    n = len(values)
+    size = n // 50_000
+    if size < 4:
+        return np.arange(n)
+    blocks = values[: n - n % size].reshape(-1, size)
+    begins = np.arange(len(blocks)) * size
+    rest = np.arange(n - n % size, n)
+    inner = (begins + np.argmin(blocks, axis=1), begins + np.argmax(blocks, axis=1))
+    return np.unique(np.concatenate(([0], *inner, rest)))
 
 
 def _steady_run(spacing: Array) -> slice:
@@ -194,19 +270,145 @@ class _Law(NamedTuple):
         return motion.acceleration + gravity + friction
 
 
+def without_spikes(trajectory: Trajectory) -> tuple[Trajectory, list[str]]:
+    """Leave out samples that the sensor or its link got wrong, and say so."""
+    if len(trajectory.time) < 20:
+        return trajectory, []
+    values, unit = trajectory.values, "deg/s" if trajectory.theta is None else "deg"
+    wrong = spikes(values, _white_noise(values), trajectory.resolution)
+    if not (n := int(np.count_nonzero(wrong))):
+        return trajectory, []
+    at = int(np.flatnonzero(wrong)[0])
+    off = np.rad2deg(values[at] - np.median(values[max(at - 2, 0) : at + 3]))
+    if n == 1:
+        found = f"a single sample is left out: at {trajectory.time[at]:.3f} s it is"
+    else:
+        found = f"{n} single samples are left out: the first, at {trajectory.time[at]:.3f} s, is"
+    return _part(trajectory, ~wrong), [
+        f"{found} {off:+.3g} {unit} off its neighbours; look at the sensor and its cable"
+    ]
+
+
+def _part(trajectory: Trajectory, kept: Flags) -> Trajectory:
+    theta, theta_dot = trajectory.theta, trajectory.theta_dot
+    return replace(
+        trajectory,
+        time=trajectory.time[kept],
+        theta=None if theta is None else theta[kept],
+        theta_dot=None if theta_dot is None else theta_dot[kept],
+        x_ddot=None,
+    )
+
+
 def find_free_swing(
-    trajectory: Trajectory, rough: Oscillation, settings: IdentificationSettings
-) -> FreeSwing:
+    trajectory: Trajectory, settings: IdentificationSettings
+) -> tuple[Oscillation, FreeSwing]:
     """Find the part that swings freely.
 
     Raises:
-        RecordingError: It is shorter than a period, or goes over the top.
+        RecordingError: There is none of at least a period, or a unit is wrong.
     """
-    time, name = trajectory.time, trajectory.source
-    # At least seven samples in a window, where sampling is slow.
-    half = max(settings.local_periods * rough.period, 3.2 * float(np.median(np.diff(time))))
-    angle = _angle(trajectory)
-    motion = _local_motion(trajectory, angle, half)
+    until = _end_of_rotation(trajectory)
+    over: float | None = None
+    while True:
+        try:
+            if until is not None:
+                over = until
+                trajectory = _after_the_top(trajectory, until)
+            rough = find_oscillation(trajectory, settings)
+            free = _find_free(trajectory, rough, settings)
+        except RecordingError:
+            if over is None:
+                raise
+            raise RecordingError(
+                f"{trajectory.source}: the pendulum goes over the top until {over:.2f} s, and no "
+                "free swing of a period follows; expected a swing to and fro below the top: "
+                "release it from a smaller angle, and record ten periods"
+            ) from None
+        if isinstance(free, FreeSwing):
+            break
+        until = free
+    if over is not None:
+        free.warnings.append(
+            f"the pendulum goes over the top until {over:.2f} s: the recording is used from "
+            f"{free.begin:.2f} s"
+        )
+    return rough, free
+
+
+def _end_of_rotation(trajectory: Trajectory) -> float | None:
+    """Return until when the pendulum goes round by a turn or more [s], or none.
+
+    Raises:
+        RecordingError: It goes round to and fro, as none does.
+    """
+    time, angle, slack = trajectory.time, trajectory.theta, 0.0
+    if len(time) < 20:
+        return None
+    if angle is None:
+        # The bias of a gyro adds to the way of half a swing.
+        angle, slack = _trapezoids(time, trajectory.values), 0.5
+    least = max(LEAST_TURN, 8.0 * _white_noise(angle), 2.0 * trajectory.resolution)
+    turns = np.concatenate(([0], _turning_points(angle, least), [len(time) - 1]))
+    travel = np.abs(np.diff(angle[turns]))
+    round_it = np.flatnonzero(travel >= 2.0 * pi + slack)
+    if round_it.size >= 3 and np.any(np.diff(round_it, 2) == 0):
+        largest = float(np.max(travel)) / 2.0
+        raise RecordingError(
+            f"{trajectory.source}: the pendulum swings to and fro by {largest:.3g} rad, "
+            f"{largest / (2.0 * pi):.1f} turns to each side, expected less than half a turn; are "
+            "these degrees? Name the column theta_deg, and give counts their --counts-per-rev"
+        )
+    return float(time[turns[round_it[-1] + 1]]) if round_it.size else None
+
+
+def _trapezoids(time: Array, rate: Array) -> Array:
+    """Return the integral of a rate, zero at the first sample."""
+    return np.concatenate(([0.0], np.cumsum(np.diff(time) * (rate[1:] + rate[:-1]) / 2.0)))
+
+
+def _after_the_top(trajectory: Trajectory, until: float) -> Trajectory:
+    """Return what follows the last time over the top, from where the top is far enough.
+
+    Raises:
+        RecordingError: Less than a swing to and fro follows.
+    """
+    kept = trajectory.time >= until
+    time, values = trajectory.time[kept], trajectory.values[kept]
+    angle = values if trajectory.theta is not None else _trapezoids(time, values)
+    noise = _white_noise(angle) if len(angle) > 20 else 0.0
+    turns = _turning_points(angle, max(LEAST_TURN, 8.0 * noise, 2.0 * trajectory.resolution))
+    if len(turns) < 2:
+        raise RecordingError(f"{trajectory.source}: less than a period is left; record longer")
+    amplitude = np.abs(np.diff(angle[turns])) / 2.0
+    low = np.flatnonzero(amplitude < HIGHEST)
+    if low.size and len(turns) - low[0] > 6:
+        begin = time[turns[low[0]]]
+    else:
+        # Hanging lies in the middle between two turning points.
+        middle = 0.5 * (angle[turns[0]] + angle[turns[1]])
+        side = np.sign(angle[turns[0]] - middle)
+        passed = np.flatnonzero(side * (angle[: turns[0]] - middle) < 0.0)
+        begin = time[passed[-1]] if passed.size else time[turns[0]]
+    return _part(trajectory, trajectory.time >= begin)
+
+
+def _find_free(
+    trajectory: Trajectory, rough: Oscillation, settings: IdentificationSettings
+) -> FreeSwing | float:
+    """Return the part that swings freely, or until when it goes over the top [s].
+
+    Raises:
+        RecordingError: It is shorter than a period.
+    """
+    name, is_rate, warnings = trajectory.source, trajectory.theta is None, list[str]()
+    time, values, _ = average(trajectory.time, trajectory.values, rough.period / SAMPLES_PER_PERIOD)
+    # At least seven samples in a window, where sampling is slow. At a large amplitude the period
+    # is long, but the way down as fast as that of a small swing.
+    step = float(np.median(np.diff(time)))
+    half = max(settings.local_periods * min(rough.period, rough.small_period), 3.2 * step)
+    angle = _angle(time, values) if is_rate else values
+    motion = _local_motion(time, values, angle, half, is_rate)
     if len(motion.time) < 4:
         raise RecordingError(
             f"{name} has too many gaps in its time stamps: expected at least 5 samples in every "
@@ -215,23 +417,28 @@ def find_free_swing(
     steady = (motion.time >= rough.steady[0]) & (motion.time <= rough.steady[1])
     if np.count_nonzero(steady) < 8:
         steady[:] = True
-    law = _rough_law(motion.where(steady), rough, trajectory.theta is None)
+    law = _rough_law(motion.where(steady), rough, is_rate)
     theta = law.theta(angle, time - time[0])
-    first, last, release, warnings = 0, len(time) - 1, None, list[str]()
+    first, last, release = 0, len(time) - 1, None
     if not trajectory.released:
-        touched = _touched(motion, law, steady, rough.period, settings)
-        begin, end = _longest_stretch(touched, law.theta_dot(motion.rate))
+        share = _untold(motion, law, steady, rough.period, settings)
+        touched = _bridged(share > 1.0, motion, law, rough)
+        moved = np.abs(law.theta_dot(motion.rate))
+        begin, end = _longest_stretch(touched, moved)
         if begin > 0:
             first = min(int(np.searchsorted(time, motion.time[begin - 1] + half)), last)
-            release = float(time[first])
+            swung = _swings(~touched[:begin], moved[:begin], rough, half)
+            clear = float(np.max(share[:begin])) > 2.0
+            if swung:
+                warnings.append(_touch(motion.time[begin - 1], time[first], "from"))
+            elif clear:
+                release = float(time[first])
         if end < len(touched):
             last = int(np.searchsorted(time, motion.time[end] - half)) - 1
-            warnings.append(
-                f"something touched the pendulum at about {motion.time[end]:.2f} s: the recording "
-                "is used up to there; choose the window with --start and --end"
-            )
-    if (over := _last_over_the_top(trajectory, law, theta, slice(first, last + 1))) is not None:
-        raise _over_the_top(name, over)
+            if float(np.max(share[end:])) > 2.0:
+                warnings.append(_touch(motion.time[end], time[max(last, 0)], "up to"))
+    if (over := _last_over_the_top(time, values, law, theta, slice(first, last + 1))) is not None:
+        return over
     last = _last_before_rest(time, np.abs(theta), first, last, rough.period, settings.rest_share)
     if (lasts := float(time[last] - time[first]) if last > first else 0.0) < rough.period:
         raise RecordingError(
@@ -239,67 +446,131 @@ def find_free_swing(
             f"a period is about {rough.period:.3g} s; record at least three periods after the hand "
             "lets go"
         )
-    keep = slice(first, last + 1)
-    # A cubic over the first window gives the first state.
-    near = slice(first, first + max(int(np.searchsorted(time[keep], time[first] + 2 * half)), 6))
-    powers = np.vander((time[near] - time[first]) / half, 4, increasing=True)
-    value, slope = np.linalg.lstsq(powers, trajectory.values[near], rcond=None)[0][:2]
-    value -= law.offset
-    is_rate = law.is_rate
     return FreeSwing(
-        keep=keep,
+        begin=float(time[first] if first > 0 else trajectory.time[0]),
+        end=float(time[last] if last < len(time) - 1 else trajectory.time[-1]),
         release=release,
-        w2=law.w2,
-        c=law.c,
-        theta=float(theta[first] if is_rate else value),
-        theta_dot=float(value if is_rate else slope / half),
-        offset=law.offset,
+        starts=_first_guesses(time, values, theta, first, last, law, rough),
         warnings=warnings,
     )
 
 
-def _angle(trajectory: Trajectory) -> Array:
-    """Return the recorded angle, or the integral of the recorded rate [rad]."""
-    if trajectory.theta is not None:
-        return trajectory.theta
+def _touch(at: float, used: float, side: str) -> str:
+    return (
+        f"something touched the pendulum at about {at:.2f} s: the recording is used {side} "
+        f"{used:.2f} s; choose another window with --start and --end"
+    )
+
+
+def _swings(free: Flags, moved: Array, rough: Oscillation, half: float) -> bool:
+    """Tell whether the pendulum swings freely for half a period somewhere, at a fair rate."""
+    # Windows follow each other by a sixth of `half`.
+    least = 3.0 * rough.period / half
+    fair = 0.2 * float(np.sqrt(rough.w2)) * rough.amplitude
+    if len(free) == 0:
+        return False
+    edges = np.flatnonzero(np.concatenate(([True], ~free, [True])))
+    begin = int(np.argmax(np.diff(edges)))
+    run = slice(int(edges[begin]), int(edges[begin + 1]) - 1)
+    return run.stop - run.start >= least and float(np.max(moved[run])) > fair
+
+
+def _first_guesses(
+    time: Array,
+    values: Array,
+    theta: Array,
+    first: int,
+    last: int,
+    law: "_Law",
+    rough: Oscillation,
+) -> list[Array]:
+    """Return first guesses of the unknowns, the likeliest first; shape (7,) each."""
+    starts: list[Array] = []
+    for w2, share in [*((law.w2, share) for share in STATE_WINDOWS), (rough.w2, STATE_WINDOWS[0])]:
+        window = share * 2.0 * pi / float(np.sqrt(w2))
+        until = int(np.searchsorted(time, time[first] + window))
+        near = slice(first, min(max(until, first + 7), last + 1))
+        elapsed = time[near] - time[first]
+        powers = np.vander(elapsed / elapsed[-1], 4, increasing=True)
+        value, slope = np.linalg.lstsq(powers, values[near], rcond=None)[0][:2]
+        angle = float(theta[first] if law.is_rate else value - law.offset)
+        rate = float(value - law.offset if law.is_rate else slope / elapsed[-1])
+        # Below the top: beyond it the fit would begin with a rotation.
+        fastest = 0.99 * 2.0 * float(np.sqrt(w2)) * abs(float(np.cos(0.5 * angle)))
+        rate = min(max(rate, -fastest), fastest)
+        starts.append(np.array([w2, law.c, 0.0, 0.0, angle, rate, law.offset]))
+    return starts
+
+
+def _angle(time: Array, rate: Array) -> Array:
+    """Return the integral of a recorded rate [rad]."""
     from scipy.interpolate import CubicSpline
 
-    elapsed = trajectory.time - trajectory.time[0]
-    return np.asarray(CubicSpline(elapsed, trajectory.values).antiderivative()(elapsed))
+    elapsed = time - time[0]
+    return np.asarray(CubicSpline(elapsed, rate).antiderivative()(elapsed))
 
 
-def _local_motion(trajectory: Trajectory, angle: Array, half: float) -> _Motion:
+def _local_motion(time: Array, values: Array, angle: Array, half: float, is_rate: bool) -> _Motion:
     """Take angle, rate and acceleration over windows of half width `half` [s]."""
-    time, values = trajectory.time, trajectory.values
     centres = np.arange(time[0] + half, time[-1] - half, half / 6.0)
-    rows = np.full((len(centres), 3), np.nan)
     low = np.searchsorted(time, centres - half)
     high = np.searchsorted(time, centres + half, side="right")
-    for i, (centre, a, b) in enumerate(zip(centres, low, high, strict=True)):
-        rows[i] = _polynomial((time[a:b] - centre) / half, values[a:b])
-    rows /= half ** np.arange(3)
-    good = np.isfinite(rows[:, 0])
-    centres, rows = centres[good], rows[good]
+    # Windows of many samples go by the hundred, so that their arrays stay small.
+    parts = [np.arange(i, min(i + 512, len(centres))) for i in range(0, len(centres), 512)]
+    rows = [_polynomials(time, values, centres[i], low[i], high[i], half) for i in parts]
+    found = np.concatenate(rows) if rows else np.empty((0, 3))
+    found /= half ** np.arange(3)
+    good = np.isfinite(found[:, 0])
+    centres, found = centres[good], found[good]
     elapsed = centres - time[0]
-    if trajectory.theta is not None:
-        return _Motion(centres, elapsed, rows[:, 0], rows[:, 1], rows[:, 2])
-    return _Motion(centres, elapsed, np.interp(centres, time, angle), rows[:, 0], rows[:, 1])
+    if not is_rate:
+        return _Motion(centres, elapsed, found[:, 0], found[:, 1], found[:, 2])
+    return _Motion(centres, elapsed, np.interp(centres, time, angle), found[:, 0], found[:, 1])
 
 
-def _polynomial(s: Array, values: Array) -> Array:
-    """Return value, slope and curvature at s = 0; NaN where samples are few or have a gap."""
-    if len(s) < 5 or float(np.max(np.diff(s, prepend=-1.0, append=1.0))) > 0.7:
-        return np.full(3, np.nan)
-    powers = np.vander(s, 5 if len(s) >= 7 else 4, increasing=True)
-    coefficients = np.asarray(np.linalg.lstsq(powers, values, rcond=None)[0], dtype=np.float64)
-    return coefficients[:3] * (1.0, 1.0, 2.0)
+def _polynomials(
+    time: Array,
+    values: Array,
+    centres: Array,
+    low: npt.NDArray[np.intp],
+    high: npt.NDArray[np.intp],
+    half: float,
+) -> Array:
+    """Return value, slope and curvature at the centres of windows, shape (m, 3).
+
+    Least squares of polynomials of fourth order, of third order for fewer than seven samples; NaN
+    where samples are few or have a gap.
+    """
+    count = high - low
+    places = low[:, np.newaxis] + np.arange(int(np.max(count, initial=0)))
+    inside = places < high[:, np.newaxis]
+    places = np.minimum(places, len(time) - 1)
+    s = np.where(inside, (time[places] - centres[:, np.newaxis]) / half, 1.0)
+    gap = np.max(np.diff(s, axis=1, prepend=-1.0, append=1.0), axis=1)
+    found = np.full((len(centres), 3), np.nan)
+    middle = values[np.minimum(low, len(time) - 1)]
+    for terms, chosen in ((5, count >= 7), (4, (count >= 5) & (count < 7))):
+        good = chosen & (gap <= 0.7)
+        if not np.any(good):
+            continue
+        powers = np.empty((int(np.count_nonzero(good)), terms, s.shape[1]))
+        powers[:, 0] = inside[good]
+        for i in range(1, terms):
+            np.multiply(powers[:, i - 1], s[good], out=powers[:, i])
+        seen = values[places[good]] - middle[good, np.newaxis]
+        moments = powers @ powers.transpose(0, 2, 1)
+        right = powers @ seen[..., np.newaxis]
+        solved = np.linalg.solve(moments, right)[:, :3, 0]
+        found[good] = solved * (1.0, 1.0, 2.0)
+        found[good, 0] += middle[good]
+    return found
 
 
 def _rough_law(motion: _Motion, rough: Oscillation, is_rate: bool) -> _Law:
     """Fit the equation to the accelerations; what does not follow it weighs little."""
     from scipy.optimize import least_squares
 
-    w2 = _rough_w2(rough, is_rate)
+    w2 = rough.w2
     theta_dot = motion.rate - rough.middle if is_rate else motion.rate
     slow = 0.05 * float(np.quantile(np.abs(theta_dot), 0.9))
     size = float(np.quantile(np.abs(motion.acceleration), 0.9))
@@ -325,7 +596,7 @@ def _rough_law(motion: _Motion, rough: Oscillation, is_rate: bool) -> _Law:
     return law(solution.x)
 
 
-def _rough_w2(rough: Oscillation, is_rate: bool) -> float:
+def _w2_from_period(period: float, amplitude: float, is_rate: bool) -> float:
     """Return w2 from period and amplitude A: T = 4 K(m) / sqrt(w2), with m = sin^2(A/2)."""
     from scipy.special import ellipk
 
@@ -333,18 +604,14 @@ def _rough_w2(rough: Oscillation, is_rate: bool) -> float:
     K = np.asarray(ellipk(m))
     # A rate has the amplitude 2 sqrt(m w2).
     known = np.sqrt(m) * K if is_rate else np.sqrt(m)
-    seen = rough.amplitude * rough.period / 8.0 if is_rate else np.sin(0.5 * rough.amplitude)
-    return (4.0 * float(np.interp(seen, known, K)) / rough.period) ** 2
+    seen = amplitude * period / 8.0 if is_rate else np.sin(0.5 * min(amplitude, pi))
+    return (4.0 * float(np.interp(seen, known, K)) / period) ** 2
 
 
-def _touched(
-    motion: _Motion,
-    law: _Law,
-    steady: npt.NDArray[np.bool_],
-    period: float,
-    settings: IdentificationSettings,
-) -> npt.NDArray[np.bool_]:
-    """Tell in which windows something else than gravity and friction moves the pendulum."""
+def _untold(
+    motion: _Motion, law: _Law, steady: Flags, period: float, settings: IdentificationSettings
+) -> Array:
+    """Return the unexplained acceleration as a share of what a hand's would exceed."""
     unexplained = np.abs(law.unexplained(motion))
     # 0.6745 is the median of |N(0, 1)|.
     noise = float(np.median(unexplained[steady])) / 0.6745
@@ -353,29 +620,63 @@ def _touched(
     high = np.searchsorted(motion.time, motion.time + 0.5 * period, side="right")
     peak = np.array([np.max(pull[a:b]) for a, b in zip(low, high, strict=True)])
     limit = np.maximum(settings.release_share * peak, settings.release_noise * noise)
-    return unexplained > limit
+    return unexplained / np.maximum(limit, 1e-300)
 
 
-def _longest_stretch(touched: npt.NDArray[np.bool_], rate: Array) -> tuple[int, int]:
+def _bridged(touched: Flags, motion: _Motion, law: _Law, rough: Oscillation) -> Flags:
+    """Return what is touched, without what leaves the swing as it was.
+
+    A hand changes the swing. Where the law takes the motion before a touch to the one behind it,
+    there was none: a sample was wrong, or a window just above the threshold.
+    """
+    places = np.flatnonzero(touched)
+    # Windows that overlap a wrong sample are wrong, too, but not all: a width of one is twelve.
+    breaks = np.flatnonzero(np.diff(places) > 12)
+    begins = places[np.concatenate(([0], breaks + 1))] if places.size else places
+    ends = places[np.concatenate((breaks, [-1]))] + 1 if places.size else places
+    theta = law.theta(motion.angle, motion.elapsed)
+    theta_dot = law.theta_dot(motion.rate)
+    w = float(np.sqrt(law.w2))
+    result = touched.copy()
+    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+        if begin == 0 or end == len(touched):
+            continue
+        before, after = max(begin - 6, 0), min(end + 5, len(touched) - 1)
+        times = motion.time[[before, after]]
+        if times[1] - times[0] > rough.period:
+            continue
+        thetas, theta_dots = np.empty(2), np.empty(2)
+        known = PendulumParameters(law.w2, 0.0, law.c, law.coulomb)
+        swing(
+            times, theta[before], theta_dot[before], rough.period / 128.0, known, thetas, theta_dots
+        )
+        off = np.hypot(thetas[1] - theta[after], (theta_dots[1] - theta_dot[after]) / w)
+        size = np.hypot(2.0 * np.sin(0.5 * theta[after]), theta_dot[after] / w)
+        if off < SAME_SWING * size:
+            result[begin:end] = False
+    return result
+
+
+def _longest_stretch(touched: Flags, moved: Array) -> tuple[int, int]:
     """Return the untouched stretch that moves the most: its first and past-the-last window."""
     edges = np.flatnonzero(touched)
     begins = np.concatenate(([0], edges + 1))
     ends = np.concatenate((edges, [len(touched)]))
-    travel = np.concatenate(([0.0], np.cumsum(np.abs(rate))))
+    travel = np.concatenate(([0.0], np.cumsum(moved)))
     longest = int(np.argmax(travel[ends] - travel[begins]))
     return int(begins[longest]), int(ends[longest])
 
 
 def _last_over_the_top(
-    trajectory: Trajectory, law: _Law, theta: Array, part: slice
+    time: Array, values: Array, law: _Law, theta: Array, part: slice
 ) -> float | None:
     """Return when the pendulum last goes over the top [s], or none."""
-    time, theta = trajectory.time[part], theta[part]
+    time, theta = time[part], theta[part]
     if not law.is_rate:
         over = np.flatnonzero(np.abs(theta) >= pi)
         return float(time[over[-1]]) if over.size else None
     # The integral of a rate drifts, but not within a turn.
-    falling = law.theta_dot(trajectory.values[part]) < 0.0
+    falling = law.theta_dot(values[part]) < 0.0
     turns = np.concatenate(([0], np.flatnonzero(np.diff(falling)), [len(time) - 1]))
     over = np.flatnonzero(np.abs(np.diff(theta[turns])) >= 2.0 * pi)
     return float(time[turns[over[-1] + 1]]) if over.size else None
@@ -390,12 +691,3 @@ def _last_before_rest(
     part = size[first : last + 1]
     moving = first + int(np.flatnonzero(part > share * float(np.max(part)))[-1])
     return min(last, int(np.searchsorted(time, time[moving] + 0.5 * period)))
-
-
-def _over_the_top(name: str, until: float) -> RecordingError:
-    # Rounded up, so that a window from there is free of it.
-    after = ceil(100.0 * until + 1.0) / 100.0
-    return RecordingError(
-        f"{name}: the pendulum goes over the top, the last time before {after:.2f} s, expected a "
-        f"swing to and fro below it; give --start {after:.2f} or release it from a smaller angle"
-    )

@@ -226,8 +226,8 @@ class SwingFit(Value):
     window: tuple[float, float]
     """First and last time of the swing that was fitted [s]."""
     release: float | None
-    """Time from which the pendulum was found to swing freely [s]; none where it was told, or
-    where the recording is free from its first sample."""
+    """Time at which a hand lets go [s]; none where that is not known: the recording is free from
+    its first sample, its start was given, or something touched a swing."""
     samples: int
     """Samples in the window."""
     periods: float
@@ -351,6 +351,29 @@ def fit_of(trajectory: Trajectory, pendulum: Pendulum) -> SwingFit:
             f"not from this {trajectory.source}; give the recording that it came from"
         )
     return fit
+
+
+def amplitudes(pendulum: Pendulum) -> tuple[float, float]:
+    """Return the amplitude at the beginning and at the end of the swing that was fitted [rad].
+
+    Args:
+        pendulum: A pendulum with a fit.
+
+    Raises:
+        RecordingError: The pendulum was not identified from a swing.
+    """
+    fit = pendulum.fit
+    if fit is None:
+        raise RecordingError("the pendulum was assumed; identify it from a free swing")
+    theta, theta_dot = np.empty(2), np.empty(2)
+    h = pendulum.period / fit.settings.steps_per_period
+    swing(
+        np.array(fit.window), fit.theta, fit.theta_dot, h, pendulum.parameters(), theta, theta_dot
+    )
+    # At the turning point all energy is gravity's: w2 (1 - cos A) = E.
+    height = (1.0 - np.cos(theta)) + 0.5 * theta_dot**2 / pendulum.w2.value
+    first, last = np.arccos(np.clip(1.0 - height, -1.0, 1.0))
+    return float(first), float(last)
 
 
 def fitted_curve(trajectory: Trajectory, pendulum: Pendulum) -> npt.NDArray[np.float64]:

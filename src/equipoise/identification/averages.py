@@ -1,0 +1,69 @@
+"""Means of samples over short times, and single samples that are wrong.
+
+A recording of millions of samples says no more about a pendulum than the means over a fraction of
+a degree of its motion; the white noise of the samples averages out in both.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+class Averages(NamedTuple):
+    """Means over bins of equal length in time; empty bins are left out."""
+
+    time: Array
+    """Mean time of the samples in each bin [s], shape (n,)."""
+    values: Array
+    """Mean value of the samples in each bin, in the recording's unit, shape (n,)."""
+    spread: Array
+    """Standard deviation of the times in each bin [s], shape (n,); zero for a single sample."""
+
+
+def average(time: Array, values: Array, width: float) -> Averages:
+    """Return the means of samples over bins.
+
+    Where a bin would hold fewer than two samples, the samples stay as they are.
+
+    Args:
+        time: Time stamps [s], increasing, shape (n,).
+        values: What was recorded, shape (n,).
+        width: Length of the bins [s].
+    """
+    elapsed = time - time[0]
+    bins = np.floor(elapsed / width)
+    first = np.flatnonzero(np.diff(bins, prepend=-1.0))
+    count = np.diff(first, append=len(time)).astype(np.float64)
+    if len(time) < 2 * len(first):
+        return Averages(time, values, np.zeros_like(time))
+    middle = np.add.reduceat(elapsed, first) / count
+    apart = (elapsed - np.repeat(middle, count.astype(np.intp))) ** 2
+    return Averages(
+        time[0] + middle,
+        np.add.reduceat(values, first) / count,
+        np.sqrt(np.add.reduceat(apart, first) / count),
+    )
+
+
+def spikes(values: Array, noise: float, resolution: float) -> npt.NDArray[np.bool_]:
+    """Find samples that a sensor or its link got wrong: one or two, far off their neighbours.
+
+    Args:
+        values: What was recorded, shape (n,).
+        noise: Standard deviation of its noise, in the same unit.
+        resolution: Smallest step of the sensor, in the same unit.
+
+    Returns:
+        Which samples are wrong, shape (n,).
+    """
+    from scipy.ndimage import maximum_filter1d, median_filter
+
+    smooth = np.asarray(median_filter(values, 5, mode="nearest"))
+    off = np.abs(values - smooth)
+    # A motion of few samples moves on by as much between two of them.
+    steps = maximum_filter1d(np.abs(np.diff(smooth, append=smooth[-1])), 9, mode="nearest")
+    least = max(10.0 * noise, 6.0 * resolution, 0.02 * float(np.ptp(smooth)))
+    return off > np.maximum(least, 2.0 * steps)
