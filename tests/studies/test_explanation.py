@@ -1,17 +1,31 @@
 """Explain names what was done to a run; each fault is injected on the twin."""
 
 import dataclasses
+import inspect
+import re
 
 import numpy as np
 import pytest
 
-from equipoise.control.boxes import CAUSES
+from equipoise.control import pilot, states
+from equipoise.control.boxes import CAUSES, GUARD
+from equipoise.control.guards import guard_named
 from equipoise.control.policy import shipped_policy
-from equipoise.deployment import deploy
+from equipoise.control.safety import Rule
+from equipoise.control.states import UNKNOWN as UNTOLD
+from equipoise.deployment import deploy, excite, rig
+from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import World, read_world
 from equipoise.runwriter import Recorder, RunWriter, read_rig_run
-from equipoise.studies.explanation import ADVICE, LOOKS, Name, _course, explain
-from equipoise.studies.runs import balancing, load_run
+from equipoise.studies.explanation import (
+    ADVICE,
+    IN_SIMULATION,
+    LOOKS,
+    Name,
+    _course,
+    explain,
+)
+from equipoise.studies.runs import BROKEN_OFF, balancing, load_run
 from tests.studies.faulted import KINDS, Fault, draw_fault, run_with
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
@@ -92,7 +106,7 @@ def test_a_wrong_zero_is_measured(tmp_path):
 
 def test_a_log_that_breaks_off_is_explained_as_far_as_it_goes(tmp_path, rig_log, broken_off):
     found = explain(read_rig_run(broken_off))
-    assert (found.causes[0].name, found.ending.whole) == (Name.UNKNOWN, False)
+    assert (found.causes[0].name, found.ending.whole) == (Name.BROKEN_OFF, False)
     # A push is seen in what is there, whether or not the log says how the run ended.
     path = tmp_path / "run.mcap"
     run_with(draw_fault("push", 5), 5, path)
@@ -147,4 +161,75 @@ def test_a_run_on_a_twin_that_lasts_has_nothing_to_explain():
 
 def test_every_cause_says_what_to_do(rig_log):
     assert set(ADVICE) == set(Name)
+    assert set(IN_SIMULATION) <= set(Name)
     assert explain(load_run(rig_log)).causes[0].name is Name.LASTED
+
+
+RIG_CAUSES = {rule.value for rule in Rule} | {
+    *("lasted", "operator", "dry run", "self-test", "joint limit", "fault", "link lost"),
+    *(UNTOLD.name, BROKEN_OFF, "error"),
+}
+"""Every cause of a log of a rig: the rules, and the words of pilot, deployment and reader."""
+OF_A_BENCH = {
+    *(Rule.LINK, Rule.NOT_FOLLOWING, Rule.TORQUE, Rule.FIRST, Rule.TICK, Rule.NUMBER, Rule.COUNT),
+    *(Rule.ENCODER_STALE, Rule.ENCODER_ILLEGAL, Rule.ENCODER_GAP, Rule.ENCODER_JUMP),
+}
+"""Rules that trials do not ask: about clocks, links, cables and hands."""
+
+
+def test_the_causes_of_a_rig_are_all_that_the_sources_name():
+    """Each `Cause("...")` and each run that never moved, read from the sources themselves."""
+    written = set[str]()
+    for module in (pilot, rig, states):
+        source = inspect.getsource(module)
+        written |= set(re.findall(r'Cause\(\s*"([^"]+)"', source))
+        written |= set(re.findall(r'_unmoved\(\s*"([^"]+)"', source))
+    assert len(written) >= 5
+    assert written <= RIG_CAUSES
+
+
+@pytest.mark.parametrize("cause", sorted(RIG_CAUSES))
+def test_every_cause_of_a_log_of_a_rig_is_explained(cause, tmp_path, rig_log):
+    whole = read_rig_run(rig_log)
+    end = None if cause == BROKEN_OFF else {"cause": cause, "reason": f"because of {cause}"}
+    found = explain(dataclasses.replace(whole, end=end))
+    assert found.causes[0].name is not Name.UNKNOWN
+    assert found.causes[0].advice
+    assert found.ending.cause == cause
+    if end is not None:
+        assert f"because of {cause}" in found.causes[0].evidence
+
+
+@pytest.mark.parametrize(
+    ("cause", "guard"),
+    [
+        *((cause, "") for cause in CAUSES if cause != CAUSES[GUARD]),
+        *((CAUSES[GUARD], guard_named(GUARD + code)) for code in range(len(Rule))),
+    ],
+)
+def test_every_cause_of_a_log_of_a_twin_is_explained_from_its_last_tick(cause, guard, short_run):
+    ended = {"cause": cause, "guard": guard}
+    conditions = short_run.conditions.model_copy(update=ended)
+    found = explain(dataclasses.replace(short_run, conditions=conditions))
+    first = found.causes[0]
+    assert first.name is not Name.UNKNOWN
+    assert (first.name is Name.LASTED) is (cause == "lasted")
+    assert found.ending.cause == (guard or cause)
+    if not guard or Rule(guard) not in OF_A_BENCH:  # what a simulation needs is not done at a rig
+        assert not re.search("smartPAD|cable|hand|level the base", first.advice)
+    if cause != "lasted":
+        assert (guard or cause) in first.evidence
+        assert "phi" in first.evidence
+        assert "(limit 11)" in first.evidence
+
+
+def test_an_excitation_is_no_riddle(pendulum):
+    run = excite(iiwa(7), "twin:nominal", pendulum, duration=0.1)
+    found = explain(run)
+    assert [cause.name for cause in found.causes] == [Name.EXCITED]
+    assert "equipoise identify" in found.causes[0].advice
+
+
+@pytest.fixture(scope="module")
+def short_run():
+    return deploy(shipped_policy(), world="twin:nominal", seed=0, duration=0.3)

@@ -3,6 +3,7 @@
 from math import degrees
 from typing import TYPE_CHECKING
 
+from equipoise import paper
 from equipoise.cli.options import Json, RunFile
 from equipoise.cli.output import Output, verb
 
@@ -17,13 +18,10 @@ SHOWN = 1.1
 """So much of the run it shows [s]."""
 WIDTH = 15
 """Places of a bar, odd."""
-PHI_DEG = 12.0
-X_M = 0.22
-"""What the ends of the bars stand for."""
 HEADER = {
     "t [s]": "",
-    "phi [deg]": f"within {PHI_DEG:g} deg",
-    "x [m]": f"within {X_M:g} m",
+    "phi [deg]": f"within {paper.PHI_LIMIT_DEG:g} deg",
+    "x [m]": f"within {paper.X_LIMIT:g} m",
     "u [m/s^2]": "",
 }
 """Columns, and what the bar beside one is about."""
@@ -52,7 +50,7 @@ def explain(
     rows = {"ended": f"{how.cause}{f': {how.reason}' if how.reason else ''}"}
     if how.phase is not None:
         rows["while"] = how.phase.value
-    if log is not None:
+    if log is not None and len(log.time):
         rows["balanced"] = f"{log.lasted:.2f} s of {log.conditions.duration:g} s"
     output.rows(rows)
     if not how.whole:
@@ -106,9 +104,9 @@ def _picture(log: "RunLog") -> "Table":
         table.add_row(
             f"{log.time[i]:.2f}",
             f"{phi:+.1f}",
-            _bar(phi / PHI_DEG),
+            _bar(phi / paper.PHI_LIMIT_DEG),
             f"{x:+.3f}",
-            _bar(x / X_M),
+            _bar(x / paper.X_LIMIT),
             f"{log.u[i]:+.1f}",
         )
     return table

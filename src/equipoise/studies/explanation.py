@@ -16,8 +16,8 @@ or a base that leans, is a slope of :math:`-w_2 b`.
 
 **The encoder.** Counts that stand still while the pivot is accelerated, and counts that jump.
 
-**The guards.** A rule that names what happened (a late tick, a contact) is believed. One that names
-how it ended (the angle, the track) is the last in the list: something led there.
+**The cause in the log.** A rule that names what happened (a late tick, a contact) is believed. One
+that names how it ended (the angle, the track) is the last in the list: something led there.
 """
 
 from collections.abc import Callable
@@ -28,6 +28,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from equipoise import paper
 from equipoise.control.safety import KINK_LIMIT, LATE, TORQUE_SHARE, Rule, unexplained
 from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, RecordingError
@@ -36,6 +37,7 @@ from equipoise.runlog import RunLog
 from equipoise.runwriter import RigRun
 from equipoise.studies.refinement import read_motion
 from equipoise.studies.runs import (
+    BROKEN_OFF,
     Ending,
     arm_of,
     balancing,
@@ -124,8 +126,14 @@ class Name(Enum):
     """The pendulum did not answer as the model says, before it was lifted."""
     FAULT = "fault"
     """Something failed, in the words of the log."""
+    BUG = "mistake in the program"
+    """The program asked for something that makes no sense."""
+    EXCITED = "excitation"
+    """The arm was moved about home; no policy ran."""
+    BROKEN_OFF = "log broken off"
+    """The log ends before the run did."""
     UNKNOWN = "unknown"
-    """The log breaks off, or does not tell."""
+    """The log names a cause that this version does not know."""
 
 
 ADVICE: Final = {
@@ -141,7 +149,8 @@ ADVICE: Final = {
     Name.SATURATION: "train a policy with larger actions, or identify pendulum and actuator again "
     "(`equipoise refine`)",
     Name.JOINT: "move home away from the limit, or lower the gains of CLIK",
-    Name.TRACK: "evaluate the policy on the twin, and train one that minds x",
+    Name.TRACK: "evaluate the policy on the twin (`equipoise evaluate POLICY --world "
+    "twin:nominal`), and train one that stays on the track there",
     Name.ANGLE: "identify pendulum and actuator again (`equipoise refine`)",
     Name.CONTACT: "find what the arm touched before it moves again",
     Name.NOT_FOLLOWING: "look at the smartPAD: emergency stop, enabling switch, mode",
@@ -149,13 +158,38 @@ ADVICE: Final = {
     Name.POSTURE: "look at the mounting of base and flange, and at the actuator that is believed",
     Name.SPEED: "train with --max-speed, leave T1, or make the link to the robot faster",
     Name.SELF_TEST: "do what the self-test says",
-    Name.FAULT: "read the reason",
-    Name.UNKNOWN: "look at what the operator saw",
+    Name.FAULT: "mend what the evidence names, and look at the rig with `equipoise doctor` before "
+    "the next run",
+    Name.BUG: "keep this log and report it; do not run again before it is understood",
+    Name.EXCITED: "identify the actuator from this log with `equipoise identify`",
+    Name.BROKEN_OFF: "look for what ended the program before the run: power, memory, a full disk, "
+    "a signal",
+    Name.UNKNOWN: "explain it with the version of Equipoise that wrote the log",
 }
 """What to do about each."""
+IN_SIMULATION: Final = {
+    Name.OUTSIDE: "start nearer to upright (`evaluation.phi_high`, `evaluation.phi_dot_high`), or "
+    "train with larger actions",
+    Name.ZERO: "train for a zero that is wrong by as much (`equipoise train --set "
+    "plant.zero_error=...`), or lower `zero_offset` and `zero_error` of the world",
+    Name.TRACK: "train for this world's actuator: `equipoise deploy --excite --world WORLD`, "
+    "`equipoise identify`, `equipoise train --actuator actuator.json --seeds 5`",
+    Name.ANGLE: "train for this world's actuator: `equipoise deploy --excite --world WORLD`, "
+    "`equipoise identify`, `equipoise train --actuator actuator.json --seeds 5`",
+    Name.NOT_FOLLOWING: "identify the actuator of this world (`equipoise deploy --excite --world "
+    "WORLD`, `equipoise identify`) and give it with `--actuator`",
+    Name.POSTURE: "lower the masses of bracket and pendulum in the world, or identify its actuator "
+    "and give it with `--actuator`",
+    Name.SPEED: "train with --max-speed, or leave the speed limit away (`t1` of the world, "
+    "`--max-speed` of the command)",
+}
+"""What to do instead where the run was simulated."""
 
 TELLING: Final = {
     "lasted": Name.LASTED,
+    "excited": Name.EXCITED,
+    Rule.NUMBER.value: Name.BUG,
+    Rule.COUNT.value: Name.BUG,
     "operator": Name.OPERATOR,
     "dry run": Name.OPERATOR,
     "self-test": Name.SELF_TEST,
@@ -179,10 +213,19 @@ ENDINGS: Final = {
     Rule.ANGLE.value: Name.ANGLE,
     Rule.TRACK.value: Name.TRACK,
     "joint limit": Name.JOINT,
+    Rule.POSITION.value: Name.JOINT,
+    Rule.JUMP.value: Name.JOINT,
+    Rule.VELOCITY.value: Name.JOINT,
+    Rule.ACCELERATION.value: Name.JOINT,
     Rule.SINGULAR.value: Name.JOINT,
     "fault": Name.FAULT,
+    "error": Name.FAULT,
+    BROKEN_OFF: Name.BROKEN_OFF,
+    "unknown": Name.FAULT,
 }
 """Causes of a log that name how it ended."""
+NO_SUSPICION: Final = frozenset({Name.LASTED, Name.OPERATOR, Name.EXCITED})
+"""Causes after which nothing is looked for."""
 FAULTS: Final = {
     "jumped from": Name.JUMP,
     "began anew": Name.JUMP,
@@ -206,11 +249,13 @@ class Finding(NamedTuple):
     """When, since the release [s]."""
     evidence: str
     """The numbers, in a sentence."""
+    simulated: bool = False
+    """Whether the run was one of `equipoise deploy --world`: no rig, no operator."""
 
     @property
     def advice(self) -> str:
         """What to do."""
-        return ADVICE[self.name]
+        return (IN_SIMULATION if self.simulated else {}).get(self.name) or ADVICE[self.name]
 
 
 class Explanation(NamedTuple):
@@ -264,7 +309,8 @@ def explain(run: RunLog | RigRun) -> Explanation:
         run: Its log, of either format.
     """
     if isinstance(run, RunLog):
-        how, log = Ending(run.conditions.cause, "", None, True), run
+        cause = run.conditions.guard or run.conditions.cause
+        how, log = Ending(cause, _reason(run), None, True), run
     else:
         how = ending(run)
         try:
@@ -272,13 +318,32 @@ def explain(run: RunLog | RigRun) -> Explanation:
         except (ArtefactError, RecordingError):
             log = None
     found = [_told(how, 0.0 if log is None else log.lasted)]
-    if log is not None and len(log.time) > 0 and found[0].name not in (Name.LASTED, Name.OPERATOR):
+    if log is not None and len(log.time) > 0 and found[0].name not in NO_SUSPICION:
         course = _course(run, log)
         found += [finding for look in LOOKS if (finding := look(course)) is not None]
     best: dict[Name, Finding] = {}
     for finding in sorted(found, key=lambda finding: -finding.score):
-        best.setdefault(finding.name, finding)
+        best.setdefault(finding.name, finding._replace(simulated=isinstance(run, RunLog)))
     return Explanation(tuple(best.values()), how, log)
+
+
+def _reason(run: RunLog) -> str:
+    """Return how a simulated run ended, with the numbers of its last tick."""
+    told = run.conditions
+    if told.cause == "lasted" or len(run.time) == 0:
+        return ""
+    who = f"the guard {told.guard!r} ended the run" if told.guard else f"it ended by {told.cause!r}"
+    state = (
+        f"at {run.lasted:.2f} s: x {run.x[-1]:+.3f} m (limit {paper.X_LIMIT:g}), x_dot "
+        f"{run.x_dot[-1]:+.2f} m/s, phi {degrees(run.estimated_phi[-1]):+.1f} deg (limit "
+        f"{paper.PHI_LIMIT_DEG:g})"
+    )
+    arm = arm_of(run)
+    if arm is None:
+        return f"{who} {state}"
+    shares = np.abs(run.dq[-1]) / np.array([joint.velocity for joint in arm.joints])
+    joint = int(np.argmax(shares))
+    return f"{who} {state}; joint {joint + 1} moved at {shares[joint]:.0%} of its velocity limit"
 
 
 def _told(how: Ending, lasted: float) -> Finding:
