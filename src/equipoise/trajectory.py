@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from equipoise.artefacts import DIGEST_PREFIX, write_whole
 from equipoise.errors import RecordingError
+from equipoise.printable import printable
 
 TIME: Final = "time_s"
 """Name of the column of time stamps [s]."""
@@ -164,7 +165,7 @@ def read_swing(
         theta=None if is_rate else values,
         theta_dot=values if is_rate else None,
         resolution=resolution,
-        source=path.name,
+        source=printable(path.name),
         sha256=DIGEST_PREFIX + hashlib.sha256(data).hexdigest(),
         released=start is not None,
     )

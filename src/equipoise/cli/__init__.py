@@ -6,9 +6,13 @@ MuJoCo, Matplotlib) is imported by the verb that needs it, after its first words
 """
 
 import io
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
+from typing import TextIO
 
+from equipoise.errors import OutsideError
 from equipoise.printable import printable
 
 
@@ -22,6 +26,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0 done, 1 the result is bad, 2 wrong use or bad input, 3 the outside world
         failed, 130 interrupted.
     """
+    try:
+        code = _run(arguments)
+        if sys.stdout is not None and not sys.stdout.closed:
+            sys.stdout.flush()
+    except OSError as error:
+        if not _cut_off(sys.stdout):
+            raise
+        with suppress(OSError):
+            print(
+                f"error: cannot write to standard output: {error.strerror}; make room, or send it "
+                "elsewhere",
+                file=sys.stderr,
+            )
+        return OutsideError.exit_code
+    return code
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     # A name or a sign that the terminal cannot show shall not end a verb.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -38,3 +60,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(printable(str(end.code)), file=sys.stderr)
         return 1
     return 0
+
+
+def _cut_off(stream: TextIO | None) -> bool:
+    """Return whether a stream cannot take what was printed; the rest of it is then dropped."""
+    if not isinstance(stream, io.TextIOWrapper):
+        return False
+    try:
+        os.write(stream.fileno(), b"\n")  # text that failed once is gone, so `flush` may succeed
+    except OSError:
+        # Else the interpreter tries once more at its end, and complains.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+        return True
+    return False

@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TextIO, TypeVar
 
@@ -169,7 +169,8 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
 
 def _complain(label: str, message: str) -> None:
     console = _console(stderr=True)
-    console.print(Text.assemble((label, "bold red"), printable(message)), soft_wrap=True)
+    with suppress(OSError):  # the exit code tells as well
+        console.print(Text.assemble((label, "bold red"), printable(message)), soft_wrap=True)
 
 
 @contextmanager

@@ -1,0 +1,34 @@
+"""A disk, a pipe or a terminal that takes no more: one sentence and exit code 3."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no full device")
+
+
+def run(*arguments, **streams):
+    command = [sys.executable, "-m", "equipoise", *arguments]
+    return subprocess.run(command, text=True, check=False, **streams)
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--help",), ("verify", "nowhere.json"), ("rehearse", "--list", "--json")]
+)
+def test_a_full_standard_output_is_told_in_one_sentence(arguments):
+    with open("/dev/full", "w") as full:
+        ran = run(*arguments, stdout=full, stderr=subprocess.PIPE)
+    assert ran.returncode == 3
+    assert ran.stderr == (
+        "error: cannot write to standard output: No space left on device; make room, or send it "
+        "elsewhere\n"
+    )
+
+
+def test_a_full_standard_error_leaves_the_exit_code():
+    with open("/dev/full", "w") as full:
+        ran = run("verify", "nowhere.json", stdout=subprocess.PIPE, stderr=full)
+    assert ran.returncode == 2
+    assert ran.stdout == "Reading nowhere.json\n"
