@@ -221,6 +221,13 @@ def _host_and_port(robot: str) -> tuple[str, int]:
         raise InputError(
             f"{robot!r} is no address of a robot; expected kst://HOST:{PORT} or twin:nominal"
         )
+    try:
+        parts.hostname.encode("idna")
+    except UnicodeError:
+        raise InputError(
+            f"{robot!r} has an invalid host name; give the name or the number of the cabinet, such "
+            "as 172.31.1.147"
+        ) from None
     with suppress(ValueError):  # it is no number, or a large one
         port = PORT if parts.port is None else parts.port
         if port > 0:

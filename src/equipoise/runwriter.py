@@ -536,7 +536,8 @@ def _words(answers: str) -> tuple[str, ...]:
 
 def push_event(ring: Ring, time: float, name: str, answers: Sequence[str], text: str) -> None:
     """Write an event into a ring, cut where it is too long."""
-    ring.push(time, name.encode()[:32], "|".join(answers).encode()[:96], text.encode()[:TEXT])
+    encoded = text.encode(errors="backslashreplace")
+    ring.push(time, name.encode()[:32], "|".join(answers).encode()[:96], encoded[:TEXT])
 
 
 def take_events(ring: Ring) -> list[Event]:

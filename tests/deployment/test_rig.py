@@ -159,6 +159,35 @@ def test_words_that_come_together_answer_one_question_after_the_other():
     ]
 
 
+@pytest.mark.parametrize(
+    ("typed", "cause", "asked"),
+    [
+        (["estpo", "", "estop", "fnece", "fence", "monitoring", "t1"], "dry run", 7),
+        (["e stop", "estop!", "yes", "estop", "fence"], "operator", 3),
+        (["no", "estop"], "operator", 1),
+        (["estop", "stop", "fence"], "operator", 2),
+    ],
+)
+def test_a_mistyped_word_is_asked_again_up_to_three_times(typed, cause, asked):
+    wanted = request(dry_run=True)
+    pendulum = wanted.policy.pendulum.parameters()
+    rig = twin_rig(NOMINAL, wanted.settings, pendulum)._replace(operator=None)
+    script = Script(*typed)
+    outcome = run_rig_virtually(wanted, rig, None, script)
+    assert outcome.cause == cause
+    assert sum("Type" in text for text in script.told) == asked
+
+
+def test_a_mistyped_answer_to_the_move_is_asked_again():
+    wanted = request()
+    pendulum = wanted.policy.pendulum.parameters()
+    rig = twin_rig(NOMINAL, wanted.settings, pendulum)._replace(operator=None)
+    script = Script("estop", "fence", "monitoring", "t1", "yes", "n")
+    outcome = run_rig_virtually(wanted, rig, None, script)
+    assert outcome.reason == "the move was not allowed; nothing has moved"
+    assert script.told[-1].startswith("'yes' is not y or n. The arm will move to home")
+
+
 def test_whoever_asks_waits_for_a_word():
     clock, script = VirtualClock(), Script()
     clock.attach(lambda now: script._words.extend(["y"] if now == 1.0 else []))

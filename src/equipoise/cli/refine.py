@@ -15,6 +15,7 @@ from equipoise.cli.options import (
     available_workers,
 )
 from equipoise.cli.output import FIRST_WORDS, Output, measured, stoppable, verb
+from equipoise.printable import printable
 
 if TYPE_CHECKING:
     from equipoise.artefacts import Artefact, Estimate
@@ -95,7 +96,7 @@ def refine(
         refinement = _retrain(output, table, findings, episodes, seed, workers)
         made["policy"] = refinement.policy
         _say_kept(output, refinement)
-    inputs = {"policy": table.digest} | {name: log.digest for name, log in logs.items()}
+    inputs = {"policy": table.digest} | {printable(name): log.digest for name, log in logs.items()}
     with destination.claimed() as out:
         paths = _paths(out)
         for part, artefact in made.items():

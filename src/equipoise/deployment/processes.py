@@ -28,7 +28,7 @@ from equipoise.control.pilot import PHASES
 from equipoise.control.self_test import SelfTest, self_test
 from equipoise.control.states import STREAMING
 from equipoise.control.ticks import Event, Job
-from equipoise.deployment.rig import Outcome, Request, run_on_rig, warm_up
+from equipoise.deployment.rig import ALONE, STOP, Outcome, Request, run_on_rig, warm_up
 from equipoise.devices import realtime
 from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
@@ -46,10 +46,6 @@ WRITE: Final = 0.050
 """Between two drains of the rings [s]."""
 FAREWELL: Final = 5.0
 """So long a process may take to end by itself [s]."""
-STOP: Final = "stop"
-"""What a signal says to the loop."""
-ALONE: Final = "nobody is there to be told"
-"""What the loop says to itself once its parent is gone."""
 SIGNALS: Final = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )

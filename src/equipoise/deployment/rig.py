@@ -64,6 +64,14 @@ CHECKLIST: Final = (
     ("t1", "Has this policy run in T1 before, or is T1 selected now?"),
 )
 """What is acknowledged by typing the word."""
+ATTEMPTS: Final = 3
+"""Number of times that a question before the run is asked; a mistyped word ends nothing."""
+STOP: Final = "stop"
+"""What a signal says to the loop."""
+ALONE: Final = "nobody is there to be told"
+"""What the loop says to itself once its parent is gone."""
+DENIALS: Final = ("n", "no", STOP, ALONE)
+"""Words that deny a question at once."""
 NO_WATCHDOG: Final = (
     "A KST server has no watchdog: if this computer or the cable fails, the arm goes on to its "
     "last target, which is always near, and software cannot stop it. The E-stop can."
@@ -229,8 +237,17 @@ class Teller:
         self._operator.tell(event)
 
     def ask(self, event: Event) -> str:
-        """Tell, and wait for a word."""
+        """Tell, and wait for an answer; return it, a denial, or the last of three other words."""
         self(event)
+        for _ in range(ATTEMPTS - 1):
+            word = self._typed()
+            if not event.answers or word in (*event.answers, *DENIALS):
+                return word
+            expected = " or ".join(event.answers)
+            self(event._replace(text=f"{word!r} is not {expected}. {event.text}"))
+        return self._typed()
+
+    def _typed(self) -> str:
         while (word := self._operator.word()) is None:
             self._clock.wait_until(self._clock.now() + POLL)
         push_event(self._recorder.event, self._clock.now(), WORD_TYPED, (), word)

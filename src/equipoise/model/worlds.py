@@ -258,6 +258,12 @@ def read_world(name: str) -> World:
         return World(PREFIX + which, TwinSettings.model_validate(SETS[which]))
     file = Path(which)
     try:
+        which.encode()
+    except UnicodeEncodeError:  # results name their world
+        raise SettingsError(
+            f"the name of the world {name!r} is not UTF-8; give the file another name"
+        ) from None
+    try:
         differences = SETS[NEWEST["nominal"]] | tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise SettingsError(
