@@ -256,7 +256,7 @@ def test_a_file_that_is_not_toml_is_refused_by_name(tmp_path, text):
 
 
 def test_a_file_that_cannot_be_read_is_refused(tmp_path):
-    assert "No such file" in refusal(file=tmp_path / "mine.toml")
+    assert "there is no file" in refusal(file=tmp_path / "mine.toml")
     assert "directory" in refusal(file=tmp_path)
 
 
@@ -340,3 +340,33 @@ def test_settings_without_a_limit_are_written_as_before():
     assert "max_speed" not in Settings().model_dump()["plant"]
     assert resolve(max_speed=0.23).model_dump()["plant"]["max_speed"] == 0.23
     assert Settings.model_validate(Settings().model_dump()) == Settings()
+
+
+DEEP = {
+    "lists": "[" * 900,
+    "tables": "{a=" * 300,
+    "lists over many lines": "[\n" * 10_000,
+    "a long integer": "9" * 900,
+    "a longer integer": "9" * 5000,
+    "a long hexadecimal integer": "0x" + "f" * 900,
+    "a long name": "1\n" + ".".join("a" * 400) + " = 1",
+    "a longer name": "1\n" + ".".join("a" * 20_000) + " = 1",
+    "many lines": "1\n" + "# comment\n" * 7000,
+}
+
+
+@pytest.mark.parametrize("text", DEEP.values(), ids=DEEP)
+def test_nesting_and_long_integers_are_refused_in_one_short_sentence(tmp_path, text):
+    for message in (
+        refusal(file=toml(tmp_path, f"[learning]\ngamma = {text}")),
+        refusal(f"learning.gamma={text}"),
+        refusal(f"{text}=1"),
+    ):
+        assert len(message) < 1200
+        assert "\n" not in message
+
+
+def test_more_candidates_than_anybody_screens_are_refused():
+    message = refusal("learning.episodes=10_000_000", "selection.every=1")
+    assert "selection.every of 1 makes more than 100,000 candidates" in message
+    assert "100000000" in refusal(f"learning.episodes={10**30}")

@@ -12,6 +12,7 @@ import json
 import math
 import os
 import platform
+import reprlib
 import sys
 import threading
 import time
@@ -19,17 +20,18 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self
 
 from pydantic import (
     BaseModel,
     ConfigDict,
+    Field,
     SerializerFunctionWrapHandler,
     ValidationError,
     model_serializer,
 )
 
-from equipoise.errors import ArtefactError, OutsideError
+from equipoise.errors import ArtefactError, InputError, OutsideError
 
 DIGEST_PREFIX = "sha256:"
 KEEP_EVERY = 5.0
@@ -37,6 +39,13 @@ KEEP_EVERY = 5.0
 WRITING_SHARE = 0.02
 """Maximum share of the time that goes into writing unfinished work: what takes long to write is
 written less often."""
+MEBIBYTE: Final = 2**20
+"""Number of bytes in a mebibyte."""
+LARGEST_FILE: Final = 128 * MEBIBYTE
+"""Size limit of a file of ours [bytes]: an evaluation of a million trials with its yardsticks needs
+about 100 MB."""
+LONGEST_QUOTE: Final = 60
+"""Number of characters that a message quotes of a value from a file: a line of a terminal."""
 
 
 class Value(BaseModel):
@@ -64,14 +73,28 @@ class Extended(Value):
         return {name: told for name, told in dump(self).items() if name not in said_nothing}
 
 
+Name = Annotated[str, Field(max_length=1024)]
+"""Name, digest or address; no file system has longer names of files."""
+Sentence = Annotated[str, Field(max_length=4096)]
+"""Words of a warning: a few lines of a terminal."""
+Number = Annotated[float, Field(ge=-1e12, le=1e12)]
+"""Quantity in SI units without a tighter bound: its square and its products stay finite."""
+Count = Annotated[int, Field(ge=0, le=2**53)]
+"""Number of things; up to here a float holds every integer."""
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+"""Share or probability."""
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+"""Seed of random numbers, as compiled code takes it."""
+
+
 class Estimate(Value):
     """A number with its uncertainty and where it comes from."""
 
-    value: float
+    value: Number
     """Best value."""
-    low: float
+    low: Number
     """Lower end of the 95 % interval."""
-    high: float
+    high: Number
     """Upper end of the 95 % interval."""
     source: Literal["identified", "given", "assumed"]
     """How the number was found."""
@@ -159,32 +182,37 @@ class Artefact(Value):
         document = read_document(path)
         if document["format"] != cls.FORMAT:
             raise ArtefactError(
-                f"{path} holds {document['format']!r}, expected {cls.FORMAT!r}; "
+                f"{path} holds {quoted(document['format'])}, expected {cls.FORMAT!r}; "
                 "give a file of that kind"
             )
         version, body = document["version"], document["body"]
         if version > cls.VERSION:
             raise ArtefactError(
-                f"{path} has version {version} of {cls.FORMAT!r}, this Equipoise reads up to "
-                f"{cls.VERSION}; upgrade Equipoise"
+                f"{path} has version {quoted(version)} of {cls.FORMAT!r}, this Equipoise reads up "
+                f"to {cls.VERSION}; upgrade Equipoise"
             )
         for older in range(version, cls.VERSION):
             if older not in cls.UPGRADES:
                 raise ArtefactError(
-                    f"{path} has version {older} of {cls.FORMAT!r}, which can no longer be read; "
-                    "make the file again"
+                    f"{path} has version {quoted(older)} of {cls.FORMAT!r}, which can no longer be "
+                    "read; make the file again"
                 )
-            body = cls.UPGRADES[older](body)
+            try:
+                body = cls.UPGRADES[older](body)
+            except (KeyError, TypeError, AttributeError):
+                raise ArtefactError(
+                    f"{path} lacks fields of version {older} of {cls.FORMAT!r}; make the file again"
+                ) from None
         try:
             return cls.model_validate_json(json.dumps(body), strict=True)
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"]) or "body"
-            what, cure = first["msg"], "make the file again"
-            if first["type"] == "extra_forbidden":  # and the digest says that it was written so
+            fault, cure = first_fault(error), "make the file again"
+            what = fault.what
+            if fault.unknown:  # and the digest says that it was written so
                 what, cure = "this Equipoise does not know that field", f"upgrade it, or {cure}"
             raise ArtefactError(
-                f"{path} is not a valid {cls.FORMAT!r} file: {where}: {what}; {cure}"
+                f"{path} is not a valid {cls.FORMAT!r} file: {fault.where or 'body'}: {what}; "
+                f"{cure}"
             ) from None
 
 
@@ -197,17 +225,18 @@ def read_document(path: Path) -> dict[str, Any]:
     Raises:
         ArtefactError: The file is missing, not ours, or does not match its digest.
     """
+    data = read_bytes(path, LARGEST_FILE, "a file of Equipoise", ArtefactError)
     try:
         document: Any = json.loads(
-            path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite
+            data.decode("utf-8"), parse_constant=_refuse, parse_float=_finite
         )
-    except FileNotFoundError:
-        raise ArtefactError(f"there is no file {path}; check the path") from None
-    except OSError as error:
-        raise ArtefactError(f"cannot read {path}: {error.strerror}") from None
+        matches = isinstance(document, dict) and document.get("digest") == _digest(
+            document.get("body")
+        )
     except (ValueError, RecursionError) as error:
         raise ArtefactError(
-            f"{path} is not a file of Equipoise, or was cut short ({error}); make the file again"
+            f"{path} is not a file of Equipoise, or was cut short ({shortened(str(error))}); "
+            "make the file again"
         ) from None
     kinds = {"format": str, "version": int, "digest": str, "provenance": dict, "body": dict}
     if not isinstance(document, dict) or any(
@@ -217,12 +246,91 @@ def read_document(path: Path) -> dict[str, Any]:
             f"{path} is not a file of Equipoise: expected the keys {', '.join(kinds)}; "
             "give a file that Equipoise wrote"
         )
-    if document["digest"] != _digest(document["body"]):
+    if not matches:
         raise ArtefactError(
             f"{path} does not match its digest: it was edited or damaged after it was written; "
             "make the file again"
         )
     return document
+
+
+def read_bytes(path: Path, limit: int, kind: str, error: type[InputError]) -> bytes:
+    """Return the content of a file, and take no more memory than the limit.
+
+    Args:
+        path: The file; a pipe will do.
+        limit: Largest size that is read [bytes].
+        kind: Name of what is expected, with its article, for messages.
+        error: Class of the errors.
+
+    Raises:
+        InputError: The file is missing, cannot be read or is larger; it is of the class `error`.
+    """
+    pieces: list[bytes] = []
+    left = limit + 1
+    try:
+        with Path(path).open("rb") as file:
+            while left > 0 and (piece := file.read(min(MEBIBYTE, left))):
+                pieces.append(piece)
+                left -= len(piece)
+    except FileNotFoundError:
+        raise error(f"there is no file {path}; check the path") from None
+    except (OSError, ValueError) as refusal:
+        reason = getattr(refusal, "strerror", None) or refusal
+        raise error(f"cannot read {path}: {reason}; give {kind}") from None
+    if left <= 0:
+        size = f"{limit // MEBIBYTE} MiB" if limit >= MEBIBYTE else f"{limit // 1024} KiB"
+        raise error(f"{path} is larger than {size}, the limit for {kind}; give a smaller one")
+    return b"".join(pieces)
+
+
+class Fault(NamedTuple):
+    """First fault of a value that does not fit its model, in words of bounded length."""
+
+    where: str
+    """Path of the field, with dots; empty for the value as a whole."""
+    what: str
+    """What was expected there."""
+    got: str
+    """The value that came, quoted."""
+    unknown: bool
+    """Whether the model has no such field."""
+
+
+def first_fault(error: ValidationError) -> Fault:
+    """Return the first fault that a validation found."""
+    first = error.errors(include_url=False, include_context=False)[0]
+    return Fault(
+        where=".".join(shortened(str(part)) for part in first["loc"]),
+        what=shortened(first["msg"].removeprefix("Value error, "), 5 * LONGEST_QUOTE),
+        got=quoted(first["input"]),
+        unknown=first["type"] == "extra_forbidden",
+    )
+
+
+def quoted(value: Any) -> str:
+    """Return the `repr` of a value from a file, shortened for a message.
+
+    Example:
+        >>> quoted(0.97), quoted("a" * 1000)
+        ('0.97', "'aaaaaaaaaaaaaaaaaaaaaaaaaaa...aaaaaaaaaaaaaaaaaaaaaaaaaaaa'")
+    """
+    if isinstance(value, int) and abs(value) >= 10**LONGEST_QUOTE:
+        return f"an integer of {value.bit_length()} bits"
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    return shortened(_QUOTES.repr(value), 2 * LONGEST_QUOTE)
+
+
+def shortened(text: str, length: int = LONGEST_QUOTE) -> str:
+    """Return a text on one line of at most `length` characters."""
+    line = " ".join(text.splitlines())
+    return line if len(line) <= length else f"{line[: length - 3]}..."
+
+
+_QUOTES: Final = reprlib.Repr()
+_QUOTES.maxstring = _QUOTES.maxother = LONGEST_QUOTE
+_QUOTES.maxlevel = 2
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

@@ -8,15 +8,26 @@ for every policy, and the yardsticks run the same trials.
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 from scipy.stats import binomtest
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Extended, PartialFile, Value, value_digest
+from equipoise.artefacts import (
+    Artefact,
+    Count,
+    Extended,
+    Name,
+    PartialFile,
+    Seed,
+    Value,
+    value_digest,
+)
 from equipoise.control.boxes import CAUSES, cause_named
 from equipoise.control.controller import make_controller
 from equipoise.control.guards import guard_named, trial_guard
@@ -42,15 +53,22 @@ from equipoise.model.worlds import (
     pivot_friction,
     read_world,
 )
-from equipoise.settings import Settings
+from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
 
 if TYPE_CHECKING:
     from equipoise.devices.twin.trial import Trial
 
 CONFIDENCE = 0.95
 
+AT_ONCE = 10_000
+"""Number of trials on a twin that wait for a thread at a time; it bounds their memory."""
+
 Done = Callable[[int], None]
 """Called with the number of trials that have just finished."""
+
+
+Survival = Annotated[float, Field(ge=0.0, le=LONGEST_TRIAL)]
+"""Time that a trial lasted [s]."""
 
 
 class Summary(NamedTuple):
@@ -75,14 +93,21 @@ class TrialResults(Extended):
 
     LATER: ClassVar[tuple[str, ...]] = ("guards",)
 
-    name: str
+    name: Name
     """Whose trials these are."""
-    survival: tuple[float, ...]
+    survival: Annotated[tuple[Survival, ...], Field(min_length=1, max_length=MOST_TRIALS)]
     """How long each trial lasted [s]."""
-    causes: tuple[str, ...]
+    causes: Annotated[tuple[Name, ...], Field(max_length=MOST_TRIALS)]
     """How each ended: lasted, angle, track, joint limit, guard."""
-    guards: tuple[str, ...] = ()
+    guards: Annotated[tuple[Name, ...], Field(max_length=MOST_TRIALS)] = ()
     """Which guard ended each, empty where none did; no entries where no guard ended any."""
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        trials = len(self.survival)
+        if len(self.causes) != trials or len(self.guards) not in (0, trials):
+            raise ValueError(f"{trials} trials need as many causes, and guards if there are any")
+        return self
 
     def summary(self) -> Summary:
         """Return share, interval, quantiles and causes."""
@@ -112,30 +137,30 @@ class Evaluation(Artefact, Extended):
         )
     }
 
-    policy: str
+    policy: Name
     """Digest of the policy, or the name of the function that was evaluated."""
-    world: str
+    world: Name
     """Where the trials ran."""
     world_settings: TwinSettings | None
     """The numbers of the twin; none on the training plant."""
-    arm: str
+    arm: Name
     """Name of the arm."""
-    arm_digest: str
+    arm_digest: Name
     """Digest of the arm."""
-    actuator: str
+    actuator: Name
     """Digest of the actuator that the controller knows."""
-    pendulum: str
+    pendulum: Name
     """Digest of the pendulum that the trials vary."""
     friction: PivotFriction | None = None
     """Dry friction and drag of that pendulum in the twin; none on the training plant, where they
     are the pendulum's own."""
     settings: Settings
     """Resolved settings: starts, noise, number and length of the trials."""
-    seed: int
+    seed: Seed
     """Master seed; with a trial's number it decides its conditions and its noise."""
     results: TrialResults
     """Trials of the policy."""
-    yardsticks: tuple[TrialResults, ...]
+    yardsticks: Annotated[tuple[TrialResults, ...], Field(max_length=16)]
     """Trials of the yardsticks, on the same conditions."""
 
     @property
@@ -232,8 +257,9 @@ def twin_trials(
     pendulum: Pendulum,
     seed: int,
     stream: int,
-) -> "list[Trial]":
-    """Return the conditions of the trials on a twin: starts and pendulums.
+    numbers: Iterable[int],
+) -> "Iterator[Trial]":
+    """Yield the conditions of the trials on a twin: starts and pendulums.
 
     Args:
         settings: Number and starts of the trials.
@@ -241,6 +267,7 @@ def twin_trials(
         pendulum: The nominal one.
         seed: Master seed.
         stream: Purpose of the trials.
+        numbers: Numbers of the trials, counted from zero.
     """
     from equipoise.devices.twin.trial import Trial
 
@@ -248,8 +275,8 @@ def twin_trials(
     drawn = draw_trials(settings.evaluation.trials, there, seed, stream, spread=1.0)
     nominal = pendulum.parameters(linearised=settings.plant.linearised)
     friction = pivot_friction(pendulum, world)
-    return [
-        Trial(
+    for i in numbers:
+        yield Trial(
             number=i,
             pendulum=friction.on(
                 PendulumParameters(
@@ -259,8 +286,6 @@ def twin_trials(
             phi=float(drawn.start[i, 2]),
             phi_dot=float(drawn.start[i, 3]),
         )
-        for i in range(settings.evaluation.trials)
-    ]
 
 
 class _Bench:
@@ -356,34 +381,32 @@ class _Bench:
             kept.add(i, outcome.steps, outcome.cause)
             self._done(1)
 
-        conditions = twin_trials(self._settings, settings, self._pendulum, self._seed, TEST)
+        controller = make_controller(
+            self._arm,
+            self._settings,
+            self._actuator,
+            self._parameters,
+            h=self._h,
+            counts_per_rev=settings.counts_per_rev,
+        )
+        guard = trial_guard(
+            self._arm, settings, self._actuator, kernel, self._h, self._settings.plant.max_speed
+        )
+        conditions = twin_trials(self._settings, settings, self._pendulum, self._seed, TEST, todo)
         with kept:
-            run_over_cores(
-                self._arm,
-                settings,
-                make_controller(
-                    self._arm,
-                    self._settings,
-                    self._actuator,
-                    self._parameters,
-                    h=self._h,
-                    counts_per_rev=settings.counts_per_rev,
-                ),
-                kernel,
-                [conditions[i] for i in todo],
-                duration=e.duration,
-                seed=self._seed,
-                workers=self._workers,
-                guard=trial_guard(
+            while batch := list(islice(conditions, AT_ONCE)):
+                run_over_cores(
                     self._arm,
                     settings,
-                    self._actuator,
+                    controller,
                     kernel,
-                    self._h,
-                    self._settings.plant.max_speed,
-                ),
-                done=one_done,
-            )
+                    batch,
+                    duration=e.duration,
+                    seed=self._seed,
+                    workers=self._workers,
+                    guard=guard,
+                    done=one_done,
+                )
         return self._results(name, results)
 
     def _key(self, settings: TwinSettings, name: str, digest: str) -> str:
@@ -441,7 +464,7 @@ class PartialEvaluation(Artefact):
     FORMAT: ClassVar[str] = "equipoise-partial-evaluation"
     VERSION: ClassVar[int] = 1
 
-    finished: dict[str, tuple[tuple[int, int, int], ...]]
+    finished: dict[Name, tuple[tuple[Count, Count, Count], ...]]
     """Number, steps and code of the cause of each finished trial, by the digest of what decided
     about it."""
 

@@ -13,7 +13,6 @@ unknown ones are refused::
 `connect` is the only place that picks a device.
 """
 
-import tomllib
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property, partial
@@ -25,7 +24,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from pydantic import Field, ValidationError
 
-from equipoise.artefacts import Value, value_digest
+from equipoise.artefacts import Name, Value, first_fault, value_digest
 from equipoise.control.safety import POSITION_MARGIN, TORQUE_SHARE
 from equipoise.devices.clocks import SystemClock, VirtualClock
 from equipoise.devices.encoder.board import Board
@@ -46,6 +45,7 @@ from equipoise.model.arms.iiwa import HOME_DEG, PIVOT_OUTWARD, iiwa
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.worlds import PREFIX as TWIN
 from equipoise.model.worlds import World, pendulum_on, read_world
+from equipoise.settings import read_toml
 
 Degrees = Annotated[float, Field(ge=-180.0, le=180.0)]
 
@@ -61,13 +61,13 @@ AWAY: Final = 0.1
 class RigSettings(Value):
     """What `rig.toml` says."""
 
-    name: str = "rig"
+    name: Name = "rig"
     """What the rig is called in logs."""
     arm: Literal["iiwa7", "iiwa14"] = "iiwa7"
     """Which arm."""
-    robot: str | None = None
+    robot: Name | None = None
     """Where the robot answers, if --robot is not given, e.g. kst://172.31.1.147:30001."""
-    encoder: str | None = None
+    encoder: Name | None = None
     """Where the encoder does, if --encoder is not given, e.g. serial:///dev/ttyACM0."""
     home_deg: Annotated[tuple[Degrees, ...], Field(min_length=7, max_length=7)] = HOME_DEG
     """Posture at x = 0, all joints [deg]: flange down, the pendulum's spindle along base y."""
@@ -119,21 +119,16 @@ def read_rig(path: Path | None) -> RigSettings:
     """
     if path is None:
         return RigSettings()
-    try:
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SettingsError(f"cannot read the rig {path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"the rig {path} is not valid TOML: {error}") from None
+    tree = read_toml(path, "the rig")
     try:
         rig = RigSettings.model_validate(tree)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
+        fault = first_fault(error)
         known = ", ".join(RigSettings.model_fields)
-        unknown = first["type"] == "extra_forbidden"
-        what = f"there is no such setting; known: {known}" if unknown else first["msg"]
-        raise SettingsError(f"the rig {path}: {where}: {what}") from None
+        what = f"{fault.what}, got {fault.got}"
+        if fault.unknown:
+            what = f"there is no such setting; known: {known}"
+        raise SettingsError(f"the rig {path}: {fault.where}: {what}") from None
     try:
         _ = rig.described_arm
     except ArmError as error:

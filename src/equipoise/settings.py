@@ -11,17 +11,41 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from math import radians
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
 from equipoise import paper
-from equipoise.artefacts import Extended, Value
+from equipoise.artefacts import (
+    LONGEST_QUOTE,
+    Extended,
+    Value,
+    first_fault,
+    quoted,
+    read_bytes,
+    shortened,
+)
 from equipoise.errors import SettingsError
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
-
+LARGEST_TOML: Final = 64 * 1024
+"""Size limit of a TOML file [bytes]: all settings with a comment each need less than 20 kB."""
+LONGEST_LINE: Final = 1000
+"""Length limit of a line of TOML [characters]: the time to parse a key grows with the square of its
+length."""
+LONGEST_TRIAL: Final = 86400.0
+"""Limit on the length of a trial or an episode [s]: a day."""
+MOST_TRIALS: Final = 1_000_000
+"""Limit on a number of trials: a million minutes of the twin take a core a week."""
+MOST_EPISODES: Final = 100_000_000
+"""Limit on a number of episodes: so many take a core a day and more."""
+MOST_CANDIDATES: Final = 100_000
+"""Limit on the candidates of a training; the screening of so many takes days."""
+FINEST_ENCODER: Final = 2**48
+"""Limit on counts per revolution: the steps of finer ones are lost in the rounding of an angle."""
+QUARTER_TURN: Final = radians(90.0)
+"""Limit on the error of an encoder's zero [rad]: beyond it the side of the fall is unknown."""
 
 Friction = Literal["viscous", "coulomb", "quadratic"]
 """Friction models: the paper's; with dry friction; with dry friction and air drag."""
@@ -33,19 +57,22 @@ class IdentificationSettings(Value):
     friction: Friction = "viscous"
     """Friction model. `viscous` is the paper's; `coulomb` adds dry friction, `quadratic` adds
     dry friction and air drag. All are kept at zero or above."""
-    g: float = Field(default=GRAVITY, gt=0.0)
-    """Acceleration of gravity [m/s^2]; the standard value is within 0.3 % of any place on earth."""
-    steps_per_period: int = Field(default=128, ge=32)
+    g: float = Field(default=GRAVITY, ge=0.1, le=100.0)
+    """Acceleration of gravity [m/s^2]; the standard value is within 0.3 % of any place on earth.
+    The bounds hold every solid body of the solar system."""
+    steps_per_period: int = Field(default=128, ge=32, le=8192)
     """Runge-Kutta steps in a period of the swing; over 60 periods of a large one they are wrong by
     less than 1e-5 rad."""
-    horizons: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = (0.08, 0.25)
+    horizons: Annotated[
+        tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...], Field(max_length=16)
+    ] = (0.08, 0.25)
     """Shares of the window that are fitted one after the other before the whole: fitted at once, a
     long window has false minima, where the fit loses count of the periods."""
-    first_horizon_periods: float = Field(default=1.5, gt=0.0)
+    first_horizon_periods: float = Field(default=1.5, gt=0.0, le=1e3)
     """The first horizon holds at least so many periods, or period and friction are not seen."""
-    samples_per_period: float = Field(default=10.0, ge=4.0)
+    samples_per_period: float = Field(default=10.0, ge=4.0, le=1e4)
     """Fewer samples than this in a period are refused: turning points would be guessed."""
-    noise_multiple: float = Field(default=8.0, gt=0.0)
+    noise_multiple: float = Field(default=8.0, gt=0.0, le=1e3)
     """A turning point is one where the motion comes back by so many standard deviations of the
     noise: noise alone does not within the samples around a turn."""
     turn_share: float = Field(default=0.02, gt=0.0, lt=1.0)
@@ -53,22 +80,22 @@ class IdentificationSettings(Value):
     local_periods: float = Field(default=1 / 6, gt=0.0, le=0.5)
     """Half width, in periods, of the windows over which angle, rate and acceleration are taken by
     a local polynomial: wide enough for an encoder's steps, narrow enough to see a hand let go."""
-    release_share: float = Field(default=0.25, gt=0.0)
+    release_share: float = Field(default=0.25, gt=0.0, le=1e3)
     """A hand is on the pendulum where gravity and friction leave more than this share of the
     nearby peak acceleration unexplained. Hands showed 0.5 and more on recorded swings, faults of
     the recorder's time stamps up to 0.18."""
-    release_noise: float = Field(default=5.0, gt=0.0)
+    release_noise: float = Field(default=5.0, gt=0.0, le=1e3)
     """... and more than so many standard deviations of what stays unexplained in a free swing."""
     rest_share: float = Field(default=0.02, ge=0.0, lt=1.0)
     """The swing is over where its amplitude has fallen to this share of its largest: the rest says
     more about stiction than about the swing."""
-    least_blocks: int = Field(default=8, ge=3)
+    least_blocks: int = Field(default=8, ge=3, le=1000)
     """Errors of the fit are independent between blocks of a period, and of this part of the window
     where it holds fewer periods: with fewer blocks their spread says nothing."""
     unexplained: float = Field(default=0.25, gt=0.0, lt=1.0)
     """A recording is refused where the residual, noise apart, is above this share of its standard
     deviation: it is not a free swing. A long swing with the wrong friction leaves 5 %."""
-    misfit_share: float = Field(default=0.005, gt=0.0)
+    misfit_share: float = Field(default=0.005, gt=0.0, le=1.0)
     """A warning is given where the residual, noise apart, is above this share of the amplitude:
     a well-modelled pivot leaves 0.1 to 0.4 %."""
     better_share: float = Field(default=0.8, gt=0.0, lt=1.0)
@@ -79,14 +106,16 @@ class IdentificationSettings(Value):
 class ClikSettings(Value):
     """Gains of the closed-loop inverse kinematics; the paper names them but gives no values."""
 
-    K_p: float = Field(default=400.0, gt=0.0)
+    K_p: float = Field(default=400.0, gt=0.0, le=1e4)
     """Gain on the pose error [1/s^2]. With K_d a critically damped loop of 20 rad/s: errors decay
-    within 0.15 s, slow beside the 0.01 s step and fast beside the 15 s of a long run."""
-    K_d: float = Field(default=40.0, gt=0.0)
-    """Gain on the twist error [1/s]; 2 sqrt(K_p) is critical damping."""
+    within 0.15 s, slow beside the 0.01 s step and fast beside the 15 s of a long run. Above 1e4 a
+    step of 0.01 s is unstable."""
+    K_d: float = Field(default=40.0, gt=0.0, le=200.0)
+    """Gain on the twist error [1/s]; 2 sqrt(K_p) is critical damping. Above 200 a step of 0.01 s is
+    unstable."""
     singular_share: float = Field(default=0.05, gt=0.0, lt=1.0)
     """The inverse is damped where the manipulability is below this share of its value at home."""
-    damping: float = Field(default=0.05, gt=0.0)
+    damping: float = Field(default=0.05, gt=0.0, le=10.0)
     """Damping factor at a singularity."""
 
 
@@ -107,19 +136,19 @@ class PlantSettings(Extended):
     friction_sigma: float = Field(default=0.2, ge=0.0, lt=1.0)
     """Standard deviation of the factor on b, once per episode. Friction of real pivots varies
     that much with amplitude."""
-    position_error_sigma: float = Field(default=1e-4, ge=0.0)
+    position_error_sigma: float = Field(default=1e-4, ge=0.0, le=paper.X_LIMIT)
     """Standard deviation of the noise on the position part of e, per step [m]."""
-    orientation_error_sigma: float = Field(default=radians(0.02), ge=0.0)
+    orientation_error_sigma: float = Field(default=radians(0.02), ge=0.0, le=QUARTER_TURN)
     """Standard deviation of the noise on the orientation part of e, per step [rad]."""
     delay_spread: float = Field(default=0.004, ge=0.0, le=0.02)
     """The transport delay of an episode differs from the identified one by up to this, evenly [s].
     Of no effect with the actuator `ideal`, as what follows."""
     lag_spread: float = Field(default=0.2, ge=0.0, lt=0.5)
     """The lag of the joints differs by a factor of up to 1 plus or minus this, evenly."""
-    zero_error: float = Field(default=radians(0.3), ge=0.0)
+    zero_error: float = Field(default=radians(0.3), ge=0.0, le=QUARTER_TURN)
     """The encoder's zero of an episode is wrong by up to this, evenly [rad]: the furthest that a
     pendulum with a good bearing may rest beside the vertical."""
-    counts_per_rev: int = Field(default=8192, ge=64)
+    counts_per_rev: int = Field(default=8192, ge=64, le=FINEST_ENCODER)
     """Encoder counts per revolution, after x4: 2048 lines, a common encoder."""
     max_speed: float | None = Field(default=None, gt=0.0, le=2.0)
     """Where |x_dot| reaches this a trial has failed, in selection and test, as a run on a rig would
@@ -139,16 +168,17 @@ class ControllerSettings(Value):
     over the delay the pendulum falls on, and the commands in flight move it."""
     estimate_bias: bool = True
     """Estimate the error of the encoder's zero while balancing."""
-    margin: float = Field(default=0.005, ge=0.0)
+    margin: float = Field(default=0.005, ge=0.0, le=0.2)
     """The prediction reaches at least so far beyond the identified delay [s]: looking 5 ms too far
-    costs little, looking 5 ms too short costs the balance."""
-    acceleration_sigma: float = Field(default=1.5, gt=0.0)
+    costs little, looking 5 ms too short costs the balance. Nobody balances 0.2 s later."""
+    acceleration_sigma: float = Field(default=1.5, ge=1e-6, le=1e3)
     """What shakes phi_ddot beyond the model [rad/s^2]: dry friction, an acceleration of the pivot
-    that is wrong by 0.2 m/s^2."""
-    angle_sigma: float = Field(default=3e-4, ge=0.0)
+    that is wrong by 0.2 m/s^2. Beyond a factor of a million the observer's equations round to
+    nothing."""
+    angle_sigma: float = Field(default=3e-4, ge=0.0, le=0.1)
     """What shakes a measured angle beyond the encoder's steps [rad]: a time stamp that is wrong by
-    0.3 ms at 1 rad/s."""
-    bias_drift: float = Field(default=radians(0.05), gt=0.0)
+    0.3 ms at 1 rad/s. A sensor that is wrong by 0.1 rad (6 deg) shows nothing within 11 deg."""
+    bias_drift: float = Field(default=radians(0.05), ge=1e-6, le=1.0)
     """How far the bias may drift in a second [rad]: it decides how fast a wrong zero is found."""
     correction: float = Field(default=0.1, ge=0.0, le=1.0)
     """Share of the difference between measured and modelled joints that is taken up per tick: a
@@ -159,16 +189,16 @@ class ControllerSettings(Value):
 class LearningSettings(Value):
     """Q-learning, equation (1), and its episodes."""
 
-    episodes: int = Field(default=paper.EPISODES, ge=1)
+    episodes: int = Field(default=paper.EPISODES, ge=1, le=MOST_EPISODES)
     """Episodes of training; the paper's number."""
-    episode_duration: float = Field(default=30.0, ge=paper.STEP)
+    episode_duration: float = Field(default=30.0, ge=paper.STEP, le=LONGEST_TRIAL)
     """An episode that lasts this long ends without a failure [s]."""
     gamma: float = Field(default=0.97, gt=0.0, lt=1.0)
     """Discount per step. Behind a servo a horizon of a third of a second learns most reliably: with
     0.99, which does on the ideal arm, three of six trainings found no table that stands."""
     alpha_initial: float = Field(default=1.0, gt=0.0, le=1.0)
     """Learning rate at the first visit of a state-action pair."""
-    alpha_decay: float = Field(default=0.02, ge=0.0)
+    alpha_decay: float = Field(default=0.02, ge=0.0, le=1e6)
     """Learning rate after N visits: alpha_initial / (1 + alpha_decay N), so that early guesses are
     forgotten and later values are averages; 0 is a constant rate."""
     alpha_minimum: float = Field(default=0.02, ge=0.0, le=1.0)
@@ -178,7 +208,7 @@ class LearningSettings(Value):
     """Probability of a random action in the first episode."""
     epsilon_until: float = Field(default=0.8, ge=0.0, le=1.0)
     """Share of the episodes over which that probability falls linearly to zero; 0 keeps it."""
-    reward_failure: float = Field(default=-1.0, lt=0.0)
+    reward_failure: float = Field(default=-1.0, ge=-1e6, lt=0.0)
     """Reward of a step that ends in failure; every other reward is zero."""
     mirrored: bool = True
     """Update the mirror image with every update: the task is symmetric, experience counts twice."""
@@ -190,11 +220,11 @@ class LearningSettings(Value):
     """Episodes start with x uniform within plus and minus this [m]: exploring starts show boxes
     that a good policy seldom sees. Wider starts are often lost whatever one does, and teach little
     but that."""
-    start_x_dot: float = Field(default=0.2, ge=0.0)
+    start_x_dot: float = Field(default=0.2, ge=0.0, le=10.0)
     """... x_dot within this [m/s] ..."""
     start_phi: float = Field(default=radians(3.5), ge=0.0, lt=radians(paper.PHI_LIMIT_DEG))
     """... phi within this [rad] ..."""
-    start_phi_dot: float = Field(default=radians(23.0), ge=0.0)
+    start_phi_dot: float = Field(default=radians(23.0), ge=0.0, le=100.0)
     """... and phi_dot within this [rad/s]."""
 
 
@@ -206,27 +236,27 @@ class SelectionSettings(Value):
     than the trained ones; the best go on to a longer round.
     """
 
-    every: int = Field(default=20, ge=0)
+    every: int = Field(default=20, ge=0, le=MOST_EPISODES)
     """A candidate is taken after each so many episodes, if its greedy policy is a new one; 0 takes
     the last table."""
     averaging: float = Field(default=0.05, gt=0.0, le=1.0)
     """A candidate is the greedy policy of a running average of the table (Polyak & Juditsky 1992),
     which takes up this share of the newest table each time; 1 takes the table as it is. The values
     of the best two actions differ by less than a table trembles."""
-    screening_trials: int = Field(default=24, ge=1)
+    screening_trials: int = Field(default=24, ge=1, le=MOST_TRIALS)
     """Trials of every candidate."""
-    finalists: int = Field(default=8, ge=1)
+    finalists: int = Field(default=8, ge=1, le=1000)
     """Candidates that go on to the final round."""
-    final_trials: int = Field(default=200, ge=1)
+    final_trials: int = Field(default=200, ge=1, le=MOST_TRIALS)
     """Trials of each finalist."""
-    duration: float = Field(default=60.0, ge=paper.STEP)
+    duration: float = Field(default=60.0, ge=paper.STEP, le=LONGEST_TRIAL)
     """Length of a screening trial [s]."""
-    final_duration: float = Field(default=120.0, ge=paper.STEP)
+    final_duration: float = Field(default=120.0, ge=paper.STEP, le=LONGEST_TRIAL)
     """Length of a trial of the final round [s]: what lasts two minutes seldom fails in one."""
-    spread: float = Field(default=2.0, ge=0.0)
+    spread: float = Field(default=2.0, ge=0.0, le=10.0)
     """Factor on the plant's standard deviations of I and b: a policy that stands on worse plants
     has margin."""
-    rms_x_weight: float = Field(default=0.002, ge=0.0)
+    rms_x_weight: float = Field(default=0.002, ge=0.0, le=1e3)
     """Score = mean duration / duration - weight * rms(x) / 0.22 m. Survival alone saturates; of
     policies that always stand, the one that uses less track has more of it left."""
 
@@ -234,17 +264,17 @@ class SelectionSettings(Value):
 class EvaluationSettings(Value):
     """Trials as a release leaves them: x = x_dot = 0, the pendulum already falling."""
 
-    trials: int = Field(default=200, ge=1)
+    trials: int = Field(default=200, ge=1, le=MOST_TRIALS)
     """Number of trials."""
-    duration: float = Field(default=60.0, ge=paper.STEP)
+    duration: float = Field(default=60.0, ge=paper.STEP, le=LONGEST_TRIAL)
     """Length of a trial [s]."""
-    phi_low: float = Field(default=radians(1.5), ge=0.0)
+    phi_low: float = Field(default=radians(1.5), ge=0.0, le=QUARTER_TURN)
     """Smallest |phi| at the start [rad]; its sign is random."""
-    phi_high: float = Field(default=radians(2.5), ge=0.0)
+    phi_high: float = Field(default=radians(2.5), ge=0.0, le=QUARTER_TURN)
     """Largest |phi| at the start [rad]."""
-    phi_dot_low: float = Field(default=radians(8.0), ge=0.0)
+    phi_dot_low: float = Field(default=radians(8.0), ge=0.0, le=100.0)
     """Smallest |phi_dot| at the start, of the same sign as phi [rad/s]."""
-    phi_dot_high: float = Field(default=radians(18.0), ge=0.0)
+    phi_dot_high: float = Field(default=radians(18.0), ge=0.0, le=100.0)
     """Largest |phi_dot| at the start [rad/s]."""
 
     @model_validator(mode="after")
@@ -266,6 +296,16 @@ class Settings(Value):
     learning: LearningSettings = LearningSettings()
     selection: SelectionSettings = SelectionSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
+
+    @model_validator(mode="after")
+    def _has_few_candidates(self) -> Self:
+        every = self.selection.every
+        if every > 0 and self.learning.episodes > every * MOST_CANDIDATES:
+            raise ValueError(
+                f"selection.every of {every} makes more than {MOST_CANDIDATES:,} candidates of "
+                f"{self.learning.episodes:,} episodes; raise it"
+            )
+        return self
 
 
 RECIPES: Mapping[str, Mapping[str, Any]] = {
@@ -334,13 +374,13 @@ def resolve(
         for name, value in SLOW.items():
             _put(tree, name, value)
     if file is not None:
-        for name, value in _flat(_read_toml(file)):
+        for name, value in _flat(read_toml(file, "the settings")):
             _put(tree, name, value)
     for override in overrides:
         name, sign, text = override.partition("=")
         if not sign:
             raise SettingsError(
-                f"{override!r} is no setting; expected NAME=VALUE, e.g. learning.gamma=0.98"
+                f"{quoted(override)} is no setting; expected NAME=VALUE, e.g. learning.gamma=0.98"
             )
         _put(tree, name.strip(), _toml_value(text.strip()))
     if max_speed is not None:
@@ -348,10 +388,10 @@ def resolve(
     try:
         return Settings.model_validate(tree)
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
-        got = "" if len(first["loc"]) == 1 else f", got {first['input']!r}"
-        raise SettingsError(f"setting {name}: {first['msg']}{got}") from None
+        fault = first_fault(error)
+        got = f", got {fault.got}" if "." in fault.where else ""
+        where = f"setting {fault.where}" if fault.where else "settings"
+        raise SettingsError(f"{where}: {fault.what}{got}") from None
 
 
 def _put(tree: dict[str, Any], name: str, value: Any) -> None:
@@ -360,7 +400,7 @@ def _put(tree: dict[str, Any], name: str, value: Any) -> None:
         known = tree.get(section, tree)
         close = difflib.get_close_matches(key if section in tree else section, known, n=1)
         hint = f"; did you mean {close[0]!r}?" if close else f"; known: {', '.join(known)}"
-        raise SettingsError(f"there is no setting {name!r}{hint}")
+        raise SettingsError(f"there is no setting {quoted(name)}{hint}")
     tree[section][key] = value
 
 
@@ -368,23 +408,52 @@ def _flat(tree: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
     for section, fields in tree.items():
         if not isinstance(fields, dict):
             raise SettingsError(
-                f"{section!r} stands outside a section; expected e.g. [learning] above gamma = 0.98"
+                f"{quoted(section)} stands outside a section; expected e.g. [learning] above "
+                "gamma = 0.98"
             )
         for key, value in fields.items():
             yield f"{section}.{key}", value
 
 
-def _read_toml(file: Path) -> dict[str, Any]:
+def read_toml(path: Path, kind: str) -> dict[str, Any]:
+    """Return the content of a TOML file.
+
+    Args:
+        path: The file.
+        kind: Name of what the file holds, with its article, for messages.
+
+    Raises:
+        SettingsError: The file is missing, too large, or not TOML.
+    """
+    data = read_bytes(path, LARGEST_TOML, f"a TOML file with {kind}", SettingsError)
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SettingsError(f"cannot read the settings {file}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"the settings {file} are not valid TOML: {error}") from None
+        return parse_toml(data.decode("utf-8"))
+    except UnicodeDecodeError:
+        raise SettingsError(
+            f"{path} is not valid TOML (it is not UTF-8 text); save {kind} in UTF-8"
+        ) from None
+    except ValueError as error:
+        raise SettingsError(f"{path} is not valid TOML ({error}); correct {kind}") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return what a TOML text says.
+
+    Raises:
+        ValueError: It is no TOML, nested too deeply, or has too long a line or number.
+    """
+    if max(map(len, text.splitlines()), default=0) > LONGEST_LINE:
+        raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("its tables or lists are nested too deeply") from None
+    except ValueError as error:
+        raise ValueError(shortened(str(error), 2 * LONGEST_QUOTE)) from None
 
 
 def _toml_value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return parse_toml(f"value = {text}")["value"]
+    except ValueError:
         return text

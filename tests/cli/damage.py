@@ -95,7 +95,7 @@ def rebuilt(path, change):
 
     def both(document):
         change(document["body"])
-        document["digest"] = _digest(document["body"])
+        document["digest"] = digest(document["body"])
 
     _rewrite(path, both)
 
@@ -106,7 +106,7 @@ def _rewrite(path, change):
     path.write_text(json.dumps(document))
 
 
-def _digest(body):
+def digest(body):
     from pydantic import RootModel
 
     return value_digest(RootModel[dict](body))

@@ -85,6 +85,8 @@ OPTIONS = {
     "no duration": (("--duration", "0"), "duration is 0"),
     "an endless duration": (("--duration", "inf"), "duration is inf"),
     "no trials": (("--trials", "0"), "--trials"),
+    "a billion trials": (("--trials", 10**9), "1000000000"),
+    "trials beyond any integer": (("--trials", 10**30), "1000000"),
     "too few trials": (("--trials", "298"), "give 299 or more"),
     "unknown world": (("--world", "mars"), "there is no world 'mars'"),
     "no workers": (("--workers", "0"), "--workers"),

@@ -190,6 +190,9 @@ def test_another_arm_or_pendulum_than_the_policys_is_refused(
 OPTIONS = {
     "unknown world": (("--world", "twin:mars"), "there is no world 'twin:mars'"),
     "no trials": (("--trials", "0"), "--trials"),
+    "a billion trials": (("--trials", 10**9), "1000000000"),
+    "trials beyond any integer": (("--trials", 10**30), "1,000,000"),
+    "trials on a twin": (("--world", "twin:nominal", "--trials", 10**18), "1,000,000"),
     "trials below zero": (("--trials", "-5"), "--trials"),
     "no duration": (("--duration", "0"), "--duration is 0"),
     "a duration that is no number": (("--duration", "nan"), "--duration is nan"),

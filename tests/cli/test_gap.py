@@ -129,6 +129,8 @@ OPTIONS = {
     "the plant of the training": (("--world", "model"), "lies between model and a twin"),
     "unknown world": (("--world", "mars"), "there is no world 'mars'"),
     "one trial": (("--trials", "1"), "--trials"),
+    "a billion trials": (("--trials", 10**9), "1000000000"),
+    "trials beyond any integer": (("--trials", 10**30), "1,000,000"),
     "no duration": (("--duration", "0"), "--duration is 0 s"),
     "an endless duration": (("--duration", "inf"), "--duration is inf s"),
     "a table with an actuator": (("--paper-policy", "policy.json"), "trained with an actuator"),

@@ -162,7 +162,10 @@ NO_CLAIMS = {
     "more than a day": ({"duration": 1e5}, "duration is 100000"),
     "part of a step": ({"duration": 60.005}, "no whole number of steps of 0.01 s"),
     "no trials": ({"trials": 0}, "trials is 0"),
-    "endless trials": ({"trials": 10**7}, "trials is 1e+07"),
+    "endless trials": (
+        {"trials": 10**7},
+        "trials is 10000000; it should be less than or equal to 1000000",
+    ),
     "too much": ({"probability": 0.999999}, "takes more than 500,000 trials"),
 }
 

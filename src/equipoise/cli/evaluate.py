@@ -194,8 +194,14 @@ def _refuse_other_arm(policy: "TabularPolicy", asked: "Arm") -> None:
 def _settings(settings: "Settings", trials: int | None, duration: float | None) -> "Settings":
     """Return the settings with another number or length of trials."""
     changes = {"trials": trials, "duration": duration}
-    if duration is not None and not 0.01 <= duration <= 86400.0:
-        raise InputError(f"--duration is {duration:g} s; give a number from 0.01 to 86400 (a day)")
+    from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
+
+    if trials is not None and trials > MOST_TRIALS:
+        raise InputError(f"--trials is {trials}; give a number from 1 to {MOST_TRIALS:,}")
+    if duration is not None and not 0.01 <= duration <= LONGEST_TRIAL:
+        raise InputError(
+            f"--duration is {duration:g} s; give a number from 0.01 to {LONGEST_TRIAL:g} (a day)"
+        )
     given = {name: value for name, value in changes.items() if value is not None}
     evaluation = settings.evaluation.model_copy(update=given)
     return settings.model_copy(update={"evaluation": evaluation})

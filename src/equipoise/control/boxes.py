@@ -13,13 +13,14 @@ import functools
 from collections.abc import Sequence
 from itertools import pairwise
 from math import radians
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from equipoise import paper
-from equipoise.artefacts import Value
+from equipoise.artefacts import Name, Value
 from equipoise.compiled import inlined, kernel
 
 SHAPE: Final = (6, 5, 3, 3)
@@ -59,16 +60,20 @@ class Boxes(NamedTuple):
     """[m]"""
 
 
+Intervals = Annotated[tuple[Name, ...], Field(max_length=16)]
+"""Intervals of one quantity in the paper's notation."""
+
+
 class BoxDescription(Value):
     """The boxes as a policy's file states them, in the paper's notation and units."""
 
-    phi_deg: tuple[str, ...]
+    phi_deg: Intervals
     """Intervals of the angle from upright [deg]."""
-    phi_dot_deg: tuple[str, ...]
+    phi_dot_deg: Intervals
     """Intervals of the angular velocity [deg/s]."""
-    x: tuple[str, ...]
+    x: Intervals
     """Intervals of the displacement [m]."""
-    x_dot: tuple[str, ...]
+    x_dot: Intervals
     """Intervals of the velocity [m/s]."""
 
 

@@ -7,21 +7,21 @@ The compiled loops call `act`, with a `PolicyKernel` made from a table or from a
 import functools
 from collections.abc import Callable, Mapping
 from importlib import resources
-from typing import Any, ClassVar, Final, NamedTuple, Protocol, Self
+from typing import Annotated, Any, ClassVar, Final, NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Value
+from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Share, Value
 from equipoise.compiled import kernel
 from equipoise.control import boxes
 from equipoise.control.boxes import BoxDescription, Boxes, box_index
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
-from equipoise.settings import Settings
+from equipoise.settings import MOST_CANDIDATES, Settings
 
 Array = npt.NDArray[np.float64]
 
@@ -106,30 +106,30 @@ def policy_kernel(
 class LearningPoint(Value):
     """The training as it stood after some episodes."""
 
-    episodes: int
+    episodes: Count
     """Episodes so far."""
-    steps: int
+    steps: Count
     """Control steps so far."""
-    duration: float
+    duration: Number
     """Mean duration of the training episodes that ended since the last point [s]."""
-    survival: float | None = None
+    survival: Share | None = None
     """Share of the screening trials that the greedy policy of this moment lasted."""
 
 
 class Candidate(Value):
     """A greedy policy of some moment of the training, and how it did on selection seeds."""
 
-    episodes: int
+    episodes: Count
     """When it was taken."""
-    trials: int
+    trials: Count
     """How many selection trials it ran."""
-    survived: int
+    survived: Count
     """How many of them it lasted."""
-    mean_duration: float
+    mean_duration: Number
     """Mean balance [s]."""
-    rms_x: float
+    rms_x: Number
     """Root mean square of x over the trials [m]."""
-    score: float
+    score: Number
     """What was compared: mean duration over the longest possible, less a penalty on rms_x."""
 
 
@@ -158,35 +158,35 @@ class TabularPolicy(Artefact):
 
     boxes: BoxDescription
     """The boxes, in the paper's notation."""
-    actions: tuple[float, ...]
+    actions: Annotated[tuple[Number, ...], Field(max_length=len(paper.ACTIONS))]
     """Accelerations [m/s^2]."""
-    Q: tuple[tuple[float, ...], ...]
+    Q: tuple[tuple[Number, ...], ...]
     """State-action values, 270 x 8."""
-    visits: tuple[tuple[int, ...], ...]
+    visits: tuple[tuple[Count, ...], ...]
     """How often each value was updated, 270 x 8."""
-    h: float
-    """Time step [s]."""
+    h: float = Field(ge=0.001, le=0.1)
+    """Time step [s]; the servo's cycle is 1 ms, and with 0.1 s none stands."""
     pendulum: Pendulum
     """The pendulum it was trained for."""
     arm: Arm
     """The arm it was trained on, with its home posture."""
     actuator: Actuator
     """How the arm followed its setpoints in the training."""
-    recipe: str
+    recipe: Name
     """Name of the training recipe."""
     settings: Settings
     """Resolved settings of the training."""
-    seed: int
+    seed: Seed
     """Master seed."""
-    learner: int
+    learner: Count
     """Which of the learners of that seed."""
-    episodes: int
+    episodes: Count
     """Episodes trained."""
-    steps: int
+    steps: Count
     """Control steps trained."""
-    learning_curve: tuple[LearningPoint, ...]
+    learning_curve: Annotated[tuple[LearningPoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
     """The course of the training."""
-    candidates: tuple[Candidate, ...]
+    candidates: Annotated[tuple[Candidate, ...], Field(max_length=MOST_CANDIDATES + 1)]
     """The finalists of the selection, the chosen one first; empty if the last table was taken."""
 
     @model_validator(mode="after")

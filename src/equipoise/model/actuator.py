@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from equipoise.artefacts import Artefact, Estimate, Value
+from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
 from equipoise.compiled import inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import at, put
@@ -44,6 +44,10 @@ AMPLITUDE: Final = 0.07
 """a of the shaping law [rad], as the server's source has it."""
 WIDTH: Final = 0.0525
 """b of the shaping law [rad], as the server's source has it."""
+LONGEST_RESPONSE: Final = 10.0
+"""Limit on delay, lag and cycle [s]: a pendulum of a metre falls within one."""
+SHORTEST_CYCLE: Final = 1e-6
+"""Limit on the cycle of the shaping law [s]: its rate stays finite."""
 TYPICAL_SPEED: Final = 0.1
 """Joint speed at which `response_time` speaks of the shaping law's lag [rad/s]: balancing moves
 the joints at 0.05 to 0.3 rad/s."""
@@ -285,21 +289,21 @@ class ActuatorFit(Value):
     last one does not stand for all.
     """
 
-    source: str
+    source: Name
     """Digest of the run log."""
-    samples: int
+    samples: Count
     """Measured positions of a joint that were fitted."""
-    duration: float
+    duration: Number
     """Length of the log [s]."""
-    rms: float
+    rms: Number
     """Root mean square of measured minus simulated position [rad]."""
-    noise: float
+    noise: Number
     """What of it changes from one sample to the next, as noise does [rad]."""
-    one_step: float
+    one_step: Number
     """Root mean square error of the prediction of the next measured position [rad]."""
-    alternatives: dict[str, float]
+    alternatives: dict[Name, Number]
     """Root mean square that each other kind of actuator leaves [rad]."""
-    warnings: tuple[str, ...] = ()
+    warnings: Annotated[tuple[Sentence, ...], Field(max_length=100)] = ()
     """Where the model does not explain the log, and what to try."""
 
 
@@ -317,19 +321,22 @@ class Actuator(Artefact):
     """Time constant T of each free joint [s]."""
     cycle: Estimate
     """t_c of the shaping law [s]."""
-    amplitude: float = AMPLITUDE
+    amplitude: float = Field(default=AMPLITUDE, ge=1e-6, le=10.0)
     """a of the shaping law [rad]."""
-    width: float = WIDTH
+    width: float = Field(default=WIDTH, ge=1e-6, le=10.0)
     """b of the shaping law [rad]."""
     fit: ActuatorFit | None = None
     """The log that it was identified from, if any."""
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
-        if self.delay.value < 0.0 or any(lag.value < 0.0 for lag in self.lags):
-            raise ValueError("a delay or lag is negative")
-        if min(self.cycle.value, self.amplitude, self.width) <= 0.0:
-            raise ValueError("cycle, amplitude and width must be above zero")
+        times = (self.delay, *self.lags)
+        if any(not 0.0 <= time.value <= LONGEST_RESPONSE for time in times):
+            raise ValueError(f"a delay or lag is not from 0 to {LONGEST_RESPONSE:g} s")
+        if abs(self.delay.high) > LONGEST_RESPONSE:
+            raise ValueError(f"the delay's interval reaches beyond {LONGEST_RESPONSE:g} s")
+        if not SHORTEST_CYCLE <= self.cycle.value <= LONGEST_RESPONSE:
+            raise ValueError(f"the cycle is not from {SHORTEST_CYCLE:g} to {LONGEST_RESPONSE:g} s")
         return self
 
     @classmethod

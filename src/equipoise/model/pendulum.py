@@ -13,17 +13,25 @@ phi = 0. Coulomb friction and quadratic drag go beyond the paper; they are zero 
 import functools
 from importlib import resources
 from math import pi
-from typing import ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field, model_validator
 
-from equipoise.artefacts import Artefact, Estimate, Value
+from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
 from equipoise.compiled import inlined, kernel
 from equipoise.errors import RecordingError
 from equipoise.model.elementary import sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 from equipoise.trajectory import Trajectory
+
+SHORTEST_PERIOD: Final = 1e-5
+LONGEST_PERIOD: Final = 1e5
+"""Limits on the period of a small swing [s], from 25 pm to 2,500,000 km of string: a unit of time
+that was mistaken by a factor of a thousand stays within them, and can be named."""
+Variance = Annotated[float, Field(ge=-1e24, le=1e24)]
+"""Product of two deviations, each below 1e12."""
 
 
 class PendulumParameters(NamedTuple):
@@ -217,34 +225,34 @@ def swing(
 class SwingFit(Value):
     """How a free swing was explained: what, from where to where, and how well."""
 
-    source: str
+    source: Name
     """Name of the recording."""
-    sha256: str
+    sha256: Name
     """Digest of the recording."""
     quantity: Literal["angle", "rate"]
     """What was recorded: theta [rad], or theta_dot [rad/s] from a gyro."""
-    window: tuple[float, float]
+    window: tuple[Number, Number]
     """First and last time of the swing that was fitted [s]."""
-    release: float | None
+    release: Number | None
     """Time at which a hand lets go [s]; none where that is not known: the recording is free from
     its first sample, its start was given, or something touched a swing."""
-    samples: int
+    samples: Count
     """Samples in the window."""
-    periods: float
-    """Length of the window in periods of the swing."""
-    rms: float
+    periods: float = Field(gt=0.0, le=1e6)
+    """Length of the window in periods of the swing; friction ends any within a million."""
+    rms: Number
     """Root mean square of recording minus fit [rad], or [rad/s] for a rate."""
-    noise: float
+    noise: Number
     """The part of it that changes from one sample to the next, as noise does; same unit."""
-    offset: float
+    offset: Number
     """Recorded minus true: zero offset of the encoder [rad], or bias of the gyro [rad/s]."""
-    theta: float
+    theta: Number
     """Angle from hanging at the first time of the window [rad]."""
-    theta_dot: float
+    theta_dot: Number
     """Its rate [rad/s]."""
     settings: IdentificationSettings
     """How it was fitted."""
-    warnings: tuple[str, ...] = ()
+    warnings: Annotated[tuple[Sentence, ...], Field(max_length=100)] = ()
     """Where the model does not explain the recording, and what to try."""
 
     @property
@@ -269,11 +277,14 @@ class Pendulum(Artefact):
     """Coulomb friction over inertia [1/s^2]."""
     drag: Estimate
     """Quadratic drag over inertia [1/rad]."""
-    covariance: tuple[tuple[float, float, float, float], ...]
+    covariance: Annotated[
+        tuple[tuple[Variance, Variance, Variance, Variance], ...],
+        Field(min_length=4, max_length=4),
+    ]
     """Covariance of w2, c, coulomb and drag, in their units; zero where one was not fitted."""
     friction_model: Friction
     """Which of the three frictions were fitted."""
-    g: float = GRAVITY
+    g: float = Field(default=GRAVITY, ge=0.1, le=100.0)
     """Acceleration of gravity [m/s^2]."""
     mass: Estimate | None = None
     """Mass m of all that rotates, measured apart [kg]."""
@@ -285,6 +296,19 @@ class Pendulum(Artefact):
     """Viscous friction b = c I [N m s]."""
     fit: SwingFit | None = None
     """The swing it was identified from, if any."""
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        w2 = self.w2.value
+        if not w2 > 0.0 or not SHORTEST_PERIOD <= self.period <= LONGEST_PERIOD:
+            raise ValueError(
+                f"w2 is {w2:.3g} 1/s^2, expected that of a period from {SHORTEST_PERIOD:g} s to "
+                f"{LONGEST_PERIOD:g} s"
+            )
+        for name in ("k", "coulomb", "drag"):
+            if getattr(self, name).value < 0.0:
+                raise ValueError(f"{name} is {getattr(self, name).value:.3g}, below zero")
+        return self
 
     @classmethod
     def assumed(cls, w2: float, c: float, *, g: float = GRAVITY) -> Self:

@@ -13,7 +13,7 @@ Each number says where it comes from: the source of the KUKA Sunrise Toolbox and
 facts; what is marked *assumed* is ours, chosen on the unforgiving side of what is plausible.
 """
 
-import tomllib
+import os.path
 from collections.abc import Mapping
 from math import radians
 from pathlib import Path
@@ -21,9 +21,10 @@ from typing import Any, ClassVar, Final, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
-from equipoise.artefacts import Extended, Value
+from equipoise.artefacts import Extended, Number, Value, first_fault, quoted
 from equipoise.errors import SettingsError
 from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.settings import FINEST_ENCODER, QUARTER_TURN, read_toml
 
 MODEL: Final = "model"
 """The training plant, as `--world` and files name it."""
@@ -57,39 +58,41 @@ class TwinSettings(Extended):
     that the server's source asks for."""
     lag: float = Field(default=0.008, ge=0.001, le=0.1)
     """Time constant of the joint drives [s]. Assumed: 4 to 16 ms are plausible."""
-    pd_frequency: float = Field(default=125.0, gt=0.0)
-    """Natural frequency of `pd`, critically damped [rad/s]. Assumed: 1 / lag of `velocity`."""
-    rotor_inertia: float = Field(default=0.02, ge=0.0)
+    pd_frequency: float = Field(default=125.0, ge=1.0, le=2000.0)
+    """Natural frequency of `pd`, critically damped [rad/s]. Assumed: 1 / lag of `velocity`. A cycle
+    of 1 ms can hold no more than 2000."""
+    rotor_inertia: float = Field(default=0.02, ge=0.0, le=100.0)
     """Inertia of motor and gear at each joint [kg m^2], which the drive knows. KUKA publishes none;
     a small motor (1e-5 kg m^2) behind a gear of 1:100 has 0.1. Assumed: a fifth of that, in every
     joint. Without it (`bare`) the drive of A7 would have to hold bracket and pendulum with the
     0.0003 kg m^2 of its link alone."""
-    bracket_mass: float = Field(default=0.1, ge=0.0)
-    """Mass of what carries the pendulum, unknown to the drive [kg]. Assumed."""
-    pendulum_mass: float = Field(default=0.15, gt=0.0)
+    bracket_mass: float = Field(default=0.1, ge=0.0, le=14.0)
+    """Mass of what carries the pendulum, unknown to the drive [kg]. Assumed. No iiwa
+    carries more than 14 kg."""
+    pendulum_mass: float = Field(default=0.15, ge=1e-9, le=14.0)
     """Mass of the pendulum, unknown to the drive [kg]; a uniform rod. Assumed."""
-    pivot_outward: float = Field(default=0.13, ge=0.0)
+    pivot_outward: float = Field(default=0.13, ge=0.0, le=1.0)
     """From the axis of A7 to the plane in which the pendulum turns [m]: room for the wrist."""
-    coulomb: float | None = Field(default=0.1, ge=0.0)
+    coulomb: float | None = Field(default=0.1, ge=0.0, le=1e3)
     """Dry friction of the pendulum over its inertia, in place of the pendulum's own [1/s^2]; none:
     the pendulum's own."""
-    drag: float | None = Field(default=0.0, ge=0.0)
+    drag: float | None = Field(default=0.0, ge=0.0, le=1e3)
     """Quadratic drag of the pendulum over its inertia, in place of the pendulum's own [1/rad];
     none: the pendulum's own."""
-    assumed_coulomb: float = Field(default=0.1, ge=0.0)
+    assumed_coulomb: float = Field(default=0.1, ge=0.0, le=1e3)
     """Dry friction over inertia of a pendulum whose own was not identified [1/s^2]; used where
     `coulomb` is none. Assumed: recorded pivots show 0.05 to 2."""
     inertia_sigma: float = Field(default=0.02, ge=0.0, lt=0.25)
     """Standard deviation of the factor on I, once per trial."""
     friction_sigma: float = Field(default=0.2, ge=0.0, lt=1.0)
     """Standard deviation of the factor on b, once per trial."""
-    counts_per_rev: int = Field(default=8192, ge=64)
+    counts_per_rev: int = Field(default=8192, ge=64, le=FINEST_ENCODER)
     """Encoder counts per revolution, after x4: 2048 lines."""
-    zero_error: float = Field(default=radians(0.2), ge=0.0)
+    zero_error: float = Field(default=radians(0.2), ge=0.0, le=QUARTER_TURN)
     """Error of the encoder's zero, evenly within plus and minus this, once per trial [rad].
     Assumed: stiction leaves a hanging pendulum coulomb / w2 beside the vertical, 0.1 deg on a
     recorded arm."""
-    zero_offset: float = 0.0
+    zero_offset: float = Field(default=0.0, ge=-QUARTER_TURN, le=QUARTER_TURN)
     """A constant part of that error [rad]."""
     encoder_age: float = Field(default=0.001, ge=0.0, le=0.05)
     """Age of the newest count at a tick [s]: an encoder board sends at 1 kHz."""
@@ -97,7 +100,7 @@ class TwinSettings(Extended):
     """Error of a count's time stamp, evenly within plus and minus this [s]. Assumed: USB frames."""
     reply_age: float = Field(default=0.005, ge=0.0, le=0.1)
     """Age of the newest measured q at a tick [s]: the reply to the setpoint before. Assumed."""
-    joint_noise: float = Field(default=5e-5, ge=0.0)
+    joint_noise: float = Field(default=5e-5, ge=0.0, le=0.1)
     """Standard deviation of the noise on a measured joint position [rad]. Assumed: half the
     arm's repeatability of 0.1 mm at 0.8 m is 6e-5 rad."""
     substeps: int = Field(default=1, ge=1, le=16)
@@ -111,17 +114,17 @@ class TwinSettings(Extended):
 class PivotFriction(Value):
     """Dry friction and drag of a twin's pendulum, and who set them."""
 
-    coulomb: float
+    coulomb: Number
     """Dry friction over inertia [1/s^2]."""
-    drag: float
+    drag: Number
     """Quadratic drag over inertia [1/rad]."""
     coulomb_from: FrictionSource
     """Who set the dry friction."""
     drag_from: FrictionSource
     """Who set the drag."""
-    own_coulomb: float
+    own_coulomb: Number
     """The pendulum's own dry friction over inertia [1/s^2]; zero where it was not identified."""
-    own_drag: float
+    own_drag: Number
     """The pendulum's own quadratic drag over inertia [1/rad]."""
 
     def on(self, pendulum: PendulumParameters) -> PendulumParameters:
@@ -251,7 +254,7 @@ def read_world(name: str) -> World:
     if name == MODEL:
         raise SettingsError(f"the plant of the training is no digital twin; choose {twins}")
     if not name.startswith(PREFIX):
-        raise SettingsError(f"there is no world {name!r}; choose {MODEL}, {twins}")
+        raise SettingsError(f"there is no world {quoted(name)}; choose {MODEL}, {twins}")
     which = name.removeprefix(PREFIX)
     which = NEWEST.get(which, which)
     if which in SETS:
@@ -261,20 +264,16 @@ def read_world(name: str) -> World:
         which.encode()
     except UnicodeEncodeError:  # results name their world
         raise SettingsError(
-            f"the name of the world {name!r} is not UTF-8; give the file another name"
+            f"the name of the world {quoted(name)} is not UTF-8; give the file another name"
         ) from None
-    try:
-        differences = SETS[NEWEST["nominal"]] | tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
+    if not os.path.lexists(file):
         raise SettingsError(
-            f"there is no world {name!r}: no set of that name, and no such file "
-            f"({error.strerror}); choose one of {', '.join(NEWEST)}, or give a TOML file"
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"the world {file} is not valid TOML: {error}") from None
+            f"there is no world {quoted(name)}: no set of that name, and no such file; choose one "
+            f"of {', '.join(NEWEST)}, or give a TOML file"
+        )
+    differences = SETS[NEWEST["nominal"]] | read_toml(file, "the numbers of a world")
     try:
         return World(name, TwinSettings.model_validate(differences))
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise SettingsError(f"world {file}: {where}: {first['msg']}") from None
+        fault = first_fault(error)
+        raise SettingsError(f"world {file}: {fault.where}: {fault.what}, got {fault.got}") from None

@@ -21,12 +21,22 @@ from pydantic import Field, ValidationError, model_validator
 from scipy.stats import binom, binomtest
 
 from equipoise import paper
-from equipoise.artefacts import DIGEST_PREFIX, Artefact, Value, value_digest
+from equipoise.artefacts import (
+    DIGEST_PREFIX,
+    Artefact,
+    Count,
+    Name,
+    Seed,
+    Share,
+    Value,
+    first_fault,
+    value_digest,
+)
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError, InputError
 from equipoise.evaluation import Done, Evaluation, evaluate
 from equipoise.model.worlds import MODEL, NEWEST, PREFIX, SETS, TwinSettings, World, read_world
-from equipoise.settings import Settings
+from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
 from equipoise.studies.wording import LASTED
 
 MARGIN: Final = 10.0
@@ -34,8 +44,6 @@ MARGIN: Final = 10.0
 allows ..."""
 GRANTED_SHARE: Final = 0.95
 """... which shall be granted its claim with at least this probability."""
-MOST_TRIALS: Final = 1_000_000
-"""A million minutes of the twin take a core a week."""
 ROUND_NUMBERS: Final = tuple(digit * 10**power for power in range(6) for digit in (1, 2, 5))
 """What a number of trials is chosen from: no other leaves so little to be tuned."""
 BOUND_TOLERANCE: Final = 1e-9
@@ -49,9 +57,9 @@ class Claim(Value):
     """A trial lasts with at least this probability."""
     confidence: float = Field(ge=0.5, lt=1.0)
     """A policy that does not deserve the claim is refused with at least this probability."""
-    duration: float = Field(ge=paper.STEP, le=86400.0)
+    duration: float = Field(ge=paper.STEP, le=LONGEST_TRIAL)
     """Length of a trial [s]."""
-    world: str
+    world: Name
     """Where the trials run, as `--world` names it; a named set with its version."""
     trials: int = Field(ge=1, le=MOST_TRIALS)
     """Number of trials, fixed in advance."""
@@ -81,22 +89,22 @@ class Certificate(Artefact):
     """What was claimed."""
     granted: bool
     """Whether the trials support it."""
-    bound: float
+    bound: Share
     """A trial lasts with at least this probability, at the confidence of the claim (Clopper and
     Pearson, one-sided)."""
-    failures: dict[str, int]
+    failures: dict[Name, Count]
     """How many trials ended in which way before their time."""
-    policy: str
+    policy: Name
     """Digest of the policy; it covers the arm and the pendulum."""
-    arm: str
+    arm: Name
     """Name of the arm."""
     world_settings: TwinSettings | None
     """The numbers of the twin; none on the training plant, which the settings describe."""
     settings: Settings
     """Resolved settings: starts, noise, number and length of the trials."""
-    seed: int
+    seed: Seed
     """Master seed of the trials, derived from policy and claim."""
-    evaluation: str
+    evaluation: Name
     """Digest of the evaluation that holds the trials."""
 
     @property
@@ -232,9 +240,9 @@ def make_claim(
     try:
         claim = Claim(**given, world=world, trials=1 if trials is None else trials)
     except ValidationError as error:
-        first = error.errors()[0]
+        fault = first_fault(error)
         raise InputError(
-            f"{first['loc'][0]} is {first['input']:g}; {first['msg'].replace('Input', 'it')}"
+            f"{fault.where} is {fault.got}; {fault.what.replace('Input', 'it')}"
         ) from None
     steps = duration / paper.STEP
     if abs(steps - round(steps)) > 1e-6:

@@ -33,7 +33,13 @@ from equipoise.errors import InputError
 from equipoise.evaluation import Done, TrialResults, evaluate
 from equipoise.model.actuator import CYCLE, Actuator
 from equipoise.model.worlds import MODEL, TwinSettings, World, pivot_friction, read_world
-from equipoise.settings import ControllerSettings, EvaluationSettings, Settings, resolve
+from equipoise.settings import (
+    MOST_TRIALS,
+    ControllerSettings,
+    EvaluationSettings,
+    Settings,
+    resolve,
+)
 from equipoise.studies.gap_results import (
     CURED,
     NO_BIAS,
@@ -373,8 +379,11 @@ def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., Point
 def _form(quick: bool, trials: int | None, duration: float | None) -> Form:
     given = {"trials": trials, "duration": duration}
     form = (SHORT if quick else FULL)._replace(**{k: v for k, v in given.items() if v is not None})
-    if form.trials < 2:
-        raise InputError("one trial says nothing about the next; give 2 or more")
+    if not 2 <= form.trials <= MOST_TRIALS:
+        raise InputError(
+            f"{form.trials} trials at each point: expected 2 or more, one says nothing about the "
+            f"next, and at most {MOST_TRIALS:,}"
+        )
     return form
 
 

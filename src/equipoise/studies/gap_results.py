@@ -5,14 +5,15 @@ Made by `equipoise.studies.gap`, which says what is compared with what.
 
 from collections.abc import Iterable, Mapping
 from math import degrees, sqrt
-from typing import ClassVar, Final, Literal, NamedTuple
+from typing import Annotated, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 from scipy.stats import t as student
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Extended, Value
+from equipoise.artefacts import Artefact, Extended, Name, Number, Seed, Value
 from equipoise.control.boxes import CAUSES, TRACK
 from equipoise.control.safety import Rule
 from equipoise.evaluation import CONFIDENCE, TrialResults
@@ -51,9 +52,9 @@ class Point(Value):
     """Who balances."""
     on_clean: bool = False
     """Of a curve: the rest of the twin is clean."""
-    name: str = ""
+    name: Name = ""
     """Of the effect or the variant."""
-    at: float = 0.0
+    at: Number = 0.0
     """Of a curve: transport delay [s] or error of the zero [rad]."""
     results: TrialResults
     """What came of them; trial i starts alike at every point."""
@@ -79,21 +80,21 @@ class Gap(Artefact, Extended):
 
     quick: bool
     """The short form: fewer points, fewer and shorter trials."""
-    policy: str
+    policy: Name
     """Digest of the policy with the cures."""
-    paper_policy: str
+    paper_policy: Name
     """Digest of the table that was trained as the paper describes."""
     paper_settings: Settings
     """What that was."""
-    arm: str
+    arm: Name
     """Name of the arm."""
-    pendulum: str
+    pendulum: Name
     """Digest of the pendulum that the trials vary."""
-    actuator: str
+    actuator: Name
     """Digest of the actuator that the cures know on the twin as it is."""
-    delay: float
+    delay: Number
     """The delay that they know there [s]."""
-    world: str
+    world: Name
     """The twin, by name."""
     world_settings: TwinSettings
     """Its numbers."""
@@ -103,9 +104,9 @@ class Gap(Artefact, Extended):
     """Those of the clean twin."""
     settings: Settings
     """Of the policy: starts, number and length of the trials, the cures."""
-    seed: int
+    seed: Seed
     """Master seed of the trials."""
-    points: tuple[Point, ...]
+    points: Annotated[tuple[Point, ...], Field(min_length=1, max_length=1000)]
     """All trials."""
 
     @property

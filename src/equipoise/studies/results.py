@@ -10,12 +10,13 @@ and for a policy that has no cures to leave out.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar, Final, NamedTuple
+from typing import Annotated, ClassVar, Final, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Value, read_document
+from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Value, read_document
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation
@@ -39,9 +40,9 @@ RECORD: Final = "reproduction.json"
 class Stage(Value):
     """A stage of the reproduction."""
 
-    name: str
+    name: Name
     """What was done."""
-    wall: float
+    wall: Number
     """How long it took [s], compilation on its first run included."""
 
 
@@ -53,21 +54,21 @@ class Record(Artefact):
 
     quick: bool
     """Fewer episodes and trials than the paper's and ours."""
-    recipe: str
+    recipe: Name
     """Name of the settings."""
-    seed: int
+    seed: Seed
     """Master seed of everything."""
-    workers: int
+    workers: Count
     """Threads; the results do not depend on it."""
-    swing: str
+    swing: Name
     """Name of the recording."""
-    swing_sha256: str
+    swing_sha256: Name
     """Digest of the recording as it was given."""
     simulated: SimulatedSwing | None
     """The pendulum that was simulated; none where a recording was given."""
-    files: dict[str, str]
+    files: dict[Name, Name]
     """Digest of each value, by the name of its file."""
-    stages: tuple[Stage, ...]
+    stages: Annotated[tuple[Stage, ...], Field(max_length=100)]
     """Where the time went."""
 
 

@@ -13,33 +13,34 @@ from equipoise import paper
 from equipoise.artefacts import Value
 from equipoise.model.encoder import simulate_swing
 from equipoise.model.pendulum import PendulumParameters
+from equipoise.settings import FINEST_ENCODER
 from equipoise.trajectory import Trajectory
 
 
 class SimulatedSwing(Value):
     """The free swing that stands in for a recording: what identification shall find again."""
 
-    period: float = Field(default=paper.FREE_SWING_PERIOD, gt=0.0)
+    period: float = Field(default=paper.FREE_SWING_PERIOD, ge=0.01, le=100.0)
     """Period of small swings [s]; the paper's."""
-    c: float = Field(default=0.15, ge=0.0)
+    c: float = Field(default=0.15, ge=0.0, le=1e3)
     """Viscous friction over inertia, b / I [1/s]. Recorded pendulums with an encoder on the spindle
     show 0.05 to 0.6."""
-    theta: float = Field(default=0.8, gt=0.0)
+    theta: float = Field(default=0.8, gt=0.0, le=pi)
     """Angle from hanging at which the hand lets go [rad]: large enough that the swing is not
     sinusoidal any more."""
-    hold: float = Field(default=1.2, ge=0.0)
+    hold: float = Field(default=1.2, ge=0.0, le=1e3)
     """How long the hand holds the pendulum first [s]: identification has to find the release."""
-    tremor: float = Field(default=0.01, ge=0.0)
+    tremor: float = Field(default=0.01, ge=0.0, le=1.0)
     """How far the hand moves meanwhile [rad]."""
-    duration: float = Field(default=10.0, gt=0.0)
+    duration: float = Field(default=10.0, gt=0.0, le=1e4)
     """How long the swing is recorded after the release [s]: a dozen periods."""
-    rate_hz: float = Field(default=1000.0, gt=0.0)
+    rate_hz: float = Field(default=1000.0, gt=0.0, le=1e5)
     """Samples per second [Hz]."""
-    counts_per_rev: int = Field(default=8192, gt=0)
+    counts_per_rev: int = Field(default=8192, gt=0, le=FINEST_ENCODER)
     """Encoder counts per revolution, after x4: a common encoder of 2048 lines."""
-    noise: float = Field(default=5e-4, ge=0.0)
+    noise: float = Field(default=5e-4, ge=0.0, le=1.0)
     """Standard deviation of what shakes the angle from sample to sample [rad]: vibration, play."""
-    zero_offset: float = 0.005
+    zero_offset: float = Field(default=0.005, ge=-pi, le=pi)
     """What the encoder reads when the pendulum hangs [rad]: friction stopped it beside the
     vertical when it was referenced."""
 

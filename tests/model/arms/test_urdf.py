@@ -129,7 +129,38 @@ def test_seven_joints_need_one_to_hold(tmp_path):
 def test_wrong_links_and_paths_are_named(tmp_path):
     with pytest.raises(ArmError, match=r"has no link hand; its links are floor, pedestal"):
         read_urdf(ELBOW, tip="hand")
-    with pytest.raises(ArmError, match=r"cannot read .*nowhere\.urdf: No such file"):
+    with pytest.raises(ArmError, match=r"there is no file .*nowhere\.urdf"):
         read_urdf(tmp_path / "nowhere.urdf")
     with pytest.raises(ArmError, match="is not XML"):
         read_urdf(ELBOW.parents[1] / "model" / "arms" / "test_urdf.py")
+
+
+@pytest.mark.parametrize("encoding", ["klingon", "UTF-7", "gbk", "rot13", "idna", "utf-32"])
+def test_an_encoding_that_cannot_be_read_is_refused(edited, encoding):
+    path = edited('<?xml version="1.0"', f'<?xml version="1.0" encoding="{encoding}"')
+    with pytest.raises(ArmError, match="save it in UTF-8"):
+        read_urdf(path)
+
+
+def test_entities_are_refused_before_they_grow(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text('<!DOCTYPE a [<!ENTITY b "bbbbbbbb">]><robot name="&b;&b;&b;"/>')
+    with pytest.raises(ArmError, match="document type"):
+        read_urdf(path)
+
+
+def test_a_urdf_that_is_too_large_is_refused_before_it_is_read(tmp_path):
+    path = tmp_path / "arm.urdf"
+    with path.open("wb") as file:
+        file.truncate(10**8)
+    with pytest.raises(ArmError, match="larger than 2 MiB, the limit for a URDF"):
+        read_urdf(path)
+    chain = "".join(f'<link name="l{i}"/>' for i in range(1001))
+    path.write_text(f"<robot>{chain}</robot>")
+    with pytest.raises(ArmError, match="1,001 links, expected at most 1,000"):
+        read_urdf(path)
+
+
+def test_limits_that_limit_nothing_become_ten_turns(edited):
+    path = edited('lower="-2.2"', 'lower="-1e16"')
+    assert read_urdf(path, home=ELBOW_HOME).joints[1].lower == -20.0 * np.pi

@@ -17,14 +17,14 @@ a block (see `equipoise.model.elementary`)::
 
 import functools
 from collections.abc import Callable, Sequence
-from math import isclose
+from math import hypot, isclose
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self, TypeVar
 
 import numba
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from equipoise.artefacts import Value, value_digest
+from equipoise.artefacts import Name, Value, first_fault, shortened, value_digest
 from equipoise.compiled import function_pointer
 from equipoise.errors import ArmError
 from equipoise.model.arms.chain import Floats, Triple, wrist_centre
@@ -42,6 +42,19 @@ BIAS: Final = 18
 JACOBIAN: Final = 24
 FRAME_SIZE: Final = 60
 FREE_JOINTS: Final = 6
+MOST_JOINTS: Final = 64
+"""Limit on the joints of a chain: only six or seven can be used, and a message names the rest."""
+
+Angle = Annotated[float, Field(ge=-1e3, le=1e3)]
+"""Angle of a joint [rad]; no cable takes 160 turns."""
+Angles = tuple[Angle, Angle, Angle]
+"""Roll, pitch and yaw [rad]."""
+Length = Annotated[float, Field(ge=-100.0, le=100.0)]
+"""Coordinate [m]; no arm is 100 m long."""
+Offset = tuple[Length, Length, Length]
+"""Origin in another frame [m]."""
+Limit = Annotated[float, Field(le=1e9)]
+"""Limit of a velocity, an acceleration or a torque in SI units; larger ones limit nothing."""
 
 
 class _Described(Value):
@@ -58,33 +71,33 @@ class _Described(Value):
             try:
                 super().__init__(**fields)
             except ValidationError as error:
-                first = error.errors()[0]
-                what = f"{type(self).__name__.lower()} {fields.get('name')}"
-                where = ".".join(str(part) for part in first["loc"])
-                message = first["msg"].removeprefix("Value error, ")
-                raise ArmError(f"{what}: {where + ': ' if where else ''}{message}") from None
+                fault = first_fault(error)
+                what = f"{type(self).__name__.lower()} {shortened(str(fields.get('name')))}"
+                where = f"{fault.where}: " if fault.where else ""
+                got = f", got {fault.got}" if fault.where else ""
+                raise ArmError(f"{what}: {where}{fault.what}{got}") from None
 
 
 class Joint(_Described):
     """A revolute joint: its place in the frame of the joint before it, its axis, its limits."""
 
-    name: str
+    name: Name
     """What the maker calls it."""
-    xyz: Triple
+    xyz: Offset
     """Origin in the frame of the joint before it [m]."""
-    rpy: Triple = (0.0, 0.0, 0.0)
+    rpy: Angles = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw about the fixed axes of the frame before it [rad]."""
     axis: Triple = (0.0, 0.0, 1.0)
     """Axis of rotation in its own frame."""
-    lower: float
+    lower: Angle
     """Lower limit of the position [rad]."""
-    upper: float
+    upper: Angle
     """Upper limit of the position [rad]."""
-    velocity: float
+    velocity: Limit
     """Limit of the velocity, both ways [rad/s]."""
-    acceleration: float
+    acceleration: Limit
     """Limit of the acceleration, both ways [rad/s^2]."""
-    torque: float
+    torque: Limit
     """Limit of the torque, both ways [N m]."""
 
     @model_validator(mode="after")
@@ -99,8 +112,9 @@ class Joint(_Described):
                 raise ValueError(
                     f"{limit} limit of {getattr(self, limit):g}; give a positive number"
                 )
-        if not np.linalg.norm(self.axis) > 0.0:
-            raise ValueError("axis 0 0 0; give a direction")
+        if not 1e-6 <= hypot(*self.axis) <= 1e6:
+            x, y, z = self.axis
+            raise ValueError(f"axis {x:g} {y:g} {z:g}; give a direction, best of length 1")
         return self
 
 
@@ -150,19 +164,19 @@ class Arm(_Described):
 
     name: Annotated[str, Field(pattern=r"^[\w .-]{1,64}$")]
     """What it is called in messages and file headers: letters, digits, blank, `_`, `.` and `-`."""
-    joints: tuple[Joint, ...]
+    joints: Annotated[tuple[Joint, ...], Field(max_length=MOST_JOINTS)]
     """From the base to the flange."""
     held_joint: int | None = None
     """The joint that does not move, counted from one."""
-    held_angle: float = 0.0
+    held_angle: Angle = 0.0
     """Where it is held [rad]."""
-    flange_xyz: Triple = (0.0, 0.0, 0.0)
+    flange_xyz: Offset = (0.0, 0.0, 0.0)
     """Origin of the flange in the last joint's frame [m]."""
-    flange_rpy: Triple = (0.0, 0.0, 0.0)
+    flange_rpy: Angles = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the flange in the last joint's frame [rad]."""
-    pivot: Triple = (0.0, 0.0, 0.0)
+    pivot: Offset = (0.0, 0.0, 0.0)
     """The pendulum's pivot in the flange frame [m]."""
-    home: tuple[float, ...]
+    home: Annotated[tuple[Angle, ...], Field(max_length=MOST_JOINTS)]
     """Posture at x = 0, all joints [rad]. The pendulum's spindle lies along base y there."""
 
     @model_validator(mode="after")

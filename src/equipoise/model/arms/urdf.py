@@ -9,9 +9,11 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from math import pi
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
+from equipoise.artefacts import MEBIBYTE, quoted, read_bytes, shortened
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm, Joint
 from equipoise.model.arms.chain import Floats, Triple, rotation_from_rpy, rpy_from_rotation
@@ -19,7 +21,13 @@ from equipoise.model.arms.iiwa import ACCELERATION
 from equipoise.model.arms.posture import search_home
 
 CONTINUOUS = 20.0 * pi
-"""Limit that stands for none: a continuous joint may turn ten times each way [rad]."""
+"""Limit of a continuous joint, and of one whose limits are wider: ten turns each way [rad]."""
+LARGEST_URDF: Final = 2 * MEBIBYTE
+"""Size limit of a URDF [bytes]: humanoids with hands need less than 1 MB."""
+MOST_LINKS: Final = 1000
+"""Limit on the number of links; humanoids with hands have about a hundred."""
+LONGEST_LIST: Final = 300
+"""Number of characters that a message spends on a list of names."""
 
 Element = ElementTree.Element
 
@@ -67,7 +75,9 @@ def read_urdf(
     names = [joint.name for joint in joints]
     if isinstance(held, str):
         if held not in names:
-            raise ArmError(f"{path} has no joint {held} to hold; choose one of {', '.join(names)}")
+            raise ArmError(
+                f"{path} has no joint {shortened(held)} to hold; choose one of {_listed(names)}"
+            )
         held = names.index(held) + 1
     middle = [0.5 * (joint.lower + joint.upper) for joint in joints]
     if held is not None and 1 <= held <= len(joints):
@@ -86,15 +96,31 @@ def read_urdf(
 
 
 def _parsed(path: Path) -> Element:
+    data = read_bytes(path, LARGEST_URDF, "a URDF", ArmError)
     try:
-        robot = ElementTree.parse(path).getroot()
+        robot = ElementTree.fromstring(data, ElementTree.XMLParser(target=_Tree()))
     except ElementTree.ParseError as error:
         raise ArmError(f"{path} is not XML ({error}); give a URDF file") from None
-    except OSError as error:
-        raise ArmError(f"cannot read {path}: {error.strerror}; give a URDF file") from None
+    except (LookupError, ValueError) as error:  # of a codec, or a definition of entities
+        raise ArmError(
+            f"{path} cannot be read as XML ({shortened(str(error))}); save it in UTF-8 without "
+            "definitions of entities"
+        ) from None
     if robot.tag != "robot":
-        raise ArmError(f"{path} starts with <{robot.tag}>, expected <robot>; give a URDF file")
+        raise ArmError(
+            f"{path} starts with <{shortened(robot.tag)}>, expected <robot>; give a URDF file"
+        )
+    if (links := len(robot.findall("link"))) > MOST_LINKS:
+        raise ArmError(f"{path} has {links:,} links, expected at most {MOST_LINKS:,}")
     return robot
+
+
+class _Tree(ElementTree.TreeBuilder):
+    """Builder of elements that refuses a document type."""
+
+    def doctype(self, *_: str | None) -> None:
+        """Refuse: the entities of a document type can grow a small file to gigabytes."""
+        raise ValueError("it has a document type")
 
 
 def _chain(robot: Element, base: str | None, tip: str | None, path: Path) -> list[Element]:
@@ -125,19 +151,29 @@ def _way_down(link: str, base: str, above: dict[str, Element]) -> list[Element] 
 def _link(chosen: str | None, possible: list[str], which: str, names: list[str], path: Path) -> str:
     if chosen is not None:
         if chosen not in names:
-            raise ArmError(f"{path} has no link {chosen}; its links are {', '.join(names)}")
+            raise ArmError(
+                f"{path} has no link {shortened(chosen)}; its links are {_listed(names)}"
+            )
         return chosen
     if len(possible) != 1:
-        found = f"its {which} could be {', '.join(possible)}" if possible else "it has no links"
+        found = f"its {which} could be {_listed(possible)}" if possible else "it has no links"
         raise ArmError(f"{path} is not one chain: {found}; say which with {which}=")
     return possible[0]
+
+
+def _listed(names: list[str]) -> str:
+    return shortened(", ".join(names), LONGEST_LIST)
 
 
 def _end(joint: Element, which: str) -> str:
     end = joint.find(which)
     if end is None or not end.get("link"):
-        raise ArmError(f"joint {joint.get('name')} has no <{which} link=...>; give a whole URDF")
+        raise ArmError(f"joint {_name(joint)} has no <{which} link=...>; give a whole URDF")
     return end.get("link", "")
+
+
+def _name(joint: Element) -> str:
+    return shortened(joint.get("name", ""))
 
 
 def _origin(joint: Element) -> tuple[Triple, Triple]:
@@ -146,7 +182,7 @@ def _origin(joint: Element) -> tuple[Triple, Triple]:
 
 
 def _joint(element: Element, xyz: Triple, rpy: Triple, acceleration: float) -> Joint:
-    name, kind = element.get("name", ""), element.get("type", "")
+    name, kind = _name(element), shortened(element.get("type", ""))
     follows = element.find("mimic") is not None
     if follows or kind not in ("revolute", "continuous"):
         raise ArmError(
@@ -167,8 +203,8 @@ def _joint(element: Element, xyz: Triple, rpy: Triple, acceleration: float) -> J
         xyz=xyz,
         rpy=rpy,
         axis=_vector(element, element.find("axis"), "xyz", "1 0 0"),
-        lower=limits.get("lower", -CONTINUOUS),
-        upper=limits.get("upper", CONTINUOUS),
+        lower=max(limits.get("lower", -CONTINUOUS), -CONTINUOUS),
+        upper=min(limits.get("upper", CONTINUOUS), CONTINUOUS),
         velocity=limits["velocity"],
         acceleration=acceleration,
         torque=limits["effort"],
@@ -186,7 +222,9 @@ def _numbers(joint: Element, text: str, count: int) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ArmError(f"joint {joint.get('name')} has {text!r} where {count} number(s) belong")
+        raise ArmError(
+            f"joint {_name(joint)} has {quoted(text)} where {count} number(s) belong; correct it"
+        )
     return numbers
 
 

@@ -1,0 +1,151 @@
+"""Every format that is read from a file, damaged at random: a sound value or one sentence."""
+
+import json
+import random
+from math import radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from equipoise.control.policy import TabularPolicy, shipped_policy
+from equipoise.evaluation import Evaluation, evaluate
+from equipoise.model.actuator import Actuator, shipped_actuator
+from equipoise.model.arms.urdf import read_urdf
+from equipoise.model.pendulum import Pendulum, shipped_pendulum
+from equipoise.model.worlds import read_world
+from equipoise.rigs import read_rig
+from equipoise.settings import resolve
+from equipoise.studies.verification import verify
+from equipoise.trajectory import read_swing
+from tests.cli.damage import digest, mutations, outcomes
+
+DATA = Path(__file__).parent / "data"
+HOME = [radians(angle) for angle in (0.0, -60.0, 90.0, 0.0, 60.0, 0.0)]
+
+SETTINGS = """\
+# A comment.
+[learning]
+episodes = 2_000
+gamma = 0.97
+held = true
+[selection]
+duration = 60.0
+[identification]
+friction = "coulomb"
+horizons = [0.08, 0.25]
+"""
+RIG = """\
+name = "bench 3"
+arm = "iiwa7"
+robot = "kst://172.31.1.147:30001"
+encoder = "serial:///dev/ttyACM0"
+home_deg = [90.0, 30.0, 0.0, -70.0, 0.0, 80.0, 0.0]
+counts_per_rev = 8192
+encoder_sign = -1
+base_tilt_deg = [0.1, -0.2]
+"""
+WORLD = """\
+transport = 0.012
+inner = "pd"
+counts_per_rev = 4096
+guards = true
+"""
+
+
+def swing_text():
+    time = np.arange(0.0, 2.0, 0.01)
+    rows = (f"{t:.3f},{0.5 * np.cos(8.0 * t):.6f}\n" for t in time)
+    return "time_s,theta_rad\n" + "".join(rows)
+
+
+FORMATS = {
+    "settings.toml": (SETTINGS, lambda path: resolve(file=path)),
+    "rig.toml": (RIG, read_rig),
+    "world.toml": (WORLD, lambda path: read_world(f"twin:{path}")),
+    "swing.csv": (swing_text(), read_swing),
+    "arm.urdf": ((DATA / "elbow6.urdf").read_text(), lambda path: read_urdf(path, home=HOME)),
+    "pendulum.json": (shipped_pendulum(), Pendulum.load),
+    "actuator.json": (shipped_actuator(), Actuator.load),
+    "policy.json": (shipped_policy(), TabularPolicy.load),
+    "evaluation.json": ((DATA / "evaluation-v1.json").read_text(), Evaluation.load),
+}
+
+
+def sound(tmp_path, name):
+    given, read = FORMATS[name]
+    path = tmp_path / name
+    if isinstance(given, str):
+        path.write_text(given)
+    else:
+        given.save(path, command="test")
+    return path, read
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("count", [120, pytest.param(3000, marks=pytest.mark.slow)])
+def test_a_damaged_file_is_a_value_or_a_sentence(tmp_path, name, count):
+    path, read = sound(tmp_path, name)
+    read(path)
+    found = outcomes(read, path, mutations(path.read_bytes(), count))
+    assert found["refused"] > 0
+
+
+EXTREMES = (0, 1, -1, 5e-324, 1e-9, 1e15, -1e15, 1e308, -1e308, 2**63, 10**30, "", "a" * 10_000, [])
+"""Numbers, and others in their place, that a digest cannot refuse."""
+
+
+def leaves(body, path=()):
+    """Yield the paths of all numbers and texts in a body."""
+    if isinstance(body, dict | list):
+        items = body.items() if isinstance(body, dict) else list(enumerate(body))[:3]
+        for key, value in items:
+            yield from leaves(value, (*path, key))
+    elif not isinstance(body, bool | None):
+        yield path
+
+
+def changed(document, count, seed=0):
+    """Yield copies with one extreme value each and with a digest that fits."""
+    draw = random.Random(seed)
+    places = list(leaves(document["body"]))
+    for _ in range(count):
+        copy = json.loads(json.dumps(document))
+        *way, last = draw.choice(places)
+        node = copy["body"]
+        for key in way:
+            node = node[key]
+        node[last] = draw.choice(EXTREMES)
+        copy["digest"] = digest(copy["body"])
+        yield json.dumps(copy).encode()
+
+
+def balance(policy):
+    """Run a short trial on the plant of the training."""
+    short = policy.settings.evaluation.model_copy(update={"trials": 1, "duration": 0.1})
+    settings = policy.settings.model_copy(update={"evaluation": short})
+    evaluation = evaluate(policy, settings)
+    assert evaluation.results.survival[0] <= 0.1
+
+
+USES = {
+    "pendulum.json": lambda value: balance(shipped_policy().model_copy(update={"pendulum": value})),
+    "actuator.json": lambda value: balance(shipped_policy().model_copy(update={"actuator": value})),
+    "policy.json": balance,
+    "evaluation.json": lambda value: [
+        each.summary() for each in (value.results, *value.yardsticks)
+    ],
+}
+
+
+@pytest.mark.parametrize("name", USES)
+@pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.slow)])
+def test_extreme_numbers_with_a_fitting_digest_end_in_a_sentence(tmp_path, name, count):
+    path, read = sound(tmp_path, name)
+
+    def use(value):
+        verify(path)
+        USES[name](value)
+
+    found = outcomes(read, path, changed(json.loads(path.read_text()), count), use)
+    assert found["refused"] > 0
