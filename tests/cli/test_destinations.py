@@ -97,6 +97,14 @@ def test_a_claim_leaves_nothing_that_was_not_written(choose, tmp_path):
     assert os.listdir(tmp_path) == ["pendulum.json"]
 
 
+def test_a_disk_that_fills_up_between_two_files_leaves_the_first(choose, tmp_path):
+    full = pytest.raises(OutsideError, match=r"^full; pendulum\.json was written before$")
+    with full, choose().claimed() as path:
+        path.write_text("a study of an hour")
+        raise OutsideError("full")
+    assert os.listdir(tmp_path) == ["pendulum.json"]
+
+
 def test_a_forced_claim_keeps_the_old_file_until_there_is_a_new_one(choose, tmp_path):
     old = tmp_path / "pendulum.json"
     old.write_text("old")

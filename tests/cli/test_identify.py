@@ -1,6 +1,8 @@
 """`equipoise identify`: what it writes and prints, and what it refuses."""
 
 import json
+import os
+import sys
 
 import numpy as np
 import pytest
@@ -20,6 +22,26 @@ def test_it_writes_the_pendulum_and_figure_2_beside_it(equipoise, swing, tmp_pat
     assert "<svg" in (tmp_path / "pendulum.svg").read_text()
     assert "w2 = m g l / I" in ran.out
     assert ran.out.endswith("next: equipoise train pendulum.json\n")
+
+
+def test_a_second_pendulum_is_numbered_with_its_figure(equipoise, swing, tmp_path):
+    for name in ("pendulum.json", "pendulum-2.svg"):
+        (tmp_path / name).write_text("mine")
+    ran = equipoise("identify", swing)
+    assert ran.code == 0, ran
+    assert "wrote pendulum-3.json, pendulum-3.svg and pendulum-3.png" in ran.out
+    assert ran.out.endswith("next: equipoise train pendulum-3.json\n")
+    assert (tmp_path / "pendulum.json").read_text() == "mine"
+    assert (tmp_path / "pendulum-2.svg").read_text() == "mine"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="such names exist on Linux alone")
+def test_a_recording_whose_name_is_not_utf_8_is_identified(equipoise, swing, tmp_path):
+    name = swing.rename(tmp_path / os.fsdecode(b"sw\xe9\xffng.csv"))
+    out = tmp_path / os.fsdecode(b"p\xff.json")
+    ran = equipoise("identify", name, "--no-figure", "--out", out)
+    assert ran.code == 0, ran
+    assert Pendulum.load(out).fit.source == r"sw\udce9\udcffng.csv"
 
 
 def test_json_is_one_object_with_the_stable_keys(equipoise, swing):

@@ -60,6 +60,11 @@ class Destination:
         path, made = self._claim()
         try:
             yield path
+        except OutsideError as error:
+            whole = [str(file) for file in made if file.is_file() and file.stat().st_size]
+            if not whole:
+                raise
+            raise OutsideError(f"{error}; {' and '.join(whole)} was written before") from None
         finally:
             for file in made:
                 with suppress(OSError):

@@ -225,6 +225,20 @@ def test_it_replaces_no_file(tmp_path):
         Terminal(Board(lambda: 0.0), tmp_path / "nowhere" / "encoder")
 
 
+def test_a_link_to_a_file_is_kept_and_so_is_that_of_another_emulation(tmp_path):
+    notes, link = tmp_path / "notes", tmp_path / "encoder"
+    notes.write_text("mine")
+    link.symlink_to(notes)
+    with pytest.raises(InputError, match="is a file"):
+        Terminal(Board(lambda: 0.0), link)
+    assert link.readlink() == notes
+    link.unlink()
+    with Terminal(Board(lambda: 0.0), link), Terminal(Board(lambda: 0.0), link) as second:
+        assert link.readlink() == second.path
+        second._link = None  # it was killed
+    assert link.readlink() == second.path, "the first takes only its own link away"
+
+
 def test_a_machine_without_terminals_says_so(monkeypatch):
     import pty
 

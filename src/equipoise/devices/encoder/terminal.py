@@ -24,10 +24,11 @@ class Terminal:
 
         Args:
             board: What is behind it; one that is not listened to drops lines, as a real one does.
-            link: A second name, as a symbolic link; one that is there already is replaced.
+            link: A second name, as a symbolic link; a link to another terminal, or to nothing,
+                is replaced.
 
         Raises:
-            InputError: A file that is no link has that name.
+            InputError: A file, or a link to one, has that name.
             OutsideError: There are no pseudo-terminals here, or the link cannot be made.
         """
         try:
@@ -58,7 +59,7 @@ class Terminal:
                 raise
 
     def _make(self, link: Path) -> None:
-        if link.exists() and not link.is_symlink():
+        if link.exists() and not (link.is_symlink() and link.is_char_device()):
             raise InputError(f"{link} is a file; give another name for the terminal")
         try:
             link.unlink(missing_ok=True)
@@ -98,9 +99,13 @@ class Terminal:
             return data if otherwise is None else otherwise
 
     def close(self) -> None:
-        """Close the terminal and take the link away; may be called again."""
-        if self._link is not None and self._link.is_symlink():
-            self._link.unlink()
+        """Close the terminal and take the link away; may be called again.
+
+        A link that leads elsewhere by now is another emulation's.
+        """
+        with contextlib.suppress(OSError):
+            if self._link is not None and self._link.readlink() == self.path:
+                self._link.unlink()
         self._link = None
         for number in (self._ours, self._theirs):
             if number >= 0:
