@@ -5,6 +5,7 @@ found with another program, and each has its standard error, block-robust over p
 """
 
 import os
+from contextlib import suppress
 from dataclasses import replace
 from math import pi, radians, sqrt
 from pathlib import Path
@@ -665,6 +666,32 @@ def test_degrees_taken_for_radians_are_suspected():
     message = refused(replace(swing, theta=np.rad2deg(swing.theta), sha256=""))
     assert "swings to and fro by 5" in message
     assert "are these degrees? Name the column theta_deg" in message
+    rate = np.rad2deg(np.gradient(swing.theta, swing.time))
+    assert "is the rate in deg/s?" in refused(Trajectory(time=swing.time, theta_dot=rate))
+
+
+WILD = {
+    "random walk": lambda rng, n: np.cumsum(rng.standard_normal(n)),
+    "steps": lambda rng, n: np.sign(rng.standard_normal(n)),
+    "rare spikes": lambda rng, n: 3.0 * (rng.uniform(size=n) < 0.01),
+    "chirp": lambda rng, n: np.sin(rng.uniform(1e-6, 1e-2) * np.arange(n) ** 2),
+    "huge": lambda rng, n: 1e150 * np.sin(0.05 * np.arange(n)),
+    "tiny": lambda rng, n: 1e-150 * np.sin(0.05 * np.arange(n)),
+    "sawtooth": lambda rng, n: 4.0 * np.mod(np.arange(n) * rng.uniform(0.001, 0.2), 1.0),
+}
+
+
+@compiled
+@pytest.mark.parametrize("kind", WILD)
+def test_no_motion_ends_in_anything_but_a_pendulum_or_a_refusal(kind):
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        n = int(rng.choice([3, 21, 60, 600]))
+        time = np.cumsum(10.0 ** rng.uniform(-3.0, -1.0) * rng.uniform(0.5, 1.5, n))
+        values = WILD[kind](rng, n)
+        quantity = {"theta": values} if seed % 2 else {"theta_dot": values}
+        with suppress(RecordingError):
+            identify(Trajectory(time=time, **quantity, released=seed % 3 == 0))
 
 
 @compiled

@@ -248,7 +248,7 @@ def _best_friction(
     models = list(FRICTIONS)
     richer = fit
     for model in models[models.index(settings.friction) + 1 :]:
-        richer = fit_richer(recording, model, richer, period, settings)
+        richer = fit_richer(recording, model, richer, period, settings, tolerance=1e-6)
         its = rms(whole.residual(richer.unknowns))
         least = min(least, its)
         if its < settings.better_share * left:

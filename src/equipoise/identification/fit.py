@@ -141,6 +141,7 @@ def fit_richer(
     simple: Fit,
     period: float,
     settings: IdentificationSettings,
+    tolerance: float = 1e-12,
 ) -> Fit:
     """Fit a friction model from the optimum of a simpler one; never worse than that.
 
@@ -150,6 +151,7 @@ def fit_richer(
         simple: Best fit of a simpler model.
         period: Period of the swing [s].
         settings: Horizons.
+        tolerance: Relative change of the squares at which to stop.
     """
     known = simple.unknowns
     # Friction that takes half the power of the viscous one at the amplitude of the first period.
@@ -165,7 +167,7 @@ def fit_richer(
     fitted = [W2, *FRICTIONS[friction], THETA, THETA_DOT, OFFSET]
     optima = [_least_squares(recording, start, fitted, 1e-6) for start in starts]
     best = min(optima, key=lambda unknowns: rms(recording.residual(unknowns)))
-    fits = [fit_bounded(recording, friction, best, thorough=True)]
+    fits = [fit_bounded(recording, friction, best, thorough=True, tolerance=tolerance)]
     if _unexplained(recording, fits[0]) > EXPLAINED:
         # Perhaps the simple model's fit lost count of the periods.
         richer = settings.model_copy(update={"friction": friction})

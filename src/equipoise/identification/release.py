@@ -22,26 +22,28 @@ Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 SAMPLES_PER_PERIOD = 200
-"""Means in a period that are analysed of a recording with more samples. Largest error of a mean
-taken for the motion in its middle: 1e-4 of the amplitude."""
+"""Number of means in a period that stand for a recording with more samples. A mean differs from
+the motion in its middle by up to 1e-4 of the amplitude, which the fit takes into account."""
 PERIODS = (0.05, 20.0)
-"""Periods of a small swing that are believed [s]: pendulums of 0.6 mm to 100 m. Beyond them a unit
-is wrong, mostly milliseconds taken for seconds."""
+"""Shortest and longest accepted period of a small swing [s]: point pendulums of 0.6 mm and 100 m.
+Outside, a unit is wrong, mostly milliseconds taken for seconds."""
 HIGHEST = np.deg2rad(170.0)
-"""Largest amplitude [rad] from which a swing is used after going over the top: nearer to the top
-w2 and friction are told by how long the pendulum lingers there, and a small error counts much."""
+"""Largest amplitude of a swing that is used after going over the top [rad]: nearer to the top the
+time that the pendulum lingers there decides on w2 and friction, and a small error counts much."""
 NOISIEST = 0.1
-"""Largest noise that a sensor is believed to have [rad], or [rad/s] of a gyro; more is a motion
-sampled too slowly."""
+"""Largest plausible noise of a sensor [rad], or [rad/s] of a gyro; more is a motion sampled too
+slowly."""
+LEAST_MOTION = 1e-6
+"""Smallest motion that is analysed [rad], or [rad/s] of a gyro: no sensor resolves less."""
 LEAST_TURN = 0.1
 """Smallest return that ends a rotation [rad]: well above an encoder's steps, well below a swing."""
 SAME_SWING = 0.05
-"""Largest change of a swing, as a share of its amplitude, across what is no touch: the law found so
-far is off by 2 % of the phase at most, a hand changes a swing by more."""
+"""Largest change of a swing across a disturbance that is no touch, as a share of the amplitude: the
+rough law is off by 2 % of the phase at most, and a hand changes a swing by more."""
 STATE_WINDOWS = (1 / 8, 1 / 4, 1 / 16)
-"""Windows for the first state, in periods of a small swing, the likeliest first. Half a quarter of
-a period is short enough for a cubic; coarse encoders need more, the fastest part of a large swing
-less."""
+"""Lengths of the window for the first state, in periods of a small swing, the likeliest first. Half
+a quarter of a period is short enough for a cubic; coarse encoders need more, the fastest part of a
+large swing less."""
 
 
 class Oscillation(NamedTuple):
@@ -99,15 +101,16 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
     lasts = float(np.ptp(time))
     sampled = f"{(len(time) - 1) / lasts:.3g} samples per second"
     spread, noise = float(np.ptp(values)), _white_noise(values)
-    quiet = max(1.5 * settings.noise_multiple * noise, 4.0 * trajectory.resolution)
+    quiet = max(1.5 * settings.noise_multiple * noise, 4.0 * trajectory.resolution, LEAST_MOTION)
     least = max(settings.noise_multiple * noise, settings.turn_share * spread)
     turns = _turning_points(values, max(least, 2.0 * trajectory.resolution))
-    seldom = _samples_per_period(values)
-    if (spread <= quiet or len(turns) < 2) and seldom < settings.samples_per_period:
-        raise RecordingError(
-            f"{name} is sampled too slowly: {sampled}, about {seldom:.1f} in a period, expected "
-            f"{settings.samples_per_period:g} or more; sample faster"
-        )
+    if spread <= quiet or len(turns) < 2:
+        in_a_period = _samples_per_period(values)
+        if in_a_period < settings.samples_per_period:
+            raise RecordingError(
+                f"{name} is sampled too slowly: {sampled}, about {in_a_period:.1f} in a period, "
+                f"expected {settings.samples_per_period:g} or more; sample faster"
+            )
     if spread <= quiet and noise > NOISIEST:
         jump = float(np.median(np.abs(np.diff(values))))
         raise RecordingError(
@@ -340,7 +343,7 @@ def _end_of_rotation(trajectory: Trajectory) -> float | None:
     """Return until when the pendulum goes round by a turn or more [s], or none.
 
     Raises:
-        RecordingError: It goes round to and fro, as none does.
+        RecordingError: It goes round to and fro, which no free pendulum does.
     """
     time, angle, slack = trajectory.time, trajectory.theta, 0.0
     if len(time) < 20:
@@ -351,15 +354,20 @@ def _end_of_rotation(trajectory: Trajectory) -> float | None:
     least = max(LEAST_TURN, 8.0 * _white_noise(angle), 2.0 * trajectory.resolution)
     turns = np.concatenate(([0], _turning_points(angle, least), [len(time) - 1]))
     travel = np.abs(np.diff(angle[turns]))
-    round_it = np.flatnonzero(travel >= 2.0 * pi + slack)
-    if round_it.size >= 3 and np.any(np.diff(round_it, 2) == 0):
+    rotations = np.flatnonzero(travel >= 2.0 * pi + slack)
+    if rotations.size >= 3 and np.any(np.diff(rotations, 2) == 0):
         largest = float(np.max(travel)) / 2.0
+        unit = (
+            "is the rate in deg/s? Give it in rad/s"
+            if trajectory.theta is None
+            else "are these degrees? Name the column theta_deg, and give counts their "
+            "--counts-per-rev"
+        )
         raise RecordingError(
             f"{trajectory.source}: the pendulum swings to and fro by {largest:.3g} rad, "
-            f"{largest / (2.0 * pi):.1f} turns to each side, expected less than half a turn; are "
-            "these degrees? Name the column theta_deg, and give counts their --counts-per-rev"
+            f"{largest / (2.0 * pi):.1f} turns to each side, expected less than half a turn; {unit}"
         )
-    return float(time[turns[round_it[-1] + 1]]) if round_it.size else None
+    return float(time[turns[rotations[-1] + 1]]) if rotations.size else None
 
 
 def _trapezoids(time: Array, rate: Array) -> Array:
@@ -373,7 +381,7 @@ def _after_the_top(trajectory: Trajectory, until: float) -> Trajectory:
     Raises:
         RecordingError: Less than a swing to and fro follows.
     """
-    kept = trajectory.time >= until
+    kept = trajectory.time > until
     time, values = trajectory.time[kept], trajectory.values[kept]
     angle = values if trajectory.theta is not None else _trapezoids(time, values)
     noise = _white_noise(angle) if len(angle) > 20 else 0.0
@@ -382,8 +390,8 @@ def _after_the_top(trajectory: Trajectory, until: float) -> Trajectory:
         raise RecordingError(f"{trajectory.source}: less than a period is left; record longer")
     amplitude = np.abs(np.diff(angle[turns])) / 2.0
     low = np.flatnonzero(amplitude < HIGHEST)
-    if low.size and len(turns) - low[0] > 6:
-        begin = time[turns[low[0]]]
+    if low.size and len(turns) - low[0] > 7:
+        begin = time[turns[low[0] + 1]]
     else:
         # Hanging lies in the middle between two turning points.
         middle = 0.5 * (angle[turns[0]] + angle[turns[1]])
@@ -421,7 +429,7 @@ def _find_free(
     theta = law.theta(angle, time - time[0])
     first, last, release = 0, len(time) - 1, None
     if not trajectory.released:
-        share = _untold(motion, law, steady, rough.period, settings)
+        share = _unexplained_share(motion, law, steady, rough.period, settings)
         touched = _bridged(share > 1.0, motion, law, rough)
         moved = np.abs(law.theta_dot(motion.rate))
         begin, end = _longest_stretch(touched, moved)
@@ -608,10 +616,10 @@ def _w2_from_period(period: float, amplitude: float, is_rate: bool) -> float:
     return (4.0 * float(np.interp(seen, known, K)) / period) ** 2
 
 
-def _untold(
+def _unexplained_share(
     motion: _Motion, law: _Law, steady: Flags, period: float, settings: IdentificationSettings
 ) -> Array:
-    """Return the unexplained acceleration as a share of what a hand's would exceed."""
+    """Return the unexplained acceleration over the threshold above which a hand is assumed."""
     unexplained = np.abs(law.unexplained(motion))
     # 0.6745 is the median of |N(0, 1)|.
     noise = float(np.median(unexplained[steady])) / 0.6745
