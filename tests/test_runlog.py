@@ -11,6 +11,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from equipoise.errors import ArtefactError, OutsideError
+from equipoise.mcapfile import sealed
 from equipoise.runlog import (
     COLUMNS,
     FORMAT,
@@ -244,12 +245,15 @@ def test_its_arrays_cannot_be_written_to(run):
             values[0] = 1
 
 
-def test_a_file_cut_anywhere_is_refused(file):
+def test_a_file_cut_anywhere_is_refused(file, run):
     data = file.read_bytes()
-    for length in [0, 1, 8, 100, len(data) // 3, len(data) // 2, len(data) - 100, len(data) - 1]:
+    for length in [0, 1, 8, 100, len(data) // 3]:
         file.write_bytes(data[:length])
-        with pytest.raises(ArtefactError, match="make the|record the run again|give a file"):
+        with pytest.raises(ArtefactError, match="record the run again|give a file"):
             RunLog.load(file)
+    # Behind the last row stand an index and the schemas once more.
+    file.write_bytes(data[:-100])
+    assert RunLog.load(file).digest == run.digest
 
 
 def test_a_damaged_byte_is_found_or_does_no_harm(file, run):
@@ -274,8 +278,8 @@ def edited(file, change):
     with file.open("rb") as stream:
         reader = make_reader(stream)
         for metadata in reader.iter_metadata():
-            writer.add_metadata(metadata.name, change("metadata", dict(metadata.metadata)))
-        channels = {}
+            writer.add_metadata(metadata.name, sealed(change("metadata", dict(metadata.metadata))))
+        channels, sequence = {}, 0
         for schema, channel, message in reader.iter_messages():
             if channel.topic not in channels:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
@@ -283,7 +287,8 @@ def edited(file, change):
             content = change(channel.topic, json.loads(message.data))
             if content is not None:
                 data = json.dumps(content, separators=(",", ":"), sort_keys=True).encode()
-                writer.add_message(channels[channel.topic], message.log_time, data, 0, 0)
+                writer.add_message(channels[channel.topic], message.log_time, data, 0, sequence)
+                sequence += 1
     writer.finish()
     file.write_bytes(out.getvalue())
 

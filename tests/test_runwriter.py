@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 
 from equipoise import runwriter
 from equipoise.errors import ArtefactError
+from equipoise.mcapfile import MAGIC
 from equipoise.runwriter import TAIL, Recorder, RunWriter, push_event, read_rig_run, take_events
 
 CONDITIONS = {"joints": 7, "policy": "sha256:0"}
@@ -164,5 +165,8 @@ def test_what_is_no_log_is_refused(tmp_path, content):
     with pytest.raises(ArtefactError, match="there is no file"):
         read_rig_run(path)
     path.write_bytes(content)
+    with pytest.raises(ArtefactError, match="is not an MCAP file"):
+        read_rig_run(path)
+    path.write_bytes(MAGIC + content)
     with pytest.raises(ArtefactError, match="is no log of a run on a rig"):
         read_rig_run(path)

@@ -15,8 +15,9 @@ has a topic for each, which Foxglove opens and plots, in the order of time::
 
 Time counts from the release. Log time, which cannot be negative, counts from the first row where
 that is earlier. Messages are JSON, compressed with zstd. The digest covers conditions and rows, so
-that a file that was cut, damaged or edited is refused with one sentence. It is written whole or not
-at all. Files of version 1, which hold ticks alone, are read.
+that a file that was cut, damaged or edited is refused with one sentence, or read to the last tick
+before the damage. It is written whole or not at all. Files of version 1, which hold ticks alone,
+are read.
 """
 
 import hashlib
@@ -24,24 +25,35 @@ import heapq
 import io
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import Any, ClassVar, Final, NamedTuple, Self, TypeAlias, TypeVar
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from equipoise.artefacts import DIGEST_PREFIX, Extended, Provenance, write_whole
 from equipoise.errors import ArtefactError
+from equipoise.mcapfile import (
+    CHUNK,
+    LARGEST_NUMBER,
+    MOST_JOINTS,
+    McapContent,
+    read_mcap,
+    sealed,
+)
 from equipoise.settings import Settings
 
 FORMAT: Final = "equipoise-run"
 VERSION: Final = 2
 IDEAL: Final = "ideal"
 """In place of the digest of an actuator: the arm follows its commands at once."""
+
+PendulumName: TypeAlias = Literal["w2", "k", "c", "coulomb", "drag"]
+Bounded: TypeAlias = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Whole: TypeAlias = npt.NDArray[np.int64]
@@ -58,31 +70,31 @@ class RunConditions(Extended):
     """What stood in for the robot and the pendulum."""
     arm: str
     """Name of the arm."""
-    joints: tuple[str, ...]
+    joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_JOINTS)
     """Names of its joints, from the base to the flange."""
-    held_joint: int | None
+    held_joint: int | None = Field(ge=1, le=MOST_JOINTS)
     """The joint that does not move, counted from one."""
-    pendulum: dict[str, float]
+    pendulum: dict[PendulumName, Bounded] = Field(min_length=5)
     """Numbers of the pendulum that really swung: w2 [1/s^2], k [1/m], c [1/s], coulomb [1/s^2],
     drag [1/rad]."""
     friction: dict[str, float | str] | None = None
     """Dry friction and drag of the pendulum on a twin, and who set them, by the names of
     `PivotFriction`; none elsewhere."""
-    start: tuple[float, float, float, float]
+    start: tuple[Bounded, Bounded, Bounded, Bounded]
     """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release."""
-    h: float
+    h: float = Field(ge=1e-4, le=1.0)
     """Time between ticks [s]."""
-    duration: float
+    duration: float = Field(ge=0.0, le=1e6)
     """How long the run was to last [s]."""
     seed: int
     """Master seed of pendulum, start and noise."""
     actuator: str
     """Digest of the actuator that the controller believed in, or `ideal`."""
-    counts_per_rev: int | None
+    counts_per_rev: int | None = Field(ge=1, le=2**24)
     """Encoder counts per revolution; none where the angle is known without an encoder."""
     world_settings: dict[str, float | int | str | None] | None
     """Resolved numbers of the digital twin; none elsewhere."""
-    zero_error: float | None
+    zero_error: Bounded | None
     """Error of the encoder's zero [rad]; none where there is no encoder, or nobody knows."""
     settings: Settings
     """Resolved settings: gains, noise, ranges of the start."""
@@ -187,6 +199,9 @@ class RunLog:
     """What the arm measured."""
     encoder: EncoderSamples = field(default_factory=partial(_no_rows, EncoderSamples))
     """What the pendulum's encoder measured."""
+    damage: str = ""
+    """Where the file is damaged that these are the first ticks of, as a clause; empty where the run
+    is whole."""
 
     def __post_init__(self) -> None:
         """Check the shapes, and freeze the arrays.
@@ -251,15 +266,17 @@ class RunLog:
 
         provenance = Provenance.now(command, inputs)
         stream = io.BytesIO()
-        writer = Writer(stream, compression=CompressionType.ZSTD)
+        writer = Writer(stream, chunk_size=CHUNK, compression=CompressionType.ZSTD)
         writer.start(profile="", library=FORMAT)
         writer.add_metadata(
             FORMAT,
-            {
-                "version": str(VERSION),
-                "digest": self.digest,
-                "provenance": provenance.model_dump_json(),
-            },
+            sealed(
+                {
+                    "version": str(VERSION),
+                    "digest": self.digest,
+                    "provenance": provenance.model_dump_json(),
+                }
+            ),
         )
         channels: dict[str, int] = {}
         for topic, schema in _schemas(len(self.conditions.joints)).items():
@@ -293,13 +310,20 @@ class RunLog:
             yield time, topic, dict(zip(names, row, strict=True))
 
     @classmethod
-    def load(cls, path: Path) -> Self:
+    def load(cls, path: Path, *, damaged: bool = False) -> Self:
         """Read a run from `path`.
 
+        Args:
+            path: The file.
+            damaged: Take the ticks before the first damage, and say so in `damage`; without, a
+                damaged file is refused.
+
         Raises:
-            ArtefactError: The file is missing, corrupt, edited, not ours or newer.
+            ArtefactError: The file is missing, corrupt, edited, not ours or newer; or of a damaged
+                one nothing can be used.
         """
-        version, metadata, messages = _read(path)
+        version, metadata, content = _read(path)
+        messages, damage = content.messages, content.damage
         columns: dict[str, Any] = {}
         try:
             written = messages["/run"][0]
@@ -309,12 +333,15 @@ class RunLog:
                 columns |= {path: [row[_name(path)] for row in rows] for path in paths}
             if version == 1:
                 _upgrade(conditions, columns)
+            if not messages.get("/end"):
+                damage = damage or "has no end"
+                _keep_whole_ticks(conditions, columns, content.last)
             given: dict[str, Any] = {name: columns[name] for name in COLUMNS}
             for name, kind in PARTS.items():
                 given[name] = kind._make(columns.get(f"{name}.{of}", ()) for of in kind._fields)
             text = _json(conditions)
             run = cls(conditions=RunConditions.model_validate_json(text, strict=True), **given)
-        except (KeyError, IndexError, TypeError, ValueError) as error:
+        except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
             first = error.errors()[0] if isinstance(error, ValidationError) else None
             if first is not None and first["type"] == "extra_forbidden":
                 field = ".".join(map(str, first["loc"]))
@@ -323,15 +350,22 @@ class RunLog:
                     f"field {field}; upgrade it, or record the run again"
                 ) from None
             raise ArtefactError(
-                f"{path} is not a valid {FORMAT!r} file: its messages are incomplete; "
-                "record the run again"
+                f"{path} {damage or 'is not a valid run log: its messages are incomplete'}"
+                f"{', before the first tick' if damage else ''}; record the run again"
             ) from None
-        if run._digest(written, version) != metadata.get("digest"):
+        if run._digest(written, version) == metadata.get("digest"):
+            return run
+        if not damage:
             raise ArtefactError(
                 f"{path} does not match its digest: it was edited or damaged after it was "
                 "written; record the run again"
             )
-        return run
+        if not damaged:
+            raise ArtefactError(
+                f"{path} {damage}: the first {len(run.time):,} ticks, {run.lasted:g} s, are sound; "
+                "explain, replay and export read them, or record the run again"
+            )
+        return replace(run, damage=damage)
 
 
 PARTS: Final = {
@@ -342,7 +376,10 @@ PARTS: Final = {
 }
 """What a run log holds beside its ticks."""
 
-COLUMNS: Final = tuple(one.name for one in fields(RunLog) if one.name not in ("conditions", *PARTS))
+OTHERS: Final = ("conditions", "damage", *PARTS)
+"""Names of the fields of `RunLog` that are no column of a tick."""
+
+COLUMNS: Final = tuple(one.name for one in fields(RunLog) if one.name not in OTHERS)
 """Names of the arrays of a tick, in their order."""
 
 LAYOUTS: Final[Mapping[int, Mapping[str, tuple[str, ...]]]] = {
@@ -379,9 +416,10 @@ def _column(path: str, given: Any, rows: int, joints: int) -> npt.NDArray[Any]:
             f"{path} of a run log has shape {values.shape}, expected {shape}: give all columns "
             f"of a table as many rows, and {', '.join(PER_JOINT)} one number per joint"
         )
-    if not np.all(np.isfinite(values)):
+    if not np.all(np.abs(values) <= LARGEST_NUMBER):
         raise ArtefactError(
-            f"{path} of a run log holds values that are not finite; record the run again"
+            f"{path} of a run log holds values that are not finite, or beyond "
+            f"{LARGEST_NUMBER:g}; record the run again"
         )
     if _name(path) in WHOLE:
         whole = np.array(given, dtype=np.int64).reshape(shape)
@@ -409,6 +447,21 @@ def _upgrade(conditions: dict[str, Any], columns: dict[str, Any]) -> None:
     }
 
 
+def _keep_whole_ticks(conditions: Mapping[str, Any], columns: dict[str, Any], last: float) -> None:
+    """Drop the ticks of which another table may lack rows, where a file ends at log time `last`.
+
+    Messages stand in the order of time: with a message one period after a tick, all rows that
+    belong to the tick are there.
+    """
+    h, times = float(conditions["h"]), columns["time"]
+    # Log time counts from the earliest row, which is in the first chunk.
+    parts = ("stream.time", "replies.time", "encoder.time", "time")
+    first = min([0.0, *(min(columns[name]) for name in parts if columns.get(name))])
+    whole = sum(time + h <= last + first + 1e-9 for time in times)
+    for name in (*COLUMNS, *(f"truth.{name}" for name in Truth._fields)):
+        columns[name] = columns.get(name, ())[:whole]
+
+
 class Header(NamedTuple):
     """What a file says about itself."""
 
@@ -426,7 +479,7 @@ def read_header(path: Path) -> Header:
     Raises:
         ArtefactError: The file is missing, corrupt, not ours or newer.
     """
-    version, metadata, _ = _read(path, topics=())
+    version, metadata, _ = _read(path, messages=False)
     try:
         provenance = Provenance.model_validate_json(metadata["provenance"])
         return Header(version, metadata["digest"], provenance)
@@ -436,40 +489,21 @@ def read_header(path: Path) -> Header:
         ) from None
 
 
-def _read(
-    path: Path, topics: tuple[str, ...] | None = None
-) -> tuple[int, dict[str, str], dict[str, list[bytes]]]:
-    """Return version, our metadata, and the messages of the topics (of all) as written."""
-    from mcap.reader import make_reader
-
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise ArtefactError(f"there is no file {path}; check the path") from None
-    except OSError as error:
-        raise ArtefactError(f"cannot read {path}: {error.strerror}") from None
-    metadata: dict[str, str] = {}
-    messages: dict[str, list[bytes]] = {}
-    try:
-        reader = make_reader(io.BytesIO(data), validate_crcs=True)
-        for record in reader.iter_metadata():
-            if record.name == FORMAT:
-                metadata = dict(record.metadata)
-        for _, channel, message in reader.iter_messages(topics, log_time_order=False):
-            messages.setdefault(channel.topic, []).append(message.data)
-    except Exception:  # a damaged length or index makes the reader fail in any way there is
-        raise ArtefactError(
-            f"{path} is not an MCAP file, or was cut short or damaged; record the run again"
-        ) from None
+def _read(path: Path, *, messages: bool = True) -> tuple[int, Mapping[str, str], McapContent]:
+    """Return version, our metadata, and what is sound of the file."""
+    content = read_mcap(path, messages=messages)
+    metadata = content.metadata.get(FORMAT, {})
     version = metadata.get("version", "")
-    if not version.isdecimal() or int(version) == 0:
+    if not metadata and content.damage:
+        raise ArtefactError(f"{path} {content.damage}, in its header; record the run again")
+    if not (version.isascii() and version.isdecimal() and len(version) < 9 and int(version)):
         raise ArtefactError(f"{path} is no run log of Equipoise; give a file that it wrote")
     if int(version) > VERSION:
         raise ArtefactError(
             f"{path} has version {version} of {FORMAT!r}, this Equipoise reads up to {VERSION}; "
             "upgrade Equipoise"
         )
-    return int(version), metadata, messages
+    return int(version), metadata, content
 
 
 def _schemas(joints: int) -> dict[str, dict[str, Any]]:

@@ -36,14 +36,13 @@ import numpy.typing as npt
 
 from equipoise.artefacts import temporary_name
 from equipoise.errors import ArtefactError, OutsideError
+from equipoise.mcapfile import CHUNK, LARGEST_NUMBER, MAGIC, MOST_JOINTS, read_mcap, sealed
 
 logger = logging.getLogger(__name__)
 
 FORMAT: Final = "equipoise-rig-run"
 VERSION: Final = 1
 
-CHUNK: Final = 128 * 1024
-"""Bytes of rows that are kept back until they are written [B]: half a second of a run."""
 BUFFERED: Final = 10.0
 """So long a ring holds what nobody drains [s]."""
 TALK: Final = 256
@@ -74,7 +73,6 @@ EVENT: Final = (
 WORD: Final = (("word", "S64"),)
 """Columns of what an operator types."""
 
-MAGIC: Final = b"\x89MCAP0\r\n"
 TAIL: Final = (
     struct.pack("<BQI", 0x0F, 4, 0)  # end of the data, without a checksum
     + struct.pack("<BQQQI", 0x02, 20, 0, 0, 0)  # footer, without a summary
@@ -300,7 +298,7 @@ class RunWriter:
         self._writer = Writer(stream, chunk_size=CHUNK, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=FORMAT)
         told = {"version": str(VERSION), "conditions": json.dumps(dict(conditions))}
-        self._writer.add_metadata(FORMAT, told)
+        self._writer.add_metadata(FORMAT, sealed(told))
         self._channels: dict[str, int] = {}
         for topic, schema in _schemas(self._layout).items():
             text = json.dumps(schema).encode()
@@ -463,15 +461,17 @@ class RigRun:
     """What happened, in order."""
     end: Mapping[str, Any] | None
     """How it ended; none where the log breaks off."""
+    damage: str = ""
+    """Where the file is damaged that these are the first rows of, as a clause; empty where it is
+    sound, if only as far as it was written."""
 
 
 def is_rig_run(path: Path) -> bool:
     """Return whether a file says that it is the log of a run on a rig."""
     try:
-        with path.open("rb") as file:
-            return FORMAT.encode() in file.read(128)  # the library that wrote it, in its header
-    except OSError:
-        return False  # who reads it says what is wrong
+        return FORMAT in read_mcap(path, messages=False).metadata
+    except ArtefactError:
+        return False  # the reader of the other format says what is wrong
 
 
 def read_rig_run(path: Path) -> RigRun:
@@ -480,54 +480,41 @@ def read_rig_run(path: Path) -> RigRun:
     Raises:
         ArtefactError: The file is missing, or is no such log.
     """
-    from mcap.records import Channel, Message, Metadata
-    from mcap.stream_reader import StreamReader
-
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise ArtefactError(f"there is no file {path}; check the path") from None
-    except OSError as error:
-        raise ArtefactError(f"cannot read {path}: {error.strerror}") from None
-    told: dict[str, str] = {}
-    topics: dict[int, str] = {}
-    messages: dict[str, list[dict[str, Any]]] = {}
-    try:
-        for record in StreamReader(io.BytesIO(data), validate_crcs=True).records:
-            if isinstance(record, Metadata) and record.name == FORMAT:
-                told = dict(record.metadata)
-            elif isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Message):
-                topic = topics[record.channel_id]
-                messages.setdefault(topic, []).append(json.loads(record.data))
-    except Exception as error:  # a torn tail makes the reader fail in any way there is
-        logger.debug("%s ends in the middle of a chunk: %r", path, error)
+    content = read_mcap(path)
+    told, messages = content.metadata.get(FORMAT, {}), content.messages
     if "conditions" not in told:
         raise ArtefactError(f"{path} is no log of a run on a rig; give a file that deploy wrote")
-    if int(told["version"]) > VERSION:
+    if told.get("version") != str(VERSION):
         raise ArtefactError(
-            f"{path} has version {told['version']} of {FORMAT!r}, this Equipoise reads up to "
-            f"{VERSION}; upgrade Equipoise"
+            f"{path} has version {told.get('version', '')[:20]!r} of {FORMAT!r}, this Equipoise "
+            f"reads {VERSION}; upgrade Equipoise"
         )
-    conditions = json.loads(told["conditions"])
     try:
-        layout = tables(int(conditions["joints"]))
+        conditions = json.loads(told["conditions"])
+        joints = conditions["joints"]
+        if not (isinstance(joints, int) and 1 <= joints <= MOST_JOINTS):
+            raise ValueError(joints)
         rows = {
-            name: _array(messages.get(f"/{name}", []), kind)
-            for name, kind in layout.items()
+            name: _array([json.loads(text) for text in messages.get(f"/{name}", [])], kind)
+            for name, kind in tables(joints).items()
             if name != "event"
         }
-        events = tuple(
-            Event(float(e["time"]), str(e["name"]), _words(e["answers"]), str(e["text"]))
-            for e in messages.get("/event", [])
-        )
-    except (KeyError, TypeError, ValueError):
+        events = tuple(_event(json.loads(text)) for text in messages.get("/event", []))
+        end = json.loads(messages["/end"][-1]) if messages.get("/end") else None
+        if end is not None and not isinstance(end, dict):
+            raise TypeError(end)
+    except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError):
         raise ArtefactError(
             f"{path} is not a valid {FORMAT!r} file: its rows are incomplete; record it again"
         ) from None
-    end = messages.get("/end", [None])[-1]
-    return RigRun(conditions, rows, events, end)
+    return RigRun(conditions, rows, events, end, content.damage if end is None else "")
+
+
+def _event(row: Mapping[str, Any]) -> Event:
+    time = float(row["time"])
+    if not abs(time) <= LARGEST_NUMBER:
+        raise ValueError(time)
+    return Event(time, str(row["name"]), _words(row["answers"]), str(row["text"]))
 
 
 def _words(answers: str) -> tuple[str, ...]:
@@ -554,10 +541,17 @@ def take_events(ring: Ring) -> list[Event]:
 
 
 def _array(rows: Sequence[Mapping[str, Any]], kind: np.dtype[Any]) -> npt.NDArray[Any]:
-    """Return rows as a structured array, NaN where something is not known."""
+    """Return rows as a structured array, NaN where something is not known.
+
+    Raises:
+        ValueError: A number is none that a run can have.
+    """
     made = np.zeros(len(rows), kind)
-    for name in kind.names or ():
+    for name in kind.names or () if rows else ():
         unknown = np.full(kind[name].shape, np.nan) if kind[name].base.kind == "f" else 0
-        for place, row in enumerate(rows):
-            made[place][name] = unknown if row[name] is None else row[name]
+        made[name] = [unknown if row[name] is None else row[name] for row in rows]
+        if np.any(np.abs(made[name]) > LARGEST_NUMBER) or (
+            name == "time" and np.isnan(made[name]).any()
+        ):
+            raise ValueError(name)
     return made

@@ -15,8 +15,11 @@ from equipoise.cli.console import Console, key_names
 from equipoise.cli.output import Output
 from equipoise.control.pilot import PHASES
 from equipoise.devices.operator import Told
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.report import markup
+from equipoise.rigs import RigSettings
 from equipoise.runwriter import Recorder, RunWriter, push_event
+from equipoise.settings import resolve
 from tests.cli.damage import rebuilt
 from tests.test_runlog import made_up
 
@@ -91,9 +94,14 @@ def rig_log(tmp_path):
         "joints": 2,
         "joint_names": [HOSTILE, "A2"],
         "phases": [phase.value for phase in PHASES],
-        **dict.fromkeys(("arm", "robot", "policy"), HOSTILE),
+        **dict.fromkeys(("arm", "robot", "encoder", "policy", "actuator"), HOSTILE),
+        **dict.fromkeys(("held_joint", "u_max", "seed"), 1),
+        "rig": RigSettings().model_dump(mode="json"),
+        "settings": resolve().model_dump(mode="json"),
+        "believed": PendulumParameters(70.2, 7.15, 0.15)._asdict(),
         "h": 0.01,
         "duration": 5.0,
+        "t1": False,
     }
     writer = RunWriter(path, 2, conditions, 0.0)
     push_event(recorder.event, 0.5, "stopping", (), HOSTILE)

@@ -42,9 +42,10 @@ def explain(
     output.say(f"Explaining {run}")
 
     from equipoise.studies.explanation import explain as why
-    from equipoise.studies.runs import read_any
+    from equipoise.studies.runs import missing_part, read_any
 
-    found = why(read_any(run))
+    read = read_any(run)
+    found, missing = why(read), missing_part(read)
     first, *others = found.causes
     how, log = found.ending, found.log
     rows = {"ended": f"{how.cause}{f': {how.reason}' if how.reason else ''}"}
@@ -53,8 +54,8 @@ def explain(
     if log is not None and len(log.time):
         rows["balanced"] = f"{log.lasted:.2f} s of {log.conditions.duration:g} s"
     output.rows(rows)
-    if not how.whole:
-        output.warn("the log breaks off; what came after its last chunk is not known")
+    if missing:
+        output.warn(missing)
     output.say()
     output.say(f"Why: {first.name.value}", style="bold")
     output.rows({"evidence": first.evidence, "what to do": first.advice})

@@ -49,9 +49,11 @@ def export(
     output.say(f"Writing {what} of {run}")
 
     from equipoise.studies.runs import export as write
-    from equipoise.studies.runs import read_any
+    from equipoise.studies.runs import missing_part, read_any
 
     log = read_any(run)
+    if missing := missing_part(log):
+        output.warn(missing)
     film = folder = None
     if video is not None:
         film = choose_file(output, video, video, run, force=force, suffix=".mp4", option="--video")
@@ -71,6 +73,7 @@ def export(
             "run": str(run),
             "tables": [str(path) for path in made],
             "video": str(video) if video else None,
+            "whole": not missing,
         }
     )
 

@@ -141,9 +141,11 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     destination = choose_file(output, given, "actuator.json", log, force=force)
 
     from equipoise.identification.actuator import identify_run
-    from equipoise.studies.runs import load_run
+    from equipoise.studies.runs import load_run, missing_part
 
     run = load_run(log)
+    if missing := missing_part(run):
+        output.warn(missing)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
     with destination.claimed() as out:

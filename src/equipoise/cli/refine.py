@@ -78,10 +78,13 @@ def refine(
 
     from equipoise.control.policy import TabularPolicy
     from equipoise.studies.refinement import inspect
-    from equipoise.studies.runs import load_run
+    from equipoise.studies.runs import load_run, missing_part
 
     table = TabularPolicy.load(policy)
     logs = {str(path): load_run(path) for path in runs}
+    for path, log in logs.items():
+        if missing := missing_part(log):
+            output.warn(f"{path}: {missing}")
     with output.busy("identifying again"):
         findings = inspect(table, logs)
     _say(output, table, findings)

@@ -43,13 +43,13 @@ def replay(
     output.say(f"Replaying {run}")
 
     from equipoise.studies.replay import replay as again
-    from equipoise.studies.runs import read_any
+    from equipoise.studies.runs import missing_part, read_any
 
     log = read_any(run)
     with output.busy("replaying"):
         found = again(log, read_policy(policy), read_actuator(actuator), tolerance=tolerance)
-    if not found.whole:
-        output.warn("the log breaks off; it is replayed as far as it goes")
+    if missing := missing_part(log):
+        output.warn(missing)
     first = found.difference
     if first is None:
         same = "bit for bit" if found.largest == 0.0 else f"within {found.largest:.1g}"

@@ -31,7 +31,7 @@ from equipoise.devices.interfaces import Clock
 from equipoise.devices.loop import Ending, Workshop, run_loop
 from equipoise.devices.operator import Operator
 from equipoise.devices.realtime import Measure
-from equipoise.errors import EquipoiseError, InputError, LinkError, OutsideError
+from equipoise.errors import ArtefactError, EquipoiseError, InputError, LinkError, OutsideError
 from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import PivotFriction, pivot_friction, read_world
 from equipoise.printable import printable
@@ -341,9 +341,20 @@ def told_limit(events: Iterable[tuple[str, str]]) -> float:
 
     Args:
         events: Name and text of each.
+
+    Raises:
+        ArtefactError: The text does not begin with a number.
     """
-    told = [float(text.split()[0]) for name, text in events if name == SPEED_LIMIT]
-    return told[0] if told else inf
+    for name, text in events:
+        if name == SPEED_LIMIT:
+            try:
+                return float(text.split()[0])
+            except (IndexError, ValueError):
+                raise ArtefactError(
+                    f"the log says {text[:40]!r} of the flange's limit, expected a number in m/s; "
+                    "give another log"
+                ) from None
+    return inf
 
 
 def refuse(findings: Sequence[Finding]) -> None:

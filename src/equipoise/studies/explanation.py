@@ -310,7 +310,7 @@ def explain(run: RunLog | RigRun) -> Explanation:
     """
     if isinstance(run, RunLog):
         cause = run.conditions.guard or run.conditions.cause
-        how, log = Ending(cause, _reason(run), None, True), run
+        how, log = Ending(cause, _reason(run), None, not run.damage), run
     else:
         how = ending(run)
         try:
@@ -398,6 +398,8 @@ def _unexplained_rate(
     if arm is None:
         raise RecordingError("the log does not hold the arm")
     moved = read_motion(log, arm)
+    if moved.time[-1] - moved.time[0] > 2.0 * log.lasted + 1.0:
+        raise RecordingError("its samples reach far beyond its ticks")
     half = max(WINDOW, 1.5 * float(np.median(np.diff(moved.time))))
     time = np.arange(moved.time[0] + half, moved.time[-1] - half, GRID)
     if len(time) < 3:

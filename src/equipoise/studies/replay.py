@@ -117,7 +117,7 @@ def replay(
 
 
 def _whole(run: RunLog | RigRun) -> bool:
-    return isinstance(run, RunLog) or run.end is not None
+    return not run.damage if isinstance(run, RunLog) else run.end is not None
 
 
 def _apart(a: float, b: float) -> float:
@@ -251,7 +251,9 @@ def _pairs(row: Any, sent: list[list[float]], output: Output) -> dict[str, tuple
 
 def _of_twin(run: RunLog, policy: TabularPolicy, actuator: Actuator) -> Rows:
     told = run.conditions
-    if told.counts_per_rev is None or len(run.encoder.time) != len(run.time):
+    ticks = len(run.time)
+    rows = len(run.encoder.time)
+    if told.counts_per_rev is None or (rows < ticks if run.damage else rows != ticks):
         raise ArtefactError(
             f"the log of a run in the world {told.world} does not hold what its controller was "
             "told, since there it knows the state; replay a run on a twin or a rig"

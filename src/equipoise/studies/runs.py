@@ -9,15 +9,16 @@ lift. What both can be asked about is the balancing, and `load_run` returns it a
 import csv
 import io
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from equipoise.artefacts import write_whole
 from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, RecordingError
+from equipoise.mcapfile import LARGEST_NUMBER, MOST_JOINTS
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
@@ -65,6 +66,63 @@ TORQUES: Final = "Nm"
 """Unit of torques in a reply."""
 
 
+Bounded = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
+
+
+class _Checked(BaseModel):
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+class _Believed(_Checked):
+    """The pendulum that the policy believes in."""
+
+    w2: float = Field(gt=0.0, le=1e6)
+    k: float = Field(gt=0.0, le=1e6)
+    c: Bounded
+    coulomb: Bounded
+    drag: Bounded
+    linearised: bool
+
+
+class _RigConditions(_Checked):
+    """What studies read of the conditions of a run on a rig."""
+
+    joints: int = Field(ge=1, le=MOST_JOINTS)
+    joint_names: list[str]
+    arm: str
+    held_joint: int | None = Field(ge=1, le=MOST_JOINTS)
+    policy: str
+    actuator: str
+    rig: RigSettings
+    robot: str
+    encoder: str | None
+    settings: Settings
+    believed: _Believed
+    u_max: float = Field(gt=0.0, le=100.0)
+    h: float = Field(ge=1e-4, le=1.0)
+    duration: float = Field(ge=0.0, le=1e6)
+    t1: bool
+    seed: int = Field(ge=0, lt=2**63)
+    phases: list[Phase]
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if len(self.joint_names) != self.joints:
+            raise ValueError("joint_names names another number of joints")
+        if set(self.phases) != set(Phase):
+            raise ValueError("phases does not name each phase")
+        return self
+
+
+class _RigEnd(_Checked):
+    """What studies read of the end of a run on a rig."""
+
+    cause: str | None = None
+    reason: str = ""
+    fault: str = ""
+    zero: Bounded | None = None
+
+
 class Ending(NamedTuple):
     """How a run ended, as far as its log knows."""
 
@@ -84,7 +142,53 @@ def read_any(path: Path) -> RunLog | RigRun:
     Raises:
         ArtefactError: The file is missing, damaged, or no log of a run.
     """
-    return read_rig_run(path) if is_rig_run(path) else RunLog.load(path)
+    return read_rig(path) if is_rig_run(path) else RunLog.load(path, damaged=True)
+
+
+def read_rig(path: Path) -> RigRun:
+    """Return the log of a run on a rig, whose conditions and end hold what studies read of them.
+
+    Raises:
+        ArtefactError: The file is missing, damaged, or no such log.
+    """
+    run = read_rig_run(path)
+    try:
+        _RigConditions.model_validate(run.conditions)
+        _RigEnd.model_validate(run.end or {})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "conditions"
+        raise ArtefactError(
+            f"{path} is not a valid log of a run on a rig: {where}: {first['msg']}; run it again"
+        ) from None
+    state = run.tables["tick"]["state"]
+    if np.any((state < 0) | (state >= len(run.conditions["phases"]))):
+        raise ArtefactError(
+            f"{path} is not a valid log of a run on a rig: a tick has no known phase; run it again"
+        )
+    return run
+
+
+def missing_part(run: RunLog | RigRun) -> str:
+    """Return what is missing of a log and what is sound, in a sentence; empty of a whole one."""
+    damage = _damage(run)
+    if not damage:
+        return ""
+    if isinstance(run, RunLog):
+        ticks, lasted = len(run.time), run.lasted
+    else:
+        time = run.tables["tick"]["time"]
+        ticks, lasted = len(time), float(np.ptp(time)) if len(time) else 0.0
+    return (
+        f"the log {damage}; sound before that: {ticks:,} ticks, {lasted:.2f} s; what came after is "
+        "not known"
+    )
+
+
+def _damage(run: RunLog | RigRun) -> str:
+    if run.damage or isinstance(run, RunLog):
+        return run.damage
+    return "" if run.end is not None else "breaks off"
 
 
 def load_run(path: Path) -> RunLog:
@@ -112,7 +216,7 @@ def ending(run: RigRun) -> Ending:
     phase = before[-1] if before else None
     told = [event.text for event in run.events if event.name in (STOPPING, "fault")]
     if run.end is not None and "cause" in run.end:
-        return Ending(str(run.end["cause"]), str(run.end["reason"]), phase, True)
+        return Ending(str(run.end["cause"]), str(run.end.get("reason", "")), phase, True)
     if run.end is not None:
         fault = run.end.get("fault", "an error ended the run; deploy has said which")
         return Ending("error", str(fault), phase, True)
@@ -226,6 +330,7 @@ def balancing(run: RigRun) -> RunLog:
         stream=Stream(stream["time"] - began, stream["q"]),
         replies=Replies(0.5 * (reply["sent"] + reply["time"]) - began, reply["q"]),
         encoder=EncoderSamples(encoder["time"] - began, encoder["counts"] - round(zero)),
+        damage=_damage(run),
     )
 
 
@@ -244,7 +349,10 @@ def encoder_zero(run: RigRun) -> float:
     if len(armed) == 0:
         raise ArtefactError("the log does not tell the encoder's zero; give one that is whole")
     tick, encoder = run.tables["tick"][armed[-1]], run.tables["encoder"]
-    counts = encoder["counts"][encoder["received"] <= tick["time"]][-1]
+    known = encoder["counts"][encoder["received"] <= tick["time"]]
+    if len(known) == 0:
+        raise ArtefactError("the log holds no count before the release; give one that is whole")
+    counts = known[-1]
     counts_per_rev = int(run.conditions["rig"]["counts_per_rev"])
     return float(counts - (np.pi - tick["estimated_phi"]) * counts_per_rev / (2.0 * np.pi))
 

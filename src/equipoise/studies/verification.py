@@ -20,11 +20,11 @@ from equipoise.runlog import FORMAT as RUN_FORMAT
 from equipoise.runlog import RunLog, read_header
 from equipoise.runwriter import FORMAT as RIG_FORMAT
 from equipoise.runwriter import VERSION as RIG_VERSION
-from equipoise.runwriter import RigRun, is_rig_run, read_rig_run
+from equipoise.runwriter import RigRun, is_rig_run
 from equipoise.studies.certification import Certificate, check_evaluation, evaluation_path
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.results import Record
-from equipoise.studies.runs import ending, phase_ticks
+from equipoise.studies.runs import ending, missing_part, phase_ticks, read_rig
 from equipoise.studies.wording import falls
 
 MCAP = b"\x89MCAP"
@@ -59,12 +59,17 @@ def verify(path: Path) -> Verified:
             or a certificate is not that of the trials beside it.
     """
     if is_rig_run(path):
+        rig_run = read_rig(path)
+        if rig_run.damage:
+            raise ArtefactError(
+                f"{path}: {missing_part(rig_run)}; explain, replay and export read the sound part"
+            )
         return Verified(
             what="log of a run on a rig",
             format=RIG_FORMAT,
             version=RIG_VERSION,
             digest=None,
-            content=_rig_run(read_rig_run(path)),
+            content=_rig_run(rig_run),
             provenance=None,
         )
     if _begins_with(path, MCAP):

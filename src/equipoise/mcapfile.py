@@ -1,0 +1,242 @@
+"""MCAP files that run logs are kept in, read as far as they are sound.
+
+The reader walks the records from the front. Each length that a file claims is compared with what is
+left of the file, and with a limit, before memory is taken. The content of a chunk counts only
+if its checksum fits, messages only while their sequence numbers have no gap, and entries of a
+metadata record only if they fit the checksum among them. The first damage ends the reading: what
+stands before it is returned, with one clause on where the file stopped making sense.
+"""
+
+import io
+import json
+import logging
+import os
+import struct
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO, Final, NamedTuple
+
+from equipoise.errors import ArtefactError
+
+logger = logging.getLogger(__name__)
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+"""First and last bytes of an MCAP file."""
+CHUNK: Final = 128 * 1024
+"""Size of a chunk before compression [B]: half a second of a run on a rig. A damaged byte costs
+what follows the beginning of its chunk."""
+LARGEST_METADATA: Final = 1 << 20
+"""Limit on a metadata record [B]; those of run logs have 4 kB."""
+LARGEST_CHUNK: Final = 1 << 24
+"""Limit on a chunk, before and after compression [B]: ours have 128 kB, those of others 1 to 4 MB.
+"""
+LARGEST: Final = 1 << 31
+"""Limit on the content of all chunks [B]: three times a run of an hour, the longest."""
+MOST_JOINTS: Final = 32
+"""Limit on the joints of an arm in a log."""
+LARGEST_NUMBER: Final = 1e9
+"""Limit on times [s], counts and all other numbers in a row: clocks and encoders reach 1e8."""
+
+RECORD: Final = struct.Struct("<BQ")
+"""Head of a record: kind, length of its body [B]."""
+MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
+"""Head of a message: channel, sequence number, log time [ns], publish time [ns]."""
+FOOTER, CHANNEL, MESSAGE, CHUNK_RECORD, METADATA, DATA_END = 0x02, 0x04, 0x05, 0x06, 0x0C, 0x0F
+"""Kinds of records that are read; all others are skipped."""
+LIMITS: Final[Mapping[int, int]] = {METADATA: LARGEST_METADATA, CHUNK_RECORD: LARGEST_CHUNK}
+"""Limits on the records that are read from the file [B]."""
+DATA_END_LENGTH: Final = 4
+"""Length of the record that ends the data [B]."""
+OWN_KINDS: Final = 0x80
+"""Kinds from here on belong to other programs; below, unknown ones do not exist."""
+CHECKSUM: Final = "checksum"
+"""Entry of a metadata record: CRC-32 of the others."""
+
+
+class McapContent(NamedTuple):
+    """The sound part of an MCAP file."""
+
+    metadata: Mapping[str, Mapping[str, str]]
+    """Entries of the metadata records, by the names of the records."""
+    messages: Mapping[str, list[bytes]]
+    """Messages as written, in their order, by topic."""
+    last: float
+    """Log time of the last sound message [s]; zero without one."""
+    damage: str
+    """Where and how the file is damaged, as a clause; empty where it is sound."""
+
+
+class _DamageError(Exception):
+    """A record is damaged."""
+
+
+def sealed(entries: Mapping[str, str]) -> dict[str, str]:
+    """Return the entries of a metadata record with their checksum, which MCAP does not have."""
+    return {**entries, CHECKSUM: _checksum(entries)}
+
+
+def _checksum(entries: Mapping[str, str]) -> str:
+    others = {name: text for name, text in entries.items() if name != CHECKSUM}
+    return f"{zlib.crc32(json.dumps(others, sort_keys=True).encode()):08x}"
+
+
+def read_mcap(path: Path, *, messages: bool = True) -> McapContent:
+    """Return the sound part of an MCAP file.
+
+    Args:
+        path: The file.
+        messages: Read the messages; without, only the metadata before the first chunk.
+
+    Raises:
+        ArtefactError: The file is missing, cannot be read, or is no MCAP file.
+    """
+    try:
+        with path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise ArtefactError(
+                    f"{path} is not an MCAP file, or its beginning is damaged; give a file that "
+                    "deploy wrote"
+                )
+            return _read(file, messages)
+    except FileNotFoundError:
+        raise ArtefactError(f"there is no file {path}; check the path") from None
+    except OSError as error:
+        raise ArtefactError(f"cannot read {path}: {error.strerror}") from None
+
+
+def _read(file: BinaryIO, wanted: bool) -> McapContent:
+    metadata: dict[str, Mapping[str, str]] = {}
+    found = _Messages()
+    place, size = 0, os.fstat(file.fileno()).st_size
+    damage = ""
+    try:
+        while True:
+            place = file.tell()
+            kind, body = _record(file, size)
+            if kind == DATA_END or (kind == CHUNK_RECORD and not wanted):
+                break
+            if kind == METADATA:
+                name, entries = _metadata(body)
+                metadata[name] = entries
+            elif kind == CHUNK_RECORD:
+                found.add(_content(body, LARGEST - found.bytes))
+    except _DamageError as error:
+        damage = f"{error} at byte {place:,} of {size:,}"
+        logger.debug("%s: %s", file.name, damage)
+    return McapContent(metadata, found.by_topic, found.last, damage)
+
+
+def _record(file: BinaryIO, size: int) -> tuple[int, bytes]:
+    """Return kind and body of the next record; no body where it is not read."""
+    head = file.read(RECORD.size)
+    if len(head) < RECORD.size:
+        raise _DamageError("is cut short")
+    kind, length = RECORD.unpack(head)
+    if length > size - file.tell():
+        raise _DamageError("is cut short or damaged")
+    if kind == DATA_END and length == DATA_END_LENGTH:
+        return kind, b""
+    if kind in (0, FOOTER) or DATA_END <= kind < OWN_KINDS:
+        raise _DamageError("is damaged")
+    limit = LIMITS.get(kind)
+    if limit is None:
+        file.seek(length, os.SEEK_CUR)
+        return kind, b""
+    if length > limit:
+        raise _DamageError(f"claims a record of {length:,} bytes")
+    return kind, file.read(length)
+
+
+def _parsed(kind: Any, body: bytes) -> Any:
+    """Return a record of the library from its body."""
+    from mcap.data_stream import ReadDataStream
+
+    try:
+        return kind.read(ReadDataStream(io.BytesIO(body)))
+    except Exception:  # a damaged length makes it fail in any way there is
+        raise _DamageError("is damaged") from None
+
+
+def _metadata(body: bytes) -> tuple[str, Mapping[str, str]]:
+    from mcap.records import Metadata
+
+    record = _parsed(Metadata, body)
+    entries = record.metadata
+    if entries.get(CHECKSUM, _checksum(entries)) != _checksum(entries):
+        raise _DamageError("is damaged in its header")
+    return record.name, entries
+
+
+def _content(body: bytes, limit: int) -> bytes:
+    """Return the records in a chunk, if their checksum fits."""
+    from mcap.records import Chunk
+
+    chunk = _parsed(Chunk, body)
+    size: int = chunk.uncompressed_size
+    if size > min(LARGEST_CHUNK, limit):
+        raise _DamageError(f"claims a chunk of {size:,} bytes")
+    try:
+        data = _decompressed(chunk.compression, chunk.data, size)
+    except Exception:  # of two libraries
+        raise _DamageError("is damaged") from None
+    crc = chunk.uncompressed_crc
+    if len(data) != size or (crc and zlib.crc32(data) != crc):
+        raise _DamageError("is damaged")
+    return data
+
+
+def _decompressed(compression: str, data: bytes, size: int) -> bytes:
+    """Return no more than one byte beyond `size`: what data claim of themselves is not believed."""
+    if compression == "":
+        return data
+    if compression == "zstd":
+        import zstandard
+
+        decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
+        return decompressor.stream_reader(data).read(size + 1)
+    import lz4.frame
+
+    return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+
+
+class _Messages:
+    """Messages by topic, as long as their sequence numbers have no gap."""
+
+    def __init__(self) -> None:
+        self.by_topic: dict[str, list[bytes]] = {}
+        self.last = 0.0
+        self.bytes = 0
+        self._topics: dict[int, list[bytes]] = {}
+        self._count = 0
+
+    def add(self, data: bytes) -> None:
+        """Take the records of a chunk."""
+        from mcap.records import Channel
+
+        self.bytes += len(data)
+        place = 0
+        while place < len(data):
+            if place + RECORD.size > len(data):
+                raise _DamageError("is damaged")
+            kind, length = RECORD.unpack_from(data, place)
+            place += RECORD.size
+            if length > len(data) - place:
+                raise _DamageError("is damaged")
+            body = data[place : place + length]
+            place += length
+            if kind == CHANNEL:
+                channel = _parsed(Channel, body)
+                self._topics[channel.id] = self.by_topic.setdefault(channel.topic, [])
+            elif kind == MESSAGE:
+                self._message(body)
+
+    def _message(self, body: bytes) -> None:
+        if len(body) < MESSAGE_HEAD.size:
+            raise _DamageError("is damaged")
+        channel, sequence, log_time, _ = MESSAGE_HEAD.unpack_from(body)
+        if sequence != self._count or channel not in self._topics:
+            raise _DamageError("lacks messages before the chunk")
+        self._topics[channel].append(body[MESSAGE_HEAD.size :])
+        self._count += 1
+        self.last = 1e-9 * log_time
