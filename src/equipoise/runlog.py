@@ -29,13 +29,13 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self, TypeAlias, TypeVar
+from typing import Any, ClassVar, Final, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError
 
-from equipoise.artefacts import DIGEST_PREFIX, Extended, Provenance, write_whole
+from equipoise.artefacts import DIGEST_PREFIX, Extended, Name, Number, Provenance, write_whole
 from equipoise.errors import ArtefactError
 from equipoise.mcapfile import (
     CHUNK,
@@ -53,7 +53,6 @@ IDEAL: Final = "ideal"
 """In place of the digest of an actuator: the arm follows its commands at once."""
 
 PendulumName: TypeAlias = Literal["w2", "k", "c", "coulomb", "drag"]
-Bounded: TypeAlias = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Whole: TypeAlias = npt.NDArray[np.int64]
@@ -64,23 +63,23 @@ class RunConditions(Extended):
 
     LATER: ClassVar[tuple[str, ...]] = ("guard", "friction")
 
-    policy: str
+    policy: Name
     """Digest of the policy that ran; empty where the arm was only excited."""
-    world: str
+    world: Name
     """What stood in for the robot and the pendulum."""
-    arm: str
+    arm: Name
     """Name of the arm."""
-    joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_JOINTS)
+    joints: tuple[Name, ...] = Field(min_length=1, max_length=MOST_JOINTS)
     """Names of its joints, from the base to the flange."""
     held_joint: int | None = Field(ge=1, le=MOST_JOINTS)
     """The joint that does not move, counted from one."""
-    pendulum: dict[PendulumName, Bounded] = Field(min_length=5)
+    pendulum: dict[PendulumName, Number] = Field(min_length=5)
     """Numbers of the pendulum that really swung: w2 [1/s^2], k [1/m], c [1/s], coulomb [1/s^2],
     drag [1/rad]."""
     friction: dict[str, float | str] | None = None
     """Dry friction and drag of the pendulum on a twin, and who set them, by the names of
     `PivotFriction`; none elsewhere."""
-    start: tuple[Bounded, Bounded, Bounded, Bounded]
+    start: tuple[Number, Number, Number, Number]
     """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release."""
     h: float = Field(ge=1e-4, le=1.0)
     """Time between ticks [s]."""
@@ -88,19 +87,19 @@ class RunConditions(Extended):
     """How long the run was to last [s]."""
     seed: int
     """Master seed of pendulum, start and noise."""
-    actuator: str
+    actuator: Name
     """Digest of the actuator that the controller believed in, or `ideal`."""
     counts_per_rev: int | None = Field(ge=1, le=2**24)
     """Encoder counts per revolution; none where the angle is known without an encoder."""
     world_settings: dict[str, float | int | str | None] | None
     """Resolved numbers of the digital twin; none elsewhere."""
-    zero_error: Bounded | None
+    zero_error: Number | None
     """Error of the encoder's zero [rad]; none where there is no encoder, or nobody knows."""
     settings: Settings
     """Resolved settings: gains, noise, ranges of the start."""
-    cause: str
+    cause: Name
     """How the run ended: lasted, angle, track, joint limit, guard."""
-    guard: str = ""
+    guard: Name = ""
     """Which guard ended it; empty where none did."""
 
     @property

@@ -11,7 +11,7 @@ from equipoise.deployment import deploy
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.runlog import RunLog
-from equipoise.runwriter import Recorder, RunWriter, read_rig_run
+from equipoise.runwriter import Recorder, RunWriter, push_event, read_rig_run
 from equipoise.studies.refinement import read_motion, thinned
 from equipoise.studies.runs import arm_of, ending, export, load_run, pendulum_of, read_any
 from equipoise.studies.verification import verify
@@ -85,7 +85,9 @@ def test_a_log_of_a_twin_is_read_as_it_is(twin_log):
 def test_a_run_that_did_not_balance_is_refused_with_its_reason(tmp_path, rig_log):
     path, conditions = tmp_path / "run.mcap", read_rig_run(rig_log).conditions
     writer = RunWriter(path, 7, conditions, 0.0)
-    writer.drain(Recorder(7))
+    recorder = Recorder(7)
+    push_event(recorder.event, 0.5, "move", ("y", "n"), "Move? y or n")
+    writer.drain(recorder)
     writer.finish(1.0, {"cause": "operator", "reason": "the move was not allowed"})
     with pytest.raises(RecordingError, match=r"while connecting \(the move was not allowed\)"):
         load_run(path)

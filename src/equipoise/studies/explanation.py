@@ -330,7 +330,7 @@ def explain(run: RunLog | RigRun) -> Explanation:
 def _reason(run: RunLog) -> str:
     """Return how a simulated run ended, with the numbers of its last tick."""
     told = run.conditions
-    if told.cause == "lasted" or len(run.time) == 0:
+    if told.cause == "lasted" or run.damage or len(run.time) == 0:
         return ""
     who = f"the guard {told.guard!r} ended the run" if told.guard else f"it ended by {told.cause!r}"
     state = (

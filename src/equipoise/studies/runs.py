@@ -9,16 +9,16 @@ lift. What both can be asked about is the balancing, and `load_run` returns it a
 import csv
 import io
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from equipoise.artefacts import write_whole
+from equipoise.artefacts import Number, write_whole
 from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.mcapfile import LARGEST_NUMBER, MOST_JOINTS
+from equipoise.mcapfile import MOST_JOINTS
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
@@ -66,9 +66,6 @@ TORQUES: Final = "Nm"
 """Unit of torques in a reply."""
 
 
-Bounded = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
-
-
 class _Checked(BaseModel):
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -78,9 +75,9 @@ class _Believed(_Checked):
 
     w2: float = Field(gt=0.0, le=1e6)
     k: float = Field(gt=0.0, le=1e6)
-    c: Bounded
-    coulomb: Bounded
-    drag: Bounded
+    c: Number
+    coulomb: Number
+    drag: Number
     linearised: bool
 
 
@@ -120,7 +117,7 @@ class _RigEnd(_Checked):
     cause: str | None = None
     reason: str = ""
     fault: str = ""
-    zero: Bounded | None = None
+    zero: Number | None = None
 
 
 class Ending(NamedTuple):
@@ -228,7 +225,8 @@ def arm_of(run: RunLog | RigRun) -> Arm | None:
     if isinstance(run, RigRun):
         return RigSettings.model_validate(run.conditions["rig"]).described_arm
     known = {one.name: one for one in (iiwa(7), iiwa(14))}
-    return known.get(run.conditions.arm)
+    arm = known.get(run.conditions.arm)
+    return arm if arm and len(arm.joints) == len(run.conditions.joints) else None
 
 
 def pendulum_of(run: RunLog | RigRun) -> PendulumParameters:
