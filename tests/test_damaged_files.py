@@ -147,5 +147,7 @@ def test_extreme_numbers_with_a_fitting_digest_end_in_a_sentence(tmp_path, name,
         verify(path)
         USES[name](value)
 
+    if name != "evaluation.json":
+        use(read(path))  # compiles
     found = outcomes(read, path, changed(json.loads(path.read_text()), count), use)
     assert found["refused"] > 0

@@ -1,5 +1,7 @@
 """Recordings: every column that is read, every file that is refused."""
 
+import gzip
+import tracemalloc
 from math import pi
 
 import numpy as np
@@ -71,6 +73,86 @@ def test_further_columns_blank_lines_and_a_byte_order_mark_do_no_harm(tmp_path):
     assert swing.theta.tolist() == [1.0, 2.0]
 
 
+SAME = "time_s,theta_rad\n0,1\n0.5,2.5\n"
+SPELLINGS = {
+    "milliseconds": "time_ms,theta_rad\n0,1\n500,2.5\n",
+    "microseconds": "time_us,theta_rad\n0,1\n500000,2.5\n",
+    "semicolons": "time_s;theta_rad\n0;1\n0.5;2.5\n",
+    "decimal commas": "time_s;theta_rad\n0,0;1,0\n0,5;2,5\n",
+    "tabs": "time_s\ttheta_rad\n0\t1\n0.5\t2.5\n",
+    "tabs and commas": "time_s\ttheta_rad\n0\t1\n0,5\t2,5\n",
+    "quotes": 'note,"time_s","theta_rad"\n"a,b","0",1\n"c",0.5,"2.5"\n',
+    "windows": "time_s,theta_rad\r\n0,1\r\n0.5,2.5\r\n",
+    "old mac": "time_s,theta_rad\r0,1\r0.5,2.5\r",
+    "UTF-8 mark": b"\xef\xbb\xbf" + SAME.encode(),
+    "UTF-16": SAME.encode("utf-16"),
+    "UTF-16 big": b"\xfe\xff" + SAME.encode("utf-16-be"),
+    "UTF-16 without a mark": SAME.encode("utf-16-le"),
+    "Latin-1": "time_s,theta_rad,Länge (°)\n0,1,ü\n0.5,2.5,\n".encode("latin-1"),
+    "gzip": gzip.compress(SAME.encode()),
+    "gzip of UTF-16": gzip.compress(SAME.encode("utf-16")),
+}
+
+
+@pytest.mark.parametrize("text", SPELLINGS.values(), ids=SPELLINGS)
+def test_one_recording_in_many_spellings_is_one_recording(tmp_path, text):
+    path = tmp_path / "swing.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    swing = read_swing(path)
+    assert swing.time.tolist() == [0.0, 0.5]
+    assert swing.theta.tolist() == [1.0, 2.5]
+
+
+@pytest.mark.parametrize("header", ["", "t,angle\n", "\ufefft,angle\n"])
+def test_columns_can_be_named_where_the_file_does_not(tmp_path, header):
+    path = written(tmp_path, header + "0,90\n250,45\n")
+    swing = read_swing(path, columns="time_ms, theta_deg")
+    assert swing.time.tolist() == [0.0, 0.25]
+    np.testing.assert_allclose(swing.theta, [pi / 2, pi / 4])
+
+
+def test_a_large_recording_is_read_in_little_time_and_memory(tmp_path):
+    n = 200_000
+    rows = "".join(f"{i / 1000:.3f},{i % 7:.6f}\n" for i in range(n))
+    path = written(tmp_path, "time_s,theta_rad\n" + rows)
+    tracemalloc.start()
+    swing = read_swing(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(swing.time) == n
+    # A list of cells for each row takes 40 MB and more.
+    assert peak < 6 * path.stat().st_size
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_recording_that_is_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch, packed):
+    monkeypatch.setattr("equipoise.trajectory.LARGEST_RECORDING", 1024 * 1024)
+    text = b"time_s,theta_rad\n" + b"0,1\n" * 300_000
+    path = tmp_path / "swing.csv"
+    path.write_bytes(gzip.compress(text) if packed else text)
+    with pytest.raises(RecordingError, match="1 MiB, the limit for a recording"):
+        read_swing(path)
+    monkeypatch.setattr("equipoise.trajectory.LARGEST_RECORDING", 10**8)
+    monkeypatch.setattr("equipoise.trajectory.MOST_SAMPLES", 1000)
+    with pytest.raises(RecordingError, match="300,001 lines, expected at most 1,000"):
+        read_swing(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (gzip.compress(b"time_s,theta_rad\n0,1\n")[:-9], "gzip cannot decompress it"),
+        (b"PK\3\4 a spreadsheet", "ZIP file or a spreadsheet"),
+        (b"\xff\xfea", "not text in UTF-8, nor in UTF-16"),
+    ],
+)
+def test_a_container_that_cannot_be_read_is_named(tmp_path, content, reason):
+    path = tmp_path / "swing.csv"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=reason):
+        read_swing(path)
+
+
 def test_a_window_holds_the_samples_at_its_ends_and_trusts_its_start(tmp_path):
     path = column(tmp_path, "theta_rad", [0.1, 0.2, 0.1, -0.3])
     swing = read_swing(path, start=0.1, end=0.2)
@@ -109,21 +191,33 @@ def test_a_trajectory_cannot_be_written_to():
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "columns \\(none\\); expected time_s and one of theta_rad"),
+        ("", "columns \\(none\\); expected one of time_s, time_ms, time_us and one of theta_rad"),
         ("time_s,theta_rad\n", "holds no samples"),
-        ("t,angle\n0,1\n", "has the columns t, angle; expected time_s and one of"),
-        ("theta_rad\n0\n", "expected time_s and one of"),
-        ("time_s,theta_rad,theta_deg\n0,1,2\n", "expected time_s and one of"),
-        ("time_s;theta_rad\n0;1\n", "expected time_s and one of"),
+        ("t,angle\n0,1\n", "has the columns t, angle; expected one of time_s"),
+        ("theta_rad\n0\n", "expected one of time_s"),
+        ("time_s,theta_rad,theta_deg\n0,1,2\n", "expected one of time_s"),
         ("time_s,theta_rad\n0,1\n0.1,nan\n", "line 3: theta_rad is 'nan', expected a finite"),
         ("time_s,theta_rad\n0,1\n0.1,inf\n", "line 3: theta_rad is 'inf', expected a finite"),
         ("time_s,theta_rad\n0,1\n\n0.1,high\n", "line 4: theta_rad is 'high'"),
         ("time_s,theta_rad\nnan,1\n", "line 2: time_s is 'nan'"),
         ("time_s,theta_rad\n0,1\n0.1\n", "line 3: theta_rad is '', expected a finite"),
-        ("time_s,theta_rad\n0,1\n0.1,2\n0.1,3\n", "line 4: time does not increase, 0.1 s comes"),
+        (
+            "time_s,theta_rad\n0,1\n0.1,2\n0.1,3\n",
+            "line 4: time does not increase, time_s is 0.1 after 0.1",
+        ),
         ("time_s,theta_rad\n0,1\n0.2,2\n\n0.1,3\n", "line 5: time does not increase"),
         ("time_s,counts\n0,1\n0.1,2\n", "counts per revolution are not given"),
-        ("time_s,theta_rad\n0,1\n", "has 1 samples"),
+        ("time_s,theta_rad\n0,1\n", "holds a single sample; record a swing"),
+        ("time_s,time_ms,theta_rad\n0,0,1\n", "expected one of time_s"),
+        (
+            "0.0,1.5\n0.1,1.4\n",
+            "no header.*'0.0,1.5'; name its columns, for example --columns time_s",
+        ),
+        ("time_s,theta_rad\n0,000,1,25\n0,010,1,24\n", "has 4 cells .* by semicolons"),
+        ("time_s;theta_rad\n0;1\n0.1;a,b\n", "line 3: theta_rad is 'a.b'"),
+        ("time_s theta_rad\n0 1\n", "separated by a comma, a semicolon or a tab"),
+        ("time_s,theta_rad\n0,1\n0.1,2\n   \n0.2,x\n", "line 5: theta_rad is 'x'"),
+        ('time_s,note,theta_rad\n0,"a,b",1\n0.1,"c,d",y\n', "line 3: theta_rad is 'y'"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_refused_in_one_sentence(tmp_path, text, reason):
@@ -144,7 +238,7 @@ def test_a_folder_is_refused(tmp_path):
 
 def test_a_file_that_is_not_text_is_refused(tmp_path):
     path = tmp_path / "swing.csv"
-    path.write_bytes(b"\x89PNG\x00\xff\xfe")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n\x00\xff\xfe")
     with pytest.raises(RecordingError, match="is not text"):
         read_swing(path)
 
@@ -180,3 +274,16 @@ def test_impossible_trajectories_are_refused(fields, reason):
 def test_a_trajectory_whose_time_stands_still_is_refused():
     with pytest.raises(RecordingError, match="time does not increase at sample 2"):
         Trajectory(time=np.array([0.0, 1.0, 1.0]), theta=np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("time_s,theta_rad\n1.7e12,1\n1.7001e12,2\n", "time_s reaches 1.7e\\+12, .* another unit"),
+        ("time_s,rate_rad_s\n0,1\n1,1e12\n", "rate_rad_s reaches 1e\\+12"),
+        ("time_s,rate_rad_s\n0,1\n1,1e300\n", "line 3: rate_rad_s is '1e300'"),
+    ],
+)
+def test_numbers_that_no_recorder_gives_are_refused(tmp_path, text, reason):
+    with pytest.raises(RecordingError, match=reason):
+        read_swing(written(tmp_path, text))

@@ -3,32 +3,63 @@
 theta is measured from hanging, in radians, and grows with the encoder's counts; theta + phi = pi.
 A recording gives theta, or its rate from a gyro. The file has a header and one sample per line::
 
-    time_s,theta_rad        or theta_deg, or counts, or rate_rad_s
+    time_s,theta_rad        or time_ms, time_us; theta_deg, counts, rate_rad_s
     0.000,-1.618429
 
-Further columns are ignored. An angle that jumps by more than half a turn from one sample to the
-next was wrapped by its recorder, and is unwrapped.
+Semicolons and tabs separate as well, then with a decimal point or a decimal comma. Text is UTF-8,
+Latin-1 or UTF-16, and may be compressed by gzip. Further columns are ignored. An angle that jumps
+by more than half a turn from one sample to the next was wrapped by its recorder, and is unwrapped.
 """
 
+import codecs
 import csv
+import gzip
 import hashlib
 import io
 import math
+import warnings
+import zlib
+from array import array
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.artefacts import DIGEST_PREFIX, write_whole
+from equipoise.artefacts import (
+    DIGEST_PREFIX,
+    MEBIBYTE,
+    read_bytes,
+    shortened,
+    write_whole,
+)
 from equipoise.errors import RecordingError
 from equipoise.printable import printable
 
 TIME: Final = "time_s"
 """Name of the column of time stamps [s]."""
+TIMES: Final = {TIME: 1.0, "time_ms": 1e-3, "time_us": 1e-6}
+"""Names of the columns that time stamps can come in, with their units [s]; a file has one."""
 QUANTITIES: Final = ("theta_rad", "theta_deg", "counts", "rate_rad_s")
 """Names of the columns that a motion can come in; a file has one of them."""
+
+LARGEST_RECORDING: Final = 128 * MEBIBYTE
+"""Size limit of a recording, after decompression [bytes]: an hour at 1 kHz with six columns."""
+MOST_SAMPLES: Final = 5_000_000
+"""Limit on the number of samples: more than an hour at 1 kHz. A swing lasts minutes."""
+LARGEST_NUMBER: Final = 1e18
+"""Limit on a number in a recording: nanoseconds since 1970 have 19 digits."""
+LARGEST_TIME: Final = 1e10
+"""Limit on a time stamp [s]: three hundred years; seconds since 1970 are below it, milliseconds
+are above."""
+LARGEST_VALUE: Final = 1e9
+"""Limit on an angle [rad] or a rate [rad/s]: no encoder counts as many turns."""
+SEPARATORS: Final = (",", ";", "\t")
+"""Separators between columns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +134,7 @@ def read_swing(
     from_upright: bool = False,
     start: float | None = None,
     end: float | None = None,
+    columns: str | None = None,
 ) -> Trajectory:
     """Read a recorded swing from a CSV file.
 
@@ -113,16 +145,21 @@ def read_swing(
         start: Take the recording from this time on [s], and take its word that the pendulum swings
             freely from there.
         end: Take the recording up to this time [s].
+        columns: Names of the columns in their order, with commas, for a file without a header or
+            with another one; e.g. "time_s,theta_deg".
 
     Returns:
         The swing, as an angle from hanging or its rate.
 
     Raises:
-        RecordingError: The file is missing, has other columns, holds something that is not a
-            finite number, its time does not increase, or nothing is left of it.
+        RecordingError: The file is missing or too large, has other columns, holds something that
+            is not a finite number, its time does not increase, or nothing is left of it.
     """
-    data = _bytes(path)
-    stamps, recorded, lines, quantity = _columns(path, data)
+    path = Path(path)
+    data = read_bytes(path, LARGEST_RECORDING, "a recording", RecordingError)
+    table = _table(path, data, columns)
+    stamps, recorded = _samples(path, table)
+    quantity, second = table.quantity, TIMES[table.time]
     if quantity == "counts" and not (counts_per_rev and counts_per_rev > 0):
         raise RecordingError(
             f"{path} holds encoder counts, but the counts per revolution are "
@@ -132,10 +169,12 @@ def read_swing(
     late = np.flatnonzero(np.diff(stamps) <= 0.0)
     if late.size:
         i = int(late[0]) + 1
+        line = next(islice(_rows(path, table), i, None))[0]
         raise RecordingError(
-            f"{path}, line {lines[i]}: time does not increase, {stamps[i]:.10g} s comes after "
-            f"{stamps[i - 1]:.10g} s; remove repeated samples or sort the recording"
+            f"{path}, line {line}: time does not increase, {table.time} is {stamps[i]:.10g} after "
+            f"{stamps[i - 1]:.10g}; remove repeated samples or sort the recording"
         )
+    stamps = second * stamps
     values, unit = recorded, 1.0
     if quantity == "theta_deg":
         unit = math.pi / 180.0
@@ -143,6 +182,16 @@ def read_swing(
         unit = 2.0 * math.pi / counts_per_rev
     resolution = unit if quantity == "counts" else unit * _step(recorded)
     values = unit * recorded
+    if (latest := float(np.max(np.abs(stamps)))) > LARGEST_TIME:
+        raise RecordingError(
+            f"{path}: {table.time} reaches {latest / second:.4g}, three hundred years and more; is "
+            "it in another unit? Name its column time_ms or time_us where it is"
+        )
+    if (largest := float(np.max(np.abs(values)))) > LARGEST_VALUE:
+        raise RecordingError(
+            f"{path}: {quantity} reaches {largest / unit:.4g}, expected an angle or a rate below "
+            f"{LARGEST_VALUE / unit:.4g}; correct or remove such lines"
+        )
     is_rate = quantity == "rate_rad_s"
     if from_upright:
         values = -values if is_rate else math.pi - values
@@ -152,8 +201,14 @@ def read_swing(
     )
     time, values = stamps[keep], values[keep]
     if time.size < 2:
+        if start is None and end is None:
+            raise RecordingError(
+                f"{path} holds a single sample; record a swing of a few periods, with ten samples "
+                "or more in each"
+            )
         raise RecordingError(
-            f"{path} has {time.size} samples between {start if start is not None else 'its start'} "
+            f"{path} has {'one sample' if time.size else 'no samples'} between "
+            f"{start if start is not None else 'its start'} "
             f"and {end if end is not None else 'its end'}; it lasts from {stamps[0]:.10g} s to "
             f"{stamps[-1]:.10g} s: choose --start and --end inside"
         )
@@ -182,60 +237,170 @@ def write_swing(path: Path, trajectory: Trajectory) -> None:
     write_whole(path, f"{TIME},{quantity}\n" + "".join(f"{t!r},{value!r}\n" for t, value in rows))
 
 
-def _bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise RecordingError(f"there is no file {path}; check the path") from None
-    except OSError as error:
+class _Table(NamedTuple):
+    """Text of a recording, and where its two columns are."""
+
+    text: bytes
+    """UTF-8 with points for decimals; what is no UTF-8 stands outside the two columns."""
+    separator: str
+    """One of `SEPARATORS`."""
+    skip: int
+    """Number of lines before the first sample: 1 for a header, else 0."""
+    names: tuple[str, ...]
+    """Names of all columns."""
+    time: str
+    """Name of the column of time stamps."""
+    quantity: str
+    """Name of the column of recorded values."""
+
+
+def _table(path: Path, data: bytes, columns: str | None) -> _Table:
+    """Find separator, header and columns of a recording."""
+    text = _as_utf8(path, _decompressed(path, data))
+    if (count := text.count(b"\n")) > MOST_SAMPLES:
         raise RecordingError(
-            f"cannot read {path}: {error.strerror}; give a CSV file that can be read"
-        ) from None
-
-
-def _columns(
-    path: Path, data: bytes
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], list[int], str]:
-    """Return time stamps, recorded values, the line of each, and the name of the quantity."""
-    try:
-        reader = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""))
-        header = [name.strip() for name in next(reader, [])]
-        found = [name for name in header if name in QUANTITIES]
-        if TIME not in header or len(found) != 1:
-            raise RecordingError(
-                f"{path} has the columns {', '.join(header)[:80] or '(none)'}; expected {TIME} and "
-                f"one of {', '.join(QUANTITIES)}: rename the columns in its first line"
-            )
-        cells, lines = [], []
-        for row in reader:
-            if any(cell.strip() for cell in row):
-                cells.append(row)
-                lines.append(reader.line_num)
-    except (UnicodeDecodeError, csv.Error):
+            f"{path} has {count:,} lines, expected at most {MOST_SAMPLES:,}; cut it, or keep every "
+            "tenth sample"
+        )
+    first = text.split(b"\n", 1)[0].decode("utf-8", "replace").strip()
+    if b"\0" in text[:4096] or any(ord(letter) < 32 and letter != "\t" for letter in first):
         raise RecordingError(
             f"{path} is not text; expected a CSV file with the columns {TIME} and one of "
             f"{', '.join(QUANTITIES)}"
-        ) from None
-    columns = [
-        np.array(
-            [_number(path, line, name, row, at) for row, line in zip(cells, lines, strict=True)]
         )
-        for name, at in ((TIME, header.index(TIME)), (found[0], header.index(found[0])))
-    ]
-    if not lines:
+    separator = max(SEPARATORS, key=first.count) if ";" in first or "\t" in first else ","
+    if separator != ",":
+        text = text.replace(b",", b".")
+        first = first.replace(",", ".")
+    row = first.split(separator)
+    with suppress(csv.Error):
+        row = next(csv.reader([first], delimiter=separator), [])
+    cells = tuple(cell.strip() for cell in row)
+    headless = bool(first) and all(_is_number(cell) for cell in cells)
+    names = tuple(name.strip() for name in columns.split(",")) if columns else cells
+    times = [name for name in names if name in TIMES]
+    found = [name for name in names if name in QUANTITIES]
+    expected = f"{', '.join(TIMES)} and one of {', '.join(QUANTITIES)}"
+    if headless and not columns:
+        raise RecordingError(
+            f"{path} has no header, its first line is {shortened(first)!r}; name its columns, "
+            f"for example --columns {TIME},theta_deg, or in a line above"
+        )
+    if len(times) != 1 or len(found) != 1:
+        raise RecordingError(
+            f"{path} has the columns {shortened(', '.join(names), 80) or '(none)'}; expected "
+            f"one of {expected}, separated by a comma, a semicolon or a tab: rename the columns in "
+            "its first line, or name them all in their order with --columns"
+        )
+    table = _Table(text, separator, 0 if headless else 1, names, times[0], found[0])
+    for _, row in islice(_rows(path, table), 1):
+        if len(row) > len(names) + 1:
+            raise RecordingError(
+                f"{path} has {len(row)} cells in its first line of numbers, expected "
+                f"{len(names)}; where decimals have commas, separate the columns by semicolons"
+            )
+    return table
+
+
+def _decompressed(path: Path, data: bytes) -> bytes:
+    if data.startswith(b"PK\3\4"):
+        raise RecordingError(f"{path} is a ZIP file or a spreadsheet; save the recording as CSV")
+    if not data.startswith(b"\x1f\x8b"):
+        return data
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
+            text = file.read(LARGEST_RECORDING + 1)
+    except (OSError, EOFError, zlib.error):
+        raise RecordingError(f"{path} is damaged: gzip cannot decompress it; copy it again") from (
+            None
+        )
+    if len(text) > LARGEST_RECORDING:
+        raise RecordingError(
+            f"{path} holds more than {LARGEST_RECORDING // MEBIBYTE} MiB, the limit for a "
+            "recording; cut it, or keep every tenth sample"
+        )
+    return text
+
+
+def _as_utf8(path: Path, data: bytes) -> bytes:
+    encoding = None
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        encoding = "utf-16"
+    elif data[1:2] == b"\0":
+        encoding = "utf-16-le"
+    elif data[:1] == b"\0":
+        encoding = "utf-16-be"
+    if encoding is not None:
+        try:
+            data = data.decode(encoding).removeprefix("\ufeff").encode()
+        except UnicodeError:
+            raise RecordingError(
+                f"{path} is not text in UTF-8, nor in UTF-16; save it as CSV in UTF-8"
+            ) from None
+    data = data.removeprefix(codecs.BOM_UTF8)
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _samples(path: Path, table: _Table) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return time stamps and recorded values, each in the unit of its column, shape (n,)."""
+    at = [table.names.index(name) for name in (table.time, table.quantity)]
+    columns = np.empty((0, 2))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a file without samples
+            columns = np.loadtxt(
+                io.BytesIO(table.text),
+                delimiter=table.separator,
+                skiprows=table.skip,
+                usecols=at,
+                comments=None,
+                quotechar='"',
+                encoding="latin-1",
+                ndmin=2,
+            )
+        sound = bool((np.abs(columns) <= LARGEST_NUMBER).all())
+    except ValueError:
+        sound = False
+    if not sound:
+        # The lines one by one: the first bad one is named, and lines of blanks are left out.
+        rows = array("d")
+        for line, row in _rows(path, table):
+            for name, place in zip((table.time, table.quantity), at, strict=True):
+                rows.append(_number(path, line, name, row, place))
+        columns = np.array(rows).reshape(-1, 2)
+    if not len(columns):
         raise RecordingError(f"{path} holds no samples; record a swing of a few periods")
-    return columns[0], columns[1], lines, found[0]
+    return np.ascontiguousarray(columns[:, 0]), np.ascontiguousarray(columns[:, 1])
+
+
+def _rows(path: Path, table: _Table) -> Iterator[tuple[int, list[str]]]:
+    """Yield the number of each line with samples, and its cells."""
+    lines = io.TextIOWrapper(io.BytesIO(table.text), encoding="utf-8", errors="replace", newline="")
+    reader = csv.reader(lines, delimiter=table.separator)
+    try:
+        for row in reader:
+            if reader.line_num > table.skip and any(cell.strip() for cell in row):
+                yield reader.line_num, row
+    except csv.Error as error:
+        raise RecordingError(
+            f"{path}, line {reader.line_num}: {error}; correct or remove the line"
+        ) from None
 
 
 def _number(path: Path, line: int, name: str, row: list[str], at: int) -> float:
     cell = row[at].strip() if at < len(row) else ""
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+    value = float(cell) if _is_number(cell) else math.nan
+    if not abs(value) <= LARGEST_NUMBER:
         raise RecordingError(
-            f"{path}, line {line}: {name} is {cell[:40]!r}, expected a finite number; "
+            f"{path}, line {line}: {name} is {shortened(cell, 40)!r}, expected a finite number; "
             "correct or remove the line"
         )
     return value

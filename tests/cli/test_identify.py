@@ -87,6 +87,13 @@ def test_counts_from_upright_are_read(equipoise, csv):
     assert ran.json["w2"] == pytest.approx((2 * np.pi / 0.75) ** 2 * (1 + 0.25 / 8), rel=0.01)
 
 
+def test_a_file_without_a_header_is_read_by_its_columns(equipoise, refused, csv):
+    path = csv(f"{0.0},{np.rad2deg(COSINE[0])}", 1e3 * TIME[1:], np.rad2deg(COSINE[1:]))
+    refused("identify", path, saying="--columns time_s,theta_deg")
+    ran = equipoise("identify", path, "--columns", "time_ms,theta_deg", "--json", "--no-figure")
+    assert ran.json["w2"] == pytest.approx((2 * np.pi / 0.75) ** 2 * (1 + 0.25 / 8), rel=0.01)
+
+
 def test_warnings_are_printed_and_listed(equipoise, csv):
     amplitude = 0.6 - 0.06 * TIME  # dry friction: the amplitude falls by the same in each period
     path = csv("time_s,theta_rad", TIME, amplitude * np.cos(2.0 * np.pi * TIME / 0.75))

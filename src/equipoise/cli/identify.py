@@ -9,6 +9,7 @@ import typer
 from equipoise.cli.destinations import choose_file
 from equipoise.cli.options import (
     IN_AND_OUT,
+    Columns,
     CountsPerRev,
     End,
     Force,
@@ -36,7 +37,8 @@ def identify(
         Path,
         typer.Argument(
             metavar="FILE",
-            help="A swing: CSV with time_s and one of theta_rad, theta_deg, counts, rate_rad_s. "
+            help="A swing: CSV with time_s (or time_ms, time_us) and one of theta_rad, theta_deg, "
+            "counts, rate_rad_s; also gzipped. "
             "Or a run log, MCAP.",
         ),
     ],
@@ -50,6 +52,7 @@ def identify(
     end: End = None,
     counts_per_rev: CountsPerRev = None,
     from_upright: FromUpright = False,
+    columns: Columns = None,
     mass: Annotated[
         float | None,
         typer.Option(metavar="KG", help="Mass of all that rotates.", rich_help_panel=APART),
@@ -96,7 +99,17 @@ def identify(
     output = Output(as_json)
     output.say(f"Reading {recording}")
     if recording.suffix.lower() == ".mcap":
-        of_a_swing = (friction, start, end, counts_per_rev, mass, length, settings_file, settings)
+        of_a_swing = (
+            friction,
+            start,
+            end,
+            counts_per_rev,
+            mass,
+            length,
+            settings_file,
+            settings,
+            columns,
+        )
         if from_upright or any(option is not None for option in of_a_swing):
             raise InputError(
                 f"{recording} is a run log; options other than --out and --json belong to a swing"
@@ -124,7 +137,12 @@ def identify(
     if (m is None) != (l is None):
         raise InputError("I and b need both --mass and --length; give the other one, too")
     swing = read_swing(
-        recording, counts_per_rev=counts_per_rev, from_upright=from_upright, start=start, end=end
+        recording,
+        counts_per_rev=counts_per_rev,
+        from_upright=from_upright,
+        start=start,
+        end=end,
+        columns=columns,
     )
     with output.busy(f"fitting {len(swing.time):,} samples"):
         pendulum = fit(swing, resolved, m, l)

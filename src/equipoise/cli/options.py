@@ -82,6 +82,15 @@ CountsPerRev = Annotated[
         rich_help_panel=RECORDING,
     ),
 ]
+Columns = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAMES",
+        help="Names of all columns in their order, e.g. time_s,theta_deg; for a file without a "
+        "header, or with other names.",
+        rich_help_panel=RECORDING,
+    ),
+]
 FromUpright = Annotated[
     bool,
     typer.Option(

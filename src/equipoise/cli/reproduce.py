@@ -15,6 +15,7 @@ from equipoise.cli.options import (
     RECORDING,
     ArmName,
     Base,
+    Columns,
     CountsPerRev,
     End,
     FromUpright,
@@ -61,6 +62,7 @@ def reproduce(
     end: End = None,
     counts_per_rev: CountsPerRev = None,
     from_upright: FromUpright = False,
+    columns: Columns = None,
     held: Held = None,
     base: Base = None,
     tip: Tip = None,
@@ -88,16 +90,21 @@ def reproduce(
     resolved = resolve(recipe, settings_file, settings or ())
     machine = read_arm(arm, held, base, tip)
     recording = None
-    if swing is None and any((start, end, counts_per_rev, from_upright)):
+    if swing is None and any((start, end, counts_per_rev, from_upright, columns)):
         raise InputError(
-            "--start, --end, --counts-per-rev and --from-upright belong to a recorded swing; "
-            "give it with --swing"
+            "--start, --end, --counts-per-rev, --from-upright and --columns belong to a recorded "
+            "swing; give it with --swing"
         )
     if swing is not None:
         from equipoise.trajectory import read_swing
 
         recording = read_swing(
-            swing, counts_per_rev=counts_per_rev, from_upright=from_upright, start=start, end=end
+            swing,
+            counts_per_rev=counts_per_rev,
+            from_upright=from_upright,
+            start=start,
+            end=end,
+            columns=columns,
         )
     from equipoise.report.page import build
     from equipoise.studies.reproduction import Progress
