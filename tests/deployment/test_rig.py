@@ -1,8 +1,11 @@
 """A whole run on emulated rigs, in virtual time, with all guards on."""
 
+import os
+
 import numpy as np
 import pytest
 
+from equipoise import runwriter
 from equipoise.control.pilot import PHASES
 from equipoise.control.policy import shipped_policy
 from equipoise.control.safety import Rule
@@ -126,6 +129,18 @@ def test_a_dry_run_moves_nothing(tmp_path):
     assert (outcome.cause, exit_code(outcome)) == ("dry run", 0)
     assert "checklist" in spy.names
     assert len(read_rig_run(out).tables["stream"]) == 0
+
+
+def test_a_log_that_a_full_disk_cut_is_not_passed_over_in_silence(tmp_path, monkeypatch):
+    whole = tmp_path / "whole.mcap"
+    on_the_twin(request(dry_run=True), whole)
+    room, real = whole.stat().st_size - 50, os.pwrite
+    monkeypatch.setattr(
+        runwriter.os, "pwrite", lambda f, data, at: real(f, data[: max(room - at, 0)], at)
+    )
+    spy = Spy()
+    on_the_twin(request(dry_run=True), tmp_path / "run.mcap", spy)
+    assert spy.names[-1] == "warning"
 
 
 class Script:

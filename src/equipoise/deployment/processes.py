@@ -390,15 +390,21 @@ def _write(
     while True:
         last = ended() or time.monotonic() > until
         writer.drain(recorder)
-        if writer.problem is not None and not said:
-            with suppress(OSError):
-                told.send(writer.problem)
-            said = True
         if last:
             break
+        if writer.problem is not None and not said:
+            _report(told, writer.problem)
+            said = True
         if os.getppid() != parent:  # the loop brings the arm to rest, and then beats no more
             rests = recorder.pulse[_TICKS] == 0.0
             until = min(until, time.monotonic() + (0.0 if rests else FAREWELL))
         time.sleep(WRITE)
     outcome = _received(told) or {}
     writer.finish(time.monotonic(), {**outcome, "lost_rows": recorder.lost})
+    if writer.problem is not None and not said:
+        _report(told, writer.problem)
+
+
+def _report(pipe: Any, problem: str) -> None:
+    with suppress(OSError):  # nobody is there to be told
+        pipe.send(problem)

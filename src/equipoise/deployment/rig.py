@@ -494,10 +494,10 @@ def run_rig_virtually(
             else:
                 recorder.forget()
 
-    there = [one for one in (rig.operator, operator) if one is not None]
+    there = Together([one for one in (rig.operator, operator) if one is not None])
     end: dict[str, Any] = {}
     try:
-        outcome = run_on_rig(request, rig, Together(there), recorder, idle=idle, around=around)
+        outcome = run_on_rig(request, rig, there, recorder, idle=idle, around=around)
         end = outcome._asdict()
         return outcome
     except EquipoiseError as error:
@@ -507,6 +507,8 @@ def run_rig_virtually(
         if writer is not None:
             writer.drain(recorder)
             writer.finish(rig.clock.now(), end)
+            if writer.problem is not None:
+                there.tell(Event("warning", f"the log is incomplete: {writer.problem}"))
 
 
 class Together:
