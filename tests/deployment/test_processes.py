@@ -388,7 +388,7 @@ def lives(pid):
 def test_what_fails_in_the_loops_process_is_one_sentence_here(run, tmp_path, loop, kind, saying):
     with pytest.raises(kind, match=saying):
         run(Person(), loop)
-    assert saying.partition("(")[0].strip("\\ ") in read_rig_run(tmp_path / "run.mcap").end["fault"]
+    assert not any(tmp_path.iterdir()), "a log of a run that never was connected"
 
 
 def test_without_room_for_the_log_nothing_begins(monkeypatch, tmp_path, request_of_a_run):

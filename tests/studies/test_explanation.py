@@ -16,7 +16,7 @@ from equipoise.control.states import UNKNOWN as UNTOLD
 from equipoise.deployment import deploy, excite, rig
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.worlds import World, read_world
-from equipoise.runwriter import Recorder, RunWriter, read_rig_run
+from equipoise.runwriter import Recorder, RunWriter, push_event, read_rig_run
 from equipoise.studies.explanation import (
     ADVICE,
     IN_SIMULATION,
@@ -118,7 +118,9 @@ def test_a_log_that_breaks_off_is_explained_as_far_as_it_goes(tmp_path, rig_log,
 def test_a_run_that_never_balanced_is_explained_by_its_reason(tmp_path, rig_log):
     path = tmp_path / "run.mcap"
     writer = RunWriter(path, 7, read_rig_run(rig_log).conditions, 0.0)
-    writer.drain(Recorder(7))
+    recorder = Recorder(7)
+    push_event(recorder.event, 0.5, "homing", (), "Moving to home.")
+    writer.drain(recorder)
     writer.finish(1.0, {"cause": "self-test", "reason": "the encoder turns the wrong way round"})
     found = explain(read_rig_run(path))
     assert found.log is None
