@@ -13,6 +13,8 @@ radians::
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from equipoise import views
+
 if TYPE_CHECKING:
     from equipoise.artefacts import Estimate
     from equipoise.control.policy import Policy, TabularPolicy, shipped_policy
@@ -104,6 +106,13 @@ _HOMES = {
     "trajectory": ("Trajectory", "read_swing", "write_swing"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def _drawing() -> Any:
+    return import_module("equipoise.report.views")
+
+
+views.register(_drawing)
 
 
 def __getattr__(name: str) -> Any:

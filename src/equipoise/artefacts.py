@@ -33,6 +33,9 @@ from pydantic import (
 
 from equipoise.errors import ArtefactError, InputError, OutsideError
 
+StrPath = str | os.PathLike[str]
+"""Path of a file or folder, as public functions take it."""
+
 DIGEST_PREFIX = "sha256:"
 KEEP_EVERY = 5.0
 """Minimum time between two writings of unfinished work [s]."""
@@ -150,7 +153,7 @@ class Artefact(Value):
         """SHA-256 of the canonical JSON of the value."""
         return _digest(self.model_dump(mode="json"))
 
-    def save(self, path: Path, *, command: str, inputs: Mapping[str, str] | None = None) -> None:
+    def save(self, path: StrPath, *, command: str, inputs: Mapping[str, str] | None = None) -> None:
         """Write the value to `path`, whole or not at all.
 
         Args:
@@ -170,16 +173,16 @@ class Artefact(Value):
             "provenance": provenance.model_dump(mode="json"),
             "body": body,
         }
-        write_whole(path, _readable(document) + "\n")
+        write_whole(Path(path), _readable(document) + "\n")
 
     @classmethod
-    def load(cls, path: Path) -> Self:
+    def load(cls, path: StrPath) -> Self:
         """Read a value from `path`.
 
         Raises:
             ArtefactError: The file is missing, corrupt, edited, of another format or newer.
         """
-        document = read_document(path)
+        document = read_document(Path(path))
         if document["format"] != cls.FORMAT:
             raise ArtefactError(
                 f"{path} holds {quoted(document['format'])}, expected {cls.FORMAT!r}; "
@@ -364,7 +367,7 @@ class PartialFile:
     """
 
     def __init__(
-        self, path: Path | None, command: str, state: Callable[[], Artefact | None]
+        self, path: StrPath | None, command: str, state: Callable[[], Artefact | None]
     ) -> None:
         """Name the file, nothing if none is to be written.
 

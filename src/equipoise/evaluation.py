@@ -25,6 +25,7 @@ from equipoise.artefacts import (
     Name,
     PartialFile,
     Seed,
+    StrPath,
     Value,
     value_digest,
 )
@@ -54,6 +55,7 @@ from equipoise.model.worlds import (
     read_world,
 )
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
+from equipoise.views import Viewable
 
 if TYPE_CHECKING:
     from equipoise.devices.twin.trial import Trial
@@ -125,7 +127,7 @@ class TrialResults(Extended):
         )
 
 
-class Evaluation(Artefact, Extended):
+class Evaluation(Viewable, Artefact, Extended):
     """All trials of a policy and of the yardsticks beside it."""
 
     LATER: ClassVar[tuple[str, ...]] = ("friction",)
@@ -163,6 +165,18 @@ class Evaluation(Artefact, Extended):
     yardsticks: Annotated[tuple[TrialResults, ...], Field(max_length=16)]
     """Trials of the yardsticks, on the same conditions."""
 
+    def __repr__(self) -> str:
+        """Return one line: how many trials lasted, where and how long."""
+        found = self.results.summary()
+        low, high = found.interval
+        return (
+            f"<Evaluation of {self.results.name!r} in {self.world!r}: {found.survived} of "
+            f"{found.trials} trials lasted {self.duration:g} s (95 %: {low:.3f} to {high:.3f}), "
+            f"median {found.median:.3g} s>"
+        )
+
+    __str__ = __repr__
+
     @property
     def duration(self) -> float:
         """Length of a trial [s]."""
@@ -178,7 +192,7 @@ def evaluate(
     seed: int = 0,
     with_yardsticks: bool = True,
     workers: int = 1,
-    partial: Path | None = None,
+    partial: StrPath | None = None,
     done: Done = lambda _: None,
 ) -> Evaluation:
     """Evaluate a trained policy, on the plant that it was trained for or on a digital twin.
@@ -211,7 +225,7 @@ def evaluate(
         world,
         seed,
         workers,
-        partial,
+        None if partial is None else Path(partial),
         done,
     )
     results = bench.run("policy", policy.kernel, policy.digest)

@@ -35,7 +35,15 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError
 
-from equipoise.artefacts import DIGEST_PREFIX, Extended, Name, Number, Provenance, write_whole
+from equipoise.artefacts import (
+    DIGEST_PREFIX,
+    Extended,
+    Name,
+    Number,
+    Provenance,
+    StrPath,
+    write_whole,
+)
 from equipoise.errors import ArtefactError
 from equipoise.mcapfile import (
     CHUNK,
@@ -46,6 +54,7 @@ from equipoise.mcapfile import (
     sealed,
 )
 from equipoise.settings import Settings
+from equipoise.views import Viewable
 
 FORMAT: Final = "equipoise-run"
 VERSION: Final = 2
@@ -157,8 +166,8 @@ def _no_rows(kind: type[Part]) -> Part:
     return kind._make(() for _ in kind._fields)
 
 
-@dataclass(frozen=True, eq=False)
-class RunLog:
+@dataclass(frozen=True, eq=False, repr=False)
+class RunLog(Viewable):
     """One run; its arrays cannot be written to."""
 
     conditions: RunConditions
@@ -229,6 +238,14 @@ class RunLog:
         nothing: dict[str, Any] = dict.fromkeys(COLUMNS, ())
         return cls(conditions=conditions, stream=stream, replies=replies, **nothing)
 
+    def __repr__(self) -> str:
+        """Return one line: where it ran, how long, and how it ended."""
+        told = self.conditions
+        return (
+            f"<RunLog of {told.arm!r} in {told.world!r}: lasted {self.lasted:g} of "
+            f"{told.duration:g} s, ended {told.cause!r}>"
+        )
+
     @property
     def lasted(self) -> float:
         """How long the run lasted [s]; without ticks, until the last setpoint was sent."""
@@ -250,7 +267,7 @@ class RunLog:
                 digest.update(path.encode() + little.tobytes())
         return DIGEST_PREFIX + digest.hexdigest()
 
-    def save(self, path: Path, *, command: str, inputs: Mapping[str, str] | None = None) -> None:
+    def save(self, path: StrPath, *, command: str, inputs: Mapping[str, str] | None = None) -> None:
         """Write the run to `path`, whole or not at all.
 
         Args:
@@ -285,7 +302,7 @@ class RunLog:
         for sequence, (stamp, topic, message) in enumerate(self._messages()):
             writer.add_message(channels[topic], stamp, _json(message), stamp, sequence)
         writer.finish()
-        write_whole(path, stream.getvalue())
+        write_whole(Path(path), stream.getvalue())
 
     def _messages(self) -> Iterator[tuple[int, str, dict[str, Any]]]:
         """Yield log time [ns], topic and content of each message, in the order of time."""
@@ -309,7 +326,7 @@ class RunLog:
             yield time, topic, dict(zip(names, row, strict=True))
 
     @classmethod
-    def load(cls, path: Path, *, damaged: bool = False) -> Self:
+    def load(cls, path: StrPath, *, damaged: bool = False) -> Self:
         """Read a run from `path`.
 
         Args:
@@ -321,6 +338,7 @@ class RunLog:
             ArtefactError: The file is missing, corrupt, edited, not ours or newer; or of a damaged
                 one nothing can be used.
         """
+        path = Path(path)
         version, metadata, content = _read(path)
         messages, damage = content.messages, content.damage
         columns: dict[str, Any] = {}

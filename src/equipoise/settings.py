@@ -19,6 +19,7 @@ from equipoise import paper
 from equipoise.artefacts import (
     LONGEST_QUOTE,
     Extended,
+    StrPath,
     Value,
     first_fault,
     quoted,
@@ -343,7 +344,7 @@ selection; with the third of a second of 0.97 they last 66 and 139."""
 
 def resolve(
     recipe: str = "robust",
-    file: Path | None = None,
+    file: StrPath | None = None,
     overrides: Iterable[str] = (),
     *,
     max_speed: float | None = None,
@@ -374,7 +375,7 @@ def resolve(
         for name, value in SLOW.items():
             _put(tree, name, value)
     if file is not None:
-        for name, value in _flat(read_toml(file, "the settings")):
+        for name, value in _flat(read_toml(Path(file), "the settings")):
             _put(tree, name, value)
     for override in overrides:
         name, sign, text = override.partition("=")

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.artefacts import PartialFile, Provenance, value_digest
+from equipoise.artefacts import PartialFile, Provenance, StrPath, value_digest
 from equipoise.compiled import kernel_sources_digest
 from equipoise.control import boxes
 from equipoise.control.boxes import LASTED
@@ -92,7 +92,7 @@ def train(
     recipe: str = "robust",
     warm: TabularPolicy | None = None,
     workers: int = 1,
-    partial: Path | None = None,
+    partial: StrPath | None = None,
     report: Report = lambda _: None,
     selecting: Selecting = lambda _, __: None,
 ) -> TabularPolicy:
@@ -138,7 +138,7 @@ def train_several(
     seed: int = 0,
     recipe: str = "robust",
     workers: int = 1,
-    partial: Path | None = None,
+    partial: StrPath | None = None,
     report: Callable[[int, LearningPoint], None] = lambda _, __: None,
     selecting: Callable[[int, int, int], None] = lambda _, __, ___: None,
 ) -> list[TabularPolicy]:
@@ -299,11 +299,11 @@ def _train(
 class _Checkpoints(PartialFile):
     """The states of all learners of a training, in one file."""
 
-    def __init__(self, path: Path | None, task: _Task, learners: Sequence[int]) -> None:
+    def __init__(self, path: StrPath | None, task: _Task, learners: Sequence[int]) -> None:
         super().__init__(path, "train", self._checkpoint)
         self._deciding = _deciding(task, learners)
         self._states: dict[str, LearnerState] = {}
-        if path is None or not path.exists():
+        if path is None or not Path(path).exists():
             return
         found = Checkpoint.load(path)
         other = [

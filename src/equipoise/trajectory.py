@@ -33,6 +33,7 @@ import numpy.typing as npt
 from equipoise.artefacts import (
     DIGEST_PREFIX,
     MEBIBYTE,
+    StrPath,
     read_bytes,
     shortened,
     write_whole,
@@ -128,7 +129,7 @@ class Trajectory:
 
 
 def read_swing(
-    path: Path,
+    path: StrPath,
     *,
     counts_per_rev: int | None = None,
     from_upright: bool = False,
@@ -226,12 +227,13 @@ def read_swing(
     )
 
 
-def write_swing(path: Path, trajectory: Trajectory) -> None:
+def write_swing(path: StrPath, trajectory: Trajectory) -> None:
     """Write a swing as a CSV file that `read_swing` reads back to the last bit.
 
     Raises:
         OutsideError: The disk refuses.
     """
+    path = Path(path)
     quantity = "theta_rad" if trajectory.theta is not None else "rate_rad_s"
     rows = zip(trajectory.time.tolist(), trajectory.values.tolist(), strict=True)
     write_whole(path, f"{TIME},{quantity}\n" + "".join(f"{t!r},{value!r}\n" for t, value in rows))

@@ -22,6 +22,7 @@ from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import MOST_CANDIDATES, Settings
+from equipoise.views import Viewable
 
 Array = npt.NDArray[np.float64]
 
@@ -145,7 +146,7 @@ def with_first_settings(body: dict[str, Any]) -> dict[str, Any]:
     return body | {"settings": settings | {"plant": plant, "learning": learning}}
 
 
-class TabularPolicy(Artefact):
+class TabularPolicy(Viewable, Artefact):
     """A trained table and all that is needed to run it and to train it again."""
 
     FORMAT: ClassVar[str] = "equipoise-policy"
@@ -200,6 +201,15 @@ class TabularPolicy(Artefact):
             if len(table) != shape[0] or any(len(row) != shape[1] for row in table):
                 raise ValueError(f"{name} must have {shape[0]} rows of {shape[1]} numbers")
         return self
+
+    def __repr__(self) -> str:
+        """Return one line: arm, recipe and length of the training."""
+        return (
+            f"<TabularPolicy of {self.arm.name!r}, recipe {self.recipe!r}, {self.episodes:,} "
+            f"episodes, {len(self.Q)} boxes, {len(self.actions)} actions>"
+        )
+
+    __str__ = __repr__
 
     @property
     def table(self) -> Array:

@@ -25,6 +25,7 @@ from equipoise.errors import RecordingError
 from equipoise.model.elementary import sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 from equipoise.trajectory import Trajectory
+from equipoise.views import Viewable
 
 SHORTEST_PERIOD: Final = 1e-5
 LONGEST_PERIOD: Final = 1e5
@@ -261,7 +262,7 @@ class SwingFit(Value):
         return float(np.rad2deg(self.rms))
 
 
-class Pendulum(Artefact):
+class Pendulum(Viewable, Artefact):
     """A pendulum as a free swing identifies it, with its uncertainty."""
 
     FORMAT: ClassVar[str] = "equipoise-pendulum"
@@ -333,6 +334,15 @@ class Pendulum(Artefact):
             friction_model="viscous",
             g=g,
         )
+
+    def __repr__(self) -> str:
+        """Return one line: the best values, and the recording they are from."""
+        names = ("w2", "k", "c", "coulomb", "drag")
+        numbers = ", ".join(f"{name}={getattr(self, name).value:.4g}" for name in names)
+        source = "assumed" if self.fit is None else f"from {self.fit.source!r}"
+        return f"<Pendulum {numbers}, {source}>"
+
+    __str__ = __repr__
 
     @property
     def period(self) -> float:

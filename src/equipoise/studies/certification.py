@@ -28,6 +28,7 @@ from equipoise.artefacts import (
     Name,
     Seed,
     Share,
+    StrPath,
     Value,
     first_fault,
     value_digest,
@@ -282,7 +283,7 @@ def certify(
     claim: Claim,
     *,
     workers: int = 1,
-    partial: Path | None = None,
+    partial: StrPath | None = None,
     done: Done = lambda _: None,
 ) -> tuple[Certificate, Evaluation]:
     """Put a claim about a policy to the test.
@@ -339,7 +340,7 @@ def _try(
     claim: Claim,
     numbers: TwinSettings | None,
     workers: int,
-    partial: Path | None,
+    partial: StrPath | None,
     done: Done,
 ) -> tuple[Certificate, Evaluation]:
     """Run the trials of a claim, on the training plant or on a twin with these numbers."""

@@ -17,7 +17,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Final, NamedTuple, TypeVar
 
-from equipoise.artefacts import Artefact
+from equipoise.artefacts import Artefact, StrPath
 from equipoise.control.policy import LearningPoint, TabularPolicy
 from equipoise.deployment import deploy
 from equipoise.errors import ArmError
@@ -101,7 +101,7 @@ class Reproduction(NamedTuple):
 
 @compiling_beside()
 def reproduce(
-    out: Path,
+    out: StrPath,
     *,
     swing: Trajectory | None = None,
     arm: Arm | None = None,
@@ -132,6 +132,7 @@ def reproduce(
         RecordingError: The swing identifies nothing.
         OutsideError: The disk refuses.
     """
+    out = Path(out)
     settings = resolve(recipe) if settings is None else settings
     settings = shortened(settings) if quick else settings
     workers = available_cores() if workers is None else workers

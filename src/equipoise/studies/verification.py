@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from equipoise.artefacts import Artefact, Provenance, read_document
+from equipoise.artefacts import Artefact, Provenance, StrPath, read_document
 from equipoise.control.policy import TabularPolicy
 from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError
@@ -48,7 +48,7 @@ class Verified(NamedTuple):
     """Where it comes from; of such a log the content says it."""
 
 
-def verify(path: Path) -> Verified:
+def verify(path: StrPath) -> Verified:
     """Read any file of ours and say what it is.
 
     Args:
@@ -58,6 +58,7 @@ def verify(path: Path) -> Verified:
         ArtefactError: The file is missing, not ours, edited, damaged, or newer than this Equipoise;
             or a certificate is not that of the trials beside it.
     """
+    path = Path(path)
     if is_rig_run(path):
         rig_run = read_rig(path)
         if rig_run.damage:

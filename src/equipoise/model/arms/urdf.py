@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from equipoise.artefacts import MEBIBYTE, quoted, read_bytes, shortened
+from equipoise.artefacts import MEBIBYTE, StrPath, quoted, read_bytes, shortened
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm, Joint
 from equipoise.model.arms.chain import Floats, Triple, rotation_from_rpy, rpy_from_rotation
@@ -33,7 +33,7 @@ Element = ElementTree.Element
 
 
 def read_urdf(
-    path: Path,
+    path: StrPath,
     *,
     base: str | None = None,
     tip: str | None = None,
@@ -58,6 +58,7 @@ def read_urdf(
     Raises:
         ArmError: The file is no URDF, or its chain is not an arm with six free joints.
     """
+    path = Path(path)
     robot = _parsed(path)
     elements = _chain(robot, base, tip, path)
     joints: list[Joint] = []

@@ -4,7 +4,7 @@ Every function returns a matplotlib figure; `equipoise.report.style.save` writes
 """
 
 from equipoise.report.figures.course import learning_curve
-from equipoise.report.figures.free_swing import free_swing
+from equipoise.report.figures.free_swing import free_swing, predicted_swing
 from equipoise.report.figures.gap import gap_figure
 from equipoise.report.figures.run import commands, encoder_zero, flange, joints, pendulum
 from equipoise.report.figures.standing import survival
@@ -20,5 +20,6 @@ __all__ = [
     "learning_curve",
     "pendulum",
     "policy_picture",
+    "predicted_swing",
     "survival",
 ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from equipoise.model.pendulum import Pendulum, SwingFit, fit_of, fitted_curve
+from equipoise.model.pendulum import Pendulum, SwingFit, fit_of, fitted_curve, swing
 from equipoise.report.style import INK, ORANGE, PALE, SKY, drawn, new_figure
 from equipoise.trajectory import Trajectory
 
@@ -16,6 +16,12 @@ if TYPE_CHECKING:
 
 CLOSE_UP_PERIODS = 4.0
 """Periods of the swing in the close-up."""
+PREDICTED_PERIODS = 20.0
+"""Length of a predicted swing [periods]."""
+STEPS_PER_PERIOD = 200
+"""Steps of the integration in a period of a predicted swing."""
+START = np.deg2rad(40.0)
+"""Angle from which a pendulum without a recording is predicted to swing [rad]."""
 BEFORE_RELEASE = 0.5
 """Periods before them, where the recording has some."""
 
@@ -78,6 +84,38 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
             f"found free from {begin:.2f} s" if fit.release else f"from {begin:.2f} s",
         ]
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+@drawn
+def predicted_swing(pendulum: Pendulum) -> "Figure":
+    """Draw the free swing that an identified pendulum predicts, from where its recording began.
+
+    Args:
+        pendulum: The pendulum; one that was not identified from a swing starts at 40 degrees.
+    """
+    start, rate = (pendulum.fit.theta, pendulum.fit.theta_dot) if pendulum.fit else (START, 0.0)
+    time = np.linspace(0.0, PREDICTED_PERIODS * pendulum.period, 2000)
+    theta, theta_dot = np.empty(len(time)), np.empty(len(time))
+    step = pendulum.period / STEPS_PER_PERIOD
+    swing(time, start, rate, step, pendulum.parameters(), theta, theta_dot)
+    figure = new_figure(2.6, "Free swing of the pendulum, as identified")
+    axes: Any = figure.subplots()
+    axes.plot(time, np.rad2deg(theta), color=INK, linewidth=1.0)
+    axes.set_xlim(0.0, float(time[-1]))
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("angle from hanging \N{GREEK SMALL LETTER THETA} [deg]")
+    frictions = [
+        f"{label} {getattr(pendulum, name).value:.3g} {unit}"
+        for name, label, unit in (
+            ("c", "viscous", "1/s"),
+            ("coulomb", "dry", "1/s²"),
+            ("drag", "drag", "1/rad"),
+        )
+        if getattr(pendulum, name).value != 0.0
+    ]
+    friction = ", ".join(frictions) or "none"
+    axes.set_title(f"w2 = {pendulum.w2.value:.4g} 1/s², friction: {friction}")
     return figure
 
 

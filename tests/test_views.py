@@ -1,0 +1,125 @@
+"""Public values in an interactive session: one line, a figure, HTML, and paths as text."""
+
+import base64
+import inspect
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+
+import equipoise as eq
+from equipoise.errors import RecordingError
+from equipoise.model.worlds import MODEL
+
+HOSTILE = "<script>alert(1)</script>\x1b[2J\x9b"
+
+
+@pytest.fixture(scope="module")
+def values(small_policy, pendulum):
+    """One value of each kind that can be drawn."""
+    settings = eq.resolve(overrides=["evaluation.trials=4", "evaluation.duration=1"])
+    return {
+        "pendulum": pendulum,
+        "identified": eq.shipped_pendulum(),
+        "policy": small_policy,
+        "evaluation": eq.evaluate(small_policy, settings, with_yardsticks=False),
+        "run": eq.deploy(small_policy, world=MODEL, duration=1.0),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("pendulum", r"<Pendulum w2=70\.2, k=7\.158, c=0\.15, coulomb=0, drag=0, assumed>"),
+        ("identified", r"<Pendulum w2=70\.\d+, .*, from 'simulated swing'>"),
+        ("policy", r"<TabularPolicy of 'iiwa14', recipe 'robust', 120 episodes, 270 boxes, .*>"),
+        (
+            "evaluation",
+            r"<Evaluation of 'policy' in 'model': \d of 4 trials lasted 1 s .*>",
+        ),
+        ("run", r"<RunLog of 'iiwa14' in 'model': lasted \S+ of 1 s, ended '[a-z ]+'>"),
+    ],
+)
+def test_a_value_is_one_line(values, name, expected):
+    for text in (repr(values[name]), str(values[name])):
+        assert re.fullmatch(expected, text)
+        assert len(text) < 140
+
+
+@pytest.mark.parametrize("name", ["pendulum", "identified", "policy", "evaluation", "run"])
+def test_a_value_draws_itself_and_shows_its_figure_in_a_notebook(values, name):
+    figure = values[name].plot()
+    assert isinstance(figure, Figure)
+    assert any(axes.has_data() for axes in figure.axes)
+    html = values[name]._repr_html_()
+    (picture,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', html)
+    assert b"<svg" in base64.b64decode(picture)
+
+
+def test_a_run_without_a_policy_has_its_line_and_says_why_it_has_no_figure(values):
+    run = values["run"]
+    excited = eq.RunLog.of_excitation(run.conditions, run.stream, run.replies)
+    with pytest.raises(RecordingError, match="no policy acted in this run"):
+        excited.plot()
+    assert "RunLog of" in excited._repr_html_()
+
+
+def test_nothing_of_a_text_from_a_file_works_in_the_html_or_the_line(values):
+    run = values["run"]
+    run = replace(run, conditions=run.conditions.model_copy(update={"world": HOSTILE}))
+    for text in (repr(run), run._repr_html_()):
+        assert not set("\x1b\x9b") & set(text)
+    tags = []
+    parser = HTMLParser()
+    parser.handle_starttag = lambda tag, _: tags.append(tag)
+    parser.feed(run._repr_html_())
+    assert tags == ["p", "code", "img"]
+
+
+def test_values_draw_themselves_without_the_report_being_imported_first():
+    program = (
+        "import sys; from equipoise.model.pendulum import shipped_pendulum as shipped; "
+        "p = shipped(); assert 'matplotlib' not in sys.modules; print(type(p.plot()).__name__)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("Figure\n", "")
+
+
+def test_every_path_of_a_public_function_may_be_text():
+    for name in eq.__all__:
+        thing = getattr(eq, name)
+        functions = [thing] if inspect.isfunction(thing) else []
+        if inspect.isclass(thing):
+            functions = [getattr(thing, key) for key in ("save", "load") if hasattr(thing, key)]
+        for function in functions:
+            for parameter in inspect.signature(function).parameters.values():
+                if "Path" in str(parameter.annotation):
+                    assert "str | os.PathLike" in str(parameter.annotation), (name, parameter)
+
+
+def test_paths_as_text_are_taken_by_all_that_reads_and_writes(values, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, value in values.items():
+        value.save(f"deep/{name}", command="test")
+        assert type(value).load(f"deep/{name}").digest == value.digest
+        assert eq.verify(f"deep/{name}")
+    swing = eq.simulate_swing(
+        eq.PendulumParameters(70.2, 7.16, 0.1),
+        theta0=0.7,
+        duration=2.0,
+        rate_hz=100.0,
+        counts_per_rev=8192,
+    )
+    eq.write_swing("swing.csv", swing)
+    assert len(eq.read_swing("swing.csv").time) == len(swing.time)
+    Path("settings.toml").write_text("[learning]\ngamma = 0.9\n")
+    assert eq.resolve(file="settings.toml").learning.gamma == 0.9
+    with pytest.raises(eq.EquipoiseError, match=r"arm\.urdf"):
+        eq.read_urdf("arm.urdf")
+    world = eq.resolve(overrides=["evaluation.trials=2", "evaluation.duration=0.1"])
+    assert eq.evaluate(values["policy"], world, partial="partial.json")
