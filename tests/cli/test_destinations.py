@@ -148,3 +148,51 @@ def test_folders_follow_the_same_rule(tmp_path, monkeypatch):
     assert (folder / "page.html").exists()
     with pytest.raises(InputError, match="is a file"):
         choose(folder / "page.html")
+
+
+LONG = "x" * 300
+VERBS = {
+    "identify": (("swing.csv",), ".json"),
+    "train": ((), ".json"),
+    "evaluate": ((), ".json"),
+    "deploy": ((), ".mcap"),
+    "record": (("--encoder", "serial:///dev/nowhere"), ".csv"),
+    "certify": ((), ".json"),
+    "gap": ((), ".json"),
+    "refine": (("policy.json", "run.mcap"), ".json"),
+    "reproduce": ((), ""),
+}
+"""What a verb needs besides `--out`, and how the name of its result ends."""
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_refuses_a_name_that_cannot_be_written_before_it_works(refused, verb):
+    needs, suffix = VERBS[verb]
+    refused(verb, *needs, "--out", LONG + suffix, saying="File name too long")
+    if suffix:
+        refused(verb, *needs, "--out", ".", saying=f"give a name that ends in {suffix}")
+
+
+READING = (
+    ("identify", f"{LONG}.csv"),
+    ("identify", f"{LONG}.mcap"),
+    ("train", f"{LONG}.json"),
+    ("train", "--arm", f"{LONG}.urdf"),
+    ("train", "--settings", f"{LONG}.toml"),
+    ("train", "--actuator", f"{LONG}.json"),
+    ("evaluate", f"{LONG}.json"),
+    ("evaluate", "--world", f"twin:{LONG}.toml"),
+    ("evaluate", "--policy", f"{LONG}:name"),
+    ("deploy", "--robot", "twin:nominal", "--rig", f"{LONG}.toml"),
+    ("deploy", "--video", f"{LONG}.mp4"),
+    ("refine", f"{LONG}.json", "run.mcap"),
+    ("explain", f"{LONG}.mcap"),
+    ("export", f"{LONG}.mcap"),
+    ("verify", f"{LONG}.json"),
+    ("reproduce", "--swing", f"{LONG}.csv"),
+)
+
+
+@pytest.mark.parametrize("command", READING, ids=lambda command: " ".join(command)[:30])
+def test_every_verb_refuses_a_name_that_is_too_long_to_read(refused, command):
+    refused(*command, saying=LONG[:20])
