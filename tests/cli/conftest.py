@@ -1,13 +1,16 @@
 """The command as a user sees it: exit code, stdout, stderr, and the files that are left."""
 
 import json
+import shlex
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
+import typer
 
 from equipoise.cli import main
+from equipoise.cli.app import app
 from equipoise.evaluation import evaluate
 from equipoise.model.encoder import simulate_swing
 from equipoise.trajectory import write_swing
@@ -33,9 +36,21 @@ def equipoise(tmp_path, monkeypatch, capfd):
 
     def run(*arguments):
         code = main([str(argument) for argument in arguments])
-        return Ran(code, *capfd.readouterr())
+        ran = Ran(code, *capfd.readouterr())
+        for line in ran.out.splitlines():
+            if line.startswith("next: equipoise "):
+                parse(shlex.split(line)[2:])
+        return ran
 
     return run
+
+
+def parse(words):
+    """Parse the words of a command as typer does, or fail; nothing runs."""
+    group = typer.main.get_command(app)
+    context = group.make_context("equipoise", list(words))
+    name, command, rest = group.resolve_command(context, list(words))
+    return command.make_context(name, rest, parent=context).params
 
 
 @pytest.fixture

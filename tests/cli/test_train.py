@@ -32,7 +32,9 @@ def test_it_writes_a_policy_and_names_the_next_command(equipoise, pendulum_file,
     assert (policy.arm.name, policy.recipe, policy.episodes) == ("iiwa7", "robust", 40)
     assert policy.learning_curve
     assert "40 episodes" in ran.out
-    assert ran.out.endswith("next: equipoise evaluate policy.json\n")
+    # The table falls in its own selection.
+    assert f"next: equipoise train {pendulum_file} --set " in ran.out
+    assert ran.out.endswith(" --set learning.episodes=40 --seeds 10\n")
 
 
 def test_json_is_one_object_with_the_stable_keys(equipoise, pendulum_file):

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli import next_step
 from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.evaluate import trial_bar
 from equipoise.cli.options import (
@@ -109,7 +110,7 @@ def certify(
     if certificate.granted:
         output.next("verify", out, *(("--policy", policy) if policy else ()))
     else:
-        output.next("train", "PENDULUM", "--seeds", 4)
+        output.next(*next_step.after_evaluation(False, table, policy, world=world))
     output.result(
         {
             "granted": certificate.granted,

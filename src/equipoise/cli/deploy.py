@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli import next_step
 from equipoise.cli.destinations import Destination, choose_file
 from equipoise.cli.options import (
     IN_AND_OUT,
@@ -180,7 +181,7 @@ def deploy(
     if excite:
         output.next("identify", out)
     else:
-        output.next("evaluate", *((policy,) if policy else ()), "--world", world)
+        output.next(*next_step.after_run(run, out, policy, world=world, actuator=actuator))
     fell = not excite and run.conditions.cause != "lasted"
     output.result(
         {
@@ -349,7 +350,12 @@ def _on_a_rig(
     if code:
         output.next("explain", out)
     elif not dry_run:
-        output.next("replay", out, *((policy,) if policy else ()))
+        known = ("--actuator", actuator) if actuator else ()
+        output.next("replay", out, *((policy,) if policy else ()), *known)
+    else:
+        words = {"--encoder": encoder, "--rig": rig, "--actuator": actuator}
+        given = [str(word) for pair in words.items() if pair[1] for word in pair]
+        output.next("deploy", *((policy,) if policy else ()), "--robot", robot, *given)
     output.result({"run": str(out), "robot": robot, **outcome._asdict()})
     return code
 

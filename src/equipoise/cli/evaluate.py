@@ -3,11 +3,13 @@
 import shlex
 from collections.abc import Generator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli import next_step
 from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.options import (
     IN_AND_OUT,
@@ -166,10 +168,23 @@ def evaluate(
         evaluation.save(out, command="evaluate", inputs=inputs)
     balanced = _say(output, evaluation)
     output.wrote(out)
-    if balanced:
-        output.next("reproduce")
+    if function is not None:
+        given = {"pendulum": pendulum, "arm": arm, "held": held, "base": base, "tip": tip}
+        words = [(f"--{name}", str(told)) for name, told in given.items() if told is not None]
+        count = len(evaluation.results.survival)
+        output.next(*next_step.after_function(balanced, function, count, *chain(*words)))
     else:
-        output.next("train", pendulum or "PENDULUM", "--seeds", 4)
+        output.next(
+            *next_step.after_evaluation(
+                balanced,
+                read_policy(policy),
+                policy,
+                world=world,
+                pendulum=pendulum,
+                actuator=actuator,
+                max_speed=max_speed,
+            )
+        )
     output.result(_result(evaluation, out))
     if not balanced:
         raise typer.Exit(NOT_BALANCED)

@@ -4,6 +4,7 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from equipoise import paper
+from equipoise.cli import next_step
 from equipoise.cli.options import Json, RunFile
 from equipoise.cli.output import Output, verb
 
@@ -41,6 +42,7 @@ def explain(
     output = Output(as_json)
     output.say(f"Explaining {run}")
 
+    from equipoise.runlog import RunLog
     from equipoise.studies.explanation import explain as why
     from equipoise.studies.runs import missing_part, read_any
 
@@ -66,7 +68,11 @@ def explain(
     if log is not None and len(log.time) > 1:
         output.say()
         output.say(_picture(log))
-    output.next("replay", run)
+    if isinstance(read, RunLog):
+        who, ticks = read.conditions.policy, len(read.time)
+    else:
+        who, ticks = str(read.conditions["policy"]), len(read.tables["tick"])
+    output.next(*next_step.after_explanation(run, who, moved=ticks > 0))
     output.result(
         {
             "run": str(run),

@@ -184,7 +184,8 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     for warning in fit.warnings if fit else ():
         output.warn(warning)
     output.wrote(out)
-    output.next("train", "--actuator", out)
+    arm = ("--arm", run.conditions.arm) if run.conditions.arm != "iiwa7" else ()
+    output.next("train", "--actuator", out, *arm)
     output.result(
         {
             "kind": actuator.kind,

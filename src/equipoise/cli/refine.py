@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli import next_step
 from equipoise.cli.destinations import choose_file
 from equipoise.cli.options import (
     IN_AND_OUT,
@@ -106,7 +107,10 @@ def refine(
             artefact.save(paths[part], command="refine", inputs=inputs)
     if made:
         output.wrote(*(paths[part] for part in made))
-    output.next("deploy", out if refinement else policy)
+    places = [log.conditions.world for log in logs.values()]
+    refined = out if refinement else None
+    moved = bool(findings.moves)
+    output.next(*next_step.after_refinement(moved, refined, policy, runs, places))
     written = {part: str(paths[part]) if part in made else None for part in PARTS}
     output.result(_result(findings, refinement) | written)
 

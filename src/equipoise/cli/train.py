@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli import next_step
 from equipoise.cli.destinations import check_output
 from equipoise.cli.options import (
     IN_AND_OUT,
@@ -115,7 +116,20 @@ def train(
     best.save(out, command="train", inputs=inputs)
     _say(output, policies, wall, speed)
     output.wrote(out)
-    output.next("evaluate", out)
+    words = {
+        "--arm": arm if arm != "iiwa7" else None,
+        "--actuator": actuator,
+        "--recipe": recipe if recipe != "robust" else None,
+        "--held": held,
+        "--base": base,
+        "--tip": tip,
+        "--max-speed": max_speed,
+        "--settings": settings_file,
+    }
+    given = [str(word) for pair in words.items() if pair[1] is not None for word in pair]
+    given += [word for text in chosen for word in ("--set", text)]
+    again = [*([str(pendulum)] if pendulum else []), *given]
+    output.next(*next_step.after_training(out, best, again))
     output.result(
         {
             "policy": str(out),

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from equipoise.cli.evaluate import trial_bar
+from equipoise.cli.next_step import file_with
 from equipoise.cli.options import Json, Workers, available_workers
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
@@ -66,8 +67,7 @@ def verify(
         "provenance": history and history.model_dump(mode="json"),
     }
     if policy is None:
-        command = _NEXT.get(found.what, ("reproduce",))
-        output.next(*(word.format(file=file) for word in command))
+        output.next(*_next(found.what, file))
         output.result(result)
         return
     certificate, again = _repeat(output, file, policy, workers)
@@ -78,14 +78,21 @@ def verify(
         raise typer.Exit(OTHER_OUTCOME)
 
 
-_NEXT = {
-    "pendulum": ("train", "{file}"),
-    "policy": ("evaluate", "{file}"),
-    "run log": ("explain", "{file}"),
-    "log of a run on a rig": ("explain", "{file}"),
-    "certificate": ("verify", "{file}", "--policy", "POLICY"),
-}
-"""What to do with a file."""
+def _next(what: str, file: Path) -> tuple[str, ...]:
+    """Return what to do with a file."""
+    if what == "certificate":
+        from equipoise.studies.certification import Certificate
+
+        about = Certificate.load(file).policy
+        return ("verify", str(file), "--policy", str(file_with(about, file) or "POLICY"))
+    verbs = {
+        "pendulum": ("train",),
+        "actuator": ("train", "--actuator"),
+        "policy": ("evaluate",),
+        "run log": ("explain",),
+        "log of a run on a rig": ("explain",),
+    }
+    return (*verbs[what], str(file)) if what in verbs else ("reproduce",)
 
 
 def _repeat(

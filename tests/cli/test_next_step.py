@@ -1,0 +1,158 @@
+"""The last line of each verb: a command that parses, fits what came of it, and keeps the options.
+
+Every command that any test of the command line prints is parsed, too: see `equipoise` in conftest.
+"""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from equipoise.cli import next_step
+from equipoise.control.policy import shipped_policy
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import Pendulum
+from tests.cli.conftest import parse
+
+OTHER = shipped_policy().model_copy(update={"pendulum": Pendulum.assumed(120.0, 0.2)})
+LARGE = OTHER.model_copy(update={"arm": iiwa(14)})
+LIMITED = OTHER.settings.plant.model_copy(update={"max_speed": 0.23})
+SLOW = OTHER.model_copy(update={"settings": OTHER.settings.model_copy(update={"plant": LIMITED})})
+MINE = Path("my policy.json")
+TOML = "twin:my world.toml"
+
+
+def evaluated(balanced, policy=OTHER, path=MINE, **given):
+    given = {"world": "model", **given}
+    return next_step.after_evaluation(balanced, policy, path, **given)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (evaluated(True), "evaluate|my policy.json|--world|twin:nominal"),
+        (evaluated(True, path=None), "evaluate|--world|twin:nominal"),
+        (
+            evaluated(True, actuator="a.json", max_speed=0.23),
+            "evaluate|my policy.json|--world|twin:nominal|--actuator|a.json|--max-speed|0.23",
+        ),
+        (evaluated(True, world=TOML), f"deploy|my policy.json|--world|{TOML}"),
+        (
+            evaluated(True, world="twin:harsh", actuator="a.json"),
+            "deploy|my policy.json|--world|twin:harsh|--actuator|a.json",
+        ),
+        # One that does not balance is not deployed.
+        (evaluated(False, pendulum=Path("p.json")), "train|p.json|--seeds|5"),
+        (evaluated(False), "train|PENDULUM|--seeds|5"),
+        (evaluated(False, shipped_policy(), None), "train|--seeds|5"),
+        (evaluated(False, world="twin:nominal"), "train|PENDULUM|--seeds|5"),
+        (evaluated(False, LARGE), "train|PENDULUM|--arm|iiwa14|--seeds|5"),
+        (evaluated(False, SLOW), "train|PENDULUM|--max-speed|0.23|--seeds|5"),
+        (
+            evaluated(False, world=TOML, actuator="a.json"),
+            "train|PENDULUM|--actuator|a.json|--seeds|5",
+        ),
+        # In a world of its own the arm is identified first.
+        (
+            evaluated(False, LARGE, world=TOML),
+            f"deploy|--excite|--world|{TOML}|--arm|iiwa14|--out|excitation.mcap",
+        ),
+        (
+            next_step.after_function(True, "mine:act", 200, "--pendulum", "p.json"),
+            "evaluate|--policy|mine:act|--pendulum|p.json|--trials|1000",
+        ),
+        (
+            next_step.after_function(False, "mine:act", 200, "--arm", "iiwa14", "--pendulum", "p"),
+            "train|p|--arm|iiwa14|--seeds|5",
+        ),
+        # Drift.
+        (
+            next_step.after_refinement(True, Path("r.json"), MINE, [Path("1.mcap")], [TOML]),
+            "evaluate|r.json|--world|twin:nominal",  # that file is gone
+        ),
+        (
+            next_step.after_refinement(
+                True, Path("r.json"), MINE, [Path("1.mcap")], ["twin:harsh-2"]
+            ),
+            "evaluate|r.json|--world|twin:harsh-2",
+        ),
+        (
+            next_step.after_refinement(
+                True, Path("r.json"), MINE, [Path("1.mcap")], ["kst://10.0.0.1:30001"]
+            ),
+            "evaluate|r.json|--world|twin:nominal",
+        ),
+        (
+            next_step.after_refinement(
+                True, None, MINE, [Path("1.mcap"), Path("2.mcap")], ["twin:nominal"] * 2
+            ),
+            "refine|my policy.json|1.mcap|2.mcap",
+        ),
+        (
+            next_step.after_refinement(False, None, MINE, [Path("1.mcap")], ["kst://10.0.0.1"]),
+            "deploy|my policy.json|--robot|kst://10.0.0.1|--encoder|serial:///dev/ttyACM0",
+        ),
+        # Logs.
+        (
+            next_step.after_explanation(Path("r.mcap"), shipped_policy().digest, moved=True),
+            "replay|r.mcap",
+        ),
+        (next_step.after_explanation(Path("r.mcap"), "sha256:0", moved=True), "export|r.mcap"),
+        (next_step.after_explanation(Path("r.mcap"), "sha256:0", moved=False), "doctor"),
+        (next_step.after_explanation(Path("r.mcap"), "", moved=False), "identify|r.mcap"),
+    ],
+)
+def test_the_next_command_fits_and_keeps_what_was_given(command, words):
+    assert command == tuple(words.split("|"))
+    parse(command)
+
+
+@pytest.mark.parametrize(
+    ("survived", "words"),
+    [
+        (40, "evaluate|policy.json"),
+        (31, "train|p.json|--arm|iiwa14|--set|learning.episodes=10|--seeds|10"),
+    ],
+)
+def test_a_table_that_its_own_selection_saw_fall_is_trained_again(survived, words):
+    best = shipped_policy().candidates[0].model_copy(update={"survived": survived, "trials": 64})
+    policy = shipped_policy().model_copy(update={"candidates": (best,)})
+    again = ["p.json", "--arm", "iiwa14", "--set", "learning.episodes=10"]
+    command = next_step.after_training(Path("policy.json"), policy, again)
+    assert command == tuple(words.split("|"))
+    parse(command)
+
+
+@pytest.mark.parametrize(
+    ("cause", "words"),
+    [
+        ("lasted", f"evaluate|my policy.json|--world|{TOML}|--actuator|a.json"),
+        ("guard", "explain|run-2.mcap"),
+        ("angle", "explain|run-2.mcap"),
+    ],
+)
+def test_a_run_that_failed_is_explained(cause, words):
+    run = SimpleNamespace(conditions=SimpleNamespace(cause=cause))
+    command = next_step.after_run(run, Path("run-2.mcap"), MINE, world=TOML, actuator="a.json")
+    assert command == tuple(words.split("|"))
+    parse(command)
+
+
+def test_files_are_found_by_their_digest_beside_the_policy(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    there = tmp_path / "elsewhere"
+    OTHER.pendulum.save(there / "my arm.json", command="test")
+    (there / "a damaged one.json").write_bytes(b"\xff\x00")
+    actuator = Actuator.assumed("kst", delay=0.02, lag=0.01)
+    policy = OTHER.model_copy(update={"actuator": actuator})
+    words = next_step.train_again(policy, there / "policy.json")
+    assert words[:2] == ("train", str(there / "my arm.json"))
+    OTHER.pendulum.save(tmp_path / "here.json", command="test")
+    assert next_step.train_again(policy)[1] == "here.json"
+
+
+def test_words_that_are_no_command_do_not_pass_the_check():
+    for words in (("trane", "p.json"), ("train", "--sedes", "5"), ("evaluate", "a", "b")):
+        with pytest.raises(Exception, match="No such|nexpected"):
+            parse(words)
