@@ -21,7 +21,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
-from equipoise.errors import EquipoiseError
+from equipoise.errors import EquipoiseError, OutsideError
 from equipoise.printable import printable
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 INTERRUPTED = 130
+LEAST_ADDRESS_SPACE = 2**30
+"""Least limit on the address space with which the libraries load [bytes]; 600 MB are too few."""
 FIRST_WORDS = "compiling, half a minute the first time"
 """What a bar says until the first report comes: no more is known by then."""
 
@@ -156,15 +158,37 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(function)
     def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
+            _check_address_space()
             return function(*args, **kwargs)
         except EquipoiseError as error:
             _complain("error: ", str(error))
             raise typer.Exit(error.exit_code) from None
+        except MemoryError:
+            _complain("error: ", "there is not enough memory; ask for less, or free some")
+            raise typer.Exit(OutsideError.exit_code) from None
         except KeyboardInterrupt:
             _complain("", "interrupted")
             raise typer.Exit(INTERRUPTED) from None
 
     return guarded
+
+
+def _check_address_space() -> None:
+    """Check that the libraries fit below the limit on the address space, if there is one.
+
+    Raises:
+        OutsideError: They do not: loading them would fail anywhere.
+    """
+    if sys.platform == "win32":
+        return
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
+        raise OutsideError(
+            f"the address space is limited to {limit // 2**20} MiB, expected "
+            f"{LEAST_ADDRESS_SPACE // 2**20} MiB or more; raise it with ulimit -v"
+        )
 
 
 def _complain(label: str, message: str) -> None:
