@@ -62,7 +62,7 @@ def test_it_says_what_it_shows_in_which_unit(gap):
     for label in (
         "mean survival [s]",
         "transport delay [ms]",
-        "error of the encoder's zero [deg]",
+        "error of the encoder's zero [°]",
         "track limit [%]",
         f"{gap.trials} trials of {gap.duration:g} s at each point, 95 % intervals",
         "twin:nominal-3",
