@@ -150,12 +150,12 @@ def test_nothing_is_cut_off_and_legends_cover_nothing(name, changes):
     assert not any(axes.get_legend() for axes in figure.axes)
 
 
-@pytest.mark.parametrize("name", ["figure 2", "figure 6"])
-def test_equal_values_give_equal_files(results, name, tmp_path):
-    first, second = (DRAW[name](results) for _ in range(2))
-    assert to_svg(first) == to_svg(second)
-    assert to_png(first) == to_png(second)
+def test_equal_values_give_equal_files(results, tmp_path, monkeypatch):
+    monkeypatch.setattr("equipoise.report.style.DPI", 40)
+    first, second = (DRAW["figure 6"](results) for _ in range(2))
     svg, png = save(first, tmp_path / "deep" / "figure")
+    assert svg.read_text(encoding="utf-8") == to_svg(second)
+    assert png.read_bytes() == to_png(second)
     assert svg.read_text(encoding="utf-8").startswith("<?xml")
     assert png.read_bytes().startswith(b"\x89PNG")
 

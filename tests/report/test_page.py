@@ -344,9 +344,17 @@ def folder(tmp_path_factory):
     return out
 
 
+def sketched(figure, stem):
+    files = [stem.with_name(f"{stem.name}.{ending}") for ending in ("svg", "png")]
+    for file in files:
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(SVG)
+    return files
+
+
 def test_the_page_is_built_from_the_folder_alone(folder, monkeypatch):
-    # Every figure has its own tests at its own size.
-    monkeypatch.setattr("equipoise.report.style.DPI", 30)
+    # Every figure has its own tests; here they are drawn, but not rendered.
+    monkeypatch.setattr("equipoise.report.page.save", sketched)
     monkeypatch.setattr(sys.modules[strip.__module__], "FRAME", (64, 64))
     small = partial(animation, size=(96, 96), seconds=0.3)
     monkeypatch.setattr("equipoise.report.page.animation", small)
@@ -367,13 +375,6 @@ def test_the_page_is_built_from_the_folder_alone(folder, monkeypatch):
 def test_a_machine_without_opengl_gets_the_rest(folder, tmp_path, monkeypatch):
     def fails(run, arm, report=None):
         raise OutsideError("cannot draw pictures; install EGL")
-
-    def sketched(figure, stem):
-        files = [stem.with_name(f"{stem.name}.{ending}") for ending in ("svg", "png")]
-        for file in files:
-            file.parent.mkdir(exist_ok=True)
-            file.write_text(SVG)
-        return files
 
     monkeypatch.setattr("equipoise.report.page.strip", fails)
     monkeypatch.setattr("equipoise.report.page.animation", fails)
