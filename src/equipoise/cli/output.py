@@ -266,7 +266,12 @@ def _spelled(value: float, half_width: float, size: float) -> str:
 
 
 def measured(estimate: "Estimate", unit: str) -> str:
-    """Return an estimate with its 95 % interval and unit."""
+    """Return an estimate of a quantity that cannot be negative, with 95 % interval and unit."""
+    if estimate.value <= 0.0 < estimate.high:
+        return f"not distinguishable from 0 {unit}  (95 %: below {estimate.high:.2g})"
+    if estimate.high < 0.0:
+        return f"{estimate.value:.2g} {unit}, which cannot be: the model does not fit"
+    estimate = estimate.not_negative()
     half_width = (estimate.high - estimate.low) / 2.0
     size = abs(estimate.value) or half_width
     value = f"{_spelled(estimate.value, half_width, size)} {unit}"
