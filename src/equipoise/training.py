@@ -183,18 +183,25 @@ def train_several(
     return sorted(policies, key=lambda p: -p.candidates[0].score if p.candidates else 0.0)
 
 
-def judge(policy: TabularPolicy, *, seed: int = 0, workers: int = 1) -> Candidate:
+def judge(
+    policy: TabularPolicy,
+    *,
+    seed: int = 0,
+    workers: int = 1,
+    done: Callable[[int], None] = lambda _: None,
+) -> Candidate:
     """Return how a policy does in the final round of a selection, on the model that it carries.
 
     Args:
         policy: The policy, with pendulum, arm and actuator.
         seed: Master seed of the trials; policies of one model are compared on those of one seed.
         workers: Threads; the result does not depend on it.
+        done: Called with the number of trials that have just finished, also from other threads.
     """
     parameters = policy.pendulum.parameters(linearised=policy.settings.plant.linearised)
     plant = make_plant(policy.arm, policy.settings, policy.h, parameters, policy.actuator)
     selection = _Selection(plant, parameters, policy.settings, seed, workers)
-    return selection.final(policy.u_of_box, policy.episodes)
+    return selection.final(policy.u_of_box, policy.episodes, done)
 
 
 class _Task(NamedTuple):
@@ -332,7 +339,6 @@ class _Checkpoints(PartialFile):
 
 def _deciding(task: _Task, learners: Sequence[int]) -> dict[str, str]:
     """Return a digest of each input that decides about the bits, by its name."""
-    software = Provenance.now("", None).software
     return {
         "pendulum": task.pendulum.digest,
         "arm": task.arm.digest,
@@ -342,8 +348,13 @@ def _deciding(task: _Task, learners: Sequence[int]) -> dict[str, str]:
         "seed": str(task.seed),
         "number of learners": ", ".join(map(str, learners)),
         "policy to go on from": "" if task.warm is None else task.warm.digest,
-        "version of Equipoise or its libraries": json.dumps(software) + kernel_sources_digest(),
+        "version of Equipoise or its libraries": software(),
     }
+
+
+def software() -> str:
+    """Return what says of the software that it gives the same bits: versions, digest of kernels."""
+    return json.dumps(Provenance.now("", None).software) + kernel_sources_digest()
 
 
 def _learner(settings: Settings) -> Learner:
@@ -427,6 +438,8 @@ class _Selection:
                 finished += count
                 selecting(finished, of)
 
+        if of:
+            done(0)
         for snapshot in self._best[len(self._final) :]:
             u_of_box = greedy_accelerations(snapshot.Q)
             self._final.append(self.final(u_of_box, snapshot.candidate.episodes, done))

@@ -63,7 +63,8 @@ def refused(equipoise, tmp_path):
         assert ran.code == 2, ran
         assert "Traceback" not in ran.err
         assert saying in ran.err
-        message = [line for line in ran.err.splitlines() if line.strip()]
+        # Lines of stages that were done before begin with two blanks.
+        message = [x for x in ran.err.splitlines() if x.strip() and not x.startswith("  ")]
         assert message[0].startswith("error: ") or message[0].startswith("Usage: ")
         assert len(message) == 1 or message[0].startswith("Usage: ")
         assert contents(tmp_path) == before

@@ -1,14 +1,16 @@
 """`equipoise train`: what it writes and prints, what it refuses, and how it is stopped."""
 
+import os
+import re
+import shlex
 import signal
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from equipoise import training
-from equipoise.control.policy import LearningPoint, TabularPolicy
+from equipoise.control.policy import TabularPolicy
 from tests.cli.conftest import contents
 from tests.cli.damage import DAMAGE
 
@@ -151,32 +153,64 @@ def test_a_full_disk_is_the_outside_world(equipoise, pendulum_file, monkeypatch,
     monkeypatch.setattr("os.fsync", full)
     ran = equipoise("train", pendulum_file, *SHORT)
     assert ran.code == 3
-    assert ran.err == "error: cannot write policy.json: No space left on device\n"
+    assert ran.err.endswith("error: cannot write policy.json: No space left on device\n")
     assert contents(tmp_path) == before
 
 
-def test_an_interruption_stops_the_learners_and_writes_nothing(
-    equipoise, pendulum_file, monkeypatch, tmp_path
+LONGER = ("--seed", 5, *SHORT, "--seeds=3", "--workers=2", "--episodes=400")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_training_is_kept_and_goes_on_to_the_same_policy(
+    equipoise, refused, pendulum_file, monkeypatch, tmp_path, number
 ):
-    def endless(*_, report, **__):
-        def work():
-            while True:
-                report(0, LearningPoint(episodes=1, steps=1, duration=0.01))
-                time.sleep(0.001)
+    assert equipoise("train", pendulum_file, *LONGER, "--out=whole.json").code == 0
+    original, points = training.train_episodes, []
 
-        with ThreadPoolExecutor(1) as pool:
-            learner = pool.submit(work)
-            signal.raise_signal(signal.SIGINT)
-            learner.result()
+    def interrupting(*given):
+        original(*given)
+        points.append(given)
+        if len(points) == 17:  # a learner and a half of 20 screenings each
+            os.kill(os.getpid(), number)
+            time.sleep(0.2)
 
-    before = contents(tmp_path)
-    handler = signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr(training, "train_several", endless)
-    ran = equipoise("train", pendulum_file)
+    handler = signal.getsignal(number)
+    monkeypatch.setattr(training, "train_episodes", interrupting)
+    command = ("train", pendulum_file, *LONGER)
+    ran = equipoise(*command)
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
     assert ran.code == 130
-    assert ran.err == "interrupted\n"
-    assert contents(tmp_path) == before
-    assert signal.getsignal(signal.SIGINT) is handler
+    assert signal.getsignal(number) is handler
+    again = shlex.join(["equipoise", *map(str, command), "--resume"])
+    assert ran.err.splitlines()[-1] == f"interrupted; go on with: {again}"
+    # It is neither lost nor mixed up with another.
+    assert not (tmp_path / "policy.json").exists()
+    refused(*command, saying="policy.partial.json holds an interrupted training; go on")
+    other = equipoise(*command, "--resume", "--seed=6")
+    assert other.code == 2
+    assert "with another seed;" in other.err
+    assert equipoise(*shlex.split(again)[1:]).code == 0
+    whole, resumed = (TabularPolicy.load(tmp_path / f"{n}.json") for n in ("whole", "policy"))
+    assert resumed.digest == whole.digest
+    assert not list(tmp_path.glob("*partial*"))
+
+
+def test_there_is_something_to_resume_or_it_is_refused(refused, pendulum_file):
+    saying = "there is no interrupted training in policy.partial.json; leave out --resume"
+    refused("train", pendulum_file, *SHORT, "--resume", saying=saying)
+
+
+def test_force_begins_anew_where_a_training_was_interrupted(equipoise, pendulum_file, tmp_path):
+    (tmp_path / "policy.partial.json").write_text("whatever was kept")
+    assert equipoise("train", pendulum_file, *SHORT, "--force").code == 0
+    assert not (tmp_path / "policy.partial.json").exists()
+
+
+def test_each_stage_is_one_line_where_there_is_no_terminal(equipoise, pendulum_file):
+    ran = equipoise("train", pendulum_file, *SHORT)
+    assert [line.split()[0] for line in ran.err.splitlines()] == ["compile", "train", "select"]
+    assert re.search(r"train +\d+\.\d s  120 episodes$", ran.err, re.MULTILINE)
 
 
 def test_a_limited_speed_is_in_the_policy_and_in_its_evaluation(equipoise, pendulum_file, tmp_path):

@@ -16,7 +16,13 @@ from equipoise.report.page import build
 from equipoise.settings import resolve
 from equipoise.studies import gap as study
 from equipoise.studies.gap_results import CURED, PAPER
-from equipoise.studies.reproduction import QUICK, QUICK_GAP, reproduce, shortened
+from equipoise.studies.reproduction import (
+    QUICK,
+    QUICK_GAP,
+    reproduce,
+    shortened,
+    unfinished_path,
+)
 from equipoise.studies.results import GAP, RECORD, RUN, SWING, load, verdict
 from equipoise.studies.stand_in import SimulatedSwing, simulated_swing
 from equipoise.studies.wording import LASTED
@@ -96,14 +102,60 @@ def test_the_stages_are_told_as_they_go(made):
     made, told = made
     stages = ["swing", "identify", "train", "evaluate", "deploy", "gap"]
     assert [stage.name for stage in made.results.record.stages] == stages
-    assert list(dict.fromkeys(p.stage for p in told)) == stages
-    for stage in stages:
+    shown = list(dict.fromkeys(p.stage for p in told))
+    assert shown == [
+        *("swing", "identify", "compile", "train", "select", "evaluate", "compile twin"),
+        *("deploy", "gap", "train paper", "select paper"),
+    ]
+    for stage in shown:
+        # Learners and trials report from their own threads; a stage that has ended stays so.
         shares = [p.share for p in told if p.stage == stage]
         assert shares[0] == 0.0
-        assert shares[-1] == 1.0
+        assert 1.0 in shares
+        shares = shares[: shares.index(1.0)]
         assert shares == sorted(shares)
-    assert any("60 episodes" in p.text for p in told)
-    assert any(p.text == "40 trials" for p in told)  # eight for the policy and each yardstick
+    whole = {p.stage: (p.total, p.unit) for p in told if p.unit}
+    assert whole["train"] == (3 * 60, "episodes")
+    assert whole["evaluate"] == (40, "trials")  # eight for the policy and each yardstick
+
+
+@pytest.mark.parametrize("at", ["train", "select", "evaluate", "train paper", "gap"])
+@pytest.mark.usefixtures("with_tiny_gap")
+def test_an_interrupted_reproduction_goes_on_to_the_same_files(made, tmp_path, at):
+    made, _ = made
+
+    def interrupt(progress):
+        if progress.stage == at and 0.0 < progress.share < 1.0:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reproduce(tmp_path, settings=SHORT, seed=3, workers=1, report=interrupt)
+    assert not (tmp_path / RECORD).exists()
+    assert unfinished_path(tmp_path).exists()
+    with pytest.raises(ArtefactError, match="with another seed;"):
+        reproduce(tmp_path, settings=SHORT, seed=4, workers=1)
+    told = []
+    again = reproduce(tmp_path, settings=SHORT, seed=3, workers=2, report=told.append)
+    assert again.results.record.files == made.results.record.files
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*FILES, RECORD])
+    before = {p.stage for p in told if p.text == "done before the interruption"}
+    done = {"train": 1, "select": 1, "evaluate": 2, "train paper": 4, "gap": 4}[at]
+    assert before == set(("identify", "train", "evaluate", "deploy")[:done])
+
+
+@pytest.mark.usefixtures("with_tiny_gap")
+def test_a_file_that_changed_since_the_interruption_is_made_again(made, tmp_path):
+    made, _ = made
+
+    def interrupt(progress):
+        if progress.stage == "evaluate":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reproduce(tmp_path, settings=SHORT, seed=3, workers=1, report=interrupt)
+    (tmp_path / "pendulum.json").write_text("edited")
+    again = reproduce(tmp_path, settings=SHORT, seed=3, workers=1)
+    assert again.results.record.files == made.results.record.files
 
 
 def test_the_simulated_pendulum_is_found_again(made):
@@ -134,7 +186,7 @@ def test_the_gap_is_the_short_one_of_the_same_twin(made):
     assert gap.world == "twin:nominal-3"
     with tiny_gap():
         trials = study.trials_of(quick=True)
-    assert any(p.text == f"{trials} trials" for p in told if p.stage == "gap")
+    assert any((p.completed, p.unit) == (trials, "trials") for p in told if p.stage == "gap")
     assert made.next_command == f"equipoise gap {made.out / 'policy.json'}"
 
 

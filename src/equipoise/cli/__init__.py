@@ -50,8 +50,10 @@ def _run(arguments: Sequence[str] | None) -> int:
             stream.reconfigure(errors="replace")
     try:
         from equipoise.cli.app import app
+        from equipoise.cli.output import command_line
 
-        app(args=None if arguments is None else list(arguments), prog_name="equipoise")
+        command_line[:] = sys.argv[1:] if arguments is None else arguments
+        app(args=list(command_line), prog_name="equipoise")
     except KeyboardInterrupt:
         return 130
     except SystemExit as end:

@@ -8,7 +8,7 @@ import typer
 
 from equipoise.cli import next_step
 from equipoise.cli.destinations import check_output, choose_file
-from equipoise.cli.evaluate import trial_bar
+from equipoise.cli.evaluate import trials_of
 from equipoise.cli.options import (
     IN_AND_OUT,
     Force,
@@ -91,7 +91,7 @@ def certify(
             "takes": f"{claim.trials:,} trials, {claim.allowed:,} failures allowed",
         }
     )
-    with trial_bar(output, claim.trials) as done:
+    with trials_of(output, "certify", table, world, claim.trials) as done:
         certificate, evaluation = study.certify(
             table,
             claim,

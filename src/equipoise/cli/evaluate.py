@@ -1,7 +1,7 @@
 """`equipoise evaluate`: how long a policy stands, with what confidence, and why it falls."""
 
 import shlex
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -29,7 +29,7 @@ from equipoise.cli.options import (
     read_pendulum,
     read_policy,
 )
-from equipoise.cli.output import FIRST_WORDS, Output, stoppable, verb
+from equipoise.cli.output import Output, verb
 from equipoise.errors import ArtefactError, InputError
 
 if TYPE_CHECKING:
@@ -244,7 +244,7 @@ def _evaluate_table(
         plant = settings.plant.model_copy(update={"max_speed": max_speed})
         settings = settings.model_copy(update={"plant": plant})
     runs = _runs(policy.pendulum) if with_yardsticks else 1
-    with trial_bar(output, runs * settings.evaluation.trials) as done:
+    with trials_of(output, "evaluate", policy, world, runs * settings.evaluation.trials) as done:
         return evaluate(
             policy,
             settings,
@@ -270,9 +270,13 @@ def _evaluate_function(
 ) -> "Evaluation":
     from equipoise.evaluation import evaluate_function
     from equipoise.settings import Settings
+    from equipoise.studies.compilation import FUNCTIONS, compile_trials_in_python
 
     settings = _settings(Settings(), trials, duration)
-    with trial_bar(output, _runs(pendulum) * settings.evaluation.trials) as done:
+    total = _runs(pendulum) * settings.evaluation.trials
+    with trial_bar(
+        output, "evaluate", total, lambda: compile_trials_in_python(arm), FUNCTIONS
+    ) as done:
         return evaluate_function(
             policy,
             policy.name,
@@ -294,23 +298,37 @@ def _runs(pendulum: "Pendulum") -> int:
 
 
 @contextmanager
-def trial_bar(output: Output, total: int) -> "Generator[Done]":
-    """Show how many trials are done."""
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+def trial_bar(
+    output: Output, name: str, total: int, compile: Callable[[], None], functions: int
+) -> "Generator[Done]":
+    """Have kernels compiled, then show how many trials are done; both are stages.
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=None),
-        TextColumn("{task.completed:,.0f} of {task.total:,.0f} trials"),
-        TimeRemainingColumn(compact=True),
-    )
-    with output.progress(*columns) as progress, stoppable() as check:
-        task = progress.add_task(FIRST_WORDS, total=total)
+    Args:
+        output: The voice of the verb.
+        name: Name of the stage of the trials.
+        total: Number of trials.
+        compile: Has the kernels of the trials compiled.
+        functions: Number of functions that are compiled where the cache is empty.
+    """
+    from equipoise.studies.compilation import compiling
+    from equipoise.studies.progress import counted
 
-        def done(count: int) -> None:
-            check()
-            progress.update(task, advance=count, description="")
+    with output.stages() as show:
+        with compiling(show, functions):
+            compile()
+        yield counted(name, total, show)
 
+
+@contextmanager
+def trials_of(
+    output: Output, name: str, policy: "TabularPolicy", world: str, total: int
+) -> "Generator[Done]":
+    """Show the trials of a policy in a world, as `trial_bar`."""
+    from equipoise.model.worlds import MODEL
+    from equipoise.studies.compilation import FUNCTIONS, TWIN_FUNCTIONS, compile_trials
+
+    functions = FUNCTIONS if world == MODEL else FUNCTIONS + TWIN_FUNCTIONS
+    with trial_bar(output, name, total, lambda: compile_trials(policy, world), functions) as done:
         yield done
 
 

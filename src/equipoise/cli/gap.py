@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from equipoise.cli.destinations import choose_file
-from equipoise.cli.evaluate import trial_bar
 from equipoise.cli.options import (
     IN_AND_OUT,
     Force,
@@ -95,18 +94,34 @@ def gap(
     from equipoise.report.figures.gap import gap_figure
     from equipoise.report.style import save
     from equipoise.studies import gap as study
+    from equipoise.studies.compilation import (
+        FUNCTIONS,
+        TWIN_FUNCTIONS,
+        compile_training,
+        compile_trials,
+        compiling,
+    )
+    from equipoise.studies.progress import TrainingProgress, counted
 
     table = read_policy(policy)
     known = read_actuator(actuator)
     total = study.trials_of(world, quick=quick, trials=trials)
-    if paper_policy is None:
-        with output.busy("training as the paper describes"):
+    with output.stages() as show:
+        with compiling(show, FUNCTIONS + TWIN_FUNCTIONS):
+            compile_training(table.arm, study.paper_settings(quick=quick))
+            compile_trials(table, world)
+        if paper_policy is None:
+            progress = TrainingProgress(study.paper_settings(quick=quick), 1, show, "paper")
             other = study.train_paper(
-                table, quick=quick, seed=seed, workers=available_workers(workers)
+                table,
+                quick=quick,
+                seed=seed,
+                workers=available_workers(workers),
+                report=lambda point: progress.report(0, point),
+                selecting=lambda done, of: progress.selecting(0, done, of),
             )
-    else:
-        other = read_policy(paper_policy)
-    with trial_bar(output, total) as done:
+        else:
+            other = read_policy(paper_policy)
         found = study.gap(
             table,
             world=world,
@@ -117,7 +132,7 @@ def gap(
             quick=quick,
             seed=seed,
             workers=available_workers(workers),
-            done=done,
+            done=counted("gap", total, show),
         )
     inputs = {"policy": found.policy, "paper policy": found.paper_policy}
     with destination.claimed() as out:

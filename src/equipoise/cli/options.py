@@ -35,6 +35,14 @@ Force = Annotated[
         rich_help_panel=IN_AND_OUT,
     ),
 ]
+Resume = Annotated[
+    bool,
+    typer.Option(
+        "--resume",
+        help="Go on with the interrupted training of this output, to the same result.",
+        rich_help_panel=IN_AND_OUT,
+    ),
+]
 SettingsFile = Annotated[
     Path | None,
     typer.Option(

@@ -21,22 +21,19 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
-from equipoise.errors import EquipoiseError, OutsideError
+from equipoise.errors import EquipoiseError
 from equipoise.printable import printable
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, ProgressColumn
-
     from equipoise.artefacts import Estimate
+    from equipoise.studies.progress import Progress, Show
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 INTERRUPTED = 130
-LEAST_ADDRESS_SPACE = 2**30
-"""Least limit on the address space with which the libraries load [bytes]; 600 MB are too few."""
-FIRST_WORDS = "compiling, half a minute the first time"
-"""What a bar says until the first report comes: no more is known by then."""
+command_line: list[str] = []
+"""What follows `equipoise` in the command that runs."""
 
 
 class _EscapingConsole(Console):
@@ -63,6 +60,22 @@ def _console(*, stderr: bool = False, quiet: bool = False) -> Console:
     return _EscapingConsole(stderr=stderr, quiet=quiet, markup=False, emoji=False, highlight=False)
 
 
+class Interrupted(KeyboardInterrupt):
+    """An interruption after which the work can go on."""
+
+    def __init__(self, *options: str, without: str = "") -> None:
+        """Take down how to go on.
+
+        Args:
+            options: What the command line needs in addition.
+            without: Option that it must not have.
+        """
+        kept = [word for word in command_line if word != without]
+        super().__init__()
+        self.again = shlex.join(["equipoise", *kept, *(o for o in options if o not in kept)])
+        """The command that goes on."""
+
+
 class Output:
     """The voice of one run of a verb."""
 
@@ -71,14 +84,21 @@ class Output:
         self._as_json = as_json
         self._words = _console(quiet=as_json)
         self._progress = _console(stderr=True)
+        self._live = False
+
+    @property
+    def _voice(self) -> Console:
+        """Console for words: while a live display is on the same terminal, that of the display."""
+        together = self._live and self._words.is_terminal and not self._as_json
+        return self._progress if together else self._words
 
     def say(self, what: Any = "", *, style: str | None = None) -> None:
         """Print words or a table."""
-        self._words.print(what, style=style)
+        self._voice.print(what, style=style)
 
     def tell(self, what: Any) -> None:
         """Print what a person has to hear also where a program reads the result."""
-        (self._progress if self._as_json else self._words).print(what)
+        (self._progress if self._as_json else self._voice).print(what)
 
     @property
     def stream(self) -> TextIO:
@@ -115,12 +135,12 @@ class Output:
         """Name the files that were written."""
         *first, last = (printable(str(path)) for path in paths)
         names = f"{', '.join(first)} and {last}" if first else last
-        self._words.print(Text.assemble(("wrote ", "dim"), names), soft_wrap=True)
+        self._voice.print(Text.assemble(("wrote ", "dim"), names), soft_wrap=True)
 
     def next(self, *command: str | int | Path) -> None:
         """Name the next command to try."""
         words = printable(shlex.join(["equipoise", *(str(word) for word in command)]))
-        self._words.print(Text.assemble(("next: ", "dim"), (words, "bold")), soft_wrap=True)
+        self._voice.print(Text.assemble(("next: ", "dim"), (words, "bold")), soft_wrap=True)
 
     def result(self, result: Mapping[str, Any]) -> None:
         """Print the object of `--json`; nothing without it."""
@@ -128,28 +148,57 @@ class Output:
             print(json.dumps(result, allow_nan=False))
 
     @contextmanager
-    def progress(self, *columns: "str | ProgressColumn") -> "Generator[Progress]":
-        """Show a bar on stderr while something takes its time; it leaves no trace.
+    def stages(self) -> "Generator[Show]":
+        """Show the stages of the verb on stderr; Ctrl-C or a signal ends them.
 
-        Where stderr is no terminal there is none.
+        Yields:
+            Callback for the progress of each stage, for any thread; it raises where the work shall
+            end.
         """
-        from rich.progress import Progress
+        from equipoise.cli.stages import Stages
 
-        console = self._progress
-        with Progress(
-            *columns, console=console, transient=True, disable=not console.is_terminal
-        ) as progress:
-            yield progress
+        redirect = self._words.is_terminal
+        with (
+            Stages(self._progress, quiet=self._as_json, redirect=redirect) as stages,
+            self._on_the_display(),
+            stoppable() as check,
+        ):
+
+            def show(progress: "Progress") -> None:
+                check()
+                stages.show(progress)
+
+            yield show
 
     @contextmanager
     def busy(self, what: str) -> Generator[Callable[[str], None]]:
         """Show that something is under way whose length is not known; yields how to rename it."""
+        from rich.progress import Progress as Bars
         from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
         words = TextColumn("{task.description}", markup=False)
-        with self.progress(SpinnerColumn(), words, TimeElapsedColumn()) as progress:
+        columns = SpinnerColumn(), words, TimeElapsedColumn()
+        console, redirect = self._progress, self._words.is_terminal
+        with (
+            Bars(
+                *columns,
+                console=console,
+                transient=True,
+                disable=not console.is_terminal,
+                redirect_stdout=redirect,
+            ) as progress,
+            self._on_the_display(),
+        ):
             task = progress.add_task(what, total=None)
             yield lambda now: progress.update(task, description=now)
+
+    @contextmanager
+    def _on_the_display(self) -> Generator[None]:
+        self._live = self._progress.is_terminal
+        try:
+            yield
+        finally:
+            self._live = False
 
 
 def verb(function: Callable[P, R]) -> Callable[P, R]:
@@ -158,37 +207,16 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(function)
     def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
-            _check_address_space()
             return function(*args, **kwargs)
         except EquipoiseError as error:
             _complain("error: ", str(error))
             raise typer.Exit(error.exit_code) from None
-        except MemoryError:
-            _complain("error: ", "there is not enough memory; ask for less, or free some")
-            raise typer.Exit(OutsideError.exit_code) from None
-        except KeyboardInterrupt:
-            _complain("", "interrupted")
+        except KeyboardInterrupt as stop:
+            how = f"; go on with: {stop.again}" if isinstance(stop, Interrupted) else ""
+            _complain("", f"interrupted{how}")
             raise typer.Exit(INTERRUPTED) from None
 
     return guarded
-
-
-def _check_address_space() -> None:
-    """Check that the libraries fit below the limit on the address space, if there is one.
-
-    Raises:
-        OutsideError: They do not: loading them would fail anywhere.
-    """
-    if sys.platform == "win32":
-        return
-    import resource
-
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
-        raise OutsideError(
-            f"the address space is limited to {limit // 2**20} MiB, expected "
-            f"{LEAST_ADDRESS_SPACE // 2**20} MiB or more; raise it with ulimit -v"
-        )
 
 
 def _complain(label: str, message: str) -> None:
@@ -199,10 +227,12 @@ def _complain(label: str, message: str) -> None:
 
 @contextmanager
 def stoppable() -> Generator[Callable[[], None]]:
-    """Let Ctrl-C end work that runs on threads; yields what their callbacks have to call.
+    """Let Ctrl-C or a signal end work that runs on threads; yields what their callbacks call.
 
     The main thread waits for the others, and an interruption reaches it alone.
     """
+    from equipoise.deployment.processes import SIGNALS
+
     stopped = threading.Event()
 
     def stop(*_: object) -> None:
@@ -213,14 +243,10 @@ def stoppable() -> Generator[Callable[[], None]]:
         if stopped.is_set():
             raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():
+    # Ignored signals stay ignored: nohup has its reason.
+    heard = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    with _handling(heard, stop):
         yield check
-        return
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
@@ -229,15 +255,22 @@ def stop_by_signal() -> Generator[Callable[[], bool]]:
     from equipoise.deployment.processes import SIGNALS
 
     came = threading.Event()
+    with _handling(SIGNALS, lambda *_: came.set()):
+        yield came.is_set
+
+
+@contextmanager
+def _handling(signals: Iterable[signal.Signals], handler: Callable[..., object]) -> Generator[None]:
+    """Handle signals in a way of our own; only the main thread can."""
     if threading.current_thread() is not threading.main_thread():
-        yield came.is_set
+        yield
         return
-    before = [signal.signal(number, lambda *_: came.set()) for number in SIGNALS]
+    before = [(number, signal.signal(number, handler)) for number in signals]
     try:
-        yield came.is_set
+        yield
     finally:
-        for number, handler in zip(SIGNALS, before, strict=True):
-            signal.signal(number, handler)
+        for number, old in before:
+            signal.signal(number, old)
 
 
 def spelled(value: float, half_width: float = 0.0) -> str:
@@ -266,12 +299,7 @@ def _spelled(value: float, half_width: float, size: float) -> str:
 
 
 def measured(estimate: "Estimate", unit: str) -> str:
-    """Return an estimate of a quantity that cannot be negative, with 95 % interval and unit."""
-    if estimate.value <= 0.0 < estimate.high:
-        return f"not distinguishable from 0 {unit}  (95 %: below {estimate.high:.2g})"
-    if estimate.high < 0.0:
-        return f"{estimate.value:.2g} {unit}, which cannot be: the model does not fit"
-    estimate = estimate.not_negative()
+    """Return an estimate with its 95 % interval and unit."""
     half_width = (estimate.high - estimate.low) / 2.0
     size = abs(estimate.value) or half_width
     value = f"{_spelled(estimate.value, half_width, size)} {unit}"

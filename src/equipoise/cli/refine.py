@@ -1,5 +1,6 @@
 """`equipoise refine`: logs of a policy say whether its model still holds; if not, it learns on."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,16 +12,18 @@ from equipoise.cli.options import (
     IN_AND_OUT,
     Force,
     Json,
+    Resume,
     Seed,
     Workers,
     available_workers,
 )
-from equipoise.cli.output import FIRST_WORDS, Output, measured, stoppable, verb
+from equipoise.cli.output import Output, measured, verb
+from equipoise.cli.unfinished import unfinished
 from equipoise.printable import printable
 
 if TYPE_CHECKING:
     from equipoise.artefacts import Artefact, Estimate
-    from equipoise.control.policy import Candidate, LearningPoint, TabularPolicy
+    from equipoise.control.policy import Candidate, TabularPolicy
     from equipoise.studies.refinement import Findings, Refinement
 
 PARTS = ("policy", "pendulum", "actuator")
@@ -58,12 +61,14 @@ def refine(
         ),
     ] = None,
     force: Force = False,
+    resume: Resume = False,
     as_json: Json = False,
 ) -> None:
     """Learn from the robot: does the model of a policy still hold in its logs?
 
     w2, c and the actuator are identified again. If one of them moved beyond its
     interval, the policy is trained on from its table, and kept if it is better.
+    Interrupted, the same command with --resume goes on where it stopped.
     """
     output = Output(as_json)
     output.say(f"Comparing {policy} with {', '.join(map(str, runs))}")
@@ -96,15 +101,18 @@ def refine(
     if findings.actuator.digest != table.actuator.digest:
         made["actuator"] = findings.actuator
     refinement = None
-    if training and (findings.moves or always):
-        refinement = _retrain(output, table, findings, episodes, seed, workers)
-        made["policy"] = refinement.policy
-        _say_kept(output, refinement)
-    inputs = {"policy": table.digest} | {printable(name): log.digest for name, log in logs.items()}
-    with destination.claimed() as out:
-        paths = _paths(out)
-        for part, artefact in made.items():
-            artefact.save(paths[part], command="refine", inputs=inputs)
+    with ExitStack() as stack:
+        if training and (findings.moves or always):
+            partial = stack.enter_context(unfinished(destination, resume=resume))
+            refinement = _retrain(output, table, findings, episodes, seed, workers, partial)
+            made["policy"] = refinement.policy
+            _say_kept(output, refinement)
+        inputs = {"policy": table.digest}
+        inputs |= {printable(name): log.digest for name, log in logs.items()}
+        with destination.claimed() as out:
+            paths = _paths(out)
+            for part, artefact in made.items():
+                artefact.save(paths[part], command="refine", inputs=inputs)
     if made:
         output.wrote(*(paths[part] for part in made))
     places = [log.conditions.world for log in logs.values()]
@@ -127,34 +135,33 @@ def _retrain(
     episodes: int | None,
     seed: int,
     workers: int | None,
+    partial: Path,
 ) -> "Refinement":
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-
-    from equipoise.studies.refinement import EPISODES, retrain
-
-    total = episodes or EPISODES
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=None),
-        TextColumn("{task.completed:,.0f} of {task.total:,.0f} episodes"),
-        TimeRemainingColumn(compact=True),
+    from equipoise.studies.compilation import FUNCTIONS, compile_training, compiling
+    from equipoise.studies.progress import TrainingProgress, counted
+    from equipoise.studies.refinement import (
+        EPISODES,
+        compared_trials,
+        retrain,
+        settings_of_retraining,
     )
-    with output.progress(*columns) as progress, stoppable() as check:
-        task = progress.add_task(FIRST_WORDS, total=total)
 
-        def report(point: "LearningPoint") -> None:
-            check()
-            words = "comparing old and new" if point.episodes == total else "training on"
-            progress.update(task, description=words, completed=point.episodes)
-
+    settings = settings_of_retraining(policy.settings, episodes or EPISODES)
+    with output.stages() as show:
+        with compiling(show, FUNCTIONS):
+            compile_training(policy.arm, settings)
+        progress = TrainingProgress(settings, 1, show)
         return retrain(
             policy,
             findings.pendulum,
             findings.actuator,
-            episodes=total,
+            episodes=settings.learning.episodes,
             seed=seed,
             workers=available_workers(workers),
-            report=report,
+            partial=partial,
+            report=lambda point: progress.report(0, point),
+            selecting=lambda done, of: progress.selecting(0, done, of),
+            done=counted("compare", compared_trials(policy), show),
         )
 
 
@@ -203,7 +210,7 @@ def _lasted(candidate: "Candidate") -> str:
 def _result(findings: "Findings", refinement: "Refinement | None") -> dict[str, object]:
     fit = findings.fit
     estimates: dict[str, Estimate] = {
-        name: getattr(fit, name).not_negative() for name in ("w2", "k", "c", "coulomb", "friction")
+        name: getattr(fit, name) for name in ("w2", "k", "c", "coulomb", "friction")
     }
     estimates |= {name.replace(" ", "_"): now for name, now in findings.response.items()}
     result: dict[str, object] = {"moved": [move.name for move in findings.moves]}

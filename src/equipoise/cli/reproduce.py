@@ -3,13 +3,14 @@
 import shlex
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equipoise.cli.destinations import check_folder
+from equipoise.cli.destinations import Destination, choose_folder
 from equipoise.cli.options import (
     IN_AND_OUT,
     RECORDING,
@@ -18,6 +19,7 @@ from equipoise.cli.options import (
     Columns,
     CountsPerRev,
     End,
+    Force,
     FromUpright,
     Held,
     Json,
@@ -29,13 +31,18 @@ from equipoise.cli.options import (
     Workers,
     read_arm,
 )
-from equipoise.cli.output import FIRST_WORDS, Output, stoppable, verb
+from equipoise.cli.output import Interrupted, Output, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as Bar
+    from collections.abc import Callable
+
+    from equipoise.studies.progress import Show
+    from equipoise.studies.reproduction import Request
 
 NOT_BALANCED = 1
+FOLDER = "equipoise-report"
+"""Folder by default."""
 
 
 @verb
@@ -67,9 +74,15 @@ def reproduce(
     base: Base = None,
     tip: Tip = None,
     out: Annotated[
-        Path,
-        typer.Option(metavar="DIR", help="Folder for all files.", rich_help_panel=IN_AND_OUT),
-    ] = Path("equipoise-report"),
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder for all files.",
+            rich_help_panel=IN_AND_OUT,
+            show_default=FOLDER,
+        ),
+    ] = None,
+    force: Force = False,
     settings_file: SettingsFile = None,
     settings: Set = None,
     as_json: Json = False,
@@ -78,12 +91,11 @@ def reproduce(
 
     Identification, training, evaluation, a run on the digital twin and a short
     study of the gap: leaves every file in a folder, with a report in HTML that
-    needs nothing else.
+    needs nothing else. Interrupted, the same command goes on where it stopped.
     """
     output = Output(as_json)
     begin = time.perf_counter()
-    output.say(f"Reproducing the paper {f'from {swing} ' if swing else ''}into {out}")
-    check_folder(out)
+    output.say(f"Reproducing the paper{f' from {swing}' if swing else ''}")
 
     from equipoise.settings import resolve
 
@@ -106,18 +118,21 @@ def reproduce(
             end=end,
             columns=columns,
         )
-    from equipoise.report.page import build
-    from equipoise.studies.reproduction import Progress
-    from equipoise.studies.reproduction import reproduce as study
+    from equipoise.report.page import PAGE, build
+    from equipoise.studies import reproduction as study
 
-    with _shown(output) as stages, stoppable() as check:
-
-        def report(progress: Progress) -> None:
-            check()
-            stages.show(progress.stage, progress.share, progress.text)
-
-        found = study(
-            out,
+    request = study.make_request(
+        swing=recording, arm=machine, settings=resolved, recipe=recipe, seed=seed, quick=quick
+    )
+    destination, resumed = _choose(output, out, request, force)
+    with ExitStack() as stack:
+        folder = destination.path if resumed else stack.enter_context(destination.claimed())
+        if not resumed:
+            study.discard(folder)
+        stack.enter_context(_going_on(destination))
+        show = stack.enter_context(output.stages())
+        found = study.reproduce(
+            folder,
             swing=recording,
             arm=machine,
             settings=resolved,
@@ -125,16 +140,17 @@ def reproduce(
             seed=seed,
             quick=quick,
             workers=workers,
-            report=report,
+            report=show,
+            finish=lambda folder: _draw(build, folder, show),
         )
-        page = build(out, lambda name, share: report(Progress("report", share, name)))
+        page = folder / PAGE
     output.points(found.verdict)
     output.wrote(page)
     output.next(*shlex.split(found.next_command)[1:])
     summary, run = found.results.evaluation.results.summary(), found.results.run
     output.result(
         {
-            "out": str(out),
+            "out": str(folder),
             "report": str(page),
             "verdict": list(found.verdict),
             "trials": summary.trials,
@@ -154,34 +170,45 @@ def reproduce(
         raise typer.Exit(NOT_BALANCED)
 
 
-class _Stages:
-    """Shows the stage that is under way as a bar, and each that is done as a line."""
+def _choose(
+    output: Output, given: Path | None, request: "Request", force: bool
+) -> tuple[Destination, bool]:
+    """Return the folder, and whether the interrupted reproduction in it goes on."""
+    from equipoise.studies.reproduction import differences
 
-    def __init__(self, output: Output, bar: "Bar") -> None:
-        self._output, self._bar = output, bar
-        self._task = bar.add_task("", total=1.0)
-        self._stage, self._begin = "", 0.0
-
-    def show(self, stage: str, share: float, text: str = "") -> None:
-        if stage != self._stage:
-            self.end()
-            self._stage, self._begin = stage, time.perf_counter()
-        words = text or (FIRST_WORDS if stage == "train" else "")
-        self._bar.update(self._task, completed=share, description=f"{stage}  {words}")
-
-    def end(self) -> None:
-        if self._stage:
-            took = time.perf_counter() - self._begin
-            self._output.say(f"  {self._stage:<10}{took:6.1f} s", style="dim")
-        self._stage = ""
+    first = Destination(Path(FOLDER) if given is None else given, folder=True, force=force)
+    candidates = [first] if given else takewhile(lambda one: one.existing(), first.numbered())
+    for one in () if force else candidates:
+        other = differences(one.path, request)
+        if other == []:
+            output.say(f"Going on with the interrupted reproduction in {one.path}")
+            return one, True
+        if other and given:
+            raise InputError(
+                f"{given} holds an interrupted reproduction with another {' and '.join(other)}; "
+                "give what it began with, another --out, or --force to begin anew"
+            )
+    return choose_folder(output, given, FOLDER, force=force), False
 
 
 @contextmanager
-def _shown(output: Output) -> Generator[_Stages]:
-    from rich.progress import BarColumn, TextColumn
+def _going_on(destination: Destination) -> Generator[None]:
+    """Say after an interruption how to go on."""
+    from equipoise.studies.reproduction import unfinished_path
 
-    words = TextColumn("{task.description}", markup=False)
-    with output.progress(words, BarColumn(bar_width=None)) as bar:
-        stages = _Stages(output, bar)
-        yield stages
-        stages.end()
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not unfinished_path(destination.path).exists():
+            raise
+        raise Interrupted(without="--force") from None
+
+
+def _draw(
+    build: "Callable[[Path, Callable[[str, float], None]], Path]", folder: Path, show: "Show"
+) -> None:
+    """Draw the report as a stage."""
+    from equipoise.studies.progress import Progress
+
+    show(Progress("report"))
+    build(folder, lambda name, share: show(Progress("report", share, text=name)))

@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from equipoise.cli import next_step
-from equipoise.cli.destinations import check_output
+from equipoise.cli.destinations import choose_file
 from equipoise.cli.options import (
     IN_AND_OUT,
     ActuatorFile,
     ArmName,
     Base,
+    Force,
     Held,
     Json,
     MaxSpeed,
+    Resume,
     Seed,
     Set,
     SettingsFile,
@@ -26,13 +28,12 @@ from equipoise.cli.options import (
     read_arm,
     read_pendulum,
 )
-from equipoise.cli.output import FIRST_WORDS, Output, stoppable, verb
+from equipoise.cli.output import Output, verb
+from equipoise.cli.unfinished import unfinished
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
-    from equipoise.control.policy import LearningPoint, TabularPolicy
+    from equipoise.control.policy import TabularPolicy
     from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
@@ -74,11 +75,16 @@ def train(
     base: Base = None,
     tip: Tip = None,
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
-            metavar="FILE", help="The policy that is written.", rich_help_panel=IN_AND_OUT
+            metavar="FILE",
+            help="The policy that is written.",
+            rich_help_panel=IN_AND_OUT,
+            show_default="policy.json",
         ),
-    ] = Path("policy.json"),
+    ] = None,
+    force: Force = False,
+    resume: Resume = False,
     settings_file: SettingsFile = None,
     settings: Set = None,
     as_json: Json = False,
@@ -86,11 +92,12 @@ def train(
     """Train a policy by Q-learning.
 
     Writes the policy: the table of 270 boxes by 8 actions, its learning curve,
-    and all that is needed to train it again.
+    and all that is needed to train it again. Interrupted, the same command with
+    --resume goes on where it stopped.
     """
     output = Output(as_json)
     output.say(f"Training for {pendulum or 'the pendulum that ships with Equipoise'} on {arm}")
-    check_output(out, pendulum, settings_file)
+    destination = choose_file(output, out, "policy.json", pendulum, settings_file, force=force)
 
     from equipoise.settings import resolve
 
@@ -107,14 +114,16 @@ def train(
     machine = read_arm(arm, held, base, tip)
     response = read_actuator(actuator)
     begin = time.perf_counter()
-    policies, speed = _train(
-        output, source, machine, response, resolved, seeds, seed, recipe, workers
-    )
-    wall = time.perf_counter() - begin
-    best = policies[0]
-    inputs = {"pendulum": source.digest, "actuator": best.actuator.digest}
-    best.save(out, command="train", inputs=inputs)
-    _say(output, policies, wall, speed)
+    with unfinished(destination, resume=resume) as partial:
+        policies, speed = _train(
+            output, source, machine, response, resolved, seeds, seed, recipe, workers, partial
+        )
+        wall = time.perf_counter() - begin
+        best = policies[0]
+        inputs = {"pendulum": source.digest, "actuator": best.actuator.digest}
+        with destination.claimed() as out:
+            best.save(out, command="train", inputs=inputs)
+    _say(output, policies, wall, speed, resume)
     output.wrote(out)
     words = {
         "--arm": arm if arm != "iiwa7" else None,
@@ -154,27 +163,18 @@ def _train(
     seed: int,
     recipe: str,
     workers: int | None,
+    partial: Path,
 ) -> "tuple[list[TabularPolicy], float]":
-    """Train behind a progress bar; return the policies, the best first, and the steps/s."""
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-
+    """Train behind progress bars; return the policies, the best first, and the steps/s."""
+    from equipoise.studies.compilation import FUNCTIONS, compile_training, compiling
+    from equipoise.studies.progress import TrainingProgress
     from equipoise.training import LEARNERS, train_several
 
     learners = LEARNERS if seeds is None else seeds
-    total = learners * settings.learning.episodes
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=None),
-        TextColumn("{task.completed:,.0f} of {task.total:,.0f} episodes"),
-        TimeRemainingColumn(compact=True),
-    )
-    with output.progress(*columns) as progress, stoppable() as check:
-        bar = _Bar(progress, total)
-
-        def report(learner: int, point: "LearningPoint") -> None:
-            check()
-            bar.update(learner, point)
-
+    with output.stages() as show:
+        with compiling(show, FUNCTIONS):
+            compile_training(arm, settings)
+        progress = TrainingProgress(settings, learners, show)
         policies = train_several(
             pendulum,
             arm,
@@ -184,50 +184,24 @@ def _train(
             seed=seed,
             recipe=recipe,
             workers=available_workers(workers),
-            report=report,
+            partial=partial,
+            report=progress.report,
+            selecting=progress.selecting,
         )
-        return policies, bar.speed
+        return policies, progress.speed
 
 
-class _Bar:
-    """Adds up what the learners report; its clock starts when all is compiled."""
-
-    def __init__(self, progress: "Progress", episodes: int) -> None:
-        self._progress, self._episodes = progress, episodes
-        self._task = progress.add_task(FIRST_WORDS, total=episodes)
-        self._points: dict[int, LearningPoint] = {}
-        self._begin: tuple[float, int] | None = None
-        self.speed = 0.0
-
-    def update(self, learner: int, point: "LearningPoint") -> None:
-        now = time.perf_counter()
-        self._points[learner] = point
-        points = list(self._points.values())
-        steps = sum(p.steps for p in points)
-        if self._begin is None:
-            self._begin = now, steps
-        elapsed = now - self._begin[0]
-        self.speed = (steps - self._begin[1]) / elapsed if elapsed > 0.0 else 0.0
-        screened = [p.survival for p in points if p.survival is not None]
-        survival = (
-            f"{100.0 * sum(screened) / len(screened):.0f} % stand"
-            if screened
-            else f"{sum(p.duration for p in points) / len(points):.1f} s an episode"
-        )
-        completed = sum(p.episodes for p in points)
-        words = f"{self.speed:,.0f} steps/s, {survival}"
-        if completed == self._episodes:
-            words = "selecting the best"
-        self._progress.update(self._task, description=words, completed=completed)
-
-
-def _say(output: Output, policies: "list[TabularPolicy]", wall: float, speed: float) -> None:
+def _say(
+    output: Output, policies: "list[TabularPolicy]", wall: float, speed: float, resumed: bool
+) -> None:
     best = policies[0]
     steps = sum(policy.steps for policy in policies)
     of_each = f" each of {len(policies)} learners" if len(policies) > 1 else ""
     rows = {"trained": f"{best.episodes:,} episodes{of_each}, {steps:,} steps in {wall:.1f} s"}
     if (limit := best.settings.plant.max_speed) is not None:
         rows["for a flange"] = f"below {limit:g} m/s"
+    if resumed:
+        rows["resumed"] = "from a checkpoint; time and speed are those since then"
     if speed:
         rows["speed"] = f"{speed:,.0f} steps/s, selection included"
     for policy in policies:

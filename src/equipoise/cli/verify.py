@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equipoise.cli.evaluate import trial_bar
+from equipoise.cli.evaluate import trials_of
 from equipoise.cli.next_step import file_with
 from equipoise.cli.options import Json, Workers, available_workers
 from equipoise.cli.output import Output, verb
@@ -102,7 +102,8 @@ def _repeat(
     from equipoise.studies.certification import Certificate, repeat
 
     certificate, table = Certificate.load(file), TabularPolicy.load(policy)
-    with trial_bar(output, certificate.claim.trials) as done:
+    claim = certificate.claim
+    with trials_of(output, "repeat", table, claim.world, claim.trials) as done:
         again = repeat(certificate, table, workers=available_workers(workers), done=done)
     return certificate, again
 

@@ -54,8 +54,7 @@ def _chapters(results: Results, other: str) -> Iterator[Chapter]:
     yield _arm(results.policy.arm)
     yield from chapters(results.policy.settings, resolve(other))
     if world := results.run.conditions.world_settings:
-        ran = chapter(TwinSettings.model_validate(world))
-        yield ran._replace(title=f"The world that ran: `{results.run.conditions.world}`")
+        yield chapter(TwinSettings.model_validate(world))
 
 
 def _arm(arm: Arm) -> Chapter:
@@ -69,7 +68,7 @@ def _arm(arm: Arm) -> Chapter:
             Choice("held joint", held, "", "The paper's, where the arm has seven joints."),
             Choice(
                 "home",
-                f"{home}°",
+                f"{home} deg",
                 "",
                 "Far from every joint limit and from singular postures, with x across the "
                 "direction in which the arm reaches out: the first joint does most of the motion.",

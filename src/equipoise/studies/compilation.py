@@ -1,20 +1,33 @@
-"""Compile what a study needs later, in a process beside it.
+"""Compile the kernels of a study: by running each for a moment, here or in a process beside.
 
 Numba compiles one kernel at a time. On a machine where nothing has been compiled yet, a second
-process fills the cache with the kernels of twin and evaluation while the first one trains.
+process fills the cache with the kernels of twin and evaluation while the first one trains. Where
+the kernels are in the cache, they are only loaded, in a second or two.
 """
 
 import subprocess
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
+from typing import Final
 
-from equipoise.compiled import cache_is_empty
-from equipoise.control.policy import shipped_policy
-from equipoise.deployment import deploy
-from equipoise.evaluation import evaluate
+from equipoise.compiled import cache_is_empty, watching_compilation
+from equipoise.control.policy import TabularPolicy, shipped_policy
+from equipoise.evaluation import evaluate, evaluate_function
 from equipoise.learning.trials import available_cores
+from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import shipped_pendulum
+from equipoise.model.worlds import MODEL, World
 from equipoise.settings import Settings
+from equipoise.studies.progress import Progress, Show
+from equipoise.training import train
+
+MOMENT: Final = 0.02
+"""Duration of an episode or a trial that only has its kernels compiled [s]."""
+FUNCTIONS: Final = 82
+"""Number of functions that training and evaluation compile; it only scales a progress bar."""
+TWIN_FUNCTIONS: Final = 31
+"""Number of functions that the twin compiles in addition; it only scales a progress bar."""
 
 
 @contextmanager
@@ -39,13 +52,66 @@ def compiling_beside() -> Generator[None]:
             beside.wait()
 
 
+@contextmanager
+def compiling(show: Show, functions: int, stage: str = "compile") -> Generator[None]:
+    """Show as a stage that kernels are compiled in this context, or loaded from the cache.
+
+    Args:
+        show: Called with the progress.
+        functions: Number of functions that are compiled where the cache is empty.
+        stage: Name of the stage.
+    """
+    count = 0
+
+    def compiled() -> None:
+        nonlocal count
+        count += 1
+        text = f"{count} functions, once on this machine"
+        show(Progress(stage, min(count, functions - 1), functions, text=text))
+
+    show(Progress(stage, 0, functions))
+    with watching_compilation(compiled):
+        yield
+    text = f"{count} functions, once on this machine" if count else "done before, loaded"
+    show(Progress(stage, functions, functions, text=text))
+
+
+def compile_training(arm: Arm, settings: Settings) -> None:
+    """Have the kernels of training and evaluation compiled, for one arm."""
+    tree = settings.model_dump()
+    tree["learning"] |= {"episodes": 1, "episode_duration": MOMENT}
+    tree["selection"] |= {
+        "every": 1,
+        "screening_trials": 1,
+        "finalists": 1,
+        "final_trials": 1,
+        "duration": MOMENT,
+        "final_duration": MOMENT,
+    }
+    train(shipped_pendulum(), arm, Settings.model_validate(tree))
+
+
+def compile_trials(policy: TabularPolicy, world: str | World = MODEL) -> None:
+    """Have the kernels compiled that run a policy in a world."""
+    evaluate(policy, _moment(policy.settings), world=world, with_yardsticks=False)
+
+
+def compile_trials_in_python(arm: Arm) -> None:
+    """Have the kernels compiled that run a policy written in Python, on the model."""
+    pendulum, settings = shipped_pendulum(), _moment(Settings())
+    evaluate_function(shipped_policy(), "", pendulum, arm, settings, with_yardsticks=False)
+
+
 def compile_kernels() -> None:
-    """Have the kernels of twin and evaluation compiled, by running each for a moment."""
-    policy, moment = shipped_policy(), 0.02
-    deploy(policy, world="twin:nominal", duration=moment)
-    tree = policy.settings.model_dump()
-    tree["evaluation"] |= {"trials": 1, "duration": moment}
-    evaluate(policy, Settings.model_validate(tree), with_yardsticks=False)
+    """Have the kernels of twin and evaluation compiled, for the policy that ships."""
+    compile_trials(shipped_policy(), "twin:nominal")
+    compile_trials(shipped_policy())
+
+
+def _moment(settings: Settings) -> Settings:
+    tree = settings.model_dump()
+    tree["evaluation"] |= {"trials": 1, "duration": MOMENT}
+    return Settings.model_validate(tree)
 
 
 if __name__ == "__main__":

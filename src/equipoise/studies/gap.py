@@ -25,6 +25,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from math import radians
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from equipoise.artefacts import Estimate
@@ -51,7 +52,7 @@ from equipoise.studies.gap_results import (
     Part,
     Point,
 )
-from equipoise.training import Report, train
+from equipoise.training import Report, Selecting, train
 
 CLEAN: Final[Mapping[str, Any]] = {
     "transport": 0.0,
@@ -258,7 +259,9 @@ def train_paper(
     quick: bool = False,
     seed: int = 0,
     workers: int = 1,
+    partial: Path | None = None,
     report: Report = lambda _: None,
+    selecting: Selecting = lambda _, __: None,
 ) -> TabularPolicy:
     """Train a table as the paper describes, for the pendulum and the arm of a policy.
 
@@ -267,17 +270,26 @@ def train_paper(
         quick: Look less long for the table that stands longest.
         seed: Master seed of the training.
         workers: Number of threads; the result does not depend on it.
+        partial: File for checkpoints, as in `train`.
         report: Called with each new point of the learning curve.
+        selecting: Called as the trials of the final selection finish, as in `train`.
     """
     return train(
         policy.pendulum,
         policy.arm,
-        resolve("paper", overrides=STOOD_LONGEST_QUICKLY if quick else STOOD_LONGEST),
+        paper_settings(quick=quick),
         recipe="paper",
         seed=seed,
         workers=workers,
+        partial=partial,
         report=report,
+        selecting=selecting,
     )
+
+
+def paper_settings(*, quick: bool = False) -> Settings:
+    """Return the settings with which `train_paper` trains."""
+    return resolve("paper", overrides=STOOD_LONGEST_QUICKLY if quick else STOOD_LONGEST)
 
 
 def the_twin(world: str | World) -> World:

@@ -15,13 +15,14 @@ kept that does better on the new model, in trials by which neither was chosen.
 
 from collections.abc import Callable, Mapping, Sequence
 from math import hypot, sqrt
+from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import Estimate, Value
-from equipoise.control.policy import Candidate, LearningPoint, TabularPolicy
+from equipoise.control.policy import Candidate, TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
 from equipoise.identification.closed_loop import ClosedLoopFit, Move, compare, regress
@@ -31,7 +32,7 @@ from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import Pendulum
 from equipoise.runlog import RunLog
 from equipoise.settings import PlantSettings, Settings
-from equipoise.training import judge, train
+from equipoise.training import Report, Selecting, judge, train
 
 Array = npt.NDArray[np.float64]
 
@@ -179,7 +180,10 @@ def retrain(
     episodes: int = EPISODES,
     seed: int = 0,
     workers: int = 1,
-    report: Callable[[LearningPoint], None] = lambda _: None,
+    partial: Path | None = None,
+    report: Report = lambda _: None,
+    selecting: Selecting = lambda _, __: None,
+    done: Callable[[int], None] = lambda _: None,
 ) -> Refinement:
     """Train a policy on for another model, and keep the better of old and new table.
 
@@ -190,7 +194,11 @@ def retrain(
         episodes: How many more.
         seed: Master seed.
         workers: Threads; the result does not depend on it.
+        partial: File for checkpoints of the training, as in `train`.
         report: Called with each new point of the learning curve.
+        selecting: Called as the trials of the final selection finish, as in `train`.
+        done: Called with the number of trials that have just finished in which old and new table
+            are compared; `compared_trials` of them in all.
 
     Returns:
         The policy that was kept, and how both did.
@@ -198,23 +206,32 @@ def retrain(
     new = train(
         pendulum,
         policy.arm,
-        _on(policy.settings, episodes),
+        settings_of_retraining(policy.settings, episodes),
         actuator=actuator,
         seed=seed,
         recipe=policy.recipe,
         warm=policy,
         workers=workers,
+        partial=partial,
         report=report,
+        selecting=selecting,
     )
     old = policy.model_copy(update={"pendulum": pendulum, "actuator": actuator})
-    of_old, of_new = (judge(each, seed=seed + FRESH, workers=workers) for each in (old, new))
+    of_old, of_new = (
+        judge(each, seed=seed + FRESH, workers=workers, done=done) for each in (old, new)
+    )
     if of_new.score > of_old.score:
         return Refinement(new, "new", of_old, of_new)
     return Refinement(old.model_copy(update={"candidates": (of_old,)}), "old", of_old, of_new)
 
 
-def _on(settings: Settings, episodes: int) -> Settings:
-    """Return the settings for so many episodes more."""
+def compared_trials(policy: TabularPolicy) -> int:
+    """Return the number of trials in which `retrain` compares the old and the new table."""
+    return 2 * policy.settings.selection.final_trials
+
+
+def settings_of_retraining(settings: Settings, episodes: int) -> Settings:
+    """Return the settings of a retraining, from those of the training."""
     learning = settings.learning
     changes = {
         "episodes": episodes,
@@ -438,11 +455,7 @@ def _moved_pendulum(known: Pendulum, fit: ClosedLoopFit, moves: Sequence[Move]) 
             found = {"w2": fit.w2, "k": fit.k}
             changes |= {"mass": None, "length": None, "inertia": None}
         else:
-            found = {
-                "c": fit.c.not_negative(),
-                "coulomb": fit.coulomb.not_negative(),
-                "drag": NO_DRAG,
-            }
+            found = {"c": _positive(fit.c), "coulomb": _positive(fit.coulomb), "drag": NO_DRAG}
             changes |= {"friction_model": "coulomb"}
         changes |= {"fit": None, "friction": None, **found}
         for place, name in enumerate(("w2", "c", "coulomb", "drag")):
@@ -450,6 +463,11 @@ def _moved_pendulum(known: Pendulum, fit: ClosedLoopFit, moves: Sequence[Move]) 
                 covariance[place, :] = covariance[:, place] = 0.0
                 covariance[place, place] = _sigma(found[name]) ** 2
     return known.model_copy(update=changes | {"covariance": tuple(map(tuple, covariance.tolist()))})
+
+
+def _positive(estimate: Estimate) -> Estimate:
+    value, low, high = (max(e, 0.0) for e in (estimate.value, *estimate.interval))
+    return Estimate(value=value, low=low, high=high, source=estimate.source)
 
 
 def _moved_actuator(known: Actuator, response: dict[str, Estimate], arm: Arm) -> Actuator:

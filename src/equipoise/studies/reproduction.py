@@ -11,28 +11,36 @@ from its files; nothing is drawn here. The page is made from the folder, by
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from threading import Lock
-from typing import Final, NamedTuple, TypeVar
+from typing import ClassVar, Final, NamedTuple, TypeVar
 
-from equipoise.artefacts import Artefact, StrPath
-from equipoise.control.policy import LearningPoint, TabularPolicy
+from equipoise.artefacts import Artefact, StrPath, Value, partial_path, value_digest
+from equipoise.control.policy import TabularPolicy
 from equipoise.deployment import deploy
-from equipoise.errors import ArmError
-from equipoise.evaluation import evaluate
+from equipoise.errors import ArmError, ArtefactError
+from equipoise.evaluation import Evaluation, evaluate
 from equipoise.identification import identify
 from equipoise.learning.trials import available_cores
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.inertials import link_inertials
+from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
 from equipoise.runlog import RunLog
 from equipoise.settings import Settings, resolve
-from equipoise.studies.compilation import compiling_beside
-from equipoise.studies.gap import gap, train_paper, trials_of
+from equipoise.studies.compilation import (
+    FUNCTIONS,
+    TWIN_FUNCTIONS,
+    compile_training,
+    compile_trials,
+    compiling,
+    compiling_beside,
+)
+from equipoise.studies.gap import gap, paper_settings, train_paper, trials_of
 from equipoise.studies.gap_results import Gap
+from equipoise.studies.progress import Progress, Show, TrainingProgress, counted
 from equipoise.studies.results import (
     EVALUATION,
     GAP,
@@ -48,10 +56,14 @@ from equipoise.studies.results import (
     verdict,
 )
 from equipoise.studies.stand_in import SimulatedSwing, simulated_swing
-from equipoise.training import LEARNERS, train_several
+from equipoise.training import LEARNERS, software, train_several
 from equipoise.trajectory import Trajectory, read_swing, write_swing
 
 T = TypeVar("T")
+S = TypeVar("S", Pendulum, TabularPolicy, Evaluation, RunLog, Gap)
+
+PAPER_POLICY: Final = "paper-policy.json"
+"""Name of the table that the study of the gap trains; only its checkpoints are written."""
 
 COMMAND: Final = "reproduce"
 """What the files say about who made them."""
@@ -75,15 +87,90 @@ QUICK_GAP: Final = (4, 10.0)
 down."""
 
 
-class Progress(NamedTuple):
-    """Where a reproduction stands."""
+SWING_TAKES: Final = 1.0
+IDENTIFY_TAKES: Final = 2.0
+DEPLOY_TAKES: Final = 2.0
+"""Expected duration of stages that do not tell how far they are, on two cores [s]."""
 
-    stage: str
-    """What is being done."""
-    share: float
-    """How much of it is done, 0 to 1."""
-    text: str = ""
-    """What can be told about it."""
+
+class Finished(Value):
+    """A file of a reproduction that is not finished."""
+
+    digest: str
+    """Digest of its value."""
+    inputs: dict[str, str]
+    """Digest of each value it was made from, by name."""
+    wall: float
+    """How long it took [s]."""
+
+
+class UnfinishedReproduction(Artefact):
+    """The stages of a reproduction that are done, while others are not."""
+
+    FORMAT: ClassVar[str] = "equipoise-unfinished-reproduction"
+    VERSION: ClassVar[int] = 1
+
+    deciding: dict[str, str]
+    """What decides about the results, by its name."""
+    finished: dict[str, Finished]
+    """Files that are done, by name."""
+
+
+class Request(NamedTuple):
+    """What decides about the results of a reproduction."""
+
+    swing: Trajectory | None
+    """A recorded free swing; one is simulated where none is given."""
+    arm: Arm
+    """The arm with its home posture."""
+    settings: Settings
+    """Resolved settings."""
+    recipe: str
+    """Name of the settings."""
+    seed: int
+    """Master seed."""
+    quick: bool
+    """Whether a quick look is enough."""
+
+    @property
+    def deciding(self) -> dict[str, str]:
+        """All of it by name, values as digests."""
+        return {
+            "swing": "" if self.swing is None else self.swing.sha256,
+            "arm": self.arm.digest,
+            "settings": value_digest(self.settings),
+            "recipe": self.recipe,
+            "seed": str(self.seed),
+            "--quick": str(self.quick),
+            "version of Equipoise or its libraries": software(),
+        }
+
+
+def unfinished_path(out: Path) -> Path:
+    """Return the path of the file that says what of a reproduction is done."""
+    return partial_path(out / RECORD)
+
+
+def differences(out: Path, request: Request) -> list[str] | None:
+    """Compare a request with the interrupted reproduction in a folder.
+
+    Returns:
+        What differs, by name; none if there is no interrupted reproduction.
+
+    Raises:
+        ArtefactError: The file that says what is done is damaged.
+    """
+    path = unfinished_path(out)
+    if not path.exists():
+        return None
+    found = UnfinishedReproduction.load(path).deciding
+    return [name for name, value in request.deciding.items() if found.get(name) != value]
+
+
+def discard(out: Path) -> None:
+    """Remove what an interrupted reproduction left in order to go on."""
+    for name in (POLICY, PAPER_POLICY, RECORD):
+        partial_path(out / name).unlink(missing_ok=True)
 
 
 class Reproduction(NamedTuple):
@@ -110,9 +197,13 @@ def reproduce(
     seed: int = 0,
     quick: bool = False,
     workers: int | None = None,
-    report: Callable[[Progress], None] = lambda _: None,
+    report: Show = lambda _: None,
+    finish: Callable[[Path], None] = lambda _: None,
 ) -> Reproduction:
     """Run the paper from the swing to a run on the digital twin, and save every value.
+
+    An interrupted reproduction goes on in its folder: stages that are done are read, and a training
+    continues from its checkpoint.
 
     Args:
         out: Folder for the files; it is made if it is missing.
@@ -124,69 +215,130 @@ def reproduce(
         quick: Fewer episodes and trials (`QUICK`).
         workers: Threads; all cores if not given. The results do not depend on it.
         report: Called as the work goes on, also from other threads.
+        finish: Called with the folder when its values are complete; only after it the
+            reproduction counts as finished.
 
     Returns:
         The values, five lines of verdict, and the next command.
 
     Raises:
+        ArtefactError: An interrupted reproduction with another request lies in the folder.
         RecordingError: The swing identifies nothing.
         OutsideError: The disk refuses.
     """
     out = Path(out)
-    settings = resolve(recipe) if settings is None else settings
-    settings = shortened(settings) if quick else settings
+    request = make_request(
+        swing=swing, arm=arm, settings=settings, recipe=recipe, seed=seed, quick=quick
+    )
+    arm, settings = request.arm, request.settings
     workers = available_cores() if workers is None else workers
+    if other := differences(out, request):
+        raise ArtefactError(
+            f"{out} holds an interrupted reproduction with another {' and '.join(other)}; go on "
+            "with what it began with, or give another folder"
+        )
+    finished: dict[str, Finished] = {}
+    if unfinished_path(out).exists():
+        finished |= UnfinishedReproduction.load(unfinished_path(out)).finished
     stages: list[Stage] = []
 
-    def stage(name: str, work: Callable[[], T]) -> T:
-        report(Progress(name, 0.0))
+    def stage(name: str, work: Callable[[], T], expected: float | None = None) -> T:
+        report(Progress(name, expected=expected))
         begin = time.perf_counter()
         value = work()
         stages.append(Stage(name=name, wall=round(time.perf_counter() - begin, 2)))
         report(Progress(name, 1.0))
         return value
 
-    def save(value: Artefact | RunLog, name: str, **inputs: str) -> None:
-        value.save(out / name, command=COMMAND, inputs=inputs)
+    def saved(
+        name: str,
+        file: str,
+        kind: type[S],
+        work: Callable[[], S],
+        expected: float | None = None,
+        **inputs: str,
+    ) -> S:
+        """Run a stage and save its value, or read it if it was done before an interruption."""
+        if (value := _done_before(out / file, kind, finished.get(file), inputs)) is not None:
+            stages.append(Stage(name=name, wall=finished[file].wall))
+            report(Progress(name, 1.0, text="done before the interruption"))
+            return value
+        value = stage(name, work, expected)
+        value.save(out / file, command=COMMAND, inputs=inputs)
+        finished[file] = Finished(digest=value.digest, inputs=inputs, wall=stages[-1].wall)
+        so_far = UnfinishedReproduction(deciding=request.deciding, finished=finished)
+        so_far.save(unfinished_path(out), command=COMMAND)
+        return value
 
     simulated = SimulatedSwing() if swing is None else None
-    given = stage("swing", lambda: swing or simulated_swing(simulated or SimulatedSwing(), seed))
+    given = stage(
+        "swing",
+        lambda: swing or simulated_swing(simulated or SimulatedSwing(), seed),
+        SWING_TAKES,
+    )
     write_swing(out / SWING, given)
     # The file in the folder is what is identified, so that the fit can be drawn over it.
-    saved = replace(read_swing(out / SWING), source=given.source, released=given.released)
-    pendulum = stage("identify", lambda: identify(saved, settings.identification))
-    save(pendulum, PENDULUM, swing=saved.sha256)
-
+    recorded = replace(read_swing(out / SWING), source=given.source, released=given.released)
+    pendulum = saved(
+        "identify",
+        PENDULUM,
+        Pendulum,
+        lambda: identify(recorded, settings.identification),
+        IDENTIFY_TAKES,
+        swing=recorded.sha256,
+    )
     # Where nothing is selected, there is nothing to select the best of several by.
     learners = 1 if quick or settings.selection.every == 0 else LEARNERS
-    policy = stage(
-        "train",
-        lambda: train_several(
+
+    def learn() -> TabularPolicy:
+        progress = TrainingProgress(settings, learners, report)
+        return train_several(
             pendulum,
-            iiwa(7) if arm is None else arm,
+            arm,
             settings,
             learners=learners,
             seed=seed,
             recipe=recipe,
             workers=workers,
-            report=_learning(settings, learners, report),
-        )[0],
-    )
-    save(policy, POLICY, pendulum=pendulum.digest)
+            partial=partial_path(out / POLICY),
+            report=progress.report,
+            selecting=progress.selecting,
+        )[0]
+
+    if POLICY not in finished:
+        with compiling(report, FUNCTIONS):
+            compile_training(arm, settings)
+    policy = saved("train", POLICY, TabularPolicy, learn, pendulum=pendulum.digest)
     # The policy and four yardsticks run the same trials.
-    tested = _counted("evaluate", 5 * settings.evaluation.trials, report)
-    evaluation = stage(
+    tested = counted("evaluate", 5 * settings.evaluation.trials, report)
+    evaluation = saved(
         "evaluate",
+        EVALUATION,
+        Evaluation,
         lambda: evaluate(policy, seed=seed, workers=workers, done=tested),
+        policy=policy.digest,
     )
-    save(evaluation, EVALUATION, policy=policy.digest)
-    world = TWIN if _has_twin(policy.arm) else MODEL
-    run = stage("deploy", lambda: deploy(policy, world=world, seed=seed))
-    save(run, RUN, policy=policy.digest)
+    world = TWIN if _has_twin(arm) else MODEL
+    if world == TWIN and not {RUN, GAP} <= finished.keys():
+        with compiling(report, TWIN_FUNCTIONS, "compile twin"):
+            compile_trials(policy, world)
+    run = saved(
+        "deploy",
+        RUN,
+        RunLog,
+        lambda: deploy(policy, world=world, seed=seed),
+        DEPLOY_TAKES,
+        policy=policy.digest,
+    )
     study = None
     if world == TWIN and policy.actuator.kind != "ideal":
-        study = stage("gap", lambda: _short_gap(policy, seed, workers, quick, report))
-        save(study, GAP, policy=policy.digest)
+        study = saved(
+            "gap",
+            GAP,
+            Gap,
+            lambda: _short_gap(out, policy, seed, workers, quick, report),
+            policy=policy.digest,
+        )
 
     record = Record(
         quick=quick,
@@ -199,16 +351,52 @@ def reproduce(
         files={},
         stages=tuple(stages),
     )
-    results = Results(record, saved, pendulum, policy, evaluation, run, study)
+    results = Results(record, recorded, pendulum, policy, evaluation, run, study)
     record = record.model_copy(update={"files": dict(digests(results))})
-    save(record, RECORD, **record.files)
+    record.save(out / RECORD, command=COMMAND, inputs=record.files)
     results = results._replace(record=record)
+    finish(out)
+    discard(out)
     return Reproduction(
         out=out,
         results=results,
         verdict=verdict(results),
         next_command=_next_command(out / POLICY, results),
     )
+
+
+def make_request(
+    *,
+    swing: Trajectory | None,
+    arm: Arm | None,
+    settings: Settings | None,
+    recipe: str,
+    seed: int,
+    quick: bool,
+) -> Request:
+    """Return what decides about a reproduction, the defaults filled in; as in `reproduce`."""
+    settings = resolve(recipe) if settings is None else settings
+    return Request(
+        swing=swing,
+        arm=iiwa(7) if arm is None else arm,
+        settings=shortened(settings) if quick else settings,
+        recipe=recipe,
+        seed=seed,
+        quick=quick,
+    )
+
+
+def _done_before(
+    path: Path, kind: type[S], finished: Finished | None, inputs: Mapping[str, str]
+) -> S | None:
+    """Read a file that an interrupted reproduction finished; none if it has to be made."""
+    if finished is None or finished.inputs != inputs:
+        return None
+    try:
+        value = kind.load(path)
+    except ArtefactError:  # it was deleted or damaged since
+        return None
+    return value if value.digest == finished.digest else None
 
 
 def shortened(settings: Settings) -> Settings:
@@ -220,26 +408,6 @@ def shortened(settings: Settings) -> Settings:
     return Settings.model_validate(tree)
 
 
-def _learning(
-    settings: Settings, learners: int, report: Callable[[Progress], None]
-) -> Callable[[int, LearningPoint], None]:
-    begin, total = time.perf_counter(), learners * settings.learning.episodes
-    points: dict[int, LearningPoint] = {}
-
-    def tell(learner: int, point: LearningPoint) -> None:
-        points[learner] = point
-        newest = tuple(points.values())
-        episodes = sum(p.episodes for p in newest)
-        speed = sum(p.steps for p in newest) / max(time.perf_counter() - begin, 1e-6)
-        text = f"{episodes:,} episodes, {speed:,.0f} steps/s"
-        screened = [p.survival for p in newest if p.survival is not None]
-        if screened:
-            text += f", {100.0 * sum(screened) / len(screened):.0f} % of the trials last"
-        report(Progress("train", episodes / total, text))
-
-    return tell
-
-
 def _has_twin(arm: Arm) -> bool:
     try:
         link_inertials(arm)
@@ -249,37 +417,36 @@ def _has_twin(arm: Arm) -> bool:
 
 
 def _short_gap(
+    out: Path,
     policy: TabularPolicy,
     seed: int,
     workers: int,
     quick: bool,
-    report: Callable[[Progress], None],
+    report: Show,
 ) -> Gap:
     trials, duration = QUICK_GAP if quick else (None, None)
     total = trials_of(TWIN, quick=True, trials=trials)
+    progress = TrainingProgress(paper_settings(quick=True), 1, report, "paper")
+    paper_policy = train_paper(
+        policy,
+        quick=True,
+        seed=seed,
+        workers=workers,
+        partial=partial_path(out / PAPER_POLICY),
+        report=lambda point: progress.report(0, point),
+        selecting=lambda done, of: progress.selecting(0, done, of),
+    )
     return gap(
         policy,
         world=TWIN,
-        paper_policy=train_paper(policy, quick=True, seed=seed, workers=workers),
+        paper_policy=paper_policy,
         trials=trials,
         duration=duration,
         quick=True,
         seed=seed,
         workers=workers,
-        done=_counted("gap", total, report),
+        done=counted("gap", total, report),
     )
-
-
-def _counted(stage: str, total: int, report: Callable[[Progress], None]) -> Callable[[int], None]:
-    # Trials report from their own threads.
-    lock, so_far = Lock(), [0]
-
-    def tell(finished: int) -> None:
-        with lock:
-            so_far[0] += finished
-            report(Progress(stage, min(so_far[0] / total, 1.0), f"{so_far[0]} trials"))
-
-    return tell
 
 
 def _next_command(policy: Path, results: Results) -> str:

@@ -17,6 +17,7 @@ import atexit
 import functools
 import importlib
 import importlib.util
+import logging
 import re
 import shutil
 import sys
@@ -25,7 +26,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from equipoise.artefacts import write_whole
-from equipoise.compiled import cache_directory, cache_folder, warn_of_cache
+from equipoise.compiled import cache_directory
 from equipoise.errors import OutsideError
 from equipoise.model.arms.arm import (
     BIAS,
@@ -40,6 +41,8 @@ from equipoise.model.arms.arm import (
 from equipoise.model.arms.chain import Floats, links
 from equipoise.model.arms.symbols import Symbol, Tape, Vector
 from equipoise.model.elementary import LANES
+
+logger = logging.getLogger(__name__)
 
 COMMITTED: Final = ("iiwa7", "iiwa14")
 """Names of the arms whose modules are part of the package."""
@@ -173,15 +176,11 @@ def load(arm: Arm) -> KinematicsFunction:
             return module.kinematics
     name = f"{arm.geometry_digest.removeprefix('sha256:')}.py"
     text = source(arm)
-    room = cache_folder("arms")
-    if room is not None:
-        try:
-            _write(room / name, text)
-        except OutsideError as error:
-            warn_of_cache(cache_directory(), str(error))
-            room = None
-    if room is None:
-        room = _instead_of_cache()
+    room = cache_directory() / "arms"
+    try:
+        _write(room / name, text)
+    except OutsideError:
+        room = _instead_of(room)
         _write(room / name, text)
     return _imported(room / name).kinematics
 
@@ -196,8 +195,13 @@ def _write(path: Path, text: str) -> None:
 
 
 @functools.cache
-def _instead_of_cache() -> Path:
+def _instead_of(room: Path) -> Path:
     """Return a folder that lasts as long as the process."""
+    logger.warning(
+        "cannot write %s: the kinematics of the arm is generated anew in each process; "
+        "set EQUIPOISE_CACHE_DIR to a folder that can be written",
+        room,
+    )
     folder = Path(tempfile.mkdtemp(prefix="equipoise-arms-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder

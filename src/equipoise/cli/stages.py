@@ -1,0 +1,169 @@
+"""Stages of a verb: a bar with an expected end while each is under way, one line when it is done.
+
+There is one live display, on stderr. Where stderr is no terminal, a stage writes its one line when
+it is done, and a long one a line every 30 s before that.
+"""
+
+import time
+from collections.abc import Iterable, Mapping
+from threading import Lock
+from typing import TYPE_CHECKING, Final
+
+from rich.console import Console, RenderableType
+from rich.padding import Padding
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Column
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from equipoise.studies.progress import Progress as Reported
+
+LINE_EVERY: Final = 30.0
+"""Minimum time between two lines of one stage where there is no terminal [s]."""
+NEARLY: Final = 0.97
+"""Maximum share that a bar shows before its stage is done."""
+MARGIN: Final = 3
+"""Columns at the right that stay free: the `^C` that a terminal echoes there wraps no line."""
+NAME: Final = 12
+"""Width of a stage's name, in columns."""
+
+
+class _Stage:
+    """One stage: its last report, and the times that belong to it."""
+
+    def __init__(self, reported: "Reported") -> None:
+        self.now, self.first = reported, reported.completed
+        self.begin = self.told = time.monotonic()
+        self.done = False
+
+    @property
+    def took(self) -> float:
+        """Time since the beginning [s]."""
+        return time.monotonic() - self.begin
+
+    @property
+    def share(self) -> float:
+        """Share that is shown while the stage is under way."""
+        by_time = self.took / self.now.expected if self.now.expected else 0.0
+        return min(max(self.now.share, by_time), NEARLY)
+
+    @property
+    def text(self) -> str:
+        """State of the stage, with its count."""
+        completed, total, unit = self.now.completed, self.now.total, self.now.unit
+        count = f"{completed:,.0f} of {total:,.0f} {unit}" if unit else ""
+        return ", ".join(part for part in (count, self.now.text) if part)
+
+    @property
+    def line(self) -> str:
+        """Line of a stage that is under way, where there is no terminal."""
+        left, more = "", self.now.completed - self.first
+        if more > 0.0:
+            left = f", about {self.took / more * (self.now.total - self.now.completed):.0f} s left"
+        return f"  {self.now.stage:<{NAME}} {100.0 * self.share:7.0f} %  {self.text}{left}"
+
+    @property
+    def last_line(self) -> str:
+        """Line of a stage that is done."""
+        what = f"{self.now.total:,.0f} {self.now.unit}" if self.now.unit else self.now.text
+        return f"  {self.now.stage:<{NAME}} {self.took:7.1f} s  {what}".rstrip()
+
+
+class Stages:
+    """The stages of a verb that are under way, any number of them side by side."""
+
+    def __init__(self, console: Console, *, quiet: bool, redirect: bool) -> None:
+        """Show them on a console.
+
+        Args:
+            console: Where to.
+            quiet: Write no lines where it is no terminal.
+            redirect: Send through it what is printed on stdout meanwhile.
+        """
+        self._console, self._quiet = console, quiet and not console.is_terminal
+        self._stages: dict[str, _Stage] = {}
+        self._bars = _Bars(self._stages, console, redirect) if console.is_terminal else None
+        self._lock = Lock()
+
+    def __enter__(self) -> "Stages":
+        """Begin to show."""
+        if self._bars is not None:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Take the bars away; the lines stay."""
+        if self._bars is not None:
+            self._bars.clear()
+            self._bars.stop()
+
+    def show(self, reported: "Reported") -> None:
+        """Show what a study reports: a new stage begins, a complete one ends."""
+        with self._lock:
+            name = reported.stage
+            if name not in self._stages:
+                self._stages[name] = _Stage(reported)
+                if self._bars is not None:
+                    self._bars.add(name)
+            stage = self._stages[name]
+            if stage.done:
+                return
+            stage.now = reported
+            if stage.now.share >= 1.0:
+                stage.done = True
+                if self._bars is not None:
+                    self._bars.drop(name)
+                self._write(stage.last_line)
+            elif self._bars is None and time.monotonic() - stage.told >= LINE_EVERY:
+                stage.told = time.monotonic()
+                self._write(stage.line)
+
+    def _write(self, line: str) -> None:
+        if not self._quiet:
+            self._console.print(Text(line, style="dim"), soft_wrap=True)
+
+
+class _Bars(Progress):
+    """The live display."""
+
+    def __init__(self, stages: Mapping[str, _Stage], console: Console, redirect: bool) -> None:
+        """Draw stages, as they are at each refresh."""
+        self._stages, self._rows = stages, dict[str, TaskID]()
+        super().__init__(
+            TextColumn("  {task.description}", markup=False, table_column=Column(min_width=NAME)),
+            BarColumn(bar_width=None, table_column=Column(ratio=1, min_width=8)),
+            TextColumn("{task.percentage:3.0f} %"),
+            TimeRemainingColumn(compact=True),
+            TextColumn(
+                "{task.fields[text]}",
+                markup=False,
+                table_column=Column(no_wrap=True, overflow="ellipsis"),
+            ),
+            console=console,
+            transient=True,
+            expand=True,
+            redirect_stdout=redirect,
+        )
+
+    def add(self, name: str) -> None:
+        """Add the bar of a stage."""
+        self._rows[name] = self.add_task(name, total=1.0, text="")
+
+    def drop(self, name: str) -> None:
+        """Remove the bar of a stage."""
+        with self._lock:
+            self.remove_task(self._rows.pop(name))
+
+    def clear(self) -> None:
+        """Remove all bars: an interruption leaves some."""
+        for name in list(self._rows):
+            self.drop(name)
+        self.refresh()
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """Yield what is drawn."""
+        with self._lock:
+            for name, row in self._rows.items():
+                stage = self._stages[name]
+                self.update(row, completed=stage.share, text=stage.text)
+            yield from (Padding(drawn, (0, MARGIN, 0, 0)) for drawn in super().get_renderables())
