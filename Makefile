@@ -9,7 +9,7 @@ COVERING = $(patsubst %,tests/control/test_%.py,safety guards gaps states stop r
            tests/devices/kuka/test_codec.py tests/devices/encoder/test_codec.py
 
 .DEFAULT_GOAL := help
-.PHONY: help install check lint quick plain cover test slow generated demo bench
+.PHONY: help install check lint quick plain cover test slow generated pictures demo bench
 
 help:  ## list these words
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -44,6 +44,9 @@ slow:  ## the full statistics
 
 generated:  ## write the kinematics of the iiwas again; git must see no difference
 	$(PYTHON) -m equipoise.model.arms.compiler
+
+pictures:  ## make the pictures of README and documents again, in a minute
+	$(PYTHON) docs/figures/make.py
 
 demo:  ## a first look at the whole paper, in a minute
 	$(PYTHON) -m equipoise reproduce --quick

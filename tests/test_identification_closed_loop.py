@@ -70,10 +70,14 @@ def test_two_logs_of_one_cart_pole_give_one_pendulum(recordings):
     assert disturbed.k.low <= rtc.k.value <= disturbed.k.high
 
 
-def test_phi_and_x_in_opposite_directions_are_refused(recordings):
-    time, phi, x = cart_pole(recordings, "rtc")
-    with pytest.raises(RecordingError, match="negate one of them"):
-        regress(time, phi, -x, tied=False)
+@pytest.mark.parametrize("tied", [True, False])
+@pytest.mark.parametrize("signs", [(1.0, -1.0), (-1.0, 1.0)], ids=["x", "encoder"])
+def test_phi_and_x_in_opposite_directions_are_refused_by_name(recordings, signs, tied):
+    for time, phi, x in (cart_pole(recordings, "rtc"), balancing(0, duration=20.0)):
+        with pytest.raises(RecordingError, match="opposite directions.*sign of x, or that of the"):
+            regress(time, signs[0] * phi, signs[1] * x, tied=tied)
+        # Both at once is the same pendulum, seen from behind.
+        regress(time, -phi, -x, tied=tied)
 
 
 # Known truths, integrated by SciPy: a hanging pendulum on a pivot that is shaken.

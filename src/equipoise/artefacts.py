@@ -114,6 +114,11 @@ class Estimate(Value):
         """The 95 % interval."""
         return self.low, self.high
 
+    def not_negative(self) -> "Estimate":
+        """Return the estimate of a quantity that cannot be negative, cut at 0."""
+        ends = {name: max(getattr(self, name), 0.0) for name in ("value", "low", "high")}
+        return self.model_copy(update=ends)
+
 
 class Provenance(Value):
     """Where a file comes from."""

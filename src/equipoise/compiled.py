@@ -6,8 +6,9 @@ gives equal bits; and cached on disk.
 
 Numba's own cache looks at the file of a kernel only, while a kernel also contains the code of the
 kernels that it calls. Ours is keyed by a digest of *all* files that hold kernels, lies in the
-user's cache directory (`EQUIPOISE_CACHE_DIR` moves it), and where that is not writable the kernels
-compile anew in each process, after one warning.
+user's cache directory (`EQUIPOISE_CACHE_DIR` moves it). Cached code is run when it is loaded: a
+folder in which others may write is not used (`equipoise.private_folder`). There, and where nothing
+can be written, the kernels compile anew in each process, after one warning.
 
 `@compilable` leaves a function to Python and lets kernels call it.
 
@@ -22,13 +23,16 @@ import logging
 import os
 import tempfile
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
 import platformdirs
 from numba.core import caching, config, event
+
+from equipoise.printable import printable
+from equipoise.private_folder import make_private_folder, writable_by_others
 
 logger = logging.getLogger(__name__)
 
@@ -56,20 +60,40 @@ def kernel_sources_digest() -> str:
 
 
 @functools.cache
-def _machine_code_directory() -> Path | None:
-    path = cache_directory() / "kernels" / kernel_sources_digest()
+def _usable(folder: Path, contents: bool) -> bool:
+    """Return whether a cache folder can be written, by this user alone; it is made if missing."""
     try:
-        path.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=path).close()
+        make_private_folder(folder)
+        tempfile.TemporaryFile(dir=folder).close()
+        problem = writable_by_others(folder, contents=contents)
     except OSError as error:
-        logger.warning(
-            "cannot write %s (%s): kernels are compiled anew in each process; "
-            "set EQUIPOISE_CACHE_DIR to a folder that can be written",
-            path,
-            error.strerror,
-        )
-        return None
-    return path
+        problem = f"cannot write {folder}: {error.strerror or error}"
+    if problem:
+        warn_of_cache(cache_directory(), problem)
+    return not problem
+
+
+@functools.cache
+def warn_of_cache(cache: Path, problem: str) -> None:
+    """Warn of a problem with the cache, once."""
+    logger.warning(
+        "the cache %s is not used: %s. Code is compiled anew in each process; set "
+        "EQUIPOISE_CACHE_DIR to a folder of your own that can be written",
+        printable(str(cache)),
+        printable(problem),
+    )
+
+
+def cache_folder(*names: str) -> Path | None:
+    """Return a folder of the cache; none where it cannot be used, after a warning."""
+    top = cache_directory()
+    folder = top.joinpath(*names)
+    return folder if _usable(top, False) and _usable(folder, True) else None
+
+
+@functools.cache
+def _machine_code_directory() -> Path | None:
+    return cache_folder("kernels", kernel_sources_digest())
 
 
 def cache_is_empty() -> bool:
@@ -127,6 +151,23 @@ class _CacheImpl(caching.CompileResultCacheImpl):
 
 class _KernelCache(caching.FunctionCache):
     _impl_class = _CacheImpl
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return machine code from the cache; none where its file is damaged."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:  # a damaged pickle fails in any way there is
+            logger.debug("damaged file in the cache: %r", error)
+            with suppress(OSError):
+                self.flush()  # or the new code could not be added
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Write machine code to the cache; go on without, where the disk is full."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            warn_of_cache(cache_directory(), f"the disk takes no more ({error.strerror})")
 
 
 def _cached(compiled: Any) -> None:

@@ -1,6 +1,7 @@
 """The command as a whole: help, version, first words, and what a shell sees."""
 
 import json
+import os
 import subprocess
 import sys
 from importlib.metadata import version
@@ -122,3 +123,34 @@ def test_the_reference_page_has_every_option():
         }
         assert "--json" in options
         assert {option for option in options if f"`{option}`" not in sections[verb]} == set()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits on the address space")
+def test_little_address_space_is_refused_in_one_sentence(swing):
+    import resource
+
+    def limited():
+        resource.setrlimit(resource.RLIMIT_AS, (600 * 2**20,) * 2)
+
+    ran = subprocess.run(
+        [sys.executable, "-m", "equipoise", "identify", str(swing)],
+        preexec_fn=limited,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 3
+    assert "limited to 600 MiB, expected 1024 MiB or more" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+def test_a_backend_that_does_not_exist_does_not_keep_figures_from_being_drawn():
+    code = "import equipoise.report.style, matplotlib.figure, os; print(os.environ['MPLBACKEND'])"
+    ran = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"MPLBACKEND": "klingon"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ran.returncode, ran.stdout) == (0, "klingon\n"), ran.stderr

@@ -116,7 +116,7 @@ def test_json_is_one_object_with_a_point_for_each_condition(
     assert late[0]["interval_s"][0] < late[0]["mean_s"] < late[0]["interval_s"][1]
     assert late[0]["track_share"] == 0.5
     assert late[0]["causes"] == {"track": 20, "angle": 20}
-    assert len(found["words"]) == 9
+    assert len(found["words"]) == 10
 
 
 @pytest.mark.parametrize("damage", DAMAGE)

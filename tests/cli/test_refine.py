@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from equipoise.artefacts import Estimate
+from equipoise.cli.output import measured
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.deployment import deploy
 from equipoise.model.actuator import Actuator
@@ -146,3 +147,20 @@ def test_what_cannot_be_compared_is_refused(refused, policy_file, run_file, smal
     refused("refine", policy_file, "other.mcap", saying="was on an iiwa14")
     cut(run_file)
     refused("refine", policy_file, run_file, saying="cut short")
+
+
+@pytest.mark.parametrize(
+    ("estimate", "words"),
+    [
+        ((-0.05, -0.12, 0.02), "not distinguishable from 0 1/s  (95 %: below 0.02)"),
+        ((0.0, 0.0, 0.03), "not distinguishable from 0 1/s  (95 %: below 0.03)"),
+        ((0.02, -0.01, 0.05), "0.020 1/s  (95 %: 0.000 to 0.050)"),
+        ((0.15, 0.13, 0.17), "0.150 1/s  (95 %: 0.130 to 0.170)"),
+        ((-0.5, -0.6, -0.4), "-0.5 1/s, which cannot be: the model does not fit"),
+    ],
+)
+def test_no_quantity_that_cannot_be_negative_is_printed_so(estimate, words):
+    value, low, high = estimate
+    told = Estimate(value=value, low=low, high=high, source="identified")
+    assert measured(told, "1/s") == words
+    assert min(told.not_negative().interval) >= 0.0

@@ -169,7 +169,7 @@ def run(of, lasted=60.0, cause="lasted", world=MODEL):
             arm=of.arm.name,
             joints=tuple(joint.name for joint in of.arm.joints),
             held_joint=of.arm.held_joint,
-            pendulum={"w2": 68.0, "k": 6.93, "c": 0.17, "coulomb": 0.0, "drag": 0.0},
+            pendulum={"w2": 68.0, "k": 6.93, "c": 0.17, "coulomb": 0.1, "drag": 0.0},
             start=(0.0, 0.0, 0.03, 0.2),
             h=0.01,
             duration=60.0,

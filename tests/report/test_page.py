@@ -1,7 +1,10 @@
 """The page: every part of the story, nothing fetched, nothing let through unescaped."""
 
 import re
+import sys
+from base64 import b64encode
 from contextlib import nullcontext
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -14,6 +17,8 @@ from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.report.choices import chapters, departures
 from equipoise.report.markup import Missing, paragraph
 from equipoise.report.page import DRAWINGS, PAGE, build, drawings, page
+from equipoise.report.page import FILM as FILM_FILE
+from equipoise.report.pictures import Animation, animation, strip
 from equipoise.runlog import read_header
 from equipoise.settings import RECIPES, Settings, resolve
 from equipoise.studies import results as files
@@ -23,8 +28,9 @@ from tests.report import made_up
 
 HOSTILE = "<script>alert('x')</script>&.csv"
 SVG = '<svg xmlns="http://www.w3.org/2000/svg"/>'
+FILM = Animation(b"moving", b"still")
 PICTURES = dict.fromkeys(drawings(made_up.results()), SVG)
-EMPTY = {"meta", "img", "br", "path", "rect", "circle", "link", "input"}
+EMPTY = {"meta", "img", "source", "br", "path", "rect", "circle", "link", "input"}
 SECTIONS = (
     "Verdict",
     "What this is",
@@ -68,8 +74,8 @@ class Reader(HTMLParser):
         return " ".join(" ".join(self.words).replace("\N{NO-BREAK SPACE}", " ").split())
 
 
-def made(pictures=PICTURES, **changes):
-    return page(made_up.results(**changes), pictures, made_up.PROVENANCE)
+def made(pictures=PICTURES, film=FILM, **changes):
+    return page(made_up.results(**changes), pictures, film, made_up.PROVENANCE)
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +85,14 @@ def plain():
 
 def test_the_story_is_told_in_its_order(plain):
     assert tuple(re.findall("<h2>(.*)</h2>", plain)) == SECTIONS
-    links = [v for _, name, v in Reader(plain).attributes if name == "href"]
-    anchors = [v for tag, name, v in Reader(plain).attributes if (tag, name) == ("section", "id")]
-    assert links == [f"#{anchor}" for anchor in anchors]
+    attributes = Reader(plain).attributes
+    links = [v for _, name, v in attributes if name == "href"]
+    anchors = [v for tag, name, v in attributes if (tag, name) == ("section", "id")]
+    assert links[: len(anchors)] == [f"#{anchor}" for anchor in anchors]
+    # The others open a figure and close it again.
+    places = [v for _, name, v in attributes if name == "id"]
+    assert len(set(places)) == len(places)
+    assert sorted(links) == sorted(f"#{place}" for place in places)
 
 
 def test_nothing_is_fetched_and_no_script_runs(plain):
@@ -90,7 +101,7 @@ def test_nothing_is_fetched_and_no_script_runs(plain):
     for _, name, value in reader.attributes:
         assert not name.startswith("on")
         if name in ("src", "href", "srcset", "action"):
-            assert value.startswith(("data:image/svg+xml;base64,", "#"))
+            assert value.startswith(("data:image/", "#"))
     assert "http" not in plain.lower()
     assert "url(" not in plain
     assert "@import" not in plain
@@ -100,17 +111,26 @@ def test_every_figure_is_there_once_with_words_for_those_who_cannot_see_it(plain
     for changes in ({}, {"world": MODEL}, {"recipe": "paper"}):
         reader = Reader(made(**changes) if changes else plain)
         expected = len(drawings(made_up.results(**changes)))
-        assert reader.tags.count("img") == expected
+        assert reader.tags.count("img") == expected + 1
         alt = [value for tag, name, value in reader.attributes if (tag, name) == ("img", "alt")]
-        assert len(alt) == expected
+        assert len(alt) == expected + 1  # the film
         assert all(len(words) > 20 for words in alt)
     assert len(PICTURES) == len(DRAWINGS) + 2  # the encoder's zero, and the gap
 
 
+def test_the_film_plays_in_the_page_but_not_for_those_who_asked_for_less_motion(plain):
+    moving, still = (f"data:image/webp;base64,{b64encode(part).decode()}" for part in FILM)
+    attributes = Reader(plain).attributes
+    assert ("img", "src", moving) in attributes
+    wanted = attributes.index(("source", "media", "(prefers-reduced-motion: reduce)"))
+    assert attributes[wanted + 1] == ("source", "srcset", still)
+
+
 def test_a_figure_that_could_not_be_drawn_says_why_in_its_place():
-    lost = PICTURES | {"figure-3-frames": Missing("cannot draw <pictures>; install EGL")}
-    reader = Reader(made(lost))
+    why = Missing("cannot draw <pictures>; install EGL")
+    reader = Reader(made(PICTURES | {"figure-3-frames": why}, why))
     assert reader.tags.count("img") == len(PICTURES) - 1
+    assert "Here should be: moving pictures of the arm" in reader.text
     assert "Here should be: frames of the run" in reader.text
     assert "It is missing: cannot draw <pictures>; install EGL." in reader.text
 
@@ -129,6 +149,9 @@ def test_the_verdict_has_five_lines_and_says_that_it_is_simulation(plain):
     verdict = plain.split('<ol class="verdict">')[1].split("</ol>")[0]
     assert verdict.count("<li>") == 5
     words = Reader(plain).text
+    first = plain.split('class="tile"><b>')[1]
+    # All eight trials of the short study of the gap, at the twin's own delay, by its rule.
+    assert first.startswith("8 of 8</b><span>trials stood 20 s on the digital twin twin:nominal-3;")
     assert "18 of 20" in words
     # Clopper-Pearson for 18 of 20, from any table: 68.3 to 98.8 %.
     assert "68.3 % to 98.8 %" in words
@@ -151,6 +174,7 @@ def test_the_twin_is_described_with_what_it_has_and_has_not(plain):
         "not the authors' robot",
         "error of the encoder's zero unknown −0.11°",
         "Mass of the pendulum, unknown to the drive",  # from the docstrings of its numbers
+        "The world that ran: twin:nominal-3",
     ):
         assert claim in words, claim
 
@@ -179,8 +203,22 @@ def test_a_policy_of_the_paper_has_no_cures_and_the_page_says_so():
 def test_the_gap_is_told_as_a_short_form_in_its_own_words(plain):
     words = Reader(plain).text
     assert "a short form of that study, 8 trials of 20 s at each point" in words
-    for line in gap_words(made_up.results().gap):
+    conclusion, *_ = lines = gap_words(made_up.results().gap)
+    assert conclusion.startswith("In short: on twin:nominal-3")
+    assert plain.count(f'<p class="conclusion">{conclusion}</p>') == 1
+    for line in lines:
         assert Reader(paragraph(line)).text in words
+
+
+def test_angles_are_written_alike_everywhere(plain):
+    shown = Reader(re.sub("<code>.*?</code>", "", plain)).text
+    assert not re.findall(r"\b(?:deg|phi|theta)\b|\d degrees?\b", shown)
+    assert "|φ| up to 2.9 of 11°" in shown
+
+
+def test_a_table_that_is_wide_names_its_columns_in_its_cells(plain):
+    assert '<td data-label="95 % interval">' in plain
+    assert 'data-label="time [s]"' not in plain  # two columns fit everywhere
 
 
 def test_departures_are_those_of_the_settings(plain):
@@ -306,7 +344,20 @@ def folder(tmp_path_factory):
     return out
 
 
-def test_the_page_is_built_from_the_folder_alone(folder):
+def sketched(figure, stem):
+    files = [stem.with_name(f"{stem.name}.{ending}") for ending in ("svg", "png")]
+    for file in files:
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(SVG)
+    return files
+
+
+def test_the_page_is_built_from_the_folder_alone(folder, monkeypatch):
+    # Every figure has its own tests; here they are drawn, but not rendered.
+    monkeypatch.setattr("equipoise.report.page.save", sketched)
+    monkeypatch.setattr(sys.modules[strip.__module__], "FRAME", (64, 64))
+    small = partial(animation, size=(96, 96), seconds=0.3)
+    monkeypatch.setattr("equipoise.report.page.animation", small)
     told = []
     path = build(folder, lambda name, share: told.append((name, share)))
     assert path == folder / PAGE
@@ -314,7 +365,7 @@ def test_the_page_is_built_from_the_folder_alone(folder):
     Reader(text)
     assert folder.parent.name not in text  # no path of this machine
     assert sorted(p.name for p in (folder / "figures").iterdir()) == sorted(
-        f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg")
+        [FILM_FILE, *(f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg"))]
     )
     shares = [share for _, share in told]
     assert shares == sorted(shares)
@@ -322,17 +373,11 @@ def test_the_page_is_built_from_the_folder_alone(folder):
 
 
 def test_a_machine_without_opengl_gets_the_rest(folder, tmp_path, monkeypatch):
-    def fails(run, arm):
+    def fails(run, arm, report=None):
         raise OutsideError("cannot draw pictures; install EGL")
 
-    def sketched(figure, stem):
-        files = [stem.with_name(f"{stem.name}.{ending}") for ending in ("svg", "png")]
-        for file in files:
-            file.parent.mkdir(exist_ok=True)
-            file.write_text(SVG)
-        return files
-
     monkeypatch.setattr("equipoise.report.page.strip", fails)
+    monkeypatch.setattr("equipoise.report.page.animation", fails)
     monkeypatch.setattr("equipoise.report.page.save", sketched)
     copied(folder, tmp_path)
     text = build(tmp_path).read_text(encoding="utf-8")

@@ -1,27 +1,33 @@
 """Pictures: everything is where the arm and the angle say, in the frame, and in the file."""
 
 import dataclasses
+import io
 import itertools
 import sys
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL import Image
 
 from equipoise import paper
 from equipoise.errors import ArmError, ArtefactError, MissingExtraError, OutsideError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
 from equipoise.model.arms.scene import SIZES
-from equipoise.report.pictures import frames, rendering, strip, video, write_video
+from equipoise.report.pictures import animation, frames, rendering, strip, video, write_video
+from equipoise.report.pictures.film import BAR, FPS
 from equipoise.report.pictures.moments import moments
-from equipoise.report.pictures.stage import WALL, stage
-from equipoise.report.style import to_png
+from equipoise.report.pictures.stage import stage
+from equipoise.report.pictures.strip import key_moments
 from equipoise.runlog import RunLog, Stream, Truth
 from tests.report import made_up
 
 ARM = iiwa(7)
 SIZE = (240, 270)
+strip_module = sys.modules[key_moments.__module__]  # its function has the same name
+U_AT_50 = "u = −2.0 m/s²"
+"""Command of the made-up run at 0.5 s."""
 
 
 @pytest.fixture(scope="module")
@@ -40,12 +46,13 @@ def at(x, arm=ARM):
 
 
 def pixels(picture, colour):
-    """Rows and columns of what is blue, or vermilion; light and shade change the rest."""
+    """Rows and columns of what is blue, vermilion or green; light and shade change the rest."""
     red, green, blue = np.moveaxis(picture.astype(int), 2, 0)
     return np.nonzero(
         {
             "blue": (blue > red + 60) & (blue > green + 30),
             "vermilion": (red > green + 60) & (green < 0.5 * red),
+            "green": (green > red + 40) & (green > blue + 15),
         }[colour]
     )
 
@@ -84,44 +91,76 @@ def test_the_pendulum_is_seen_where_the_arm_carries_it(canvas, x, phi):
     assert np.mean(columns[tip]) == pytest.approx(column, abs=2.0)
 
 
-def test_the_pendulum_leans_to_the_side_where_phi_is_positive(canvas):
-    left, right = frames(ARM, at([0.0, 0.0]), np.array([0.1, -0.1]), size=SIZE)
-    camera = stage(ARM, SIZE).camera
-    # The camera looks back at the arm: +x is on the left.
-    assert camera.pixel(np.array([0.1, 0.7, 0.5])) < camera.pixel(np.array([-0.1, 0.7, 0.5]))
-    assert np.mean(pixels(left, "blue")[1]) < np.mean(pixels(right, "blue")[1]) - 3.0
+def test_x_and_phi_are_positive_to_the_right(canvas):
+    right, left = frames(ARM, at([0.1, -0.1]), np.array([0.1, -0.1]), size=SIZE)
+    assert np.mean(pixels(right, "blue")[1]) > np.mean(pixels(left, "blue")[1]) + 10.0
+    right, left = frames(ARM, at([0.0, 0.0]), np.array([0.1, -0.1]), size=SIZE)
+    assert np.mean(pixels(right, "blue")[1]) > np.mean(pixels(left, "blue")[1]) + 2.0
 
 
-def test_the_posts_stand_where_the_track_ends(canvas):
+def test_an_arrow_is_as_long_as_u_and_points_where_it_pushes(canvas):
+    u = np.array([2.0, -2.0, 1.0])
+    pictures = list(frames(ARM, at([0.0] * 3), np.zeros(3), u, size=SIZE))
+    camera, pivot = stage(ARM, SIZE).camera, pivot_at(at([0.0])[0])
+    for picture, push in zip(pictures, u, strict=True):
+        columns = pixels(picture, "green")[1]
+        ends = [camera.pixel(pivot + np.array([0.1 * far, 0.0, -0.09]))[0] for far in (0, push)]
+        # The shaft's own width sticks out, on both sides.
+        assert [columns.min(), columns.max()] == pytest.approx(sorted(ends), abs=4.0)
+    (without,) = frames(ARM, at([0.0]), np.zeros(1), size=SIZE)
+    assert not len(pixels(without, "green")[0])
+
+
+def test_the_shadow_of_the_pivot_lies_on_the_rail(canvas):
+    scene, (q,) = stage(ARM, SIZE), at([0.07])
+    (picture,), (elsewhere,) = (frames(ARM, at([x]), np.zeros(1), size=SIZE) for x in (0.07, -0.1))
+    # Of the bracket: the rail is drawn over that of the pivot itself.
+    foot = pivot_at(q) * [1.0, 1.0, 0.0] - [0.0, 0.05, 0.0]
+    column, row = (round(place) for place in scene.camera.pixel(foot))
+    assert elsewhere[row, column].mean() > picture[row, column].mean() + 30.0
+
+
+def pivot_at(q):
+    flange = ARM.pose(ARM.without_held(q))
+    return flange.position + flange.rotation @ ARM.pivot
+
+
+def test_the_posts_stand_where_the_track_ends_as_high_as_the_pendulum(canvas):
     scene = stage(ARM, SIZE)
     assert [post.x for post in scene.posts] == [-paper.X_LIMIT, paper.X_LIMIT]
     (picture,) = frames(ARM, at([0.0]), np.zeros(1), size=SIZE)
     seen = set(zip(*pixels(picture, "vermilion"), strict=True))
     for post, q in zip(scene.posts, at([-paper.X_LIMIT, paper.X_LIMIT]), strict=True):
-        flange = ARM.pose(ARM.without_held(q))
-        pivot = flange.position + flange.rotation @ ARM.pivot
+        pivot = pivot_at(q)
         np.testing.assert_allclose([*post.top[:2]], pivot[:2], atol=1e-6)
-        assert post.top[2] > pivot[2]
-        column, row = scene.camera.pixel(0.5 * (post.foot + post.top))
-        assert (int(row), int(column)) in seen
+        assert post.top[2] > pivot[2] + SIZES.rod_length
+        for share in (0.3, 0.95):
+            column, row = scene.camera.pixel(post.foot + share * (post.top - post.foot))
+            assert (int(row), int(column)) in seen
 
 
-@pytest.mark.parametrize("size", [(240, 270), (320, 240), (200, 400)])
+@pytest.mark.parametrize("size", [(320, 240), (200, 400)])
 @pytest.mark.parametrize("arm", [iiwa(7), iiwa(14, media_flange=0.061)], ids=lambda arm: arm.name)
-def test_only_the_table_leaves_the_picture(canvas, arm, size):
+def test_what_moves_and_the_posts_stay_in_the_picture(canvas, arm, size):
     limit = np.radians(paper.PHI_LIMIT_DEG)
     q = at([-paper.X_LIMIT, 0.0, paper.X_LIMIT], arm)
-    wall = np.rint(255.0 * np.array(WALL))
-    for picture in frames(arm, q, np.array([-limit, 0.0, limit]), size=size):
-        border = np.concatenate([picture[0], picture[:, 0], picture[:, -1]]).astype(float)
-        is_wall = np.all(np.abs(border - wall) <= 1.0, axis=1)
-        is_table = border[:, 0] > border[:, 2] + 15.0
-        assert np.all(is_wall[: size[0]])
-        # Each edge of the table may share a pixel with the wall.
-        assert np.sum(~(is_wall | is_table)) <= 4
-        rows, columns = np.nonzero(np.any(np.abs(picture - wall) > 1.0, axis=2))
-        # It fills the picture, at least one way.
-        assert max(np.ptp(rows) / size[1], np.ptp(columns) / size[0]) > 0.9
+    left, middle, right = frames(arm, q, np.array([-limit, 0.0, limit]), size=size)
+    moves = np.any(left != middle, axis=2) | np.any(right != middle, axis=2)
+    # The shadow of the shoulder may leave the table's part that is seen.
+    brown = np.all([p[..., 0] > p[..., 2] + 15.0 for p in (left, middle, right)], axis=0)
+    for border in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
+        assert not np.any(moves[border] & ~brown[border])
+    scene = stage(arm, size)
+    tops = [scene.camera.pixel(post.top) for post in scene.posts]
+    assert all(0.0 < column < size[0] and 0.0 < row < size[1] for column, row in tops)
+    # The rig fills the picture, at least one way.
+    rows, columns = np.nonzero(moves)
+    places = [*tops, *(scene.camera.pixel(post.foot) for post in scene.posts)]
+    width = max(columns.max(), *(c for c, _ in places)) - min(
+        columns.min(), *(c for c, _ in places)
+    )
+    height = max(r for _, r in places) - min(rows.min(), *(r for _, r in places))
+    assert max(width / size[0], height / size[1]) > 0.6
 
 
 @pytest.mark.parametrize(("q", "phi"), [((3, 6), 3), ((3, 7), 2), ((7,), 1)])
@@ -149,6 +188,8 @@ def test_moments_lie_on_straight_lines_between_the_ticks(run):
     np.testing.assert_allclose(shown.x, [run.x[50], 0.5 * (run.x[50] + run.x[51]), run.x[-1]])
     np.testing.assert_allclose(shown.phi[1], 0.5 * (run.phi[50] + run.phi[51]))
     np.testing.assert_allclose(shown.q[1], 0.5 * (run.q[50] + run.q[51]))
+    # A command stands until the next one.
+    np.testing.assert_array_equal(shown.u, run.u[[50, 50, -1]])
 
 
 def test_the_truth_is_shown_where_it_is_known(run):
@@ -162,13 +203,13 @@ def test_the_truth_is_shown_where_it_is_known(run):
 def test_captions_are_signed_and_in_degrees(run):
     truth = Truth(*(np.full_like(run.x, v) for v in (-0.0301, 0.0, np.radians(1.26), 0.0)), run.q)
     shown = moments(dataclasses.replace(run, truth=truth), ARM, [0.5])
-    assert shown.captions() == [("t = 0.50 s", "x = −0.030 m", "φ = +1.3°")]
+    assert shown.captions() == [("t = 0.50 s", "x = −0.030 m", "φ = +1.3°", U_AT_50)]
 
 
 def test_a_zero_has_no_sign(run):
     truth = Truth(*np.full((4, len(run.x)), -1e-5), run.q)
     shown = moments(dataclasses.replace(run, truth=truth), ARM, [0.5])
-    assert shown.captions() == [("t = 0.50 s", "x = 0.000 m", "φ = 0.0°")]
+    assert shown.captions() == [("t = 0.50 s", "x = 0.000 m", "φ = 0.0°", U_AT_50)]
 
 
 def test_a_run_of_another_arm_is_refused(run):
@@ -182,27 +223,33 @@ def test_a_run_in_which_no_policy_ran_is_refused(run):
         strip(RunLog.of_excitation(run.conditions, excited, run.replies), ARM)
 
 
-def test_the_strip_shows_the_first_seconds_as_many_as_the_papers(canvas, policy):
-    figure = strip(made_up.run(policy), ARM)
-    titles = [panel.get_title(loc="left") for panel in figure.axes]
-    assert titles == [f"t = {t:.2f} s" for t in np.linspace(0.0, paper.SECONDS_BALANCED, 8)]
+def test_the_strip_shows_the_moments_that_differ(canvas, run, monkeypatch):
+    monkeypatch.setattr(strip_module, "FRAME", (64, 64))
+    figure = strip(run, ARM)
+    # The run of `made_up` is a sine of a period of 6.3 s in x, of 0.8 s in phi, for 2 s.
+    titles = [panel.get_title(loc="left") for panel in figure.axes if panel.images]
+    assert [title.split(",")[0] for title in titles] == [
+        "release",
+        "leans right most",
+        "leans left most",
+        "furthest right",
+        "end",
+    ]
+    times = [float(title.split("= ")[1].removesuffix(" s")) for title in titles]
+    right, left = np.pi / 16 + np.pi / 4, 3 * np.pi / 16 + np.pi / 4  # the second and third lean
+    assert times == pytest.approx([0.0, right, left, np.pi / 2, 2.0], abs=0.02)
+    shown = moments(run, ARM, list(key_moments(run, ARM)))
+    drawn = [panel.images[0].get_array() for panel in figure.axes if panel.images]
+    np.testing.assert_array_equal(
+        drawn, list(frames(ARM, shown.q, shown.phi, shown.u, size=(64, 64)))
+    )
+    below = [panel.texts[0].get_text() for panel in figure.axes if panel.images]
+    assert below == ["  ".join(caption[1:]) for caption in shown.captions()]
 
 
-def test_the_strip_of_a_short_run_ends_with_it(canvas, policy):
-    figure = strip(made_up.run(policy, lasted=1.3, cause="track"), ARM)
-    assert figure.axes[-1].get_title(loc="left") == "t = 1.30 s"
-
-
-def test_the_strip_draws_the_run_at_its_times(canvas, run):
-    times = [0.2, 0.8, 1.4]
-    figure = strip(run, ARM, times)
-    shown = moments(run, ARM, times)
-    drawn = [panel.images[0] for panel in figure.axes if panel.images]
-    assert len(drawn) == 3
-    height, width = drawn[0].get_array().shape[:2]
-    again = frames(ARM, shown.q, shown.phi, size=(width, height))
-    for image, picture in zip(drawn, again, strict=True):
-        np.testing.assert_array_equal(image.get_array(), picture)
+def test_the_strip_of_one_step_is_its_beginning_and_end(canvas, policy, monkeypatch):
+    monkeypatch.setattr(strip_module, "FRAME", (64, 64))
+    assert list(key_moments(made_up.run(policy, lasted=0.01, cause="angle"), ARM)) == [0.0, 0.01]
 
 
 def test_the_strip_cuts_nothing_off_and_covers_nothing(canvas, run):
@@ -220,8 +267,27 @@ def test_the_strip_cuts_nothing_off_and_covers_nothing(canvas, run):
         assert not one.overlaps(other)
 
 
-def test_equal_runs_give_equal_strips(canvas, run):
-    assert to_png(strip(run, ARM, [0.5])) == to_png(strip(run, ARM, [0.5]))
+def test_an_animation_is_the_run_at_its_speed_with_its_numbers(canvas, run):
+    size, told = (96, 96), []
+    made = animation(run, ARM, size=size, seconds=0.4, report=told.append)
+    assert told == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    shown = moments(run, ARM, np.arange(5) / FPS)
+    drawn = np.array(list(frames(ARM, shown.q, shown.phi, shown.u, size=(96, 86))), np.int16)
+    with Image.open(io.BytesIO(made.webp)) as moving:
+        assert (moving.format, moving.size, moving.n_frames) == ("WEBP", size, 5)
+        for number in range(5):
+            moving.seek(number)
+            picture = np.asarray(moving.convert("RGB"))
+            difference = np.abs(drawn - picture[:86]).mean(axis=(1, 2, 3))
+            assert np.argmin(difference) == number
+            # Time, displacement, angle and command stand below.
+            assert picture[86:].min() < 128
+            # The last one stands a while before the first comes again.
+            assert moving.info["duration"] == (80 if number < 4 else 1000)
+        assert moving.info["loop"] == 0
+    with Image.open(io.BytesIO(made.still)) as still:
+        assert (still.format, still.size, getattr(still, "n_frames", 1)) == ("WEBP", size, 1)
+    assert animation(run, ARM, size=size, seconds=0.4) == made
 
 
 @pytest.fixture
@@ -231,7 +297,7 @@ def ffmpeg():
 
 @pytest.fixture
 def small(monkeypatch):
-    monkeypatch.setattr(video, "FRAME", (480, 368))
+    monkeypatch.setattr(video, "FRAME", (240, 176))
 
 
 def test_a_video_lasts_as_long_as_its_run_and_shows_it(canvas, ffmpeg, small, run, tmp_path):
@@ -240,30 +306,19 @@ def test_a_video_lasts_as_long_as_its_run_and_shows_it(canvas, ffmpeg, small, ru
     assert ffmpeg.count_frames_and_secs(path) == (20, pytest.approx(2.0, abs=0.01))
     reader = ffmpeg.read_frames(path)
     meta = next(reader)
-    assert (meta["codec"], meta["size"], meta["fps"]) == ("h264", (480, 368), 10.0)
+    assert (meta["codec"], meta["size"], meta["fps"]) == ("h264", (240, 176), 10.0)
     assert meta["pix_fmt"].startswith("yuv420p")
     shown = moments(run, ARM, np.arange(20) / 10)
-    drawn = np.array(list(frames(ARM, shown.q, shown.phi, size=(480, 368))), np.int16)
-    pendulum = slice(60, 200), slice(230, 480)  # beside the captions
+    above = video.FRAME[0], video.FRAME[1] - round(BAR * video.FRAME[1])
+    drawn = np.array(list(frames(ARM, shown.q, shown.phi, shown.u, size=above)), np.int16)
+    pendulum = slice(0, above[1] // 2), slice(None)  # above the labels of the posts
     for number, frame in enumerate(reader):
-        picture = np.frombuffer(frame, np.uint8).reshape(368, 480, 3)
+        picture = np.frombuffer(frame, np.uint8).reshape(*video.FRAME[::-1], 3)[: above[1]]
         difference = np.abs(drawn - picture)[:, *pendulum].mean(axis=(1, 2, 3))
         assert np.argmin(difference) == number
         assert difference[number] < 4.0  # of 255: compression blurs edges
     assert done == pytest.approx(np.arange(1, 21) / 20)
     assert list(path.parent.iterdir()) == [path]
-
-
-def test_captions_are_written_over_the_picture(canvas, ffmpeg, run):
-    shown, scene = moments(run, ARM, [0.5, 1.0]), stage(ARM, video.FRAME)
-    plain = list(rendering.draw(scene, shown.q, shown.phi))
-    first, second = video._written_on(plain, scene, shown, "iiwa7 · model")
-    changed = np.any(first != plain[0], axis=2)
-    assert 0.005 < np.mean(changed) < 0.05
-    # Time, displacement and angle at the top left, where there is wall.
-    corner = (slice(0, 150), slice(0, 240))
-    assert np.any(changed[corner])
-    assert np.any(first[corner] != second[corner])
 
 
 def test_an_encoder_that_fails_leaves_no_file(canvas, ffmpeg, small, run, tmp_path, monkeypatch):

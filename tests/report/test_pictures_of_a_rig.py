@@ -12,6 +12,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
 from equipoise.report.pictures import write_video
 from equipoise.report.pictures.moments import moments, span
+from equipoise.report.pictures.strip import key_moments
 from equipoise.runwriter import RigRun, tables
 
 ARM = iiwa(7)
@@ -37,6 +38,7 @@ def run():
     state = np.where(tick["time"] < RELEASE - 0.001, Phase.LIFTING, Phase.BALANCING)
     state[tick["time"] > 9.0 + 0.001] = Phase.STOPPING
     tick["state"] = [PHASES.index(Phase(one)) for one in state]
+    tick["u"] = np.where(tick["state"] == PHASES.index(Phase.BALANCING), 1.5, np.nan)
     reply = np.zeros(901, kinds["reply"])
     reply["sent"], reply["time"] = tick["time"], tick["time"] + 0.004
     q = [ARM.with_held(q) for q in along_x(ARM, x_at(tick["time"] + 0.002))]
@@ -74,6 +76,14 @@ def test_it_shows_what_was_measured_when_it_was(run):
         )
     assert shown.phase == ("lifting", "balancing", "balancing", "stopping")
     assert shown.captions()[0][0] == "t = −1.50 s"
+    # No command is known before the release.
+    np.testing.assert_allclose(shown.u, [0.0, 1.5, 1.5, 0.0])
+
+
+def test_its_frames_end_where_the_balancing_ends(run):
+    chosen = key_moments(run, ARM)
+    assert min(chosen) == 0.0
+    assert max(chosen) == pytest.approx(2.0, abs=0.03)
 
 
 def test_it_begins_before_the_release_and_ends_at_rest(run):

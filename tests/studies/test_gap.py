@@ -247,8 +247,12 @@ def test_the_track_has_its_share_of_the_failures_not_of_the_trials():
 
 def test_words_follow_the_numbers(full):
     gap, _ = full
-    way, latency, zero, effects, cured, unpredicted, unbiased, variants, caveat = words(gap)
+    short, way, latency, zero, effects, cured, unpredicted, unbiased, variants, caveat = words(gap)
     clean, world = (gap.point(part, PAPER).results for part in ("clean", "world"))
+    # At 10 ms the rule gives 90 / (1 + 800 * 0.01) s without prediction.
+    assert "with its cures stands 60.0 of 60 s" in short
+    assert f"as the paper describes {np.mean(world.survival):.1f} s" in short
+    assert "It needs the prediction (without it " in short
     assert "stands 60.0 of 60 s on its own training plant, 60.0 s on the clean twin" in way
     assert f"{np.mean(world.survival):.1f} s on twin:nominal-3, 50 % of its falls" in way
     assert "The paper's stood 5 s on the real arm, once." in way
@@ -276,12 +280,15 @@ def test_other_numbers_make_other_words(policy):
         return 0.5 + 500.0 * (call.world.transport if call.world else 0.0) + 0.01 * i
 
     said = words(measured(policy, stands)[0])
-    assert "they cost: none." in said[3]
-    assert said[3].endswith("they give back: none.")
-    assert all("no difference that these trials can tell" in sentence for sentence in said[1:3])
+    assert said[0].endswith("; these trials cannot tell that the cures help.")
+    assert "they cost: none." in said[4]
+    assert said[4].endswith("they give back: none.")
+    assert all("no difference that these trials can tell" in sentence for sentence in said[2:4])
     said = words(measured(policy, better_when_late)[0])
-    assert "5 ms adds 2.5 s [2.5, 2.5]" in said[1]
-    assert "they cost: none." in said[3]
+    assert "5 ms adds 2.5 s [2.5, 2.5]" in said[2]
+    assert "they cost: none." in said[4]
+    assert "Switched on alone, some help: transport delay (5.0 s [5.0, 5.0])." in said[4]
+    assert "Taken away alone, some are missed: transport delay (5.0 s [5.0, 5.0])." in said[4]
 
 
 # Refusals

@@ -21,7 +21,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
-from equipoise.errors import EquipoiseError
+from equipoise.errors import EquipoiseError, OutsideError
 from equipoise.printable import printable
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 INTERRUPTED = 130
+LEAST_ADDRESS_SPACE = 2**30
+"""Least limit on the address space with which the libraries load [bytes]; 600 MB are too few."""
 command_line: list[str] = []
 """What follows `equipoise` in the command that runs."""
 
@@ -207,16 +209,38 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(function)
     def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
+            _check_address_space()
             return function(*args, **kwargs)
         except EquipoiseError as error:
             _complain("error: ", str(error))
             raise typer.Exit(error.exit_code) from None
+        except MemoryError:
+            _complain("error: ", "there is not enough memory; ask for less, or free some")
+            raise typer.Exit(OutsideError.exit_code) from None
         except KeyboardInterrupt as stop:
             how = f"; go on with: {stop.again}" if isinstance(stop, Interrupted) else ""
             _complain("", f"interrupted{how}")
             raise typer.Exit(INTERRUPTED) from None
 
     return guarded
+
+
+def _check_address_space() -> None:
+    """Check that the libraries fit below the limit on the address space, if there is one.
+
+    Raises:
+        OutsideError: They do not: loading them would fail anywhere.
+    """
+    if sys.platform == "win32":
+        return
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
+        raise OutsideError(
+            f"the address space is limited to {limit // 2**20} MiB, expected "
+            f"{LEAST_ADDRESS_SPACE // 2**20} MiB or more; raise it with ulimit -v"
+        )
 
 
 def _complain(label: str, message: str) -> None:
@@ -299,7 +323,12 @@ def _spelled(value: float, half_width: float, size: float) -> str:
 
 
 def measured(estimate: "Estimate", unit: str) -> str:
-    """Return an estimate with its 95 % interval and unit."""
+    """Return an estimate of a quantity that cannot be negative, with 95 % interval and unit."""
+    if estimate.value <= 0.0 < estimate.high:
+        return f"not distinguishable from 0 {unit}  (95 %: below {estimate.high:.2g})"
+    if estimate.high < 0.0:
+        return f"{estimate.value:.2g} {unit}, which cannot be: the model does not fit"
+    estimate = estimate.not_negative()
     half_width = (estimate.high - estimate.low) / 2.0
     size = abs(estimate.value) or half_width
     value = f"{_spelled(estimate.value, half_width, size)} {unit}"

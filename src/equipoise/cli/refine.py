@@ -210,7 +210,7 @@ def _lasted(candidate: "Candidate") -> str:
 def _result(findings: "Findings", refinement: "Refinement | None") -> dict[str, object]:
     fit = findings.fit
     estimates: dict[str, Estimate] = {
-        name: getattr(fit, name) for name in ("w2", "k", "c", "coulomb", "friction")
+        name: getattr(fit, name).not_negative() for name in ("w2", "k", "c", "coulomb", "friction")
     }
     estimates |= {name.replace(" ", "_"): now for name, now in findings.response.items()}
     result: dict[str, object] = {"moved": [move.name for move in findings.moves]}

@@ -19,8 +19,9 @@ While a policy balances, phi and x_ddot go together, and a fit of w2 and k apart
 rigid pendulum k = w2 / g; tied so, a log of a minute gives the inertia to a thousandth.
 """
 
+from contextlib import suppress
 from math import sqrt
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -55,6 +56,10 @@ TOO_LATE: Final = 0.002
 ROUGH: Final = 0.1
 """Where more than this share stays unexplained, friction is not told from noise. Balancing with a
 table leaves 0.01."""
+
+MIRRORED: Final = 0.5
+"""Phi and x are in opposite directions where negating x leaves less than this share unexplained of
+what the equation leaves as they are."""
 
 Derivatives = Literal["weak", "savitzky-golay"]
 """How a motion is differentiated: under a smooth window; or sample by sample by the polynomials of
@@ -115,10 +120,11 @@ class Move(Value):
     def text(self) -> str:
         """One line for a person."""
         unit, meaning = _MEANINGS[self.name]
-        before, now = self.before.value, self.now.value
+        physical = self.now.not_negative()
+        before, now = self.before.value, physical.value
         share = f" by {now / before - 1.0:+.1%}" if before else ""
         return (
-            f"{self.name} moved{share}, from {_readable(self.before)} to {_readable(self.now)} "
+            f"{self.name} moved{share}, from {_readable(self.before)} to {_readable(physical)} "
             f"{unit} (95 % intervals, z = {self.z:.1f}): {meaning}"
         )
 
@@ -146,6 +152,9 @@ def regress(
 ) -> ClosedLoopFit:
     """Regress the pendulum's equation on a log in which its pivot moves.
 
+    A log whose phi and x are counted in opposite directions is refused by name: with one of them
+    negated it follows the equation.
+
     The intervals of w2 and k come from a jackknife over blocks of time, and reach on to the
     regression with the roles exchanged: noise on the regressors makes the one too small and the
     other too large (Frisch). On a log with enough motion the two are the same.
@@ -164,13 +173,46 @@ def regress(
         The parameters, with 95 % intervals.
 
     Raises:
-        RecordingError: The log is too short, its samples cannot be used, or it does not follow the
-            equation.
+        RecordingError: The log is too short, its samples cannot be used, it does not follow the
+            equation, or phi and x are counted in opposite directions.
     """
+    _check(time, phi, x)
+    how: dict[str, Any] = {"tied": tied, "derivatives": derivatives, "window": window, "g": g}
+    fit, refusal = None, None
+    try:
+        fit = _regress(time, phi, x, **how)
+    except RecordingError as error:
+        refusal = error
+    if fit is None or fit.unexplained > ROUGH:
+        left = 1.0 if fit is None else fit.unexplained
+        with suppress(RecordingError):
+            mirrored = _regress(time, phi, -x, **how)
+            if mirrored.unexplained < MIRRORED * left:
+                refusal = RecordingError(
+                    "phi and x are counted in opposite directions: the equation holds with x "
+                    f"negated ({mirrored.unexplained:.0%} of the acceleration unexplained) and not "
+                    "as they are; correct the sign of x, or that of the encoder (encoder_sign in "
+                    "rig.toml)"
+                )
+    if fit is None or refusal is not None:
+        raise refusal or RecordingError("the log does not follow the equation")
+    return fit
+
+
+def _regress(
+    time: Array,
+    phi: Array,
+    x: Array,
+    *,
+    tied: bool,
+    derivatives: Derivatives,
+    window: float,
+    g: float,
+) -> ClosedLoopFit:
+    """Regress the equation with the signs as they are; see `regress`."""
     from scipy.interpolate import CubicSpline
     from scipy.stats import t as student
 
-    _check(time, phi, x)
     phi, length = np.unwrap(phi), float(np.ptp(time))
     blocks = max(round(length / BLOCK), LEAST_BLOCKS)
 
@@ -479,12 +521,7 @@ def _warnings(fit: ClosedLoopFit, phi: Array) -> tuple[str, ...]:
 
 
 def _refuse(w2: float, k: float, unexplained: float) -> None:
-    if k <= 0.0 < w2 and unexplained < REFUSED:
-        raise RecordingError(
-            f"k is {k:.3g} 1/m, expected a positive number: phi and x are counted in opposite "
-            "directions; negate one of them"
-        )
-    if w2 <= 0.0 or unexplained > REFUSED:
+    if w2 <= 0.0 or k <= 0.0 or unexplained > REFUSED:
         raise RecordingError(
             f"the pendulum's equation leaves {unexplained:.0%} of the acceleration unexplained "
             f"(w2 = {w2:.3g} 1/s^2), expected less than {REFUSED:.0%}: the pendulum stands too "

@@ -54,7 +54,8 @@ def _chapters(results: Results, other: str) -> Iterator[Chapter]:
     yield _arm(results.policy.arm)
     yield from chapters(results.policy.settings, resolve(other))
     if world := results.run.conditions.world_settings:
-        yield chapter(TwinSettings.model_validate(world))
+        ran = chapter(TwinSettings.model_validate(world))
+        yield ran._replace(title=f"The world that ran: `{results.run.conditions.world}`")
 
 
 def _arm(arm: Arm) -> Chapter:
@@ -68,7 +69,7 @@ def _arm(arm: Arm) -> Chapter:
             Choice("held joint", held, "", "The paper's, where the arm has seven joints."),
             Choice(
                 "home",
-                f"{home} deg",
+                f"{home}°",
                 "",
                 "Far from every joint limit and from singular postures, with x across the "
                 "direction in which the arm reaches out: the first joint does most of the motion.",

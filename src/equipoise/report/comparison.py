@@ -8,7 +8,7 @@ import numpy as np
 from equipoise import paper
 from equipoise.control.boxes import COUNT
 from equipoise.evaluation import Summary
-from equipoise.model.worlds import MODEL
+from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.runlog import RunLog
 from equipoise.studies.results import Results, truth
 from equipoise.studies.wording import LASTED, falls, how_it_ended, percent
@@ -110,7 +110,8 @@ def _latency(results: Results) -> str:
     )
     if twin is None:
         return training
-    return f"{training}; {1e3 * float(twin['transport']):g} ms and a servo on the twin"
+    transport = TwinSettings.model_validate(twin).transport
+    return f"{training}; {1e3 * transport:g} ms and a servo on the twin"
 
 
 def _share_above(results: Results, seconds: float) -> float:

@@ -4,14 +4,25 @@ import base64
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape as html_escape
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from equipoise.printable import printable
+
+if TYPE_CHECKING:
+    from equipoise.report.pictures import Animation
 
 CODE: Final = re.compile(r"`([^`]+)`")
 SIGN: Final = re.compile(r"(?<![\w.\]])-(?=[\d∞])")
 PERCENT: Final = re.compile(r"(?<=\d) (?=%)")
 BREAK: Final = re.compile(r"(?<=[._])")
+SYMBOLS: Final = (
+    (re.compile(r"(?<=\d) deg(?:rees?)?\b"), "°"),
+    (re.compile(r"\bphi\b"), "φ"),
+    (re.compile(r"\btheta\b"), "θ"),
+)
+"""What prose sets as a symbol: the terminal writes it out."""
+STACKED: Final = 3
+"""Tables of so many columns are stacked on narrow screens, each cell below its column's name."""
 
 
 class Missing(NamedTuple):
@@ -51,7 +62,7 @@ def prose(text: str) -> str:
     """Return a text as HTML.
 
     What stands between backticks becomes code, which breaks after dots and underscores only. In the
-    rest numbers are set as in print: a minus for a hyphen, ² for ^2, no break before %.
+    rest numbers are set as in print: a minus for a hyphen, ² for ^2, ° for deg, no break before %.
     """
     parts = CODE.split(text)
     # Every other part was between backticks.
@@ -61,6 +72,8 @@ def prose(text: str) -> str:
 
 
 def _typeset(text: str) -> str:
+    for pattern, symbol in SYMBOLS:
+        text = pattern.sub(symbol, text)
     return PERCENT.sub("&nbsp;", SIGN.sub("−", text)).replace("^2", "²")
 
 
@@ -77,6 +90,11 @@ def heading(text: str) -> str:
 def note(text: str) -> str:
     """Return a remark that must not be missed."""
     return f'<p class="note">{prose(text)}</p>\n'
+
+
+def conclusion(text: str) -> str:
+    """Return what numbers come to, to be read before them."""
+    return f'<p class="conclusion">{prose(text)}</p>\n'
 
 
 def bullets(lines: Iterable[str]) -> str:
@@ -122,42 +140,78 @@ def table(
     """
     first = len(head) - numbers
     names = "".join(_cell("th", text, i >= first) for i, text in enumerate(head))
+    labels = head if len(head) >= STACKED else [""] * len(head)
+    kind = " ".join(filter(None, ("table", "stacked" if len(head) >= STACKED else "", name)))
     lines = [
-        f'<div class="{escape(f"table {name}".strip())}"><table>',
+        f'<div class="{escape(kind)}"><table>',
         f"<caption>{prose(caption)}</caption>" if caption else "",
         f"<thead><tr>{names}</tr></thead>",
         "<tbody>",
     ]
     for row in rows:
         cells = "".join(
-            _cell("th" if i == 0 else "td", cell, i >= first) for i, cell in enumerate(row)
+            _cell("th" if i == 0 else "td", cell, i >= first, labels[i] if i else "")
+            for i, cell in enumerate(row)
         )
         lines.append(f"<tr>{cells}</tr>")
     return "\n".join([*filter(None, lines), "</tbody></table></div>\n"])
 
 
-def _cell(tag: str, text: str, number: bool) -> str:
+def _cell(tag: str, text: str, number: bool, label: str = "") -> str:
     kind = ' class="number"' if number else ""
+    kind += f' data-label="{escape(label.replace("`", ""))}"' if label else ""
     return f"<{tag}{kind}>{prose(text)}</{tag}>"
 
 
-def picture(svg: str | Missing, caption: str, alt: str) -> str:
-    """Return a figure that carries its picture inside.
+def picture(pictures: Pictures, name: str, caption: str, alt: str) -> str:
+    """Return a figure that carries its picture inside and opens large, without a script.
 
-    An image of its own, because the names that one SVG gives its parts may occur in another.
+    An image of its own, because the names that one SVG gives its parts may occur in another. The
+    large view is the link's target, so that the way back is the browser's own, too.
 
     Args:
-        svg: The picture; a missing one leaves its place with the reason.
+        pictures: All pictures; a missing one leaves its place with the reason.
+        name: Its name among them.
         caption: What the reader should see in it.
         alt: What is to be seen, for those who cannot.
     """
+    svg = pictures[name]
     if isinstance(svg, Missing):
-        return note(f"Here should be: {alt[0].lower()}{alt[1:]}. It is missing: {svg.why}.")
-    data = base64.b64encode(svg.encode()).decode()
+        return _missing(svg, alt)
+    place, large = escape(f"at-{name}"), escape(f"large-{name}")
+    image = f'<img alt="{escape(alt)}" src="{_data("svg+xml", svg.encode())}">'
     return (
-        f'<figure><img alt="{escape(alt)}" src="data:image/svg+xml;base64,{data}">'
+        f'<figure id="{place}"><div class="zoom" id="{large}">'
+        f'<a class="back" href="#{place}">Close</a>'
+        f'<a class="open" href="#{large}" title="Open large">{image}</a></div>'
         f"<figcaption>{prose(caption)}</figcaption></figure>\n"
     )
+
+
+def film(animation: "Animation | Missing", caption: str, alt: str) -> str:
+    """Return a figure with moving pictures; who asked for less motion sees the first of them.
+
+    Args:
+        animation: The pictures; missing ones leave their place with the reason.
+        caption: What the reader should see in them.
+        alt: What is to be seen, for those who cannot.
+    """
+    if isinstance(animation, Missing):
+        return _missing(animation, alt)
+    return (
+        '<figure class="film"><picture><source media="(prefers-reduced-motion: reduce)" '
+        f'srcset="{_data("webp", animation.still)}">'
+        f'<img alt="{escape(alt)}" src="{_data("webp", animation.webp)}"></picture>'
+        f"<figcaption>{prose(caption)}</figcaption></figure>\n"
+    )
+
+
+def _missing(lost: Missing, alt: str) -> str:
+    return note(f"Here should be: {alt[0].lower()}{alt[1:]}. It is missing: {lost.why}.")
+
+
+def _data(kind: str, content: bytes) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def listing(lines: Iterable[str]) -> str:

@@ -7,12 +7,15 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.control.policy import TabularPolicy
+from equipoise.evaluation import TrialResults
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
 from equipoise.report.comparison import comparison
 from equipoise.report.markup import (
+    Missing,
     Part,
     Pictures,
+    film,
     note,
     paragraph,
     part,
@@ -21,14 +24,16 @@ from equipoise.report.markup import (
     tiles,
     verdict_list,
 )
+from equipoise.report.pictures.film import SECONDS, Animation
+from equipoise.studies.gap_results import CURED, at_world
 from equipoise.studies.results import Results, verdict
 from equipoise.studies.wording import percent, plus_minus
 
 
-def opening(results: Results, pictures: Pictures) -> Iterator[Part]:
+def opening(results: Results, pictures: Pictures, animation: Animation | Missing) -> Iterator[Part]:
     """Return the sections up to the training."""
     yield _verdict(results)
-    yield _what_this_is(results)
+    yield _what_this_is(results, animation)
     yield part(
         "paper",
         "Paper and here",
@@ -39,39 +44,40 @@ def opening(results: Results, pictures: Pictures) -> Iterator[Part]:
 
 
 def _verdict(results: Results) -> Part:
-    summary = results.evaluation.results.summary()
-    low, high = summary.interval
-    return part(
-        "verdict",
-        "Verdict",
-        tiles(
-            (
-                f"{summary.survived} of {summary.trials}",
-                f"trials stood {results.evaluation.duration:g} s on the plant of the training; "
-                "95 % interval of the chance "
-                f"{percent(low)} to {percent(high)}",
-            ),
-            (
-                f"{results.run.lasted:.3g} s",
-                f"the recorded run stood, of {results.run.conditions.duration:g} s at most, on "
-                f"{_where(results)}",
-            ),
-            (
-                f"{paper.SECONDS_BALANCED:g} s",
-                "the paper's run stood, on the real arm, once",
-            ),
+    trials, evaluation = results.evaluation.results, results.evaluation
+    standing = [
+        _stood(trials, evaluation.duration, "the plant of the training"),
+        (
+            f"{results.run.lasted:.3g} s",
+            f"the recorded run stood, of {results.run.conditions.duration:g} s at most, on "
+            f"{_where(results)}",
         ),
-        verdict_list(verdict(results)),
+    ]
+    if results.run.conditions.world != MODEL:
+        standing.reverse()  # the twin first: it is nearer to the paper's robot
+    if gap := results.gap:
+        twin = f"the digital twin {gap.world}"
+        standing.insert(0, _stood(at_world(gap, CURED), gap.duration, twin))
+    paper_run = f"{paper.SECONDS_BALANCED:g} s", "the paper's run stood, on the real arm, once"
+    return part("verdict", "Verdict", tiles(*standing, paper_run), verdict_list(verdict(results)))
+
+
+def _stood(trials: TrialResults, duration: float, where: str) -> tuple[str, str]:
+    summary = trials.summary()
+    low, high = summary.interval
+    return (
+        f"{summary.survived} of {summary.trials}",
+        f"trials stood {duration:g} s on {where}; 95 % interval of the chance {percent(low)} to "
+        f"{percent(high)}",
     )
 
 
 def _where(results: Results) -> str:
-    return (
-        "that plant" if results.run.conditions.world == MODEL else "the digital twin of the robot"
-    )
+    world = results.run.conditions.world
+    return "that plant" if world == MODEL else f"the digital twin {world}"
 
 
-def _what_this_is(results: Results) -> Part:
+def _what_this_is(results: Results, animation: Animation | Missing) -> Part:
     fall = 1.0 / np.sqrt(results.pendulum.w2.value)
     sketch = resources.files("equipoise.report").joinpath("sketch.svg").read_text(encoding="utf-8")
     return part(
@@ -82,6 +88,13 @@ def _what_this_is(results: Results) -> Part:
             "the arm is to keep it upright by moving the flange to and fro along one line. That is "
             f"hard: left alone, the pendulum's lean grows almost threefold every {fall:.3f} s, and "
             f"the arm may go {paper.X_LIMIT:g} m to either side and no further."
+        ),
+        film(
+            animation,
+            f"The first {_shown(results)} of the recorded run, at their real speed. The posts "
+            f"stand at x = ±{paper.X_LIMIT:g} m, the marks between them every 0.1 m; the shadow of "
+            "the pivot shows x. The arrow is the commanded acceleration u.",
+            "Moving pictures of the arm balancing the pendulum between the ends of the track",
         ),
         f"<figure>{sketch}<figcaption>The state is s = (x, dx/dt, φ, dφ/dt): where the flange is, "
         "how fast it moves, how far the pendulum leans, how fast it falls. The command is u. "
@@ -101,6 +114,10 @@ def _what_this_is(results: Results) -> Part:
             f"pendulums it has not met, and one run is recorded, on {_stage(results)}."
         ),
     )
+
+
+def _shown(results: Results) -> str:
+    return f"{min(results.run.lasted, SECONDS):g} s"
 
 
 def _stage(results: Results) -> str:
@@ -141,7 +158,8 @@ def _swing(results: Results, pictures: Pictures) -> Part:
             f"gravity the coupling k = m l / I. Control needs nothing else. {given}"
         ),
         picture(
-            pictures["figure-2-free-swing"],
+            pictures,
+            "figure-2-free-swing",
             "The paper's figure 2. Where recording and fit cannot be told apart, look at what is "
             "left, below. The grey part, with a hand on the pendulum, was found and left out.",
             "Recorded angle of the swinging pendulum with the fitted curve on it, and the residual",
@@ -237,7 +255,8 @@ def _training(results: Results, pictures: Pictures) -> Part:
         "Training",
         *map(paragraph, texts),
         picture(
-            pictures["learning-curve"],
+            pictures,
+            "learning-curve",
             "Above, what the learner went through, exploration included. Below, what the table of "
             "each moment can do when it is frozen: one other choice in one box can make or break "
             "it, which is why the best is kept and not the last.",

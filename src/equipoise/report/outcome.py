@@ -12,6 +12,7 @@ from equipoise.report.markup import (
     Part,
     Pictures,
     bullets,
+    conclusion,
     paragraph,
     part,
     picture,
@@ -37,7 +38,7 @@ def _policy(pictures: Pictures) -> Part:
             "This is all there is to the policy: a number for each box. In each panel the lean of "
             "the pendulum runs from left to right, its rate of fall from bottom to top. Where it "
             "leans right and falls right, in the upper right corner, the flange has to hurry to "
-            "the right to get below it: light. The lower left corner is its mirror image."
+            "the right to get below it: red. The lower left corner is its mirror image."
         ),
         paragraph(
             "The columns are the track. Coming back from its right end takes a detour: first "
@@ -47,9 +48,11 @@ def _policy(pictures: Pictures) -> Part:
             "the table says there is rough."
         ),
         picture(
-            pictures["policy"],
-            "The 270 boxes. Hatched boxes were never visited in training, and their entry means "
-            "nothing. Framed boxes are those that the recorded run below went through.",
+            pictures,
+            "policy",
+            "The 270 boxes: blue pushes left, red right. Hatched boxes were never visited in "
+            "training, and their entry means nothing. Framed boxes are those that the recorded run "
+            "below went through.",
             "Commanded acceleration in each of the 270 boxes, as a grid of coloured numbers",
         ),
     )
@@ -74,7 +77,8 @@ def _evaluation(results: Results, pictures: Pictures) -> Part:
             f"every step{_and_the_arm(evaluation)}. Starts and seeds appear nowhere else."
         ),
         picture(
-            pictures["survival"],
+            pictures,
+            "survival",
             "On the left, time is logarithmic. LQR knows the model and commands any acceleration "
             "within the range; snapped, it has to take one of the table's eight. PD keeps the "
             "pendulum up but does not know where the track ends. Random picks any of the eight.",
@@ -135,31 +139,36 @@ def _deployment(results: Results, pictures: Pictures) -> Part:
         "" if world is None else _the_twin(TwinSettings.model_validate(world), results),
         table(("", "what the policy was trained for", "the run"), _conditions(results)),
         picture(
-            pictures["figure-3-frames"],
-            "The paper's figure 3, drawn from what the run went through. A pendulum that is kept "
-            "upright looks the same in every frame; it is the arm that moves.",
+            pictures,
+            "figure-3-frames",
+            "The paper's figure 3, drawn from what the run went through, at moments that differ."
+            " A pendulum that is kept upright hardly leans; it is the arm that moves.",
             "Frames of the run: arm, table, pendulum and the ends of the track",
         ),
         picture(
-            pictures["figure-4-commands"],
+            pictures,
+            "figure-4-commands",
             f"The paper's figure 4. There is no zero among the eight accelerations, so standing "
             f"still means switching to and fro{_what_the_flange_did(results)}.",
             "Commanded acceleration of the flange against time",
         ),
         picture(
-            pictures["figure-5-joints"],
+            pictures,
+            "figure-5-joints",
             f"The paper's figure 5, as commanded. {_which_joints(results)}",
             "Positions of the joints against time",
         ),
         picture(
-            pictures["figure-6-pendulum"],
+            pictures,
+            "figure-6-pendulum",
             "The paper's figure 6. Dotted lines are the edges of the boxes: between them the table "
             f"sees no difference.{_what_was_seen(results)}",
             "Angle and angular velocity of the pendulum against time",
         ),
         _zero(pictures) if estimates_zero(run) else "",
         picture(
-            pictures["figure-7-flange"],
+            pictures,
+            "figure-7-flange",
             f"The paper's figure 7. There, x passed {paper.X_AT_FAILURE:g} m after "
             f"{paper.SECONDS_BALANCED:g} s.",
             "Displacement and velocity of the flange against time",
@@ -273,7 +282,8 @@ def _what_was_seen(results: Results) -> str:
 
 def _zero(pictures: Pictures) -> str:
     return picture(
-        pictures["encoder-zero"],
+        pictures,
+        "encoder-zero",
         "The paper does not have this one. The encoder is zeroed where the pendulum hangs at rest, "
         "and friction lets it rest beside the vertical. A pendulum that leans falls faster and "
         "faster, one that only seems to lean does not: by that the controller tells the error "
@@ -289,6 +299,7 @@ def _gap(results: Results, pictures: Pictures) -> Part:
     gap = results.gap
     if gap is None:
         return part(name, title, paragraph(no_gap(results)))
+    found = words(gap)
     return part(
         name,
         title,
@@ -298,9 +309,11 @@ def _gap(results: Results, pictures: Pictures) -> Part:
             f"of that study, {gap.trials} trials of {gap.duration:g} s at each point; the full one "
             "is made by `equipoise gap`."
         ),
-        bullets(words(gap)),
+        conclusion(found[0]),
+        bullets(found[1:]),
         picture(
-            pictures["gap"],
+            pictures,
+            "gap",
             "Above, survival against the delay and against the error of the encoder's zero, with "
             "the share of the falls that end on the track limit below. At the bottom, for a table "
             "that was trained as the paper describes, each effect alone: switched on where nothing "

@@ -16,7 +16,7 @@ from equipoise.report.appendix import left_open, origins
 from equipoise.report.markup import Missing, Part, Pictures, escape
 from equipoise.report.opening import opening
 from equipoise.report.outcome import outcome
-from equipoise.report.pictures import strip
+from equipoise.report.pictures import Animation, animation, strip
 from equipoise.report.style import save
 from equipoise.studies.results import RECORD, Results, estimates_zero, load
 
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 
 PAGE: Final = "report.html"
 FIGURES: Final = "figures"
+FILM: Final = "figure-3-film.webp"
+"""The animation among the figures."""
+FILM_WEIGHT: Final = 4
+"""Time that the animation takes, in figures."""
 
 Draw = Callable[[Results], "Figure"]
 
@@ -70,8 +74,9 @@ def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) 
     results = load(out)
     pictures: dict[str, str | Missing] = {}
     wanted = drawings(results)
+    total = len(wanted) + FILM_WEIGHT
     for done, (name, draw) in enumerate(wanted.items()):
-        report(name, done / len(wanted))
+        report(name, done / total)
         try:
             figure = draw(results)
         except OutsideError as error:  # frames need OpenGL, which a machine may not have
@@ -79,23 +84,36 @@ def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) 
             continue
         svg, _ = save(figure, out / FIGURES / name)
         pictures[name] = svg.read_text(encoding="utf-8")
+    film = _film(results, lambda share: report(FILM, (len(wanted) + FILM_WEIGHT * share) / total))
+    if not isinstance(film, Missing):
+        write_whole(out / FIGURES / FILM, film.webp)
     provenance = Provenance.model_validate(read_document(out / RECORD)["provenance"])
-    write_whole(out / PAGE, page(results, pictures, provenance))
+    write_whole(out / PAGE, page(results, pictures, film, provenance))
     report(PAGE, 1.0)
     return out / PAGE
 
 
-def page(results: Results, pictures: Pictures, provenance: Provenance) -> str:
+def _film(results: Results, report: Callable[[float], None]) -> Animation | Missing:
+    try:
+        return animation(results.run, results.policy.arm, report=report)
+    except OutsideError as error:
+        return Missing(str(error))
+
+
+def page(
+    results: Results, pictures: Pictures, film: Animation | Missing, provenance: Provenance
+) -> str:
     """Return the report as HTML.
 
     Args:
         results: What the reproduction found.
         pictures: Each figure of `drawings` as SVG, by its name.
+        film: The beginning of the run.
         provenance: When and with what it was made.
     """
     css = resources.files("equipoise.report").joinpath("page.css").read_text(encoding="utf-8")
     parts: list[Part] = [
-        *opening(results, pictures),
+        *opening(results, pictures, film),
         *outcome(results, pictures),
         left_open(results),
         origins(results, provenance),

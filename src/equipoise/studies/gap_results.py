@@ -39,6 +39,8 @@ LABELS: Final[Mapping[Controller, str]] = {
     PAPER: "trained as the paper describes",
 }
 """The controllers, for readers."""
+NONE: Final = "none"
+"""Stands for an empty list of effects."""
 
 
 class Point(Value):
@@ -185,6 +187,7 @@ def words(gap: Gap) -> tuple[str, ...]:
     """Return what came out, in sentences that need no figure; they follow the numbers."""
     variants = (_open_question(gap),) if gap.names("variant") else ()
     return (
+        _conclusion(gap),
         _way(gap),
         f"Latency alone, on the clean twin: it stands {_along(gap.curve('delay', PAPER, True))}.",
         f"A wrong zero alone, on the clean twin: it stands {_along(gap.curve('zero', PAPER, True))}"
@@ -229,6 +232,34 @@ def _student(values: Array) -> Seconds:
     return Seconds(middle, middle - half, middle + half)
 
 
+def at_world(gap: Gap, controller: Controller) -> TrialResults:
+    """Return the trials of a controller on the twin as it is."""
+    delay = gap.world_settings.transport
+    return min(gap.curve("delay", controller), key=lambda point: abs(point.at - delay)).results
+
+
+def _conclusion(gap: Gap) -> str:
+    cured, without = at_world(gap, CURED), at_world(gap, PAPER)
+    stood = (
+        f"In short: on {gap.world} the policy with its cures stands "
+        f"{mean(cured, gap.duration).mean:.1f} of {gap.duration:g} s, a table that is trained as "
+        f"the paper describes {mean(without, gap.duration).mean:.1f} s"
+    )
+    if not difference(cured, without).low > 0.0:
+        return f"{stood}; these trials cannot tell that the cures help."
+    left_out = {
+        "prediction": at_world(gap, NO_PREDICTION),
+        "estimate of the zero": at_world(gap, NO_BIAS),
+    }
+    needed = [
+        f"the {cure} (without it {mean(results, gap.duration).mean:.1f} s)"
+        for cure, results in left_out.items()
+        if difference(cured, results).low > 0.0
+    ]
+    owed = " and ".join(needed) or "neither cure alone, as far as these trials can tell"
+    return f"{stood}. It needs {owed}."
+
+
 def _way(gap: Gap) -> str:
     plant, clean, world = (gap.point(part, PAPER).results for part in ("plant", "clean", "world"))
     share = track_share(world)
@@ -268,17 +299,27 @@ def _effect_by_effect(gap: Gap) -> str:
         (name, difference(gap.point("without", PAPER, name).results, world))
         for name in gap.names("without")
     )
+    helps = _ranked(
+        (name, difference(gap.point("alone", PAPER, name).results, clean))
+        for name in gap.names("alone")
+    )
+    missed = _ranked(
+        (name, difference(world, gap.point("without", PAPER, name).results))
+        for name in gap.names("without")
+    )
+    better = "" if helps == NONE else f" Switched on alone, some help: {helps}."
+    better += "" if missed == NONE else f" Taken away alone, some are missed: {missed}."
     return (
         "Effect by effect, in seconds that these trials can tell from none. Switched on alone on "
         f"the clean twin, they cost: {costs}. Taken away alone from {gap.world}, they give back: "
-        f"{gains}."
+        f"{gains}.{better}"
     )
 
 
 def _ranked(differences: Iterable[tuple[str, Seconds]]) -> str:
     certain = [(name, found) for name, found in differences if found.low > 0.0]
     certain.sort(key=lambda pair: -pair[1].mean)
-    return ", ".join(f"{name} ({spelled(found)})" for name, found in certain) or "none"
+    return ", ".join(f"{name} ({spelled(found)})" for name, found in certain) or NONE
 
 
 def _open_question(gap: Gap) -> str:

@@ -455,7 +455,11 @@ def _moved_pendulum(known: Pendulum, fit: ClosedLoopFit, moves: Sequence[Move]) 
             found = {"w2": fit.w2, "k": fit.k}
             changes |= {"mass": None, "length": None, "inertia": None}
         else:
-            found = {"c": _positive(fit.c), "coulomb": _positive(fit.coulomb), "drag": NO_DRAG}
+            found = {
+                "c": fit.c.not_negative(),
+                "coulomb": fit.coulomb.not_negative(),
+                "drag": NO_DRAG,
+            }
             changes |= {"friction_model": "coulomb"}
         changes |= {"fit": None, "friction": None, **found}
         for place, name in enumerate(("w2", "c", "coulomb", "drag")):
@@ -463,11 +467,6 @@ def _moved_pendulum(known: Pendulum, fit: ClosedLoopFit, moves: Sequence[Move]) 
                 covariance[place, :] = covariance[:, place] = 0.0
                 covariance[place, place] = _sigma(found[name]) ** 2
     return known.model_copy(update=changes | {"covariance": tuple(map(tuple, covariance.tolist()))})
-
-
-def _positive(estimate: Estimate) -> Estimate:
-    value, low, high = (max(e, 0.0) for e in (estimate.value, *estimate.interval))
-    return Estimate(value=value, low=low, high=high, source=estimate.source)
 
 
 def _moved_actuator(known: Actuator, response: dict[str, Estimate], arm: Arm) -> Actuator:

@@ -214,16 +214,21 @@ def _run(run: RunLog) -> str:
 
 
 def _gap(results: Results) -> str:
-    from equipoise.studies.gap_results import CURED, NO_BIAS, NO_PREDICTION, PAPER, mean
+    from equipoise.studies.gap_results import (
+        CURED,
+        NO_BIAS,
+        NO_PREDICTION,
+        PAPER,
+        at_world,
+        mean,
+    )
 
     gap = results.gap
     if gap is None:
         return no_gap(results)
-    delay = gap.world_settings.transport
 
     def stands(controller: "Controller") -> str:
-        here = min(gap.curve("delay", controller), key=lambda point: abs(point.at - delay))
-        return f"{mean(here.results, gap.duration).mean:.1f} s"
+        return f"{mean(at_world(gap, controller), gap.duration).mean:.1f} s"
 
     return (
         f"In {gap.trials} trials of {gap.duration:g} s on that twin it stood {stands(CURED)} on "

@@ -17,7 +17,6 @@ import atexit
 import functools
 import importlib
 import importlib.util
-import logging
 import re
 import shutil
 import sys
@@ -26,7 +25,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from equipoise.artefacts import write_whole
-from equipoise.compiled import cache_directory
+from equipoise.compiled import cache_directory, cache_folder, warn_of_cache
 from equipoise.errors import OutsideError
 from equipoise.model.arms.arm import (
     BIAS,
@@ -41,8 +40,6 @@ from equipoise.model.arms.arm import (
 from equipoise.model.arms.chain import Floats, links
 from equipoise.model.arms.symbols import Symbol, Tape, Vector
 from equipoise.model.elementary import LANES
-
-logger = logging.getLogger(__name__)
 
 COMMITTED: Final = ("iiwa7", "iiwa14")
 """Names of the arms whose modules are part of the package."""
@@ -176,11 +173,15 @@ def load(arm: Arm) -> KinematicsFunction:
             return module.kinematics
     name = f"{arm.geometry_digest.removeprefix('sha256:')}.py"
     text = source(arm)
-    room = cache_directory() / "arms"
-    try:
-        _write(room / name, text)
-    except OutsideError:
-        room = _instead_of(room)
+    room = cache_folder("arms")
+    if room is not None:
+        try:
+            _write(room / name, text)
+        except OutsideError as error:
+            warn_of_cache(cache_directory(), str(error))
+            room = None
+    if room is None:
+        room = _instead_of_cache()
         _write(room / name, text)
     return _imported(room / name).kinematics
 
@@ -195,13 +196,8 @@ def _write(path: Path, text: str) -> None:
 
 
 @functools.cache
-def _instead_of(room: Path) -> Path:
+def _instead_of_cache() -> Path:
     """Return a folder that lasts as long as the process."""
-    logger.warning(
-        "cannot write %s: the kinematics of the arm is generated anew in each process; "
-        "set EQUIPOISE_CACHE_DIR to a folder that can be written",
-        room,
-    )
     folder = Path(tempfile.mkdtemp(prefix="equipoise-arms-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder

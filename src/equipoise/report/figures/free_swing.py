@@ -41,7 +41,7 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
     time, recorded = trajectory.time, np.rad2deg(trajectory.values)
     fitted = np.rad2deg(fitted_curve(trajectory, pendulum))
     rate = fit.quantity == "rate"
-    name, unit = ("angular velocity", "deg/s") if rate else ("angle from hanging", "deg")
+    name, unit = ("angular velocity", "°/s") if rate else ("angle from hanging", "°")
     symbol = "d\N{GREEK SMALL LETTER THETA}/dt" if rate else "\N{GREEK SMALL LETTER THETA}"
     figure = new_figure(4.3, "Free swing: recording and fit (the paper's figure 2)")
     axes: Any = figure.subplots(
@@ -72,7 +72,9 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
     axes[1, 0].set_ylabel(f"recording \N{MINUS SIGN} fit\n[{unit}]")
     largest = float(np.nanmax(np.abs(recorded - fitted)))
     axes[1, 0].set_ylim(-1.6 * largest, 1.6 * largest)
-    axes[1, 0].set_title(f"residual: {f'{fit.rms_deg:#.2g}'.rstrip('.')} {unit} RMS")
+    axes[1, 0].set_title(
+        f"residual: {f'{fit.rms_deg:#.2g}'.rstrip('.')} {unit} RMS".replace(" °", "°")
+    )
     handles, labels = axes[0, 0].get_legend_handles_labels()
     if fit.window[0] > time[0]:
         from matplotlib.lines import Line2D

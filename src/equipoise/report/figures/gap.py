@@ -87,7 +87,7 @@ def _curves(part: Any, gap: Gap) -> None:
     axes[0, 0].set_ylabel("mean survival [s]")
     axes[1, 0].set_ylabel("falls on the\ntrack limit [%]")
     axes[1, 0].set_xlabel("transport delay [ms]")
-    axes[1, 1].set_xlabel("error of the encoder's zero [deg]")
+    axes[1, 1].set_xlabel("error of the encoder's zero [°]")
     number = f"{gap.trials} trials of {gap.duration:g} s at each point, 95 % intervals"
     _title(part, f"{number}{'; the short form' if gap.quick else ''}")
     # All curves are there on the left.

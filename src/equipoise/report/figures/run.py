@@ -162,15 +162,15 @@ def joints(run: RunLog) -> "Figure":
         at.set_title(title)
         at.tick_params(labelbottom=False)
         moved.set_xlabel("time [s]")
-    axes["at0"].set_ylabel("joint position [deg]")
-    axes["moved0"].set_ylabel("change since the start [deg]")
+    axes["at0"].set_ylabel("joint position [°]")
+    axes["moved0"].set_ylabel("change since the start [°]")
     if real:
         # A command stands for the end of its tick, the truth for the beginning.
         ahead = np.zeros_like(commanded)
         ahead[1:] = np.rad2deg(run.q[:-1] - run.truth.q[1:])
         _lines(axes["behind"], run, ahead, spans[0][0])
         axes["behind"].set_title("how far the arm is behind its commands")
-        axes["behind"].set_ylabel("commanded − real [deg]")
+        axes["behind"].set_ylabel("commanded − real [°]")
         axes["behind"].set_xlabel("time [s]")
     figure.align_ylabels([axes["at0"], axes["moved0"], *([axes["behind"]] if real else [])])
     handles, names = axes["at0"].get_legend_handles_labels()
@@ -202,7 +202,7 @@ def pendulum(run: RunLog) -> "Figure":
         run,
         "Angle and angular velocity of the pendulum (the paper's figure 6)",
         _Row(
-            "φ [deg]",
+            "φ [°]",
             to_deg(run.phi),
             to_deg(truth.phi) if real else None,
             inner,
@@ -210,7 +210,7 @@ def pendulum(run: RunLog) -> "Figure":
             f"failure at ±{limit:g}°",
         ),
         _Row(
-            "dφ/dt [deg/s]",
+            "dφ/dt [°/s]",
             to_deg(run.phi_dot),
             to_deg(truth.phi_dot) if real else None,
             inner_dot,
@@ -275,7 +275,7 @@ def encoder_zero(run: RunLog) -> "Figure":
         panel.set_xlim(0.0, until)
         panel.set_title(title)
         panel.set_xlabel("time [s]")
-    axes[0].set_ylabel("error of φ [deg]")
+    axes[0].set_ylabel("error of φ [°]")
     largest = max(float(np.max(np.abs(estimated))), abs(np.rad2deg(error or 0.0)), 0.05)
     axes[0].set_ylim(-1.2 * largest, 1.2 * largest)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)

@@ -1,5 +1,6 @@
 """The policy as a picture: 270 boxes, and the acceleration that it commands in each."""
 
+from math import isinf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,8 +14,8 @@ from equipoise.runlog import RunLog
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MAP = "cividis"
-"""Lightness rises with u, so that the sign is seen in grey as well."""
+MAP = "RdBu_r"
+"""Diverging: blue below zero, white at zero, red above; in grey the numbers tell the sign."""
 LUMA = np.array([0.299, 0.587, 0.114])
 """How light red, green and blue look."""
 
@@ -29,7 +30,7 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
     """
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import BoundaryNorm
+    from matplotlib.colors import Normalize
     from matplotlib.patches import Patch, Rectangle
 
     u = policy.u_of_box.reshape(SHAPE)
@@ -38,9 +39,8 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
     if run is not None:
         seen = np.bincount(run.box, minlength=u.size).reshape(SHAPE) > 0
     actions = np.array(policy.actions)
-    middle = 0.5 * (actions[1:] + actions[:-1])
-    edges = np.concatenate(([2 * actions[0] - middle[0]], middle, [2 * actions[-1] - middle[-1]]))
-    norm, colours = BoundaryNorm(edges, 256), colormaps[MAP]
+    largest = float(np.max(np.abs(actions)))
+    norm, colours = Normalize(-1.2 * largest, 1.2 * largest), colormaps[MAP]
 
     figure = new_figure(7.0, "What the policy does where: u in each of the 270 boxes")
     axes: Any = figure.subplots(3, 3, sharex=True, sharey=True)
@@ -54,7 +54,9 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
             fill = colours_of[j, i]
             pen = INK if fill[:3] @ LUMA > 0.5 else "white"
             if unvisited[i, j, k, m]:
-                _add(panel, Rectangle((i, j), 1, 1, fill=False, hatch="/////", edgecolor=pen))
+                hatched = Rectangle((i, j), 1, 1, fill=False, hatch="/////", edgecolor=pen)
+                hatched.set_linewidth(0.0)  # framed boxes are those that the run saw
+                _add(panel, hatched)
             text = panel.text(
                 i + 0.5, j + 0.5, _signed(float(u[i, j, k, m])), color=pen, fontsize=6.8
             )
@@ -69,11 +71,11 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
                     _add(panel, frame)
     for k, interval in enumerate(paper.X_INTERVALS):
         where = ("left", "middle", "right")[k]
-        axes[0, k].set_title(f"{where}: x in {_interval(interval)} m", ha="center", x=0.5)
+        axes[0, k].set_title(f"{where}: {_between('x', interval)} m", ha="center", x=0.5)
     for m, interval in enumerate(paper.X_DOT_INTERVALS):
         how = ("moving left", "slow", "moving right")[m]
         axes[SHAPE[3] - 1 - m, -1].annotate(
-            f"{how}:\ndx/dt in {_interval(interval)} m/s",
+            f"{how}:\n{_between('dx/dt', interval)} m/s",
             (1.03, 0.5),
             xycoords="axes fraction",
             rotation=-90,
@@ -86,8 +88,10 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
     )
     bar.set_ticks(actions.tolist(), labels=[_signed(action) for action in actions])
     bar.minorticks_off()
-    bar.set_label("u [m/s²]: the flange accelerates towards \N{MINUS SIGN}x (dark) or +x (light)")
-    notes = [Patch(fill=False, edgecolor=INK, hatch="/////", label="never visited in training")]
+    bar.set_label("u [m/s²]: the flange accelerates towards \N{MINUS SIGN}x (blue) or +x (red)")
+    unvisited_note = Patch(fill=False, edgecolor=INK, hatch="/////", linewidth=0.0)
+    unvisited_note.set_label("never visited in training")
+    notes = [unvisited_note]
     if run is not None:
         label = f"{int(seen.sum())} boxes that the deployment run saw"
         notes.append(Patch(fill=False, edgecolor=INK, linewidth=1.6, label=label))
@@ -100,10 +104,10 @@ def _edges(axes: Any) -> None:
     phi_dot = [paper.PHI_DOT_INTERVALS_DEG[0].low, *(i.high for i in paper.PHI_DOT_INTERVALS_DEG)]
     for panel in axes[-1]:
         panel.set_xticks(range(len(phi)), [_number(edge) for edge in phi])
-        panel.set_xlabel("φ [deg]")
+        panel.set_xlabel("φ [°]")
     for panel in axes[:, 0]:
         panel.set_yticks(range(len(phi_dot)), [_number(edge) for edge in phi_dot])
-        panel.set_ylabel("dφ/dt [deg/s]")
+        panel.set_ylabel("dφ/dt [°/s]")
     for panel in axes.flat:
         panel.tick_params(length=0)
         for spine in panel.spines.values():
@@ -116,8 +120,15 @@ def _add(panel: Any, patch: Any) -> None:
     panel.add_patch(patch)
 
 
-def _interval(interval: paper.Interval) -> str:
-    return _minus(str(interval).replace("+", "").replace("inf", "∞"))
+def _between(name: str, interval: paper.Interval) -> str:
+    """Return which values of a quantity an interval holds, without brackets that need a legend."""
+    low, high = (_number(end) for end in (interval.low, interval.high))
+    left, right = ("≤" if closed else "<" for closed in (interval.low_closed, interval.high_closed))
+    if isinf(interval.low):
+        return f"{name} {right} {high}"
+    if isinf(interval.high):
+        return f"{name} {left.replace('≤', '≥').replace('<', '>')} {low}"
+    return f"{low} {left} {name} {right} {high}"
 
 
 def _signed(value: float) -> str:

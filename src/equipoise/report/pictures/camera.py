@@ -1,7 +1,7 @@
-"""The camera in front of the arm: where it must be to see everything, and what it sees where.
+"""The camera beside the arm: where it must be to see everything, and what it sees where.
 
-It looks back at the base, so that +x is on the *left* of the picture, a little from the side, so
-that the arm is seen to bend, and down on the table.
+It stands behind the base, so that +x is to the *right* of the picture as in every figure, far
+enough to the side that the arm does not hide the pendulum, and looks down on the table.
 """
 
 from typing import Final, NamedTuple
@@ -13,10 +13,10 @@ Floats = npt.NDArray[np.float64]
 Size = tuple[int, int]
 """Width and height [pixels]."""
 
-AZIMUTH_DEG: Final = -112.0
-"""Where it looks; -90 is along base -y, straight at the plane in which the pendulum turns [deg]."""
-ELEVATION_DEG: Final = -14.0
-"""Where it looks; below the horizon [deg]."""
+AZIMUTH_DEG: Final = 42.0
+"""Direction of view [deg]; 90 is along base +y, where the arm would hide the pendulum."""
+ELEVATION_DEG: Final = -22.0
+"""Direction of view above the horizon [deg]."""
 FOV_DEG: Final = 20.0
 """What it sees from bottom to top [deg]; narrow, so that upright things look upright."""
 

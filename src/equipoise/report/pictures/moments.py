@@ -33,19 +33,23 @@ class Moments(NamedTuple):
     """Angle of the pendulum from upright [rad], shape (n,)."""
     q: Floats
     """All joints [rad], shape (n, joints)."""
-
+    u: Floats
+    """Commanded acceleration of the flange [m/s^2], shape (n,); zero while no policy runs."""
     phase: tuple[str, ...] = ()
     """What went on, in a word each; empty where the policy ran all the time."""
 
-    def captions(self) -> list[tuple[str, str, str]]:
-        """Return time, displacement and angle of each, in words."""
+    def captions(self) -> list[tuple[str, str, str, str]]:
+        """Return time, displacement, angle and command of each, in words."""
         return [
             (
                 f"t = {time:.2f} s".replace("-", MINUS),
                 f"x = {signed(x, 3)} m",
                 f"φ = {signed(phi_deg, 1)}°",
+                f"u = {signed(u, 1)} m/s²",
             )
-            for time, x, phi_deg in zip(self.time, self.x, np.rad2deg(self.phi), strict=True)
+            for time, x, phi_deg, u in zip(
+                self.time, self.x, np.rad2deg(self.phi), self.u, strict=True
+            )
         ]
 
 
@@ -66,7 +70,7 @@ def moments(run: RunLog | RigRun, arm: Arm, times: Sequence[float] | Floats) -> 
     """Return the run at `times` since the release [s], from straight lines between its rows.
 
     The truth is shown where it is known; of a rig what it measured; else what the policy saw and
-    commanded.
+    commanded. A command stands until the next tick.
 
     Raises:
         ArmError: Another arm ran.
@@ -88,7 +92,7 @@ def moments(run: RunLog | RigRun, arm: Arm, times: Sequence[float] | Floats) -> 
         raise ArtefactError("the run has no ticks, nothing to show; give one in which a policy ran")
     shown = run.truth if len(run.truth.q) else run
     x, phi, *q = (np.interp(at, run.time, v) for v in (shown.x, shown.phi, *shown.q.T))
-    return Moments(at, x, phi, np.column_stack(q))
+    return Moments(at, x, phi, np.column_stack(q), run.u[_tick(run.time, at)])
 
 
 def _measured(run: RigRun, arm: Arm, at: Floats) -> Moments:
@@ -104,9 +108,14 @@ def _measured(run: RigRun, arm: Arm, at: Floats) -> Moments:
     turns = (counts - encoder_zero(run)) / int(run.conditions["rig"]["counts_per_rev"])
     phi = np.remainder(-2.0 * np.pi * turns, 2.0 * np.pi) - np.pi
     names = run.conditions["phases"]
-    places = np.searchsorted(tick["time"] - released, at, side="right") - 1
-    phase = tuple(names[state] for state in tick["state"][np.maximum(places, 0)].tolist())
-    return Moments(at, np.array(x), phi, q, phase)
+    row = _tick(tick["time"] - released, at)
+    phase = tuple(names[state] for state in tick["state"][row].tolist())
+    return Moments(at, np.array(x), phi, q, np.nan_to_num(tick["u"][row]), phase)
+
+
+def _tick(time: Floats, at: Floats) -> npt.NDArray[np.intp]:
+    """Return the row of the tick in which each moment lies."""
+    return np.maximum(np.searchsorted(time, at, side="right") - 1, 0)
 
 
 MINUS: Final = "\N{MINUS SIGN}"

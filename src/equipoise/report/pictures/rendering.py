@@ -26,17 +26,28 @@ Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
 """Red, green and blue of every pixel, rows from the top, shape (height, width, 3)."""
 
-MAX_GEOMS: Final = 256
-"""Room for what is drawn."""
+MAX_GEOMS: Final = 512
+"""Room for what is drawn, with its shadow."""
+SHADOW: Final = np.array([0.64, 0.56, 0.42, 1.0], np.float32)
+"""Colour of a shadow on the table."""
+ARROW: Final = np.array([0.0, 0.62, 0.45, 1.0], np.float32)
+"""Colour of the arrow that shows u."""
+ARROW_PER_U: Final = 0.1
+"""Length of the arrow for an acceleration of 1 m/s^2 [m]."""
+ARROW_BELOW: Final = 0.09
+"""Distance of the arrow below the pivot [m]: free of the hand in every view."""
 
 
-def frames(arm: Arm, q: Floats, phi: Floats, *, size: Size) -> Iterator[Picture]:
+def frames(
+    arm: Arm, q: Floats, phi: Floats, u: Floats | None = None, *, size: Size
+) -> Iterator[Picture]:
     """Draw the rig as it was, one moment after another.
 
     Args:
         arm: The arm.
         q: All joints [rad], shape (n, joints).
         phi: Angle of the pendulum from upright [rad], shape (n,).
+        u: Commanded acceleration, shown as an arrow [m/s^2], shape (n,); no arrow if not given.
         size: Of the pictures.
 
     Returns:
@@ -52,10 +63,10 @@ def frames(arm: Arm, q: Floats, phi: Floats, *, size: Size) -> Iterator[Picture]
             f"joint positions have shape {np.shape(q)}, expected {expected}: "
             f"give all joints of {arm.name}, one row for each angle"
         )
-    return draw(stage(arm, size), q, phi)
+    return draw(stage(arm, size), q, phi, u)
 
 
-def draw(scene: Stage, q: Floats, phi: Floats) -> Iterator[Picture]:
+def draw(scene: Stage, q: Floats, phi: Floats, u: Floats | None = None) -> Iterator[Picture]:
     """Draw a stage, one moment after another; `frames` makes the stage and checks the shapes.
 
     Raises:
@@ -68,15 +79,53 @@ def draw(scene: Stage, q: Floats, phi: Floats) -> Iterator[Picture]:
     camera.type, camera.fixedcamid = mj.mjtCamera.mjCAMERA_FIXED, model.camera(CAMERA).id
     whole, picture = mj.MjrRect(0, 0, width, height), np.empty((height, width, 3), np.uint8)
     with _canvas(model, scene.camera.size) as (make_current, canvas):
-        for joints, angle in zip(q, phi, strict=True):
+        pushes = np.zeros(len(phi)) if u is None else u
+        for joints, angle, push in zip(q, phi, pushes, strict=True):
             data.qpos[:] = [*joints, angle]
             mj.mj_kinematics(model, data)
             mj.mj_camlight(model, data)
             mj.mjv_updateScene(model, data, options, None, camera, everything, shapes)
+            _cast_shadows(model, shapes)
+            if push:
+                _add_arrow(data.body("pendulum").xpos, float(push), shapes)
             make_current()  # someone else may have drawn since the last picture
             mj.mjr_render(whole, shapes, canvas)
             mj.mjr_readPixels(picture, None, whole, canvas)
             yield picture[::-1].copy()  # OpenGL counts rows from the bottom
+
+
+def _cast_shadows(model: Any, shapes: Any) -> None:
+    """Add the shadows that light from straight above casts on the table.
+
+    The shadow of the pivot lies on the rail and shows x on its marks. Each shape is drawn once
+    more, flat: OpenGL's own shadows cost twice as much and speckle.
+    """
+    mj = mujoco()
+    table = model.geom("table")
+    surface = float(table.pos[2] + table.size[2]) + 0.002
+    for shape in shapes.geoms[: shapes.ngeom]:
+        moves = shape.objtype == mj.mjtObj.mjOBJ_GEOM and model.geom_bodyid[shape.objid] > 0
+        if not moves or np.any(np.abs(shape.pos[:2] - table.pos[:2]) > table.size[:2]):
+            continue
+        place = np.array([*shape.pos[:2], surface])
+        flat = np.diag([1.0, 1.0, 1e-3]) @ shape.mat
+        shadow = shapes.geoms[shapes.ngeom]
+        size = np.array(shape.size, np.float64)
+        mj.mjv_initGeom(shadow, shape.type, size, place, flat.astype(np.float64).ravel(), SHADOW)
+        shadow.specular = 0.0
+        shapes.ngeom += 1
+
+
+def _add_arrow(pivot: Floats, u: float, shapes: Any) -> None:
+    """Add an arrow below the hand, along x, as long as `u` is large."""
+    mj = mujoco()
+    kind, arrow = mj.mjtGeom.mjGEOM_ARROW, shapes.geoms[shapes.ngeom]
+    start = pivot - np.array([0.0, 0.0, ARROW_BELOW])
+    # MuJoCo draws an arrow half as long as it is asked for.
+    end = start + np.array([2.0 * ARROW_PER_U * u, 0.0, 0.0])
+    mj.mjv_initGeom(arrow, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), ARROW)
+    mj.mjv_connector(arrow, kind, 0.012, start, end)
+    shapes.ngeom += 1
 
 
 @contextmanager

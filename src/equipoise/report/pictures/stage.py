@@ -1,8 +1,9 @@
 """What is in the picture: the rig of `equipoise.model.arms.scene`, dressed to be recognised.
 
 The scene is drawn slimmer than it is measured, with caps on its joints and seams on its links.
-Added are the ends of the track as two posts in the pendulum's plane, the upright as a thin line at
-its pivot, a table with edges and legs, light, and a camera.
+Added are the ends of the track as two posts in the pendulum's plane, a rail with marks between
+their feet, the upright as a thin line at the pivot, a table with edges and legs, a floor, light,
+and a camera.
 """
 
 from typing import Any, Final, NamedTuple
@@ -25,8 +26,12 @@ SLIM: Final = Sizes(
 """Near the sizes of the iiwas, which the scene exceeds on purpose."""
 UPRIGHT: Final = 0.28
 """Length of the line that shows the upright [m]."""
-POST_ABOVE: Final = 0.06
-"""The posts end above the pivot by this much [m]."""
+POST_ABOVE: Final = UPRIGHT
+"""Height of the posts above the pivot [m]: the whole pendulum is seen against them."""
+MARKS: Final = (-0.2, -0.1, 0.0, 0.1, 0.2)
+"""Displacements that are marked on the rail [m]."""
+MARK: Final = 0.012
+"""Half the length of a mark [m]."""
 FOOT: Final = 0.02
 """Radius of their feet [m]."""
 BASE: Final = 0.095
@@ -40,8 +45,10 @@ LEG: Final = 0.7
 MARGIN: Final = 0.01
 """Kept free around what must be seen [m]."""
 SAMPLES: Final = 4
-"""Samples per pixel; they smooth edges. Shadows are not drawn: they speckle the table."""
-CAMERA: Final = "front"
+"""Samples per pixel; they smooth edges."""
+TILE: Final = 0.5
+"""Width of two tiles of the floor [m]."""
+CAMERA: Final = "behind"
 """Name of the only camera."""
 
 
@@ -68,8 +75,12 @@ SCENE_MATERIALS: Final = {
     "table": "table",
 }
 """Materials of the scene's own geometry, by how its names begin."""
-WALL: Final = (0.95, 0.96, 0.97)
-"""Colour behind everything."""
+FLOOR: Final = (0.92, 0.93, 0.94), (0.895, 0.905, 0.915)
+"""Colours of its tiles."""
+
+
+LABEL: Final = np.array([0.0, -0.11, 0.0])
+"""From the foot of a post to its label, on the table [m]."""
 
 
 class Post(NamedTuple):
@@ -92,6 +103,13 @@ class Stage(NamedTuple):
     """What its only camera sees."""
     posts: tuple[Post, ...]
     """The ends of the track."""
+
+    def labels(self) -> list[tuple[str, tuple[float, float]]]:
+        """Return the displacement at each post, and where in the picture its text is centred."""
+        return [
+            (f"{post.x:+g} m".replace("-", "\N{MINUS SIGN}"), self.camera.pixel(post.foot + LABEL))
+            for post in self.posts
+        ]
 
 
 def stage(arm: Arm, size: Size) -> Stage:
@@ -174,26 +192,40 @@ def _furnish(spec: Any, table: Any, surface: float, posts: tuple[Post, ...]) -> 
         for y in (low[1] + 0.04, high[1] - 0.04):
             head = np.array([x, y, surface - TABLE_TOP])
             _add_cylinder(world, "table", head, head + LEG * down, 0.025)
+    ground = spec.add_material(name="floor", texrepeat=[1.0 / TILE] * 2, texuniform=True)
+    spec.add_texture(
+        name="tiles",
+        type=mujoco().mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco().mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=FLOOR[0],
+        rgb2=FLOOR[1],
+        width=64,
+        height=64,
+    )
+    ground.textures[mujoco().mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    world.add_geom(
+        type=mujoco().mjtGeom.mjGEOM_PLANE,
+        size=[0.0, 0.0, 1.0],  # without an end
+        pos=[0.0, 0.0, surface - TABLE_TOP - LEG],
+        material="floor",
+    )
     for post in posts:
         _add_cylinder(world, "post", post.foot, post.top, 0.005)
         _add_cylinder(world, "post", post.foot, post.foot - 0.004 * down, FOOT)
-    _add_cylinder(world, "post", posts[0].foot, posts[-1].foot, 0.003)
+    rail = posts[0].foot, posts[-1].foot
+    _add_cylinder(world, "post", *rail, 0.003)
+    for x in MARKS:
+        middle = 0.5 * (rail[0] + rail[1]) + np.array([x, 0.0, 0.0])
+        across = np.array([0.0, MARK, 0.0])
+        _add_cylinder(world, "post", middle - across, middle + across, 0.003)
 
 
 def _light(spec: Any) -> None:
-    """Light the scene softly from above the camera, before a light wall."""
+    """Light the scene softly from above the camera; shadows are drawn by `rendering`."""
     mj = mujoco()
-    spec.add_texture(
-        name="wall",
-        type=mj.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mj.mjtBuiltin.mjBUILTIN_FLAT,
-        rgb1=WALL,
-        width=8,
-        height=48,  # six sides of a box
-    )
     spec.worldbody.add_light(
         type=mj.mjtLightType.mjLIGHT_DIRECTIONAL,
-        dir=[0.5, -0.9, -1.0],
+        dir=[0.6, 0.5, -1.0],
         diffuse=[0.45] * 3,
         specular=[0.15] * 3,
         castshadow=False,
@@ -204,13 +236,12 @@ def _light(spec: Any) -> None:
 
 def _place_camera(spec: Any, places: Floats, posts: tuple[Post, ...], size: Size) -> Camera:
     """Add a camera that sees the arm at home, the posts, and the hand with its pendulum at each."""
-    feet = np.array([post.foot for post in posts])
+    ends = np.array([end for post in posts for end in (post.foot, post.top)])
     along = [np.array([post.x, 0.0, 0.0]) for post in posts]
     hands = np.vstack([places[-3:] + x for x in along])  # last joint, flange, pivot
-    uprights = places[-1] + np.array([0.0, 0.0, UPRIGHT]) + along
-    points = np.vstack([places, hands, feet, uprights])
+    points = np.vstack([places, hands, ends])
     joint = SLIM.housing + SLIM.housing_reach
-    radii = np.repeat([joint, FOOT], [len(places) + len(hands), 2 * len(posts)]) + MARGIN
+    radii = np.repeat([joint, FOOT], [len(places) + len(hands), len(ends)]) + MARGIN
     camera = camera_that_sees(points, radii, size)
     quaternion = np.zeros(4)
     back = np.cross(camera.right, camera.up)

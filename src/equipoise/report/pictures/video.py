@@ -1,7 +1,7 @@
 """A run as a video, at the speed at which it happened."""
 
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from importlib import import_module
 from itertools import chain
@@ -14,10 +14,8 @@ from equipoise.artefacts import write_whole
 from equipoise.errors import MissingExtraError, OutsideError
 from equipoise.model.arms.arm import Arm
 from equipoise.report.pictures.camera import Size
-from equipoise.report.pictures.moments import Moments, moments, signed, span
-from equipoise.report.pictures.rendering import Picture, draw
-from equipoise.report.pictures.stage import Stage, stage
-from equipoise.report.style import GREY, INK
+from equipoise.report.pictures.film import film
+from equipoise.report.pictures.moments import span
 from equipoise.runlog import RunLog
 from equipoise.runwriter import RigRun
 
@@ -27,8 +25,6 @@ FPS: Final = 30
 """Frames per second."""
 QUALITY: Final = 7
 """From 1 to 10."""
-LETTERS: Final = 26
-"""Height of the letters [pixels]."""
 
 
 def write_video(
@@ -39,7 +35,7 @@ def write_video(
     fps: int = FPS,
     report: Callable[[float], None] = lambda _: None,
 ) -> None:
-    """Write a run as an MP4 (H.264) with time, displacement and angle in the picture.
+    """Write a run as an MP4 (H.264) with time, displacement, angle and command.
 
     Args:
         run: The run; of one on a rig, from shortly before the release until the arm rests.
@@ -61,10 +57,7 @@ def write_video(
         raise MissingExtraError("imageio-ffmpeg", "video") from None
     begin, end = span(run)
     count = max(1, round((end - begin) * fps))
-    shown, scene = moments(run, arm, begin + np.arange(count) / fps), stage(arm, FRAME)
-    where = run.conditions["robot"] if isinstance(run, RigRun) else run.conditions.world
-    title = f"{arm.name} · {where}"
-    pictures = _written_on(draw(scene, shown.q, shown.phi), scene, shown, title)
+    pictures = film(run, arm, begin + np.arange(count) / fps, FRAME)
     pictures = chain([next(pictures)], pictures)  # it can be drawn, before the encoder begins
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -94,34 +87,3 @@ def write_video(
         raise
     except (OSError, RuntimeError) as error:
         raise OutsideError(f"cannot write {path}, the encoder failed: {error}") from None
-
-
-def _written_on(
-    pictures: Iterable[Picture], scene: Stage, shown: Moments, title: str
-) -> Iterator[Picture]:
-    """Write the title, the ends of the track, and on each picture what is true at its time."""
-    from matplotlib import get_data_path
-    from PIL import Image, ImageDraw, ImageFont
-
-    fonts = Path(get_data_path(), "fonts", "ttf")
-    large, small = (
-        ImageFont.truetype(fonts / name, height)
-        for name, height in (("DejaVuSans-Bold.ttf", LETTERS), ("DejaVuSans.ttf", 18))
-    )
-    # On the outer sides of the posts' feet; the camera sees +x on the left.
-    ends = [
-        (scene.camera.pixel(post.foot), f"x = {signed(post.x, 2)} m", -1 if post.x > 0.0 else 1)
-        for post in scene.posts
-    ]
-    captions = shown.captions()
-    phases = shown.phase or ("",) * len(captions)
-    for picture, lines, phase in zip(pictures, captions, phases, strict=True):
-        image = Image.fromarray(picture)
-        pen = ImageDraw.Draw(image)
-        pen.text((FRAME[0] - 24, 24), title, GREY, small, "ra")
-        for (column, row), label, side in ends:
-            pen.text((column + 24 * side, row), label, INK, small, "lm" if side > 0 else "rm")
-        for number, line in enumerate(lines):
-            pen.text((24, 24 + 1.5 * LETTERS * number), line, INK, large)
-        pen.text((24, 24 + 1.5 * LETTERS * len(lines)), phase, GREY, small)
-        yield np.asarray(image)

@@ -1,0 +1,36 @@
+"""Make the pictures of README and documents, with the policy that ships: `make pictures`.
+
+balancing.webp is one run on the digital twin, survival.png the policy beside the yardsticks on the
+plant of its training. gap.png is drawn from the file of a whole study, which takes long to make:
+
+    equipoise gap POLICY --out gap.json
+    python docs/figures/make.py --gap gap.json
+"""
+
+import argparse
+from pathlib import Path
+
+import equipoise as eq
+from equipoise.report.figures import gap_figure, survival
+from equipoise.report.pictures import animation
+from equipoise.report.style import to_png
+from equipoise.studies.gap_results import Gap
+
+HERE = Path(__file__).parent
+
+
+def main() -> None:
+    """Make the pictures."""
+    parser = argparse.ArgumentParser(description="Make the pictures of README and documents.")
+    parser.add_argument("--gap", type=Path, help="a study made by `equipoise gap`")
+    options = parser.parse_args()
+    policy = eq.shipped_policy()
+    run = eq.deploy(policy, world="twin:nominal", duration=10.0)
+    (HERE / "balancing.webp").write_bytes(animation(run, policy.arm).webp)
+    (HERE / "survival.png").write_bytes(to_png(survival(eq.evaluate(policy))))
+    if options.gap:
+        (HERE / "gap.png").write_bytes(to_png(gap_figure(Gap.load(options.gap))))
+
+
+if __name__ == "__main__":
+    main()
