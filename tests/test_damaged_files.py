@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import TabularPolicy, shipped_policy
+from equipoise.control.yardsticks import yardsticks
+from equipoise.errors import InputError
 from equipoise.evaluation import Evaluation, evaluate
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
@@ -151,3 +153,9 @@ def test_extreme_numbers_with_a_fitting_digest_end_in_a_sentence(tmp_path, name,
         use(read(path))  # compiles
     found = outcomes(read, path, changed(json.loads(path.read_text()), count), use)
     assert found["refused"] > 0
+
+
+@pytest.mark.parametrize(("w2", "c"), [(1e5, 0.1), (1e9, 1e4), (1e-8, 1e4)])
+def test_a_pendulum_that_no_regulator_balances_is_refused_in_one_sentence(w2, c):
+    with pytest.raises(InputError, match=r"falls too fast|no regulator"):
+        yardsticks(Pendulum.assumed(w2, c).parameters(), 0.01)

@@ -11,9 +11,12 @@ from scipy.linalg import expm, solve_discrete_are
 
 from equipoise import paper
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, policy_kernel
+from equipoise.errors import InputError
 from equipoise.model.pendulum import PendulumParameters
 
 Array = npt.NDArray[np.float64]
+FASTEST_FALL = 9.0
+"""Limit on h^2 w2: within a step of h the fall grows by a factor of e^3, past any balance."""
 
 
 def yardsticks(pendulum: PendulumParameters, h: float) -> dict[str, PolicyKernel]:
@@ -45,14 +48,28 @@ def lqr_gains(pendulum: PendulumParameters, h: float) -> tuple[float, float, flo
     """Return the gains of the linear-quadratic regulator, u = gains . state.
 
     Sampled with u held over h. Weights by Bryson's rule: each of x, phi and u costs 1 at its limit.
+
+    Raises:
+        InputError: The pendulum falls too fast for the step.
     """
     A, B = state_space(pendulum)
+    if not h**2 * pendulum.w2 < FASTEST_FALL:
+        raise InputError(
+            f"the pendulum falls too fast for a step of {h:g} s: w2 is {pendulum.w2:.3g} 1/s^2, "
+            f"expected less than {FASTEST_FALL / h**2:.3g}; is its recording in seconds?"
+        )
     held = expm(h * np.block([[A, B], [np.zeros((1, 5))]]))
     A_h, B_h = held[:4, :4], held[:4, 4:]
     phi_limit = math.radians(paper.PHI_LIMIT_DEG)
     Q = np.diag([1.0 / paper.X_LIMIT**2, 0.0, 1.0 / phi_limit**2, 0.0])
     R = np.array([[1.0 / max(paper.ACTIONS) ** 2]])
-    P = solve_discrete_are(A_h, B_h, Q, R)
+    try:
+        P = solve_discrete_are(A_h, B_h, Q, R)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"no regulator balances a pendulum with w2 of {pendulum.w2:.3g} 1/s^2, c of "
+            f"{pendulum.c:.3g} 1/s and k of {pendulum.k:.3g} 1/m; identify it again"
+        ) from None
     K = np.linalg.solve(R + B_h.T @ P @ B_h, B_h.T @ P @ A_h)[0]
     x, x_dot, phi, phi_dot = (-float(gain) for gain in K)
     return x, x_dot, phi, phi_dot

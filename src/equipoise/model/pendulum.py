@@ -31,6 +31,8 @@ SHORTEST_PERIOD: Final = 1e-5
 LONGEST_PERIOD: Final = 1e5
 """Limits on the period of a small swing [s], from 25 pm to 2,500,000 km of string: a unit of time
 that was mistaken by a factor of a thousand stays within them, and can be named."""
+STRONGEST_FRICTION: Final = 1e4
+"""Limit on c [1/s], dry friction [1/s^2] and drag [1/rad]: none that swings has a hundredth."""
 Variance = Annotated[float, Field(ge=-1e24, le=1e24)]
 """Product of two deviations, each below 1e12."""
 
@@ -306,9 +308,18 @@ class Pendulum(Viewable, Artefact):
                 f"w2 is {w2:.3g} 1/s^2, expected that of a period from {SHORTEST_PERIOD:g} s to "
                 f"{LONGEST_PERIOD:g} s"
             )
-        for name in ("k", "coulomb", "drag"):
-            if getattr(self, name).value < 0.0:
-                raise ValueError(f"{name} is {getattr(self, name).value:.3g}, below zero")
+        if not 0.01 * w2 <= self.g * self.k.value <= 100.0 * w2:
+            raise ValueError(
+                f"k is {self.k.value:.3g} 1/m, expected about w2 / g = {w2 / self.g:.3g}"
+            )
+        for name in ("coulomb", "drag"):
+            if not 0.0 <= getattr(self, name).value <= STRONGEST_FRICTION:
+                raise ValueError(
+                    f"{name} is {getattr(self, name).value:.3g}, expected 0 to "
+                    f"{STRONGEST_FRICTION:g}"
+                )
+        if abs(self.c.value) > STRONGEST_FRICTION:
+            raise ValueError(f"c is {self.c.value:.3g} 1/s, expected 0 to {STRONGEST_FRICTION:g}")
         return self
 
     @classmethod
