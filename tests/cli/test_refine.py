@@ -154,7 +154,7 @@ def test_what_cannot_be_compared_is_refused(refused, policy_file, run_file, smal
     [
         ((-0.05, -0.12, 0.02), "not distinguishable from 0 1/s  (95 %: below 0.02)"),
         ((0.0, 0.0, 0.03), "not distinguishable from 0 1/s  (95 %: below 0.03)"),
-        ((0.02, -0.01, 0.05), "0.020 1/s  (95 %: 0.000 to 0.050)"),
+        ((0.02, -0.01, 0.05), "0.020 1/s  (95 %: 0 to 0.050)"),
         ((0.15, 0.13, 0.17), "0.150 1/s  (95 %: 0.130 to 0.170)"),
         ((-0.5, -0.6, -0.4), "-0.5 1/s, which cannot be: the model does not fit"),
     ],
