@@ -440,6 +440,26 @@ def test_a_richer_friction_never_fits_worse_and_is_named_where_it_halves_the_res
         assert any(f"try --friction {better}" in warning for warning in fits[0].warnings)
 
 
+def from_near_the_top(w2, drag, amplitude, periods, seed):
+    duration = periods * 2.0 * pi / sqrt(w2)
+    options = {"rate_hz": 200.0, "counts_per_rev": 8192, "noise": 5e-4, "seed": seed}
+    truth = PendulumParameters(w2, 0.0, 0.0, 0.0, drag)
+    return simulated(truth, theta0=amplitude, duration=duration, **options)
+
+
+@compiled
+def test_a_richer_friction_is_not_lost_where_the_simple_one_explains_a_swing():
+    swing = from_near_the_top(108.1811397123822, 0.0, 2.85, 22.9, 12)
+    left = [identify(swing, with_friction(model)).fit.rms for model in fitting.FRICTIONS]
+    assert max(left) < 1.001 * min(left)
+
+
+@compiled
+def test_a_refusal_names_the_friction_that_explains_the_swing():
+    swing = from_near_the_top(71.8, 0.19, 2.79, 32.5, 18)
+    assert "try --friction quadratic, which explains it" in refused(swing)
+
+
 @compiled
 def test_a_small_swing_is_warned_of():
     said = "the intervals do not cover"

@@ -25,6 +25,7 @@ from equipoise.identification.averages import Averages, average
 from equipoise.identification.fit import (
     COULOMB,
     DRAG,
+    EXPLAINED,
     FRICTIONS,
     OFFSET,
     THETA,
@@ -129,7 +130,7 @@ def identify(
         theta_dot=float(fit.unknowns[THETA_DOT]),
         settings=settings,
     )
-    _refuse_unexplained(whole, swing_fit)
+    _refuse_unexplained(recording, free, rough.period, swing_fit)
     warnings = (
         *notes,
         *free.warnings,
@@ -146,16 +147,27 @@ def identify(
     )
 
 
-def _refuse_unexplained(recording: Recording, swing_fit: SwingFit) -> None:
+def _refuse_unexplained(
+    recording: Recording, free: FreeSwing, period: float, swing_fit: SwingFit
+) -> None:
     settings, spread = swing_fit.settings, float(np.std(recording.values))
     left = misfit(swing_fit.rms, swing_fit.noise) / spread
-    if left > settings.unexplained:
-        begin, end = swing_fit.window
-        raise RecordingError(
-            f"{swing_fit.source} is not a free swing: the pendulum's equation leaves {left:.0%} of "
-            f"the motion from {begin:.2f} s to {end:.2f} s unexplained, expected less than "
-            f"{settings.unexplained:.0%}; choose a free swing with --start and --end"
-        )
+    if left <= settings.unexplained:
+        return
+    begin, end = swing_fit.window
+    richest = list(FRICTIONS)[-1]
+    cure = "choose a free swing with --start and --end"
+    if settings.friction != richest:
+        richer = settings.model_copy(update={"friction": richest})
+        fit = fit_growing(recording, free.starts[:1], period, richer)
+        residual = recording.residual(fit.unknowns)
+        if misfit(rms(residual), noise_of(residual)) < EXPLAINED * spread:
+            cure = f"try --friction {richest}, which explains it"
+    raise RecordingError(
+        f"{swing_fit.source} is not a free swing with {settings.friction} friction: the pendulum's "
+        f"equation leaves {left:.0%} of the motion from {begin:.2f} s to {end:.2f} s unexplained, "
+        f"expected less than {settings.unexplained:.0%}; {cure}"
+    )
 
 
 def _nested(

@@ -5,7 +5,7 @@ and finite differences give its sensitivities; through an adaptive integrator th
 """
 
 from collections.abc import Sequence
-from math import ceil, log, sqrt
+from math import ceil, inf, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -232,9 +232,12 @@ def _without(
     scales = _scales(unknowns)
     others = [i for i in fitted if i != place]
     J = sensitivities(recording, unknowns, [*others, place])
-    change = np.linalg.lstsq(J[:, :-1] * scales[others], J[:, -1] * unknowns[place], rcond=None)[0]
     guess = unknowns.copy()
-    guess[others] += change * scales[others]
+    if np.all(np.isfinite(J)):
+        change = np.linalg.lstsq(
+            J[:, :-1] * scales[others], J[:, -1] * unknowns[place], rcond=None
+        )[0]
+        guess[others] += change * scales[others]
     if not np.all(np.isfinite(recording.predict(guess))):
         guess = start.copy()
     for i in (C, COULOMB, DRAG):
@@ -253,6 +256,10 @@ def _least_squares(
     low[0], high[0] = recording.w2_range
     guess = start[fitted].copy()
     guess[0] = np.clip(guess[0], 1.001 * low[0], 0.999 * high[0])
+    unknowns[fitted] = guess
+    if not np.all(np.isfinite(recording.predict(unknowns))):
+        # Friction that is stiff for the steps: this way of fitting has failed.
+        return start.copy()
 
     def at(x: Array) -> Array:
         unknowns[fitted] = x * scales
@@ -323,12 +330,15 @@ def _jackknife(recording: Recording, fit: Fit, places: list[int], blocks: int) -
 
 
 def rms(residual: Array) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(residual**2)))
+    """Return the root mean square; infinite where the prediction diverged."""
+    mean = float(np.mean(residual**2)) if np.all(np.isfinite(residual)) else inf
+    return sqrt(mean)
 
 
 def noise_of(residual: Array, resolution: float = 0.0) -> float:
     """Return the part of a residual that is new in each sample; at least the sensor's step."""
+    if not np.all(np.isfinite(residual)):
+        return 0.0
     return max(float(np.std(np.diff(residual))) / sqrt(2.0), resolution / sqrt(12.0))
 
 
