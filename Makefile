@@ -37,7 +37,7 @@ cover:  ## every branch of safety rules, codecs and state machine is tested; hal
 	  -m 'not slow and not compiled_only' $(COVERING)
 
 test:  ## every test but the full statistics
-	$(PYTHON) -m pytest
+	$(PYTHON) -m pytest -n 2
 
 slow:  ## the full statistics
 	$(PYTHON) -m pytest -m slow

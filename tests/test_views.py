@@ -98,8 +98,9 @@ def test_every_path_of_a_public_function_may_be_text():
             functions = [getattr(thing, key) for key in ("save", "load") if hasattr(thing, key)]
         for function in functions:
             for parameter in inspect.signature(function).parameters.values():
-                if "Path" in str(parameter.annotation):
-                    assert "str | os.PathLike" in str(parameter.annotation), (name, parameter)
+                kind = str(parameter.annotation)
+                if "Path" in kind and "Callable" not in kind:
+                    assert "str | os.PathLike" in kind, (name, parameter)
 
 
 def test_paths_as_text_are_taken_by_all_that_reads_and_writes(values, tmp_path, monkeypatch):

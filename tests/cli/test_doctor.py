@@ -153,7 +153,7 @@ def test_addresses_that_cannot_be_meant_are_refused(refused, flaw):
 
 
 def test_a_rig_that_cannot_be_read_is_refused(refused):
-    refused("doctor", *QUICK, "--rig", "nowhere.toml", saying="cannot read the rig nowhere.toml")
+    refused("doctor", *QUICK, "--rig", "nowhere.toml", saying="there is no file nowhere.toml")
 
 
 def test_logs_go_to_a_folder(refused, tmp_path):

@@ -160,7 +160,7 @@ def test_a_policy_with_other_boxes_or_actions_is_refused(refused, policy_file):
 
     for change, saying in (
         (other_boxes, "the boxes or actions are not the ones of this Equipoise"),
-        (more_actions, "the boxes or actions are not the ones of this Equipoise"),
+        (more_actions, "actions: Tuple should have at most 8 items"),
         (fewer_rows, "Q must have 270 rows"),
         (another_field, "mood"),
     ):

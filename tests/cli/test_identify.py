@@ -124,7 +124,10 @@ RECORDINGS = {
     "NaN": (("time_s,theta_rad", TIME, flawed(COSINE, 300, "nan")), "line 302: theta_rad is 'nan'"),
     "infinite": (("time_s,theta_deg", TIME, flawed(COSINE, 3, "inf")), "line 5: theta_deg"),
     "empty cell": (("time_s,theta_rad", TIME, flawed(COSINE, 300, "")), "expected a finite number"),
-    "wrong columns": (("t,angle", TIME, COSINE), "has the columns t, angle; expected time_s"),
+    "wrong columns": (
+        ("t,angle", TIME, COSINE),
+        "has the columns t, angle; expected one of time_s",
+    ),
     "two quantities": (("time_s,theta_rad,counts", TIME, COSINE, TIME), "one of theta_rad"),
     "over the top": (("time_s,theta_rad", TIME, 9.0 * TIME), "goes over the top"),
     "counts of unknown size": (("time_s,counts", TIME, COSINE), "--counts-per-rev"),
@@ -165,7 +168,7 @@ OPTIONS = {
     "unknown section": (("--set", "identificaton.g=9.81"), "did you mean 'identification'"),
     "no setting": (("--set", "g"), "expected NAME=VALUE"),
     "impossible setting": (("--set", "identification.g=-1"), "setting identification.g"),
-    "missing settings": (("--settings", "no.toml"), "cannot read the settings no.toml"),
+    "missing settings": (("--settings", "no.toml"), "there is no file no.toml"),
     "unknown option": (("--frictoin", "coulomb"), "No such option"),
 }
 

@@ -108,7 +108,7 @@ OPTIONS = {
     "seed of no size": (("--seed", str(2**70)), "--seed"),
     "no workers": (("--workers", "0"), "--workers"),
     "held joint of an iiwa": (("--held", "3"), "--held belong to an arm from a URDF"),
-    "missing URDF": (("--arm", "nowhere.urdf"), "cannot read nowhere.urdf"),
+    "missing URDF": (("--arm", "nowhere.urdf"), "there is no file nowhere.urdf"),
     "unknown held joint": (("--arm", URDF, "--held", "wrist"), "has no joint wrist to hold"),
     "held joint of a six-joint arm": (
         ("--arm", URDF, "--held", "2"),

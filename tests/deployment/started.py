@@ -18,7 +18,7 @@ from equipoise.deployment.rig import Request, run_rig_virtually
 from equipoise.devices.operator import EmulatedOperator
 from equipoise.devices.twin.hands import hands as at_the_bench
 from equipoise.learning.closed_loop import scaled
-from equipoise.model.worlds import read_world
+from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig
 
 WORLD = "twin:nominal"
@@ -164,8 +164,9 @@ def stage(seed, *, share=1.0, clumsy=0.0, duration=BALANCED):
     policy, settings = shipped_policy(), RigSettings()
     inertia = (1.0 + IDENTIFIED * random.standard_normal()) / share
     friction = 1.0 + FRICTION * random.standard_normal()
-    real = scaled(policy.pendulum.parameters(), inertia, friction)
-    emulated = emulated_rig(read_world(WORLD), settings, real, seed=seed)
+    world = read_world(WORLD)
+    real = scaled(pendulum_on(policy.pendulum, world.settings), inertia, friction)
+    emulated = emulated_rig(world, settings, real, seed=seed)
     hands = Hands(emulated.bench, clumsy=clumsy)
     rig = emulated.rig
     operator = EmulatedOperator(rig.clock, hands.acts, seed=seed)

@@ -21,7 +21,7 @@ from equipoise.deployment.rig import (
 )
 from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import InputError
-from equipoise.model.worlds import read_world
+from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig, twin_rig
 from equipoise.runwriter import Recorder, read_rig_run, take_events
 
@@ -63,7 +63,7 @@ def request(duration=2.0, settings=None, **changes):
 
 
 def on_the_twin(wanted, out=None, spy=None):
-    pendulum = wanted.policy.pendulum.parameters()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = twin_rig(NOMINAL, wanted.settings, pendulum, seed=wanted.seed)
     return run_rig_virtually(wanted, rig, out, spy or Spy())
 
@@ -92,7 +92,7 @@ def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
 @pytest.mark.parametrize("sign", [1, -1])
 def test_it_stands_behind_the_protocols_of_the_hardware(sign):
     wanted = request(settings=RigSettings(encoder_sign=sign))
-    pendulum = wanted.policy.pendulum.parameters()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3).rig
     outcome = run_rig_virtually(wanted, rig, None, Spy())
     assert (outcome.cause, outcome.lasted) == ("lasted", 2.0)
@@ -102,7 +102,7 @@ def test_it_stands_behind_the_protocols_of_the_hardware(sign):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_it_stands_a_minute_behind_the_protocols_of_the_hardware(seed):
     wanted = request(60.0)
-    pendulum = wanted.policy.pendulum.parameters()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=seed).rig
     outcome = run_rig_virtually(wanted, rig, None, Spy())
     assert (outcome.cause, outcome.lasted) == ("lasted", 60.0)
@@ -185,7 +185,7 @@ def test_words_that_come_together_answer_one_question_after_the_other():
 )
 def test_a_mistyped_word_is_asked_again_up_to_three_times(typed, cause, asked):
     wanted = request(dry_run=True)
-    pendulum = wanted.policy.pendulum.parameters()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = twin_rig(NOMINAL, wanted.settings, pendulum)._replace(operator=None)
     script = Script(*typed)
     outcome = run_rig_virtually(wanted, rig, None, script)
@@ -195,7 +195,7 @@ def test_a_mistyped_word_is_asked_again_up_to_three_times(typed, cause, asked):
 
 def test_a_mistyped_answer_to_the_move_is_asked_again():
     wanted = request()
-    pendulum = wanted.policy.pendulum.parameters()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = twin_rig(NOMINAL, wanted.settings, pendulum)._replace(operator=None)
     script = Script("estop", "fence", "monitoring", "t1", "yes", "n")
     outcome = run_rig_virtually(wanted, rig, None, script)
@@ -212,7 +212,7 @@ def test_whoever_asks_waits_for_a_word():
 
 def test_a_stop_that_came_with_the_last_answer_is_heard_in_the_first_tick():
     wanted = request()
-    pendulum = wanted.policy.pendulum.parameters()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = twin_rig(NOMINAL, wanted.settings, pendulum)._replace(operator=None)
     script = Script("estop", "fence", "monitoring", "t1", "y", "stop")
     outcome = run_rig_virtually(wanted, rig, None, script)
@@ -222,7 +222,7 @@ def test_a_stop_that_came_with_the_last_answer_is_heard_in_the_first_tick():
 
 def test_an_encoder_that_counts_the_wrong_way_is_found_before_the_pendulum_is_lifted():
     wanted = request()
-    pendulum = wanted.policy.pendulum.parameters()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3)
     emulated.board.sign = -1
     spy = Spy()
@@ -234,7 +234,7 @@ def test_an_encoder_that_counts_the_wrong_way_is_found_before_the_pendulum_is_li
 
 def test_a_link_that_goes_dead_is_told_at_once():
     wanted = request(5.0)
-    pendulum = wanted.policy.pendulum.parameters()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3)
 
     class Cutter(Spy):
@@ -258,7 +258,7 @@ def test_a_policy_for_another_arm_is_refused():
 @pytest.mark.parametrize("force", [(150.0, 0.0, 0.0), (0.0, -150.0, 0.0), (0.0, 0.0, 150.0)])
 def test_a_push_on_the_way_home_stops_the_arm(force):
     wanted = request()
-    pendulum = wanted.policy.pendulum.parameters()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=wanted.seed)
     bench, clock = emulated.bench, emulated.rig.clock
 
@@ -326,7 +326,9 @@ class Pusher(Spy):
 @pytest.mark.parametrize("t1", [True, False])
 def test_in_t1_a_run_stops_softly_where_the_flange_is_too_fast(tmp_path, t1):
     wanted, out = request(1.5, t1=t1), tmp_path / "run.mcap"
-    emulated = emulated_rig(NOMINAL, wanted.settings, wanted.policy.pendulum.parameters(), seed=3)
+    emulated = emulated_rig(
+        NOMINAL, wanted.settings, pendulum_on(wanted.policy.pendulum, NOMINAL.settings), seed=3
+    )
     spy = Pusher(emulated.bench, 1.0)
     outcome = run_rig_virtually(wanted, emulated.rig, out, spy)
     run = read_rig_run(out)

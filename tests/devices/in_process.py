@@ -10,7 +10,7 @@ from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
 
 ARM = iiwa(7)
-PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
+PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15, coulomb=0.1)
 
 
 class Spun(Bench):

@@ -4,7 +4,7 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.deployment.rig import Request, run_rig_virtually
-from equipoise.model.worlds import read_world
+from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig
 
 
@@ -13,9 +13,9 @@ def rig_log(tmp_path_factory):
     """The log of a whole course on an emulated rig: home, self-test, lift, 1.5 s of balancing."""
     path, policy = tmp_path_factory.mktemp("rig") / "run.mcap", shipped_policy()
     settings = RigSettings()
-    emulated = emulated_rig(
-        read_world("twin:nominal"), settings, policy.pendulum.parameters(), seed=3
-    )
+    world = read_world("twin:nominal")
+    real = pendulum_on(policy.pendulum, world.settings)
+    emulated = emulated_rig(world, settings, real, seed=3)
     request = Request(
         policy=policy,
         actuator=policy.actuator,

@@ -25,7 +25,7 @@ from equipoise.devices.twin.bench import Bench
 from equipoise.devices.twin.robot import TwinRobot
 from equipoise.learning.closed_loop import scaled
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import read_world
+from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rigs import RigSettings
 from equipoise.runwriter import Recorder, RunWriter
 from equipoise.studies.explanation import Name
@@ -97,7 +97,7 @@ class Stage:
         inertia = 1.0 + there.inertia_sigma * random.standard_normal()
         friction = 1.0 + there.friction_sigma * random.standard_normal()
         # What nobody knows: the real pendulum, and how far its zero is off before any fault.
-        real = scaled(policy.pendulum.parameters(), inertia, friction)
+        real = scaled(pendulum_on(policy.pendulum, there), inertia, friction)
         self.zero = float(random.uniform(-there.zero_error, there.zero_error))
         self.bench = Bench(arm, PendulumParameters(*real), there, seed=seed)
         self.clock.attach(self.bench.advance)

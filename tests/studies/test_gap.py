@@ -308,7 +308,7 @@ def test_what_cannot_be_compared_is_refused(policy):
         measured(policy, falls_early, world="model")
     with pytest.raises(SettingsError, match="there is no world 'mars'"):
         measured(policy, falls_early, world="mars")
-    with pytest.raises(InputError, match="give 2 or more"):
+    with pytest.raises(InputError, match="expected 2 or more"):
         measured(policy, falls_early, trials=1)
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from equipoise.errors import SettingsError
-from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import MODEL, PREFIX, read_world
 
 if TYPE_CHECKING:
@@ -92,6 +91,8 @@ def train_again(
         actuator: The actuator's file, where it was given.
         max_speed: Limit of the flange's speed, where it was given [m/s].
     """
+    from equipoise.model.pendulum import shipped_pendulum
+
     words: Command = _file(pendulum)
     if not words and policy.pendulum.digest != shipped_pendulum().digest:
         words = (str(file_with(policy.pendulum.digest, path) or "PENDULUM"),)

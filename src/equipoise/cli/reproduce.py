@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equipoise.cli.destinations import Destination, choose_folder
+from equipoise.cli.destinations import Destination, check_folder, choose_folder
 from equipoise.cli.options import (
     IN_AND_OUT,
     RECORDING,
@@ -177,6 +177,7 @@ def _choose(
     from equipoise.studies.reproduction import differences
 
     first = Destination(Path(FOLDER) if given is None else given, folder=True, force=force)
+    check_folder(first.path)
     candidates = [first] if given else takewhile(lambda one: one.existing(), first.numbered())
     for one in () if force else candidates:
         other = differences(one.path, request)

@@ -17,14 +17,16 @@ import os.path
 from collections.abc import Mapping
 from math import radians
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
 from equipoise.artefacts import Extended, Number, Value, first_fault, quoted
 from equipoise.errors import SettingsError
-from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import FINEST_ENCODER, QUARTER_TURN, read_toml
+
+if TYPE_CHECKING:
+    from equipoise.model.pendulum import Pendulum, PendulumParameters
 
 MODEL: Final = "model"
 """The training plant, as `--world` and files name it."""
@@ -127,7 +129,7 @@ class PivotFriction(Value):
     own_drag: Number
     """The pendulum's own quadratic drag over inertia [1/rad]."""
 
-    def on(self, pendulum: PendulumParameters) -> PendulumParameters:
+    def on(self, pendulum: "PendulumParameters") -> "PendulumParameters":
         """Return a pendulum with this friction; what is the pendulum's own stays as it is there."""
         set_here = {
             name: float(getattr(self, name))
@@ -157,7 +159,7 @@ class PivotFriction(Value):
         return f"{words}, drag {self.drag:.3g} 1/rad ({identified})"
 
 
-def pivot_friction(pendulum: Pendulum, settings: TwinSettings) -> PivotFriction:
+def pivot_friction(pendulum: "Pendulum", settings: TwinSettings) -> PivotFriction:
     """Return the dry friction and the drag that act on a pendulum in a twin.
 
     Args:
@@ -183,7 +185,7 @@ def pivot_friction(pendulum: Pendulum, settings: TwinSettings) -> PivotFriction:
     )
 
 
-def pendulum_on(pendulum: Pendulum, settings: TwinSettings) -> PendulumParameters:
+def pendulum_on(pendulum: "Pendulum", settings: TwinSettings) -> "PendulumParameters":
     """Return a pendulum as it swings in a twin, its best values with the friction that acts there.
 
     Args:
@@ -266,7 +268,7 @@ def read_world(name: str) -> World:
         raise SettingsError(
             f"the name of the world {quoted(name)} is not UTF-8; give the file another name"
         ) from None
-    if not os.path.lexists(file):
+    if not which or not os.path.lexists(file):
         raise SettingsError(
             f"there is no world {quoted(name)}: no set of that name, and no such file; choose one "
             f"of {', '.join(NEWEST)}, or give a TOML file"
