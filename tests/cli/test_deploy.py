@@ -1,7 +1,10 @@
 """`equipoise deploy` and `identify` of a run log: from an excitation to an actuator."""
 
+import sys
+
 import pytest
 
+from equipoise.errors import OutsideError
 from equipoise.model.actuator import Actuator
 from equipoise.runlog import RunLog
 
@@ -45,6 +48,24 @@ def test_what_does_not_go_together_is_refused(refused, policy_file, tmp_path):
     refused("deploy", policy_file, "--video", "run.gif", saying="ends in .mp4")
     refused("deploy", policy_file, "--duration", 0, saying="from 0.01 to 3600")
     refused("deploy", tmp_path / "none.json", saying="there is no file")
+
+
+def test_a_film_that_cannot_be_encoded_is_refused_before_the_run(refused, monkeypatch, log):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    refused("deploy", "--video", "run.mp4", saying="needs the package imageio-ffmpeg")
+    refused("export", log, "--video", "run.mp4", saying="needs the package imageio-ffmpeg")
+    assert not list(log.parent.glob("run*"))
+
+
+def test_a_film_that_fails_leaves_the_log(equipoise, monkeypatch, tmp_path):
+    def full(*_, **__):
+        raise OutsideError("the disk is full")
+
+    monkeypatch.setattr("equipoise.report.pictures.write_video", full)
+    monkeypatch.setattr("equipoise.report.pictures.find_encoder", lambda: None)
+    ran = equipoise("deploy", "--world", "model", "--duration", 0.2, "--video", "run.mp4")
+    assert ran.code == 3
+    assert {path.name for path in tmp_path.glob("run*")} == {"run.mcap"}
 
 
 def test_options_of_a_swing_are_refused_for_a_run_log(refused, log):

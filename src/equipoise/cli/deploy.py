@@ -17,6 +17,7 @@ from equipoise.cli.options import (
     KnownActuator,
     PolicyFile,
     Seed,
+    check_encoder,
     read_actuator,
     read_arm,
     read_pendulum,
@@ -163,6 +164,7 @@ def deploy(
         film = choose_file(
             output, video, video, policy, pendulum, force=force, suffix=".mp4", option="--video"
         )
+        check_encoder()
     if excite:
         if policy is not None or actuator is not None or video is not None:
             raise InputError("POLICY, --actuator and --video do not go with --excite; leave them")
@@ -171,13 +173,14 @@ def deploy(
         if arm is not None or pendulum is not None:
             raise InputError("--arm and --pendulum belong to --excite; a policy has its own")
         run = _run(output, policy, world, actuator, seed, duration)
-    if film is not None:
-        with film.claimed() as video:
-            _film(output, run, policy, video)
     with log.claimed() as out:
         run.save(out, command="deploy", inputs={"policy": run.conditions.policy} if policy else {})
     _say(output, run)
-    output.wrote(*(path for path in (out, video) if path is not None))
+    output.wrote(out)
+    if film is not None:
+        with film.claimed() as video:
+            _film(output, run, policy, video)
+        output.wrote(video)
     if excite:
         output.next("identify", out)
     else:

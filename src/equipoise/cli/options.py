@@ -253,6 +253,17 @@ def read_arm(
     return read_urdf(Path(name), base=base, tip=tip, held=joint)
 
 
+def check_encoder() -> None:
+    """Check before the work begins that a film can be encoded.
+
+    Raises:
+        MissingExtraError: imageio-ffmpeg is not installed.
+    """
+    from equipoise.report.pictures import find_encoder
+
+    find_encoder()
+
+
 def available_workers(workers: int | None) -> int:
     """Return how many threads to use."""
     from equipoise.learning.trials import available_cores

@@ -6,6 +6,6 @@ The rig is drawn by MuJoCo, without a screen, from joint positions and angles th
 from equipoise.report.pictures.film import Animation, animation
 from equipoise.report.pictures.rendering import frames
 from equipoise.report.pictures.strip import strip
-from equipoise.report.pictures.video import write_video
+from equipoise.report.pictures.video import find_encoder, write_video
 
-__all__ = ["Animation", "animation", "frames", "strip", "write_video"]
+__all__ = ["Animation", "animation", "find_encoder", "frames", "strip", "write_video"]

@@ -27,6 +27,18 @@ QUALITY: Final = 7
 """From 1 to 10."""
 
 
+def find_encoder() -> Any:  # the package has no types
+    """Return the package that encodes videos.
+
+    Raises:
+        MissingExtraError: imageio-ffmpeg is not installed.
+    """
+    try:
+        return import_module("imageio_ffmpeg")
+    except ImportError:
+        raise MissingExtraError("imageio-ffmpeg", "video") from None
+
+
 def write_video(
     run: RunLog | RigRun,
     arm: Arm,
@@ -51,10 +63,7 @@ def write_video(
         RecordingError: A run on a rig did not get as far as balancing.
         OutsideError: There is nothing to draw with, or the disk or the encoder refuses.
     """
-    try:
-        ffmpeg: Any = import_module("imageio_ffmpeg")  # it has no types
-    except ImportError:
-        raise MissingExtraError("imageio-ffmpeg", "video") from None
+    ffmpeg = find_encoder()
     begin, end = span(run)
     count = max(1, round((end - begin) * fps))
     pictures = film(run, arm, begin + np.arange(count) / fps, FRAME)
