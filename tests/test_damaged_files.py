@@ -22,6 +22,8 @@ from equipoise.studies.verification import verify
 from equipoise.trajectory import read_swing
 from tests.cli.damage import digest, mutations, outcomes
 
+pytestmark = pytest.mark.compiled_only  # files are read by the same code without compilation
+
 DATA = Path(__file__).parent / "data"
 HOME = [radians(angle) for angle in (0.0, -60.0, 90.0, 0.0, 60.0, 0.0)]
 

@@ -117,6 +117,7 @@ def test_dry_friction_that_would_be_negative_is_kept_at_zero():
 
 @compiled
 @needs_recordings
+@pytest.mark.slow
 def test_a_long_real_swing_is_not_explained_by_viscous_friction_and_the_warning_says_so():
     swing = recording(ARM)
     viscous, quadratic = identify(swing), identify(swing, with_friction("quadratic"))
@@ -128,6 +129,7 @@ def test_a_long_real_swing_is_not_explained_by_viscous_friction_and_the_warning_
 
 @compiled
 @needs_recordings
+@pytest.mark.slow
 def test_only_a_negative_viscous_friction_would_reach_the_reference_of_the_quadratic_model():
     swing = recording(ARM)
     pendulum = identify(swing, with_friction("quadratic"))

@@ -17,6 +17,8 @@ from equipoise.devices.encoder.terminal import Terminal
 from equipoise.errors import OutsideError
 from equipoise.studies.rehearsal.files import _fill_the_disk
 
+pytestmark = pytest.mark.compiled_only  # imports are the same without compilation
+
 HIDE_MODULES = """
 import sys
 for name in ("termios", "tty", "pty", "fcntl", "resource", "grp", "pwd"):

@@ -16,6 +16,8 @@ import equipoise as eq
 from equipoise.errors import RecordingError
 from equipoise.model.worlds import MODEL
 
+pytestmark = pytest.mark.compiled_only  # nothing is drawn by kernels
+
 HOSTILE = "<script>alert(1)</script>\x1b[2J\x9b"
 
 

@@ -160,7 +160,15 @@ def test_a_full_disk_is_the_outside_world(equipoise, pendulum_file, monkeypatch,
 LONGER = ("--seed", 5, *SHORT, "--seeds=3", "--workers=2", "--episodes=400")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.fixture(params=[signal.SIGINT, signal.SIGTERM])
+def number(request):
+    """A signal that is not ignored, as it is in a shell's background job."""
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    before = signal.signal(request.param, usual[request.param])
+    yield request.param
+    signal.signal(request.param, before)
+
+
 def test_an_interrupted_training_is_kept_and_goes_on_to_the_same_policy(
     equipoise, refused, pendulum_file, monkeypatch, tmp_path, number
 ):

@@ -152,6 +152,7 @@ def test_there_are_four_yardsticks():
     assert kinds == {"LQR": LINEAR, "LQR, snapped": SNAPPED, "PD": LINEAR, "random": RANDOM}
 
 
+@pytest.mark.compiled_only
 @pytest.mark.parametrize("noise", [False, True])
 def test_lqr_lasts(noise):
     beside = yardsticks(PENDULUM, H)
@@ -160,6 +161,7 @@ def test_lqr_lasts(noise):
     assert np.all(steps == 10.0)
 
 
+@pytest.mark.compiled_only
 def test_lqr_with_the_eight_actions_lasts():
     assert np.all(survived(yardsticks(PENDULUM, H)["LQR, snapped"])[1] == LASTED)
 
