@@ -12,15 +12,21 @@ from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.yardsticks import yardsticks
 from equipoise.errors import InputError
 from equipoise.evaluation import Evaluation, evaluate
+from equipoise.learning.checkpoint import Checkpoint
 from equipoise.model.actuator import Actuator, shipped_actuator
+from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.worlds import read_world
 from equipoise.rigs import read_rig
 from equipoise.settings import resolve
+from equipoise.studies.certification import Certificate, certify, make_claim
+from equipoise.studies.gap_results import Gap
 from equipoise.studies.verification import verify
+from equipoise.training import train
 from equipoise.trajectory import read_swing
 from tests.cli.damage import digest, mutations, outcomes
+from tests.report.made_up_gap import measured, paper_policy
 
 pytestmark = pytest.mark.compiled_only  # files are read by the same code without compilation
 
@@ -63,6 +69,30 @@ def swing_text():
     return "time_s,theta_rad\n" + "".join(rows)
 
 
+def certified():
+    claim = make_claim(0.9, 0.9, 0.05, trials=30)
+    return certify(shipped_policy(), claim)[0]
+
+
+def studied():
+    policy = shipped_policy()
+    return measured(policy, lambda *_: 1.0, paper_policy=paper_policy(policy))[0]
+
+
+class Unfinished:
+    """A training that was interrupted; its file is the checkpoint."""
+
+    def save(self, path, *, command):
+        quick = ["learning.episodes=60", "selection.every=0", "learning.episode_duration=0.5"]
+        settings = resolve("paper", overrides=quick)
+
+        def interrupt(_):
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            train(shipped_pendulum(), iiwa(7), settings, partial=path, report=interrupt)
+
+
 FORMATS = {
     "settings.toml": (SETTINGS, lambda path: resolve(file=path)),
     "rig.toml": (RIG, read_rig),
@@ -72,6 +102,9 @@ FORMATS = {
     "pendulum.json": (shipped_pendulum(), Pendulum.load),
     "actuator.json": (shipped_actuator(), Actuator.load),
     "policy.json": (shipped_policy(), TabularPolicy.load),
+    "certificate.json": (certified, Certificate.load),
+    "gap.json": (studied, Gap.load),
+    "policy.partial.json": (Unfinished, Checkpoint.load),
     "evaluation.json": ((DATA / "evaluation-v1.json").read_text(), Evaluation.load),
 }
 
@@ -82,7 +115,8 @@ def sound(tmp_path, name):
     if isinstance(given, str):
         path.write_text(given)
     else:
-        given.save(path, command="test")
+        value = given() if callable(given) else given
+        value.save(path, command="test")
     return path, read
 
 
