@@ -82,7 +82,9 @@ def _turned_to(axis: Floats) -> Floats:
     """Return the smallest rotation that takes z to `axis`."""
     x, y, z = axis / np.linalg.norm(axis)
     across = np.array([-y, x, 0.0])  # z cross axis
-    return rotation_about(across if across.any() else np.eye(3)[0], np.arctan2(np.hypot(x, y), z))
+    # The length of the smallest numbers is zero, though they are not.
+    there = np.linalg.norm(across) > 0.0
+    return rotation_about(across if there else np.eye(3)[0], np.arctan2(np.hypot(x, y), z))
 
 
 def wrist_centre(arm: "Arm") -> Floats:
