@@ -34,7 +34,7 @@ TAKEN_BACK = {
         "robust",
         ["plant.delay_spread=0", "plant.lag_spread=0", "plant.zero_error=0"],
     ),
-    "an update in each step": ("robust", ["learning.held=false"]),
+    "an update in each step": ("robust", ["learning.hold_action=false"]),
     "constant alpha = 0.1": (
         "robust",
         ["learning.alpha_initial=0.1", "learning.alpha_decay=0", "learning.alpha_minimum=0"],

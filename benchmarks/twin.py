@@ -84,7 +84,7 @@ def main() -> None:
         summary = Evaluation.load(file).results.summary()
         lasted += summary.survived
         rates.append(summary.rate)
-        chosen = policy.candidates[0]
+        chosen = policy.checkpoints[0]
         print(
             json.dumps(
                 {

@@ -22,14 +22,14 @@ settings = eq.resolve(
 
 
 policy = eq.train(pendulum, eq.iiwa(14), settings, seed=1, workers=2)
-chosen = policy.candidates[0]
+chosen = policy.checkpoints[0]
 print(
     f"trained {policy.episodes} episodes; the table after {chosen.episodes} is kept, which lasted "
     f"{chosen.survived} of {chosen.trials} trials of the selection"
 )
 evaluation = eq.evaluate(policy, seed=1, workers=2)
 
-for results in (evaluation.results, *evaluation.yardsticks):
+for results in (evaluation.results, *evaluation.baselines):
     summary = results.summary()
     low, high = summary.interval
     print(

@@ -8,8 +8,8 @@ import pytest
 from equipoise import artefacts, training
 from equipoise.artefacts import PartialFile
 from equipoise.errors import ArtefactError
-from equipoise.learning.checkpoint import Checkpoint, pack, unpack
-from equipoise.learning.q_learning import new_progress
+from equipoise.learning.checkpoint import ResumePoint, pack, unpack
+from equipoise.learning.q_learning import new_training_state
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
 from equipoise.training import train, train_several
@@ -153,15 +153,15 @@ def test_a_checkpoint_is_small(checkpoint):
 
 
 def test_a_state_that_no_training_has_is_refused():
-    progress = new_progress()
+    progress = new_training_state()
     unpack(pack(progress), progress)
     with pytest.raises(ArtefactError, match="bytes of state"):
         unpack(pack(progress)[:-1], progress)
     for name, value in (("action", 8), ("box", 270), ("box", -1), ("totals", 17)):
-        wrong = new_progress()
+        wrong = new_training_state()
         getattr(wrong, name)[2] = value
         with pytest.raises(ArtefactError, match="out of range"):
-            unpack(pack(wrong), new_progress())
+            unpack(pack(wrong), new_training_state())
 
 
 def test_a_file_of_unfinished_work_takes_a_bounded_share_of_the_time(
@@ -169,7 +169,7 @@ def test_a_file_of_unfinished_work_takes_a_bounded_share_of_the_time(
 ):
     now, written = [0.0], []
     monkeypatch.setattr(artefacts.time, "monotonic", lambda: now[0])
-    state = Checkpoint.load(checkpoint)
+    state = ResumePoint.load(checkpoint)
 
     def slow():
         written.append(now[0])
@@ -183,4 +183,4 @@ def test_a_file_of_unfinished_work_takes_a_bounded_share_of_the_time(
     assert written[0] == artefacts.KEEP_EVERY
     assert np.min(np.diff(written)) >= 2.0 + 2.0 / artefacts.WRITING_SHARE
     assert len(written) > 5
-    assert json.loads((tmp_path / "work.partial.json").read_text())["format"] == Checkpoint.FORMAT
+    assert json.loads((tmp_path / "work.partial.json").read_text())["format"] == ResumePoint.FORMAT

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from equipoise.control.baselines import baselines
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.control.yardsticks import yardsticks
 from equipoise.errors import InputError
 from equipoise.evaluation import Evaluation, evaluate
-from equipoise.learning.checkpoint import Checkpoint
+from equipoise.learning.checkpoint import ResumePoint
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
-from equipoise.model.worlds import read_world
+from equipoise.model.sim_configs import read_world
 from equipoise.rigs import read_rig
 from equipoise.settings import resolve
 from equipoise.studies.certification import Certificate, certify, make_claim
@@ -38,7 +38,7 @@ SETTINGS = """\
 [learning]
 episodes = 2_000
 gamma = 0.97
-held = true
+hold_action = true
 [selection]
 duration = 60.0
 [identification]
@@ -74,6 +74,12 @@ def certified():
     return certify(shipped_policy(), claim)[0]
 
 
+def evaluated():
+    settings = shipped_policy().settings
+    few = settings.evaluation.model_copy(update={"trials": 20, "duration": 0.3})
+    return evaluate(shipped_policy(), settings.model_copy(update={"evaluation": few}))
+
+
 def studied():
     policy = shipped_policy()
     return measured(policy, lambda *_: 1.0, paper_policy=paper_policy(policy))[0]
@@ -104,8 +110,8 @@ FORMATS = {
     "policy.json": (shipped_policy(), TabularPolicy.load),
     "certificate.json": (certified, Certificate.load),
     "gap.json": (studied, Gap.load),
-    "policy.partial.json": (Unfinished, Checkpoint.load),
-    "evaluation.json": ((DATA / "evaluation-v1.json").read_text(), Evaluation.load),
+    "policy.partial.json": (Unfinished, ResumePoint.load),
+    "evaluation.json": (evaluated, Evaluation.load),
 }
 
 
@@ -170,9 +176,7 @@ USES = {
     "pendulum.json": lambda value: balance(shipped_policy().model_copy(update={"pendulum": value})),
     "actuator.json": lambda value: balance(shipped_policy().model_copy(update={"actuator": value})),
     "policy.json": balance,
-    "evaluation.json": lambda value: [
-        each.summary() for each in (value.results, *value.yardsticks)
-    ],
+    "evaluation.json": lambda value: [each.summary() for each in (value.results, *value.baselines)],
 }
 
 
@@ -194,4 +198,4 @@ def test_extreme_numbers_with_a_fitting_digest_end_in_a_sentence(tmp_path, name,
 @pytest.mark.parametrize(("w2", "c"), [(1e5, 0.1), (1e9, 1e4), (1e-8, 1e4)])
 def test_a_pendulum_that_no_regulator_balances_is_refused_in_one_sentence(w2, c):
     with pytest.raises(InputError, match=r"falls too fast|no regulator"):
-        yardsticks(Pendulum.assumed(w2, c).parameters(), 0.01)
+        baselines(Pendulum.assumed(w2, c).parameters(), 0.01)

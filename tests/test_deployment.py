@@ -8,7 +8,7 @@ from equipoise import paper
 from equipoise.control.boxes import CAUSES
 from equipoise.control.policy import TabularPolicy
 from equipoise.deployment import DEPLOYMENT, deploy
-from equipoise.learning.closed_loop import make_plant
+from equipoise.learning.closed_loop import make_loop_params
 from equipoise.learning.trials import draw_trials, run_over_cores
 from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
 
@@ -145,7 +145,9 @@ def test_it_is_the_trial_that_the_compiled_loop_runs(small_policy):
     long = deploy(small_policy, seed=5, duration=20.0)
     trial = draw_trials(1, settings, 5, DEPLOYMENT, spread=1.0)
     run_over_cores(
-        make_plant(small_policy.arm, settings, small_policy.h, small_policy.pendulum.parameters()),
+        make_loop_params(
+            small_policy.arm, settings, small_policy.h, small_policy.pendulum.parameters()
+        ),
         small_policy.kernel,
         small_policy.pendulum.parameters(),
         trial,

@@ -1,8 +1,5 @@
 """Evaluation: what it counts, with what confidence, and that any policy runs the same trials."""
 
-import json
-from pathlib import Path
-
 import hypothesis
 import numpy as np
 import pytest
@@ -11,14 +8,14 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from equipoise import paper
+from equipoise.control.baselines import baselines
 from equipoise.control.boxes import CAUSES
 from equipoise.control.policy import act
-from equipoise.control.yardsticks import yardsticks
 from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation, TrialResults, evaluate, evaluate_function
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.settings import Settings, resolve
+from equipoise.settings import resolve
 from equipoise.training import train
 
 SHORT = ["evaluation.trials=20", "evaluation.duration=1.5"]
@@ -133,14 +130,14 @@ def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, setting
     assert evaluation.actuator == small_policy.actuator.digest
     assert (evaluation.settings, evaluation.seed, evaluation.duration) == (settings, 3, 1.5)
     assert len(evaluation.results.survival) == len(evaluation.results.causes) == 20
-    assert [beside.name for beside in evaluation.yardsticks] == list(
-        yardsticks(small_policy.pendulum.parameters(), 0.01)
+    assert [beside.name for beside in evaluation.baselines] == list(
+        baselines(small_policy.pendulum.parameters(), 0.01)
     )
 
 
 @pytest.mark.compiled_only
 def test_a_trial_lasted_when_it_took_all_of_its_time(evaluation):
-    for beside in (evaluation.results, *evaluation.yardsticks):
+    for beside in (evaluation.results, *evaluation.baselines):
         for survival, cause in zip(beside.survival, beside.causes, strict=True):
             assert cause in CAUSES
             assert 0.0 < survival <= 1.5
@@ -170,7 +167,7 @@ def test_equal_seeds_give_equal_evaluations_whatever_the_workers(
 def test_without_settings_those_of_the_policy_hold(small_policy):
     evaluation = evaluate(small_policy, seed=3, with_yardsticks=False)
     assert evaluation.settings == small_policy.settings
-    assert evaluation.yardsticks == ()
+    assert evaluation.baselines == ()
     assert evaluation.duration == 2.0
 
 
@@ -186,7 +183,7 @@ def test_every_finished_trial_is_told_of_once(small_policy, settings):
 
 @pytest.mark.compiled_only
 def test_the_yardsticks_stand_as_they_should(evaluation):
-    beside = {results.name: results.summary() for results in evaluation.yardsticks}
+    beside = {results.name: results.summary() for results in evaluation.baselines}
     assert beside["LQR"].rate == beside["LQR, snapped"].rate == 1.0
     assert beside["random"].rate == 0.0
     assert beside["random"].median < 0.5
@@ -206,7 +203,7 @@ def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings
         with_yardsticks=False,
         done=told.append,
     )
-    assert other.yardsticks == ()
+    assert other.baselines == ()
     assert other.results.survival == evaluation.results.survival
     assert other.results.causes == evaluation.results.causes
     assert (other.policy, other.results.name) == ("plain", "plain")
@@ -220,9 +217,9 @@ def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings
 def test_yardsticks_as_plain_objects_run_the_same_trials(small_policy):
     settings = resolve(overrides=[*SHORT, "plant.linearised=true"])
     compiled = {
-        results.name: results for results in evaluate(small_policy, settings, seed=3).yardsticks
+        results.name: results for results in evaluate(small_policy, settings, seed=3).baselines
     }
-    kernels = yardsticks(small_policy.pendulum.parameters(), 0.01)
+    kernels = baselines(small_policy.pendulum.parameters(), 0.01)
     for name in ("LQR", "LQR, snapped", "PD"):
         plain = evaluate_function(
             Yardstick(kernels[name]),
@@ -290,7 +287,7 @@ def test_a_policy_is_evaluated_behind_the_actuator_of_its_training(policy_behind
     same = evaluate(policy_behind, settings, seed=3, actuator=KST, workers=2)
     assert same.digest == evaluation.digest
     # The yardsticks stand on what the controller shows them.
-    beside = {results.name: results.summary() for results in evaluation.yardsticks}
+    beside = {results.name: results.summary() for results in evaluation.baselines}
     assert beside["LQR"].rate == 1.0
 
 
@@ -314,7 +311,7 @@ def test_delay_without_prediction_is_what_makes_a_policy_fall(pendulum, settings
             resolve(overrides=["learning.episodes=1", "selection.every=0", *overrides]),
             actuator=Actuator.assumed("kst", delay=0.06, lag=0.008),
         )
-        beside = evaluate(policy, changed, seed=3).yardsticks
+        beside = evaluate(policy, changed, seed=3).baselines
         return {results.name: results.summary().rate for results in beside}["LQR, snapped"]
 
     assert rate() == 1.0
@@ -344,31 +341,6 @@ def test_a_trial_that_was_turned_into_a_success_is_found(evaluation, tmp_path):
         Evaluation.load(path)
 
 
-OLD = Path(__file__).parent / "data" / "evaluation-v1.json"
-
-
-def test_an_evaluation_of_version_1_is_read_as_it_was(tmp_path):
-    document = json.loads(OLD.read_text())
-    assert (document["format"], document["version"]) == (Evaluation.FORMAT, 1)
-    old, read = document["body"], Evaluation.load(OLD)
-    for name in ("policy", "world", "arm", "arm_digest", "pendulum", "seed"):
-        assert getattr(read, name) == old[name]
-    assert [read.results.model_dump(mode="json")] == [old["results"]]
-    assert [beside.model_dump(mode="json") for beside in read.yardsticks] == old["yardsticks"]
-    # There was the training plant alone, and no actuator.
-    assert read.world_settings is None
-    assert read.actuator == IDEAL_ACTUATOR.digest
-    settings = read.settings.model_dump(mode="json")
-    for section, values in old["settings"].items():
-        assert values.items() <= settings[section].items()
-    assert read.settings.controller == Settings().controller
-    assert read.settings.plant.ideal
-    # It is written as one of this version.
-    read.save(tmp_path / "evaluation.json", command="test")
-    assert json.loads((tmp_path / "evaluation.json").read_text())["version"] == 2
-    assert Evaluation.load(tmp_path / "evaluation.json") == read
-
-
 def test_rates_are_derived_and_not_stored():
     assert not {"rate", "interval", "survived"} & set(TrialResults.model_fields)
     assert not {"rate", "interval", "survived"} & set(Evaluation.model_fields)
@@ -381,6 +353,6 @@ def test_every_field_has_its_docstring(kind):
 
 def test_survival_is_told_in_seconds_without_rounding_errors(small_policy):
     settings = resolve(overrides=["evaluation.trials=3", "evaluation.duration=0.29"])
-    survival = evaluate(small_policy, settings).yardsticks[0].survival
+    survival = evaluate(small_policy, settings).baselines[0].survival
     assert survival == (0.29, 0.29, 0.29)
     assert np.all(np.array(survival) == settings.evaluation.duration)

@@ -134,7 +134,7 @@ def test_only_a_negative_viscous_friction_would_reach_the_reference_of_the_quadr
     swing = recording(ARM)
     pendulum = identify(swing, with_friction("quadratic"))
     assert pendulum.c.value == 0.0
-    whole = fitting.Recording(
+    whole = fitting.SwingRecording(
         0.0, swing.time, swing.theta, np.zeros_like(swing.time), False, 0.006, (16.0, 256.0)
     )
     start = [pendulum.w2.value, 0.0, pendulum.coulomb.value, pendulum.drag.value]

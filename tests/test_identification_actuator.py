@@ -14,7 +14,7 @@ from equipoise.errors import RecordingError
 from equipoise.identification.actuator import identify_actuator, one_step_errors
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import read_world
+from equipoise.model.sim_configs import read_world
 
 pytestmark = pytest.mark.compiled_only
 

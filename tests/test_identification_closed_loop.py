@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 
 from equipoise.artefacts import Estimate
 from equipoise.compiled import kernel
+from equipoise.control.baselines import baselines
 from equipoise.control.policy import act, shipped_policy
-from equipoise.control.yardsticks import yardsticks
 from equipoise.errors import RecordingError
 from equipoise.identification.closed_loop import compare, regress
 from equipoise.model.pendulum import Pendulum, PendulumParameters, step
@@ -205,7 +205,7 @@ def balancing(seed, *, factor=1.0, c=0.15, coulomb=0.1, policy="table", duration
     rng = np.random.default_rng([3, seed])
     nominal = PendulumParameters(70.2, 70.2 / GRAVITY, 0.15)
     true = PendulumParameters(factor * 70.2, factor * 70.2 / GRAVITY, c, coulomb)
-    chosen = shipped_policy().kernel if policy == "table" else yardsticks(nominal, 0.01)[policy]
+    chosen = shipped_policy().kernel if policy == "table" else baselines(nominal, 0.01)[policy]
     n = round(1000 * duration)
     x, phi = np.zeros(n), np.zeros(n)
     n = balance(chosen, nominal, true, seen * rng.standard_normal(n), x, phi)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from equipoise.cli.console import single_keys
+from equipoise.cli.terminal_operator import single_keys
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.terminal import Terminal
 from equipoise.errors import OutsideError

@@ -6,7 +6,7 @@ import pytest
 from equipoise import rigs
 from equipoise.control.policy import shipped_policy
 from equipoise.deployment.preflight import check_room
-from equipoise.deployment.rig import Request
+from equipoise.deployment.rig import RunRequest
 from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import EquipoiseError, InputError, SettingsError
 from equipoise.model.arms.iiwa import iiwa
@@ -120,7 +120,7 @@ def test_what_a_rig_says_of_its_limits_becomes_its_rules(tmp_path):
     policy = shipped_policy()
 
     def guard(rig):
-        request = Request(
+        request = RunRequest(
             policy=policy,
             actuator=policy.actuator,
             settings=rig,

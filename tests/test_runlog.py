@@ -21,7 +21,7 @@ from equipoise.runlog import (
     RunConditions,
     RunLog,
     Stream,
-    Truth,
+    TruthColumns,
     read_header,
 )
 from equipoise.settings import resolve
@@ -60,7 +60,9 @@ def made_up(ticks=40, rig=True):
     columns |= {name: rng.standard_normal((ticks, 2)) for name in ("q", "dq")}
     if rig:
         columns |= {
-            "truth": Truth(*rng.standard_normal((4, ticks)), rng.standard_normal((ticks, 2))),
+            "truth": TruthColumns(
+                *rng.standard_normal((4, ticks)), rng.standard_normal((ticks, 2))
+            ),
             # The first reply and the first count were measured before the release.
             "stream": Stream(0.005 * np.arange(2 * ticks), rng.standard_normal((2 * ticks, 2))),
             "replies": Replies(0.005 * np.arange(ticks) - 0.004, rng.standard_normal((ticks, 2))),
@@ -381,7 +383,7 @@ def test_columns_of_another_length_are_refused(run):
     with pytest.raises(ArtefactError, match=r"q of .* shape \(40, 1\), expected \(40, 2\)"):
         changed(run, q=run.q[:, :1])
     with pytest.raises(ArtefactError, match=r"truth.x of .* shape \(1,\), expected \(40,\)"):
-        changed(run, truth=Truth(*[np.zeros(1)] * 4, np.zeros((1, 2))))
+        changed(run, truth=TruthColumns(*[np.zeros(1)] * 4, np.zeros((1, 2))))
     with pytest.raises(ArtefactError, match=r"truth.q of .* shape \(0,\), expected \(40, 2\)"):
         changed(run, truth=run.truth._replace(q=np.empty(0)))
     with pytest.raises(ArtefactError, match=r"stream.q of .* shape \(5, 3\), expected \(5, 2\)"):

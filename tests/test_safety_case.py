@@ -58,16 +58,16 @@ def test_no_fault_is_named_that_is_not_rehearsed():
 
 
 def test_each_number_of_the_page_is_that_of_the_code():
-    from equipoise.control import gaps, pilot, safety
-    from equipoise.studies.rehearsal.judgement import TOLD
+    from equipoise.control import dropouts, run_controller, safety
+    from equipoise.studies.rehearsal.verdicts import TOLD
 
     assert f"within {1e3 * TOLD:.0f} ms" in PAGE
     assert f"({safety.STOP_DECELERATION:g} m/s² at the flange" in PAGE
     assert f"{100 * safety.TORQUE_SHARE:.0f} % of the joint's torque" in PAGE
     assert f"a following error of {safety.FOLLOWING_LIMIT:g} rad" in PAGE
-    share = 100 * pilot.UNSURE * safety.TORQUE_SHARE
+    share = 100 * run_controller.UNSURE * safety.TORQUE_SHARE
     assert f"on the way there {share:.0f} % beyond what the start shows" in PAGE
-    assert (gaps.OFTEN, gaps.WINDOW) == (3, 1.0)
+    assert (dropouts.OFTEN, dropouts.WINDOW) == (3, 1.0)
     assert "a third gap within a second" in PAGE
-    assert pilot.HOMING_SHARE == 0.1
+    assert run_controller.HOMING_SHARE == 0.1
     assert "a tenth of the joints' speed" in PAGE

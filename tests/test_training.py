@@ -5,8 +5,8 @@ import pytest
 
 from equipoise import training
 from equipoise.control.policy import TabularPolicy
-from equipoise.learning.closed_loop import make_plant
-from equipoise.learning.q_learning import new_progress, train_episodes
+from equipoise.learning.closed_loop import make_loop_params
+from equipoise.learning.q_learning import new_training_state, train_episodes
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
@@ -69,7 +69,7 @@ def test_several_learners_are_those_trained_one_by_one(pendulum, learners, worke
 
 def test_the_best_of_several_comes_first(pendulum):
     together = train_several(pendulum, ARM, settings(), learners=3, seed=5)
-    scores = [policy.candidates[0].score for policy in together]
+    scores = [policy.checkpoints[0].score for policy in together]
     assert scores == sorted(scores, reverse=True)
     assert len(set(scores)) > 1
 
@@ -196,15 +196,15 @@ def test_other_actuators_make_other_policies(pendulum, behind):
 
 def test_candidates_are_sorted_by_their_score_and_the_first_is_the_policy(pendulum):
     policy = train(pendulum, ARM, settings("selection.finalists=3"), seed=5)
-    scores = [candidate.score for candidate in policy.candidates]
+    scores = [candidate.score for candidate in policy.checkpoints]
     assert len(scores) == 3
     assert scores == sorted(scores, reverse=True)
     # The table of the policy is the running average at the moment when the winner was taken.
-    plant = make_plant(ARM, settings(), 0.01, pendulum.parameters(), shipped_actuator())
+    plant = make_loop_params(ARM, settings(), 0.01, pendulum.parameters(), shipped_actuator())
     constants = training._learner(settings())
-    progress, averaged = new_progress(), np.zeros((270, 8))
+    progress, averaged = new_training_state(), np.zeros((270, 8))
     selection = settings().selection
-    for taken in range(1, policy.candidates[0].episodes // selection.every + 1):
+    for taken in range(1, policy.checkpoints[0].episodes // selection.every + 1):
         until = taken * selection.every
         train_episodes(plant, pendulum.parameters(), constants, progress, until, 5, 0)
         averaged += max(selection.averaging, 1.0 / taken) * (progress.Q - averaged)
@@ -214,7 +214,7 @@ def test_candidates_are_sorted_by_their_score_and_the_first_is_the_policy(pendul
 
 def test_a_candidate_is_judged_on_all_of_its_trials(pendulum):
     policy = train(pendulum, ARM, settings("selection.rms_x_weight=0.5"), seed=5)
-    for candidate in policy.candidates:
+    for candidate in policy.checkpoints:
         assert candidate.trials == 70
         assert 0 <= candidate.survived <= 70
         assert 0.0 < candidate.mean_duration <= 3.0
@@ -225,8 +225,8 @@ def test_a_candidate_is_judged_on_all_of_its_trials(pendulum):
 
 
 def test_no_more_finalists_than_asked_for_and_no_more_than_candidates(pendulum):
-    assert len(train(pendulum, ARM, settings("selection.finalists=1")).candidates) == 1
-    assert len(train(pendulum, ARM, settings("selection.finalists=50")).candidates) == 3
+    assert len(train(pendulum, ARM, settings("selection.finalists=1")).checkpoints) == 1
+    assert len(train(pendulum, ARM, settings("selection.finalists=50")).checkpoints) == 3
 
 
 def test_all_learners_are_compared_on_the_same_selection_trials(monkeypatch, pendulum):
@@ -246,10 +246,10 @@ def test_all_learners_are_compared_on_the_same_selection_trials(monkeypatch, pen
 
 def test_the_recipe_paper_selects_nothing_and_keeps_the_last_table(pendulum):
     policy = train(pendulum, ARM, of_paper(), recipe="paper")
-    assert policy.candidates == ()
-    progress = new_progress()
+    assert policy.checkpoints == ()
+    progress = new_training_state()
     train_episodes(
-        make_plant(ARM, of_paper(), 0.01, pendulum.parameters(linearised=True)),
+        make_loop_params(ARM, of_paper(), 0.01, pendulum.parameters(linearised=True)),
         pendulum.parameters(linearised=True),
         training._learner(of_paper()),
         progress,
@@ -338,7 +338,7 @@ def test_settings_become_the_constants_of_the_learner():
                 "learning.epsilon_until=0.36",
                 "learning.reward_failure=-0.37",
                 "learning.mirrored=false",
-                "learning.held=false",
+                "learning.hold_action=false",
                 "learning.start_x=0.12",
                 "learning.start_x_dot=0.13",
                 "learning.start_phi=0.14",
@@ -376,7 +376,7 @@ def test_settings_become_the_constants_of_the_learner():
 @pytest.mark.slow
 def test_ten_thousand_robust_episodes_make_a_policy_that_stands(pendulum):
     policy = train(pendulum, ARM, resolve(), seed=1, workers=2)
-    best = policy.candidates[0]
+    best = policy.checkpoints[0]
     # DESIGN: 60 s in the median on 8 of 8 seeds; chosen among candidates, nearly all trials last.
     assert best.survived >= 0.98 * best.trials
 
@@ -398,6 +398,6 @@ def test_a_limited_speed_selects_among_the_tables_of_the_same_training(pendulum)
     free = train(pendulum, ARM, settings(), seed=5)
     assert [p.duration for p in limited.learning_curve] == [p.duration for p in free.learning_curve]
     assert limited.steps == free.steps
-    assert free.candidates[0].mean_duration > limited.candidates[0].mean_duration
-    assert limited.candidates[0].survived == 0
+    assert free.checkpoints[0].mean_duration > limited.checkpoints[0].mean_duration
+    assert limited.checkpoints[0].survived == 0
     assert limited.settings.plant.max_speed == 0.02

@@ -46,7 +46,7 @@ def test_the_evaluation_says_in_which_world_and_behind_what(behind_a_servo, eval
 
 
 def test_the_regulator_stands_where_chance_falls_on_the_same_trials(evaluation):
-    by_name = {results.name: results.summary() for results in evaluation.yardsticks}
+    by_name = {results.name: results.summary() for results in evaluation.baselines}
     assert by_name["LQR"].survived == by_name["LQR"].trials
     assert by_name["random"].survived == 0
 
@@ -157,7 +157,7 @@ def test_model_and_twin_agree_about_a_regulator_on_a_pivot_with_dry_friction(beh
     settings = policy.settings.model_copy(update={"evaluation": few})
     for world in ("model", WORLD):
         told = evaluate(policy, settings, world=world)
-        lqr = next(results for results in told.yardsticks if results.name == "LQR")
+        lqr = next(results for results in told.baselines if results.name == "LQR")
         assert lqr.summary().survived == 6
 
 
@@ -177,13 +177,13 @@ def test_a_delay_that_the_controller_cannot_remember_is_refused(behind_a_servo):
 def test_guards_end_trials_in_the_worlds_that_have_them(evaluation, behind_a_servo):
     """What falls in a world without guards falls there with a guard, no later."""
     before = evaluate(behind_a_servo, world="twin:nominal-1", seed=4)
-    assert "guard" not in {c for results in (before.results, *before.yardsticks)
+    assert "guard" not in {c for results in (before.results, *before.baselines)
                            for c in results.causes}  # fmt: skip
     assert "guards" not in before.results.model_dump()
     told = []
     for free, held in zip(
-        (before.results, *before.yardsticks),
-        (evaluation.results, *evaluation.yardsticks),
+        (before.results, *before.baselines),
+        (evaluation.results, *evaluation.baselines),
         strict=True,
     ):
         guards = held.guards or ("",) * len(held.causes)

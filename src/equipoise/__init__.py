@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from equipoise.model.arms.urdf import read_urdf
     from equipoise.model.encoder import simulate_swing
     from equipoise.model.pendulum import Pendulum, PendulumParameters, shipped_pendulum
-    from equipoise.model.worlds import read_world
+    from equipoise.model.sim_configs import read_world
     from equipoise.runlog import RunLog
     from equipoise.settings import Settings, resolve
     from equipoise.studies.certification import Certificate, certify, make_claim
@@ -96,7 +96,7 @@ _HOMES = {
     "model.arms.urdf": ("read_urdf",),
     "model.encoder": ("simulate_swing",),
     "model.pendulum": ("Pendulum", "PendulumParameters", "shipped_pendulum"),
-    "model.worlds": ("read_world",),
+    "model.sim_configs": ("read_world",),
     "runlog": ("RunLog",),
     "settings": ("Settings", "resolve"),
     "studies.certification": ("Certificate", "certify", "make_claim"),

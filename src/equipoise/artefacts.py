@@ -150,8 +150,6 @@ class Artefact(Value):
     """Name of the format, written in the file."""
     VERSION: ClassVar[int]
     """Version of the format; raised with a change of the fields, but for those of an `Extended`."""
-    UPGRADES: ClassVar[Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]]] = {}
-    """For each older version, a pure function from its body to the next version's."""
 
     @property
     def digest(self) -> str:
@@ -199,18 +197,11 @@ class Artefact(Value):
                 f"{path} has version {quoted(version)} of {cls.FORMAT!r}, this Equipoise reads up "
                 f"to {cls.VERSION}; upgrade Equipoise"
             )
-        for older in range(version, cls.VERSION):
-            if older not in cls.UPGRADES:
-                raise ArtefactError(
-                    f"{path} has version {quoted(older)} of {cls.FORMAT!r}, which can no longer be "
-                    "read; make the file again"
-                )
-            try:
-                body = cls.UPGRADES[older](body)
-            except (KeyError, TypeError, AttributeError):
-                raise ArtefactError(
-                    f"{path} lacks fields of version {older} of {cls.FORMAT!r}; make the file again"
-                ) from None
+        if version < cls.VERSION:
+            raise ArtefactError(
+                f"{path} has version {quoted(version)} of {cls.FORMAT!r}, expected {cls.VERSION}; "
+                "make the file again"
+            )
         try:
             return cls.model_validate_json(json.dumps(body), strict=True)
         except ValidationError as error:
@@ -292,7 +283,7 @@ def read_bytes(path: Path, limit: int, kind: str, error: type[InputError]) -> by
     return b"".join(pieces)
 
 
-class Fault(NamedTuple):
+class FieldError(NamedTuple):
     """First fault of a value that does not fit its model, in words of bounded length."""
 
     where: str
@@ -305,10 +296,10 @@ class Fault(NamedTuple):
     """Whether the model has no such field."""
 
 
-def first_fault(error: ValidationError) -> Fault:
+def first_fault(error: ValidationError) -> FieldError:
     """Return the first fault that a validation found."""
     first = error.errors(include_url=False, include_context=False)[0]
-    return Fault(
+    return FieldError(
         where=".".join(shortened(str(part)) for part in first["loc"]),
         what=shortened(first["msg"].removeprefix("Value error, "), 5 * LONGEST_QUOTE),
         got=quoted(first["input"]),

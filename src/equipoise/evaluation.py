@@ -8,10 +8,10 @@ for every policy, and the yardsticks run the same trials.
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -29,12 +29,12 @@ from equipoise.artefacts import (
     Value,
     value_digest,
 )
+from equipoise.control.baselines import baselines
 from equipoise.control.boxes import CAUSES, cause_named
-from equipoise.control.controller import make_controller
-from equipoise.control.guards import guard_named, trial_guard
-from equipoise.control.policy import Policy, PolicyKernel, TabularPolicy, with_first_settings
-from equipoise.control.yardsticks import yardsticks
-from equipoise.learning.closed_loop import Plant, make_plant, scaled
+from equipoise.control.control_step import make_controller_params
+from equipoise.control.policy import Policy, PolicyKernel, TabularPolicy
+from equipoise.control.trial_safety import guard_named, trial_safety
+from equipoise.learning.closed_loop import LoopParams, make_loop_params, scaled
 from equipoise.learning.trials import (
     Trials,
     draw_trials,
@@ -46,7 +46,7 @@ from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import TEST
-from equipoise.model.worlds import (
+from equipoise.model.sim_configs import (
     MODEL,
     PivotFriction,
     TwinSettings,
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 
 CONFIDENCE = 0.95
 
-AT_ONCE = 10_000
+BATCH_TRIALS = 10_000
 """Number of trials on a twin that wait for a thread at a time; it bounds their memory."""
 
 Done = Callable[[int], None]
@@ -132,12 +132,7 @@ class Evaluation(Viewable, Artefact, Extended):
 
     LATER: ClassVar[tuple[str, ...]] = ("friction",)
     FORMAT: ClassVar[str] = "equipoise-evaluation"
-    VERSION: ClassVar[int] = 2
-    UPGRADES: ClassVar[Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]]] = {
-        1: lambda body: (
-            with_first_settings(body) | {"world_settings": None, "actuator": IDEAL_ACTUATOR.digest}
-        )
-    }
+    VERSION: ClassVar[int] = 3
 
     policy: Name
     """Digest of the policy, or the name of the function that was evaluated."""
@@ -162,7 +157,7 @@ class Evaluation(Viewable, Artefact, Extended):
     """Master seed; with a trial's number it decides its conditions and its noise."""
     results: TrialResults
     """Trials of the policy."""
-    yardsticks: Annotated[tuple[TrialResults, ...], Field(max_length=16)]
+    baselines: Annotated[tuple[TrialResults, ...], Field(max_length=16)]
     """Trials of the yardsticks, on the same conditions."""
 
     def __repr__(self) -> str:
@@ -216,7 +211,7 @@ def evaluate(
         ArmError: The twin does not know the masses of the arm.
     """
     settings = policy.settings if settings is None else settings
-    bench = _Bench(
+    bench = TrialRunner(
         policy.pendulum,
         policy.arm,
         settings,
@@ -259,7 +254,7 @@ def evaluate_function(
         workers: Number of threads for the yardsticks.
         done: Called with the number of trials that have just finished.
     """
-    bench = _Bench(
+    bench = TrialRunner(
         pendulum, arm, settings, IDEAL_ACTUATOR, paper.STEP, MODEL, seed, workers, None, done
     )
     return bench.evaluation(name, bench.run_in_python(name, policy), with_yardsticks)
@@ -302,7 +297,7 @@ def twin_trials(
         )
 
 
-class _Bench:
+class TrialRunner:
     """The trials of one evaluation, on which any number of policies run."""
 
     def __init__(
@@ -360,7 +355,7 @@ class _Bench:
 
     def evaluation(self, policy: str, results: TrialResults, with_yardsticks: bool) -> Evaluation:
         """Return the evaluation, the yardsticks run if asked for."""
-        beside = yardsticks(self._parameters, self._h) if with_yardsticks else {}
+        beside = baselines(self._parameters, self._h) if with_yardsticks else {}
         evaluation = Evaluation(
             policy=policy,
             world=MODEL if self._twin is None else self._twin.name,
@@ -373,7 +368,7 @@ class _Bench:
             settings=self._settings,
             seed=self._seed,
             results=results,
-            yardsticks=tuple(self.run(name, kernel) for name, kernel in beside.items()),
+            baselines=tuple(self.run(name, kernel) for name, kernel in beside.items()),
         )
         if self._partial is not None:
             self._partial.unlink(missing_ok=True)
@@ -382,20 +377,20 @@ class _Bench:
     def _run_on_twin(
         self, settings: TwinSettings, name: str, kernel: PolicyKernel, digest: str
     ) -> TrialResults:
-        from equipoise.devices.twin.trial import Outcome, Trial, run_over_cores
+        from equipoise.devices.twin.trial import Trial, TrialResult, run_over_cores
 
         e, results = self._settings.evaluation, self._trials()
         kept = _Kept(self._partial, self._key(settings, name, digest))
         todo = kept.restore(results)
         self._done(e.trials - len(todo))
 
-        def one_done(trial: Trial, outcome: Outcome) -> None:
+        def one_done(trial: Trial, outcome: TrialResult) -> None:
             i = trial.number
             results.steps[i], results.cause[i] = outcome.steps, outcome.cause
             kept.add(i, outcome.steps, outcome.cause)
             self._done(1)
 
-        controller = make_controller(
+        controller = make_controller_params(
             self._arm,
             self._settings,
             self._actuator,
@@ -403,12 +398,12 @@ class _Bench:
             h=self._h,
             counts_per_rev=settings.counts_per_rev,
         )
-        guard = trial_guard(
+        guard = trial_safety(
             self._arm, settings, self._actuator, kernel, self._h, self._settings.plant.max_speed
         )
         conditions = twin_trials(self._settings, settings, self._pendulum, self._seed, TEST, todo)
         with kept:
-            while batch := list(islice(conditions, AT_ONCE)):
+            while batch := list(islice(conditions, BATCH_TRIALS)):
                 run_over_cores(
                     self._arm,
                     settings,
@@ -441,8 +436,10 @@ class _Bench:
     def _friction(self) -> PivotFriction | None:
         return None if self._twin is None else pivot_friction(self._pendulum, self._twin.settings)
 
-    def _plant(self) -> Plant:
-        return make_plant(self._arm, self._settings, self._h, self._parameters, self._actuator)
+    def _plant(self) -> LoopParams:
+        return make_loop_params(
+            self._arm, self._settings, self._h, self._parameters, self._actuator
+        )
 
     def _trials(self) -> Trials:
         count = self._settings.evaluation.trials

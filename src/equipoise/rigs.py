@@ -31,20 +31,20 @@ from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.sensor import LineEncoder
 from equipoise.devices.encoder.serial_port import check_serial, open_serial
 from equipoise.devices.interfaces import AngleSensor, Clock, Robot
-from equipoise.devices.kuka.cabinet import KstServer
 from equipoise.devices.kuka.codec import PORT
 from equipoise.devices.kuka.robot import KstRobot, dial
+from equipoise.devices.kuka.server_emulator import KstServer
 from equipoise.devices.operator import EmulatedOperator, Operator
 from equipoise.devices.transports import MemoryPipe, memory_pipe
-from equipoise.devices.twin.bench import Bench
-from equipoise.devices.twin.hands import hands
+from equipoise.devices.twin.operator_actions import operator_actions
 from equipoise.devices.twin.robot import TwinEncoder, TwinRobot
+from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.errors import ArmError, InputError, LinkError, SettingsError
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.iiwa import HOME_DEG, PIVOT_OUTWARD, iiwa
 from equipoise.model.pendulum import Pendulum, PendulumParameters
-from equipoise.model.worlds import PREFIX as TWIN
-from equipoise.model.worlds import World, pendulum_on, read_world
+from equipoise.model.sim_configs import PREFIX as TWIN
+from equipoise.model.sim_configs import World, pendulum_on, read_world
 from equipoise.settings import read_toml
 
 Degrees = Annotated[float, Field(ge=-180.0, le=180.0)]
@@ -52,9 +52,9 @@ Degrees = Annotated[float, Field(ge=-180.0, le=180.0)]
 LARGEST_TILT_DEG: Final = 1.0
 """A base that leans more than this is to be levelled [deg]: the track would climb, and gravity
 would pull along it by 0.17 m/s^2, a twelfth of the largest command."""
-ATTENTION: Final = 0.010
+ENCODER_POLL_PERIOD: Final = 0.010
 """So often whoever waits reads the encoder [s]: a terminal keeps 0.1 s of its lines."""
-AWAY: Final = 0.1
+START_OFFSET: Final = 0.1
 """An emulated arm stands up to so far from home at first, each joint [rad]."""
 
 
@@ -142,7 +142,7 @@ def read_rig(path: Path | None) -> RigSettings:
     return rig
 
 
-class Attended:
+class DrainingClock:
     """A clock for whoever waits before a run: meanwhile nothing piles up at the encoder."""
 
     def __init__(self, clock: Clock, sensor: AngleSensor) -> None:
@@ -157,7 +157,7 @@ class Attended:
         """Wait, and drop what the sensor says."""
         until = self._clock.now()
         while until < time:
-            until = min(time, until + ATTENTION)
+            until = min(time, until + ENCODER_POLL_PERIOD)
             self._clock.wait_until(until)
             with suppress(LinkError):  # it is not connected yet; or says so again when asked
                 self._sensor.samples()
@@ -186,7 +186,7 @@ def is_virtual(robot: str) -> bool:
     return robot.startswith(TWIN)
 
 
-ALONE: Final = "a robot alone does not balance; give --encoder serial:///dev/ttyACM0"
+ENCODER_MISSING: Final = "a robot alone does not balance; give --encoder serial:///dev/ttyACM0"
 
 
 def check_addresses(robot: str, encoder: str | None) -> None:
@@ -203,7 +203,7 @@ def check_addresses(robot: str, encoder: str | None) -> None:
         return
     _host_and_port(robot)
     if encoder is None:
-        raise InputError(ALONE)
+        raise InputError(ENCODER_MISSING)
     check_serial(encoder)
 
 
@@ -261,7 +261,7 @@ def connect(
         world = read_world(robot)
         return twin_rig(world, settings, pendulum_on(pendulum, world.settings), seed=seed)
     if encoder is None:  # checked above
-        raise InputError(ALONE)
+        raise InputError(ENCODER_MISSING)
     clock = SystemClock()
     sensor = encoder_at(
         encoder,
@@ -269,7 +269,7 @@ def connect(
         counts_per_rev=settings.counts_per_rev,
         sign=settings.encoder_sign,
     )
-    waiting = Attended(clock, sensor)
+    waiting = DrainingClock(clock, sensor)
     return Rig(robot_at(robot, waiting, tell=tell, attend=attend), sensor, clock, None)
 
 
@@ -327,16 +327,16 @@ def twin_rig(
         ArmError: The masses of the arm's links are not known.
     """
     clock, bench = _bench(world, settings, pendulum, seed)
-    operator = EmulatedOperator(clock, hands(bench), seed=seed)
+    operator = EmulatedOperator(clock, operator_actions(bench), seed=seed)
     return Rig(TwinRobot(bench, clock), TwinEncoder(bench, clock), clock, operator)
 
 
-class Emulated(NamedTuple):
+class EmulatedRig(NamedTuple):
     """A twin behind the protocols of the hardware, and what a test can do to it."""
 
     rig: Rig
     """The drivers."""
-    bench: Bench
+    bench: SimulatedRig
     """Arm, pendulum, hand and button."""
     server: KstServer
     """The robot's cabinet."""
@@ -350,7 +350,7 @@ class Emulated(NamedTuple):
 
 def emulated_rig(
     world: World, settings: RigSettings, pendulum: PendulumParameters, *, seed: int = 0
-) -> Emulated:
+) -> EmulatedRig:
     """Return the drivers of the hardware in front of a twin that speaks its bytes, in virtual time.
 
     The link to the cabinet takes half the twin's reply age each way; the rest of its transport is
@@ -391,20 +391,20 @@ def emulated_rig(
             wire.write(said)
 
     clock.attach(work)
-    operator = EmulatedOperator(clock, hands(bench), seed=seed)
+    operator = EmulatedOperator(clock, operator_actions(bench), seed=seed)
     sensor = LineEncoder(
         lambda: reader,
         clock,
         counts_per_rev=settings.counts_per_rev,
         sign=settings.encoder_sign,
     )
-    robot = KstRobot(lambda: host, Attended(clock, sensor))
-    return Emulated(Rig(robot, sensor, clock, operator), bench, server, board, cabinet, wire)
+    robot = KstRobot(lambda: host, DrainingClock(clock, sensor))
+    return EmulatedRig(Rig(robot, sensor, clock, operator), bench, server, board, cabinet, wire)
 
 
 def _bench(
     world: World, settings: RigSettings, pendulum: PendulumParameters, seed: int
-) -> tuple[VirtualClock, Bench]:
+) -> tuple[VirtualClock, SimulatedRig]:
     if world.settings.counts_per_rev != settings.counts_per_rev:
         raise SettingsError(
             f"{world.name} has {world.settings.counts_per_rev} counts per revolution, rig.toml "
@@ -412,7 +412,9 @@ def _bench(
         )
     clock = VirtualClock()
     arm = settings.described_arm
-    elsewhere = arm.home_free + AWAY * np.random.default_rng(seed).uniform(-1.0, 1.0, FREE_JOINTS)
-    bench = Bench(arm, pendulum, world.settings, seed=seed, q=elsewhere)
+    elsewhere = arm.home_free + START_OFFSET * np.random.default_rng(seed).uniform(
+        -1.0, 1.0, FREE_JOINTS
+    )
+    bench = SimulatedRig(arm, pendulum, world.settings, seed=seed, q=elsewhere)
     clock.attach(bench.advance)
     return clock, bench

@@ -117,7 +117,7 @@ class RunConditions(Extended):
         return tuple(i for i in range(len(self.joints)) if i + 1 != self.held_joint)
 
 
-class Truth(NamedTuple):
+class TruthColumns(NamedTuple):
     """What only a simulation knows, once per tick; no rows on a robot."""
 
     x: Array
@@ -159,7 +159,7 @@ class EncoderSamples(NamedTuple):
     """Counts from where the encoder was zeroed, shape (r,)."""
 
 
-Part = TypeVar("Part", Truth, Stream, Replies, EncoderSamples)
+Part = TypeVar("Part", TruthColumns, Stream, Replies, EncoderSamples)
 
 
 def _no_rows(kind: type[Part]) -> Part:
@@ -199,7 +199,7 @@ class RunLog(Viewable):
     """Estimate of phi_dot at the tick [rad/s], shape (n,)."""
     bias: Array
     """Estimate of the error of the encoder's zero [rad], shape (n,)."""
-    truth: Truth = field(default_factory=partial(_no_rows, Truth))
+    truth: TruthColumns = field(default_factory=partial(_no_rows, TruthColumns))
     """What really was, where a simulation tells."""
     stream: Stream = field(default_factory=partial(_no_rows, Stream))
     """What was sent to the arm."""
@@ -223,7 +223,7 @@ class RunLog(Viewable):
             object.__setattr__(self, name, column)
         for name, kind in PARTS.items():
             part = getattr(self, name)
-            rows = ticks if kind is Truth and len(part[0]) else len(part[0])
+            rows = ticks if kind is TruthColumns and len(part[0]) else len(part[0])
             columns = zip(kind._fields, part, strict=True)
             checked = kind._make(_column(f"{name}.{of}", v, rows, joints) for of, v in columns)
             object.__setattr__(self, name, checked)
@@ -386,7 +386,7 @@ class RunLog(Viewable):
 
 
 PARTS: Final = {
-    "truth": Truth,
+    "truth": TruthColumns,
     "stream": Stream,
     "replies": Replies,
     "encoder": EncoderSamples,
@@ -403,7 +403,7 @@ LAYOUTS: Final[Mapping[int, Mapping[str, tuple[str, ...]]]] = {
     1: {"/tick": ("time", "x", "x_dot", "phi", "phi_dot", "box", "u", "tracked", "q", "dq")},
     2: {
         "/tick": COLUMNS,
-        "/truth": tuple(f"truth.{name}" for name in Truth._fields),
+        "/truth": tuple(f"truth.{name}" for name in TruthColumns._fields),
         "/stream": tuple(f"stream.{name}" for name in Stream._fields),
         "/reply": tuple(f"replies.{name}" for name in Replies._fields),
         "/encoder": tuple(f"encoder.{name}" for name in EncoderSamples._fields),
@@ -475,7 +475,7 @@ def _keep_whole_ticks(conditions: Mapping[str, Any], columns: dict[str, Any], la
     parts = ("stream.time", "replies.time", "encoder.time", "time")
     first = min([0.0, *(min(columns[name]) for name in parts if columns.get(name))])
     whole = sum(time + h <= last + first + 1e-9 for time in times)
-    for name in (*COLUMNS, *(f"truth.{name}" for name in Truth._fields)):
+    for name in (*COLUMNS, *(f"truth.{name}" for name in TruthColumns._fields)):
         columns[name] = columns.get(name, ())[:whole]
 
 

@@ -436,7 +436,7 @@ FAILED: Final = "failed"
 """Name of the event that holds what the loop told the heart of a failure."""
 
 
-class Event(NamedTuple):
+class LoggedEvent(NamedTuple):
     """Something that happened in a run, in words."""
 
     time: float
@@ -457,7 +457,7 @@ class RigRun:
     """What was to run."""
     tables: Mapping[str, npt.NDArray[Any]]
     """Rows of `tick`, `stream`, `reply` and `encoder`, as structured arrays."""
-    events: tuple[Event, ...]
+    events: tuple[LoggedEvent, ...]
     """What happened, in order."""
     end: Mapping[str, Any] | None
     """How it ended; none where the log breaks off."""
@@ -510,11 +510,11 @@ def read_rig_run(path: Path) -> RigRun:
     return RigRun(conditions, rows, events, end, content.damage if end is None else "")
 
 
-def _event(row: Mapping[str, Any]) -> Event:
+def _event(row: Mapping[str, Any]) -> LoggedEvent:
     time = float(row["time"])
     if not abs(time) <= LARGEST_NUMBER:
         raise ValueError(time)
-    return Event(time, str(row["name"]), _words(row["answers"]), str(row["text"]))
+    return LoggedEvent(time, str(row["name"]), _words(row["answers"]), str(row["text"]))
 
 
 def _words(answers: str) -> tuple[str, ...]:
@@ -527,10 +527,10 @@ def push_event(ring: Ring, time: float, name: str, answers: Sequence[str], text:
     ring.push(time, name.encode()[:32], "|".join(answers).encode()[:96], encoded[:TEXT])
 
 
-def take_events(ring: Ring) -> list[Event]:
+def take_events(ring: Ring) -> list[LoggedEvent]:
     """Return the events that were written into a ring since the last call."""
     return [
-        Event(
+        LoggedEvent(
             float(row["time"]),
             row["name"].decode(),
             _words(row["answers"].decode()),

@@ -213,7 +213,7 @@ class LearningSettings(Value):
     """Reward of a step that ends in failure; every other reward is zero."""
     mirrored: bool = True
     """Update the mirror image with every update: the task is symmetric, experience counts twice."""
-    held: bool = True
+    hold_action: bool = True
     """Hold an action until the state leaves its box, and update then, discounted by the time that
     has gone by. Updated in each step, a box is mostly its own successor, and its value an average
     over how long one stays there."""
@@ -323,7 +323,7 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
         "learning.epsilon_initial": 0.1,
         "learning.epsilon_until": 0.0,
         "learning.mirrored": False,
-        "learning.held": False,
+        "learning.hold_action": False,
         "learning.start_x": 0.0,
         "learning.start_x_dot": 0.0,
         "learning.start_phi": radians(2.5),

@@ -23,10 +23,10 @@ from equipoise import paper
 from equipoise.artefacts import PartialFile, Provenance, StrPath, value_digest
 from equipoise.compiled import kernel_sources_digest
 from equipoise.control import boxes
-from equipoise.control.boxes import LASTED
+from equipoise.control.boxes import TRUNCATED
 from equipoise.control.policy import (
     TABLE,
-    Candidate,
+    Checkpoint,
     LearningPoint,
     TabularPolicy,
     greedy_accelerations,
@@ -34,21 +34,21 @@ from equipoise.control.policy import (
 )
 from equipoise.errors import ArtefactError
 from equipoise.learning.checkpoint import (
-    Checkpoint,
     Finalist,
     LearnerState,
+    ResumePoint,
     pack,
     table,
     unpack,
 )
-from equipoise.learning.closed_loop import Plant, make_plant
+from equipoise.learning.closed_loop import LoopParams, make_loop_params
 from equipoise.learning.q_learning import (
     ENDED,
     ENDED_STEPS,
     STEPS,
-    Learner,
-    Progress,
-    new_progress,
+    QLearningConfig,
+    TrainingState,
+    new_training_state,
     train_episodes,
 )
 from equipoise.learning.trials import draw_trials, run_over_cores
@@ -78,7 +78,7 @@ class _Snapshot(NamedTuple):
 
     Q: Array
     visits: npt.NDArray[np.int64]
-    candidate: Candidate
+    candidate: Checkpoint
 
 
 def train(
@@ -180,16 +180,16 @@ def train_several(
     checkpoints = _Checkpoints(partial, task, range(learners))
     with checkpoints, ThreadPoolExecutor(workers) as pool:
         policies = list(pool.map(one, range(learners)))
-    return sorted(policies, key=lambda p: -p.candidates[0].score if p.candidates else 0.0)
+    return sorted(policies, key=lambda p: -p.checkpoints[0].score if p.checkpoints else 0.0)
 
 
-def judge(
+def score_policy(
     policy: TabularPolicy,
     *,
     seed: int = 0,
     workers: int = 1,
     done: Callable[[int], None] = lambda _: None,
-) -> Candidate:
+) -> Checkpoint:
     """Return how a policy does in the final round of a selection, on the model that it carries.
 
     Args:
@@ -199,7 +199,7 @@ def judge(
         done: Called with the number of trials that have just finished, also from other threads.
     """
     parameters = policy.pendulum.parameters(linearised=policy.settings.plant.linearised)
-    plant = make_plant(policy.arm, policy.settings, policy.h, parameters, policy.actuator)
+    plant = make_loop_params(policy.arm, policy.settings, policy.h, parameters, policy.actuator)
     selection = _Selection(plant, parameters, policy.settings, seed, workers)
     return selection.final(policy.u_of_box, policy.episodes, done)
 
@@ -213,7 +213,7 @@ class _Task(NamedTuple):
     actuator: Actuator
     seed: int
     recipe: str
-    warm: TabularPolicy | None
+    init_policy: TabularPolicy | None
 
 
 def _task(
@@ -241,13 +241,13 @@ def _train(
     """Train one learner, from its checkpoint if there is one."""
     settings, pendulum, seed = task.settings, task.pendulum, task.seed
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
-    plant = make_plant(task.arm, settings, paper.STEP, parameters, task.actuator)
+    plant = make_loop_params(task.arm, settings, paper.STEP, parameters, task.actuator)
     # A table cannot see such a failure coming: it is the selection that finds those that avoid it.
     of_episodes = plant._replace(speed_limit=inf)
     constants = _learner(settings)
-    progress = new_progress()
-    if task.warm is not None:
-        progress.Q[:], progress.visits[:] = task.warm.table, task.warm.visits
+    progress = new_training_state()
+    if task.init_policy is not None:
+        progress.Q[:], progress.visits[:] = task.init_policy.table, task.init_policy.visits
     selection = _Selection(plant, parameters, settings, seed, workers)
     every = settings.selection.every or max(1, constants.episodes // REPORTS)
     curve: list[LearningPoint] = []
@@ -299,7 +299,7 @@ def _train(
         episodes=int(progress.totals[ENDED]),
         steps=int(progress.totals[STEPS]),
         learning_curve=tuple(curve),
-        candidates=tuple(snapshot.candidate for snapshot in finalists),
+        checkpoints=tuple(snapshot.candidate for snapshot in finalists),
     )
 
 
@@ -312,7 +312,7 @@ class _Checkpoints(PartialFile):
         self._states: dict[str, LearnerState] = {}
         if path is None or not Path(path).exists():
             return
-        found = Checkpoint.load(path)
+        found = ResumePoint.load(path)
         other = [
             name for name, value in self._deciding.items() if found.deciding.get(name) != value
         ]
@@ -332,9 +332,9 @@ class _Checkpoints(PartialFile):
         self._states[str(learner)] = state
         self.update()
 
-    def _checkpoint(self) -> Checkpoint | None:
+    def _checkpoint(self) -> ResumePoint | None:
         states = dict(self._states)
-        return Checkpoint(deciding=self._deciding, learners=states) if states else None
+        return ResumePoint(deciding=self._deciding, learners=states) if states else None
 
 
 def _deciding(task: _Task, learners: Sequence[int]) -> dict[str, str]:
@@ -347,7 +347,7 @@ def _deciding(task: _Task, learners: Sequence[int]) -> dict[str, str]:
         "recipe": task.recipe,
         "seed": str(task.seed),
         "number of learners": ", ".join(map(str, learners)),
-        "policy to go on from": "" if task.warm is None else task.warm.digest,
+        "policy to go on from": "" if task.init_policy is None else task.init_policy.digest,
         "version of Equipoise or its libraries": software(),
     }
 
@@ -357,11 +357,11 @@ def software() -> str:
     return json.dumps(Provenance.now("", None).software) + kernel_sources_digest()
 
 
-def _learner(settings: Settings) -> Learner:
+def _learner(settings: Settings) -> QLearningConfig:
     s = settings.learning
-    return Learner(
+    return QLearningConfig(
         episodes=s.episodes,
-        longest=round(s.episode_duration / paper.STEP),
+        max_steps=round(s.episode_duration / paper.STEP),
         gamma=s.gamma,
         alpha_initial=s.alpha_initial,
         alpha_decay=s.alpha_decay,
@@ -370,7 +370,7 @@ def _learner(settings: Settings) -> Learner:
         epsilon_until=s.epsilon_until,
         reward_failure=s.reward_failure,
         mirrored=s.mirrored,
-        held=s.held,
+        hold_action=s.hold_action,
         start=(s.start_x, s.start_x_dot, s.start_phi, s.start_phi_dot),
         inertia_sigma=settings.plant.inertia_sigma,
         friction_sigma=settings.plant.friction_sigma,
@@ -387,7 +387,7 @@ class _Selection:
 
     def __init__(
         self,
-        plant: Plant,
+        plant: LoopParams,
         pendulum: PendulumParameters,
         settings: Settings,
         seed: int,
@@ -395,12 +395,12 @@ class _Selection:
     ) -> None:
         self._plant, self._pendulum, self._settings = plant, pendulum, settings
         self._seed, self._workers = seed, workers
-        self._averaged, self._screened = new_progress().Q, 0
-        self._known: dict[str, Candidate] = {}
+        self._averaged, self._screened = new_training_state().Q, 0
+        self._known: dict[str, Checkpoint] = {}
         self._best: list[_Snapshot] = []
-        self._final: list[Candidate] = []
+        self._final: list[Checkpoint] = []
 
-    def screen(self, progress: Progress) -> Candidate:
+    def screen(self, progress: TrainingState) -> Checkpoint:
         """Run the screening trials of the averaged table's greedy policy, once for each policy."""
         self._screened += 1
         newest = max(self._settings.selection.averaging, 1.0 / self._screened)
@@ -453,7 +453,7 @@ class _Selection:
 
     def final(
         self, u_of_box: Array, episodes: int, done: Callable[[int], None] = lambda _: None
-    ) -> Candidate:
+    ) -> Checkpoint:
         """Run the longer trials of one greedy policy, taken after so many episodes."""
         selection = self._settings.selection
         return self._run(
@@ -469,7 +469,7 @@ class _Selection:
             for one in state.best
         ]
 
-    def state(self, progress: Progress, curve: Sequence[LearningPoint]) -> LearnerState:
+    def state(self, progress: TrainingState, curve: Sequence[LearningPoint]) -> LearnerState:
         """Return the state of the training and its selection."""
         return LearnerState(
             progress=pack(progress),
@@ -492,7 +492,7 @@ class _Selection:
         count: int,
         duration: float,
         done: Callable[[int], None] = lambda _: None,
-    ) -> Candidate:
+    ) -> Checkpoint:
         selection = self._settings.selection
         trials = draw_trials(count, self._settings, self._seed, stream, selection.spread)
         run_over_cores(
@@ -508,10 +508,10 @@ class _Selection:
         )
         mean_duration = float(np.mean(trials.steps)) * self._plant.controller.h
         rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))
-        return Candidate(
+        return Checkpoint(
             episodes=episodes,
             trials=count,
-            survived=int(np.sum(trials.cause == LASTED)),
+            survived=int(np.sum(trials.cause == TRUNCATED)),
             mean_duration=mean_duration,
             rms_x=rms_x,
             score=mean_duration / duration - selection.rms_x_weight * rms_x / paper.X_LIMIT,

@@ -29,7 +29,7 @@ def test_a_claim_that_holds_is_granted_and_left_with_its_trials(equipoise, polic
     assert certificate.granted
     assert certificate.policy == TabularPolicy.load(policy_file).digest
     assert certificate.evaluation == evaluation.digest
-    assert evaluation.yardsticks == ()
+    assert evaluation.baselines == ()
 
 
 @pytest.mark.compiled_only

@@ -11,10 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from equipoise.artefacts import read_document
-from equipoise.cli.console import Console, key_names
 from equipoise.cli.output import Output
-from equipoise.control.pilot import PHASES
-from equipoise.devices.operator import Told
+from equipoise.cli.terminal_operator import TerminalOperator, key_names
+from equipoise.control.run_controller import PHASES
+from equipoise.devices.operator import Notice
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.report import markup
 from equipoise.rigs import RigSettings
@@ -55,8 +55,10 @@ def test_output_escapes_whatever_it_is_given(capsys):
         lambda: output.points([HOSTILE]),
         lambda: output.warn(HOSTILE),
         lambda: output.next(HOSTILE),
-        lambda: Console(output).tell(Told("notice", HOSTILE)),
-        lambda: Console(output).tell(Told("finding", f"{HOSTILE}\tgood\t{HOSTILE}\t{HOSTILE}")),
+        lambda: TerminalOperator(output).notify(Notice("notice", HOSTILE)),
+        lambda: TerminalOperator(output).notify(
+            Notice("finding", f"{HOSTILE}\tgood\t{HOSTILE}\t{HOSTILE}")
+        ),
     )
     for way in ways:
         way()
@@ -178,7 +180,7 @@ def test_the_page():
 
 
 def test_a_figure_takes_a_name_from_a_file_as_it_is(small_evaluation):
-    from equipoise.report.figures.standing import survival
+    from equipoise.report.figures.survival import survival
     from equipoise.report.style import to_svg
 
     renamed = small_evaluation.results.model_copy(update={"name": HOSTILE})

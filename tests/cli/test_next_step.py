@@ -116,8 +116,8 @@ def test_the_next_command_fits_and_keeps_what_was_given(command, words):
     ],
 )
 def test_a_table_that_its_own_selection_saw_fall_is_trained_again(survived, words):
-    best = shipped_policy().candidates[0].model_copy(update={"survived": survived, "trials": 64})
-    policy = shipped_policy().model_copy(update={"candidates": (best,)})
+    best = shipped_policy().checkpoints[0].model_copy(update={"survived": survived, "trials": 64})
+    policy = shipped_policy().model_copy(update={"checkpoints": (best,)})
     again = ["p.json", "--arm", "iiwa14", "--set", "learning.episodes=10"]
     command = next_step.after_training(Path("policy.json"), policy, again)
     assert command == tuple(words.split("|"))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from equipoise.devices.encoder.swing import Stage
+from equipoise.devices.encoder.swing import RecordingStage
 from tests.cli.conftest import contents
 from tests.devices.encoder.by_hand import RELEASE, ByHand
 from tests.devices.encoder.rig import Bench
@@ -34,7 +34,7 @@ def test_a_swing_becomes_a_file_that_identify_reads(equipoise, bench, tmp_path):
     said = ran.out.splitlines()
     assert said[0] == f"Listening to {URI}"
     assert said[1] == "emulated 1.0: 8192 counts per revolution, 1000 per second"
-    places = [ran.out.index(stage.value) for stage in Stage]
+    places = [ran.out.index(stage.value) for stage in RecordingStage]
     assert places == sorted(places)
     assert ran.out.endswith("next: equipoise identify swing.csv\n")
     assert not bench.host._open

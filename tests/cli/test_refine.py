@@ -11,7 +11,7 @@ from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.deployment import deploy
 from equipoise.model.actuator import Actuator
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.worlds import TwinSettings, World
+from equipoise.model.sim_configs import TwinSettings, World
 from equipoise.runlog import RunLog
 from tests.cli.conftest import contents
 

@@ -16,27 +16,27 @@ from equipoise.learning.closed_loop import (
     PHI,
     PHI_DOT,
     TRACKED,
-    Variation,
-    make_plant,
-    new_block,
+    DomainRandomization,
+    make_loop_params,
+    new_batch_state,
     reset,
     step,
 )
 from equipoise.model.arms.arm import FRAME_SIZE, POSITION, ROTATION, TWIST
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import Settings
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
-NOMINAL = Variation(1.0, 1.0, 0.0, 1.0, 0.0)
+NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 ARMS = pytest.mark.parametrize("size", [7, 14])
 SETTINGS = Settings()
 
 
 def column(values, lane):
     """Return a block whose lane holds `values`, the other lanes zero."""
-    block = np.zeros((len(values), LANES))
+    block = np.zeros((len(values), BATCH_SIZE))
     block[:, lane] = values
     return block.ravel()
 
@@ -46,13 +46,13 @@ def parameters(wrist, w_0=1e-9, lambda_0=0.05):
 
 
 def record(arm, q, dq, lane=0):
-    frame = np.zeros(FRAME_SIZE * LANES)
+    frame = np.zeros(FRAME_SIZE * BATCH_SIZE)
     arm.compiled().kinematics(column(q, lane), column(dq, lane), frame, lane + 1)
     return frame
 
 
 @ARMS
-@pytest.mark.parametrize("lane", [0, 7, LANES - 1])
+@pytest.mark.parametrize("lane", [0, 7, BATCH_SIZE - 1])
 def test_both_solvers_equal_a_library_solver(size, lane):
     arm = iiwa(size)
     rng = np.random.default_rng(1)
@@ -62,12 +62,12 @@ def test_both_solvers_equal_a_library_solver(size, lane):
         J = arm.kinematics(q).jacobian
         expected = np.linalg.solve(J, rhs)
         for wrist in (arm.compiled().wrist, np.full(3, np.nan)):
-            y = np.zeros(6 * LANES)
+            y = np.zeros(6 * BATCH_SIZE)
             # Lanes below `lane` hold zeros, whose J is singular; they are damped, this one not.
             damped = solve(frame, column(rhs, lane), parameters(wrist), y, lane + 1)
             assert damped == lane
             # 1e-9: J J^T squares a condition number of up to 100 on roundings of 1e-16.
-            np.testing.assert_allclose(y[lane::LANES], expected, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(y[lane::BATCH_SIZE], expected, rtol=1e-9, atol=1e-9)
 
 
 def test_manipulability_is_the_determinant_of_the_jacobian():
@@ -85,12 +85,12 @@ def test_near_a_singularity_the_inverse_is_damped_least_squares_and_says_so():
     clik = parameters(arm.compiled().wrist, w_0=1e-3, lambda_0=0.1)
     w = abs(np.linalg.det(J))
     rhs = np.array([0.1, 0.0, 0.0, 0.3, 0.0, 0.2])
-    y = np.zeros(6 * LANES)
+    y = np.zeros(6 * BATCH_SIZE)
     assert solve(record(arm, q, np.zeros(6)), column(rhs, 0), clik, y, 1) == 1
     damping = (0.1 * (1.0 - w / 1e-3)) ** 2
     expected = J.T @ np.linalg.solve(J @ J.T + damping * np.eye(6), rhs)
     # 1e-5: where J J^T is singular to rounding, w is known to the root of the rounding only.
-    np.testing.assert_allclose(y[::LANES], expected, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(y[::BATCH_SIZE], expected, rtol=1e-5, atol=1e-8)
     assert np.all(np.isfinite(y))
 
 
@@ -101,9 +101,9 @@ def test_pose_error_is_the_displacement_and_the_sine_of_the_rotation_left():
     axis, angle = np.array([1.0, 2.0, -2.0]) / 3.0, np.radians(25.0)
     K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     turned = (np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K) @ R
-    reference = frame[: REFERENCE_SIZE * LANES].copy()
-    reference[ROTATION * LANES : TWIST * LANES : LANES] = turned.ravel()
-    reference[(POSITION + 1) * LANES] += 0.02
+    reference = frame[: REFERENCE_SIZE * BATCH_SIZE].copy()
+    reference[ROTATION * BATCH_SIZE : TWIST * BATCH_SIZE : BATCH_SIZE] = turned.ravel()
+    reference[(POSITION + 1) * BATCH_SIZE] += 0.02
     e = np.array(pose_error(frame, reference, 0))
     np.testing.assert_allclose(e[:3], [0.0, 0.02, 0.0], atol=1e-15)
     np.testing.assert_allclose(e[3:], np.sin(angle) * axis, atol=1e-15)
@@ -116,16 +116,16 @@ def test_joint_acceleration_is_equation_3(size):
     for _ in range(20):
         q, dq = arm.home_free + rng.normal(0.0, 0.2, 6), rng.normal(0.0, 0.3, 6)
         Gamma, v, e = rng.normal(size=6), rng.normal(0.0, 0.1, 6), rng.normal(0.0, 0.01, 6)
-        reference = np.zeros(REFERENCE_SIZE * LANES)
-        reference[TWIST * LANES : GAMMA * LANES : LANES] = v
-        reference[GAMMA * LANES :: LANES] = Gamma
-        ddq = np.zeros(6 * LANES)
+        reference = np.zeros(REFERENCE_SIZE * BATCH_SIZE)
+        reference[TWIST * BATCH_SIZE : GAMMA * BATCH_SIZE : BATCH_SIZE] = v
+        reference[GAMMA * BATCH_SIZE :: BATCH_SIZE] = Gamma
+        ddq = np.zeros(6 * BATCH_SIZE)
         clik = parameters(arm.compiled().wrist)
         joint_acceleration(record(arm, q, dq), reference, column(e, 0), clik, ddq, 1)
         flange = arm.kinematics(q, dq)
         Gamma_cmd = Gamma + 40.0 * (v - flange.twist) + 400.0 * e - flange.bias
         np.testing.assert_allclose(
-            ddq[::LANES], np.linalg.solve(flange.jacobian, Gamma_cmd), rtol=1e-9, atol=1e-9
+            ddq[::BATCH_SIZE], np.linalg.solve(flange.jacobian, Gamma_cmd), rtol=1e-9, atol=1e-9
         )
 
 
@@ -135,10 +135,10 @@ def run_actions(size, h, held=0.01, duration=15.0, seed=5):
     The pendulum is held at upright by hand: it plays no part here.
     """
     arm = iiwa(size)
-    plant = make_plant(arm, SETTINGS, h, PENDULUM)._replace(
+    plant = make_loop_params(arm, SETTINGS, h, PENDULUM)._replace(
         position_noise=0.0, orientation_noise=0.0
     )
-    block = new_block()
+    block = new_batch_state()
     reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
     rng = np.random.default_rng(seed)
     acceleration, position = [], []
@@ -149,14 +149,14 @@ def run_actions(size, h, held=0.01, duration=15.0, seed=5):
         wanted = rng.normal(0.0, 1.5) - 20.0 * x - 4.0 * x_dot
         u = options[np.argmin(np.abs(options - wanted))]
         for _ in range(round(held / h)):
-            block.memory.u[0] = u
-            block.state[PHI * LANES] = block.state[PHI_DOT * LANES] = 0.0
+            block.controller.u[0] = u
+            block.state[PHI * BATCH_SIZE] = block.state[PHI_DOT * BATCH_SIZE] = 0.0
             step(plant, block, 1)
             assert block.cause[0] == 0
-            acceleration.append(block.state[TRACKED * LANES] - u)
+            acceleration.append(block.state[TRACKED * BATCH_SIZE] - u)
             position.append(
-                block.memory.frame[: 3 * LANES : LANES]
-                - block.memory.reference[: 3 * LANES : LANES]
+                block.controller.frame[: 3 * BATCH_SIZE : BATCH_SIZE]
+                - block.controller.reference[: 3 * BATCH_SIZE : BATCH_SIZE]
             )
         x += x_dot * held + 0.5 * u * held**2
         x_dot += u * held
@@ -183,25 +183,29 @@ def test_the_tracking_error_falls_with_the_step(size):
 def test_a_disturbance_of_the_pose_decays_as_the_sampled_gains_say(size):
     arm = iiwa(size)
     h = 0.01
-    plant = make_plant(arm, SETTINGS, h, PENDULUM)._replace(
+    plant = make_loop_params(arm, SETTINGS, h, PENDULUM)._replace(
         position_noise=0.0, orientation_noise=0.0
     )
-    block = new_block()
+    block = new_batch_state()
     reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
     # Move the *reference* by 5 mm and 1 degree: the arm is off it by as much.
-    block.memory.reference[(POSITION + 2) * LANES] += 0.005
+    block.controller.reference[(POSITION + 2) * BATCH_SIZE] += 0.005
     c, s = np.cos(np.radians(1.0)), np.sin(np.radians(1.0))
-    R = block.memory.reference[ROTATION * LANES : TWIST * LANES : LANES].reshape(3, 3)
+    R = block.controller.reference[ROTATION * BATCH_SIZE : TWIST * BATCH_SIZE : BATCH_SIZE].reshape(
+        3, 3
+    )
     turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
-    block.memory.reference[ROTATION * LANES : TWIST * LANES : LANES] = turned.ravel()
+    block.controller.reference[ROTATION * BATCH_SIZE : TWIST * BATCH_SIZE : BATCH_SIZE] = (
+        turned.ravel()
+    )
     # The sampled double integrator under u = K_p e + K_d e_dot, error and its rate.
     A = np.array([[1.0 - 400.0 * h**2 / 2.0, h - 40.0 * h**2 / 2.0], [-400.0 * h, 1.0 - 40.0 * h]])
     expected = np.array([1.0, 0.0])
     for _ in range(40):
-        block.state[PHI * LANES] = block.state[PHI_DOT * LANES] = 0.0
+        block.state[PHI * BATCH_SIZE] = block.state[PHI_DOT * BATCH_SIZE] = 0.0
         step(plant, block, 1)
         expected = A @ expected
-        e = np.array(pose_error(block.memory.frame, block.memory.reference, 0))
+        e = np.array(pose_error(block.controller.frame, block.controller.reference, 0))
         # 2 % of the disturbance: the arm's curvature over a step is not in the linear theory.
         np.testing.assert_allclose(e[2] / 0.005, expected[0], atol=0.02)
         np.testing.assert_allclose(e[5] / s, expected[0], atol=0.02)

@@ -1,7 +1,6 @@
 """Policies: what each kind commands, and the table as a file."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -50,7 +49,7 @@ def table(values=None, **changes):
         "episodes": 0,
         "steps": 0,
         "learning_curve": (),
-        "candidates": (),
+        "checkpoints": (),
     } | changes
 
 
@@ -184,75 +183,3 @@ def test_a_file_with_other_boxes_is_refused_with_one_sentence(policy, tmp_path):
     with pytest.raises(ArtefactError, match="boxes or actions are not the ones") as refused:
         TabularPolicy.load(path)
     assert "\n" not in str(refused.value)
-
-
-# A file of version 1, as it was shipped before there were actuators
-
-OLD = Path(__file__).parents[1] / "data" / "policy-v1.json"
-
-
-@pytest.fixture(scope="module")
-def old():
-    """The body of the file, as any reader of JSON finds it."""
-    document = json.loads(OLD.read_text())
-    assert (document["format"], document["version"]) == ("equipoise-policy", 1)
-    return document["body"]
-
-
-@pytest.fixture(scope="module")
-def read():
-    return TabularPolicy.load(OLD)
-
-
-def test_a_policy_of_version_1_acts_as_before(old, read):
-    Q, rng = np.array(old["Q"]).reshape(6, 5, 3, 3, 8), np.random.default_rng(0)
-    acted = set()
-    for state in rng.uniform(-1.0, 1.0, (500, 4)) * [0.219, 1.0, 0.19, 2.0]:
-        values = Q[place(*state)]
-        u = read.act(state)
-        acted.add(u)
-        assert values[old["actions"].index(u)] == values.max()
-    assert acted == set(old["actions"])
-
-
-def test_a_policy_of_version_1_was_trained_without_an_actuator(old, read):
-    assert old["actuator"] == "ideal"
-    assert read.actuator == IDEAL_ACTUATOR
-    for name in ("h", "recipe", "seed", "learner", "episodes", "steps"):
-        assert getattr(read, name) == old[name]
-    assert read.visits == tuple(map(tuple, old["visits"]))
-    assert read.arm.model_dump(mode="json") == old["arm"]
-    assert read.pendulum.model_dump(mode="json") == old["pendulum"]
-    assert len(read.learning_curve) == len(old["learning_curve"])
-    assert [c.model_dump() for c in read.candidates] == old["candidates"]
-    # What was set is kept; what there was not yet to set has its default.
-    settings = read.settings.model_dump(mode="json")
-    for section, values in old["settings"].items():
-        assert values.items() <= settings[section].items()
-    assert read.settings.controller == Settings().controller
-    # Trained again by its own settings it is trained as it was.
-    assert read.settings.plant.ideal
-    assert not read.settings.learning.held
-
-
-def test_a_policy_of_version_1_becomes_one_of_this_version(read, tmp_path):
-    path = tmp_path / "policy.json"
-    read.save(path, command="test")
-    document = json.loads(path.read_text())
-    assert document["version"] == TabularPolicy.VERSION > 1
-    assert document["body"]["actuator"]["kind"] == "ideal"
-    again = TabularPolicy.load(path)
-    assert again == read
-    assert again.digest == document["digest"] != json.loads(OLD.read_text())["digest"]
-
-
-def test_an_old_file_that_was_edited_is_refused(tmp_path):
-    path = tmp_path / "policy.json"
-    path.write_text(OLD.read_text().replace('"recipe": "robust"', '"recipe": "paper"'))
-    with pytest.raises(ArtefactError, match="does not match its digest"):
-        TabularPolicy.load(path)
-
-
-def test_every_field_of_a_policy_has_its_docstring():
-    for name, field in TabularPolicy.model_fields.items():
-        assert field.description, name

@@ -11,20 +11,20 @@ from equipoise.control import safety
 from equipoise.control.safety import (
     FROM_MEASURED,
     Limits,
+    MonitorState,
     Rule,
-    View,
+    SafetyInputs,
     Violation,
-    Watch,
     check,
     check_first,
     check_setpoint,
     encoder_is_late,
     limits_of,
-    make_guard,
+    make_safety_params,
     newest_before,
     stopping_reach,
     unexplained,
-    watch,
+    update_monitor,
 )
 from equipoise.model.arms.iiwa import iiwa
 
@@ -34,9 +34,9 @@ LIMITS = limits_of(ARM)
 H = 0.01
 DT = 0.005
 RESOLUTION = 2 * pi / 8192
-GUARD = make_guard(ARM, reaction=0.03, u_max=2.0, h=H, counts_per_rev=8192)
+GUARD = make_safety_params(ARM, reaction=0.03, u_max=2.0, h=H, counts_per_rev=8192)
 T1 = GUARD._replace(speed=safety.T1_SPEED)
-CALM = Watch()
+CALM = MonitorState()
 
 
 def moved(q, joint, by):
@@ -57,7 +57,7 @@ def test_the_numbers_are_those_that_were_asked_for():
     assert safety.TRACK == 0.22
     assert safety.STOP_DECELERATION == 4.0
     assert safety.T1_SPEED == 0.23
-    assert pytest.approx(radians(11.0)) == safety.ANGLE
+    assert pytest.approx(radians(11.0)) == safety.ANGLE_RULE_LIMIT
     assert pytest.approx(radians(3.0)) == safety.POSITION_MARGIN
     assert (safety.ENCODER_LATE, safety.ENCODER_STALE) == (0.005, 0.020)
     assert (safety.LATE, safety.MISSED_LIMIT) == (0.020, 3)
@@ -86,11 +86,13 @@ def test_a_guard_knows_its_arm():
     other_way = (*ARM.home[:5], -ARM.home[5], *ARM.home[6:])
     elbow = ARM.model_copy(update={"home": other_way})
     assert np.linalg.det(elbow.kinematics(elbow.home_free).jacobian) < 0.0
-    least = make_guard(elbow, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9).least_manipulability
+    least = make_safety_params(
+        elbow, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9
+    ).least_manipulability
     assert least == pytest.approx(GUARD.least_manipulability)
-    plain = safety.Guard(LIMITS, (), 0.0, 0.0, 0.0, H, RESOLUTION)
+    plain = safety.SafetyParams(LIMITS, (), 0.0, 0.0, 0.0, H, RESOLUTION)
     assert plain.speed == inf
-    slow = make_guard(iiwa(7), reaction=0.0, u_max=1.0, h=H, counts_per_rev=9, speed=0.3)
+    slow = make_safety_params(iiwa(7), reaction=0.0, u_max=1.0, h=H, counts_per_rev=9, speed=0.3)
     assert slow.speed == 0.3
 
 
@@ -100,9 +102,14 @@ def test_a_guard_knows_its_arm():
 def test_a_good_setpoint_may_be_sent():
     assert check_setpoint(LIMITS, HOME, HOME, HOME, DT) is None
     assert check_first(LIMITS, HOME, HOME) is None
-    assert safety.broken_setpoint(LIMITS, HOME, HOME, HOME, DT) == (safety.KEPT, 0, 0.0, 0.0)
-    assert safety.broken_flange(GUARD, 0.0, 0.0, 0.0, 0.0, 1.0) == (safety.KEPT, 0.0, 0.0)
-    assert safety.KEPT not in range(len(Rule)), "no rule has the code of none"
+    assert safety.broken_setpoint(LIMITS, HOME, HOME, HOME, DT) == (
+        safety.NO_VIOLATION,
+        0,
+        0.0,
+        0.0,
+    )
+    assert safety.broken_flange(GUARD, 0.0, 0.0, 0.0, 0.0, 1.0) == (safety.NO_VIOLATION, 0.0, 0.0)
+    assert safety.NO_VIOLATION not in range(len(Rule)), "no rule has the code of none"
 
 
 @pytest.mark.parametrize("number", [nan, inf, -inf])
@@ -190,7 +197,7 @@ def test_only_on_a_way_to_rest_nobody_asks_where_a_joint_could_be_stopped(side):
     stream = [(*HOME[:6], limit - side * far) for far in (1e-9, 0.0011, 0.0022)]
     broken = safety.broken_setpoint(LIMITS, *stream, DT)
     assert broken[:2] == (safety.POSITION_CODE, 7)
-    assert safety.broken_setpoint(LIMITS, *stream, DT, True)[0] == safety.KEPT
+    assert safety.broken_setpoint(LIMITS, *stream, DT, True)[0] == safety.NO_VIOLATION
     assert check_setpoint(LIMITS, *stream, DT, to_rest=True) is None
     # The limit itself stays one.
     beyond = ((*HOME[:6], limit + side * 1e-9), *stream[1:])
@@ -285,9 +292,9 @@ def test_the_first_setpoint_is_the_measured_posture(joint, side):
 
 
 def test_nothing_wrong_breaks_no_rule():
-    assert check(GUARD, CALM, View()) is None
-    assert check(T1, CALM, View(balancing=True, on_track=True)) is None
-    assert set(View(manipulability=0.0)) == set(Watch()) == {0.0, None}
+    assert check(GUARD, CALM, SafetyInputs()) is None
+    assert check(T1, CALM, SafetyInputs(balancing=True, on_track=True)) is None
+    assert set(SafetyInputs(manipulability=0.0)) == set(MonitorState()) == {0.0, None}
     assert safety.pushed((0.0,) * 7, GUARD.torque) == 0
 
 
@@ -334,8 +341,8 @@ WORDS = {
 @pytest.mark.parametrize(("rule", "kept", "not_kept"), BOUNDS)
 def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
     usual = {"on_track": True, "balancing": True}
-    assert check(GUARD, CALM, View(**usual | kept)) is None
-    violation = check(GUARD, CALM, View(**usual | not_kept))
+    assert check(GUARD, CALM, SafetyInputs(**usual | kept)) is None
+    violation = check(GUARD, CALM, SafetyInputs(**usual | not_kept))
     assert isinstance(violation, Violation)
     assert violation.rule is rule
     # What the operator is told holds the number that is and the one that may be.
@@ -347,41 +354,41 @@ def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
 
 
 def test_lost_counts_are_counted():
-    illegal = check(GUARD, CALM, View(encoder_illegal=True))
+    illegal = check(GUARD, CALM, SafetyInputs(encoder_illegal=True))
     assert (illegal.value, illegal.limit) == (1.0, 0.0)
-    gap = check(GUARD, CALM, View(encoder_missing=3))
+    gap = check(GUARD, CALM, SafetyInputs(encoder_missing=3))
     assert (gap.value, gap.limit) == (3.0, 0.0)
 
 
 def test_at_their_bounds_these_are_kept():
-    at = View(
+    at = SafetyInputs(
         on_track=True,
         drift=safety.DRIFT_LIMIT,
         tilt=safety.TILT_LIMIT,
         manipulability=GUARD.least_manipulability,
         encoder_jump=safety.KINK_LIMIT,
     )
-    assert check(GUARD, Watch(farthest=safety.STILL_MOTION, astray=safety.FOLLOWING_TIME), at) is (
-        None
-    )
+    assert check(
+        GUARD, MonitorState(farthest=safety.STILL_MOTION, astray=safety.FOLLOWING_TIME), at
+    ) is (None)
     # Joint 3 is at zero at home, so that nothing is rounded.
-    view = View(measured=moved(HOME, 3, safety.FOLLOWING_LIMIT), expected=HOME)
-    assert watch(GUARD, CALM, view).astray == 0.0
-    rested = watch(GUARD, CALM, View(measured=HOME, expected=HOME))
-    view = View(measured=moved(HOME, 3, safety.STILL_LIMIT), expected=HOME)
-    assert watch(GUARD, rested, view).rest == HOME
+    view = SafetyInputs(measured=moved(HOME, 3, safety.FOLLOWING_LIMIT), expected=HOME)
+    assert update_monitor(GUARD, CALM, view).astray == 0.0
+    rested = update_monitor(GUARD, CALM, SafetyInputs(measured=HOME, expected=HOME))
+    view = SafetyInputs(measured=moved(HOME, 3, safety.STILL_LIMIT), expected=HOME)
+    assert update_monitor(GUARD, rested, view).rest == HOME
 
 
 def test_who_would_come_to_rest_at_the_very_end_of_the_track_is_stopped():
     at_once = GUARD._replace(reaction=0.0)
     # From 0.5 m/s to rest it takes 31.25 mm.
     for x_dot, x in ((0.0, 0.22), (0.5, 0.22 - 0.03125)):
-        assert broken(View(on_track=True, x=x, x_dot=x_dot), at_once) is Rule.TRACK
-        assert broken(View(on_track=True, x=x - 1e-9, x_dot=x_dot), at_once) is None
+        assert broken(SafetyInputs(on_track=True, x=x, x_dot=x_dot), at_once) is Rule.TRACK
+        assert broken(SafetyInputs(on_track=True, x=x - 1e-9, x_dot=x_dot), at_once) is None
 
 
 def test_flange_and_angle_count_where_they_mean_something():
-    away = View(x=9.0, x_dot=9.0, drift=9.0, tilt=9.0, manipulability=0.0, phi=3.0)
+    away = SafetyInputs(x=9.0, x_dot=9.0, drift=9.0, tilt=9.0, manipulability=0.0, phi=3.0)
     assert check(T1, CALM, away) is None
     assert broken(away._replace(on_track=True)) is Rule.SINGULAR
     assert broken(away._replace(balancing=True)) is Rule.ANGLE
@@ -389,7 +396,7 @@ def test_flange_and_angle_count_where_they_mean_something():
 
 def test_t1_is_slow_and_a_stop_not_a_clip():
     for side in (1.0, -1.0):
-        slow, fast = (View(on_track=True, x_dot=side * v) for v in (0.2299, 0.23))
+        slow, fast = (SafetyInputs(on_track=True, x_dot=side * v) for v in (0.2299, 0.23))
         assert broken(slow, T1) is None
         assert broken(fast, T1) is Rule.SPEED
         assert broken(fast) is None
@@ -399,14 +406,18 @@ def test_t1_is_slow_and_a_stop_not_a_clip():
 
 
 def test_the_violation_names_the_joint_that_is_touched():
-    violation = check(GUARD, CALM, View(torque=(0, 0, 0, 0, 0, -4.5, 0)))
+    violation = check(GUARD, CALM, SafetyInputs(torque=(0, 0, 0, 0, 0, -4.5, 0)))
     assert violation.joint == 6
     assert violation.value == -4.5
     assert violation.limit == pytest.approx(4.0)
     assert violation.from_measured
 
 
-NUMBERS = [name for name, value in zip(View._fields, View(), strict=True) if type(value) is float]
+NUMBERS = [
+    name
+    for name, value in zip(SafetyInputs._fields, SafetyInputs(), strict=True)
+    if type(value) is float
+]
 
 
 @pytest.mark.parametrize("number", [nan, inf, -inf])
@@ -415,7 +426,7 @@ def test_what_is_no_number_stops_the_run_whatever_else_is_wrong(name, number):
     if name == "manipulability" and number == inf:
         return
     value = number if name in NUMBERS else (0.0, 0.0, 0.0, number, 0.0, 0.0, 0.0)
-    view = View(overdue=1.0, on_track=True, balancing=True, x=9.0)._replace(**{name: value})
+    view = SafetyInputs(overdue=1.0, on_track=True, balancing=True, x=9.0)._replace(**{name: value})
     violation = check(GUARD, CALM, view)
     assert violation.rule is Rule.NUMBER
     assert name in violation.reason
@@ -447,7 +458,7 @@ def test_of_several_the_first_in_the_order_of_the_rules_is_named():
         changes = {}
         for change in list(wrong.values())[first:]:
             changes |= change
-        view = View(on_track=True, balancing=True)._replace(**changes)
+        view = SafetyInputs(on_track=True, balancing=True)._replace(**changes)
         assert broken(view, T1) is list(wrong)[first]
 
 
@@ -462,24 +473,24 @@ def test_the_rules_that_leave_the_arm_elsewhere():
 
 def seen(*views, guard=GUARD):
     """Return what has been going on after these views, and the first violation."""
-    watched, first = Watch(), None
+    watched, first = MonitorState(), None
     for view in views:
-        watched = watch(guard, watched, view)
+        watched = update_monitor(guard, watched, view)
         first = first or check(guard, watched, view)
     return watched, first
 
 
 def test_three_missed_ticks_in_a_row_are_too_many():
-    late, in_time = View(lateness=H), View(lateness=0.99 * H)
+    late, in_time = SafetyInputs(lateness=H), SafetyInputs(lateness=0.99 * H)
     assert seen(late, late)[1] is None
     assert seen(late, late, in_time, late, late)[1] is None
     watched, violation = seen(late, late, late)
     assert watched.missed == 3
-    assert watch(GUARD, watched, View()).missed == 0
+    assert update_monitor(GUARD, watched, SafetyInputs()).missed == 0
     assert violation.rule is Rule.TICK
     assert (violation.value, violation.limit) == (3.0, 3.0)
     # Measured joints or not.
-    arm = View(lateness=H, measured=HOME, expected=HOME)
+    arm = SafetyInputs(lateness=H, measured=HOME, expected=HOME)
     assert seen(late, arm, late)[1].rule is Rule.TICK
     assert seen(arm, arm, arm)[1].rule is Rule.TICK
 
@@ -487,7 +498,7 @@ def test_three_missed_ticks_in_a_row_are_too_many():
 def along(n, follow, *, joint=1, speed=0.1):
     """Return views of an arm that is expected to move steadily, and does by a share of it."""
     return [
-        View(
+        SafetyInputs(
             measured=moved(HOME, joint, follow * speed * H * i),
             expected=moved(HOME, joint, speed * H * i),
         )
@@ -527,18 +538,21 @@ def test_an_arm_that_stands_still_while_it_should_move_does_not_follow():
 def test_standing_still_counts_from_the_last_motion():
     follows = along(30, 1.0)
     stop = follows[-1].measured
-    frozen = [View(measured=stop, expected=moved(stop, 1, 0.001 * i)) for i in range(1, 20)]
+    frozen = [SafetyInputs(measured=stop, expected=moved(stop, 1, 0.001 * i)) for i in range(1, 20)]
     assert seen(*follows, *frozen[:9])[1] is None
     assert seen(*follows, *frozen[:12])[1].rule is Rule.NOT_FOLLOWING
     # What has come back counts all the same.
-    back = View(measured=stop, expected=stop)
+    back = SafetyInputs(measured=stop, expected=stop)
     watched, _ = seen(*follows, *frozen[:8], back)
     assert watched.farthest == pytest.approx(0.008, abs=0.0011)
 
 
 def test_ticks_without_measured_joints_change_nothing_of_that():
     views = along(9, 0.0)
-    one, other = seen(*views)[0], seen(*views, View(), View(measured=HOME), View(expected=HOME))[0]
+    one, other = (
+        seen(*views)[0],
+        seen(*views, SafetyInputs(), SafetyInputs(measured=HOME), SafetyInputs(expected=HOME))[0],
+    )
     assert other == one
 
 
@@ -567,10 +581,10 @@ def test_an_arm_that_is_elsewhere_for_long_is_not_following(side):
 
 
 def test_a_following_error_needs_measured_joints_to_be_named():
-    watched = Watch(astray=1.0)
-    assert check(GUARD, watched, View()) is None
-    assert check(GUARD, watched, View(measured=HOME)) is None
-    assert broken(View(measured=HOME, expected=HOME), watched=watched) is Rule.FOLLOWING
+    watched = MonitorState(astray=1.0)
+    assert check(GUARD, watched, SafetyInputs()) is None
+    assert check(GUARD, watched, SafetyInputs(measured=HOME)) is None
+    assert broken(SafetyInputs(measured=HOME, expected=HOME), watched=watched) is Rule.FOLLOWING
 
 
 # Track.
@@ -657,7 +671,7 @@ def test_a_jump_of_the_counts_is_seen(side):
     assert unexplained(times, (0, 5 * side, 12 * side), RESOLUTION) == 0.0
     jump = unexplained(times, (0, 5 * side, 30 * side), RESOLUTION)
     assert jump == pytest.approx((20 - 2) * RESOLUTION - 0.5 * 150.0 * 0.001 * 0.002)
-    assert broken(View(encoder_jump=jump)) is Rule.ENCODER_JUMP
+    assert broken(SafetyInputs(encoder_jump=jump)) is Rule.ENCODER_JUMP
     # Whenever and wherever that is.
     shifted = unexplained((7.0, 7.001, 7.002), (900, 900 + 5 * side, 900 + 30 * side), RESOLUTION)
     assert shifted == pytest.approx(jump, abs=1e-9)
@@ -679,7 +693,7 @@ def test_no_pendulum_turns_faster_than_twenty_radians_per_second(side):
 @pytest.mark.parametrize("times", [(0.0, 0.0, 0.001), (0.0, 0.001, 0.001), (0.0, 0.002, 0.001)])
 def test_time_that_does_not_go_on_explains_nothing(times):
     assert unexplained(times, (0, 0, 0), RESOLUTION) == inf
-    assert broken(View(encoder_jump=inf)) is Rule.NUMBER
+    assert broken(SafetyInputs(encoder_jump=inf)) is Rule.NUMBER
 
 
 def test_limits_say_how_many_joints_there_are():

@@ -22,36 +22,36 @@ from hypothesis.stateful import (
 from equipoise.control.minimum_jerk import path_within
 from equipoise.control.safety import (
     STILL_MOTION,
+    MonitorState,
     Rule,
-    View,
+    SafetyInputs,
     Violation,
-    Watch,
     check,
     check_first,
     check_setpoint,
-    make_guard,
-    watch,
+    make_safety_params,
+    update_monitor,
 )
-from equipoise.control.states import LATCHED, STREAMING, Cause, Event, Phase, State, step
+from equipoise.control.states import LATCHED, STREAMING, Cause, Phase, RunEvent, RunState, step
 from equipoise.control.stop import RETURN_SHARE, ramp, stoppable_speeds, way_back
 from equipoise.model.arms.iiwa import iiwa
 
 ARM = iiwa(14)
 H = 0.01
-GUARD = make_guard(ARM, reaction=0.03, u_max=2.0, h=H, counts_per_rev=8192)
+GUARD = make_safety_params(ARM, reaction=0.03, u_max=2.0, h=H, counts_per_rev=8192)
 LIMITS = GUARD.limits
 REST = (0.0,) * LIMITS.joints
 LONGEST_STOP = 200
 """Ticks: the slowest ramp takes 0.25 s at the speeds below, the way back less than 1.5 s."""
 
 NEXT = {
-    Phase.IDLE: Event.START,
-    Phase.HOMING: Event.ARRIVED,
-    Phase.AT_HOME: Event.CONFIRMED,
-    Phase.REFERENCING: Event.REFERENCED,
-    Phase.SELF_TEST: Event.PASSED,
-    Phase.LIFTING: Event.ARMED,
-    Phase.ARMED: Event.RELEASED,
+    Phase.IDLE: RunEvent.START,
+    Phase.HOMING: RunEvent.ARRIVED,
+    Phase.AT_HOME: RunEvent.CONFIRMED,
+    Phase.REFERENCING: RunEvent.REFERENCED,
+    Phase.SELF_TEST: RunEvent.PASSED,
+    Phase.LIFTING: RunEvent.ARMED,
+    Phase.ARMED: RunEvent.RELEASED,
 }
 """What leads to balancing."""
 
@@ -61,7 +61,7 @@ joints = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7)
 class Run(RuleBasedStateMachine):
     @initialize(away=joints)
     def connect(self, away):
-        self.state = State()
+        self.state = RunState()
         self.measured = tuple(q + 0.05 * a for q, a in zip(ARM.home, away, strict=True))
         self.frozen = False
         self.sent: list[tuple[tuple[float, ...], tuple[float, ...]]] = []
@@ -72,13 +72,17 @@ class Run(RuleBasedStateMachine):
     def begin_anew(self):
         self.last = self.before = self.target = None
         self.dq = REST
-        self.watched = Watch()
+        self.watched = MonitorState()
         self.ramp = self.back = None
         self.time = 0.0
 
     # What happens.
 
-    @rule(event=st.sampled_from([e for e in Event if e not in (Event.REARMED, Event.AT_REST)]))
+    @rule(
+        event=st.sampled_from(
+            [e for e in RunEvent if e not in (RunEvent.REARMED, RunEvent.AT_REST)]
+        )
+    )
     def anything_is_reported(self, event):
         before = self.state
         # The servo starts only when it is asked to, and then holds what is measured.
@@ -99,16 +103,16 @@ class Run(RuleBasedStateMachine):
     def all_goes_well(self, steps):
         for _ in range(steps):
             while self.state.phase is Phase.HOMING and self.time < self.path.duration:
-                self.tick([0.0] * 7, 0.0, View())
+                self.tick([0.0] * 7, 0.0, SafetyInputs())
             if self.state.phase in NEXT:
                 self.anything_is_reported(NEXT[self.state.phase])
 
     @rule()
     def the_operator_re_arms(self):
         before = self.state
-        self.move(Event.REARMED)
+        self.move(RunEvent.REARMED)
         if before.phase is Phase.STOPPED:
-            assert self.state == State()
+            assert self.state == RunState()
             self.frozen = False
 
     @rule()
@@ -117,25 +121,25 @@ class Run(RuleBasedStateMachine):
 
     @rule(share=joints, wild=st.sampled_from([0.0, 0.0, 0.0, 0.4, 3.0, nan]))
     def a_tick(self, share, wild):
-        self.tick(share, wild, View())
+        self.tick(share, wild, SafetyInputs())
 
     @rule(share=joints, n=st.integers(2, 40))
     def ticks(self, share, n):
         for _ in range(n):
-            self.tick(share, 0.0, View())
+            self.tick(share, 0.0, SafetyInputs())
 
     @precondition(lambda self: self.state.streaming)
     @rule(
         view=st.sampled_from(
             [
-                View(lateness=0.03),
-                View(overdue=0.06),
-                View(x=0.23, on_track=True),
-                View(x=nan),
-                View(torque=(0.0, 50.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
-                View(encoder_age=0.03),
-                View(encoder_jump=1.0),
-                View(phi=0.2, balancing=True),
+                SafetyInputs(lateness=0.03),
+                SafetyInputs(overdue=0.06),
+                SafetyInputs(x=0.23, on_track=True),
+                SafetyInputs(x=nan),
+                SafetyInputs(torque=(0.0, 50.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+                SafetyInputs(encoder_age=0.03),
+                SafetyInputs(encoder_jump=1.0),
+                SafetyInputs(phi=0.2, balancing=True),
             ]
         )
     )
@@ -175,7 +179,7 @@ class Run(RuleBasedStateMachine):
 
     def stop_for(self, violation):
         self.violation = violation
-        event = Event.LOST if violation.rule is Rule.LINK else Event.STOP
+        event = RunEvent.LOST if violation.rule is Rule.LINK else RunEvent.STOP
         self.move(event, Cause(violation.rule.value, violation.reason, violation.from_measured))
 
     def tick(self, share, wild, view):
@@ -184,7 +188,7 @@ class Run(RuleBasedStateMachine):
         self.speed_before = self.dq
         if self.last is not None:
             view = view._replace(measured=self.measured, expected=self.last)
-        self.watched = watch(GUARD, self.watched, view)
+        self.watched = update_monitor(GUARD, self.watched, view)
         violation = check(GUARD, self.watched, view)
         if violation:
             self.stop_for(violation)
@@ -202,7 +206,7 @@ class Run(RuleBasedStateMachine):
         if self.state.phase is Phase.STOPPING:
             self.ticks_since_stop += 1
             if self.rests():
-                self.move(Event.AT_REST)
+                self.move(RunEvent.AT_REST)
 
     def judge(self, setpoint):
         if self.last is None:
@@ -288,15 +292,15 @@ class Run(RuleBasedStateMachine):
         if getattr(self, "state", None) is None or self.state.phase is Phase.LOST:
             return
         if self.state.phase in STREAMING:
-            self.move(Event.STOP, Cause("key", "pressed"))
+            self.move(RunEvent.STOP, Cause("key", "pressed"))
         for _ in range(LONGEST_STOP):
-            self.tick([0.0] * 7, 0.0, View())
+            self.tick([0.0] * 7, 0.0, SafetyInputs())
         if self.state.phase in (Phase.STOPPED, Phase.LOST):
             n, state = len(self.sent), self.state
-            for event in Event:
-                if event not in (Event.REARMED, Event.LOST):
+            for event in RunEvent:
+                if event not in (RunEvent.REARMED, RunEvent.LOST):
                     self.move(event, Cause("late", "late"))
-                self.tick([1.0] * 7, 0.0, View())
+                self.tick([1.0] * 7, 0.0, SafetyInputs())
             assert (self.state.phase, len(self.sent)) == (state.phase, n)
         else:
             assert self.state.phase is Phase.IDLE, self.state

@@ -13,7 +13,7 @@ from equipoise.control.self_test import (
     MOVE_TIME,
     SWING_TIME,
     ZERO_INTERVAL,
-    Verdict,
+    SelfTestVerdict,
     excitation,
     self_test,
 )
@@ -101,16 +101,16 @@ def judged(rng, rig=RIGHT, **options):
 @pytest.mark.parametrize(
     ("rig", "verdict"),
     [
-        (RIGHT, Verdict.PASSED),
-        (Rig(sign=-1.0), Verdict.SIGN),
-        (Rig(factor=0.5), Verdict.COUNTS),
-        (Rig(factor=1.1), Verdict.COUNTS),
-        (Rig(w2=0.9), Verdict.W2),
-        (Rig(w2=1.1), Verdict.W2),
-        (Rig(late=0.03), Verdict.DELAY),
-        (Rig(zero_deg=1.0), Verdict.ZERO),
-        (Rig(zero_deg=-1.0), Verdict.ZERO),
-        (Rig(touch=5.0), Verdict.NOT_UNDERSTOOD),
+        (RIGHT, SelfTestVerdict.PASSED),
+        (Rig(sign=-1.0), SelfTestVerdict.SIGN),
+        (Rig(factor=0.5), SelfTestVerdict.COUNTS),
+        (Rig(factor=1.1), SelfTestVerdict.COUNTS),
+        (Rig(w2=0.9), SelfTestVerdict.W2),
+        (Rig(w2=1.1), SelfTestVerdict.W2),
+        (Rig(late=0.03), SelfTestVerdict.DELAY),
+        (Rig(zero_deg=1.0), SelfTestVerdict.ZERO),
+        (Rig(zero_deg=-1.0), SelfTestVerdict.ZERO),
+        (Rig(touch=5.0), SelfTestVerdict.NOT_UNDERSTOOD),
     ],
     ids=str,
 )
@@ -148,7 +148,7 @@ def test_the_answer_is_far_above_the_encoder_steps():
 def test_a_pendulum_that_still_swings_may_be_tested_again():
     rng = np.random.default_rng(8)
     result = judged(rng, swinging=radians(15.0))
-    assert result.verdict is Verdict.PASSED, result
+    assert result.verdict is SelfTestVerdict.PASSED, result
 
 
 def test_a_disturbed_swing_is_repeated():
@@ -167,7 +167,7 @@ def test_a_disturbed_swing_is_repeated():
         resting=resting,
         delay=DELAY,
     )
-    assert result.verdict is Verdict.REPEAT, result
+    assert result.verdict is SelfTestVerdict.REPEAT, result
     assert result.zero.half > ZERO_INTERVAL
 
 
@@ -215,7 +215,7 @@ def with_nan(values):
 )
 def test_what_cannot_be_judged_is_not_understood(change, word):
     verdict, reason = changed(change)
-    assert verdict is Verdict.NOT_UNDERSTOOD
+    assert verdict is SelfTestVerdict.NOT_UNDERSTOOD
     assert word in reason
 
 
@@ -223,4 +223,4 @@ def test_a_pendulum_moved_by_hand_is_not_understood():
     def by_hand(t, c, s, x, r):
         return t, r + 60.0 * np.sin(2 * pi * 0.9 * t) + 40.0 * np.sin(2 * pi * 0.37 * t), s, x, r
 
-    assert changed(by_hand)[0] is Verdict.NOT_UNDERSTOOD
+    assert changed(by_hand)[0] is SelfTestVerdict.NOT_UNDERSTOOD

@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 
 from equipoise.control.slow_link import flange_speed
-from equipoise.devices.twin.cabinet import make_servo, new_cabinet, send, serve, start
+from equipoise.devices.twin.servo_model import (
+    make_servo_params,
+    new_servo_state,
+    send,
+    serve,
+    start,
+)
 from equipoise.model.actuator import shaped_peak, speed_of_peak
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 
 WORLD = TwinSettings(transport=0.0, transport_jitter=0.0)
 IIWA = {size: iiwa(size) for size in (7, 14)}
@@ -21,7 +27,7 @@ def peak_of_the_cabinet(speed, period_ms, lag):
     it within a millisecond, one with a lag takes up a share of the difference.
     """
     arm = IIWA[7]
-    servo, cabinet, n = make_servo(arm, WORLD), new_cabinet(7), 7
+    servo, cabinet, n = make_servo_params(arm, WORLD), new_servo_state(7), 7
     q, dq, nothing, force = (np.zeros(n) for _ in range(4))
     start(cabinet, q)
     share = 1.0 if lag == 0.0 else 1.0 - np.exp(-1e-3 / lag)

@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from equipoise.control.pilot import PHASES
 from equipoise.control.policy import shipped_policy
-from equipoise.control.self_test import Verdict
+from equipoise.control.run_controller import PHASES
+from equipoise.control.self_test import SelfTestVerdict
 from equipoise.control.states import Phase
-from equipoise.deployment.rig import Request, run_rig_virtually
+from equipoise.deployment.rig import RunRequest, run_rig_virtually
 from equipoise.devices.operator import EmulatedOperator
-from equipoise.devices.twin.hands import hands as at_the_bench
+from equipoise.devices.twin.operator_actions import operator_actions as at_the_bench
 from equipoise.learning.closed_loop import scaled
-from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig
 
 WORLD = "twin:nominal"
@@ -150,10 +150,10 @@ class Watching:
         self._state = state
         return output
 
-    def tell(self, event):
+    def notify(self, event):
         pass
 
-    def words(self):
+    def read_input(self):
         said, self._stop = self._stop, []
         return said
 
@@ -170,7 +170,7 @@ def stage(seed, *, share=1.0, clumsy=0.0, duration=BALANCED):
     hands = Hands(emulated.bench, clumsy=clumsy)
     rig = emulated.rig
     operator = EmulatedOperator(rig.clock, hands.acts, seed=seed)
-    request = Request(
+    request = RunRequest(
         policy=policy, actuator=policy.actuator, settings=settings, robot="kst://emulated",
         encoder="serial://emulated", duration=duration, t1=False, dry_run=False, seed=seed,
     )  # fmt: skip
@@ -218,14 +218,14 @@ def _askew(emulated):
 
 
 FAULTS = {
-    "nothing": (Verdict.PASSED, {}),
-    "sign": (Verdict.SIGN, {"fault": _attribute("sign", -1)}),
-    "counts x 1/2": (Verdict.COUNTS, {"fault": _attribute("factor", 0.5)}),
-    "counts x 1.1": (Verdict.COUNTS, {"fault": _attribute("factor", 1.1)}),
-    "w2 + 10 %": (Verdict.W2, {"share": 1.1}),
-    "w2 - 10 %": (Verdict.W2, {"share": 0.9}),
-    "30 ms": (Verdict.DELAY, {"fault": _late}),
-    "zero": (Verdict.ZERO, {"fault": _askew}),
+    "nothing": (SelfTestVerdict.PASSED, {}),
+    "sign": (SelfTestVerdict.SIGN, {"fault": _attribute("sign", -1)}),
+    "counts x 1/2": (SelfTestVerdict.COUNTS, {"fault": _attribute("factor", 0.5)}),
+    "counts x 1.1": (SelfTestVerdict.COUNTS, {"fault": _attribute("factor", 1.1)}),
+    "w2 + 10 %": (SelfTestVerdict.W2, {"share": 1.1}),
+    "w2 - 10 %": (SelfTestVerdict.W2, {"share": 0.9}),
+    "30 ms": (SelfTestVerdict.DELAY, {"fault": _late}),
+    "zero": (SelfTestVerdict.ZERO, {"fault": _askew}),
 }
 """What the self-test has to say, and what is wrong with the rig."""
 

@@ -17,15 +17,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from equipoise.control.pilot import PHASES
 from equipoise.control.policy import shipped_policy
+from equipoise.control.run_controller import PHASES
 from equipoise.control.safety import limits_of
 from equipoise.control.states import Phase
 from equipoise.control.stop import ramp
-from equipoise.control.ticks import Event, Output, Seen
+from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
 from equipoise.deployment import processes
-from equipoise.deployment.processes import LOOK, SILENT, run_for_real
-from equipoise.deployment.rig import Outcome, Request
+from equipoise.deployment.processes import LOOK, SILENT, run_in_processes
+from equipoise.deployment.rig import RunRequest, RunResult
 from equipoise.devices.clocks import SystemClock
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Reply, Sample
@@ -86,18 +86,18 @@ class Heart:
 
     def tick(self, now, inputs):
         n = self.tick_number = self.tick_number + 1
-        events = [Event("homing", f"process {os.getpid()}")] if n == 1 else []
+        events = [OperatorMessage("homing", f"process {os.getpid()}")] if n == 1 else []
         if self.rest is None and (inputs.words or n > 200):
             self.cause = inputs.words[0] if inputs.words else "lasted"
-            events.append(Event("stopping", self.cause))
+            events.append(OperatorMessage("stopping", self.cause))
             speed = (self.q[1] - self.q[0]) / (H / 2.0)
             q = (*ARM.home[:6], self.q[1])
             self.rest = n, ramp(q, (*[0.0] * 6, speed), 0.0, limits_of(ARM))
         wanted = [self.at(2 * n - 1), self.at(2 * n)]
         self.q = [q[6] for q in wanted]
-        return Output(
+        return TickOutput(
             setpoints=tuple(wanted), torque=False, q=ARM.home, dq=(0.0,) * 7,
-            state=MOVING if self.rest is None else STOPPING, seen=Seen(), events=events,
+            state=MOVING if self.rest is None else STOPPING, record=TickRecord(), events=events,
             done=self.rest is not None and n > self.rest[0] + 20,
         )  # fmt: skip
 
@@ -116,7 +116,7 @@ def move(request, rig, across, recorder, *, measures, workshop):
     ending = run_loop(
         robot, Encoder(), SystemClock(), heart, recorder, across, longest=10.0, workshop=workshop
     )
-    return Outcome(
+    return RunResult(
         heart.cause, heart.cause, 0.0, ending.stoppable, None, ending.timing.missed, {}, {}
     )
 
@@ -125,7 +125,7 @@ def moving(request, memory, joints, pipe, course=move):
     """Be the loop's process, with another course and nobody beside it."""
     processes.connect = lambda *_, **__: None
     processes.run_on_rig = course
-    processes._Aside = lambda: None
+    processes.WorkerProcess = lambda: None
     processes._loop(request, memory, joints, pipe)
 
 
@@ -154,7 +154,7 @@ class Person:
         self.began = self.acted = None
         self.loop = self.writer = 0
 
-    def tell(self, event):
+    def notify(self, event):
         now = time.monotonic()
         self.told.append((now, event.name, event.text))
         if event.name == "homing":
@@ -165,7 +165,7 @@ class Person:
     def live(self, phase, phi):
         pass
 
-    def words(self):
+    def read_input(self):
         now = time.monotonic()
         self.looks.append(now)
         if self.act and self.began and self.acted is None and now > self.began + self.after:
@@ -197,7 +197,7 @@ def signal_here(number):
 @pytest.fixture
 def request_of_a_run():
     policy = shipped_policy()
-    return Request(
+    return RunRequest(
         policy=policy, actuator=policy.actuator, settings=RigSettings(), robot="kst://nowhere",
         encoder="serial://nowhere", duration=2.0, t1=False, dry_run=False, seed=0,
     )  # fmt: skip
@@ -207,7 +207,7 @@ def request_of_a_run():
 def run(monkeypatch, tmp_path, request_of_a_run):
     def play(person, loop=moving):
         monkeypatch.setattr(processes, "_loop", loop)
-        return run_for_real(request_of_a_run, tmp_path / "run.mcap", person)
+        return run_in_processes(request_of_a_run, tmp_path / "run.mcap", person)
 
     yield play
     for child in multiprocessing.active_children():
@@ -279,9 +279,9 @@ def test_a_loop_that_stands_still_is_told_within_100_ms(run, tmp_path):
         return ["stop"]
 
     class Patient(Person):
-        def words(self):
+        def read_input(self):
             before = self.act
-            said = super().words()
+            said = super().read_input()
             if before is hold and self.act is release:
                 self.held = self.looks[-1]
             return said
@@ -327,26 +327,26 @@ def test_where_the_operator_cannot_be_told_anything_the_arm_comes_to_rest(run, t
 @pytest.mark.parametrize("word", [processes.STOP, processes.ALONE])
 def test_a_wait_for_the_robot_can_be_given_up(word):
     recorder = Recorder(7, memoryview(bytearray(Recorder.room(7))))
-    across = processes._Across(recorder)
+    across = processes.OperatorProxy(recorder)
     recorder.words.push(b"ok")
     across.attend()  # what else is typed does not end it, and is no answer to what comes
     recorder.words.push(word.encode())
     with pytest.raises(OutsideError, match="nothing has moved. Start the server"):
         across.attend()
-    assert across.words() == []
+    assert across.read_input() == []
 
 
 def run_alone(request, out, pids):
     processes._loop = moving
 
     class Telling(Person):
-        def words(self):
+        def read_input(self):
             if self.loop and not self.acted:
                 self.acted = time.monotonic()
                 pids.send((self.loop, self.writer))
             return []
 
-    run_for_real(request, out, Telling())
+    run_in_processes(request, out, Telling())
 
 
 def test_a_loop_whose_parent_is_gone_comes_to_rest_and_nobody_is_left(request_of_a_run, tmp_path):
@@ -395,14 +395,14 @@ def test_without_room_for_the_log_nothing_begins(monkeypatch, tmp_path, request_
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setattr(processes, "_loop", None)
     with pytest.raises(OutsideError, match="cannot write"):
-        run_for_real(request_of_a_run, tmp_path / "file" / "run.mcap", Person())
+        run_in_processes(request_of_a_run, tmp_path / "file" / "run.mcap", Person())
 
 
 # The process beside the loop's.
 
 
 def test_what_is_done_beside_the_loop_comes_back_and_a_dead_helper_is_an_error():
-    aside = processes._Aside()
+    aside = processes.WorkerProcess()
     try:
         assert aside.result() is None  # the practice was taken already
         aside.begin(os.getpid)

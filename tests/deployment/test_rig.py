@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 
 from equipoise import runwriter
-from equipoise.control.pilot import PHASES
 from equipoise.control.policy import shipped_policy
+from equipoise.control.run_controller import PHASES
 from equipoise.control.safety import Rule
 from equipoise.control.states import Phase
-from equipoise.control.ticks import Event
+from equipoise.control.ticks import OperatorMessage
 from equipoise.deployment.rig import (
-    Hearing,
-    Request,
-    Teller,
+    OperatorChannel,
+    OperatorInbox,
+    RunRequest,
     exit_code,
     rehearse_t1,
     run_rig_virtually,
 )
 from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import InputError
-from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig, twin_rig
 from equipoise.runwriter import Recorder, read_rig_run, take_events
 
@@ -36,10 +36,10 @@ class Spy:
     def __init__(self, after="", word="stop"):
         self.names, self._after, self._word = [], after, word
 
-    def tell(self, event):
+    def notify(self, event):
         self.names.append(event.name)
 
-    def words(self):
+    def read_input(self):
         if self._after and self._after in self.names:
             self._after = ""
             return [self._word]
@@ -59,7 +59,7 @@ def request(duration=2.0, settings=None, **changes):
         "dry_run": False,
         "seed": 3,
     }
-    return Request(**(given | changes))
+    return RunRequest(**(given | changes))
 
 
 def on_the_twin(wanted, out=None, spy=None):
@@ -149,22 +149,22 @@ class Script:
     def __init__(self, *words):
         self.told, self._words = [], list(words)
 
-    def tell(self, event):
+    def notify(self, event):
         self.told.append(event.text)
 
-    def words(self):
+    def read_input(self):
         words, self._words = self._words, []
         return words
 
 
 def test_words_that_come_together_answer_one_question_after_the_other():
     clock, recorder = VirtualClock(), Recorder(7)
-    hearing = Hearing(Script("estop", " Fence \n", "stop"))
-    tell = Teller(hearing, recorder, clock)
-    assert [tell.ask(Event("checklist", text, ())) for text in "ab"] == ["estop", "fence"]
+    hearing = OperatorInbox(Script("estop", " Fence \n", "stop"))
+    tell = OperatorChannel(hearing, recorder, clock)
+    assert [tell.ask(OperatorMessage("checklist", text, ())) for text in "ab"] == ["estop", "fence"]
     # What was left over is not lost: the loop hears it, and stops.
-    assert hearing.words() == ["stop"]
-    assert hearing.words() == []
+    assert hearing.read_input() == ["stop"]
+    assert hearing.read_input() == []
     logged = [(event.name, event.text) for event in take_events(recorder.event)]
     assert logged == [
         ("checklist", "a"),
@@ -206,7 +206,10 @@ def test_a_mistyped_answer_to_the_move_is_asked_again():
 def test_whoever_asks_waits_for_a_word():
     clock, script = VirtualClock(), Script()
     clock.attach(lambda now: script._words.extend(["y"] if now == 1.0 else []))
-    assert Teller(Hearing(script), Recorder(7), clock).ask(Event("move")) == "y"
+    assert (
+        OperatorChannel(OperatorInbox(script), Recorder(7), clock).ask(OperatorMessage("move"))
+        == "y"
+    )
     assert clock.now() == pytest.approx(1.0, abs=0.02)
 
 
@@ -238,8 +241,8 @@ def test_a_link_that_goes_dead_is_told_at_once():
     emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3)
 
     class Cutter(Spy):
-        def tell(self, event):
-            super().tell(event)
+        def notify(self, event):
+            super().notify(event)
             if event.name == "balancing":
                 emulated.robot_link.cut = True
 
@@ -263,8 +266,8 @@ def test_a_push_on_the_way_home_stops_the_arm(force):
     bench, clock = emulated.bench, emulated.rig.clock
 
     class Pusher(Spy):
-        def tell(self, event):
-            super().tell(event)
+        def notify(self, event):
+            super().notify(event)
             if event.name == "homing":
                 self.at = clock.now() + 0.3
                 clock.attach(self.push)
@@ -317,8 +320,8 @@ class Pusher(Spy):
         super().__init__()
         self._bench, self._rate = bench, rate
 
-    def tell(self, event):
-        super().tell(event)
+    def notify(self, event):
+        super().notify(event)
         if event.name == "balancing":
             self._bench.push(self._rate)
 

@@ -2,18 +2,18 @@
 
 from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.model_robot import ModelRobot
-from equipoise.devices.twin.bench import Bench
 from equipoise.devices.twin.robot import TwinEncoder, TwinRobot
+from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import GRAVITY
 
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15, coulomb=0.1)
 
 
-class Spun(Bench):
+class Spun(SimulatedRig):
     """A bench whose spindle a motor turns."""
 
     motion = None
@@ -23,7 +23,7 @@ class Spun(Bench):
         return 0.0 if self.motion is None else self.motion(self.now)
 
 
-def stand(kind=Bench, **more):
+def stand(kind=SimulatedRig, **more):
     clock = VirtualClock()
     bench = kind(ARM, PENDULUM, TwinSettings(**more))
     clock.attach(bench.advance)

@@ -10,7 +10,7 @@ import pytest
 from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.emulation import NOTICED, RESTART, Emulation
 from equipoise.devices.encoder.codec import Decoder, Flags, Reading
-from equipoise.devices.kuka.cabinet import Faults
+from equipoise.devices.kuka.server_emulator import Faults
 from tests.devices.in_process import ARM, PENDULUM, TwinSettings
 
 pytestmark = [

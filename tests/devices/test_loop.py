@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from equipoise.control.safety import limits_of
-from equipoise.control.ticks import Event, Output, Seen
+from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
 from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Reply, Sample
-from equipoise.devices.loop import CANNOT_STOP, AtOnce, Timing, run_loop
+from equipoise.devices.loop import CANNOT_STOP, InlineExecutor, Timing, run_loop
 from equipoise.errors import LinkError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.runwriter import FAILED, PULSE, WORD_TYPED, Recorder, take_events
@@ -84,10 +84,10 @@ class Person:
     def __init__(self, says=()):
         self.told, self.says = [], list(says)
 
-    def tell(self, event):
+    def notify(self, event):
         self.told.append((event.name, event.text))
 
-    def words(self):
+    def read_input(self):
         return self.says.pop(0) if self.says else []
 
 
@@ -107,13 +107,13 @@ class Heart:
     def tick(self, now, inputs):
         n = len(self.seen)
         self.seen.append((now, inputs))
-        output = Output(
+        output = TickOutput(
             setpoints=(self.at(2 * n), self.at(2 * n + 1)),
             torque=n % 5 == 4,
             q=HOME,
             dq=(0.0,) * 7,
             state=3,
-            seen=Seen(),
+            record=TickRecord(),
             events=(),
             done=n + 1 == self.ticks,
         )
@@ -312,18 +312,21 @@ def test_a_link_that_breaks_on_the_way_to_rest_is_told_as_well():
 
 
 @pytest.mark.parametrize(
-    ("what", "since"), [("words", 24), ("tell", 25), ("record", 25), ("begin", 26), ("idle", 26)]
+    ("what", "since"),
+    [("read_input", 24), ("tell", 25), ("record", 25), ("begin", 26), ("idle", 26)],
 )
 def test_whatever_fails_in_a_tick_the_arm_comes_to_rest(what, since):
     def fail(*_):
         raise OSError("broken pipe")
 
-    heart = Heart(30, {12: lambda output: output._replace(events=(Event("note"),), job=fail)})
+    heart = Heart(
+        30, {12: lambda output: output._replace(events=(OperatorMessage("note"),), job=fail)}
+    )
     course = Course(heart)
     if what == "tell":
-        course.person.tell = fail
+        course.person.notify = fail
     elif what == "begin":
-        course.more["workshop"] = type("Gone", (AtOnce,), {"begin": fail})()
+        course.more["workshop"] = type("Gone", (InlineExecutor,), {"begin": fail})()
     else:
         count = iter(range(1000))
 
@@ -332,8 +335,8 @@ def test_whatever_fails_in_a_tick_the_arm_comes_to_rest(what, since):
                 raise OSError("broken pipe")
             return []
 
-        if what == "words":
-            course.person.words = later
+        if what == "read_input":
+            course.person.read_input = later
         elif what == "idle":
             course.more["idle"] = later
         else:
@@ -414,7 +417,9 @@ def test_a_job_elsewhere_takes_its_time():
 
 
 def test_what_the_heart_says_is_told_in_its_tick_and_logged():
-    heart = Heart(10, {3: lambda output: output._replace(events=(Event("armed", "Let go."),))})
+    heart = Heart(
+        10, {3: lambda output: output._replace(events=(OperatorMessage("armed", "Let go."),))}
+    )
     course = Course(heart)
     course.run()
     assert course.person.told == [("armed", "Let go.")]

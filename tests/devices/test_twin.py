@@ -16,7 +16,7 @@ from equipoise.identification import identify
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import GRAVITY, IdentificationSettings
 from equipoise.trajectory import Trajectory
 
@@ -201,7 +201,7 @@ import numpy as np
 from equipoise.devices.twin import twin as module
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 
 twin = module.Twin(iiwa(7), PendulumParameters(70.2, 7.16, 0.15), TwinSettings(), seed=1)
 twin.send(iiwa(7).home_free + 0.01)

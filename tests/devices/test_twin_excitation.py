@@ -8,7 +8,7 @@ from equipoise.devices.twin.twin import Twin
 from equipoise.errors import ArmError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.15)
 

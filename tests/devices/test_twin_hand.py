@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from equipoise.devices.clocks import VirtualClock
-from equipoise.devices.twin.bench import Bench
 from equipoise.devices.twin.hand import (
     DRAG_OPENING,
     DRIFT,
@@ -14,11 +13,12 @@ from equipoise.devices.twin.hand import (
     PUSH,
     TREMOR,
     TREMOR_HZ,
-    draw_manner,
+    draw_hand_params,
 )
+from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import GRAVITY
 
 ARM = iiwa(7)
@@ -28,7 +28,7 @@ UNSTABLE = np.sqrt(PENDULUM.w2)
 
 def stand(seed):
     clock = VirtualClock()
-    bench = Bench(ARM, PENDULUM, TwinSettings(), seed=seed)
+    bench = SimulatedRig(ARM, PENDULUM, TwinSettings(), seed=seed)
     clock.attach(bench.advance)
     return bench, clock
 
@@ -44,7 +44,7 @@ def recorded(bench, clock, seconds):
 
 def test_manners_are_within_their_limits_and_of_every_kind():
     random = np.random.default_rng(1)
-    manners = [draw_manner(random) for _ in range(2000)]
+    manners = [draw_hand_params(random) for _ in range(2000)]
     for manner in manners:
         tremor, drift = manner.amplitude[:-2], manner.amplitude[-2:]
         assert TREMOR[0] <= np.sqrt(np.sum(tremor**2) / 2) <= TREMOR[1]
@@ -63,14 +63,14 @@ def test_manners_are_within_their_limits_and_of_every_kind():
 
 
 def test_equal_seeds_make_equal_hands():
-    one, other = (draw_manner(np.random.default_rng(3)) for _ in range(2))
+    one, other = (draw_hand_params(np.random.default_rng(3)) for _ in range(2))
     assert np.array_equal(one.frequency, other.frequency)
     assert one.tremble(1.5) == other.tremble(1.5)
-    assert draw_manner(np.random.default_rng(4)).holding != one.holding
+    assert draw_hand_params(np.random.default_rng(4)).holding != one.holding
 
 
 def test_a_tremor_has_the_rate_of_its_angle():
-    manner = draw_manner(np.random.default_rng(5))
+    manner = draw_hand_params(np.random.default_rng(5))
     h = 1e-6
     ahead, behind = manner.tremble(2.0 + h)[0], manner.tremble(2.0 - h)[0]
     assert manner.tremble(2.0)[1] == pytest.approx((ahead - behind) / (2 * h), rel=1e-5)
@@ -139,7 +139,7 @@ def test_a_push_at_the_release_shows_in_the_rate():
 @pytest.mark.compiled_only
 def test_it_catches_a_swinging_pendulum_and_lets_it_hang():
     clock = VirtualClock()
-    bench = Bench(ARM, PENDULUM, TwinSettings(), phi=0.3)
+    bench = SimulatedRig(ARM, PENDULUM, TwinSettings(), phi=0.3)
     clock.attach(bench.advance)
     clock.wait_until(1.37)
     bench.steady()

@@ -9,7 +9,7 @@ from equipoise.errors import ArmError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import GRAVITY
 from tests.model.arms.weighed import by_mujoco, by_pinocchio
 from tests.model.arms.witnesses import ELBOW, ELBOW_HOME

@@ -5,8 +5,14 @@ from math import pi
 import numpy as np
 import pytest
 
-from equipoise.devices.twin.sensors import PAST, encoder, make_sensors, new_past, reply
-from equipoise.model.worlds import TwinSettings
+from equipoise.devices.twin.sensors import (
+    HISTORY_MS,
+    encoder,
+    make_sensors,
+    new_sensor_history,
+    reply,
+)
+from equipoise.model.sim_configs import TwinSettings
 
 EXACT = TwinSettings(
     zero_error=0.0, encoder_age=0.0, encoder_jitter=0.0, reply_age=0.0, joint_noise=0.0
@@ -14,7 +20,7 @@ EXACT = TwinSettings(
 
 
 def test_counts_are_the_angle_from_hanging_and_grow_with_it():
-    past = new_past()
+    past = new_sensor_history()
     past.phi[:] = 0.25 * pi
     counts, stamp = encoder(make_sensors(EXACT, 0, 0), past, 40, 0, 0)
     assert counts == 8192 * 3 / 8
@@ -23,7 +29,7 @@ def test_counts_are_the_angle_from_hanging_and_grow_with_it():
 
 @pytest.mark.parametrize("zero", [-0.004, 0.007])
 def test_a_wrong_zero_reads_so_much_too_much_of_phi(zero):
-    past = new_past()
+    past = new_sensor_history()
     past.phi[:] = 0.1
     sensors = make_sensors(EXACT.model_copy(update={"zero_offset": zero}), 0, 0)
     counts, _ = encoder(sensors, past, 40, 0, 0)
@@ -45,11 +51,11 @@ def test_the_zero_error_differs_between_trials_within_its_bounds():
 @pytest.mark.parametrize(("age", "ticks"), [(0.0, 0), (0.001, 1), (0.0042, 5), (0.05, 50)])
 def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
     settings = EXACT.model_copy(update={"encoder_age": age, "reply_age": age})
-    sensors, past = make_sensors(settings, 0, 0), new_past()
+    sensors, past = make_sensors(settings, 0, 0), new_sensor_history()
     now = 1000
-    for tick in range(now - PAST + 1, now + 1):
-        past.phi[tick % PAST] = pi - (tick - 900) * 2 * pi / 8192
-        past.q[tick % PAST] = tick + 0.1 * np.arange(6)
+    for tick in range(now - HISTORY_MS + 1, now + 1):
+        past.phi[tick % HISTORY_MS] = pi - (tick - 900) * 2 * pi / 8192
+        past.q[tick % HISTORY_MS] = tick + 0.1 * np.arange(6)
     counts, counted = encoder(sensors, past, now, 0, 0)
     q = np.zeros(6)
     measured = reply(sensors, past, now, 0, 0, q)
@@ -60,7 +66,7 @@ def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
 
 def test_time_stamps_are_wrong_by_their_jitter_and_stay_so():
     settings = EXACT.model_copy(update={"encoder_jitter": 3e-4})
-    sensors, past = make_sensors(settings, 0, 0), new_past()
+    sensors, past = make_sensors(settings, 0, 0), new_sensor_history()
 
     def stamp(tick, seed=1, trial=2):
         return float(encoder(sensors, past, tick, seed, trial)[1])
@@ -75,7 +81,7 @@ def test_time_stamps_are_wrong_by_their_jitter_and_stay_so():
 
 def test_measured_joints_carry_white_noise_of_the_stated_size():
     settings = EXACT.model_copy(update={"joint_noise": 1e-4})
-    sensors, past = make_sensors(settings, 0, 0), new_past()
+    sensors, past = make_sensors(settings, 0, 0), new_sensor_history()
     past.q[:] = np.arange(6)
     rows = np.zeros((2000, 6))
     for tick, q in enumerate(rows):

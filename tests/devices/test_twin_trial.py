@@ -5,18 +5,24 @@ from math import pi, radians
 import numpy as np
 import pytest
 
-from equipoise.control.boxes import ANGLE, GUARD, LASTED, TRACK, boxes
-from equipoise.control.controller import begin, command, make_controller, new_memory, observe
-from equipoise.control.guards import guard_named, new_watching, trial_guard
+from equipoise.control.baselines import lqr_gains
+from equipoise.control.boxes import ANGLE, SAFETY_STOP, TRACK, TRUNCATED, boxes
+from equipoise.control.control_step import (
+    command,
+    make_controller_params,
+    new_controller_state,
+    observe,
+    start_controller,
+)
 from equipoise.control.policy import LINEAR, RANDOM, act, policy_kernel
 from equipoise.control.safety import T1_SPEED, Rule
 from equipoise.control.safety import TRACK as TRACK_LIMIT
 from equipoise.control.stop import ramp
-from equipoise.control.yardsticks import lqr_gains
+from equipoise.control.trial_safety import guard_named, new_trial_monitor, trial_safety
 from equipoise.devices.twin.trial import (
-    Rows,
     Trial,
-    new_rows,
+    TrialRecord,
+    new_trial_record,
     record_trial,
     run_over_cores,
     run_trial,
@@ -25,15 +31,15 @@ from equipoise.devices.twin.twin import Twin
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import TWIST
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import Settings
 
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.15)
 WORLD = TwinSettings()
-WATCHING = new_watching(ARM, None)
+WATCHING = new_trial_monitor(ARM, None)
 LQR = policy_kernel(LINEAR, gains=lqr_gains(PENDULUM, 0.01))
 STILL = policy_kernel(LINEAR)
 TRIALS = [
@@ -47,7 +53,7 @@ pytestmark = pytest.mark.compiled_only
 @pytest.fixture(scope="module")
 def controller():
     actuator = Actuator.assumed("kst", delay=0.0105, lag=0.008)
-    return make_controller(ARM, Settings(), actuator, PENDULUM, h=0.01, counts_per_rev=8192)
+    return make_controller_params(ARM, Settings(), actuator, PENDULUM, h=0.01, counts_per_rev=8192)
 
 
 def run(controller, policy, trials=TRIALS, duration=2.0, workers=1, seed=1, world=WORLD):
@@ -58,7 +64,7 @@ def run(controller, policy, trials=TRIALS, duration=2.0, workers=1, seed=1, worl
 
 def test_a_regulator_stands_and_who_does_nothing_falls(controller):
     for outcome in run(controller, LQR, duration=5.0):
-        assert (outcome.steps, outcome.cause) == (500, LASTED)
+        assert (outcome.steps, outcome.cause) == (500, TRUNCATED)
         assert outcome.sum_x2 < 500 * 0.03**2
     for outcome in run(controller, STILL):
         assert outcome.cause == ANGLE
@@ -94,40 +100,40 @@ def test_each_finished_trial_is_told(controller):
 def test_a_recorded_trial_is_the_loop_as_python_writes_it(controller):
     trial, steps = TRIALS[1], 150
     twin = Twin(ARM, trial.pendulum, WORLD, seed=3, index=1)
-    rows = new_rows(steps, 7)
+    rows = new_trial_record(steps, 7)
     start = (trial.phi, trial.phi_dot)
     outcome = run_trial(
-        twin.kernel, controller, new_memory(), LQR, *start, steps, boxes(), WATCHING, rows
+        twin.kernel, controller, new_controller_state(), LQR, *start, steps, boxes(), WATCHING, rows
     )
-    assert (outcome.steps, outcome.cause) == (steps, LASTED)
+    assert (outcome.steps, outcome.cause) == (steps, TRUNCATED)
 
-    memory, sum_x2 = new_memory(), 0.0
+    memory, sum_x2 = new_controller_state(), 0.0
     twin = Twin(ARM, trial.pendulum, WORLD, seed=3, index=1)
     twin.reset(phi=trial.phi, phi_dot=trial.phi_dot)
     counts, stamp = twin.encoder()
     shown = pi - counts * 2 * pi / 8192 - stamp * trial.phi_dot
-    begin(controller, memory, 0.0, 0.0, shown, trial.phi_dot, 0)
+    start_controller(controller, memory, 0.0, 0.0, shown, trial.phi_dot, 0)
     for row in range(steps):
-        seen = memory.seen[::LANES].copy()
+        seen = memory.observation[::BATCH_SIZE].copy()
         memory.u[0] = act(LQR, *seen, 0.0)
         measured, measured_at = twin.measured()
-        assert rows.seen[row] == pytest.approx(seen, abs=1e-12)
+        assert rows.observation[row] == pytest.approx(seen, abs=1e-12)
         assert rows.u[row] == pytest.approx(memory.u[0], abs=1e-12)
-        assert rows.estimate[row] == pytest.approx(memory.estimate[::LANES], abs=1e-12)
+        assert rows.estimate[row] == pytest.approx(memory.estimate[::BATCH_SIZE], abs=1e-12)
         assert rows.counts[row] == pytest.approx(twin.encoder(), abs=1e-12)
         assert rows.measured[row] == pytest.approx([*measured, measured_at], abs=1e-12)
         assert rows.truth[row] == pytest.approx(twin.truth(), abs=1e-12)
         assert rows.q[row] == pytest.approx(twin.data.qpos[:7], abs=1e-12)
         command(controller, memory, 1)
-        setpoints = memory.setpoints[::LANES]
-        commanded = [*memory.q[::LANES], *memory.dq[::LANES]]
+        setpoints = memory.setpoints[::BATCH_SIZE]
+        commanded = [*memory.q[::BATCH_SIZE], *memory.dq[::BATCH_SIZE]]
         assert rows.setpoints[row] == pytest.approx(setpoints, abs=1e-12)
         assert rows.command[row] == pytest.approx(commanded, abs=1e-12)
         for half in (setpoints[:6], setpoints[6:]):
             twin.send(half)
             twin.advance(0.005)
         memory.counts[0], counted = twin.encoder()
-        memory.measured[::LANES], measured_at = twin.measured()
+        memory.measured[::BATCH_SIZE], measured_at = twin.measured()
         observe(controller, memory, twin.now - counted, twin.now - measured_at, 1)
         sum_x2 += twin.truth().x ** 2
     assert outcome.sum_x2 == pytest.approx(sum_x2, rel=1e-9)
@@ -136,9 +142,18 @@ def test_a_recorded_trial_is_the_loop_as_python_writes_it(controller):
 def test_the_estimate_is_near_the_truth(controller):
     steps = 500
     twin = Twin(ARM, PENDULUM, WORLD, seed=3)
-    rows = new_rows(steps, 7)
+    rows = new_trial_record(steps, 7)
     run_trial(
-        twin.kernel, controller, new_memory(), LQR, 0.03, 0.15, steps, boxes(), WATCHING, rows
+        twin.kernel,
+        controller,
+        new_controller_state(),
+        LQR,
+        0.03,
+        0.15,
+        steps,
+        boxes(),
+        WATCHING,
+        rows,
     )
     late = slice(steps // 2, None)
     phi, phi_dot, bias, v = (rows.estimate[late] - rows.truth[late][:, [2, 3, 2, 1]]).T
@@ -170,18 +185,18 @@ def run_until_the_guard(controller, policy, guard, number=0, seconds=5.0):
     """Return a twin, the memory of its controller and the outcome of its trial."""
     trial = TRIALS[number]
     twin = Twin(ARM, trial.pendulum, WORLD, seed=3, index=number)
-    memory, rows = new_memory(), new_rows(round(seconds / 0.01), 7)
+    memory, rows = new_controller_state(), new_trial_record(round(seconds / 0.01), 7)
     outcome = run_trial(
         twin.kernel, controller, memory, policy, trial.phi, trial.phi_dot, len(rows.u), boxes(),
-        new_watching(ARM, guard), rows,
+        new_trial_monitor(ARM, guard), rows,
     )  # fmt: skip
-    return twin, memory, outcome, Rows(*(row[: outcome.steps] for row in rows))
+    return twin, memory, outcome, TrialRecord(*(row[: outcome.steps] for row in rows))
 
 
 @pytest.fixture(scope="module")
 def guard():
     actuator = Actuator.assumed("kst", delay=0.0105, lag=0.008)
-    return trial_guard(ARM, TwinSettings(guards=True), actuator, LQR, 0.01)
+    return trial_safety(ARM, TwinSettings(guards=True), actuator, LQR, 0.01)
 
 
 @pytest.fixture(scope="module")
@@ -201,9 +216,11 @@ def test_a_run_towards_the_end_of_the_track_is_stopped_in_time(controller, guard
         x = twin.truth().x
         assert max(abs(rows.truth[:, 0]).max(), abs(x)) < TRACK_LIMIT
         # The verdict is that of the rule, and came as soon as it could.
-        q, dq = (ARM.with_held(block[::LANES]) for block in (memory.q, memory.dq))
+        q, dq = (ARM.with_held(block[::BATCH_SIZE]) for block in (memory.q, memory.dq))
         dq[ARM.held_joint - 1] = 0.0
-        slowing = ramp(q.tolist(), dq.tolist(), abs(memory.reference[TWIST * LANES]), guard.limits)
+        slowing = ramp(
+            q.tolist(), dq.tolist(), abs(memory.reference[TWIST * BATCH_SIZE]), guard.limits
+        )
         furthest, time = abs(x), 0.0
         while time < slowing.duration + 0.2:
             time += 0.005
@@ -228,7 +245,7 @@ def test_a_guard_ends_nothing_that_stands_and_changes_no_bit_of_it(controller, g
 def test_until_a_guard_ends_it_a_trial_is_the_same(controller, guard, away):
     _, _, stopped, held = run_until_the_guard(controller, away, guard)
     _, _, outcome, free = run_until_the_guard(controller, away, None)
-    assert outcome.cause < GUARD <= stopped.cause
+    assert outcome.cause < SAFETY_STOP <= stopped.cause
     assert stopped.steps <= outcome.steps
     for with_guard, without in zip(held, free, strict=True):
         assert np.array_equal(with_guard, without[: stopped.steps])

@@ -8,18 +8,18 @@ from scipy.integrate import solve_ivp
 
 from equipoise.artefacts import Estimate
 from equipoise.control import boxes
-from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, LASTED, TRACK
+from equipoise.control.baselines import lqr_gains
+from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, TRACK, TRUNCATED
 from equipoise.control.policy import TABLE, policy_kernel
-from equipoise.control.yardsticks import lqr_gains
 from equipoise.learning.closed_loop import (
     PHI,
     TRACKED,
     X_DOT,
-    Variation,
+    DomainRandomization,
     X,
     draw_noise,
-    make_plant,
-    new_block,
+    make_loop_params,
+    new_batch_state,
     reset,
     scaled,
     step,
@@ -27,7 +27,7 @@ from equipoise.learning.closed_loop import (
 from equipoise.learning.trials import draw_trials, record_trial, run_trials
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.random import TEST
@@ -38,7 +38,7 @@ PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 SETTINGS = Settings()
 STILL = resolve(overrides=["plant.inertia_sigma=0", "plant.friction_sigma=0"])
 QUIET = resolve(overrides=["plant.position_error_sigma=0", "plant.orientation_error_sigma=0"])
-NOMINAL = Variation(1.0, 1.0, 0.0, 1.0, 0.0)
+NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 ARMS = pytest.mark.parametrize("size", [7, 14])
 
 
@@ -74,17 +74,19 @@ def random_table(seed=0):
 @settings(deadline=None, max_examples=25)  # the first example compiles
 def test_reset_places_the_flange_on_its_track(size, x, x_dot):
     arm = iiwa(size)
-    plant = make_plant(arm, QUIET, 0.01, PENDULUM)
-    block = new_block()
+    plant = make_loop_params(arm, QUIET, 0.01, PENDULUM)
+    block = new_batch_state()
     lane = 3
     reset(plant, block, PENDULUM, NOMINAL, (x, x_dot, 0.01, 0.02), lane)
-    now = arm.kinematics(block.memory.q[lane::LANES], block.memory.dq[lane::LANES])
+    now = arm.kinematics(
+        block.controller.q[lane::BATCH_SIZE], block.controller.dq[lane::BATCH_SIZE]
+    )
     home = arm.kinematics(arm.home_free)
     np.testing.assert_allclose(now.position - home.position, [x, 0.0, 0.0], atol=1e-11)
     np.testing.assert_allclose(now.rotation, home.rotation, atol=1e-11)
     np.testing.assert_allclose(now.twist, [x_dot, 0, 0, 0, 0, 0], atol=1e-11)
     np.testing.assert_allclose(
-        block.state[lane : 4 * LANES : LANES], [x, x_dot, 0.01, 0.02], atol=1e-11
+        block.state[lane : 4 * BATCH_SIZE : BATCH_SIZE], [x, x_dot, 0.01, 0.02], atol=1e-11
     )
 
 
@@ -92,7 +94,7 @@ def test_reset_places_the_flange_on_its_track(size, x, x_dot):
 def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
     """Every step again: joints by hand, flange by the arm's Python kinematics, phi by SciPy."""
     arm = iiwa(size)
-    plant = make_plant(arm, SETTINGS, 0.01, PENDULUM)
+    plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM)
     trials = draw_trials(1, STILL, 0, TEST, 1.0)
     trials.start[0] = 0.01, -0.05, 0.02, 0.1
     _, run = record_trial(plant, Table(random_table()), PENDULUM, trials, 0, 60, 1, TEST)
@@ -127,39 +129,41 @@ def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
 
 def test_a_trial_has_the_same_bits_alone_and_in_company():
     arm = iiwa(7)
-    plant = make_plant(arm, SETTINGS, 0.01, PENDULUM)
+    plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM)
     table = random_table(4)
-    trials = draw_trials(2 * LANES + 5, SETTINGS, 7, TEST, 1.0)
+    trials = draw_trials(2 * BATCH_SIZE + 5, SETTINGS, 7, TEST, 1.0)
     longest = 300
     kernel = policy_kernel(TABLE, u_of_box=table)
-    run_trials(plant, new_block(), kernel, PENDULUM, trials, 0, len(trials.steps), longest, 7, TEST)
+    run_trials(
+        plant, new_batch_state(), kernel, PENDULUM, trials, 0, len(trials.steps), longest, 7, TEST
+    )
     assert len(set(trials.steps.tolist())) > 5
-    for i in (0, 3, LANES, 2 * LANES + 4):
+    for i in (0, 3, BATCH_SIZE, 2 * BATCH_SIZE + 4):
         cause, run = record_trial(plant, Table(table), PENDULUM, trials, i, longest, 7, TEST)
         assert (cause, len(run.u)) == (trials.cause[i], trials.steps[i])
         x_after = np.append(run.state[1:, 0], np.nan)
         assert np.nansum(x_after**2) <= trials.sum_x2[i]
         # The state is known: what the policy saw is what there was.
-        assert np.array_equal(run.seen, run.state)
+        assert np.array_equal(run.observation, run.state)
 
 
 def test_lanes_do_not_depend_on_each_other():
-    plant = make_plant(iiwa(7), SETTINGS, 0.01, PENDULUM)
-    together, alone = new_block(), new_block()
+    plant = make_loop_params(iiwa(7), SETTINGS, 0.01, PENDULUM)
+    together, alone = new_batch_state(), new_batch_state()
     rng = np.random.default_rng(0)
-    starts = rng.uniform(-1.0, 1.0, (LANES, 4)) * [0.1, 0.2, 0.05, 0.3]
-    for n in range(LANES):
+    starts = rng.uniform(-1.0, 1.0, (BATCH_SIZE, 4)) * [0.1, 0.2, 0.05, 0.3]
+    for n in range(BATCH_SIZE):
         reset(plant, together, PENDULUM, NOMINAL, tuple(starts[n]), n)
     reset(plant, alone, PENDULUM, NOMINAL, tuple(starts[5]), 0)
     for _ in range(20):
-        together.memory.u[:] = rng.choice([-1.0, 1.0], LANES)
-        together.memory.noise[:] = rng.normal(size=together.memory.noise.shape)
-        alone.memory.u[0] = together.memory.u[5]
-        alone.memory.noise[::LANES] = together.memory.noise[5::LANES]
-        step(plant, together, LANES)
+        together.controller.u[:] = rng.choice([-1.0, 1.0], BATCH_SIZE)
+        together.controller.noise[:] = rng.normal(size=together.controller.noise.shape)
+        alone.controller.u[0] = together.controller.u[5]
+        alone.controller.noise[::BATCH_SIZE] = together.controller.noise[5::BATCH_SIZE]
+        step(plant, together, BATCH_SIZE)
         step(plant, alone, 1)
-    assert np.array_equal(together.state[5::LANES], alone.state[::LANES])
-    assert np.array_equal(together.memory.q[5::LANES], alone.memory.q[::LANES])
+    assert np.array_equal(together.state[5::BATCH_SIZE], alone.state[::BATCH_SIZE])
+    assert np.array_equal(together.controller.q[5::BATCH_SIZE], alone.controller.q[::BATCH_SIZE])
 
 
 @given(
@@ -170,14 +174,14 @@ def test_lanes_do_not_depend_on_each_other():
 )
 @settings(deadline=None, max_examples=25)
 def test_the_plant_is_mirror_symmetric(start, u):
-    plant = make_plant(iiwa(7), QUIET, 0.01, PENDULUM)
-    block = new_block()
+    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
+    block = new_batch_state()
     reset(plant, block, PENDULUM, NOMINAL, start, 0)
     reset(plant, block, PENDULUM, NOMINAL, tuple(-value for value in start), 1)
     for _ in range(10):
-        block.memory.u[:2] = u, -u
+        block.controller.u[:2] = u, -u
         step(plant, block, 2)
-    rows = block.state.reshape(-1, LANES)
+    rows = block.state.reshape(-1, BATCH_SIZE)
     # 1e-9: the two postures are not images of each other to the bit.
     np.testing.assert_allclose(rows[:, 0], -rows[:, 1], atol=1e-9)
 
@@ -188,66 +192,66 @@ def test_the_plant_is_mirror_symmetric(start, u):
         ((0.0, 0.0, np.radians(10.9), 1.0), ANGLE),
         ((0.2195, 0.3, 0.0, 0.0), TRACK),
         ((-0.2195, -0.3, 0.0, 0.0), TRACK),
-        ((0.0, 0.0, 0.0, 0.0), LASTED),
+        ((0.0, 0.0, 0.0, 0.0), TRUNCATED),
     ],
 )
 def test_a_failure_has_its_cause(start, cause):
-    plant = make_plant(iiwa(7), QUIET, 0.01, PENDULUM)
-    block = new_block()
+    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
+    block = new_batch_state()
     reset(plant, block, PENDULUM, NOMINAL, start, 0)
-    block.memory.u[0] = 0.5
+    block.controller.u[0] = 0.5
     step(plant, block, 1)
     assert CAUSES[block.cause[0]] == CAUSES[cause]
 
 
 @pytest.mark.parametrize("row", range(4))
 def test_a_joint_beyond_any_of_its_limits_is_reported(row):
-    plant = make_plant(iiwa(7), QUIET, 0.01, PENDULUM)
-    block = new_block()
+    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
+    block = new_batch_state()
     reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.5, 0.0, 0.0), 0)
     limits = plant.controller.limits.copy()
     limits[row] = {0: 3.0, 1: -3.0, 2: 1e-3, 3: 1e-3}[row]
-    block.memory.u[0] = 2.0
+    block.controller.u[0] = 2.0
     step(plant._replace(controller=plant.controller._replace(limits=limits)), block, 1)
     assert block.cause[0] == JOINT_LIMIT
 
 
 def test_limits_are_reached_exactly_where_the_paper_puts_them():
     """|phi| = 11 degrees and |x| = 0.22 m are failures themselves."""
-    plant = make_plant(iiwa(7), QUIET, 0.01, PENDULUM)
+    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM)
     still = PendulumParameters(w2=0.0, k=0.0, c=0.0)
-    block = new_block()
-    for phi, cause in ((np.radians(11.0), ANGLE), (np.nextafter(np.radians(11.0), 0.0), LASTED)):
+    block = new_batch_state()
+    for phi, cause in ((np.radians(11.0), ANGLE), (np.nextafter(np.radians(11.0), 0.0), TRUNCATED)):
         reset(plant, block, still, NOMINAL, (0.0, 0.0, phi, 0.0), 0)
-        block.memory.u[0] = 0.0
+        block.controller.u[0] = 0.0
         step(plant, block, 1)
-        assert block.state[PHI * LANES] == phi
+        assert block.state[PHI * BATCH_SIZE] == phi
         assert block.cause[0] == cause
 
 
 def test_the_pendulum_feels_the_tracked_and_not_the_commanded_acceleration():
     arm = iiwa(7)
-    plant = make_plant(arm, SETTINGS, 0.01, PENDULUM)
-    block = new_block()
+    plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM)
+    block = new_batch_state()
     reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
-    block.memory.u[0] = 1.0
-    block.memory.noise[::LANES] = 3.0
+    block.controller.u[0] = 1.0
+    block.controller.noise[::BATCH_SIZE] = 3.0
     step(plant, block, 1)
-    tracked = block.state[TRACKED * LANES]
+    tracked = block.state[TRACKED * BATCH_SIZE]
     assert abs(tracked - 1.0) > 0.05  # three sigma of position noise times K_p is 0.12 m/s^2
-    after = arm.kinematics(block.memory.q[::LANES], block.memory.dq[::LANES])
+    after = arm.kinematics(block.controller.q[::BATCH_SIZE], block.controller.dq[::BATCH_SIZE])
     assert tracked == pytest.approx(pivot_velocity(arm, after) / 0.01, rel=1e-12)
     # The noise turns the flange, too: its pivot does not move as its origin does.
-    assert abs(pivot_velocity(arm, after) - block.state[X_DOT * LANES]) > 1e-6
-    assert block.state[PHI * LANES] == pytest.approx(-7.15 * tracked * 0.01**2 / 2.0, rel=1e-2)
+    assert abs(pivot_velocity(arm, after) - block.state[X_DOT * BATCH_SIZE]) > 1e-6
+    assert block.state[PHI * BATCH_SIZE] == pytest.approx(-7.15 * tracked * 0.01**2 / 2.0, rel=1e-2)
 
 
 def test_noise_of_a_step_is_standard_normal_and_white():
-    noise = np.zeros(6 * LANES)
+    noise = np.zeros(6 * BATCH_SIZE)
     draws = []
     for tick in range(500):
-        ticks, index = np.full(LANES, tick), np.arange(LANES)
-        draw_noise(noise, 3, ticks, index, 0, TEST, LANES)
+        ticks, index = np.full(BATCH_SIZE, tick), np.arange(BATCH_SIZE)
+        draw_noise(noise, 3, ticks, index, 0, TEST, BATCH_SIZE)
         draws.append(noise.copy())
     draws = np.array(draws)
     # 48,000 numbers: five standard errors, a chance of 6e-7 each.
@@ -255,7 +259,9 @@ def test_noise_of_a_step_is_standard_normal_and_white():
     assert abs(draws.mean()) < 5.0 / np.sqrt(n)
     assert abs(draws.var() - 1.0) < 5.0 * np.sqrt(2.0 / n)
     assert abs(np.mean(draws[1:] * draws[:-1])) < 5.0 / np.sqrt(n)
-    assert abs(np.mean(draws[:, :LANES] * draws[:, LANES : 2 * LANES])) < 5.0 / np.sqrt(n / 6)
+    assert abs(
+        np.mean(draws[:, :BATCH_SIZE] * draws[:, BATCH_SIZE : 2 * BATCH_SIZE])
+    ) < 5.0 / np.sqrt(n / 6)
 
 
 def test_a_singular_home_is_refused():
@@ -265,7 +271,7 @@ def test_a_singular_home_is_refused():
     home = list(arm.home)
     home[5] = 0.0
     with pytest.raises(ArmError, match="singular"):
-        make_plant(arm.model_copy(update={"home": tuple(home)}), SETTINGS, 0.01, PENDULUM)
+        make_loop_params(arm.model_copy(update={"home": tuple(home)}), SETTINGS, 0.01, PENDULUM)
 
 
 def test_rows_of_the_state_are_those_of_the_paper():
@@ -291,27 +297,31 @@ def differing(kind, delay, *lags):
 @pytest.mark.parametrize(
     ("actuator", "variation", "overrides"),
     [
-        (KST, Variation(1.0, 1.0, 0.0, 1.0, 0.0), []),
-        (KST, Variation(1.03, 1.3, 0.003, 1.2, 0.005), []),
-        (LAG, Variation(0.97, 0.8, -0.0035, 0.9, -0.004), []),
-        (LAG, Variation(1.03, 1.2, 0.0025, 1.1, 0.004), ["controller.predict=false"]),
+        (KST, DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0), []),
+        (KST, DomainRandomization(1.03, 1.3, 0.003, 1.2, 0.005), []),
+        (LAG, DomainRandomization(0.97, 0.8, -0.0035, 0.9, -0.004), []),
+        (LAG, DomainRandomization(1.03, 1.2, 0.0025, 1.1, 0.004), ["controller.predict=false"]),
         (
             Actuator.assumed("kst", delay=0.0271, lag=0.004, cycle=0.0012),
-            Variation(1.02, 1.2, 0.0039, 0.8, 0.003),
+            DomainRandomization(1.02, 1.2, 0.0039, 0.8, 0.003),
             ["controller.margin=0.002", "controller.correction=0.4"],
         ),
         (
             differing("kst", 0.0, 0.004, 0.008, 0.016, 0.012, 0.002, 0.0),
-            Variation(1.0, 1.1, 0.002, 1.1, 0.002),
+            DomainRandomization(1.0, 1.1, 0.002, 1.1, 0.002),
             ["controller.estimate_bias=false"],
         ),
         (
             differing("lag", 0.006, 0.03, 0.02, 0.025, 0.015, 0.02, 0.03),
-            Variation(0.98, 1.0, -0.006, 1.0, 0.0),
+            DomainRandomization(0.98, 1.0, -0.006, 1.0, 0.0),
             ["controller.predict=false", "plant.linearised=true"],
         ),
         # As long as it remembers, and what may come on top.
-        (Actuator.assumed("kst", delay=0.09, lag=0.004), Variation(1.0, 1.0, 0.008, 1.0, 0.0), []),
+        (
+            Actuator.assumed("kst", delay=0.09, lag=0.004),
+            DomainRandomization(1.0, 1.0, 0.008, 1.0, 0.0),
+            [],
+        ),
     ],
 )
 @ARMS
@@ -319,8 +329,8 @@ def test_a_step_behind_an_actuator_is_that_of_the_slow_loop(size, actuator, vari
     arm, pendulum = iiwa(size), PENDULUM._replace(drag=0.01)
     settings = resolve(overrides=[*overrides, FINE])
     pendulum = pendulum._replace(linearised=settings.plant.linearised)
-    plant = make_plant(arm, settings, 0.01, pendulum, actuator)
-    block = new_block()
+    plant = make_loop_params(arm, settings, 0.01, pendulum, actuator)
+    block = new_batch_state()
     x, phi, phi_dot = 0.03, 0.015, 0.1
     lane = 5
     reset(plant, block, pendulum, variation, (x, 0.0, phi, phi_dot), lane)
@@ -334,32 +344,38 @@ def test_a_step_behind_an_actuator_is_that_of_the_slow_loop(size, actuator, vari
         delay=variation.delay,
         factor=variation.lag_factor,
     )
-    slow.begin(block.memory.q[lane::LANES], x, phi, phi_dot, variation.zero)
+    slow.begin(block.controller.q[lane::BATCH_SIZE], x, phi, phi_dot, variation.zero)
     sigma = np.repeat((1e-4, np.radians(0.02)), 3)
     rng = np.random.default_rng(0)
     for _ in range(250):
         # Each is balanced by what it sees itself, or a last bit would grow with the fall.
         push = 0.5 * rng.choice([-1, 0, 1])
         noise = rng.standard_normal(6)
-        block.memory.noise[lane::LANES] = noise
-        block.memory.u[lane] = np.clip(GAINS @ block.memory.seen[lane::LANES], -3.0, 3.0) + push
+        block.controller.noise[lane::BATCH_SIZE] = noise
+        block.controller.u[lane] = (
+            np.clip(GAINS @ block.controller.observation[lane::BATCH_SIZE], -3.0, 3.0) + push
+        )
         step(plant, block, lane + 1)
         slow.step(np.clip(GAINS @ slow.seen, -3.0, 3.0) + push, sigma * noise)
         # Between two counts of 6e-12 rad nothing holds the two together.
-        np.testing.assert_allclose(block.memory.q[lane::LANES], slow.q, atol=1e-9)
-        np.testing.assert_allclose(block.q[lane::LANES], slow.joints.q, atol=1e-9)
-        np.testing.assert_allclose(block.state[lane : 4 * LANES : LANES], slow.state, atol=1e-9)
-        np.testing.assert_allclose(block.memory.seen[lane::LANES], slow.seen, atol=2e-9)
+        np.testing.assert_allclose(block.controller.q[lane::BATCH_SIZE], slow.q, atol=1e-9)
+        np.testing.assert_allclose(block.q[lane::BATCH_SIZE], slow.joints.q, atol=1e-9)
         np.testing.assert_allclose(
-            block.memory.estimate[lane : 3 * LANES : LANES], slow.estimate, atol=2e-9
+            block.state[lane : 4 * BATCH_SIZE : BATCH_SIZE], slow.state, atol=1e-9
+        )
+        np.testing.assert_allclose(
+            block.controller.observation[lane::BATCH_SIZE], slow.seen, atol=2e-9
+        )
+        np.testing.assert_allclose(
+            block.controller.estimate[lane : 3 * BATCH_SIZE : BATCH_SIZE], slow.estimate, atol=2e-9
         )
     assert abs(slow.state[2]) < np.radians(11)  # it stood for all of the 2.5 s
 
 
 def test_a_step_with_a_common_encoder_is_that_of_the_slow_loop():
-    arm, variation = iiwa(7), Variation(1.03, 1.3, 0.003, 1.2, 0.005)
-    plant = make_plant(arm, SETTINGS, 0.01, PENDULUM, KST)
-    block = new_block()
+    arm, variation = iiwa(7), DomainRandomization(1.03, 1.3, 0.003, 1.2, 0.005)
+    plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM, KST)
+    block = new_batch_state()
     reset(plant, block, PENDULUM, variation, (0.0, 0.0, 0.02, 0.0), 0)
     slow = Loop(
         arm,
@@ -371,52 +387,62 @@ def test_a_step_with_a_common_encoder_is_that_of_the_slow_loop():
         delay=0.003,
         factor=1.2,
     )
-    slow.begin(block.memory.q[::LANES], 0.0, 0.02, 0.0, 0.005)
+    slow.begin(block.controller.q[::BATCH_SIZE], 0.0, 0.02, 0.0, 0.005)
     # Roundings grow e-fold in 0.12 s where both see the same counts: 1e-9 holds for a second.
     for _ in range(100):
-        block.memory.noise[:] = 0.0
-        block.memory.u[0] = np.clip(GAINS @ block.memory.seen[::LANES], -2.0, 2.0)
+        block.controller.noise[:] = 0.0
+        block.controller.u[0] = np.clip(
+            GAINS @ block.controller.observation[::BATCH_SIZE], -2.0, 2.0
+        )
         step(plant, block, 1)
         slow.step(np.clip(GAINS @ slow.seen, -2.0, 2.0), np.zeros(6))
-        np.testing.assert_allclose(block.state[: 4 * LANES : LANES], slow.state, atol=1e-9)
-        np.testing.assert_allclose(block.memory.seen[::LANES], slow.seen, atol=1e-9)
-    assert np.ptp(block.memory.past) > 0.0
+        np.testing.assert_allclose(
+            block.state[: 4 * BATCH_SIZE : BATCH_SIZE], slow.state, atol=1e-9
+        )
+        np.testing.assert_allclose(block.controller.observation[::BATCH_SIZE], slow.seen, atol=1e-9)
+    assert np.ptp(block.controller.history) > 0.0
 
 
 @BEHIND
 def test_lanes_behind_an_actuator_do_not_depend_on_each_other(actuator):
-    plant = make_plant(iiwa(7), SETTINGS, 0.01, PENDULUM, actuator)
+    plant = make_loop_params(iiwa(7), SETTINGS, 0.01, PENDULUM, actuator)
     rng = np.random.default_rng(0)
-    starts = rng.uniform(-1.0, 1.0, (LANES, 4)) * [0.1, 0.2, 0.05, 0.3]
+    starts = rng.uniform(-1.0, 1.0, (BATCH_SIZE, 4)) * [0.1, 0.2, 0.05, 0.3]
     variations = [
-        Variation(*(1.0 + rng.uniform(-0.1, 0.1, 2)), *rng.uniform(-1, 1, 3) * [0.004, 0.2, 0.005])
-        for _ in range(LANES)
+        DomainRandomization(
+            *(1.0 + rng.uniform(-0.1, 0.1, 2)), *rng.uniform(-1, 1, 3) * [0.004, 0.2, 0.005]
+        )
+        for _ in range(BATCH_SIZE)
     ]
     variations = [v._replace(lag_factor=1.0 + v.lag_factor) for v in variations]
-    us, noises = rng.choice([-1.0, 1.0], (30, LANES)), rng.standard_normal((30, 6, LANES))
+    us, noises = rng.choice([-1.0, 1.0], (30, BATCH_SIZE)), rng.standard_normal((30, 6, BATCH_SIZE))
 
     def run(lanes):
         """Run these trials in this order, each in a lane of its own; return their bits."""
-        block = new_block()
+        block = new_batch_state()
         # A block that was used before: its memories are at another place.
         for _ in range(len(lanes)):
             step(plant, block, 1)
         for n, trial in enumerate(lanes):
             reset(plant, block, PENDULUM, variations[trial], tuple(starts[trial]), n)
         for u, noise in zip(us, noises, strict=True):
-            block.memory.u[: len(lanes)] = u[lanes]
-            block.memory.noise.reshape(6, LANES)[:, : len(lanes)] = noise[:, lanes]
+            block.controller.u[: len(lanes)] = u[lanes]
+            block.controller.noise.reshape(6, BATCH_SIZE)[:, : len(lanes)] = noise[:, lanes]
             step(plant, block, len(lanes))
-        names = ("seen", "estimate", "q", "offset")
-        rows = [getattr(block.memory, name) for name in names] + [block.state, block.q, block.dq]
+        names = ("observation", "estimate", "q", "offset")
+        rows = [getattr(block.controller, name) for name in names] + [
+            block.state,
+            block.q,
+            block.dq,
+        ]
         return {
-            trial: b"".join(np.ascontiguousarray(row[n::LANES]).tobytes() for row in rows)
+            trial: b"".join(np.ascontiguousarray(row[n::BATCH_SIZE]).tobytes() for row in rows)
             for n, trial in enumerate(lanes)
         }
 
-    together = run(list(range(LANES)))
-    assert len(set(together.values())) == LANES
-    assert run(list(range(LANES))[::-1]) == together
+    together = run(list(range(BATCH_SIZE)))
+    assert len(set(together.values())) == BATCH_SIZE
+    assert run(list(range(BATCH_SIZE))[::-1]) == together
     for few in ([5], [9, 2], [15, 0, 7]):
         assert run(few) == {trial: together[trial] for trial in few}
 
@@ -424,18 +450,18 @@ def test_lanes_behind_an_actuator_do_not_depend_on_each_other(actuator):
 def test_the_model_of_the_controller_is_the_arm_a_delay_later():
     # Nothing differs and nothing sags, so what was foreseen comes, to the bit.
     actuator = Actuator.assumed("kst", delay=0.020, lag=0.008)
-    plant = make_plant(iiwa(14), SETTINGS, 0.01, PENDULUM, actuator)
-    block = new_block()
+    plant = make_loop_params(iiwa(14), SETTINGS, 0.01, PENDULUM, actuator)
+    block = new_batch_state()
     reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
     rng, foreseen = np.random.default_rng(1), []
     for _ in range(50):
-        block.memory.u[0] = rng.choice([-2.0, 2.0])
-        block.memory.noise[:] = rng.standard_normal(6 * LANES)
+        block.controller.u[0] = rng.choice([-2.0, 2.0])
+        block.controller.noise[:] = rng.standard_normal(6 * BATCH_SIZE)
         step(plant, block, 1)
-        foreseen.append(block.memory.model_q[::LANES].copy())
+        foreseen.append(block.controller.model_q[::BATCH_SIZE].copy())
         if len(foreseen) > 2:
-            assert np.array_equal(block.q[::LANES], foreseen[-3])
-    assert not block.memory.offset.any()
+            assert np.array_equal(block.q[::BATCH_SIZE], foreseen[-3])
+    assert not block.controller.offset.any()
 
 
 @BEHIND
@@ -448,20 +474,20 @@ def test_the_model_of_the_controller_is_the_arm_a_delay_later():
 )
 @settings(deadline=None, max_examples=25)
 def test_the_plant_behind_an_actuator_is_mirror_symmetric(actuator, start, zero, u):
-    plant = make_plant(iiwa(7), QUIET, 0.01, PENDULUM, actuator)
-    block = new_block()
+    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM, actuator)
+    block = new_batch_state()
     for n, side in enumerate((1.0, -1.0)):
         variation = NOMINAL._replace(delay=0.003, zero=side * zero)
         reset(plant, block, PENDULUM, variation, tuple(side * value for value in start), n)
-    counts = block.memory.counts
+    counts = block.controller.counts
     for _ in range(15):
-        block.memory.u[:2] = u, -u
+        block.controller.u[:2] = u, -u
         step(plant, block, 2)
         # Half a count is rounded up, on both sides of upright: there the two are a count apart.
         # Where rounding decides which way, nothing can be said.
         assume(counts[0] + counts[1] == SETTINGS.plant.counts_per_rev)
-    for rows in (block.state, block.memory.seen, block.memory.estimate):
-        rows = rows.reshape(-1, LANES)
+    for rows in (block.state, block.controller.observation, block.controller.estimate):
+        rows = rows.reshape(-1, BATCH_SIZE)
         # 1e-8: as above, and u' is a difference over h.
         np.testing.assert_allclose(rows[:, 0], -rows[:, 1], atol=1e-8)
 
@@ -469,29 +495,29 @@ def test_the_plant_behind_an_actuator_is_mirror_symmetric(actuator, start, zero,
 @pytest.mark.parametrize("delay", [0.0, 0.01])
 def test_a_setpoint_moves_the_arm_a_delay_after_it_was_sent(delay):
     actuator = Actuator.assumed("lag", delay=delay, lag=0.005)
-    plant = make_plant(iiwa(7), QUIET, 0.01, PENDULUM, actuator)
-    block = new_block()
+    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM, actuator)
+    block = new_batch_state()
     for n in range(8):
         reset(plant, block, PENDULUM, NOMINAL._replace(delay=0.001 * n), (0.0,) * 4, n)
-    before = block.q.reshape(6, LANES).copy()
-    block.memory.u[:] = 2.0
+    before = block.q.reshape(6, BATCH_SIZE).copy()
+    block.controller.u[:] = 2.0
     for _ in range(1 + round(delay / 0.01)):
         step(plant, block, 8)
-    went = np.abs(block.q.reshape(6, LANES) - before).max(axis=0)
+    went = np.abs(block.q.reshape(6, BATCH_SIZE) - before).max(axis=0)
     # Sent at the tick and 5 ms later; with each millisecond more there is one less to follow.
     assert np.all(np.diff(went[:8]) < 0.0)
     assert went[7] > 0.0
 
 
 def test_pendulum_and_flange_behind_an_actuator_fail_as_before():
-    plant = make_plant(iiwa(7), QUIET, 0.01, PENDULUM, KST)
+    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM, KST)
     for start, cause in [
         ((0.0, 0.0, np.radians(10.99), 0.5), ANGLE),
         ((0.225, 0.0, 0.0, 0.0), TRACK),
         ((-0.225, 0.0, 0.0, 0.0), TRACK),
-        ((0.215, 0.0, 0.0, 0.0), LASTED),
+        ((0.215, 0.0, 0.0, 0.0), TRUNCATED),
     ]:
-        block = new_block()
+        block = new_batch_state()
         reset(plant, block, PENDULUM, NOMINAL, start, 0)
         step(plant, block, 1)
         assert CAUSES[block.cause[0]] == CAUSES[cause]
@@ -499,13 +525,13 @@ def test_pendulum_and_flange_behind_an_actuator_fail_as_before():
 
 def test_a_wrong_zero_does_not_decide_about_a_failure():
     # The policy sees a pendulum at 11.2 degrees; it leans by 10.5.
-    plant = make_plant(iiwa(7), QUIET, 0.01, PENDULUM, KST)
-    block = new_block()
+    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM, KST)
+    block = new_batch_state()
     variation = NOMINAL._replace(zero=np.radians(0.7))
     reset(plant, block, PENDULUM, variation, (0.0, 0.0, np.radians(10.5), 0.0), 0)
     step(plant, block, 1)
-    assert block.memory.seen[2 * LANES] > np.radians(11)
-    assert block.cause[0] == LASTED
+    assert block.controller.observation[2 * BATCH_SIZE] > np.radians(11)
+    assert block.cause[0] == TRUNCATED
 
 
 def test_nothing_of_sensor_and_actuator_matters_where_the_actuator_is_ideal():
@@ -515,18 +541,21 @@ def test_nothing_of_sensor_and_actuator_matters_where_the_actuator_is_ideal():
         ["controller.predict=false", "controller.margin=0.1", "controller.acceleration_sigma=9"],
         ["plant.counts_per_rev=100", "controller.correction=0.9", "plant.zero_error=0.1"],
     ):
-        plants.append(make_plant(arm, resolve(overrides=overrides), 0.01, PENDULUM))
+        plants.append(make_loop_params(arm, resolve(overrides=overrides), 0.01, PENDULUM))
     rows = []
     for plant, variation in zip(
-        plants, (NOMINAL, Variation(1.0, 1.0, 0.05, 2.0, 0.1), NOMINAL), strict=True
+        plants, (NOMINAL, DomainRandomization(1.0, 1.0, 0.05, 2.0, 0.1), NOMINAL), strict=True
     ):
-        block, rng = new_block(), np.random.default_rng(3)
+        block, rng = new_batch_state(), np.random.default_rng(3)
         reset(plant, block, PENDULUM, variation, (0.01, 0.02, 0.03, 0.04), 0)
         for _ in range(30):
-            block.memory.noise[:] = rng.standard_normal(6 * LANES)
-            block.memory.u[0] = rng.choice([-1.0, 1.0])
+            block.controller.noise[:] = rng.standard_normal(6 * BATCH_SIZE)
+            block.controller.u[0] = rng.choice([-1.0, 1.0])
             step(plant, block, 1)
-            assert np.array_equal(block.memory.seen[::LANES], block.state[: 4 * LANES : LANES])
+            assert np.array_equal(
+                block.controller.observation[::BATCH_SIZE],
+                block.state[: 4 * BATCH_SIZE : BATCH_SIZE],
+            )
         rows.append(block.state.tobytes())
     assert len(set(rows)) == 1
 
@@ -540,18 +569,23 @@ def test_nothing_of_sensor_and_actuator_matters_where_the_actuator_is_ideal():
 def test_the_pendulum_behind_an_actuator_feels_the_pivot_as_it_moves(pendulum, of_angle, of_rate):
     """Each tick again, millisecond by millisecond: the setpoints make the velocity a ripple."""
     arm, actuator = iiwa(14), Actuator.assumed("kst", delay=0.010, lag=0.008)
-    plant = make_plant(arm, SETTINGS, 0.01, PENDULUM, actuator)
-    block = new_block()
+    plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM, actuator)
+    block = new_batch_state()
     reset(plant, block, pendulum, NOMINAL, (0.0, 0.0, 0.03, 0.0), 0)
     joints, rng = Joints(actuator, 1.0, arm.home_free), np.random.default_rng(0)
     setpoints, v, errors = [arm.home_free] * 2, 0.0, []
     for _ in range(150):
-        before = block.state[: 4 * LANES : LANES].copy()
-        block.memory.noise[:] = rng.standard_normal(6 * LANES)
-        block.memory.u[0] = np.clip(GAINS @ block.memory.seen[::LANES], -2.0, 2.0)
+        before = block.state[: 4 * BATCH_SIZE : BATCH_SIZE].copy()
+        block.controller.noise[:] = rng.standard_normal(6 * BATCH_SIZE)
+        block.controller.u[0] = np.clip(
+            GAINS @ block.controller.observation[::BATCH_SIZE], -2.0, 2.0
+        )
         step(plant, block, 1)
         # 10 ms after they were sent.
-        in_force, setpoints = setpoints, block.memory.setpoints[::LANES].reshape(2, 6).copy()
+        in_force, setpoints = (
+            setpoints,
+            block.controller.setpoints[::BATCH_SIZE].reshape(2, 6).copy(),
+        )
         phi, phi_dot = before[2:]
         for ms in range(10):
             joints.millisecond(in_force[ms // 5])
@@ -559,8 +593,8 @@ def test_the_pendulum_behind_an_actuator_feels_the_pivot_as_it_moves(pendulum, o
             u = (v - v_before) / 1e-3
             advance = pendulum_step if pendulum.coulomb else runge_kutta
             phi, phi_dot = advance(phi, phi_dot, u, 1e-3, pendulum)
-        errors.append(block.state[2 * LANES : 4 * LANES : LANES] - (phi, phi_dot))
-    np.testing.assert_allclose(joints.q, block.q[::LANES], atol=1e-12)
+        errors.append(block.state[2 * BATCH_SIZE : 4 * BATCH_SIZE : BATCH_SIZE] - (phi, phi_dot))
+    np.testing.assert_allclose(joints.q, block.q[::BATCH_SIZE], atol=1e-12)
     angle, rate = np.sqrt(np.mean(np.square(errors), axis=0))
     assert angle / 0.01 < of_angle
     assert rate < of_rate
@@ -572,11 +606,11 @@ def test_the_pendulum_behind_an_actuator_feels_the_pivot_as_it_moves(pendulum, o
 )
 @BEHIND
 def test_an_arm_that_starts_moving_moves_steadily(actuator):
-    plant = make_plant(iiwa(14), QUIET, 0.01, PENDULUM, actuator)
-    block = new_block()
+    plant = make_loop_params(iiwa(14), QUIET, 0.01, PENDULUM, actuator)
+    block = new_batch_state()
     reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.2, 0.0, 0.0), 0)
     for _ in range(10):
-        block.memory.u[0] = 0.0
+        block.controller.u[0] = 0.0
         step(plant, block, 1)
         # Nobody accelerates it.
-        assert abs(block.state[TRACKED * LANES]) < 0.1
+        assert abs(block.state[TRACKED * BATCH_SIZE]) < 0.1

@@ -7,19 +7,19 @@ from hypothesis import strategies as st
 
 from equipoise import paper
 from equipoise.control.boxes import mirrored_box
-from equipoise.learning.closed_loop import make_plant
+from equipoise.learning.closed_loop import make_loop_params
 from equipoise.learning.q_learning import (
     BEGUN,
     ENDED,
     IN_USE,
     STEPS,
-    Learner,
+    QLearningConfig,
     best_action,
     best_value,
     discount,
     exploration,
     learning_rate,
-    new_progress,
+    new_training_state,
     train_episodes,
     update,
 )
@@ -35,7 +35,7 @@ WORD = 2**32
 def learner(recipe="robust", **changes):
     """Return a learner with some settings changed."""
     constants = _learner(resolve(recipe))
-    assert isinstance(constants, Learner)
+    assert isinstance(constants, QLearningConfig)
     return constants._replace(**changes)
 
 
@@ -43,12 +43,12 @@ def problem(pendulum, recipe, *overrides, actuator=IDEAL_ACTUATOR):
     """Return the arguments of `train_episodes` that say what is to be learnt."""
     settings = resolve(recipe, overrides=overrides)
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
-    plant = make_plant(iiwa(14), settings, paper.STEP, parameters, actuator)
+    plant = make_loop_params(iiwa(14), settings, paper.STEP, parameters, actuator)
     return settings, plant, parameters, _learner(settings)
 
 
 def trained(plant, parameters, constants, *stops, seed=0, number=0):
-    progress = new_progress()
+    progress = new_training_state()
     for until in stops:
         train_episodes(plant, parameters, constants, progress, until, seed, number)
     return progress
@@ -70,7 +70,7 @@ def same(progress, other):
     [
         ("robust", ["learning.episode_duration=0.4"]),
         ("robust", ["learning.epsilon_initial=0.5", "learning.mirrored=false"]),
-        ("robust", ["learning.held=false", "learning.episode_duration=0.4"]),
+        ("robust", ["learning.hold_action=false", "learning.episode_duration=0.4"]),
         ("paper", ["learning.episode_duration=0.6"]),
         (
             "paper",
@@ -143,7 +143,7 @@ def test_without_a_mirror_every_step_is_one_visit(pendulum):
 @pytest.mark.parametrize("held", ["true", "false"])
 def test_with_a_mirror_the_table_is_symmetric_to_the_bit(pendulum, held):
     _, plant, parameters, constants = problem(
-        pendulum, "robust", "learning.episodes=60", f"learning.held={held}"
+        pendulum, "robust", "learning.episodes=60", f"learning.hold_action={held}"
     )
     progress = trained(plant, parameters, constants, 60)
     image = [int(mirrored_box(box)) for box in range(270)]

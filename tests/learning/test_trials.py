@@ -9,17 +9,17 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from equipoise import paper
-from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, LASTED, TRACK, cause_named
-from equipoise.control.guards import guard_named
+from equipoise.control.baselines import lqr_gains
+from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, TRACK, TRUNCATED, cause_named
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, TABLE, act, policy_kernel
-from equipoise.control.yardsticks import lqr_gains
+from equipoise.control.trial_safety import guard_named
 from equipoise.learning.closed_loop import (
     X_DOT,
-    Variation,
+    DomainRandomization,
     X,
     draw_noise,
-    make_plant,
-    new_block,
+    make_loop_params,
+    new_batch_state,
     reset,
     scaled,
     step,
@@ -33,28 +33,28 @@ from equipoise.learning.trials import (
 )
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
 from equipoise.settings import resolve
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 SETTINGS = resolve()
-NOMINAL = Variation(1.0, 1.0, 0.0, 1.0, 0.0)
+NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 CONDITIONS = ("start", "inertia_factor", "friction_factor", "delay", "lag_factor", "zero")
 STREAMS = (SCREENING, FINAL_ROUND, TEST)
 
 
 @pytest.fixture(scope="module")
 def plant():
-    return make_plant(iiwa(14), SETTINGS, paper.STEP, PENDULUM)
+    return make_loop_params(iiwa(14), SETTINGS, paper.STEP, PENDULUM)
 
 
 @pytest.fixture(scope="module", params=["ideal", "lag", "kst"])
 def any_plant(request):
     """One plant with each kind of actuator."""
     actuator = Actuator.assumed(request.param, delay=0.0125, lag=0.015)
-    return make_plant(iiwa(14), SETTINGS, paper.STEP, PENDULUM, actuator)
+    return make_loop_params(iiwa(14), SETTINGS, paper.STEP, PENDULUM, actuator)
 
 
 @pytest.fixture(scope="module")
@@ -184,24 +184,24 @@ def test_factors_on_inertia_divide_everything_and_factors_on_friction_only_c():
 # Noise
 
 
-def noise(tick, index, learner=0, stream=TEST, seed=0, lanes=LANES):
-    out = np.full(6 * LANES, np.nan)
+def noise(tick, index, learner=0, stream=TEST, seed=0, lanes=BATCH_SIZE):
+    out = np.full(6 * BATCH_SIZE, np.nan)
     draw_noise(out, seed, np.array(tick), np.array(index), learner, stream, lanes)
-    return out.reshape(6, LANES)
+    return out.reshape(6, BATCH_SIZE)
 
 
 def test_noise_belongs_to_the_trial_and_its_step_not_to_the_lane():
-    tick, index = np.arange(100, 100 + LANES), np.arange(7, 7 + LANES)
+    tick, index = np.arange(100, 100 + BATCH_SIZE), np.arange(7, 7 + BATCH_SIZE)
     together = noise(tick, index)
-    for n in range(LANES):
-        alone = noise(np.full(LANES, tick[n]), np.full(LANES, index[n]), lanes=1)
+    for n in range(BATCH_SIZE):
+        alone = noise(np.full(BATCH_SIZE, tick[n]), np.full(BATCH_SIZE, index[n]), lanes=1)
         assert alone[:, 0].tobytes() == together[:, n].tobytes()
         assert np.all(np.isnan(alone[:, 1:]))
 
 
 def test_noise_is_six_independent_standard_normal_numbers():
     columns = np.concatenate(
-        [noise(np.arange(LANES), np.full(LANES, index)) for index in range(1000)], axis=1
+        [noise(np.arange(BATCH_SIZE), np.full(BATCH_SIZE, index)) for index in range(1000)], axis=1
     )
     n = columns.shape[1]
     for row in columns:
@@ -211,7 +211,8 @@ def test_noise_is_six_independent_standard_normal_numbers():
     # ... and of those of other streams, learners and seeds.
     for other in ({"stream": SCREENING}, {"learner": 1}, {"seed": 1}):
         others = np.concatenate(
-            [noise(np.arange(LANES), np.full(LANES, i), **other) for i in range(1000)], axis=1
+            [noise(np.arange(BATCH_SIZE), np.full(BATCH_SIZE, i), **other) for i in range(1000)],
+            axis=1,
         )
         across = np.corrcoef(columns, others)[:6, 6:]
         assert np.abs(across).max() < 5 / sqrt(n)
@@ -231,7 +232,7 @@ def test_workers_do_not_change_a_bit(any_plant, kernels, kind):
 def test_a_trial_gives_the_same_bits_alone_as_in_company(any_plant, kernels):
     together = drawn(40)
     longest = 60
-    arguments = (any_plant, new_block(), kernels["random"], PENDULUM)
+    arguments = (any_plant, new_batch_state(), kernels["random"], PENDULUM)
     run_trials(*arguments, together, 0, 40, longest, 5, TEST)
     alone = drawn(40)
     for i in range(40):
@@ -246,16 +247,16 @@ def test_a_trial_gives_the_same_bits_alone_as_in_company(any_plant, kernels):
 def test_only_the_trials_asked_for_are_written(plant, kernels):
     trials = drawn(10)
     trials.steps[:] = -1
-    run_trials(plant, new_block(), kernels["table"], PENDULUM, trials, 3, 5, 20, 0, TEST)
+    run_trials(plant, new_batch_state(), kernels["table"], PENDULUM, trials, 3, 5, 20, 0, TEST)
     assert np.flatnonzero(trials.steps >= 0).tolist() == [3, 4]
 
 
 def test_what_happened_in_a_block_before_does_not_matter(any_plant, kernels):
-    used = new_block()
-    for array in (*used.memory, *used[1:]):
+    used = new_batch_state()
+    for array in (*used.controller, *used[1:]):
         array[:] = 7
     fresh, again = drawn(20), drawn(20)
-    for block, trials in ((new_block(), fresh), (used, again)):
+    for block, trials in ((new_batch_state(), fresh), (used, again)):
         run_trials(any_plant, block, kernels["linear"], PENDULUM, trials, 0, 20, 50, 0, TEST)
     assert outcome(again) == outcome(fresh)
 
@@ -266,16 +267,18 @@ def test_what_happened_in_a_block_before_does_not_matter(any_plant, kernels):
 def test_a_lane_does_not_see_its_neighbours(any_plant, phi, phi_dot, x, u):
     start = (x, 0.1, phi, phi_dot)
     rows = []
-    for lanes, n in ((1, 0), (LANES, 0), (LANES, LANES - 1), (5, 3)):
-        block = new_block()
+    for lanes, n in ((1, 0), (BATCH_SIZE, 0), (BATCH_SIZE, BATCH_SIZE - 1), (5, 3)):
+        block = new_batch_state()
         for other in range(lanes):
             reset(any_plant, block, PENDULUM, NOMINAL, (0.01 * other - 0.08, 0.0, 0.0, 0.0), other)
         reset(any_plant, block, PENDULUM, NOMINAL, start, n)
-        block.memory.u[:] = -1.0
-        block.memory.u[n] = u
+        block.controller.u[:] = -1.0
+        block.controller.u[n] = u
         for _ in range(5):
             step(any_plant, block, lanes)
-        rows.append(block.state[n::LANES].tobytes() + block.memory.q[n::LANES].tobytes())
+        rows.append(
+            block.state[n::BATCH_SIZE].tobytes() + block.controller.q[n::BATCH_SIZE].tobytes()
+        )
     assert len(set(rows)) == 1
 
 
@@ -285,18 +288,20 @@ def test_a_lane_near_a_singularity_does_not_change_its_neighbours():
     arm = iiwa(14).model_copy(
         update={"home": tuple(radians(angle) for angle in (0, 30, 0, -70, 0, 80, 0))}
     )
-    plant = make_plant(arm, resolve(overrides=["clik.singular_share=0.5"]), paper.STEP, PENDULUM)
-    alone, beside = new_block(), new_block()
+    plant = make_loop_params(
+        arm, resolve(overrides=["clik.singular_share=0.5"]), paper.STEP, PENDULUM
+    )
+    alone, beside = new_batch_state(), new_batch_state()
     for block in (alone, beside):
         reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.01, 0.0), 0)
-        block.memory.u[:] = 1.0
+        block.controller.u[:] = 1.0
     reset(plant, beside, PENDULUM, NOMINAL, (0.19, 0.0, 0.0, 0.0), 1)
     for _ in range(20):
         step(plant, alone, 1)
         step(plant, beside, 2)
-    assert alone.memory.damped[0] == 0 < beside.memory.damped[0]
-    assert beside.memory.q[::LANES].tobytes() == alone.memory.q[::LANES].tobytes()
-    assert beside.state[::LANES].tobytes() == alone.state[::LANES].tobytes()
+    assert alone.controller.damped[0] == 0 < beside.controller.damped[0]
+    assert beside.controller.q[::BATCH_SIZE].tobytes() == alone.controller.q[::BATCH_SIZE].tobytes()
+    assert beside.state[::BATCH_SIZE].tobytes() == alone.state[::BATCH_SIZE].tobytes()
 
 
 class Obeys:
@@ -325,10 +330,10 @@ def test_a_recording_tells_what_was_seen_from_what_there_was(any_plant, kernels)
     trials.zero[1] = 0.005
     _, rows = record_trial(any_plant, Obeys(kernels["linear"]), PENDULUM, trials, 1, 300, 0, TEST)
     assert len(rows.u) == 300
-    for row, u in zip(rows.seen, rows.u, strict=True):
+    for row, u in zip(rows.observation, rows.u, strict=True):
         assert u == act(kernels["linear"], *row.tolist(), 0.0)
-    if not any_plant.controller.observes:
-        assert np.array_equal(rows.seen, rows.state)
+    if not any_plant.controller.has_sensor:
+        assert np.array_equal(rows.observation, rows.state)
         assert np.array_equal(rows.estimate[:, :2], rows.state[:, 2:])
         assert not rows.estimate[:, 2].any()
         assert np.array_equal(rows.arm_q, rows.q)
@@ -368,7 +373,7 @@ def test_every_trial_is_run_once_and_told_of(plant, kernels, count):
 def test_a_trial_lasts_so_many_steps_and_no_more(plant, kernels):
     trials = run(plant, kernels["linear"], 20, duration=0.37)
     assert trials.steps.tolist() == [37] * 20
-    assert trials.cause.tolist() == [LASTED] * 20
+    assert trials.cause.tolist() == [TRUNCATED] * 20
 
 
 # Failure, beside what tests/learning/test_closed_loop.py shows
@@ -376,7 +381,7 @@ def test_a_trial_lasts_so_many_steps_and_no_more(plant, kernels):
 
 def placed(plant, phi=0.0, x=0.0):
     """Return block and cause of the end after one step of a pendulum on which nothing acts."""
-    block = new_block()
+    block = new_batch_state()
     reset(plant, block, PendulumParameters(0.0, 0.0, 0.0), NOMINAL, (x, 0.0, phi, 0.0), 0)
     step(plant, block, 1)
     return block, int(block.cause[0])
@@ -385,11 +390,11 @@ def placed(plant, phi=0.0, x=0.0):
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_flange_on_the_limit_is_a_failure_and_one_just_within_is_not(plant, sign):
     block, _ = placed(plant, x=sign * 0.1)
-    reached = abs(float(block.state[X * LANES]))
+    reached = abs(float(block.state[X * BATCH_SIZE]))
     assert placed(plant._replace(x_limit=reached), x=sign * 0.1)[1] == TRACK
-    assert placed(plant._replace(x_limit=nextafter(reached, inf)), x=sign * 0.1)[1] == LASTED
+    assert placed(plant._replace(x_limit=nextafter(reached, inf)), x=sign * 0.1)[1] == TRUNCATED
     assert plant.x_limit == 0.22
-    assert placed(plant, x=sign * 0.2199)[1] == LASTED
+    assert placed(plant, x=sign * 0.2199)[1] == TRUNCATED
     assert placed(plant, x=sign * 0.2201)[1] == TRACK
 
 
@@ -402,7 +407,7 @@ def test_an_angle_is_told_before_the_track_and_the_track_before_a_joint(plant):
     assert CAUSES[ANGLE] == "angle"
     assert CAUSES[TRACK] == "track"
     assert CAUSES[JOINT_LIMIT] == "joint limit"
-    assert CAUSES[LASTED] == "lasted"
+    assert CAUSES[TRUNCATED] == "lasted"
 
 
 def test_what_is_not_a_number_is_a_failure(plant):
@@ -416,16 +421,16 @@ def test_there_is_a_core():
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_flange_at_the_limit_of_its_speed_is_a_failure_and_one_just_below_is_not(plant, sign):
     def after(plant, x=0.0):
-        block = new_block()
+        block = new_batch_state()
         still = PendulumParameters(0.0, 0.0, 0.0)
         reset(plant, block, still, NOMINAL, (x, sign * 0.2, 0.0, 0.0), 0)
         step(plant, block, 1)
-        return abs(float(block.state[X_DOT * LANES])), int(block.cause[0])
+        return abs(float(block.state[X_DOT * BATCH_SIZE])), int(block.cause[0])
 
     reached, cause = after(plant)
-    assert (plant.speed_limit, cause) == (inf, LASTED)
+    assert (plant.speed_limit, cause) == (inf, TRUNCATED)
     ended = after(plant._replace(speed_limit=reached))[1]
     assert (cause_named(ended), guard_named(ended)) == ("guard", "flange speed")
-    assert after(plant._replace(speed_limit=nextafter(reached, inf)))[1] == LASTED
+    assert after(plant._replace(speed_limit=nextafter(reached, inf)))[1] == TRUNCATED
     # Off the track is named first: it is what the flange's speed may lead to.
     assert after(plant._replace(speed_limit=0.1), x=sign * 0.2195)[1] == TRACK

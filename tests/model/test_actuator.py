@@ -12,9 +12,9 @@ from equipoise.model.actuator import (
     AMPLITUDE,
     CYCLE,
     IDEAL,
+    INTERVAL_WIDTH,
     KST,
     LAG,
-    WIDTH,
     Actuator,
     ActuatorParameters,
     follow,
@@ -23,21 +23,21 @@ from equipoise.model.actuator import (
     steady_error,
     track,
 )
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 
 SHAPED = ActuatorParameters(KST)
 
 
 def share_of(lag):
-    return np.full(6 * LANES, lag_share(lag))
+    return np.full(6 * BATCH_SIZE, lag_share(lag))
 
 
 def moved(targets, actuator, lag=0.0):
     """Return positions and velocities of a joint after each cycle, from rest at zero."""
-    q, dq = np.zeros(6 * LANES), np.zeros(6 * LANES)
+    q, dq = np.zeros(6 * BATCH_SIZE), np.zeros(6 * BATCH_SIZE)
     positions, velocities = [], []
     for target in targets:
-        follow(q, dq, np.full(6 * LANES, target), share_of(lag), actuator, 1)
+        follow(q, dq, np.full(6 * BATCH_SIZE, target), share_of(lag), actuator, 1)
         positions.append(q[0])
         velocities.append(dq[0])
     return np.array(positions), np.array(velocities)
@@ -50,13 +50,17 @@ def moved(targets, actuator, lag=0.0):
 def test_the_shaping_law_is_the_servers_formula(e):
     # In the server's source: sign(e) 0.07 (1 - exp(-(e / 0.0525)^2)).
     expected = np.sign(e) * 0.07 * -expm1(-((e / 0.0525) ** 2))
-    assert shaped_step(e, AMPLITUDE, WIDTH) == pytest.approx(expected, rel=1e-11, abs=1e-300)
+    assert shaped_step(e, AMPLITUDE, INTERVAL_WIDTH) == pytest.approx(
+        expected, rel=1e-11, abs=1e-300
+    )
 
 
 def test_small_errors_keep_their_precision():
     # 1 - exp(-z) would lose all digits here.
-    assert shaped_step(1e-9, AMPLITUDE, WIDTH) == pytest.approx(0.07 * (1e-9 / 0.0525) ** 2)
-    assert shaped_step(0.0, AMPLITUDE, WIDTH) == 0.0
+    assert shaped_step(1e-9, AMPLITUDE, INTERVAL_WIDTH) == pytest.approx(
+        0.07 * (1e-9 / 0.0525) ** 2
+    )
+    assert shaped_step(0.0, AMPLITUDE, INTERVAL_WIDTH) == 0.0
 
 
 STEADY_LAG_MS = {
@@ -150,12 +154,12 @@ def test_no_lag_takes_up_all_at_once():
 @pytest.mark.parametrize("kind", [IDEAL, LAG, KST])
 def test_each_lane_and_joint_moves_alone(kind):
     rng = np.random.default_rng(2)
-    target, q = rng.uniform(-0.1, 0.1, (2, 6 * LANES))
-    dq, share = rng.uniform(-0.5, 0.5, 6 * LANES), rng.uniform(0.05, 1.0, 6 * LANES)
+    target, q = rng.uniform(-0.1, 0.1, (2, 6 * BATCH_SIZE))
+    dq, share = rng.uniform(-0.5, 0.5, 6 * BATCH_SIZE), rng.uniform(0.05, 1.0, 6 * BATCH_SIZE)
     together, speeds = q.copy(), dq.copy()
-    follow(together, speeds, target, share, ActuatorParameters(kind), LANES)
-    for place in range(6 * LANES):
-        one, speed, its_target, its_share = (np.zeros(6 * LANES) for _ in range(4))
+    follow(together, speeds, target, share, ActuatorParameters(kind), BATCH_SIZE)
+    for place in range(6 * BATCH_SIZE):
+        one, speed, its_target, its_share = (np.zeros(6 * BATCH_SIZE) for _ in range(4))
         one[0], speed[0], its_target[0], its_share[0] = (
             q[place], dq[place], target[place], share[place]
         )  # fmt: skip
@@ -240,7 +244,7 @@ def test_a_push_holds_a_joint_off_its_setpoint_by_the_error_that_balances_it():
     time = np.arange(0.0, 2.0, 0.005)
     replies = np.arange(0.0, 1.9, 0.005)
     found = tracked(time, np.zeros(len(time)), replies, np.zeros(len(replies)), push=0.2)
-    balance = WIDTH * sqrt(-np.log(1.0 - 0.2 * CYCLE / AMPLITUDE))
+    balance = INTERVAL_WIDTH * sqrt(-np.log(1.0 - 0.2 * CYCLE / AMPLITUDE))
     assert found[-1] == pytest.approx(balance, rel=1e-3)
     linear = tracked(time, np.zeros(len(time)), replies, np.zeros(len(replies)), LAG, push=0.01)
     assert linear[-1] == pytest.approx(0.01)

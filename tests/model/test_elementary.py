@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise.compiled import kernel
-from equipoise.model.elementary import LANES, at, put, sincos
+from equipoise.model.elementary import BATCH_SIZE, at, put, sincos
 
 DIGITS = 60
 PI = Decimal(
@@ -161,26 +161,26 @@ def in_lanes(angles, out, lanes):
 
 
 def in_block(angles, lanes):
-    out = np.full(2 * LANES, np.nan)
+    out = np.full(2 * BATCH_SIZE, np.nan)
     in_lanes(np.ascontiguousarray(angles), out, lanes)
-    return out.reshape(2, LANES)
+    return out.reshape(2, BATCH_SIZE)
 
 
 @pytest.mark.parametrize("spread", [1.0, 10.0, 1e5])
 def test_an_angle_has_the_same_bits_in_any_lane_alone_or_in_company(spread):
     rng = np.random.default_rng(6)
     for _ in range(50):
-        angles = rng.uniform(-spread, spread, LANES)
+        angles = rng.uniform(-spread, spread, BATCH_SIZE)
         alone = np.array([sincos(float(x)) for x in angles]).T
         # The bytes are compared: -0.0 == 0.0 would hide a difference.
-        assert in_block(angles, LANES).tobytes() == alone.tobytes()
-        order = rng.permutation(LANES)
-        assert in_block(angles[order], LANES).tobytes() == alone[:, order].tobytes()
+        assert in_block(angles, BATCH_SIZE).tobytes() == alone.tobytes()
+        order = rng.permutation(BATCH_SIZE)
+        assert in_block(angles[order], BATCH_SIZE).tobytes() == alone[:, order].tobytes()
 
 
-@pytest.mark.parametrize("lanes", range(LANES + 1))
+@pytest.mark.parametrize("lanes", range(BATCH_SIZE + 1))
 def test_lanes_that_are_not_used_are_not_touched(lanes):
-    angles = np.linspace(-3.0, 3.0, LANES)
+    angles = np.linspace(-3.0, 3.0, BATCH_SIZE)
     out = in_block(angles, lanes)
     alone = np.array([sincos(float(x)) for x in angles]).T
     assert out[:, :lanes].tobytes() == alone[:, :lanes].tobytes()
@@ -188,8 +188,8 @@ def test_lanes_that_are_not_used_are_not_touched(lanes):
 
 
 def test_a_row_of_a_block_is_contiguous():
-    numbers = np.zeros(3 * LANES)
+    numbers = np.zeros(3 * BATCH_SIZE)
     put(numbers, 2, 5, 7.0)
-    assert np.flatnonzero(numbers).tolist() == [2 * LANES + 5]
+    assert np.flatnonzero(numbers).tolist() == [2 * BATCH_SIZE + 5]
     assert at(numbers, 2, 5) == 7.0
     assert at(numbers, 2, 4) == 0.0

@@ -16,16 +16,16 @@ from typing import NamedTuple
 import numpy as np
 
 from equipoise import paper
-from equipoise.control.boxes import LASTED
+from equipoise.control.boxes import TRUNCATED
 from equipoise.learning.closed_loop import (
-    Block,
-    Variation,
+    BatchState,
+    DomainRandomization,
     draw_noise,
-    new_block,
+    new_batch_state,
     reset,
     step,
 )
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
@@ -59,7 +59,7 @@ class Episode:
         """Draw the pendulum, the rig and the start."""
         self.plant, self.seed, self.learner, self.number = plant, seed, learner, number
         self.tick = 0
-        self.block: Block = new_block()
+        self.block: BatchState = new_batch_state()
         w0, w1, _, _ = philox(seed, 0, number, learner, TRAINING_EPISODE)
         on_I, on_b = normal_pair(w0, w1)
         I = max(0.1, 1.0 + settings.plant.inertia_sigma * on_I)
@@ -79,7 +79,7 @@ class Episode:
         )
         rig = settings.plant
         w0, w1, w2, _ = philox(seed, 0, number, learner, TRAINING_ACTUATOR)
-        variation = Variation(
+        variation = DomainRandomization(
             inertia_factor=1.0,  # the pendulum has them already
             friction_factor=1.0,
             delay=rig.delay_spread * (2.0 * w0 / 2**32 - 1.0),
@@ -92,21 +92,23 @@ class Episode:
 
     def place(self):
         """Return the intervals (i, j, k, m) that hold what the policy sees."""
-        x, x_dot, phi, phi_dot = (float(value) for value in self.block.memory.seen[::LANES])
+        x, x_dot, phi, phi_dot = (
+            float(value) for value in self.block.controller.observation[::BATCH_SIZE]
+        )
         # A prediction may lie beyond the limits, where no box is: it counts as just within.
         x, phi = min(max(x, -0.2199), 0.2199), min(max(phi, -0.1919), 0.1919)
         return place(x, x_dot, phi, phi_dot)
 
     def advance(self):
         """Make one control step with its action; tell whether it failed."""
-        tick, number = np.full(LANES, self.tick), np.full(LANES, self.number)
+        tick, number = np.full(BATCH_SIZE, self.tick), np.full(BATCH_SIZE, self.number)
         draw_noise(
-            self.block.memory.noise, self.seed, tick, number, self.learner, TRAINING_NOISE, 1
+            self.block.controller.noise, self.seed, tick, number, self.learner, TRAINING_NOISE, 1
         )
-        self.block.memory.u[0] = paper.ACTIONS[self.action]
+        self.block.controller.u[0] = paper.ACTIONS[self.action]
         step(self.plant, self.block, 1)
         self.tick += 1
-        return self.block.cause[0] != LASTED
+        return self.block.cause[0] != TRUNCATED
 
 
 def train(plant, pendulum, settings, until, seed, learner):
@@ -162,7 +164,7 @@ def train(plant, pendulum, settings, until, seed, learner):
                 learn(episode.cell, episode.action, target)
             else:
                 before, episode.cell = episode.cell, episode.place()
-                if s.held and episode.cell == before and episode.tick < longest:
+                if s.hold_action and episode.cell == before and episode.tick < longest:
                     continue
                 target = s.gamma**episode.held * max(Q[episode.cell])
                 learn(before, episode.action, target)

@@ -5,16 +5,16 @@ import numpy as np
 from equipoise import paper
 from equipoise.artefacts import Estimate, Provenance
 from equipoise.control.boxes import describe
-from equipoise.control.policy import Candidate, LearningPoint, TabularPolicy
+from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
 from equipoise.evaluation import Evaluation, TrialResults
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, SwingFit
-from equipoise.model.worlds import MODEL, read_world
-from equipoise.runlog import IDEAL, RunConditions, RunLog, Truth
+from equipoise.model.sim_configs import MODEL, read_world
+from equipoise.runlog import IDEAL, RunConditions, RunLog, TruthColumns
 from equipoise.settings import resolve
-from equipoise.studies.results import Record, Results, Stage, digests
-from equipoise.studies.stand_in import SimulatedSwing
+from equipoise.studies.results import PipelineStage, Results, StageRecord, digests
+from equipoise.studies.synthetic_swing import SyntheticSwing
 from equipoise.trajectory import Trajectory
 from tests.report.made_up_gap import falls_early, measured
 
@@ -92,7 +92,7 @@ def policy(of, recipe="robust", unvisited=7):
         for n in range(1000, 10001, 1000)
     ]
     candidates = [
-        Candidate(episodes=n, trials=400, survived=399, mean_duration=60.0, rms_x=0.05, score=0.9)
+        Checkpoint(episodes=n, trials=400, survived=399, mean_duration=60.0, rms_x=0.05, score=0.9)
         for n in (9000, 8000, 10000)
     ]
     return TabularPolicy(
@@ -111,7 +111,7 @@ def policy(of, recipe="robust", unvisited=7):
         episodes=10_000,
         steps=400_000,
         learning_curve=tuple(curve),
-        candidates=tuple(candidates) if selected else (),
+        checkpoints=tuple(candidates) if selected else (),
     )
 
 
@@ -137,7 +137,7 @@ def evaluation(of, falls=(3.0, 20.0)):
         settings=of.settings,
         seed=0,
         results=trials("policy", falls),
-        yardsticks=(
+        baselines=(
             trials("LQR", ()),
             trials("random", np.linspace(0.2, 0.9, 20).tolist(), cause="angle"),
         ),
@@ -161,7 +161,7 @@ def run(of, lasted=60.0, cause="lasted", world=MODEL):
         }
 
     was = state(time - AHEAD if twin else time)
-    known = {"truth": Truth(**was, q=q - 0.001)} if twin else {}
+    known = {"truth": TruthColumns(**was, q=q - 0.001)} if twin else {}
     return RunLog(
         conditions=RunConditions(
             policy=of.digest,
@@ -211,16 +211,19 @@ def results(
     trained = policy(identified, recipe)
     studied = world != MODEL and recipe != "paper"
     found = Results(
-        record=Record(
+        record=StageRecord(
             quick=quick,
             recipe=recipe,
             seed=0,
             workers=2,
             swing=trajectory.source,
             swing_sha256="sha256:" + 64 * "a",
-            simulated=None if given else SimulatedSwing(),
+            simulated=None if given else SyntheticSwing(),
             files={},
-            stages=(Stage(name="train", wall=8.25), Stage(name="evaluate", wall=0.5)),
+            stages=(
+                PipelineStage(name="train", wall=8.25),
+                PipelineStage(name="evaluate", wall=0.5),
+            ),
         ),
         swing=trajectory,
         pendulum=identified,

@@ -6,7 +6,7 @@ from unittest.mock import patch
 from equipoise.control.policy import TabularPolicy
 from equipoise.evaluation import TrialResults
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
-from equipoise.model.worlds import TwinSettings, World
+from equipoise.model.sim_configs import TwinSettings, World
 from equipoise.settings import Settings, resolve
 from equipoise.studies import gap as study
 from equipoise.studies.gap import gap

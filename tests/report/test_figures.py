@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from equipoise.errors import RecordingError
 from equipoise.model.pendulum import fitted_curve
-from equipoise.model.worlds import MODEL
+from equipoise.model.sim_configs import MODEL
 from equipoise.report import figures
 from equipoise.report.style import save, to_png, to_svg
 from tests.report import made_up

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from equipoise import paper
-from equipoise.control.controller import horizon
+from equipoise.control.control_step import horizon
 from equipoise.errors import ArtefactError, OutsideError
-from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.model.sim_configs import MODEL, TwinSettings
 from equipoise.report.choices import chapters, departures
 from equipoise.report.markup import Missing, paragraph
 from equipoise.report.page import DRAWINGS, PAGE, build, drawings, page
@@ -407,7 +407,7 @@ def test_a_run_of_an_older_version_is_known_by_the_digest_that_it_states(folder,
     copied(folder, tmp_path)
     old = Path(__file__).parents[1] / "data" / "run-v1.mcap"
     (tmp_path / files.RUN).write_bytes(old.read_bytes())
-    record = files.Record.load(tmp_path / files.RECORD)
+    record = files.StageRecord.load(tmp_path / files.RECORD)
     stated = read_header(old).digest
     assert files.RunLog.load(old).digest != stated
     for digest, belongs in ((stated, True), ("sha256:" + 64 * "0", False)):

@@ -18,9 +18,9 @@ from equipoise.model.arms.scene import SIZES
 from equipoise.report.pictures import animation, frames, rendering, strip, video, write_video
 from equipoise.report.pictures.film import BAR, FPS
 from equipoise.report.pictures.moments import moments
-from equipoise.report.pictures.stage import stage
+from equipoise.report.pictures.scene import stage
 from equipoise.report.pictures.strip import key_moments
-from equipoise.runlog import RunLog, Stream, Truth
+from equipoise.runlog import RunLog, Stream, TruthColumns
 from tests.report import made_up
 
 ARM = iiwa(7)
@@ -193,7 +193,7 @@ def test_moments_lie_on_straight_lines_between_the_ticks(run):
 
 
 def test_the_truth_is_shown_where_it_is_known(run):
-    truth = Truth(run.x - 0.01, run.x_dot, run.phi + 0.1, run.phi_dot, run.q + 0.2)
+    truth = TruthColumns(run.x - 0.01, run.x_dot, run.phi + 0.1, run.phi_dot, run.q + 0.2)
     shown = moments(dataclasses.replace(run, truth=truth), ARM, [0.5])
     assert shown.x[0] == pytest.approx(run.x[50] - 0.01)
     assert shown.phi[0] == pytest.approx(run.phi[50] + 0.1)
@@ -201,13 +201,15 @@ def test_the_truth_is_shown_where_it_is_known(run):
 
 
 def test_captions_are_signed_and_in_degrees(run):
-    truth = Truth(*(np.full_like(run.x, v) for v in (-0.0301, 0.0, np.radians(1.26), 0.0)), run.q)
+    truth = TruthColumns(
+        *(np.full_like(run.x, v) for v in (-0.0301, 0.0, np.radians(1.26), 0.0)), run.q
+    )
     shown = moments(dataclasses.replace(run, truth=truth), ARM, [0.5])
     assert shown.captions() == [("t = 0.50 s", "x = −0.030 m", "φ = +1.3°", U_AT_50)]
 
 
 def test_a_zero_has_no_sign(run):
-    truth = Truth(*np.full((4, len(run.x)), -1e-5), run.q)
+    truth = TruthColumns(*np.full((4, len(run.x)), -1e-5), run.q)
     shown = moments(dataclasses.replace(run, truth=truth), ARM, [0.5])
     assert shown.captions() == [("t = 0.50 s", "x = 0.000 m", "φ = 0.0°", U_AT_50)]
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from equipoise.control.pilot import PHASES
+from equipoise.control.run_controller import PHASES
 from equipoise.control.states import Phase
 from equipoise.errors import ArmError, RecordingError
 from equipoise.model.arms.iiwa import iiwa

@@ -3,8 +3,8 @@
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.deployment.rig import Request, run_rig_virtually
-from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.deployment.rig import RunRequest, run_rig_virtually
+from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig
 
 
@@ -16,7 +16,7 @@ def rig_log(tmp_path_factory):
     world = read_world("twin:nominal")
     real = pendulum_on(policy.pendulum, world.settings)
     emulated = emulated_rig(world, settings, real, seed=3)
-    request = Request(
+    request = RunRequest(
         policy=policy,
         actuator=policy.actuator,
         settings=settings,

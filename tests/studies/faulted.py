@@ -9,26 +9,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from equipoise.control.lane import Lane
-from equipoise.control.pilot import Pilot
+from equipoise.control.baselines import pd_gains
+from equipoise.control.controller import Controller
 from equipoise.control.policy import LINEAR, policy_kernel, shipped_policy
-from equipoise.control.states import Phase, State
-from equipoise.control.yardsticks import pd_gains
-from equipoise.deployment.rig import Request, _outcome
+from equipoise.control.run_controller import RunController
+from equipoise.control.states import Phase, RunState
+from equipoise.deployment.rig import RunRequest, _outcome
 from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.sensor import LineEncoder
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.loop import run_loop
 from equipoise.devices.transports import memory_pipe
-from equipoise.devices.twin.bench import Bench
 from equipoise.devices.twin.robot import TwinRobot
+from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.learning.closed_loop import scaled
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings
 from equipoise.runwriter import Recorder, RunWriter
-from equipoise.studies.explanation import Name
+from equipoise.studies.explanation import CauseName
 
 WORLD = "twin:nominal"
 
@@ -51,10 +51,10 @@ class Silent:
     def __init__(self):
         self.said = []
 
-    def tell(self, event):
+    def notify(self, event):
         pass
 
-    def words(self):
+    def read_input(self):
         said, self.said = self.said, []
         return said
 
@@ -62,7 +62,7 @@ class Silent:
 class Fault(NamedTuple):
     """What goes wrong; each may be left out."""
 
-    name: Name
+    name: CauseName
     """What has to be named."""
     start: tuple = (0.03, 0.2)
     """phi [rad] and phi_dot [rad/s] at the release."""
@@ -88,7 +88,7 @@ class Stage:
     def __init__(self, seed, start):
         self.clock = LateClock()
         world, policy = read_world(WORLD), shipped_policy()
-        self.request = Request(
+        self.request = RunRequest(
             policy=policy, actuator=policy.actuator, settings=RigSettings(), robot=WORLD,
             encoder=None, duration=5.0, t1=False, dry_run=False, seed=seed,
         )  # fmt: skip
@@ -99,7 +99,7 @@ class Stage:
         # What nobody knows: the real pendulum, and how far its zero is off before any fault.
         real = scaled(pendulum_on(policy.pendulum, there), inertia, friction)
         self.zero = float(random.uniform(-there.zero_error, there.zero_error))
-        self.bench = Bench(arm, PendulumParameters(*real), there, seed=seed)
+        self.bench = SimulatedRig(arm, PendulumParameters(*real), there, seed=seed)
         self.clock.attach(self.bench.advance)
         self.held = pi - start[0]
         self.board = Board(lambda: self.bench.theta if self.held is None else self.held, seed=seed)
@@ -129,7 +129,7 @@ def run_with(fault, seed, path):
     robot.connect()
     stage.sensor.samples()
     robot.start()
-    pilot = Pilot(
+    pilot = RunController(
         arm,
         controller,
         fault.policy or request.policy.kernel,
@@ -174,11 +174,11 @@ def begin_balancing(pilot, now, fault, stage):
     phi, phi_dot = fault.start
     counts_per_radian = 8192 / (2.0 * pi)
     pilot.zero = -(pi - phi) * counts_per_radian + (fault.zero + stage.zero) * counts_per_radian
-    lane: Lane = pilot._lane
+    lane: Controller = pilot._lane
     lane.begin(phi, phi_dot)
     pilot._measured_at = now
     pilot._at_home = np.array(stage.bench.body.torques(True))
-    pilot.state = State(Phase.BALANCING)
+    pilot.state = RunState(Phase.BALANCING)
     pilot.began = now
 
 
@@ -195,39 +195,43 @@ def draw_fault(kind, seed):
     if kind == "outside":
         out = sign * np.deg2rad(random.uniform(12.5, 17.0))
         share = float(random.uniform(0.2, 0.5))
-        return Fault(Name.OUTSIDE, start=(share * out, (1.0 - share) * out * 8.4))
-    plain = Fault(Name.UNKNOWN, start=start, at=at)
+        return Fault(CauseName.OUTSIDE, start=(share * out, (1.0 - share) * out * 8.4))
+    plain = Fault(CauseName.UNKNOWN, start=start, at=at)
     if kind == "push":
         rate = either(2.0, 3.5)
-        return plain._replace(name=Name.PUSH, once=lambda s: s.bench.push(rate))
+        return plain._replace(name=CauseName.PUSH, once=lambda s: s.bench.push(rate))
     if kind == "track":
         gains = pd_gains(shipped_policy().pendulum.parameters())
-        return plain._replace(name=Name.TRACK, policy=policy_kernel(LINEAR, gains=gains), u_max=2.0)
+        return plain._replace(
+            name=CauseName.TRACK, policy=policy_kernel(LINEAR, gains=gains), u_max=2.0
+        )
     if kind == "late":
         late = float(random.uniform(0.025, 0.08))
-        return plain._replace(name=Name.LATE, once=lambda s: setattr(s.clock, "oversleep", late))
+        return plain._replace(
+            name=CauseName.LATE, once=lambda s: setattr(s.clock, "oversleep", late)
+        )
     if kind == "silent":
-        return plain._replace(name=Name.STALE, once=lambda s: setattr(s.board, "silent", True))
+        return plain._replace(name=CauseName.STALE, once=lambda s: setattr(s.board, "silent", True))
     if kind == "frozen":
-        return plain._replace(name=Name.STALE, once=lambda s: setattr(s.board, "frozen", True))
+        return plain._replace(name=CauseName.STALE, once=lambda s: setattr(s.board, "frozen", True))
     if kind == "jump":
         counts = round(either(20, 600))
-        return plain._replace(name=Name.JUMP, once=lambda s: s.board.jump(counts))
+        return plain._replace(name=CauseName.JUMP, once=lambda s: s.board.jump(counts))
     if kind == "lines":
-        return plain._replace(name=Name.JUMP, once=lambda s: s.board.skip(5))
+        return plain._replace(name=CauseName.JUMP, once=lambda s: s.board.skip(5))
     if kind == "zero":
-        return plain._replace(name=Name.ZERO, zero=float(np.deg2rad(either(3.0, 6.0))))
+        return plain._replace(name=CauseName.ZERO, zero=float(np.deg2rad(either(3.0, 6.0))))
     if kind == "creep":
         speed = np.deg2rad(either(3.0, 10.0)) * 1e-3
-        return plain._replace(name=Name.ZERO, each=lambda s: s.bench.slip(speed))
+        return plain._replace(name=CauseName.ZERO, each=lambda s: s.bench.slip(speed))
     if kind == "loss":
         share = float(random.uniform(0.35, 0.7))
-        return plain._replace(name=Name.ZERO, once=lambda s: setattr(s.board, "loss", share))
+        return plain._replace(name=CauseName.ZERO, once=lambda s: setattr(s.board, "loss", share))
     if kind == "weak":
         share = float(random.uniform(0.2, 0.3))
         kernel = shipped_policy().kernel
         return plain._replace(
-            name=Name.SATURATION,
+            name=CauseName.SATURATION,
             start=(sign * np.deg2rad(0.7), sign * np.deg2rad(4.0)),
             policy=kernel._replace(u_of_box=share * kernel.u_of_box),
             u_max=2.0 * share,
@@ -240,13 +244,15 @@ def draw_fault(kind, seed):
             limits[2:] *= share
             return limits
 
-        return plain._replace(name=Name.JOINT, limits=narrow)
+        return plain._replace(name=CauseName.JOINT, limits=narrow)
     if kind == "contact":
         force = either(120.0, 250.0)
-        return plain._replace(name=Name.CONTACT, once=lambda s: s.bench.touch([0.0, force, 0.0]))
+        return plain._replace(
+            name=CauseName.CONTACT, once=lambda s: s.bench.touch([0.0, force, 0.0])
+        )
     if kind == "stop":
         return plain._replace(
-            name=Name.NOT_FOLLOWING, once=lambda s: s.bench.body.stop("emergency stop")
+            name=CauseName.NOT_FOLLOWING, once=lambda s: s.bench.body.stop("emergency stop")
         )
     raise ValueError(kind)
 

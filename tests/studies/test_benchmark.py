@@ -12,16 +12,21 @@ from rich.console import Console
 
 from equipoise import paper
 from equipoise.learning import closed_loop
-from equipoise.learning.closed_loop import TRACKED, Variation, make_plant, new_block
+from equipoise.learning.closed_loop import (
+    TRACKED,
+    DomainRandomization,
+    make_loop_params,
+    new_batch_state,
+)
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import Settings, resolve
 from equipoise.studies import benchmark as bench
 from equipoise.studies.benchmark import OURS, Contestant, PinocchioLoop, race, table
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.1)
-NOMINAL = Variation(1.0, 1.0, 0.0, 1.0, 0.0)
+NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 QUIET = resolve(overrides=["plant.position_error_sigma=0.0", "plant.orientation_error_sigma=0.0"])
 
 
@@ -105,7 +110,7 @@ def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
     pytest.importorskip("pinocchio")
     arm = iiwa(size)
     peer = PinocchioLoop(arm, QUIET, paper.STEP)
-    plant, ours = make_plant(arm, QUIET, paper.STEP, PENDULUM), new_block()
+    plant, ours = make_loop_params(arm, QUIET, paper.STEP, PENDULUM), new_batch_state()
     closed_loop.reset(plant, ours, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
     rng = np.random.default_rng(5)
     x, x_dot, reached = 0.0, 0.0, 0.0
@@ -113,13 +118,13 @@ def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
         # Random actions that stay on the track: towards its middle where the arm would leave it.
         ahead = x + x_dot * abs(x_dot) / 2.0
         u = rng.choice(paper.ACTIONS) if abs(ahead) < 0.15 else -np.sign(ahead) * 2.0
-        ours.memory.u[0] = u
+        ours.controller.u[0] = u
         closed_loop.step(plant, ours, 1)
         assert peer.run([float(u)]) == 1
-        assert peer.q == pytest.approx(ours.memory.q[::LANES], abs=1e-9)
+        assert peer.q == pytest.approx(ours.controller.q[::BATCH_SIZE], abs=1e-9)
         # u' is a difference of velocities over h = 0.01 s: a hundredth as exact.
-        assert peer.tracked == pytest.approx(ours.state[TRACKED * LANES], abs=1e-7)
-        x, x_dot = ours.state[0], ours.state[LANES]
+        assert peer.tracked == pytest.approx(ours.state[TRACKED * BATCH_SIZE], abs=1e-7)
+        x, x_dot = ours.state[0], ours.state[BATCH_SIZE]
         reached = max(reached, abs(x))
     assert peer.within
     assert 0.1 < reached < 0.22

@@ -15,7 +15,7 @@ from scipy import stats
 
 from equipoise.errors import ArtefactError, InputError, SettingsError
 from equipoise.evaluation import Evaluation, TrialResults, evaluate
-from equipoise.model.worlds import TwinSettings, read_world
+from equipoise.model.sim_configs import TwinSettings, read_world
 from equipoise.studies import certification
 from equipoise.studies.certification import (
     ROUND_NUMBERS,
@@ -251,7 +251,7 @@ def fallen(monkeypatch, small_policy):
                 survival=tuple(duration if cause == "lasted" else 1.0 for cause in causes),
                 causes=tuple(causes),
             ),
-            yardsticks=(),
+            baselines=(),
         )
 
     counts, worlds = [0, 0], []

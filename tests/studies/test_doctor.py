@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from equipoise.devices.machine import Machine
+from equipoise.devices.host import HostInfo
 from equipoise.devices.probes import Heard
-from equipoise.devices.realtime import Measure
+from equipoise.devices.realtime import RealtimeSetting
 from equipoise.studies.doctor import (
     EncoderReading,
     Spread,
@@ -22,7 +22,7 @@ from equipoise.studies.doctor import (
     judge_silence,
 )
 
-GOOD = Machine(
+GOOD = HostInfo(
     system="Linux",
     kernel="6.8.1-realtime",
     realtime=True,
@@ -37,10 +37,10 @@ GOOD = Machine(
     free=200 * 2**30,
 )
 MEASURES = (
-    Measure("garbage collection", True, "off"),
-    Measure("memory locked", True, "all pages stay in memory"),
-    Measure("real-time priority", True, "SCHED_FIFO 60"),
-    Measure("own core", True, "core 7"),
+    RealtimeSetting("garbage collection", True, "off"),
+    RealtimeSetting("memory locked", True, "all pages stay in memory"),
+    RealtimeSetting("real-time priority", True, "SCHED_FIFO 60"),
+    RealtimeSetting("own core", True, "core 7"),
 )
 
 
@@ -113,7 +113,10 @@ def test_the_load_is_judged_by_the_cores_that_share_it():
 
 
 def test_what_the_machine_did_not_allow_is_cured_in_limits_conf():
-    denied = (Measure("memory locked", False, "no"), Measure("real-time priority", False, "no"))
+    denied = (
+        RealtimeSetting("memory locked", False, "no"),
+        RealtimeSetting("real-time priority", False, "no"),
+    )
     lock, priority = judge_measures(denied, machine(rtprio=0, memlock=8388608))
     assert lock.state == priority.state == "care"
     assert lock.found == "not allowed; the limit memlock is 8192 KiB"
@@ -130,11 +133,11 @@ def test_what_the_machine_did_not_allow_is_cured_in_limits_conf():
 
 def test_what_a_system_does_not_have_keeps_the_words_of_the_measure():
     (found,) = judge_measures(
-        [Measure("real-time priority", False, "darwin has no SCHED_FIFO; use Linux")],
+        [RealtimeSetting("real-time priority", False, "darwin has no SCHED_FIFO; use Linux")],
         machine(system="Darwin"),
     )
     assert (found.state, found.cure) == ("care", "darwin has no SCHED_FIFO; use Linux")
-    (found,) = judge_measures([Measure("own core", False, "use two cores")], GOOD)
+    (found,) = judge_measures([RealtimeSetting("own core", False, "use two cores")], GOOD)
     assert (found.state, found.cure) == ("care", "use two cores")
 
 

@@ -7,21 +7,21 @@ import re
 import numpy as np
 import pytest
 
-from equipoise.control import pilot, states
-from equipoise.control.boxes import CAUSES, GUARD
-from equipoise.control.guards import guard_named
+from equipoise.control import run_controller, states
+from equipoise.control.boxes import CAUSES, SAFETY_STOP
 from equipoise.control.policy import shipped_policy
 from equipoise.control.safety import Rule
 from equipoise.control.states import UNKNOWN as UNTOLD
+from equipoise.control.trial_safety import guard_named
 from equipoise.deployment import deploy, excite, rig
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.worlds import World, read_world
+from equipoise.model.sim_configs import World, read_world
 from equipoise.runwriter import Recorder, RunWriter, push_event, read_rig_run
 from equipoise.studies.explanation import (
     ADVICE,
     IN_SIMULATION,
     LOOKS,
-    Name,
+    CauseName,
     _course,
     explain,
 )
@@ -69,11 +69,11 @@ def test_95_of_100_faults_are_named(tmp_path):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_run_that_lasts_raises_no_suspicion(seed, tmp_path):
-    fault = Fault(Name.LASTED, start=draw_fault("push", seed).start)
+    fault = Fault(CauseName.LASTED, start=draw_fault("push", seed).start)
     path = tmp_path / "run.mcap"
     assert run_with(fault, seed, path).cause == "lasted"
     run = read_rig_run(path)
-    assert [cause.name for cause in explain(run).causes] == [Name.LASTED]
+    assert [cause.name for cause in explain(run).causes] == [CauseName.LASTED]
     # Nor would it if it had ended: no look finds anything.
     course = _course(run, balancing(run))
     assert [found for look in LOOKS if (found := look(course))] == []
@@ -106,13 +106,13 @@ def test_a_wrong_zero_is_measured(tmp_path):
 
 def test_a_log_that_breaks_off_is_explained_as_far_as_it_goes(tmp_path, rig_log, broken_off):
     found = explain(read_rig_run(broken_off))
-    assert (found.causes[0].name, found.ending.whole) == (Name.BROKEN_OFF, False)
+    assert (found.causes[0].name, found.ending.whole) == (CauseName.BROKEN_OFF, False)
     # A push is seen in what is there, whether or not the log says how the run ended.
     path = tmp_path / "run.mcap"
     run_with(draw_fault("push", 5), 5, path)
     whole = read_rig_run(path)
     cut = dataclasses.replace(whole, end=whole.end | {"cause": "error", "reason": ""})
-    assert explain(cut).causes[0].name is Name.PUSH
+    assert explain(cut).causes[0].name is CauseName.PUSH
 
 
 def test_a_run_that_never_balanced_is_explained_by_its_reason(tmp_path, rig_log):
@@ -124,7 +124,7 @@ def test_a_run_that_never_balanced_is_explained_by_its_reason(tmp_path, rig_log)
     writer.finish(1.0, {"cause": "self-test", "reason": "the encoder turns the wrong way round"})
     found = explain(read_rig_run(path))
     assert found.log is None
-    assert found.causes[0].name is Name.SELF_TEST
+    assert found.causes[0].name is CauseName.SELF_TEST
     assert found.causes[0].evidence == "the encoder turns the wrong way round"
 
 
@@ -139,7 +139,7 @@ def test_a_zero_error_is_named_in_a_log_of_a_twin(seed):
     sign = (-1.0) ** seed
     log = on_twin(seed, zero_offset=sign * np.deg2rad(5.0), zero_error=0.0)
     assert log.conditions.cause != "lasted"
-    assert explain(log).causes[0].name is Name.ZERO
+    assert explain(log).causes[0].name is CauseName.ZERO
 
 
 def test_a_release_outside_the_recoverable_set_is_named_in_a_log_of_a_twin():
@@ -150,28 +150,28 @@ def test_a_release_outside_the_recoverable_set_is_named_in_a_log_of_a_twin():
     settings = policy.settings.model_copy(update={"evaluation": wide})
     log = deploy(policy, world="twin:nominal", settings=settings, duration=3.0)
     assert log.conditions.cause != "lasted"
-    assert explain(log).causes[0].name is Name.OUTSIDE
+    assert explain(log).causes[0].name is CauseName.OUTSIDE
 
 
 def test_a_run_on_a_twin_that_lasts_has_nothing_to_explain():
     log = on_twin()
     assert log.conditions.cause == CAUSES[0] == "lasted"
-    assert [cause.name for cause in explain(log).causes] == [Name.LASTED]
+    assert [cause.name for cause in explain(log).causes] == [CauseName.LASTED]
     course = _course(log, log)
     assert [found for look in LOOKS if (found := look(course))] == []
 
 
 def test_every_cause_says_what_to_do(rig_log):
-    assert set(ADVICE) == set(Name)
-    assert set(IN_SIMULATION) <= set(Name)
-    assert explain(load_run(rig_log)).causes[0].name is Name.LASTED
+    assert set(ADVICE) == set(CauseName)
+    assert set(IN_SIMULATION) <= set(CauseName)
+    assert explain(load_run(rig_log)).causes[0].name is CauseName.LASTED
 
 
 RIG_CAUSES = {rule.value for rule in Rule} | {
     *("lasted", "operator", "dry run", "self-test", "joint limit", "fault", "link lost"),
     *(UNTOLD.name, BROKEN_OFF, "error"),
 }
-"""Every cause of a log of a rig: the rules, and the words of pilot, deployment and reader."""
+"""Every cause of a log of a rig: the rules, and those of run controller, deployment and reader."""
 OF_A_BENCH = {
     *(Rule.LINK, Rule.NOT_FOLLOWING, Rule.TORQUE, Rule.FIRST, Rule.TICK, Rule.NUMBER, Rule.COUNT),
     *(Rule.ENCODER_STALE, Rule.ENCODER_ILLEGAL, Rule.ENCODER_GAP, Rule.ENCODER_JUMP),
@@ -182,7 +182,7 @@ OF_A_BENCH = {
 def test_the_causes_of_a_rig_are_all_that_the_sources_name():
     """Each `Cause("...")` and each run that never moved, read from the sources themselves."""
     written = set[str]()
-    for module in (pilot, rig, states):
+    for module in (run_controller, rig, states):
         source = inspect.getsource(module)
         written |= set(re.findall(r'Cause\(\s*"([^"]+)"', source))
         written |= set(re.findall(r'_unmoved\(\s*"([^"]+)"', source))
@@ -195,7 +195,7 @@ def test_every_cause_of_a_log_of_a_rig_is_explained(cause, tmp_path, rig_log):
     whole = read_rig_run(rig_log)
     end = None if cause == BROKEN_OFF else {"cause": cause, "reason": f"because of {cause}"}
     found = explain(dataclasses.replace(whole, end=end))
-    assert found.causes[0].name is not Name.UNKNOWN
+    assert found.causes[0].name is not CauseName.UNKNOWN
     assert found.causes[0].advice
     assert found.ending.cause == cause
     if end is not None:
@@ -205,8 +205,8 @@ def test_every_cause_of_a_log_of_a_rig_is_explained(cause, tmp_path, rig_log):
 @pytest.mark.parametrize(
     ("cause", "guard"),
     [
-        *((cause, "") for cause in CAUSES if cause != CAUSES[GUARD]),
-        *((CAUSES[GUARD], guard_named(GUARD + code)) for code in range(len(Rule))),
+        *((cause, "") for cause in CAUSES if cause != CAUSES[SAFETY_STOP]),
+        *((CAUSES[SAFETY_STOP], guard_named(SAFETY_STOP + code)) for code in range(len(Rule))),
     ],
 )
 def test_every_cause_of_a_log_of_a_twin_is_explained_from_its_last_tick(cause, guard, short_run):
@@ -214,8 +214,8 @@ def test_every_cause_of_a_log_of_a_twin_is_explained_from_its_last_tick(cause, g
     conditions = short_run.conditions.model_copy(update=ended)
     found = explain(dataclasses.replace(short_run, conditions=conditions))
     first = found.causes[0]
-    assert first.name is not Name.UNKNOWN
-    assert (first.name is Name.LASTED) is (cause == "lasted")
+    assert first.name is not CauseName.UNKNOWN
+    assert (first.name is CauseName.LASTED) is (cause == "lasted")
     assert found.ending.cause == (guard or cause)
     if not guard or Rule(guard) not in OF_A_BENCH:  # what a simulation needs is not done at a rig
         assert not re.search("smartPAD|cable|hand|level the base", first.advice)
@@ -228,7 +228,7 @@ def test_every_cause_of_a_log_of_a_twin_is_explained_from_its_last_tick(cause, g
 def test_an_excitation_is_no_riddle(pendulum):
     run = excite(iiwa(7), "twin:nominal", pendulum, duration=0.1)
     found = explain(run)
-    assert [cause.name for cause in found.causes] == [Name.EXCITED]
+    assert [cause.name for cause in found.causes] == [CauseName.EXCITED]
     assert "equipoise identify" in found.causes[0].advice
 
 

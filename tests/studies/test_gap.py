@@ -13,7 +13,7 @@ from equipoise.evaluation import TrialResults, evaluate
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings, World, read_world
+from equipoise.model.sim_configs import TwinSettings, World, read_world
 from equipoise.settings import EvaluationSettings
 from equipoise.studies import gap as study
 from equipoise.studies.gap import CLEAN, EFFECTS, FULL, SHORT, VARIANTS, told, trials_of
@@ -358,7 +358,7 @@ def test_the_table_of_the_paper_is_trained_by_its_recipe(policy, monkeypatch):
     assert table.settings.plant.ideal
     assert table.pendulum == policy.pendulum
     assert table.arm == policy.arm
-    assert table.candidates
+    assert table.checkpoints
 
 
 @pytest.mark.compiled_only

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from equipoise.artefacts import Estimate
-from equipoise.control.policy import Candidate, shipped_policy
+from equipoise.control.policy import Checkpoint, shipped_policy
 from equipoise.deployment import deploy
 from equipoise.devices.twin.twin import Twin
 from equipoise.errors import ArtefactError, RecordingError
@@ -20,7 +20,7 @@ from equipoise.identification.closed_loop import compare, regress
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.worlds import TwinSettings, World
+from equipoise.model.sim_configs import TwinSettings, World
 from equipoise.runlog import EncoderSamples, Replies
 from equipoise.settings import GRAVITY, PlantSettings
 from equipoise.studies import refinement
@@ -357,9 +357,11 @@ def test_the_better_table_is_kept_with_the_new_model(small_policy):
 def test_a_new_table_is_kept_only_if_it_is_better(monkeypatch, small_policy, score, kept):
     def judged(policy, **_):
         mine = 0.5 if policy.Q == small_policy.Q else score
-        return Candidate(episodes=1, trials=9, survived=5, mean_duration=1.0, rms_x=0.1, score=mine)
+        return Checkpoint(
+            episodes=1, trials=9, survived=5, mean_duration=1.0, rms_x=0.1, score=mine
+        )
 
-    monkeypatch.setattr(refinement, "judge", judged)
+    monkeypatch.setattr(refinement, "score_policy", judged)
     refined = retrain(
         small_policy, small_policy.pendulum, small_policy.actuator, episodes=40, seed=3
     )

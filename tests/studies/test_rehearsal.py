@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from equipoise.control.safety import POSITION_MARGIN
-from equipoise.deployment.rig import Outcome
+from equipoise.deployment.rig import RunResult
 from equipoise.errors import InputError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.rigs import RigSettings
 from equipoise.studies.rehearsal import FAULTS, REAL_TIME, choose, rehearse, rehearse_all
-from equipoise.studies.rehearsal.judgement import (
+from equipoise.studies.rehearsal.fault_harness import ExpectedNotice, RunObservation
+from equipoise.studies.rehearsal.verdicts import (
     Sent,
     came_to_rest,
     judge,
     limits_kept,
     setpoints_of,
 )
-from equipoise.studies.rehearsal.stage import Look, Told
 
 pytestmark = pytest.mark.compiled_only
 
@@ -198,11 +198,14 @@ class Seen:
         ]
         self.robot_wire = SimpleNamespace(sent=sent)
         self.broken_at, self.held_at_start = 0.012, False
-        self.told = [Told(-1.0, "home", ""), Told(0.020, "stopping", "look at the cable")]
-        self.looks = [Look(0.002 * i, 0.1, tuple(HOME)) for i in range(500)]
+        self.told = [
+            ExpectedNotice(-1.0, "home", ""),
+            ExpectedNotice(0.020, "stopping", "look at the cable"),
+        ]
+        self.looks = [RunObservation(0.002 * i, 0.1, tuple(HOME)) for i in range(500)]
 
 
-ENDED = Outcome("stale encoder", "", 0.0, True, None, 0, {}, {})
+ENDED = RunResult("stale encoder", "", 0.0, True, None, 0, {}, {})
 
 
 def judged(seen, outcome=ENDED, **changes):
@@ -230,15 +233,15 @@ def test_the_judge_finds_each_thing_that_is_wrong():
     assert judged(seen, held_at_start=True) == []
 
     seen = Seen()
-    seen.told.append(Told(0.5, "balancing", ""))
+    seen.told.append(ExpectedNotice(0.5, "balancing", ""))
     assert any("went on after its stop" in one for one in judged(seen))
 
     seen = Seen()
-    seen.looks[-1] = Look(1.0, 0.1, tuple(HOME + 0.02))
+    seen.looks[-1] = RunObservation(1.0, 0.1, tuple(HOME + 0.02))
     assert any("at the end" in one for one in judged(seen))
 
     seen = Seen()
-    seen.looks[100] = Look(0.2, 0.23, tuple(HOME))
+    seen.looks[100] = RunObservation(0.2, 0.23, tuple(HOME))
     assert any("from home" in one for one in judged(seen))
 
     seen = Seen()
@@ -258,10 +261,10 @@ def test_a_lost_robot_has_to_be_told_within_100_ms():
     words = "software cannot stop the robot: press the E-stop"
     for late, good in ((0.099, True), (0.101, False)):
         seen = Seen()
-        seen.told[1] = Told(seen.broken_at + late, "fault", words)
+        seen.told[1] = ExpectedNotice(seen.broken_at + late, "fault", words)
         assert (judged(seen, stoppable=False, says="", within=1.0) == []) is good
     seen = Seen()
-    seen.told[1] = Told(0.02, "fault", "the link is gone")
+    seen.told[1] = ExpectedNotice(0.02, "fault", "the link is gone")
     assert any("nobody told" in one for one in judged(seen, stoppable=False, says=""))
 
 

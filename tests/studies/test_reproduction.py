@@ -11,10 +11,11 @@ from equipoise.errors import ArtefactError, OutsideError, RecordingError
 from equipoise.identification import identify
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
-from equipoise.model.worlds import MODEL
+from equipoise.model.sim_configs import MODEL
 from equipoise.report.page import build
 from equipoise.settings import resolve
 from equipoise.studies import gap as study
+from equipoise.studies.formatting import LASTED
 from equipoise.studies.gap_results import CURED, PAPER
 from equipoise.studies.reproduction import (
     QUICK,
@@ -24,8 +25,7 @@ from equipoise.studies.reproduction import (
     unfinished_path,
 )
 from equipoise.studies.results import GAP, RECORD, RUN, SWING, load, verdict
-from equipoise.studies.stand_in import SimulatedSwing, simulated_swing
-from equipoise.studies.wording import LASTED
+from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.trajectory import Trajectory
 
 pytestmark = pytest.mark.compiled_only
@@ -217,7 +217,7 @@ def test_the_results_do_not_depend_on_the_number_of_workers(made, tmp_path):
 
 @pytest.mark.usefixtures("with_tiny_gap")
 def test_a_recorded_swing_is_used_and_kept(tmp_path):
-    recorded = simulated_swing(SimulatedSwing(period=0.9), seed=8)
+    recorded = synthetic_swing(SyntheticSwing(period=0.9), seed=8)
     given = Trajectory(time=recorded.time, theta=recorded.theta, source="mine.csv")
     made = reproduce(tmp_path, swing=given, settings=SHORT, workers=1)
     record = made.results.record
@@ -263,8 +263,8 @@ def test_quick_only_shortens():
 
 
 def test_the_hand_of_the_simulated_swing_holds_and_lets_go():
-    swing = SimulatedSwing()
-    recording = simulated_swing(swing, seed=1)
+    swing = SyntheticSwing()
+    recording = synthetic_swing(swing, seed=1)
     held = recording.time < swing.hold
     assert np.ptp(recording.theta[held]) < 4.0 * swing.tremor
     assert np.ptp(recording.theta[held]) > swing.tremor
@@ -273,11 +273,11 @@ def test_the_hand_of_the_simulated_swing_holds_and_lets_go():
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
     assert np.max(np.abs(np.diff(recording.theta))) < 0.02
     assert not recording.released
-    assert not np.array_equal(simulated_swing(swing, seed=2).theta, recording.theta)
+    assert not np.array_equal(synthetic_swing(swing, seed=2).theta, recording.theta)
 
 
 def test_a_swing_without_a_hand_is_identified_from_its_first_sample():
-    recording = simulated_swing(SimulatedSwing(hold=0.0, noise=0.0))
+    recording = synthetic_swing(SyntheticSwing(hold=0.0, noise=0.0))
     assert recording.time[0] == 0.0
     assert identify(recording).fit.release is None
 

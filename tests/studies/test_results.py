@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from equipoise.model.worlds import MODEL
+from equipoise.model.sim_configs import MODEL
+from equipoise.studies.formatting import percent, plus_minus
 from equipoise.studies.gap_results import CURED, NO_BIAS, NO_PREDICTION, PAPER
 from equipoise.studies.results import estimates_zero, seen_otherwise, truth, verdict
-from equipoise.studies.wording import percent, plus_minus
 from tests.report import made_up
 
 

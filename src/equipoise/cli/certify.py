@@ -131,7 +131,7 @@ def certify(
 
 def _say(output: Output, certificate: "Certificate") -> None:
     from equipoise.studies.certification import percentage
-    from equipoise.studies.wording import falls
+    from equipoise.studies.formatting import falls
 
     claim = certificate.claim
     # Rounded down: a lower bound that is rounded up is none.

@@ -27,7 +27,7 @@ from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.errors import EquipoiseError, InputError
 
 if TYPE_CHECKING:
-    from equipoise.cli.console import Console
+    from equipoise.cli.terminal_operator import TerminalOperator
     from equipoise.runlog import RunLog
 
 NOT_BALANCED = 1
@@ -211,7 +211,7 @@ def _excite(
     duration: float | None,
 ) -> "RunLog":
     from equipoise.deployment import excite
-    from equipoise.model.worlds import MODEL
+    from equipoise.model.sim_configs import MODEL
 
     if world == MODEL:
         raise InputError(f"the world {MODEL} has no servo to excite; give a twin")
@@ -249,7 +249,7 @@ def _film(output: Output, run: "RunLog", policy: Path | None, video: Path) -> No
 
 
 def _say(output: Output, run: "RunLog") -> None:
-    from equipoise.model.worlds import PivotFriction
+    from equipoise.model.sim_configs import PivotFriction
 
     conditions, truth = run.conditions, run.truth
     cause = conditions.cause + (f" ({conditions.guard})" if conditions.guard else "")
@@ -292,10 +292,10 @@ def _on_a_rig(
     log: Destination,
 ) -> int:
     """Run on a rig, and return the exit code."""
-    from equipoise.cli.console import Console, single_keys
-    from equipoise.deployment.processes import run_for_real
+    from equipoise.cli.terminal_operator import TerminalOperator, single_keys
+    from equipoise.deployment.processes import run_in_processes
     from equipoise.deployment.rig import (
-        Request,
+        RunRequest,
         check_request,
         exit_code,
         rehearse_t1,
@@ -308,7 +308,7 @@ def _on_a_rig(
     check_addresses(robot, encoder)
     table = read_policy(policy)
     response = read_actuator(actuator)
-    request = Request(
+    request = RunRequest(
         policy=table,
         actuator=table.actuator if response is None else response,
         settings=settings,
@@ -326,7 +326,7 @@ def _on_a_rig(
     if t1:
         with output.busy("trying the policy in T1 on the twin"):
             rehearse_t1(request)
-    console, out = Console(output), log.path
+    console, out = TerminalOperator(output), log.path
     before = _identity(out)
     try:
         if is_virtual(robot):
@@ -336,7 +336,7 @@ def _on_a_rig(
                 )
         else:
             with single_keys():
-                outcome = run_for_real(request, out, console, replace=log.force)
+                outcome = run_in_processes(request, out, console, replace=log.force)
     except EquipoiseError:
         if _identity(out) != before:
             output.wrote(out)
@@ -371,10 +371,10 @@ def _identity(path: Path) -> int | None:
 class Listening:
     """A console that is told, and speaks only by signals: an emulated operator types."""
 
-    def __init__(self, console: "Console", stopped: Callable[[], bool]) -> None:
+    def __init__(self, console: "TerminalOperator", stopped: Callable[[], bool]) -> None:
         """Tell a console, and ask whether a signal came."""
-        self.tell, self._stopped = console.tell, stopped
+        self.notify, self._stopped = console.notify, stopped
 
-    def words(self) -> list[str]:
+    def read_input(self) -> list[str]:
         """Return a stop, once a signal came."""
         return ["stop"] if self._stopped() else []

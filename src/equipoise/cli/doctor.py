@@ -77,7 +77,7 @@ def doctor(
     output.say(f"Looking at {looked_at}; nothing moves")
 
     from equipoise.devices.clocks import SystemClock
-    from equipoise.devices.machine import punctually, read_machine
+    from equipoise.devices.host import read_host_info, run_with_realtime_priority
     from equipoise.devices.probes import burning, lateness
     from equipoise.rigs import encoder_at, is_virtual, read_rig, robot_at
     from equipoise.studies.doctor import Spread, diagnose
@@ -90,13 +90,13 @@ def doctor(
     arm = None if robot is None else robot_at(robot, clock, tell=output.say)
     # The board's own word on its counts is wanted, and judged here.
     sensor = None if encoder is None else encoder_at(encoder, clock, sign=settings.encoder_sign)
-    machine = read_machine(logs)
+    machine = read_host_info(logs)
     with output.busy("waiting for deadlines"):
-        late, measures = punctually(lambda: lateness(clock, seconds))
+        late, measures = run_with_realtime_priority(lambda: lateness(clock, seconds))
     loaded = None
     if load:
         with output.busy("... while every core is busy"), burning(machine.cores or 1):
-            loaded = Spread.of(punctually(lambda: lateness(clock, seconds))[0])
+            loaded = Spread.of(run_with_realtime_priority(lambda: lateness(clock, seconds))[0])
     reading, link, silent = _examine(output, arm, sensor, clock, seconds)
     diagnosis = diagnose(
         machine,
@@ -127,7 +127,7 @@ def _examine(
     seconds: float,
 ) -> "tuple[EncoderReading | None, Spread | None, dict[str, str]]":
     """Look at what there is of a rig; a part that fails is named, with what its driver said."""
-    from equipoise.devices.machine import punctually
+    from equipoise.devices.host import run_with_realtime_priority
     from equipoise.devices.probes import connected, listen, round_trips
     from equipoise.studies.doctor import EncoderReading, Spread
 
@@ -136,14 +136,14 @@ def _examine(
     if sensor is not None:
         try:
             with output.busy("listening to the encoder"), connected(sensor):
-                heard, _ = punctually(lambda: listen(sensor, clock, seconds))
+                heard, _ = run_with_realtime_priority(lambda: listen(sensor, clock, seconds))
             reading = EncoderReading.of(heard)
         except LinkError as error:
             silent["encoder"] = str(error)
     if robot is not None:
         try:
             with output.busy("asking the robot for its joints"), connected(robot):
-                trips, _ = punctually(lambda: round_trips(robot, clock, seconds))
+                trips, _ = run_with_realtime_priority(lambda: round_trips(robot, clock, seconds))
             link = Spread.of(trips)
         except LinkError as error:
             silent["robot"] = str(error)

@@ -16,9 +16,9 @@ from equipoise.errors import InputError
 
 if TYPE_CHECKING:
     from equipoise.devices.emulation import Emulation
-    from equipoise.devices.kuka.cabinet import Faults
+    from equipoise.devices.kuka.server_emulator import Faults
     from equipoise.model.pendulum import Pendulum, PendulumParameters
-    from equipoise.model.worlds import TwinSettings
+    from equipoise.model.sim_configs import TwinSettings
 
 HOST = "127.0.0.1"
 
@@ -116,7 +116,7 @@ def _emulation(
     """Return what is emulated, and the friction of its pendulum in words."""
     from equipoise.devices.clocks import SystemClock
     from equipoise.devices.emulation import Emulation
-    from equipoise.model.worlds import pivot_friction, read_world
+    from equipoise.model.sim_configs import pivot_friction, read_world
 
     name, settings = read_world(world)
     identified = read_pendulum(pendulum)
@@ -140,7 +140,7 @@ def _as_it_is(pendulum: "Pendulum", settings: "TwinSettings", seed: int) -> "Pen
     import numpy as np
 
     from equipoise.learning.closed_loop import scaled
-    from equipoise.model.worlds import pivot_friction
+    from equipoise.model.sim_configs import pivot_friction
 
     inertia, friction = np.random.default_rng([seed, 2]).standard_normal(2).tolist()
     own = scaled(
@@ -157,7 +157,7 @@ def _faults(inject: str | None) -> "Faults":
     Raises:
         InputError: One is not known, is no number, or cannot be that much.
     """
-    from equipoise.devices.kuka.cabinet import Faults
+    from equipoise.devices.kuka.server_emulator import Faults
 
     most = {"delay": 10.0, "jitter": 10.0, "drop": 1.0, "refuse": 1.0}
     numbers: dict[str, float] = {}

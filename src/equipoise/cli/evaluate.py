@@ -127,7 +127,7 @@ def evaluate(
     of_urdf = (held, base, tip)
     if function is not None:
         from equipoise.cli.functions import read_function
-        from equipoise.model.worlds import MODEL
+        from equipoise.model.sim_configs import MODEL
 
         if world != MODEL or actuator or max_speed is not None or not with_yardsticks:
             raise InputError(
@@ -292,9 +292,9 @@ def _evaluate_function(
 def _runs(pendulum: "Pendulum") -> int:
     """Return how many policies run all trials: the one asked for and the yardsticks."""
     from equipoise import paper
-    from equipoise.control.yardsticks import yardsticks
+    from equipoise.control.baselines import baselines
 
-    return 1 + len(yardsticks(pendulum.parameters(), paper.STEP))
+    return 1 + len(baselines(pendulum.parameters(), paper.STEP))
 
 
 @contextmanager
@@ -324,7 +324,7 @@ def trials_of(
     output: Output, name: str, policy: "TabularPolicy", world: str, total: int
 ) -> "Generator[Done]":
     """Show the trials of a policy in a world, as `trial_bar`."""
-    from equipoise.model.worlds import MODEL
+    from equipoise.model.sim_configs import MODEL
     from equipoise.studies.compilation import FUNCTIONS, TWIN_FUNCTIONS, compile_trials
 
     functions = FUNCTIONS if world == MODEL else FUNCTIONS + TWIN_FUNCTIONS
@@ -350,7 +350,7 @@ def _say(output: Output, evaluation: "Evaluation") -> bool:
     for title in ("lasted", "share", "95 % interval", "median"):
         table.add_column(title, justify="right", no_wrap=True)
     table.add_column("ended by")
-    for results in (evaluation.results, *evaluation.yardsticks):
+    for results in (evaluation.results, *evaluation.baselines):
         own = results is evaluation.results
         table.add_row(*_row(results), style="bold" if own else None)
     output.say(table)
@@ -375,7 +375,7 @@ def _say(output: Output, evaluation: "Evaluation") -> bool:
 
 
 def _row(results: "TrialResults") -> tuple[str, ...]:
-    from equipoise.studies.wording import percent
+    from equipoise.studies.formatting import percent
 
     summary = results.summary()
     low, high = summary.interval
@@ -394,7 +394,7 @@ def _result(evaluation: "Evaluation", out: Path) -> dict[str, object]:
     return {
         **_summary(evaluation.results),
         "duration": evaluation.duration,
-        "yardsticks": {results.name: _summary(results) for results in evaluation.yardsticks},
+        "yardsticks": {results.name: _summary(results) for results in evaluation.baselines},
         "world": evaluation.world,
         "seed": evaluation.seed,
         "evaluation": str(out),

@@ -4,7 +4,7 @@ import importlib
 import sys
 from pathlib import Path
 
-from equipoise.control.python_policy import PythonPolicy, told
+from equipoise.control.python_policy import PythonPolicy, format_error
 from equipoise.errors import InputError
 
 
@@ -45,4 +45,4 @@ def read_function(name: str) -> PythonPolicy:
 
 
 def _broken(module: str, error: Exception) -> InputError:
-    return InputError(f"importing {module!r} raised {told(error)}; correct it")
+    return InputError(f"importing {module!r} raised {format_error(error)}; correct it")

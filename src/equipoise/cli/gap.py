@@ -23,7 +23,7 @@ from equipoise.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from equipoise.studies.gap_results import Controller, Gap, Point
+    from equipoise.studies.gap_results import Controller, Gap, GapPoint
 
 
 @verb
@@ -198,7 +198,7 @@ def _curves(found: "Gap", part: Literal["delay", "zero"]) -> "Table":
     return table
 
 
-def _cell(found: "Gap", point: "Point") -> str:
+def _cell(found: "Gap", point: "GapPoint") -> str:
     from equipoise.studies.gap_results import mean, track_share
 
     share = track_share(point.results)

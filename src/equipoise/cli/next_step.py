@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from equipoise.errors import SettingsError
-from equipoise.model.worlds import MODEL, PREFIX, read_world
+from equipoise.model.sim_configs import MODEL, PREFIX, read_world
 
 if TYPE_CHECKING:
     from equipoise.control.policy import TabularPolicy
@@ -69,7 +69,7 @@ def after_training(out: Path, policy: "TabularPolicy", again: Sequence[str]) -> 
         policy: The policy.
         again: Words of this training, without `--seeds` and `--out`.
     """
-    if policy.candidates and 2 * policy.candidates[0].survived < policy.candidates[0].trials:
+    if policy.checkpoints and 2 * policy.checkpoints[0].survived < policy.checkpoints[0].trials:
         return ("train", *again, *_given(seeds=2 * SEEDS))
     return ("evaluate", str(out))
 

@@ -26,7 +26,7 @@ from equipoise.printable import printable
 
 if TYPE_CHECKING:
     from equipoise.artefacts import Estimate
-    from equipoise.studies.progress import Progress, Show
+    from equipoise.studies.progress import ProgressReporter, Show
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -166,7 +166,7 @@ class Output:
             stoppable() as check,
         ):
 
-            def show(progress: "Progress") -> None:
+            def show(progress: "ProgressReporter") -> None:
                 check()
                 stages.show(progress)
 

@@ -23,8 +23,8 @@ from equipoise.printable import printable
 
 if TYPE_CHECKING:
     from equipoise.artefacts import Artefact, Estimate
-    from equipoise.control.policy import Candidate, TabularPolicy
-    from equipoise.studies.refinement import Findings, Refinement
+    from equipoise.control.policy import Checkpoint, TabularPolicy
+    from equipoise.studies.refinement import Refinement, RefinementFindings
 
 PARTS = ("policy", "pendulum", "actuator")
 """What may be written, and the keys of the paths in the JSON object."""
@@ -131,7 +131,7 @@ def _paths(out: Path) -> dict[str, Path]:
 def _retrain(
     output: Output,
     policy: "TabularPolicy",
-    findings: "Findings",
+    findings: "RefinementFindings",
     episodes: int | None,
     seed: int,
     workers: int | None,
@@ -165,7 +165,7 @@ def _retrain(
         )
 
 
-def _say(output: Output, policy: "TabularPolicy", findings: "Findings") -> None:
+def _say(output: Output, policy: "TabularPolicy", findings: "RefinementFindings") -> None:
     from equipoise.studies.refinement import numbers
 
     fit, known = findings.fit, policy.pendulum
@@ -200,14 +200,14 @@ def _say_kept(output: Output, refinement: "Refinement") -> None:
     output.say(f"The {refinement.kept} table is kept, with the new model.")
 
 
-def _lasted(candidate: "Candidate") -> str:
+def _lasted(candidate: "Checkpoint") -> str:
     return (
         f"{candidate.survived} of {candidate.trials} trials on the new model lasted, "
         f"score {candidate.score:.4f}"
     )
 
 
-def _result(findings: "Findings", refinement: "Refinement | None") -> dict[str, object]:
+def _result(findings: "RefinementFindings", refinement: "Refinement | None") -> dict[str, object]:
     fit = findings.fit
     estimates: dict[str, Estimate] = {
         name: getattr(fit, name).not_negative() for name in ("w2", "k", "c", "coulomb", "friction")

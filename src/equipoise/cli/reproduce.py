@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from equipoise.studies.progress import Show
-    from equipoise.studies.reproduction import Request
+    from equipoise.studies.reproduction import ReproductionRequest
 
 NOT_BALANCED = 1
 FOLDER = "equipoise-report"
@@ -171,7 +171,7 @@ def reproduce(
 
 
 def _choose(
-    output: Output, given: Path | None, request: "Request", force: bool
+    output: Output, given: Path | None, request: "ReproductionRequest", force: bool
 ) -> tuple[Destination, bool]:
     """Return the folder, and whether the interrupted reproduction in it goes on."""
     from equipoise.studies.reproduction import differences
@@ -209,7 +209,7 @@ def _draw(
     build: "Callable[[Path, Callable[[str, float], None]], Path]", folder: Path, show: "Show"
 ) -> None:
     """Draw the report as a stage."""
-    from equipoise.studies.progress import Progress
+    from equipoise.studies.progress import ProgressReporter
 
-    show(Progress("report"))
-    build(folder, lambda name, share: show(Progress("report", share, text=name)))
+    show(ProgressReporter("report"))
+    build(folder, lambda name, share: show(ProgressReporter("report", share, text=name)))

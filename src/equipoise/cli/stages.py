@@ -16,7 +16,7 @@ from rich.table import Column
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from equipoise.studies.progress import Progress as Reported
+    from equipoise.studies.progress import ProgressReporter as Reported
 
 LINE_EVERY: Final = 30.0
 """Minimum time between two lines of one stage where there is no terminal [s]."""

@@ -212,9 +212,9 @@ def _say(
 
 
 def _chosen(policy: "TabularPolicy") -> str:
-    if not policy.candidates:
+    if not policy.checkpoints:
         return "the last table, as the recipe says"
-    chosen, longest = policy.candidates[0], policy.settings.selection.final_duration
+    chosen, longest = policy.checkpoints[0], policy.settings.selection.final_duration
     return (
         f"after {chosen.episodes:,} episodes; {chosen.survived} of {chosen.trials} "
         f"selection trials lasted {longest:g} s"
@@ -222,7 +222,7 @@ def _chosen(policy: "TabularPolicy") -> str:
 
 
 def _learner(policy: "TabularPolicy") -> dict[str, object]:
-    chosen = policy.candidates[0] if policy.candidates else None
+    chosen = policy.checkpoints[0] if policy.checkpoints else None
     return {
         "learner": policy.learner,
         "steps": policy.steps,

@@ -109,7 +109,7 @@ def _repeat(
 
 
 def _say(output: Output, certificate: "Certificate", again: "Repetition") -> None:
-    from equipoise.studies.wording import falls
+    from equipoise.studies.formatting import falls
 
     words = f"{certificate.claim.trials:,} trials again: {falls(again.failures)}"
     verdict = "granted" if again.granted else "refused"

@@ -28,12 +28,13 @@ SHAPE: Final = (6, 5, 3, 3)
 COUNT: Final = 270
 ACTIONS: Final = len(paper.ACTIONS)
 
-LASTED: Final = 0
+TRUNCATED: Final = 0
 ANGLE: Final = 1
 TRACK: Final = 2
 JOINT_LIMIT: Final = 3
-GUARD: Final = 4
-"""From here on a code says too which guard it was, see `equipoise.control.guards.guard_named`."""
+SAFETY_STOP: Final = 4
+"""Lowest code of a safety stop; the rest names the rule, see
+`equipoise.control.trial_safety.guard_named`."""
 CAUSES: Final = ("lasted", "angle", "track", "joint limit", "guard")
 """How a trial ends, by code: the outer limits are where a failure is declared."""
 
@@ -79,7 +80,7 @@ class BoxDescription(Value):
 
 def cause_named(code: int) -> str:
     """Return how a trial ended, by the code of its cause."""
-    return CAUSES[min(code, GUARD)]
+    return CAUSES[min(code, SAFETY_STOP)]
 
 
 def describe() -> BoxDescription:

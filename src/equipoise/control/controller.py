@@ -1,56 +1,28 @@
-r"""A measurement becomes a command: observe, predict, (decide,) command.
+"""The controller of one arm, as Python drives it: the kernels of the training, on one lane.
 
-Once per tick of h = 0.01 s, all on the state in `Memory`::
-
-    observe   counts, measured q  ->  the state that the policy sees
-    (act)     the policy's table  ->  u
-    command   u  ->  CLIK  ->  two setpoints for the joints, h / 2 apart
-
-A setpoint moves the arm only a transport delay d after it was sent, and then as fast as servo and
-drive let it. So the controller keeps a model of the arm (`equipoise.model.actuator`) that runs on
-the setpoints as they are *sent*: its present state is where the arm will be at t + d, its past says
-where the arm is now. Slow differences to the measured q are added to it. With that:
-
-1. The pendulum's observer (`equipoise.control.estimator`) takes the acceleration that the pivot
-   has now from the model's past.
-2. The prediction moves phi and phi_dot on, over the motion that is already in flight until t + d,
-   and from there to the horizon T with the velocity going over to that of the reference. At t + T
-   the arm is where the reference is now: this is the state that the policy sees, and u changes it
-   at once, as in the paper.
-
-CLIK closes its loop on the *commanded* joints: no delay can make it unstable. The encoder measures
-the pendulum relative to the flange; the flange's own rotation about the spindle is added.
-
-Training, evaluation and deployment run these kernels, on blocks of lanes
-(`equipoise.model.elementary`); a rig uses one lane.
+Nothing is computed here: measurements go into the lane's memory, `observe`, `act` and `command` of
+`equipoise.control.control_step` and `.policy` run, and what they leave there comes out.
 """
 
-from math import floor, pi
-from typing import Any, Final, NamedTuple
+from collections.abc import Sequence
+from math import asin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import inlined, kernel
-from equipoise.control.clik import (
-    GAMMA,
-    REFERENCE_SIZE,
-    ClikParameters,
-    joint_acceleration,
-    manipulability,
-    pose_error,
-    solve,
+from equipoise.compiled import kernel
+from equipoise.control.boxes import box_index
+from equipoise.control.clik import manipulability
+from equipoise.control.control_step import (
+    SETPOINTS_PER_TICK,
+    ControllerParams,
+    command,
+    new_controller_state,
+    observe,
+    start_controller,
 )
-from equipoise.control.estimator import Gains, observer_gains
-from equipoise.errors import ArmError, SettingsError
-from equipoise.model.actuator import (
-    CYCLE,
-    Actuator,
-    ActuatorParameters,
-    follow,
-    lag_share,
-    steady_error,
-)
+from equipoise.control.policy import PolicyKernel, act
 from equipoise.model.arms.arm import (
     FRAME_SIZE,
     FREE_JOINTS,
@@ -60,586 +32,187 @@ from equipoise.model.arms.arm import (
     Arm,
     KinematicsFunction,
 )
-from equipoise.model.elementary import LANES, at, put
-from equipoise.model.pendulum import PendulumParameters, runge_kutta
-from equipoise.settings import Settings
+from equipoise.model.elementary import BATCH_SIZE, at
 
 Array = npt.NDArray[np.float64]
 
-LEAST_MANIPULABILITY: Final = 1e-6
-"""Below this |det J| [m^3] a home posture counts as singular; an iiwa at home has 0.09."""
-POSE_ITERATIONS: Final = 20
-POSE_TOLERANCE: Final = 1e-12
 
-SETPOINTS: Final = 2
-"""Setpoints per tick: at 100 Hz the server's servo would move the joints in bursts of four times
-their mean speed, at 200 Hz of twice."""
-PAST: Final = 12
-"""Ticks of the arm's motion that are remembered."""
-SHORTEST: Final = 1e-9
-"""Time that is not worth a step of the prediction [s]."""
+class Observation(NamedTuple):
+    """What the policy sees."""
 
-# Rows of the remembered motion, for each tick.
-PIVOT_V: Final = 0
-FLANGE_X: Final = 1
-TILT: Final = 2
-MODEL_Q: Final = 3
-PAST_ROWS: Final = MODEL_Q + FREE_JOINTS
-# Rows of the estimate.
-PHI_NOW: Final = 0
-PHI_DOT_NOW: Final = 1
-BIAS: Final = 2
-V_BEFORE: Final = 3
-# Rows of what the policy sees.
-X_SEEN: Final = 0
-X_DOT_SEEN: Final = 1
-PHI_SEEN: Final = 2
-PHI_DOT_SEEN: Final = 3
+    x: float
+    """Displacement of the flange from home [m]."""
+    x_dot: float
+    """Its velocity [m/s]."""
+    phi: float
+    """Angle of the pendulum from upright [rad]."""
+    phi_dot: float
+    """Its rate [rad/s]."""
 
 
-class Controller(NamedTuple):
-    """Constants of the controller, from `make_controller`."""
+class StateEstimate(NamedTuple):
+    """What the observer believes now."""
 
-    kinematics: KinematicsFunction
-    """The arm's kinematics."""
-    clik: ClikParameters
-    """Gains and damping."""
-    limits: Array
-    """Lower, upper, velocity and acceleration limits of the free joints, shape (4, 6)."""
-    home: Array
-    """Free joints at x = 0 [rad], shape (6,)."""
-    home_reference: Array
-    """Pose of the flange at home, at rest, as a reference, shape (24,)."""
-    pivot: tuple[float, float, float]
-    """The pendulum's pivot in the flange frame [m]."""
-    h: float
-    """Time between ticks [s]."""
-    observes: bool
-    """Whether there is a sensor and an actuator; without them the state is known."""
-    actuator: ActuatorParameters
-    """The model of the arm."""
-    lags: Array
-    """Time constant of each free joint [s], shape (6,)."""
-    share: Array
-    """`lag_share` of each, a block of 6 rows."""
-    delay: float
-    """d, from sending a setpoint to its effect [s]."""
-    horizon: float
-    """T, from the measurement to the state that the policy sees [s]; 0 without prediction."""
-    pendulum: PendulumParameters
-    """Nominal parameters."""
-    gains: Gains
-    """Of the pendulum's observer."""
-    resolution: float
-    """Angle of one encoder count, with the encoder's sign [rad]."""
-    correction: float
-    """Share of the difference between measured and modelled q that is taken up per tick."""
+    phi: float
+    """Angle of the pendulum from upright [rad]."""
+    phi_dot: float
+    """Its rate [rad/s]."""
+    bias: float
+    """What the encoder reads too much of phi [rad]."""
+    v: float
+    """Velocity of the pivot along x [m/s]."""
 
 
-class Memory(NamedTuple):
-    """What the controllers of `LANES` lanes remember; each field is a block of rows."""
+class Controller:
+    """A controller with its memory."""
 
-    q: Array
-    """Commanded free joints [rad], 6 rows."""
-    dq: Array
-    """Their velocities [rad/s], 6 rows."""
-    ddq: Array
-    """Their accelerations over the last tick [rad/s^2], 6 rows."""
-    frame: Array
-    """Record of the kinematics at q, dq."""
-    reference: Array
-    """Record of where the flange shall be."""
-    e: Array
-    """Room for the pose error, 6 rows."""
-    noise: Array
-    """Disturbance of the pose error in the next command [m], [rad], 6 rows; zero on a rig."""
-    u: Array
-    """Acceleration for the next command [m/s^2], 1 row."""
-    setpoints: Array
-    """Joints to send at the tick and h / 2 later [rad], 12 rows."""
-    beyond: npt.NDArray[np.int64]
-    """Whether the last command left the limits of a joint, 1 row."""
-    damped: npt.NDArray[np.int64]
-    """How often the inverse was damped near a singularity, in all lanes, shape (1,)."""
-    counts: Array
-    """Measurement: encoder counts, 1 row."""
-    measured: Array
-    """Measurement: free joints [rad], 6 rows."""
-    model_q: Array
-    """Modelled free joints at t + d [rad], 6 rows."""
-    model_dq: Array
-    """Their velocities [rad/s], 6 rows."""
-    model_frame: Array
-    """Record of the kinematics there."""
-    offset: Array
-    """Measured minus modelled joints, slowly varying [rad], 6 rows."""
-    room: Array
-    """Room for joints, 6 rows."""
-    past: Array
-    """Motion of the model at the last `PAST` ticks: pivot velocity [m/s], flange x [m], rotation of
-    the flange about the spindle [rad], joints [rad]."""
-    newest: npt.NDArray[np.int64]
-    """Which of them is the newest, shape (1,)."""
-    estimate: Array
-    """phi [rad], phi_dot [rad/s], bias of phi [rad], pivot velocity [m/s] at the tick, 4 rows."""
-    seen: Array
-    """x, x_dot, phi, phi_dot as the policy sees them, 4 rows."""
+    def __init__(self, arm: Arm, controller: ControllerParams) -> None:
+        """Begin at home, at rest."""
+        self._arm, self._controller = arm, controller
+        self._memory = new_controller_state()
+        self._free = list(arm.free)
+        self._home_x = float(controller.home_reference[POSITION])
+        self.begin(0.0, 0.0)
+
+    @property
+    def h(self) -> float:
+        """Time between ticks [s]."""
+        return self._controller.h
+
+    def begin(self, phi: float, phi_dot: float) -> None:
+        """Begin at home, at rest, with the pendulum as it was measured [rad], [rad/s]."""
+        start_controller(self._controller, self._memory, 0.0, 0.0, phi, phi_dot, 0)
+
+    def observe(
+        self, counts: float, encoder_age: float, q: Sequence[float], reply_age: float
+    ) -> Observation:
+        """Take the measurements of a tick, and return what the policy sees.
+
+        Args:
+            counts: Encoder counts from hanging, growing with theta.
+            encoder_age: How old they are [s].
+            q: Measured joints, all of them [rad].
+            reply_age: How old those are [s].
+        """
+        memory = self._memory
+        memory.counts[0] = counts
+        for row, joint in enumerate(self._free):
+            memory.measured[row * BATCH_SIZE] = q[joint]
+        observe(self._controller, memory, encoder_age, reply_age, 1)
+        return self.observation
+
+    @property
+    def observation(self) -> Observation:
+        """What the policy sees."""
+        return Observation(*self._memory.observation[::BATCH_SIZE].tolist())
+
+    @property
+    def estimate(self) -> StateEstimate:
+        """What the observer believes."""
+        return StateEstimate(*self._memory.estimate[::BATCH_SIZE].tolist())
+
+    def decide(self, policy: PolicyKernel) -> tuple[float, int]:
+        """Return u [m/s^2], and the box of what the policy sees."""
+        seen = self.observation
+        return float(act(policy, *seen, 0.0)), int(box_index(*seen, policy.boxes))
+
+    def command(self, u: float) -> tuple[tuple[float, ...], ...]:
+        """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""
+        memory = self._memory
+        memory.u[0] = u
+        command(self._controller, memory, 1)
+        free = memory.setpoints[::BATCH_SIZE].reshape(SETPOINTS_PER_TICK, FREE_JOINTS).tolist()
+        return tuple(self._all(one) for one in free)
+
+    @property
+    def limit_exceeded(self) -> bool:
+        """Whether the last command left a limit of a joint."""
+        return bool(self._memory.limit_exceeded[0])
+
+    @property
+    def q(self) -> tuple[float, ...]:
+        """Commanded joints at the end of the tick, all of them [rad]."""
+        return self._all(self._memory.q[::BATCH_SIZE].tolist())
+
+    @property
+    def dq(self) -> tuple[float, ...]:
+        """Their velocities [rad/s]."""
+        rates = [0.0] * len(self._arm.joints)
+        for joint, rate in zip(self._free, self._memory.dq[::BATCH_SIZE].tolist(), strict=True):
+            rates[joint] = rate
+        return tuple(rates)
+
+    @property
+    def x(self) -> float:
+        """Commanded displacement of the flange at the end of the tick [m]."""
+        return float(self._memory.frame[POSITION * BATCH_SIZE]) - self._home_x
+
+    @property
+    def x_dot(self) -> float:
+        """Its velocity [m/s]."""
+        return float(self._memory.frame[TWIST * BATCH_SIZE])
+
+    def _all(self, free: Sequence[float]) -> tuple[float, ...]:
+        joints = list(self._arm.home)
+        for joint, angle in zip(self._free, free, strict=True):
+            joints[joint] = angle
+        return tuple(joints)
 
 
-def make_controller(
-    arm: Arm,
-    settings: Settings,
-    actuator: Actuator,
-    pendulum: PendulumParameters,
-    *,
-    h: float,
-    counts_per_rev: int,
-    observes: bool = True,
-) -> Controller:
-    """Return the constants of a controller.
+class FlangePose(NamedTuple):
+    """Where the flange is, by measured joints."""
 
-    Args:
-        arm: The arm with its home posture.
-        settings: The sections `clik` and `controller`.
-        actuator: The model of the arm's response.
-        pendulum: Nominal parameters.
-        h: Time between ticks [s].
-        counts_per_rev: Encoder counts per revolution, after x4.
-        observes: Whether there is a sensor and an actuator.
+    x: float
+    """Displacement from home along base x [m]."""
+    drift: float
+    """Distance from the line through home [m]."""
+    tilt: float
+    """Angle from its orientation at home [rad]."""
+    manipulability: float
+    """|det J| [m^3]."""
 
-    Raises:
-        ArmError: Home is a singular posture.
-        SettingsError: The delay is longer than the controller remembers.
-    """
-    compiled = arm.compiled()
-    q, frame = np.zeros(FREE_JOINTS * LANES), np.zeros(FRAME_SIZE * LANES)
-    q[::LANES] = arm.home_free
-    compiled.kinematics(q, np.zeros(FREE_JOINTS * LANES), frame, 1)
-    w = float(manipulability(frame, 0))
-    if w < LEAST_MANIPULABILITY:
-        raise ArmError(
-            f"the home posture of {arm.name} is singular (|det J| = {w:.1e} m^3); choose another"
+
+class FlangeKinematics:
+    """Where the flange is, for whoever watches over it."""
+
+    def __init__(self, arm: Arm, controller: ControllerParams) -> None:
+        """Take the arm's kinematics."""
+        self._kinematics = controller.kinematics
+        self._home = controller.home_reference
+        self._free = list(arm.free)
+        self._q, self._dq = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FREE_JOINTS * BATCH_SIZE)
+        self._frame = np.zeros(FRAME_SIZE * BATCH_SIZE)
+
+    def place(self, q: Sequence[float]) -> FlangePose:
+        """Return where measured joints, all of them [rad], have the flange."""
+        for row, joint in enumerate(self._free):
+            self._q[row * BATCH_SIZE] = q[joint]
+        x, drift, tilt, w = flange_pose(
+            self._kinematics, self._q, self._dq, self._frame, self._home
         )
-    longest = (PAST - 3) * h
-    if actuator.delay.value > longest:
-        raise SettingsError(
-            f"the actuator's delay is {1e3 * actuator.delay.value:.0f} ms, the controller "
-            f"remembers {1e3 * longest:.0f} ms; shorten the delay of the link"
-        )
-    wrist_x, wrist_y, wrist_z = (float(value) for value in compiled.wrist)
-    lags = np.array([lag.value for lag in actuator.lags])
-    return Controller(
-        kinematics=compiled.kinematics,
-        clik=ClikParameters(
-            K_p=settings.clik.K_p,
-            K_d=settings.clik.K_d,
-            w_0=settings.clik.singular_share * w,
-            lambda_0=settings.clik.damping,
-            wrist=(wrist_x, wrist_y, wrist_z),
-        ),
-        limits=np.array(
-            [compiled.lower, compiled.upper, compiled.max_velocity, compiled.max_acceleration]
-        ),
-        home=arm.home_free,
-        home_reference=frame[: REFERENCE_SIZE * LANES : LANES].copy(),
-        pivot=arm.pivot,
-        h=h,
-        observes=observes,
-        actuator=actuator.parameters,
-        lags=lags,
-        share=np.repeat([float(lag_share(lag)) for lag in lags.tolist()], LANES),
-        delay=actuator.delay.value,
-        horizon=horizon(arm, actuator, settings.controller.margin)
-        if settings.controller.predict
-        else 0.0,
-        pendulum=pendulum,
-        gains=observer_gains(pendulum, settings.controller, counts_per_rev, h),
-        resolution=2.0 * pi / counts_per_rev,
-        correction=settings.controller.correction,
-    )
+        return FlangePose(float(x), float(drift), float(tilt), float(w))
 
 
-def horizon(arm: Arm, actuator: Actuator, margin: float) -> float:
-    """Return how far ahead the policy has to look [s].
-
-    The transport delay, plus what its interval leaves open above it (`margin` at least: looking too
-    far costs little, not far enough costs the balance), plus the time in which the flange follows
-    along x: that of the joints, weighted by their part in the motion at home.
+@kernel
+def flange_pose(
+    kinematics: KinematicsFunction, q: Array, dq: Array, frame: Array, home: Array
+) -> tuple[float, float, float, float]:
+    """Return the entries of `FlangePose`, for the first lane of a block of joints.
 
     Args:
-        arm: The arm with its home posture.
-        actuator: Its response.
-        margin: Least addition [s].
+        kinematics: Of the arm.
+        q: Free joints [rad], a block of 6 rows.
+        dq: Zero, a block of 6 rows.
+        frame: Room for the record.
+        home: Pose of the flange at home, shape (24,).
     """
-    if actuator.kind == "ideal":
-        return 0.0
-    J = arm.kinematics(arm.home_free).jacobian
-    part = J[0] * np.linalg.solve(J, np.eye(FREE_JOINTS)[0])
-    follows = [actuator.response_time(joint) for joint in range(FREE_JOINTS)]
-    delay = actuator.delay
-    return delay.value + max(delay.high - delay.value, margin) + float(part @ follows)
-
-
-def new_memory() -> Memory:
-    """Return the memory of controllers that have not begun."""
-
-    def rows(count: int) -> Array:
-        return np.zeros(count * LANES)
-
-    def whole(count: int) -> npt.NDArray[np.int64]:
-        return np.zeros(count, np.int64)
-
-    return Memory(
-        q=rows(6),
-        dq=rows(6),
-        ddq=rows(6),
-        frame=rows(FRAME_SIZE),
-        reference=rows(REFERENCE_SIZE),
-        e=rows(6),
-        noise=rows(6),
-        u=rows(1),
-        setpoints=rows(6 * SETPOINTS),
-        beyond=whole(LANES),
-        damped=whole(1),
-        counts=rows(1),
-        measured=rows(6),
-        model_q=rows(6),
-        model_dq=rows(6),
-        model_frame=rows(FRAME_SIZE),
-        offset=rows(6),
-        room=rows(6),
-        past=rows(PAST * PAST_ROWS),
-        newest=whole(1),
-        estimate=rows(4),
-        seen=rows(4),
-    )
-
-
-@kernel
-def place(controller: Controller, memory: Memory, x: float, x_dot: float, n: int) -> None:
-    """Put the command of lane `n` at a place on the track, without error.
-
-    Args:
-        controller: Constants.
-        memory: Changed in place.
-        x: Displacement of the flange from home along base x [m].
-        x_dot: Its velocity [m/s].
-        n: Lane.
-    """
-    # The arm is placed in the first lane of blocks of its own, by Newton's method.
-    q, dq, dy = np.zeros(6 * LANES), np.zeros(6 * LANES), np.zeros(6 * LANES)
-    e, frame = np.zeros(6 * LANES), np.zeros(FRAME_SIZE * LANES)
-    reference = np.zeros(REFERENCE_SIZE * LANES)
-    for i in range(REFERENCE_SIZE):
-        put(reference, i, 0, controller.home_reference[i])
-        put(memory.reference, i, n, controller.home_reference[i])
-    for i in range(6):
-        put(q, i, 0, controller.home[i])
-    put(reference, POSITION, 0, controller.home_reference[POSITION] + x)
-    for _ in range(POSE_ITERATIONS):
-        controller.kinematics(q, dq, frame, 1)
-        error = pose_error(frame, reference, 0)
-        largest = 0.0
-        for i in range(6):
-            put(e, i, 0, error[i])
-            largest = max(largest, abs(error[i]))
-        if largest < POSE_TOLERANCE:
-            break
-        solve(frame, e, controller.clik, dy, 1)
-        q += dy
-    e[:] = 0.0
-    put(e, 0, 0, x_dot)
-    solve(frame, e, controller.clik, dq, 1)
-    controller.kinematics(q, dq, frame, 1)
-    for i in range(6):
-        put(memory.q, i, n, at(q, i, 0))
-        put(memory.dq, i, n, at(dq, i, 0))
-        put(memory.ddq, i, n, 0.0)
-    for i in range(FRAME_SIZE):
-        put(memory.frame, i, n, at(frame, i, 0))
-    put(memory.reference, POSITION, n, at(reference, POSITION, 0))
-    put(memory.reference, TWIST, n, x_dot)
-
-
-@kernel
-def begin(
-    controller: Controller,
-    memory: Memory,
-    x: float,
-    x_dot: float,
-    phi: float,
-    phi_dot: float,
-    n: int,
-) -> None:
-    """Begin in lane `n`, the arm moving steadily, the pendulum as it was measured.
-
-    Args:
-        controller: Constants.
-        memory: Changed in place.
-        x: Displacement of the flange from home along base x [m].
-        x_dot: Its velocity [m/s].
-        phi: Measured angle of the pendulum from upright [rad].
-        phi_dot: Measured angular velocity [rad/s].
-        n: Lane.
-    """
-    place(controller, memory, x, x_dot, n)
-    memory.beyond[n] = 0
-    h = controller.h
-    for i in range(6):
-        dq = at(memory.dq, i, n)
-        q = at(memory.q, i, n) - steady_error(dq, controller.lags[i], controller.actuator)
-        put(memory.model_q, i, n, q)
-        put(memory.model_dq, i, n, dq)
-        put(memory.offset, i, n, 0.0)
-        for j in range(PAST):
-            entry = _entry(memory.newest[0], j)
-            put(memory.past, entry + MODEL_Q + i, n, q - j * h * dq)
-    for j in range(PAST):
-        entry = _entry(memory.newest[0], j)
-        put(memory.past, entry + PIVOT_V, n, x_dot)
-        put(memory.past, entry + FLANGE_X, n, x - j * h * x_dot)
-        put(memory.past, entry + TILT, n, 0.0)
-    put(memory.estimate, PHI_NOW, n, phi)
-    put(memory.estimate, PHI_DOT_NOW, n, phi_dot)
-    put(memory.estimate, BIAS, n, 0.0)
-    put(memory.estimate, V_BEFORE, n, x_dot)
-    # The arm moves steadily: over the horizon the pendulum falls by itself.
-    phi, phi_dot = runge_kutta(phi, phi_dot, 0.0, controller.horizon, 0.0, controller.pendulum)
-    put(memory.seen, X_SEEN, n, x)
-    put(memory.seen, X_DOT_SEEN, n, x_dot)
-    put(memory.seen, PHI_SEEN, n, phi)
-    put(memory.seen, PHI_DOT_SEEN, n, phi_dot)
-
-
-@inlined
-def _entry(newest: int, j: int) -> int:
-    """Return the first row of the motion `j` ticks before the newest."""
-    return ((newest - j) % PAST) * PAST_ROWS
-
-
-@inlined
-def _wrapped(angle: float) -> float:
-    """Return an angle in [-pi, pi)."""
-    return angle - 2.0 * pi * floor((angle + pi) / (2.0 * pi))
-
-
-@kernel
-def observe(
-    controller: Controller, memory: Memory, encoder_age: float, reply_age: float, lanes: int
-) -> None:
-    """Turn the measurements in `memory` into what the policy sees, in the first lanes.
-
-    Args:
-        controller: Constants.
-        memory: Reads `counts` and `measured`; changed in place.
-        encoder_age: How old the counts are [s].
-        reply_age: How old the measured joints are [s].
-        lanes: How many lanes.
-    """
-    past, newest, estimate, seen = memory.past, memory.newest[0], memory.estimate, memory.seen
-    measured, offset, counts, frame = memory.measured, memory.offset, memory.counts, memory.frame
-    h, delay, pendulum = controller.h, controller.delay, controller.pendulum
-    on_phi, on_phi_dot, on_bias = controller.gains
-    resolution, correction = controller.resolution, controller.correction
-
-    back = (delay + reply_age) / h
-    near, far, f = _entry(newest, int(back)), _entry(newest, int(back) + 1), back - int(back)
-    for i in range(6):
-        for n in range(lanes):
-            model = at(past, near + MODEL_Q + i, n)
-            model += f * (at(past, far + MODEL_Q + i, n) - model)
-            old = at(offset, i, n)
-            put(offset, i, n, old + correction * (at(measured, i, n) - model - old))
-
-    back = (delay + encoder_age) / h
-    near, far, f = _entry(newest, int(back)), _entry(newest, int(back) + 1), back - int(back)
-    for n in range(lanes):
-        tilt = at(past, near + TILT, n)
-        # Room until the estimate is made: the angle in space that the encoder shows.
-        put(
-            seen,
-            PHI_SEEN,
-            n,
-            pi - at(counts, 0, n) * resolution + tilt + f * (at(past, far + TILT, n) - tilt),
-        )
-    whole = int(delay / h)
-    near, far, f = _entry(newest, whole), _entry(newest, whole + 1), delay / h - whole
-    for n in range(lanes):
-        v = at(past, near + PIVOT_V, n)
-        v += f * (at(past, far + PIVOT_V, n) - v)
-        u = (v - at(estimate, V_BEFORE, n)) / h
-        phi, phi_dot = runge_kutta(
-            at(estimate, PHI_NOW, n), at(estimate, PHI_DOT_NOW, n), u, h, 0.0, pendulum
-        )
-        bias = at(estimate, BIAS, n)
-        surprise = _wrapped(at(seen, PHI_SEEN, n) - bias - phi + encoder_age * phi_dot)
-        phi += on_phi * surprise
-        phi_dot += on_phi_dot * surprise
-        put(estimate, PHI_NOW, n, phi)
-        put(estimate, PHI_DOT_NOW, n, phi_dot)
-        put(estimate, BIAS, n, bias + on_bias * surprise)
-        put(estimate, V_BEFORE, n, v)
-        put(seen, PHI_SEEN, n, phi)
-        put(seen, PHI_DOT_SEEN, n, phi_dot)
-        put(seen, X_DOT_SEEN, n, v)
-        x = at(past, near + FLANGE_X, n)
-        put(seen, X_SEEN, n, x + f * (at(past, far + FLANGE_X, n) - x))
-    if controller.horizon == 0.0:
-        return
-    part = delay - whole * h
-    for j in range(whole, -1, -1):
-        if part > SHORTEST:
-            to = _entry(newest, j)
-            for n in range(lanes):
-                _fall(seen, at(past, to + PIVOT_V, n), part, pendulum, n)
-        part = h
-    part = controller.horizon - delay
-    home_x = controller.home_reference[POSITION]
-    if part > SHORTEST:
-        for n in range(lanes):
-            _fall(seen, at(frame, TWIST, n), part, pendulum, n)
-    for n in range(lanes):
-        put(seen, X_SEEN, n, at(frame, POSITION, n) - home_x)
-        put(seen, X_DOT_SEEN, n, at(frame, TWIST, n))
-
-
-@inlined
-def _fall(seen: Array, v: float, time: float, pendulum: PendulumParameters, n: int) -> None:
-    """Move the seen pendulum of lane `n` on while the pivot's velocity goes over to `v`."""
-    u = (v - at(seen, X_DOT_SEEN, n)) / time
-    phi, phi_dot = at(seen, PHI_SEEN, n), at(seen, PHI_DOT_SEEN, n)
-    phi, phi_dot = runge_kutta(phi, phi_dot, u, time, 0.0, pendulum)
-    put(seen, PHI_SEEN, n, phi)
-    put(seen, PHI_DOT_SEEN, n, phi_dot)
-    put(seen, X_DOT_SEEN, n, v)
-
-
-@kernel
-def command(controller: Controller, memory: Memory, lanes: int) -> None:
-    """Turn u into setpoints for the joints, in the first lanes.
-
-    Reads `memory.u` and `memory.noise`; writes `memory.setpoints`, and brings the commanded joints
-    and the model of the arm to the end of the tick.
-
-    Args:
-        controller: Constants.
-        memory: Changed in place.
-        lanes: How many lanes.
-    """
-    q, dq, ddq, frame, reference = memory.q, memory.dq, memory.ddq, memory.frame, memory.reference
-    e, noise, u, setpoints, beyond = (
-        memory.e,
-        memory.noise,
-        memory.u,
-        memory.setpoints,
-        memory.beyond,
-    )
-    h, limits = controller.h, controller.limits
-    for n in range(lanes):
-        e0, e1, e2, e3, e4, e5 = pose_error(frame, reference, n)
-        put(e, 0, n, e0 + at(noise, 0, n))
-        put(e, 1, n, e1 + at(noise, 1, n))
-        put(e, 2, n, e2 + at(noise, 2, n))
-        put(e, 3, n, e3 + at(noise, 3, n))
-        put(e, 4, n, e4 + at(noise, 4, n))
-        put(e, 5, n, e5 + at(noise, 5, n))
-        put(reference, GAMMA, n, u[n])
-    memory.damped[0] += joint_acceleration(frame, reference, e, controller.clik, ddq, lanes)
-    for n in range(lanes):
-        beyond[n] = 0
-        move = at(reference, TWIST, n) * h + 0.5 * u[n] * h * h
-        put(reference, POSITION, n, at(reference, POSITION, n) + move)
-        put(reference, TWIST, n, at(reference, TWIST, n) + u[n] * h)
-    for i in range(6):
-        lower, upper = limits[0, i], limits[1, i]
-        max_velocity, max_acceleration = limits[2, i], limits[3, i]
-        for n in range(lanes):
-            a, v, angle = at(ddq, i, n), at(dq, i, n), at(q, i, n)
-            put(setpoints, i, n, angle + 0.5 * v * h + 0.125 * a * h * h)
-            angle += v * h + 0.5 * a * h * h
-            v += a * h
-            put(setpoints, 6 + i, n, angle)
-            put(q, i, n, angle)
-            put(dq, i, n, v)
-            within = (
-                (lower <= angle)
-                & (angle <= upper)
-                & (abs(v) <= max_velocity)
-                & (abs(a) <= max_acceleration)
-            )
-            beyond[n] = beyond[n] if within else 1
-    controller.kinematics(q, dq, frame, lanes)
-    if controller.observes:
-        _foresee(controller, memory, lanes)
-
-
-@kernel
-def _foresee(controller: Controller, memory: Memory, lanes: int) -> None:
-    """Bring the model of the arm to the end of the tick, and remember its motion."""
-    room, past, frame = memory.room, memory.past, memory.model_frame
-    cycles = round(controller.h / SETPOINTS / CYCLE)
-    for s in range(SETPOINTS):
-        target = memory.setpoints[6 * s * LANES : 6 * (s + 1) * LANES]
-        for _ in range(cycles):
-            follow(
-                memory.model_q,
-                memory.model_dq,
-                target,
-                controller.share,
-                controller.actuator,
-                lanes,
-            )
-    memory.newest[0] = (memory.newest[0] + 1) % PAST
-    entry = _entry(memory.newest[0], 0)
-    for i in range(6):
-        for n in range(lanes):
-            angle = at(memory.model_q, i, n)
-            put(past, entry + MODEL_Q + i, n, angle)
-            put(room, i, n, angle + at(memory.offset, i, n))
-    controller.kinematics(room, memory.model_dq, frame, lanes)
-    home_x = controller.home_reference[POSITION]
-    for n in range(lanes):
-        put(past, entry + PIVOT_V, n, pivot_velocity(frame, controller.pivot, n))
-        put(past, entry + FLANGE_X, n, at(frame, POSITION, n) - home_x)
-        put(past, entry + TILT, n, -pose_error(frame, memory.reference, n)[4])
-
-
-@inlined
-def pivot_velocity(frame: Array, pivot: tuple[float, float, float], n: int) -> float:
-    """Return the velocity of the pendulum's pivot along x in lane `n` [m/s].
-
-    Args:
-        frame: Record of the arm's kinematics.
-        pivot: In the flange frame [m].
-        n: Lane.
-    """
-    px, py, pz = pivot
-    r = ROTATION
-    y = at(frame, r + 3, n) * px + at(frame, r + 4, n) * py + at(frame, r + 5, n) * pz
-    z = at(frame, r + 6, n) * px + at(frame, r + 7, n) * py + at(frame, r + 8, n) * pz
-    return at(frame, TWIST, n) + at(frame, TWIST + 4, n) * z - at(frame, TWIST + 5, n) * y
-
-
-@kernel
-def copy_memory(memory: Memory, source: int, target: int) -> None:
-    """Copy the memory of one lane to another, which closes the gap that a finished one leaves."""
-    copy_rows(memory.q, source, target)
-    copy_rows(memory.dq, source, target)
-    copy_rows(memory.ddq, source, target)
-    copy_rows(memory.frame, source, target)
-    copy_rows(memory.reference, source, target)
-    copy_rows(memory.setpoints, source, target)
-    copy_rows(memory.model_q, source, target)
-    copy_rows(memory.model_dq, source, target)
-    copy_rows(memory.offset, source, target)
-    copy_rows(memory.past, source, target)
-    copy_rows(memory.estimate, source, target)
-    copy_rows(memory.seen, source, target)
-    memory.beyond[target] = memory.beyond[source]
-
-
-@kernel
-def copy_rows(block: Any, source: int, target: int) -> None:
-    """Copy one lane of a block to another, in all of its rows."""
-    for row in range(len(block) // LANES):
-        block[row * LANES + target] = block[row * LANES + source]
+    kinematics(q, dq, frame, 1)
+    x = at(frame, POSITION, 0) - home[POSITION]
+    y = at(frame, POSITION + 1, 0) - home[POSITION + 1]
+    z = at(frame, POSITION + 2, 0) - home[POSITION + 2]
+    trace = 0.0
+    for i in range(9):
+        trace += at(frame, ROTATION + i, 0) * home[ROTATION + i]
+    # 1 - cos of the angle, from the trace of the rotation between them.
+    away = min(max(0.5 * (3.0 - trace), 0.0), 2.0)
+    return x, sqrt(y * y + z * z), 2.0 * asin(sqrt(0.5 * away)), abs(manipulability(frame, 0))

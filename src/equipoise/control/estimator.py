@@ -11,8 +11,8 @@ average, upright, whatever its encoder says: a persistent lean would show as a m
 the pivot of g beta. That makes beta observable; it may drift slowly.
 
 L is the stationary Kalman gain at upright. It needs no window of past counts, weighs each count by
-what it says about the rate, and takes a count from its own time (see `equipoise.control.controller`
-for the formulas that run).
+what it says about the rate, and takes a count from its own time (see
+`equipoise.control.control_step` for the formulas that run).
 """
 
 from math import pi

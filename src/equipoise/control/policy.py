@@ -5,9 +5,8 @@ The compiled loops call `act`, with a `PolicyKernel` made from a table or from a
 """
 
 import functools
-from collections.abc import Callable, Mapping
 from importlib import resources
-from typing import Annotated, Any, ClassVar, Final, NamedTuple, Protocol, Self
+from typing import Annotated, ClassVar, Final, NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Share, Valu
 from equipoise.compiled import kernel
 from equipoise.control import boxes
 from equipoise.control.boxes import BoxDescription, Boxes, box_index
-from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
+from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import MOST_CANDIDATES, Settings
@@ -117,7 +116,7 @@ class LearningPoint(Value):
     """Share of the screening trials that the greedy policy of this moment lasted."""
 
 
-class Candidate(Value):
+class Checkpoint(Value):
     """A greedy policy of some moment of the training, and how it did on selection seeds."""
 
     episodes: Count
@@ -134,28 +133,11 @@ class Candidate(Value):
     """What was compared: mean duration over the longest possible, less a penalty on rms_x."""
 
 
-def with_first_settings(body: dict[str, Any]) -> dict[str, Any]:
-    """Return the body of a file of version 1 with what its settings could not say yet.
-
-    The arm was where it was sent, and an action lasted one step; all else that is new acts behind
-    an actuator only.
-    """
-    settings = body["settings"]
-    plant = settings["plant"] | {"ideal": True}
-    learning = settings["learning"] | {"held": False}
-    return body | {"settings": settings | {"plant": plant, "learning": learning}}
-
-
 class TabularPolicy(Viewable, Artefact):
     """A trained table and all that is needed to run it and to train it again."""
 
     FORMAT: ClassVar[str] = "equipoise-policy"
-    VERSION: ClassVar[int] = 2
-    UPGRADES: ClassVar[Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]]] = {
-        1: lambda body: (
-            with_first_settings(body) | {"actuator": IDEAL_ACTUATOR.model_dump(mode="json")}
-        )
-    }
+    VERSION: ClassVar[int] = 3
 
     boxes: BoxDescription
     """The boxes, in the paper's notation."""
@@ -187,7 +169,7 @@ class TabularPolicy(Viewable, Artefact):
     """Control steps trained."""
     learning_curve: Annotated[tuple[LearningPoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
     """The course of the training."""
-    candidates: Annotated[tuple[Candidate, ...], Field(max_length=MOST_CANDIDATES + 1)]
+    checkpoints: Annotated[tuple[Checkpoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
     """The finalists of the selection, the chosen one first; empty if the last table was taken."""
 
     @model_validator(mode="after")

@@ -52,7 +52,8 @@ class PythonPolicy:
             u = self._act(state)
         except Exception as error:
             raise InputError(
-                f"{self.name} raised {told(error)} in the state {_spelled(state)}; correct it"
+                f"{self.name} raised {format_error(error)} in the state "
+                f"{_format_state(state)}; correct it"
             ) from error
         if isinstance(u, np.ndarray) and u.size == 1:
             u = u.item()
@@ -62,8 +63,8 @@ class PythonPolicy:
             value = math.inf
         if not math.isfinite(value):
             raise InputError(
-                f"{self.name} returned {u!r:.60} in the state {_spelled(state)}, expected a finite "
-                "number: the acceleration u in m/s^2; correct it"
+                f"{self.name} returned {u!r:.60} in the state {_format_state(state)}, expected a "
+                "finite number: the acceleration u in m/s^2; correct it"
             )
         return value
 
@@ -74,19 +75,19 @@ class PythonPolicy:
             return kind()
         except Exception as error:
             raise InputError(
-                f"calling {self.name}() raised {told(error)}; give a class that needs no "
+                f"calling {self.name}() raised {format_error(error)}; give a class that needs no "
                 "arguments, or an object of it"
             ) from error
 
 
-def told(error: BaseException) -> str:
+def format_error(error: BaseException) -> str:
     """Return what kind of error it is, what it says, and the line of code where it arose."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
     where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"
 
 
-def _spelled(state: Array) -> str:
+def _format_state(state: Array) -> str:
     return ", ".join(
         f"{name} = {value:.3g}"
         for name, value in zip(("x", "x_dot", "phi", "phi_dot"), state.tolist(), strict=True)

@@ -35,7 +35,7 @@ ARM_MEAN: Final = 0.2
 ARM_TIME: Final = 0.5
 """Both have to last so long [s]."""
 RELEASE_ANGLE: Final = radians(1.5)
-"""A release is looked for beyond this |phi| [rad], or where it has `GROWN`."""
+"""A release is looked for beyond this |phi| [rad], or where it has `FALL_GROWTH_ANGLE`."""
 HELD_ANGLE: Final = radians(4.0)
 """Whoever is beyond this |phi| [rad] without having been seen to fall is held."""
 WINDOW: Final = 0.04
@@ -43,39 +43,39 @@ WINDOW: Final = 0.04
 AGREEMENT: Final = 0.3
 """phi_ddot may differ from that of a free fall by this share of it ..."""
 NOISE: Final = 1.0
-"""... or, where it has `GROWN`, by this [rad/s^2]: 8192 counts at 1 kHz show it to 0.6 (one
-standard deviation)."""
+"""... or, where it has `FALL_GROWTH_ANGLE`, by this [rad/s^2]: 8192 counts at 1 kHz show it to 0.6
+(one standard deviation)."""
 JERK: Final = 300.0
 """Its derivative may differ by this [rad/s^3]: counts show it to 170. A tremor of 4 Hz with the
 rate of a fall that is still near 0 differs by as much, one of 10 Hz by 1700."""
 RATIO: Final = (0.6, 3.0)
 """Where phi_dot / (w phi) may lie."""
-LASTING: Final = 0.01
+FALL_TIME: Final = 0.01
 """A fall has to be seen for so long [s]: the acceleration of a tremor passes through that of a
 fall in a third of this."""
-GROWN: Final = radians(4.0)
+FALL_GROWTH_ANGLE: Final = radians(4.0)
 """... unless |phi + phi_dot / w| has reached this [rad]; at 11.7 deg no command can catch it.
 What falls across 0 reaches it before 1.5 deg."""
-HURRY: Final = 5e-4
+FAST_FALL_TIME: Final = 5e-4
 """Then it has to be seen for so long only [s]: by two samples in a row at 1 kHz."""
-PATIENCE: Final = 0.2
+MAX_FALL_TIME: Final = 0.2
 """A fall takes less than this from 1.5 to 4 deg [s]: 0.12 s where it began near 0, 0.13 s at 1 deg,
 0.15 s at 1.3 deg."""
-GAP: Final = 0.02
+MAX_SAMPLE_GAP: Final = 0.02
 """After a gap of so long [s] all is forgotten, and the hand is on."""
-SPACING: Final = 4e-4
+MIN_SAMPLE_SPACING: Final = 4e-4
 """Samples that follow closer than this [s] are passed over, so that the memory has a size."""
-SIZE: Final = 512
+BUFFER_SIZE: Final = 512
 """Samples in the memory: those of 0.2 s."""
-LEAST: Final = 12
+MIN_FIT_SAMPLES: Final = 12
 """Fewer samples in the window give no cubic."""
-LATEST: Final = np.arange(int(WINDOW / SPACING) + 1)
+NEWEST_SAMPLES: Final = np.arange(int(WINDOW / MIN_SAMPLE_SPACING) + 1)
 """So many samples, counted back from the newest, lie in the window at most."""
 POWERS: Final = np.arange(4)
 """Of a cubic."""
 
 
-class Grip(Enum):
+class ReleaseState(Enum):
     """Whose the pendulum is."""
 
     HELD = "held"
@@ -99,18 +99,18 @@ class ReleaseDetector:
             pendulum: The pendulum in use; w2 and c are needed.
         """
         self._w2, self._c, self._w = pendulum.w2, pendulum.c, sqrt(pendulum.w2)
-        self._time, self._phi = np.zeros(SIZE), np.zeros(SIZE)
+        self._time, self._phi = np.zeros(BUFFER_SIZE), np.zeros(BUFFER_SIZE)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the hand is on."""
-        self.grip = Grip.HELD
+        self.grip = ReleaseState.HELD
         """Whose the pendulum is."""
         self.denied = False
         """Whether it was armed before, and the hand turned out to be still on."""
         self._forget()
 
-    def feed(self, time: float, phi: float) -> Grip:
+    def feed(self, time: float, phi: float) -> ReleaseState:
         """Take a sample.
 
         Args:
@@ -120,18 +120,18 @@ class ReleaseDetector:
         Returns:
             Whose the pendulum is now.
         """
-        if self.grip is Grip.RELEASED:
+        if self.grip is ReleaseState.RELEASED:
             return self.grip
         if not (isfinite(time) and isfinite(phi)):
             self._forget()
             return self.grip
         since_last = time - self._last
-        if 0.0 <= since_last < SPACING:
+        if 0.0 <= since_last < MIN_SAMPLE_SPACING:
             return self.grip
-        if not 0.0 <= since_last <= GAP:
+        if not 0.0 <= since_last <= MAX_SAMPLE_GAP:
             self._forget()
         self._keep(time, phi)
-        if self.grip is Grip.HELD:
+        if self.grip is ReleaseState.HELD:
             self._wait(time, phi)
         else:
             self._watch(time, phi)
@@ -142,12 +142,12 @@ class ReleaseDetector:
         self._count, self._oldest, self._last = 0, 0, -inf
 
     def _deny(self) -> None:
-        self.denied = self.grip is Grip.ARMED or self.denied
-        self.grip = Grip.HELD
+        self.denied = self.grip is ReleaseState.ARMED or self.denied
+        self.grip = ReleaseState.HELD
         self._still_since = self._beyond_since = self._falling_since = inf
 
     def _keep(self, time: float, phi: float) -> None:
-        place = self._count % SIZE
+        place = self._count % BUFFER_SIZE
         self._time[place], self._phi[place] = time, phi
         self._count += 1
         self._last = time
@@ -157,7 +157,7 @@ class ReleaseDetector:
 
     def _of(self, number: int) -> tuple[float, float]:
         """Return time [s] and phi [rad] of a sample."""
-        return float(self._time[number % SIZE]), float(self._phi[number % SIZE])
+        return float(self._time[number % BUFFER_SIZE]), float(self._phi[number % BUFFER_SIZE])
 
     def _wait(self, time: float, phi: float) -> None:
         """Arm where it has been still for long enough."""
@@ -172,7 +172,7 @@ class ReleaseDetector:
             return
         self._still_since = min(self._still_since, time)
         if time - self._still_since >= ARM_TIME:
-            self.grip, self.denied = Grip.ARMED, False
+            self.grip, self.denied = ReleaseState.ARMED, False
 
     def _watch(self, time: float, phi: float) -> None:
         """See whether it falls or is held."""
@@ -181,23 +181,25 @@ class ReleaseDetector:
             self._deny()
             return
         falls, grown = self._falls(time)
-        falls = falls and (beyond or grown >= GROWN)
+        falls = falls and (beyond or grown >= FALL_GROWTH_ANGLE)
         self._falling_since = min(self._falling_since, time) if falls else inf
-        if falls and time - self._falling_since >= (LASTING if grown < GROWN else HURRY):
-            self.grip = Grip.RELEASED
+        if falls and time - self._falling_since >= (
+            FALL_TIME if grown < FALL_GROWTH_ANGLE else FAST_FALL_TIME
+        ):
+            self.grip = ReleaseState.RELEASED
         elif beyond:
             self._beyond_since = min(self._beyond_since, time)
-            if abs(phi) > HELD_ANGLE or time - self._beyond_since > PATIENCE:
+            if abs(phi) > HELD_ANGLE or time - self._beyond_since > MAX_FALL_TIME:
                 self._deny()
 
     def _falls(self, now: float) -> tuple[bool, float]:
         """Return whether the last 40 ms look like a fall, and |phi + phi_dot / w| [rad]."""
-        places = (self._count - 1 - LATEST[: self._count]) % SIZE
+        places = (self._count - 1 - NEWEST_SAMPLES[: self._count]) % BUFFER_SIZE
         # In half windows from the middle, so that all is of one size.
         half = 0.5 * WINDOW
         t = (self._time[places] - now) / half + 1.0
         within = t >= -1.0
-        if within.sum() < LEAST:
+        if within.sum() < MIN_FIT_SAMPLES:
             return False, 0.0
         powers = t[within, None] ** POWERS
         a, b, d, e = np.linalg.solve(powers.T @ powers, powers.T @ self._phi[places[within]])
@@ -211,7 +213,9 @@ class ReleaseDetector:
         phi, phi_dot = phi * c + phi_dot * s / w, phi * w * s + phi_dot * c
         grown = abs(phi + phi_dot / w)
         share = AGREEMENT * abs(free)
-        agrees = off <= (share if grown < GROWN else max(share, NOISE)) and off_jerk <= JERK
+        agrees = (
+            off <= (share if grown < FALL_GROWTH_ANGLE else max(share, NOISE)) and off_jerk <= JERK
+        )
         # The ratio's bounds, without a division by phi.
         along = phi_dot if phi > 0.0 else -phi_dot
         fast = RATIO[0] * w * abs(phi) <= along <= RATIO[1] * w * abs(phi)

@@ -5,14 +5,14 @@ Two questions are asked, both without a clock and without I/O:
 `check_setpoint`, `check_first`
     May this setpoint be sent? Asked of each, just before it goes out.
 `check`
-    May the run go on? Asked once per tick, of all that is known then (`View`), and of what has
-    been going on for a while (`Watch`, from `watch`).
+    May the run go on? Asked once per tick, of all that is known then (`SafetyInputs`), and of what
+    has been going on for a while (`MonitorState`, from `update_monitor`).
 
 Each returns the first rule that is broken, in the order of `Rule`, or none. What a broken rule
 leads to is the business of `equipoise.control.states` and `equipoise.control.stop`: a latched stop.
 
 What decides is `@compilable`: the same functions run in the trials of the digital twin
-(`equipoise.control.guards`), where a rule that is broken ends the trial. They return codes and
+(`equipoise.control.trial_safety`), where a broken rule ends the trial. They return codes and
 numbers; the words are made here, for those who read them.
 
 Guards never clip. A setpoint that may not be sent is not made smaller, and a speed that is too high
@@ -55,7 +55,7 @@ STOP_DECELERATION: Final = 4.0
 that balances follows with room to spare."""
 TRACK: Final = paper.X_LIMIT
 """The flange stays within plus and minus this [m]."""
-ANGLE: Final = radians(paper.PHI_LIMIT_DEG)
+ANGLE_RULE_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
 """A pendulum that leans so far is lost [rad]."""
 T1_SPEED: Final = 0.23
 """In T1 the flange stays below this [m/s]: the controller stops the arm with its brakes at
@@ -157,7 +157,7 @@ class Rule(Enum):
 
 RULES: Final = tuple(Rule)
 """By code, as what is compiled names them: its place in the order."""
-KEPT: Final = -1
+NO_VIOLATION: Final = -1
 """Code of no rule: all are kept."""
 TORQUE_CODE: Final = RULES.index(Rule.TORQUE)
 FOLLOWING_CODE: Final = RULES.index(Rule.FOLLOWING)
@@ -230,7 +230,7 @@ def limits_of(arm: Arm, *, margin: float = POSITION_MARGIN, speed_share: float =
     )
 
 
-class Guard(NamedTuple):
+class SafetyParams(NamedTuple):
     """The rules with the numbers of a rig."""
 
     limits: Limits
@@ -251,7 +251,7 @@ class Guard(NamedTuple):
     """The flange stays below this [m/s]; inf where nothing limits it."""
 
 
-def make_guard(
+def make_safety_params(
     arm: Arm,
     *,
     reaction: float,
@@ -262,7 +262,7 @@ def make_guard(
     margin: float = POSITION_MARGIN,
     speed_share: float = 1.0,
     torque_share: float = TORQUE_SHARE,
-) -> Guard:
+) -> SafetyParams:
     """Return the rules for a rig.
 
     Args:
@@ -278,7 +278,7 @@ def make_guard(
             at home.
     """
     at_home = abs(float(np.linalg.det(arm.kinematics(arm.home_free).jacobian)))
-    return Guard(
+    return SafetyParams(
         limits=limits_of(arm, margin=margin, speed_share=speed_share),
         torque=tuple(torque_share * joint.torque for joint in arm.joints),
         reaction=reaction,
@@ -378,7 +378,7 @@ def broken_setpoint(
         to_rest: Whether it is on a way to rest that ends inside the limits.
 
     Returns:
-        The joint is counted from one; `KEPT` and zeros where none is broken.
+        The joint is counted from one; `NO_VIOLATION` and zeros where none is broken.
     """
     for i in range(len(q)):
         lower, upper = limits.lower[i], limits.upper[i]
@@ -400,14 +400,14 @@ def broken_setpoint(
         acceleration = abs(q[i] - 2.0 * last[i] + before[i]) / dt**2
         if acceleration > limits.acceleration[i] * (1.0 + ROUNDING):
             return ACCELERATION_CODE, i + 1, acceleration, limits.acceleration[i]
-    return KEPT, 0, 0.0, 0.0
+    return NO_VIOLATION, 0, 0.0, 0.0
 
 
 def _worded_setpoint(
     limits: Limits, q: Sequence[float], broken: tuple[int, int, float, float]
 ) -> Violation | None:
     code, joint, value, limit = broken
-    if code == KEPT:
+    if code == NO_VIOLATION:
         return None
     where = f"the setpoint of joint {joint}"
     if code == POSITION_CODE:
@@ -432,7 +432,7 @@ def _worded_setpoint(
 # The run.
 
 
-class View(NamedTuple):
+class SafetyInputs(NamedTuple):
     """What is known at a tick. The defaults are those of a run in which all is well."""
 
     lateness: float = 0.0
@@ -472,7 +472,7 @@ class View(NamedTuple):
     """Angle of the flange from its orientation [rad]."""
 
 
-class Watch(NamedTuple):
+class MonitorState(NamedTuple):
     """What has been going on for some ticks."""
 
     missed: int = 0
@@ -487,7 +487,7 @@ class Watch(NamedTuple):
     """How far some joint was expected to move since then [rad]."""
 
 
-def watch(guard: Guard, before: Watch, view: View) -> Watch:
+def update_monitor(guard: SafetyParams, before: MonitorState, view: SafetyInputs) -> MonitorState:
     """Return what has been going on, a tick later.
 
     Args:
@@ -506,12 +506,12 @@ def watch(guard: Guard, before: Watch, view: View) -> Watch:
         or before.expected is None
         or largest_difference(measured, before.rest)[0] > STILL_LIMIT
     ):
-        return Watch(missed, astray, measured, expected)
+        return MonitorState(missed, astray, measured, expected)
     farthest = max(before.farthest, largest_difference(expected, before.expected)[0])
-    return Watch(missed, astray, before.rest, before.expected, farthest)
+    return MonitorState(missed, astray, before.rest, before.expected, farthest)
 
 
-def check(guard: Guard, watched: Watch, view: View) -> Violation | None:
+def check(guard: SafetyParams, watched: MonitorState, view: SafetyInputs) -> Violation | None:
     """Return why the run must not go on, or none; of several reasons the first of `Rule`.
 
     Args:
@@ -530,7 +530,7 @@ def check(guard: Guard, watched: Watch, view: View) -> Violation | None:
     )
 
 
-def _numbers(view: View) -> Violation | None:
+def _numbers(view: SafetyInputs) -> Violation | None:
     for name, value in zip(view._fields, view, strict=True):
         if value is None:
             continue
@@ -547,7 +547,7 @@ def _numbers(view: View) -> Violation | None:
     return None
 
 
-def _link(view: View) -> Violation | None:
+def _link(view: SafetyInputs) -> Violation | None:
     if view.overdue <= OVERDUE:
         return None
     return Violation(
@@ -559,7 +559,7 @@ def _link(view: View) -> Violation | None:
     )
 
 
-def _motion(guard: Guard, watched: Watch, view: View) -> Violation | None:
+def _motion(guard: SafetyParams, watched: MonitorState, view: SafetyInputs) -> Violation | None:
     if watched.farthest > STILL_MOTION:
         return Violation(
             Rule.NOT_FOLLOWING,
@@ -646,11 +646,11 @@ def newest_before(sent: Row, count: int, since: float) -> int:
     return count % length
 
 
-def _flange(guard: Guard, view: View) -> Violation | None:
+def _flange(guard: SafetyParams, view: SafetyInputs) -> Violation | None:
     code, value, limit = broken_flange(
         guard, view.x, view.x_dot, view.drift, view.tilt, view.manipulability
     )
-    if code == KEPT:
+    if code == NO_VIOLATION:
         return None
     if code == SINGULAR_CODE:
         reason = (
@@ -679,7 +679,7 @@ def _flange(guard: Guard, view: View) -> Violation | None:
 
 @compilable
 def broken_flange(
-    guard: Guard, x: float, x_dot: float, drift: float, tilt: float, manipulability: float
+    guard: SafetyParams, x: float, x_dot: float, drift: float, tilt: float, manipulability: float
 ) -> tuple[int, float, float]:
     """Return the first rule of the flange that is broken: its code, what is, the bound.
 
@@ -692,7 +692,7 @@ def broken_flange(
         manipulability: |det J| [m^3].
 
     Returns:
-        `KEPT` and zeros where none is broken.
+        `NO_VIOLATION` and zeros where none is broken.
     """
     if manipulability < guard.least_manipulability:
         return SINGULAR_CODE, manipulability, guard.least_manipulability
@@ -706,7 +706,7 @@ def broken_flange(
         return DRIFT_CODE, drift, DRIFT_LIMIT
     if abs(tilt) > TILT_LIMIT:
         return TILT_CODE, tilt, TILT_LIMIT
-    return KEPT, 0.0, 0.0
+    return NO_VIOLATION, 0.0, 0.0
 
 
 @compilable
@@ -731,7 +731,7 @@ def stopping_reach(x: float, x_dot: float, reaction: float, u_max: float) -> flo
     return s * x + gained + (speed + u_max * T) ** 2 / (2.0 * STOP_DECELERATION)
 
 
-def _tick(watched: Watch, view: View) -> Violation | None:
+def _tick(watched: MonitorState, view: SafetyInputs) -> Violation | None:
     if view.lateness > LATE:
         return Violation(
             Rule.TICK,
@@ -751,7 +751,7 @@ def _tick(watched: Watch, view: View) -> Violation | None:
     return None
 
 
-def _encoder(view: View) -> Violation | None:
+def _encoder(view: SafetyInputs) -> Violation | None:
     if view.encoder_age > ENCODER_STALE:
         return Violation(
             Rule.ENCODER_STALE,
@@ -786,7 +786,7 @@ def _encoder(view: View) -> Violation | None:
     return None
 
 
-def _angle(view: View) -> Violation | None:
+def _angle(view: SafetyInputs) -> Violation | None:
     if not has_fallen(view.phi):
         return None
     return Violation(
@@ -794,14 +794,14 @@ def _angle(view: View) -> Violation | None:
         f"the pendulum leans by {np.rad2deg(view.phi):.1f} deg, expected less than "
         f"{paper.PHI_LIMIT_DEG:g} deg",
         view.phi,
-        ANGLE,
+        ANGLE_RULE_LIMIT,
     )
 
 
 @compilable
 def has_fallen(phi: float) -> bool:
     """Return whether a pendulum at this angle from upright [rad] is lost; NaN is."""
-    return not abs(phi) < ANGLE
+    return not abs(phi) < ANGLE_RULE_LIMIT
 
 
 def encoder_is_late(age: float) -> bool:

@@ -87,7 +87,7 @@ SCALES: Final = np.array([1.0, 70.0, 0.1, 0.1, 1.0, 1.0, 0.1, 1.0])
 """What counts as much of each, in its unit."""
 
 
-class Verdict(Enum):
+class SelfTestVerdict(Enum):
     """What a self-test says."""
 
     PASSED = "passed"
@@ -108,7 +108,7 @@ class Verdict(Enum):
     """No answer, or one that no such pendulum gives."""
 
 
-class Interval(NamedTuple):
+class ParameterInterval(NamedTuple):
     """An estimate with its 95 % interval."""
 
     value: float
@@ -120,17 +120,17 @@ class Interval(NamedTuple):
 class SelfTest(NamedTuple):
     """What the answer of the pendulum says."""
 
-    verdict: Verdict
+    verdict: SelfTestVerdict
     """The first that is wrong, or that nothing is."""
     reason: str
     """What the operator is told."""
-    gain: Interval
+    gain: ParameterInterval
     """G, encoder over model."""
-    w2: Interval
+    w2: ParameterInterval
     """Gravity over inertia [1/s^2]."""
-    delay: Interval
+    delay: ParameterInterval
     """tau, of the encoder behind the measured motion [s]."""
-    zero: Interval
+    zero: ParameterInterval
     """Counts at which the pendulum hangs, less the resting count [rad]."""
     misfit: float
     """Root mean square of the residual over the answer's standard deviation."""
@@ -358,8 +358,8 @@ def _judged(recorded: _Answer, unknowns: Array, answer: float, delay: float) -> 
     misfit = float(np.sqrt(np.mean(residual**2))) / answer
     half = recorded.halves(unknowns, residual)
 
-    def interval(i: int) -> Interval:
-        return Interval(float(unknowns[i]), float(half[i]))
+    def interval(i: int) -> ParameterInterval:
+        return ParameterInterval(float(unknowns[i]), float(half[i]))
 
     gain, w2, tau, zero = (interval(i) for i in (GAIN, W2, TAU, ZERO))
     verdict, reason = _verdict(gain, w2, tau, zero, misfit, recorded.pendulum.w2, delay)
@@ -367,54 +367,54 @@ def _judged(recorded: _Answer, unknowns: Array, answer: float, delay: float) -> 
 
 
 def _verdict(
-    gain: Interval,
-    w2: Interval,
-    tau: Interval,
-    zero: Interval,
+    gain: ParameterInterval,
+    w2: ParameterInterval,
+    tau: ParameterInterval,
+    zero: ParameterInterval,
     misfit: float,
     known: float,
     delay: float,
-) -> tuple[Verdict, str]:
+) -> tuple[SelfTestVerdict, str]:
     if not misfit < MISFIT:
-        return Verdict.NOT_UNDERSTOOD, (
+        return SelfTestVerdict.NOT_UNDERSTOOD, (
             f"the model leaves {misfit:.0%} of the answer, expected less than {MISFIT:.0%}: is "
             "the pendulum free, and nobody near it?"
         )
     if gain.value < 0.0:
-        return Verdict.SIGN, (
+        return SelfTestVerdict.SIGN, (
             f"the counts fall where they should grow (G = {gain.value:.2f}, expected 1); change "
             "the encoder's sign"
         )
     if abs(gain.value - 1.0) > COUNTS_TOLERANCE:
-        return Verdict.COUNTS, (
+        return SelfTestVerdict.COUNTS, (
             f"the encoder shows {gain.value:.3f} of the answer, expected 1 within "
             f"{COUNTS_TOLERANCE:g}; correct its counts per revolution"
         )
     if abs(w2.value / known - 1.0) > W2_TOLERANCE:
-        return Verdict.W2, (
+        return SelfTestVerdict.W2, (
             f"w2 is {w2.value:.2f} 1/s^2, expected {known:.2f} 1/s^2 within {W2_TOLERANCE:.0%}; "
             "identify this pendulum"
         )
     if abs(tau.value - delay) > DELAY_TOLERANCE:
-        return Verdict.DELAY, (
+        return SelfTestVerdict.DELAY, (
             f"the encoder is {1e3 * tau.value:.1f} ms behind the arm, expected {1e3 * delay:.1f} "
             f"ms within {1e3 * DELAY_TOLERANCE:g} ms; look at its link and clock"
         )
     if abs(zero.value) > ZERO_TOLERANCE:
-        return Verdict.ZERO, (
+        return SelfTestVerdict.ZERO, (
             f"the pendulum hangs {np.degrees(zero.value):.2f} deg from where it was referenced, "
             f"expected at most {np.degrees(ZERO_TOLERANCE):g} deg; reference it again, hanging free"
         )
     if not zero.half <= ZERO_INTERVAL:
-        return Verdict.REPEAT, (
+        return SelfTestVerdict.REPEAT, (
             f"the zero is known to {np.degrees(zero.half):.2f} deg, expected "
             f"{np.degrees(ZERO_INTERVAL):g} deg; swing again"
         )
-    return Verdict.PASSED, "the pendulum answers as the model says"
+    return SelfTestVerdict.PASSED, "the pendulum answers as the model says"
 
 
 def _not_understood(reason: str) -> SelfTest:
-    unknown = Interval(float("nan"), float("inf"))
+    unknown = ParameterInterval(float("nan"), float("inf"))
     return SelfTest(
-        Verdict.NOT_UNDERSTOOD, reason, unknown, unknown, unknown, unknown, float("nan")
+        SelfTestVerdict.NOT_UNDERSTOOD, reason, unknown, unknown, unknown, unknown, float("nan")
     )

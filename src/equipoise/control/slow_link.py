@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 
 SHAPED_SHARE: Final = 0.8
 """Of a joint's speed limit: what the shaped peak of its velocity may reach."""
-SPACING: Final = 0.005
+LINK_SPACING: Final = 0.005
 """Distance between two places of the track that are looked at [m]: the rates of the joints change
 by 1 % from one to the next."""
 
@@ -45,9 +45,9 @@ def _rates_along_track(arm: Arm) -> Iterator[Array]:
     def rates(q: Array) -> Array:
         return np.asarray(np.linalg.solve(arm.kinematics(q).jacobian, along_x), np.float64)
 
-    for ahead in (SPACING, -SPACING):
+    for ahead in (LINK_SPACING, -LINK_SPACING):
         q = arm.home_free
-        for _ in range(round(paper.X_LIMIT / SPACING) + 1):
+        for _ in range(round(paper.X_LIMIT / LINK_SPACING) + 1):
             # A joint that does not move is never too fast.
             yield np.maximum(np.abs(rates(q)), np.finfo(np.float64).tiny)
             q = q + ahead * rates(q + 0.5 * ahead * rates(q))

@@ -53,7 +53,7 @@ class Phase(Enum):
     """The link is gone: the arm holds or approaches the last target by itself. Latched, final."""
 
 
-class Event(Enum):
+class RunEvent(Enum):
     """What moves a run."""
 
     START = "start"
@@ -99,21 +99,21 @@ STREAMING: Final = frozenset(
 """Where setpoints are sent."""
 LATCHED: Final = frozenset({Phase.STOPPING, Phase.STOPPED, Phase.LOST})
 """Where a stop holds."""
-TABLE: Final[Mapping[tuple[Phase, Event], Phase]] = {
-    (Phase.IDLE, Event.START): Phase.HOMING,
-    (Phase.HOMING, Event.ARRIVED): Phase.AT_HOME,
-    (Phase.AT_HOME, Event.CONFIRMED): Phase.REFERENCING,
-    (Phase.REFERENCING, Event.REFERENCED): Phase.SELF_TEST,
-    (Phase.SELF_TEST, Event.REFUSED): Phase.REFERENCING,
-    (Phase.SELF_TEST, Event.PASSED): Phase.LIFTING,
-    (Phase.LIFTING, Event.ARMED): Phase.ARMED,
-    (Phase.ARMED, Event.DENIED): Phase.LIFTING,
-    (Phase.ARMED, Event.RELEASED): Phase.BALANCING,
-    (Phase.STOPPING, Event.AT_REST): Phase.STOPPED,
-    (Phase.STOPPED, Event.REARMED): Phase.IDLE,
-    (Phase.IDLE, Event.STOP): Phase.STOPPED,
-    **{(phase, Event.STOP): Phase.STOPPING for phase in STREAMING},
-    **{(phase, Event.LOST): Phase.LOST for phase in Phase},
+TRANSITIONS: Final[Mapping[tuple[Phase, RunEvent], Phase]] = {
+    (Phase.IDLE, RunEvent.START): Phase.HOMING,
+    (Phase.HOMING, RunEvent.ARRIVED): Phase.AT_HOME,
+    (Phase.AT_HOME, RunEvent.CONFIRMED): Phase.REFERENCING,
+    (Phase.REFERENCING, RunEvent.REFERENCED): Phase.SELF_TEST,
+    (Phase.SELF_TEST, RunEvent.REFUSED): Phase.REFERENCING,
+    (Phase.SELF_TEST, RunEvent.PASSED): Phase.LIFTING,
+    (Phase.LIFTING, RunEvent.ARMED): Phase.ARMED,
+    (Phase.ARMED, RunEvent.DENIED): Phase.LIFTING,
+    (Phase.ARMED, RunEvent.RELEASED): Phase.BALANCING,
+    (Phase.STOPPING, RunEvent.AT_REST): Phase.STOPPED,
+    (Phase.STOPPED, RunEvent.REARMED): Phase.IDLE,
+    (Phase.IDLE, RunEvent.STOP): Phase.STOPPED,
+    **{(phase, RunEvent.STOP): Phase.STOPPING for phase in STREAMING},
+    **{(phase, RunEvent.LOST): Phase.LOST for phase in Phase},
 }
 """Every move there is."""
 
@@ -129,7 +129,7 @@ class Cause(NamedTuple):
     """The arm is not where it was sent: after the ramp the targets go to the measured posture."""
 
 
-class State(NamedTuple):
+class RunState(NamedTuple):
     """The state of a run."""
 
     phase: Phase = Phase.IDLE
@@ -154,7 +154,7 @@ UNKNOWN: Final = Cause("unknown", "the run was stopped without a cause", from_me
 """What is believed of a stop that says nothing."""
 
 
-def step(state: State, event: Event, cause: Cause | None = None) -> State:
+def step(state: RunState, event: RunEvent, cause: Cause | None = None) -> RunState:
     """Return the state after an event.
 
     Args:
@@ -162,12 +162,12 @@ def step(state: State, event: Event, cause: Cause | None = None) -> State:
         event: What happened.
         cause: Why, for STOP and LOST.
     """
-    phase = TABLE.get((state.phase, event))
+    phase = TRANSITIONS.get((state.phase, event))
     if phase is None:
         return state
-    if event in (Event.STOP, Event.LOST):
+    if event in (RunEvent.STOP, RunEvent.LOST):
         cause = cause or UNKNOWN
-        return State(phase, state.cause or cause, state.from_measured or cause.from_measured)
-    if event is Event.REARMED:
-        return State()
+        return RunState(phase, state.cause or cause, state.from_measured or cause.from_measured)
+    if event is RunEvent.REARMED:
+        return RunState()
     return state._replace(phase=phase)

@@ -1,7 +1,7 @@
-"""What goes into a tick of a run on a rig, and what comes out.
+"""Inputs and outputs of a control tick of a run on a rig.
 
-A heart decides (`equipoise.control.pilot`); it knows no device, no clock and no file. What the
-devices give it has the attributes that stand here.
+A tick handler decides (`equipoise.control.run_controller`). It knows no device, no clock and no
+file. The protocols here name the attributes that it reads of a device's values.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,7 +13,7 @@ OK: Final = "ok"
 """Among an event's answers: what Enter says there, and the pendulum's button does as well."""
 
 
-class Counted(Protocol):
+class EncoderSample(Protocol):
     """One count of the encoder."""
 
     @property
@@ -42,7 +42,7 @@ class Counted(Protocol):
         ...
 
 
-class Measured(Protocol):
+class RobotReply(Protocol):
     """What a robot said to one setpoint."""
 
     @property
@@ -70,7 +70,7 @@ Job = Callable[[], Any]
 """Work for another process: a `functools.partial` of a function and its values."""
 
 
-class Event(NamedTuple):
+class OperatorMessage(NamedTuple):
     """Something that an operator is told."""
 
     name: str
@@ -81,7 +81,7 @@ class Event(NamedTuple):
     """Words of which one is expected to be typed."""
 
 
-class Seen(NamedTuple):
+class TickRecord(NamedTuple):
     """What a heart saw and decided in a tick, for the log; NaN where it did not look."""
 
     x: float = np.nan
@@ -104,7 +104,7 @@ class Seen(NamedTuple):
     """Estimated error of the zero [rad]."""
 
 
-class Output(NamedTuple):
+class TickOutput(NamedTuple):
     """What a heart wants of a tick."""
 
     setpoints: tuple[Sequence[float], ...]
@@ -117,9 +117,9 @@ class Output(NamedTuple):
     """Their velocities [rad/s]."""
     state: int
     """Where in the run it is."""
-    seen: Seen
+    record: TickRecord
     """For the log."""
-    events: Sequence[Event]
+    events: Sequence[OperatorMessage]
     """For the operator, and for the log."""
     job: Job | None = None
     """What takes longer than a tick, and is to be done beside the loop."""
@@ -129,12 +129,12 @@ class Output(NamedTuple):
     """Whether the arm is at rest and the run is over; the setpoints are sent."""
 
 
-class Inputs(NamedTuple):
+class TickInputs(NamedTuple):
     """What happened since the last tick."""
 
-    samples: Sequence[Counted]
+    samples: Sequence[EncoderSample]
     """Of the encoder."""
-    replies: Sequence[Measured]
+    replies: Sequence[RobotReply]
     """Of the robot."""
     words: Sequence[str]
     """Of the operator."""
@@ -146,7 +146,7 @@ class Inputs(NamedTuple):
     """What came of a job, once; an exception where it failed."""
 
 
-class Heart(Protocol):
+class TickHandler(Protocol):
     """What decides: equal inputs at equal times give equal outputs."""
 
     @property
@@ -154,6 +154,6 @@ class Heart(Protocol):
         """Time between ticks [s]."""
         ...
 
-    def tick(self, now: float, inputs: Inputs) -> Output:
+    def tick(self, now: float, inputs: TickInputs) -> TickOutput:
         """Decide."""
         ...

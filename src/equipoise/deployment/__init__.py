@@ -18,11 +18,11 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.control.boxes import box_index, boxes, cause_named
-from equipoise.control.controller import SETPOINTS, make_controller
-from equipoise.control.guards import guard_named, trial_guard
+from equipoise.control.control_step import SETPOINTS_PER_TICK, make_controller_params
 from equipoise.control.policy import TabularPolicy
+from equipoise.control.trial_safety import guard_named, trial_safety
 from equipoise.learning.closed_loop import (
-    make_plant,
+    make_loop_params,
     scaled,
 )
 from equipoise.learning.trials import draw_trials, record_trial, twin_settings
@@ -30,8 +30,16 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import DEPLOYMENT
-from equipoise.model.worlds import MODEL, World, pivot_friction, read_world
-from equipoise.runlog import IDEAL, EncoderSamples, Replies, RunConditions, RunLog, Stream, Truth
+from equipoise.model.sim_configs import MODEL, World, pivot_friction, read_world
+from equipoise.runlog import (
+    IDEAL,
+    EncoderSamples,
+    Replies,
+    RunConditions,
+    RunLog,
+    Stream,
+    TruthColumns,
+)
 from equipoise.settings import Settings
 
 Array = npt.NDArray[np.float64]
@@ -128,7 +136,7 @@ def _on_the_model(
     policy: TabularPolicy, actuator: Actuator, seed: int, duration: float, settings: Settings
 ) -> RunLog:
     nominal = policy.pendulum.parameters(linearised=settings.plant.linearised)
-    plant = make_plant(policy.arm, settings, policy.h, nominal, actuator)
+    plant = make_loop_params(policy.arm, settings, policy.h, nominal, actuator)
     trials = draw_trials(1, settings, seed, DEPLOYMENT, spread=1.0)
     longest = round(duration / policy.h)
     cause, rows = record_trial(plant, policy, nominal, trials, 0, longest, seed, DEPLOYMENT)
@@ -147,7 +155,7 @@ def _on_the_model(
             seed=seed,
             actuator=_named(actuator),
             twin=None,
-            zero_error=float(trials.zero[0]) if plant.controller.observes else None,
+            zero_error=float(trials.zero[0]) if plant.controller.has_sensor else None,
             cause=cause_named(cause),
             guard=guard_named(cause),
         ),
@@ -155,8 +163,8 @@ def _on_the_model(
         q=q,
         dq=_rates_of_all_joints(arm, rows.dq),
         # Each tick begins where the joints were at the end of the one before.
-        truth=Truth(*truth, q=np.vstack((arm.home, _all_joints(arm, rows.arm_q)))[: len(q)]),
-        **_decisions(rows.seen, rows.u, rows.estimate, policy.h),
+        truth=TruthColumns(*truth, q=np.vstack((arm.home, _all_joints(arm, rows.arm_q)))[: len(q)]),
+        **_decisions(rows.observation, rows.u, rows.estimate, policy.h),
     )
 
 
@@ -179,7 +187,7 @@ def _on_a_twin(
             *scaled(nominal, float(trials.inertia_factor[0]), float(trials.friction_factor[0]))
         )
     )
-    controller = make_controller(
+    controller = make_controller_params(
         policy.arm,
         settings,
         actuator,
@@ -197,7 +205,7 @@ def _on_a_twin(
         phi_dot=float(trials.start[0, 3]),
         duration=duration,
         seed=seed,
-        guard=trial_guard(
+        guard=trial_safety(
             policy.arm,
             world.settings,
             actuator,
@@ -208,7 +216,7 @@ def _on_a_twin(
     )
     arm, h, x_dot = policy.arm, policy.h, rows.truth[:, 1]
     time = np.arange(len(rows.u)) * h
-    sent = (time[:, None] + np.arange(SETPOINTS) * h / SETPOINTS).ravel()
+    sent = (time[:, None] + np.arange(SETPOINTS_PER_TICK) * h / SETPOINTS_PER_TICK).ravel()
     setpoints = rows.setpoints.reshape(-1, FREE_JOINTS)
     return RunLog(
         conditions=_conditions(
@@ -231,11 +239,11 @@ def _on_a_twin(
         tracked=np.diff(x_dot, append=x_dot[-1:]) / h,
         q=_all_joints(arm, rows.command[:, :FREE_JOINTS]),
         dq=_rates_of_all_joints(arm, rows.command[:, FREE_JOINTS:]),
-        truth=Truth(*rows.truth.T, q=rows.q),
+        truth=TruthColumns(*rows.truth.T, q=rows.q),
         stream=Stream(sent, _all_joints(arm, setpoints)),
         replies=Replies(rows.measured[:, -1], _all_joints(arm, rows.measured[:, :-1])),
         encoder=EncoderSamples(rows.counts[:, 1], rows.counts[:, 0].astype(np.int64)),
-        **_decisions(rows.seen, rows.u, rows.estimate, h),
+        **_decisions(rows.observation, rows.u, rows.estimate, h),
     )
 
 

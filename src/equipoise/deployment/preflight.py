@@ -16,10 +16,10 @@ from equipoise.control.safety import ENCODER_LATE, ENCODER_STALE, T1_SPEED
 from equipoise.control.slow_link import flange_speed
 from equipoise.devices.interfaces import AngleSensor, Clock
 from equipoise.devices.probes import listen, round_trips
-from equipoise.devices.realtime import Measure
+from equipoise.devices.realtime import RealtimeSetting
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
-from equipoise.rigs import Attended, Rig, RigSettings
+from equipoise.rigs import DrainingClock, Rig, RigSettings
 
 Array = npt.NDArray[np.float64]
 Verdict = Literal["good", "warning", "refused"]
@@ -43,7 +43,7 @@ SAME: Final = 1e-6
 """Homes that differ by more than this are two [rad]."""
 
 
-class Finding(NamedTuple):
+class PreflightCheck(NamedTuple):
     """What a check found."""
 
     name: str
@@ -61,7 +61,7 @@ class Finding(NamedTuple):
 class Preflight(NamedTuple):
     """What was found before anything moves."""
 
-    findings: list[Finding]
+    findings: list[PreflightCheck]
     """Each in a row of the table."""
     max_speed: float
     """The run stops where the flange reaches this [m/s]; inf where nothing limits it."""
@@ -69,7 +69,7 @@ class Preflight(NamedTuple):
 
 def check_fit(
     policy: TabularPolicy, actuator: Actuator, rig: RigSettings, counts_per_rev: int
-) -> Iterator[Finding]:
+) -> Iterator[PreflightCheck]:
     """Check a policy against the rig it is to run on.
 
     Args:
@@ -80,7 +80,7 @@ def check_fit(
     """
     arm, trained = rig.described_arm, policy.arm
     if trained.digest != arm.digest:
-        yield Finding(
+        yield PreflightCheck(
             "policy and arm",
             "refused",
             f"trained on {trained.name}, the rig has {arm.name}",
@@ -89,16 +89,18 @@ def check_fit(
     elif len(trained.home) != len(arm.home) or any(
         abs(a - b) > SAME for a, b in zip(trained.home, arm.home, strict=True)
     ):
-        yield Finding(
+        yield PreflightCheck(
             "policy and home",
             "refused",
             f"trained at {_degrees(trained.home)} deg, the rig's home is {_degrees(arm.home)} deg",
             "give the home of the training in rig.toml, or train for this one",
         )
     else:
-        yield Finding("policy and arm", "good", f"{arm.name}, home {_degrees(arm.home)} deg", "")
+        yield PreflightCheck(
+            "policy and arm", "good", f"{arm.name}, home {_degrees(arm.home)} deg", ""
+        )
     if max(abs(a - b) for a, b in zip(trained.pivot, arm.pivot, strict=True)) > 1e-3:
-        yield Finding(
+        yield PreflightCheck(
             "pendulum's pivot",
             "warning",
             "its place on the flange is not that of the training",
@@ -108,48 +110,50 @@ def check_fit(
     yield _actuator_fits(policy, actuator)
     trained_counts = policy.settings.plant.counts_per_rev
     if counts_per_rev != rig.counts_per_rev:
-        yield Finding(
+        yield PreflightCheck(
             "encoder's counts",
             "refused",
             f"the board says {counts_per_rev} per revolution, rig.toml {rig.counts_per_rev}",
             "correct counts_per_rev in rig.toml, or the firmware",
         )
     elif counts_per_rev < trained_counts // 2:
-        yield Finding(
+        yield PreflightCheck(
             "encoder's counts",
             "refused",
             f"{counts_per_rev} per revolution, trained with {trained_counts}",
             "train with --set plant.counts_per_rev, or use a finer encoder",
         )
     else:
-        yield Finding("encoder's counts", "good", f"{counts_per_rev} per revolution", "")
+        yield PreflightCheck("encoder's counts", "good", f"{counts_per_rev} per revolution", "")
 
 
-def _actuator_fits(policy: TabularPolicy, actuator: Actuator) -> Finding:
+def _actuator_fits(policy: TabularPolicy, actuator: Actuator) -> PreflightCheck:
     name, trained, plant = "arm's response", policy.actuator, policy.settings.plant
     cure = "train with --actuator and the file that identify makes of this rig's excitation"
     if policy.settings.plant.ideal or trained.kind == "ideal":
-        return Finding(name, "refused", "the policy was trained on an ideal arm", cure)
+        return PreflightCheck(name, "refused", "the policy was trained on an ideal arm", cure)
     if actuator.kind != trained.kind:
         told = f"{actuator.kind}, trained with {trained.kind}"
-        return Finding(name, "refused", told, cure)
+        return PreflightCheck(name, "refused", told, cure)
     late = actuator.delay.value - trained.delay.value
     found = f"{actuator.kind}, delay {1e3 * actuator.delay.value:.1f} ms"
     if abs(late) > plant.delay_spread:
         spread = 1e3 * plant.delay_spread
         found += f", trained for {1e3 * trained.delay.value:.1f} ± {spread:.1f} ms"
-        return Finding(name, "refused", found, cure)
+        return PreflightCheck(name, "refused", found, cure)
     ratios = [
         one.value / other.value if other.value > 0.0 else 1.0
         for one, other in zip(actuator.lags, trained.lags, strict=True)
     ]
     worst = max(ratios, key=lambda ratio: abs(ratio - 1.0))
     if abs(worst - 1.0) > plant.lag_spread:
-        return Finding(name, "refused", f"{found}, a lag {worst:.2f} times the trained one", cure)
-    return Finding(name, "good", found, "")
+        return PreflightCheck(
+            name, "refused", f"{found}, a lag {worst:.2f} times the trained one", cure
+        )
+    return PreflightCheck(name, "good", found, "")
 
 
-def check_link(trips: Array) -> Iterator[Finding]:
+def check_link(trips: Array) -> Iterator[PreflightCheck]:
     """Judge the round trips of a link to the robot [s], shape (n,)."""
     p50, p99, most = (float(t) for t in (*np.percentile(trips, (50, 99)), trips.max()))
     found = f"p50 {1e3 * p50:.2f} ms, p99 {1e3 * p99:.2f} ms, at most {1e3 * most:.2f} ms"
@@ -174,7 +178,7 @@ def lower_limit(t1: bool, of_link: float) -> float:
     return min(T1_SPEED if t1 else inf, of_link)
 
 
-def check_speed(policy: TabularPolicy, t1: bool, of_link: float) -> Iterator[Finding]:
+def check_speed(policy: TabularPolicy, t1: bool, of_link: float) -> Iterator[PreflightCheck]:
     """Say what limits the speed of the flange, and whether the policy was trained for that.
 
     Args:
@@ -189,13 +193,15 @@ def check_speed(policy: TabularPolicy, t1: bool, of_link: float) -> Iterator[Fin
     found = f"the run stops at {limit:.3g} m/s ({why})"
     trained = policy.settings.plant.max_speed
     if trained is not None and trained <= limit:
-        yield Finding("flange speed", "good", f"{found}; trained for {trained:g} m/s", "")
+        yield PreflightCheck("flange speed", "good", f"{found}; trained for {trained:g} m/s", "")
         return
     cure = f"train --max-speed {limit:.3g} makes a policy that lives with it"
-    yield Finding("flange speed", "warning", f"{found}, which the policy was not trained for", cure)
+    yield PreflightCheck(
+        "flange speed", "warning", f"{found}, which the policy was not trained for", cure
+    )
 
 
-def check_posture(q: Array, rig: RigSettings) -> Iterator[Finding]:
+def check_posture(q: Array, rig: RigSettings) -> Iterator[PreflightCheck]:
     """Look at where the robot stands.
 
     Args:
@@ -212,12 +218,12 @@ def check_posture(q: Array, rig: RigSettings) -> Iterator[Finding]:
     found = f"{name} is {room[closest]:.1f} deg inside its limit"
     if room[closest] < margin:
         cure = f"move {name} by hand to {margin:g} deg or more inside its limits"
-        yield Finding("posture", "refused", found, cure, outside=True)
+        yield PreflightCheck("posture", "refused", found, cure, outside=True)
     else:
-        yield Finding("posture", "good", found, "")
+        yield PreflightCheck("posture", "good", found, "")
 
 
-def check_encoder(sensor: AngleSensor, clock: Clock) -> Iterator[Finding]:
+def check_encoder(sensor: AngleSensor, clock: Clock) -> Iterator[PreflightCheck]:
     """Listen to the encoder.
 
     Raises:
@@ -265,7 +271,7 @@ def line_verdict(lost: int, count: int) -> Verdict:
     return "warning" if lost > LOST * count else "good"
 
 
-def check_home(rig: RigSettings) -> Iterator[Finding]:
+def check_home(rig: RigSettings) -> Iterator[PreflightCheck]:
     """Say so where a joint has hardly any room at home."""
     arm, margin = rig.described_arm, rig.position_margin_deg
     homes = [
@@ -273,7 +279,7 @@ def check_home(rig: RigSettings) -> Iterator[Finding]:
         for joint, angle in zip(arm.joints, arm.home, strict=True)
     ]
     if degrees(min(homes)) < margin + 5.0:
-        yield Finding(
+        yield PreflightCheck(
             "home",
             "refused",
             f"{degrees(min(homes)):.1f} deg from a joint's limit",
@@ -281,7 +287,7 @@ def check_home(rig: RigSettings) -> Iterator[Finding]:
         )
 
 
-def check_room(policy: TabularPolicy, rig: RigSettings) -> Iterator[Finding]:
+def check_room(policy: TabularPolicy, rig: RigSettings) -> Iterator[PreflightCheck]:
     """Say whether the hanging pendulum has room, taken as a uniform rod."""
     if rig.table_height_mm is None:
         return
@@ -293,18 +299,18 @@ def check_room(policy: TabularPolicy, rig: RigSettings) -> Iterator[Finding]:
     found = f"the tip hangs {room:.0f} mm above the table"
     if room < LEAST_ROOM_MM:
         cure = f"choose a home that leaves {LEAST_ROOM_MM:g} mm, or clear the table"
-        yield Finding("room below", "refused", found, cure)
+        yield PreflightCheck("room below", "refused", found, cure)
     else:
-        yield Finding("room below", "good", found, "")
+        yield PreflightCheck("room below", "good", found, "")
 
 
-def check_machine(measures: Sequence[Measure]) -> Iterator[Finding]:
+def check_machine(measures: Sequence[RealtimeSetting]) -> Iterator[PreflightCheck]:
     """Say what of real time the machine allowed."""
     for measure in measures:
         if measure.taken:
-            yield Finding(measure.name, "good", measure.note, "")
+            yield PreflightCheck(measure.name, "good", measure.note, "")
         else:
-            yield Finding(measure.name, "warning", "not allowed", measure.note)
+            yield PreflightCheck(measure.name, "warning", "not allowed", measure.note)
 
 
 def preflight(
@@ -312,7 +318,7 @@ def preflight(
     actuator: Actuator,
     settings: RigSettings,
     rig: Rig,
-    measures: Sequence[Measure] = (),
+    measures: Sequence[RealtimeSetting] = (),
     *,
     t1: bool = False,
 ) -> Preflight:
@@ -329,7 +335,7 @@ def preflight(
     Raises:
         LinkError: Robot or encoder does not answer.
     """
-    trips = round_trips(rig.robot, Attended(rig.clock, rig.sensor), LISTENING)
+    trips = round_trips(rig.robot, DrainingClock(rig.clock, rig.sensor), LISTENING)
     of_link = link_speed(settings.described_arm, trips)
     findings = [
         *check_fit(policy, actuator, settings, rig.sensor.counts_per_rev),
@@ -344,10 +350,10 @@ def preflight(
     return Preflight(findings, lower_limit(t1, of_link))
 
 
-def _finding(name: str, verdict: Verdict, found: str, cure: str) -> Finding:
+def _finding(name: str, verdict: Verdict, found: str, cure: str) -> PreflightCheck:
     """Return a finding about the rig, with its cure where one is needed."""
     good = verdict == "good"
-    return Finding(name, verdict, found, "" if good else cure, verdict == "refused")
+    return PreflightCheck(name, verdict, found, "" if good else cure, verdict == "refused")
 
 
 def _degrees(q: Sequence[float]) -> str:

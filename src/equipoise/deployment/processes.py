@@ -24,11 +24,11 @@ from typing import Any, Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.pilot import PHASES
+from equipoise.control.run_controller import PHASES
 from equipoise.control.self_test import SelfTest, self_test
 from equipoise.control.states import STREAMING
-from equipoise.control.ticks import Event, Job
-from equipoise.deployment.rig import ALONE, STOP, Outcome, Request, run_on_rig, warm_up
+from equipoise.control.ticks import Job, OperatorMessage
+from equipoise.deployment.rig import ALONE, STOP, RunRequest, RunResult, run_on_rig, warm_up
 from equipoise.devices import realtime
 from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
@@ -54,7 +54,7 @@ SIGNALS: Final = tuple(
 _TIME, _STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("time", "state", "phi", "ticks"))
 
 
-class Person(Operator, Protocol):
+class LocalOperator(Operator, Protocol):
     """An operator at a screen."""
 
     def live(self, phase: str, phi: float) -> None:
@@ -62,7 +62,9 @@ class Person(Operator, Protocol):
         ...
 
 
-def run_for_real(request: Request, out: Path, person: Person, *, replace: bool = False) -> Outcome:
+def run_in_processes(
+    request: RunRequest, out: Path, person: LocalOperator, *, replace: bool = False
+) -> RunResult:
     """Run a policy on a rig in real time, and write the log.
 
     Args:
@@ -88,7 +90,7 @@ def run_for_real(request: Request, out: Path, person: Person, *, replace: bool =
     loop = context.Process(target=_loop, args=(request, memory, joints, theirs), daemon=False)
     words: list[str] = []
     before = {number: signal.signal(number, lambda *_: words.append(STOP)) for number in SIGNALS}
-    log = _Log(writer, told[1])
+    log = LogProcess(writer, told[1])
     try:
         with _unheard():
             writer.start()
@@ -102,7 +104,7 @@ def run_for_real(request: Request, out: Path, person: Person, *, replace: bool =
         except BaseException:
             recorder.words.push(STOP.encode())  # nobody is left who could
             raise
-        log.end(result._asdict() if isinstance(result, Outcome) else {"fault": str(result)})
+        log.end(result._asdict() if isinstance(result, RunResult) else {"fault": str(result)})
     finally:
         if loop.pid is not None:
             loop.join(FAREWELL)
@@ -130,7 +132,7 @@ def _unheard() -> Generator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-class _Log:
+class LogProcess:
     """The writer's process as the parent sees it."""
 
     def __init__(self, writer: Any, told: Any) -> None:
@@ -146,12 +148,12 @@ class _Log:
         if problem is not None:
             raise OutsideError(problem)
 
-    def mind(self, person: Person) -> None:
+    def mind(self, person: LocalOperator) -> None:
         """Warn once where the log is not written any more."""
         problem = None if self._minded else self._problem()
         if problem is not None:
             self._minded = True
-            person.tell(Event("warning", f"the log is incomplete: {problem}"))
+            person.notify(OperatorMessage("warning", f"the log is incomplete: {problem}"))
 
     def end(self, outcome: dict[str, Any]) -> None:
         """Say how the run ended."""
@@ -170,10 +172,15 @@ class _Log:
 
 
 def _attend(
-    loop: Any, recorder: Recorder, person: Person, words: list[str], ours: Any, log: _Log
-) -> Outcome | EquipoiseError:
+    loop: Any,
+    recorder: Recorder,
+    person: LocalOperator,
+    words: list[str],
+    ours: Any,
+    log: LogProcess,
+) -> RunResult | EquipoiseError:
     """Talk, and watch, until the loop's process has ended; return what it sent."""
-    result: Outcome | EquipoiseError | None = None
+    result: RunResult | EquipoiseError | None = None
     silent = False
     while True:
         alive = loop.is_alive()
@@ -184,12 +191,12 @@ def _attend(
         streams = pulse[_TICKS] > 0 and result is None
         beats = alive and time.monotonic() - float(pulse[_TIME]) < SILENT
         if streams and not beats and not silent:
-            person.tell(Event("fault", f"the loop does not answer: {CANNOT_STOP}"))
+            person.notify(OperatorMessage("fault", f"the loop does not answer: {CANNOT_STOP}"))
         silent = streams and not beats
         for event in take_events(recorder.told):
-            person.tell(event)
+            person.notify(event)
         log.mind(person)
-        said = [*person.words(), *words]
+        said = [*person.read_input(), *words]
         words.clear()
         for word in said:
             recorder.words.push(word.encode()[:64])
@@ -217,7 +224,7 @@ def _received(pipe: Any) -> Any:
         return None
 
 
-class _Across:
+class OperatorProxy:
     """The operator as the loop's process sees it: on the other side of two rings."""
 
     def __init__(self, recorder: Recorder) -> None:
@@ -225,11 +232,13 @@ class _Across:
         self._parent = os.getppid()
         self.signalled = False
 
-    def tell(self, event: Any) -> None:
+    def notify(self, event: Any) -> None:
+        """Send an event to the operator in the parent process; never blocks."""
         now = time.monotonic()
         push_event(self._recorder.told, now, event.name, event.answers, event.text)
 
-    def words(self) -> list[str]:
+    def read_input(self) -> list[str]:
+        """Return the words that the parent process has received, the oldest first."""
         words = [word.decode("utf-8", "ignore") for word in self._recorder.words.take()["word"]]
         if self.signalled:
             self.signalled = False
@@ -241,14 +250,14 @@ class _Across:
 
     def attend(self) -> None:
         """Give up waiting for a robot, once that is wished; nothing else is meant to be typed."""
-        if {STOP, ALONE} & set(self.words()):
+        if {STOP, ALONE} & set(self.read_input()):
             raise OutsideError(
                 "stopped while the robot was waited for; nothing has moved. Start the server on "
                 "the smartPAD, and deploy again"
             )
 
 
-class _Aside:
+class WorkerProcess:
     """A process for jobs that take longer than a tick; it is started before the stream is."""
 
     def __init__(self) -> None:
@@ -262,16 +271,19 @@ class _Aside:
         self._practise()
 
     def begin(self, job: Job) -> None:
+        """Send a job to the worker."""
         with suppress(OSError):  # where it is gone, `result` says so
             self._pipe.send(job)
 
     def result(self) -> Any:
+        """Return the result of the job, once; an exception where the worker failed."""
         try:
             return self._pipe.recv() if self._pipe.poll() else None
         except (EOFError, OSError) as error:
             return error
 
     def close(self) -> None:
+        """End the worker."""
         self._pipe.close()
         self._process.join(FAREWELL)
         if self._process.is_alive():
@@ -327,10 +339,10 @@ def _be_deaf() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _loop(request: Request, memory: Any, joints: int, pipe: Any) -> None:
+def _loop(request: RunRequest, memory: Any, joints: int, pipe: Any) -> None:
     """Be the loop's process."""
     recorder = Recorder(joints, memoryview(memory).cast("B"))
-    across = _Across(recorder)
+    across = OperatorProxy(recorder)
 
     def stop(*_: object) -> None:
         across.signalled = True
@@ -339,17 +351,17 @@ def _loop(request: Request, memory: Any, joints: int, pipe: Any) -> None:
         signal.signal(number, stop)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
-    aside: _Aside | None = None
-    result: Outcome | EquipoiseError
+    aside: WorkerProcess | None = None
+    result: RunResult | EquipoiseError
     try:
-        aside = _Aside()
+        aside = WorkerProcess()
         warm_up(request)  # before a link is there that could not be listened to meanwhile
         rig = connect(
             request.robot,
             request.encoder,
             request.settings,
             request.policy.pendulum,
-            tell=lambda text: across.tell(Event("waiting", text)),
+            tell=lambda text: across.notify(OperatorMessage("waiting", text)),
             attend=across.attend,
         )
         result = run_on_rig(

@@ -11,16 +11,16 @@ from math import ceil, inf, nan, radians
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from equipoise.control.controller import Controller, horizon, make_controller
-from equipoise.control.lane import Flange, Lane
-from equipoise.control.pilot import PHASES, Pilot
+from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
+from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.policy import TabularPolicy
-from equipoise.control.safety import T1_SPEED, Guard, Rule, make_guard
+from equipoise.control.run_controller import PHASES, RunController
+from equipoise.control.safety import T1_SPEED, Rule, SafetyParams, make_safety_params
 from equipoise.control.states import Cause
-from equipoise.control.ticks import Event, Heart
+from equipoise.control.ticks import OperatorMessage, TickHandler
 from equipoise.deployment import deploy
 from equipoise.deployment.preflight import (
-    Finding,
+    PreflightCheck,
     check_fit,
     check_home,
     check_room,
@@ -28,14 +28,14 @@ from equipoise.deployment.preflight import (
 )
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Clock
-from equipoise.devices.loop import Ending, Workshop, run_loop
+from equipoise.devices.loop import Executor, LoopResult, run_loop
 from equipoise.devices.operator import Operator
-from equipoise.devices.realtime import Measure
+from equipoise.devices.realtime import RealtimeSetting
 from equipoise.errors import ArtefactError, EquipoiseError, InputError, LinkError, OutsideError
 from equipoise.model.actuator import Actuator
-from equipoise.model.worlds import PivotFriction, pivot_friction, read_world
+from equipoise.model.sim_configs import PivotFriction, pivot_friction, read_world
 from equipoise.printable import printable
-from equipoise.rigs import Attended, Rig, RigSettings, connect, is_virtual
+from equipoise.rigs import DrainingClock, Rig, RigSettings, connect, is_virtual
 from equipoise.runwriter import CONNECTING, WORD_TYPED, Recorder, RunWriter, push_event
 
 LASTED: Final = "lasted"
@@ -79,7 +79,7 @@ NO_WATCHDOG: Final = (
 
 
 @dataclass(frozen=True)
-class Request:
+class RunRequest:
     """What is to run where."""
 
     policy: TabularPolicy
@@ -101,7 +101,7 @@ class Request:
     seed: int
     """Of what is random on an emulated rig."""
 
-    def controller(self, counts_per_rev: int) -> Controller:
+    def controller(self, counts_per_rev: int) -> ControllerParams:
         """Return the constants of the control step on that rig.
 
         Raises:
@@ -109,7 +109,7 @@ class Request:
             SettingsError: The delay is longer than the controller remembers.
         """
         policy, plant = self.policy, self.policy.settings.plant
-        return make_controller(
+        return make_controller_params(
             self.settings.described_arm,
             policy.settings,
             self.actuator,
@@ -118,7 +118,7 @@ class Request:
             counts_per_rev=counts_per_rev,
         )
 
-    def guard(self, counts_per_rev: int, max_speed: float = inf) -> Guard:
+    def guard(self, counts_per_rev: int, max_speed: float = inf) -> SafetyParams:
         """Return the rules of that rig.
 
         Args:
@@ -126,7 +126,7 @@ class Request:
             max_speed: The flange stays below this [m/s], as the pre-flight said.
         """
         arm = self.settings.described_arm
-        return make_guard(
+        return make_safety_params(
             arm,
             reaction=horizon(arm, self.actuator, 0.0),
             u_max=max(map(abs, self.policy.actions)),
@@ -179,7 +179,7 @@ class Request:
         return pivot_friction(self.policy.pendulum, read_world(self.robot).settings)
 
 
-class Outcome(NamedTuple):
+class RunResult(NamedTuple):
     """What came of a run."""
 
     cause: str
@@ -200,7 +200,7 @@ class Outcome(NamedTuple):
     """The same of the time from reading to sending [s]."""
 
 
-class Hearing:
+class OperatorInbox:
     """An operator whose words can be taken one at a time; what is left over is heard later."""
 
     def __init__(self, operator: Operator) -> None:
@@ -208,35 +208,35 @@ class Hearing:
         self._operator = operator
         self._heard: list[str] = []
 
-    def tell(self, event: Any) -> None:
+    def notify(self, event: Any) -> None:
         """Tell the operator."""
-        self._operator.tell(event)
+        self._operator.notify(event)
 
-    def words(self) -> list[str]:
+    def read_input(self) -> list[str]:
         """Return all that was typed and not taken yet."""
         heard, self._heard = self._heard, []
-        return [*heard, *self._operator.words()]
+        return [*heard, *self._operator.read_input()]
 
-    def word(self) -> str | None:
+    def read_word(self) -> str | None:
         """Take the oldest word; none where nothing was typed."""
-        self._heard = self.words()
+        self._heard = self.read_input()
         return self._heard.pop(0) if self._heard else None
 
 
-class Teller:
+class OperatorChannel:
     """Tells the operator, and the log."""
 
-    def __init__(self, operator: Hearing, recorder: Recorder, clock: Clock) -> None:
+    def __init__(self, operator: OperatorInbox, recorder: Recorder, clock: Clock) -> None:
         """Stand between both."""
         self._operator, self._recorder, self._clock = operator, recorder, clock
 
-    def __call__(self, event: Event) -> None:
+    def __call__(self, event: OperatorMessage) -> None:
         """Tell."""
         now = self._clock.now()
         push_event(self._recorder.event, now, event.name, event.answers, event.text)
-        self._operator.tell(event)
+        self._operator.notify(event)
 
-    def ask(self, event: Event) -> str:
+    def ask(self, event: OperatorMessage) -> str:
         """Tell, and wait for an answer; return it, a denial, or the last of three other words."""
         self(event)
         for _ in range(ATTEMPTS - 1):
@@ -248,23 +248,23 @@ class Teller:
         return self._typed()
 
     def _typed(self) -> str:
-        while (word := self._operator.word()) is None:
+        while (word := self._operator.read_word()) is None:
             self._clock.wait_until(self._clock.now() + POLL)
         push_event(self._recorder.event, self._clock.now(), WORD_TYPED, (), word)
         return word.strip().lower()
 
 
 def run_on_rig(
-    request: Request,
+    request: RunRequest,
     rig: Rig,
     operator: Operator,
     recorder: Recorder,
     *,
-    measures: Callable[[], Sequence[Measure]] = tuple,
-    workshop: Workshop | None = None,
+    measures: Callable[[], Sequence[RealtimeSetting]] = tuple,
+    workshop: Executor | None = None,
     idle: Callable[[], None] = lambda: None,
-    around: Callable[[Heart], Heart] = lambda heart: heart,
-) -> Outcome:
+    around: Callable[[TickHandler], TickHandler] = lambda heart: heart,
+) -> RunResult:
     """Run a policy on a rig that is not connected yet; the arm rests and the rig is let go after.
 
     Args:
@@ -281,31 +281,31 @@ def run_on_rig(
         InputError: The policy does not fit the rig.
         OutsideError: The rig does not answer as it should.
     """
-    waiting, hearing = Attended(rig.clock, rig.sensor), Hearing(operator)
-    tell = Teller(hearing, recorder, waiting)
+    waiting, hearing = DrainingClock(rig.clock, rig.sensor), OperatorInbox(operator)
+    tell = OperatorChannel(hearing, recorder, waiting)
     period = request.policy.h / 2.0
     robot = GuardedRobot(rig.robot, request.guard(request.settings.counts_per_rev).limits, period)
     try:
-        tell(Event(CONNECTING, f"Connecting to {request.robot}."))
+        tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
         rig.sensor.connect()
         robot.connect()
         before = preflight(
             request.policy, request.actuator, request.settings, rig, measures(), t1=request.t1
         )
         for finding in before.findings:
-            tell(Event("finding", "\t".join(map(printable, finding[:4]))))
+            tell(OperatorMessage("finding", "\t".join(map(printable, finding[:4]))))
         refuse(before.findings)
         if before.max_speed < inf:
             tell(speed_limit(before.max_speed))
-        tell(Event("notice", NO_WATCHDOG))
+        tell(OperatorMessage("notice", NO_WATCHDOG))
         for word, question in CHECKLIST:
-            said = tell.ask(Event("checklist", f"{question} Type {word}.", (word,)))
+            said = tell.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
             if said != word:
                 return _unmoved(OPERATOR, f"{word} was not acknowledged; nothing has moved")
         if request.dry_run:
             return _unmoved("dry run", "all but moving was done; nothing has moved")
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
-        if tell.ask(Event("move", question, ("y", "n"))) != "y":
+        if tell.ask(OperatorMessage("move", question, ("y", "n"))) != "y":
             return _unmoved(OPERATOR, "the move was not allowed; nothing has moved")
         return _run(
             request, rig, robot, hearing, recorder, before.max_speed, workshop, idle, around
@@ -315,7 +315,7 @@ def run_on_rig(
         rig.sensor.close()
 
 
-def check_request(request: Request) -> None:
+def check_request(request: RunRequest) -> None:
     """Refuse what needs no rig to be told: the pre-flight tells the rest.
 
     Raises:
@@ -331,12 +331,14 @@ def check_request(request: Request) -> None:
     )
 
 
-def speed_limit(max_speed: float) -> Event:
+def speed_limit(max_speed: float) -> OperatorMessage:
     """Return what the operator and the log are told of the flange's limit [m/s]."""
-    return Event(SPEED_LIMIT, f"{max_speed!r} m/s: the run stops where the flange is as fast.")
+    return OperatorMessage(
+        SPEED_LIMIT, f"{max_speed!r} m/s: the run stops where the flange is as fast."
+    )
 
 
-def told_limit(events: Iterable[tuple[str, str]]) -> float:
+def logged_speed_limit(events: Iterable[tuple[str, str]]) -> float:
     """Return the flange's limit [m/s] from names and texts of a log's events; inf if there is none.
 
     Args:
@@ -357,7 +359,7 @@ def told_limit(events: Iterable[tuple[str, str]]) -> float:
     return inf
 
 
-def refuse(findings: Sequence[Finding]) -> None:
+def refuse(findings: Sequence[PreflightCheck]) -> None:
     """Raise what forbids a run.
 
     Raises:
@@ -371,16 +373,16 @@ def refuse(findings: Sequence[Finding]) -> None:
 
 
 def _run(
-    request: Request,
+    request: RunRequest,
     rig: Rig,
     robot: GuardedRobot,
     operator: Operator,
     recorder: Recorder,
     max_speed: float,
-    workshop: Workshop | None,
+    workshop: Executor | None,
     idle: Callable[[], None],
-    around: Callable[[Heart], Heart],
-) -> Outcome:
+    around: Callable[[TickHandler], TickHandler],
+) -> RunResult:
     counts_per_rev = rig.sensor.counts_per_rev
     arm, guard = request.settings.described_arm, request.guard(counts_per_rev, max_speed)
     controller, policy = request.controller(counts_per_rev), request.policy.kernel
@@ -389,7 +391,7 @@ def _run(
     q = robot.started_at
     began = rig.clock.now()
     recorder.reply.push(began, nan, q, recorder.unknown, began)
-    pilot = Pilot(arm, controller, policy, guard, q, duration=request.duration)
+    pilot = RunController(arm, controller, policy, guard, q, duration=request.duration)
     ending = run_loop(
         robot,
         rig.sensor,
@@ -409,7 +411,7 @@ def _run(
     return _outcome(pilot, ending)
 
 
-def warm_up(request: Request) -> None:
+def warm_up(request: RunRequest) -> None:
     """Run all kernels of a tick once, so that none is compiled or loaded in the stream.
 
     Raises:
@@ -418,18 +420,18 @@ def warm_up(request: Request) -> None:
     """
     settings = request.settings
     arm, controller = settings.described_arm, request.controller(settings.counts_per_rev)
-    lane = Lane(arm, controller)
+    lane = Controller(arm, controller)
     lane.observe(0.0, 0.0, arm.home, 0.0)
     lane.command(lane.decide(request.policy.kernel)[0])
-    Flange(arm, controller).place(arm.home)
+    FlangeKinematics(arm, controller).place(arm.home)
 
 
-def _outcome(pilot: Pilot, ending: Ending) -> Outcome:
+def _outcome(pilot: RunController, ending: LoopResult) -> RunResult:
     cause = pilot.state.cause or Cause("fault", "the run ended without a cause")
     if ending.fault is not None:
         cause = Cause("fault" if ending.stoppable else "link lost", ending.fault)
     timing = ending.timing
-    return Outcome(
+    return RunResult(
         cause=cause.name,
         reason=cause.reason,
         lasted=pilot.lasted,
@@ -441,17 +443,17 @@ def _outcome(pilot: Pilot, ending: Ending) -> Outcome:
     )
 
 
-def _unmoved(cause: str, reason: str) -> Outcome:
-    return Outcome(cause, reason, 0.0, True, None, 0, {}, {})
+def _unmoved(cause: str, reason: str) -> RunResult:
+    return RunResult(cause, reason, 0.0, True, None, 0, {}, {})
 
 
 def run_virtually(
-    request: Request,
+    request: RunRequest,
     out: Path | None,
     operator: Operator | None = None,
     *,
     replace: bool = False,
-) -> Outcome:
+) -> RunResult:
     """Run on an emulated rig in this process, in virtual time.
 
     Args:
@@ -470,14 +472,14 @@ def run_virtually(
 
 
 def run_rig_virtually(
-    request: Request,
+    request: RunRequest,
     rig: Rig,
     out: Path | None,
     operator: Operator | None = None,
     *,
     replace: bool = False,
-    around: Callable[[Heart], Heart] = lambda heart: heart,
-) -> Outcome:
+    around: Callable[[TickHandler], TickHandler] = lambda heart: heart,
+) -> RunResult:
     """Do the same on a rig that was put together already, such as one with faults."""
     recorder = Recorder(rig.robot.joints)
     writer = None
@@ -494,7 +496,7 @@ def run_rig_virtually(
             else:
                 recorder.forget()
 
-    there = Together([one for one in (rig.operator, operator) if one is not None])
+    there = OperatorGroup([one for one in (rig.operator, operator) if one is not None])
     end: dict[str, Any] = {}
     try:
         outcome = run_on_rig(request, rig, there, recorder, idle=idle, around=around)
@@ -508,28 +510,28 @@ def run_rig_virtually(
             writer.drain(recorder)
             writer.finish(rig.clock.now(), end)
             if writer.problem is not None:
-                there.tell(Event("warning", f"the log is incomplete: {writer.problem}"))
+                there.notify(OperatorMessage("warning", f"the log is incomplete: {writer.problem}"))
 
 
-class Together:
+class OperatorGroup:
     """Several operators as one: all are told, each may speak."""
 
     def __init__(self, operators: Sequence[Operator]) -> None:
         """Stand beside each other."""
         self._operators = operators
 
-    def tell(self, event: Any) -> None:
+    def notify(self, event: Any) -> None:
         """Tell all of them."""
         for operator in self._operators:
-            operator.tell(event)
+            operator.notify(event)
 
-    def words(self) -> list[str]:
+    def read_input(self) -> list[str]:
         """Return what any has typed."""
-        return [word for operator in self._operators for word in operator.words()]
+        return [word for operator in self._operators for word in operator.read_input()]
 
 
 def rehearse_t1(
-    request: Request, *, trials: int = T1_TRIALS, duration: float = T1_DURATION
+    request: RunRequest, *, trials: int = T1_TRIALS, duration: float = T1_DURATION
 ) -> None:
     """Let a policy balance on the twin under the limit of T1, before it is tried on a robot.
 
@@ -576,7 +578,7 @@ STOPPED_BY: Final = {
 """Exit codes of the causes that are not a fall or a broken rule."""
 
 
-def exit_code(outcome: Outcome) -> int:
+def exit_code(outcome: RunResult) -> int:
     """Return the exit code of the command: 0, 1 (fell, or a rule was broken), 3 or 130."""
     if not outcome.stoppable:
         return 3

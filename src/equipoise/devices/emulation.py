@@ -1,8 +1,8 @@
 """The rig's hardware in real time, on this machine: a KST server on a port, a board on a terminal.
 
 Behind both stands one bench. Who connects cannot tell them from a robot and a board but by the
-address. The operator is played by what can be seen (`equipoise.devices.twin.onlooker`), or by words
-that someone types.
+address. The operator acts on what can be seen
+(`equipoise.devices.twin.visual_operator`), or on words that someone types.
 
 The server ends with each client, as the real one does, and is started again on the smartPAD: by the
 emulated operator at once after an `end`, and some seconds after a client has vanished, until when
@@ -22,14 +22,14 @@ import numpy as np
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.terminal import Terminal
 from equipoise.devices.interfaces import Clock
-from equipoise.devices.kuka.cabinet import Faults, KstServer
 from equipoise.devices.kuka.listener import serve
-from equipoise.devices.twin.bench import Bench
-from equipoise.devices.twin.onlooker import Onlooker
+from equipoise.devices.kuka.server_emulator import Faults, KstServer
+from equipoise.devices.twin.simulated_rig import SimulatedRig
+from equipoise.devices.twin.visual_operator import VisualOperator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import Floats
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 
 STALL: Final = 0.020
 """A host that is later than this has stalled [s]."""
@@ -89,7 +89,9 @@ class Emulation:
         self._clock, self._say = clock, say
         self._speeds = [joint.velocity for joint in arm.joints]
         self._faults, self._seed = faults or Faults(), seed
-        bench = Bench(arm, pendulum, settings, seed=seed, start=clock.now(), q=away_from_home(arm))
+        bench = SimulatedRig(
+            arm, pendulum, settings, seed=seed, start=clock.now(), q=away_from_home(arm)
+        )
         self.bench = bench
         """What stands behind it all."""
         _warm_up(bench)
@@ -102,7 +104,7 @@ class Emulation:
         self._down = False
         self._operator = operator
         if operator:
-            bench.watch(Onlooker(bench, clumsy=clumsy, say=say).look)
+            bench.watch(VisualOperator(bench, clumsy=clumsy, say=say).look)
         self._server: KstServer | None = None
         self._restarted = False
         self._vanished: float | None = None
@@ -112,7 +114,7 @@ class Emulation:
         self.acts: Mapping[str, Callable[[], object]] = {
             "press": bench.press,
             "lift": lambda: bench.lift(clumsy=clumsy),
-            "aside": bench.aside,
+            "aside": bench.hold_deflected,
             "release": bench.let_go,
             "steady": bench.steady,
             "push": lambda: bench.push(PUSH),
@@ -221,7 +223,7 @@ class Emulation:
             self._restart()
 
 
-def _warm_up(bench: Bench) -> None:
+def _warm_up(bench: SimulatedRig) -> None:
     """Do once what a client asks for: to compile it, or to load it, would be a stall later."""
     body = bench.body
     body.servo(True)

@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.ticks import Event, Heart, Inputs, Job, Output
+from equipoise.control.ticks import Job, OperatorMessage, TickHandler, TickInputs, TickOutput
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import AngleSensor, Clock, Reply, Sample
 from equipoise.devices.operator import Operator
@@ -29,7 +29,7 @@ from equipoise.runwriter import FAILED, PULSE, WORD_TYPED, Recorder, push_event
 Array = npt.NDArray[np.float64]
 
 
-class Workshop(Protocol):
+class Executor(Protocol):
     """Where jobs are done that take longer than a tick, one at a time."""
 
     def begin(self, job: Job) -> None:
@@ -41,7 +41,7 @@ class Workshop(Protocol):
         ...
 
 
-class AtOnce:
+class InlineExecutor:
     """Where time is virtual a job takes none."""
 
     def __init__(self) -> None:
@@ -79,7 +79,7 @@ class Timing(NamedTuple):
         return {"p50": p50, "p99": p99, "p99.9": p999, "max": float(of.max())}
 
 
-class Ending(NamedTuple):
+class LoopResult(NamedTuple):
     """How a loop ended."""
 
     fault: str | None
@@ -94,14 +94,14 @@ def run_loop(
     robot: GuardedRobot,
     sensor: AngleSensor,
     clock: Clock,
-    heart: Heart,
+    heart: TickHandler,
     recorder: Recorder,
     operator: Operator,
     *,
     longest: float,
-    workshop: Workshop | None = None,
+    workshop: Executor | None = None,
     idle: Callable[[], None] = lambda: None,
-) -> Ending:
+) -> LoopResult:
     """Run until the heart is done, or nothing can be done any more. The servo runs already.
 
     Args:
@@ -119,7 +119,7 @@ def run_loop(
     h = heart.h
     room = round(longest / h)
     late, compute = np.zeros(room), np.zeros(room)
-    workshop = AtOnce() if workshop is None else workshop
+    workshop = InlineExecutor() if workshop is None else workshop
     ticks = missed = 0
     faults: list[str] = []
     sensor_lost = refused = False
@@ -143,9 +143,9 @@ def run_loop(
                     sensor_lost = True
                     faults.append(str(error))
             replies = robot.replies()
-            words = operator.words()
+            words = operator.read_input()
             output = heart.tick(
-                now, Inputs(samples, replies, words, faults, lateness, workshop.result())
+                now, TickInputs(samples, replies, words, faults, lateness, workshop.result())
             )
             failed, faults = faults, []
             first, *rest = output.setpoints
@@ -159,7 +159,7 @@ def run_loop(
                 for text in said:
                     push_event(recorder.event, now, name, (), text)
             for event in output.events:
-                _tell(recorder, operator, now, event)
+                _notify(recorder, operator, now, event)
             for place, setpoint in enumerate(rest, start=1):
                 clock.wait_until(deadline + place * h / len(output.setpoints))
                 moment = clock.now()
@@ -180,15 +180,17 @@ def run_loop(
     except Exception as error:  # whatever it is, the arm is to come to rest
         fault = f"the controller failed ({type(error).__name__}: {error})"
     if fault is not None:
-        _tell_surely(recorder, operator, clock, fault if stoppable else f"{fault}; {CANNOT_STOP}")
+        _notify_best_effort(
+            recorder, operator, clock, fault if stoppable else f"{fault}; {CANNOT_STOP}"
+        )
     if stoppable and (fault is not None or not robot.at_rest):
         stoppable = _rest(robot, clock, recorder, h / 2.0)
         if not stoppable:
-            _tell_surely(recorder, operator, clock, CANNOT_STOP)
+            _notify_best_effort(recorder, operator, clock, CANNOT_STOP)
     recorder.pulse[_TICKS] = 0.0  # nobody need wait for another
     idle()
     timing = Timing(late[: min(ticks, room)], compute[: min(ticks, room)], missed)
-    return Ending(fault, stoppable, timing)
+    return LoopResult(fault, stoppable, timing)
 
 
 CANNOT_STOP: Final = (
@@ -214,15 +216,15 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
     return True
 
 
-def _tell_surely(recorder: Recorder, operator: Operator, clock: Clock, text: str) -> None:
+def _notify_best_effort(recorder: Recorder, operator: Operator, clock: Clock, text: str) -> None:
     """Tell of a fault; where that fails too, the arm is still to come to rest."""
     with suppress(Exception):
-        _tell(recorder, operator, clock.now(), Event("fault", text))
+        _notify(recorder, operator, clock.now(), OperatorMessage("fault", text))
 
 
-def _tell(recorder: Recorder, operator: Operator, now: float, event: Event) -> None:
+def _notify(recorder: Recorder, operator: Operator, now: float, event: OperatorMessage) -> None:
     push_event(recorder.event, now, event.name, event.answers, event.text)
-    operator.tell(event)
+    operator.notify(event)
 
 
 _TIME, _STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("time", "state", "phi", "ticks"))
@@ -236,10 +238,10 @@ def _record(
     took: float,
     samples: Sequence[Sample],
     replies: Sequence[Reply],
-    output: Output,
+    output: TickOutput,
     went: Sequence[float] | None,
 ) -> None:
-    seen, unknown = output.seen, recorder.unknown
+    seen, unknown = output.record, recorder.unknown
     for sample in samples:
         recorder.encoder.push(*sample, now)
     for reply in replies:

@@ -16,7 +16,7 @@ REACTION: Final = (0.3, 1.0)
 
 
 @runtime_checkable
-class Event(Protocol):
+class OperatorNotice(Protocol):
     """What an operator is told; any value with these attributes is one."""
 
     @property
@@ -35,7 +35,7 @@ class Event(Protocol):
         ...
 
 
-class Told(NamedTuple):
+class Notice(NamedTuple):
     """The plainest event."""
 
     name: str
@@ -50,11 +50,11 @@ class Told(NamedTuple):
 class Operator(Protocol):
     """Who is told what a run does, and answers."""
 
-    def tell(self, event: Event) -> None:
+    def notify(self, event: OperatorNotice) -> None:
         """Take note of an event; never blocks."""
         ...
 
-    def words(self) -> list[str]:
+    def read_input(self) -> list[str]:
         """Take what was typed since the last call, a line each, the oldest first; never blocks."""
         ...
 
@@ -80,10 +80,10 @@ class EmulatedOperator:
         self._acts = dict(acts or {})
         self._random = np.random.default_rng(seed)
         self._due: list[tuple[float, str, Callable[[], Any] | None]] = []
-        self.told: list[Event] = []
+        self.told: list[OperatorNotice] = []
         """All events so far."""
 
-    def tell(self, event: Event) -> None:
+    def notify(self, event: OperatorNotice) -> None:
         """Take note of an event, and plan what it asks for."""
         self.told.append(event)
         act = self._acts.get(event.name)
@@ -92,7 +92,7 @@ class EmulatedOperator:
             word = event.answers[0] if event.answers else ""
             self._due.append((moment, word, act))
 
-    def words(self) -> list[str]:
+    def read_input(self) -> list[str]:
         """Do what is due, and return what is typed by now."""
         now = self._clock.now()
         due = [plan for plan in self._due if plan[0] <= now]

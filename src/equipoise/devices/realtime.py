@@ -17,7 +17,7 @@ MCL_CURRENT: Final = 1
 MCL_FUTURE: Final = 2
 
 
-class Measure(NamedTuple):
+class RealtimeSetting(NamedTuple):
     """One thing that makes ticks punctual."""
 
     name: str
@@ -28,7 +28,7 @@ class Measure(NamedTuple):
     """How it is now, or what to do about it."""
 
 
-def prepare(core: int = -1) -> tuple[Measure, ...]:
+def prepare(core: int = -1) -> tuple[RealtimeSetting, ...]:
     """Make this process punctual; call it once all memory is laid out and all code was run.
 
     Args:
@@ -40,48 +40,48 @@ def prepare(core: int = -1) -> tuple[Measure, ...]:
     return freeze_garbage(), lock_memory(), real_time_priority(), stay_on_core(core)
 
 
-def freeze_garbage() -> Measure:
+def freeze_garbage() -> RealtimeSetting:
     """Let Python not look for garbage any more: that would stop the loop for milliseconds."""
     gc.collect()
     gc.freeze()
     gc.disable()
-    return Measure("garbage collection", True, "off")
+    return RealtimeSetting("garbage collection", True, "off")
 
 
-def lock_memory() -> Measure:
+def lock_memory() -> RealtimeSetting:
     """Keep all memory in RAM."""
     name = "memory locked"
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0:
-            return Measure(name, True, "all pages stay in memory")
+            return RealtimeSetting(name, True, "all pages stay in memory")
         reason = os.strerror(ctypes.get_errno())
     except (AttributeError, OSError, TypeError) as error:
         reason = str(error)
-    return Measure(
+    return RealtimeSetting(
         name,
         False,
         f"{reason}; allow it in /etc/security/limits.conf: @realtime - memlock unlimited",
     )
 
 
-def real_time_priority(priority: int = PRIORITY) -> Measure:
+def real_time_priority(priority: int = PRIORITY) -> RealtimeSetting:
     """Run before all ordinary work."""
     name = "real-time priority"
     if sys.platform != "linux":
-        return Measure(name, False, f"{sys.platform} has no SCHED_FIFO; use Linux")
+        return RealtimeSetting(name, False, f"{sys.platform} has no SCHED_FIFO; use Linux")
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
-        return Measure(
+        return RealtimeSetting(
             name,
             False,
             f"{error.strerror}; allow it in /etc/security/limits.conf: @realtime - rtprio 99",
         )
-    return Measure(name, True, f"SCHED_FIFO {priority}")
+    return RealtimeSetting(name, True, f"SCHED_FIFO {priority}")
 
 
-def stay_on_core(core: int = -1) -> Measure:
+def stay_on_core(core: int = -1) -> RealtimeSetting:
     """Stay on one processor core, so that its caches stay warm.
 
     Args:
@@ -89,13 +89,17 @@ def stay_on_core(core: int = -1) -> Measure:
     """
     name = "own core"
     if sys.platform != "linux":
-        return Measure(name, False, f"{sys.platform} cannot do that; use Linux")
+        return RealtimeSetting(name, False, f"{sys.platform} cannot do that; use Linux")
     allowed = sorted(os.sched_getaffinity(0))
     if len(allowed) < 2:
-        return Measure(name, False, "there is one core only; use a machine with two or more")
+        return RealtimeSetting(
+            name, False, "there is one core only; use a machine with two or more"
+        )
     chosen = allowed[core]
     try:
         os.sched_setaffinity(0, {chosen})
     except OSError as error:
-        return Measure(name, False, f"core {chosen}: {error.strerror}; give one of {allowed}")
-    return Measure(name, True, f"core {chosen}")
+        return RealtimeSetting(
+            name, False, f"core {chosen}: {error.strerror}; give one of {allowed}"
+        )
+    return RealtimeSetting(name, True, f"core {chosen}")

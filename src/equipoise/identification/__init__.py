@@ -33,8 +33,8 @@ from equipoise.identification.fit import (
     W2,
     Array,
     C,
-    Fit,
-    Recording,
+    FittedUnknowns,
+    SwingRecording,
     covariance,
     fit_growing,
     fit_richer,
@@ -97,8 +97,8 @@ def identify(
     )
     w2 = free.starts[0][W2]
 
-    def recording_of(samples: Averages) -> Recording:
-        return Recording(
+    def recording_of(samples: Averages) -> SwingRecording:
+        return SwingRecording(
             free.begin,
             *samples,
             is_rate=trajectory.theta is None,
@@ -148,7 +148,7 @@ def identify(
 
 
 def _refuse_unexplained(
-    recording: Recording, free: FreeSwing, period: float, swing_fit: SwingFit
+    recording: SwingRecording, free: FreeSwing, period: float, swing_fit: SwingFit
 ) -> None:
     settings, spread = swing_fit.settings, float(np.std(recording.values))
     left = misfit(swing_fit.rms, swing_fit.noise) / spread
@@ -171,8 +171,12 @@ def _refuse_unexplained(
 
 
 def _nested(
-    recording: Recording, fit: Fit, free: FreeSwing, period: float, settings: IdentificationSettings
-) -> Fit:
+    recording: SwingRecording,
+    fit: FittedUnknowns,
+    free: FreeSwing,
+    period: float,
+    settings: IdentificationSettings,
+) -> FittedUnknowns:
     """Return the better of a fit and those that begin at the optima of the simpler models."""
     models = list(FRICTIONS)
     viscous = settings.model_copy(update={"friction": models[0]})
@@ -183,7 +187,11 @@ def _nested(
 
 
 def _warnings(
-    recording: Recording, whole: Recording, fit: Fit, period: float, swing_fit: SwingFit
+    recording: SwingRecording,
+    whole: SwingRecording,
+    fit: FittedUnknowns,
+    period: float,
+    swing_fit: SwingFit,
 ) -> tuple[str, ...]:
     settings = swing_fit.settings
     unit = "deg/s" if recording.is_rate else "deg"
@@ -241,7 +249,11 @@ def _warnings(
 
 
 def _best_friction(
-    recording: Recording, whole: Recording, fit: Fit, period: float, swing_fit: SwingFit
+    recording: SwingRecording,
+    whole: SwingRecording,
+    fit: FittedUnknowns,
+    period: float,
+    swing_fit: SwingFit,
 ) -> tuple[Friction, float]:
     """Return the simplest friction model that leaves clearly less than all simpler ones.
 

@@ -161,7 +161,7 @@ class Log(NamedTuple):
         return J
 
 
-class Fit(NamedTuple):
+class JointFit(NamedTuple):
     """The unknowns that leave the least squares."""
 
     kind: Kind
@@ -347,7 +347,7 @@ def speed_ranges(time: Array, q: Array) -> Array:
     return np.ptp(np.quantile(velocity, [0.02, 0.98], axis=0), axis=0)
 
 
-def _fit(log: Log, kind: Kind, *, t_c_kept: bool = False) -> Fit:
+def _fit(log: Log, kind: Kind, *, t_c_kept: bool = False) -> JointFit:
     """Fit one kind of actuator: joints weigh by their residuals, then by how their blocks agree."""
     common = [DELAY] if t_c_kept else COMMON[kind]
     fitted = [*common, *(first + j for first in OWN[kind] for j in range(FREE_JOINTS))]
@@ -362,7 +362,7 @@ def _fit(log: Log, kind: Kind, *, t_c_kept: bool = False) -> Fit:
     unknowns = _least_squares(log, kind, starts[nearest], fitted, weights)
     weights = 1.0 / _agreement(log, kind, unknowns, fitted)
     unknowns = _least_squares(log, kind, unknowns, fitted, weights)
-    return Fit(kind, unknowns, fitted, weights, log.residual(kind, unknowns))
+    return JointFit(kind, unknowns, fitted, weights, log.residual(kind, unknowns))
 
 
 def _least_squares(log: Log, kind: Kind, start: Array, fitted: list[int], weights: Array) -> Array:
@@ -414,7 +414,7 @@ def _agreement(log: Log, kind: Kind, unknowns: Array, fitted: list[int]) -> Arra
     return sizes
 
 
-def _covariance(log: Log, fit: Fit) -> Array:
+def _covariance(log: Log, fit: JointFit) -> Array:
     """Return the covariance of the unknowns, shape (14, 14); zero where one was not free.
 
     A jackknife over blocks of time of all joints together; and how far the unknowns move when the
@@ -443,7 +443,7 @@ def _half_width(covariance: Array, place: int) -> float:
     return float(student.ppf(0.975, BLOCKS - 1)) * sqrt(covariance[place, place])
 
 
-def _estimates(fit: Fit, covariance: Array) -> list[Estimate]:
+def _estimates(fit: JointFit, covariance: Array) -> list[Estimate]:
     """Return the unknowns with their intervals, none of which reaches below zero."""
     estimates: list[Estimate] = []
     for place in range(PUSH):
@@ -472,7 +472,7 @@ def _one_step(log: Log, kind: Kind, unknowns: Array) -> Array:
     )
 
 
-def _refuse_unexplained(log: Log, fit: Fit) -> None:
+def _refuse_unexplained(log: Log, fit: JointFit) -> None:
     left = np.std(fit.residual, axis=1) / np.std(log.measured, axis=1)
     j = int(np.argmax(left))
     if left[j] > UNEXPLAINED:
@@ -483,7 +483,7 @@ def _refuse_unexplained(log: Log, fit: Fit) -> None:
         )
 
 
-def _warnings(log: Log, fit: Fit, noise: Array) -> tuple[str, ...]:
+def _warnings(log: Log, fit: JointFit, noise: Array) -> tuple[str, ...]:
     warnings: list[str] = []
     if fit.kind == "kst" and T_C not in fit.fitted:
         warnings.append(

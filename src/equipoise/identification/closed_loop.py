@@ -104,7 +104,7 @@ class ClosedLoopFit(Value):
     """Where the log says little, and what to do."""
 
 
-class Move(Value):
+class ParameterChange(Value):
     """A parameter that a log finds elsewhere than it was."""
 
     name: Literal["w2", "k", "c"]
@@ -274,7 +274,7 @@ def _regress(
 
 def compare(
     known: Pendulum, fit: ClosedLoopFit, plant: PlantSettings | None = None
-) -> tuple[Move, ...]:
+) -> tuple[ParameterChange, ...]:
     """Return which parameters moved since a pendulum was identified.
 
     A parameter moved where the difference is beyond both 95 % intervals, corrected for the number
@@ -302,7 +302,7 @@ def compare(
         pairs.append(("c", *_frictions(known, fit), plant.friction_sigma))
     limit = float(norm.isf(0.025 / len(pairs)))
     moves = [
-        Move(name=name, before=before, now=now, z=_z(before, now))
+        ParameterChange(name=name, before=before, now=now, z=_z(before, now))
         for name, before, now, varied in pairs
         if abs(now.value - before.value) > varied * abs(before.value)
     ]

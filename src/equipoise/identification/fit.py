@@ -33,7 +33,7 @@ EXPLAINED = 0.05
 apart; the wrong friction over 60 periods leaves that much."""
 
 
-class Recording(NamedTuple):
+class SwingRecording(NamedTuple):
     """Samples that are fitted, each the mean of those within a short time."""
 
     begin: float
@@ -51,12 +51,12 @@ class Recording(NamedTuple):
     w2_range: tuple[float, float]
     """Bounds of w2 [1/s^2]: upside down, with w2 < 0, every swing has a second solution."""
 
-    def until(self, end: float) -> "Recording":
+    def until(self, end: float) -> "SwingRecording":
         """Return the part up to a time."""
         n = int(np.searchsorted(self.time, end, side="right"))
         return self._replace(time=self.time[:n], values=self.values[:n], spread=self.spread[:n])
 
-    def every(self, n: int) -> "Recording":
+    def every(self, n: int) -> "SwingRecording":
         """Return one of `n` samples."""
         return self._replace(time=self.time[::n], values=self.values[::n], spread=self.spread[::n])
 
@@ -81,7 +81,7 @@ class Recording(NamedTuple):
         return self.values - self.predict(unknowns)
 
 
-class Fit(NamedTuple):
+class FittedUnknowns(NamedTuple):
     """The unknowns that leave the least squares."""
 
     unknowns: Array
@@ -93,8 +93,11 @@ class Fit(NamedTuple):
 
 
 def fit_growing(
-    recording: Recording, starts: Sequence[Array], period: float, settings: IdentificationSettings
-) -> Fit:
+    recording: SwingRecording,
+    starts: Sequence[Array],
+    period: float,
+    settings: IdentificationSettings,
+) -> FittedUnknowns:
     """Fit the recording over a growing horizon.
 
     Fitted at once, a long window has false minima. Where the fit is poor all the same, other first
@@ -114,9 +117,9 @@ def fit_growing(
     others = starts[1:]
     ways = [(growing, starts[0]), *((slowly, start) for start in others[:1])]
     ways += [*((growing, start) for start in others), (slowly, starts[0])]
-    found = list[tuple[float, Fit]]()
+    found = list[tuple[float, FittedUnknowns]]()
     for horizons, start in ways:
-        fit = Fit(start, [], [])
+        fit = FittedUnknowns(start, [], [])
         for horizon in (*horizons, length):
             part = recording.until(recording.begin + horizon)
             fit = fit_bounded(part, settings.friction, fit.unknowns, tolerance=1e-6)
@@ -129,20 +132,20 @@ def fit_growing(
     return fit_bounded(recording, settings.friction, best.unknowns, thorough=True)
 
 
-def _unexplained(recording: Recording, fit: Fit) -> float:
+def _unexplained(recording: SwingRecording, fit: FittedUnknowns) -> float:
     """Return what a fit leaves, noise apart, as a share of the motion's standard deviation."""
     residual = recording.residual(fit.unknowns)
     return misfit(rms(residual), noise_of(residual)) / float(np.std(recording.values))
 
 
 def fit_richer(
-    recording: Recording,
+    recording: SwingRecording,
     friction: Friction,
-    simple: Fit,
+    simple: FittedUnknowns,
     period: float,
     settings: IdentificationSettings,
     tolerance: float = 1e-12,
-) -> Fit:
+) -> FittedUnknowns:
     """Fit a friction model from the optimum of a simpler one; never worse than that.
 
     Args:
@@ -176,17 +179,17 @@ def fit_richer(
     if rms(recording.residual(least.unknowns)) <= rms(recording.residual(known)):
         return least
     bound = [place for place in FRICTIONS[friction] if place not in simple.fitted]
-    return Fit(known, simple.fitted, bound)
+    return FittedUnknowns(known, simple.fitted, bound)
 
 
 def fit_bounded(
-    recording: Recording,
+    recording: SwingRecording,
     friction: Friction,
     start: Array,
     *,
     thorough: bool = False,
     tolerance: float = 1e-12,
-) -> Fit:
+) -> FittedUnknowns:
     """Fit with all frictions of a model at zero or above.
 
     Args:
@@ -219,11 +222,11 @@ def fit_bounded(
         key=lambda frictions: rms(recording.residual(found[frictions])),
     )
     bound = [place for place in FRICTIONS[friction] if place not in kept]
-    return Fit(found[kept], [W2, *kept, THETA, THETA_DOT, OFFSET], bound)
+    return FittedUnknowns(found[kept], [W2, *kept, THETA, THETA_DOT, OFFSET], bound)
 
 
 def _without(
-    recording: Recording, unknowns: Array, fitted: list[int], place: int, start: Array
+    recording: SwingRecording, unknowns: Array, fitted: list[int], place: int, start: Array
 ) -> Array:
     """Return a first guess of the others for when one friction is zero.
 
@@ -247,7 +250,7 @@ def _without(
 
 
 def _least_squares(
-    recording: Recording, start: Array, fitted: list[int], tolerance: float = 1e-12
+    recording: SwingRecording, start: Array, fitted: list[int], tolerance: float = 1e-12
 ) -> Array:
     from scipy.optimize import least_squares
 
@@ -286,7 +289,7 @@ def _scales(unknowns: Array) -> Array:
     return np.array([w2, root, w2, 1.0, 1.0, root, 1.0])
 
 
-def sensitivities(recording: Recording, unknowns: Array, places: list[int]) -> Array:
+def sensitivities(recording: SwingRecording, unknowns: Array, places: list[int]) -> Array:
     """Return the derivatives of the prediction by the unknowns at `places`, shape (n, p)."""
     sizes = 1e-6 * _scales(unknowns)
     columns: list[Array] = []
@@ -298,7 +301,7 @@ def sensitivities(recording: Recording, unknowns: Array, places: list[int]) -> A
     return np.stack(columns, axis=1)
 
 
-def covariance(recording: Recording, fit: Fit, blocks: int) -> Array:
+def covariance(recording: SwingRecording, fit: FittedUnknowns, blocks: int) -> Array:
     """Return the covariance of the unknowns from a jackknife over blocks of time.
 
     How far the estimate moves when one block is left out says how far it can be trusted, also
@@ -320,7 +323,9 @@ def covariance(recording: Recording, fit: Fit, blocks: int) -> Array:
     return spread
 
 
-def _jackknife(recording: Recording, fit: Fit, places: list[int], blocks: int) -> Array:
+def _jackknife(
+    recording: SwingRecording, fit: FittedUnknowns, places: list[int], blocks: int
+) -> Array:
     """Return the covariance at `places`."""
     scales = _scales(fit.unknowns)[places]
     J = sensitivities(recording, fit.unknowns, places) * scales

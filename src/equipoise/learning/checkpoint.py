@@ -13,10 +13,10 @@ from pydantic import ConfigDict, Field
 
 from equipoise.artefacts import Artefact, Value
 from equipoise.control.boxes import ACTIONS, COUNT
-from equipoise.control.policy import Candidate, LearningPoint
+from equipoise.control.policy import Checkpoint, LearningPoint
 from equipoise.errors import ArtefactError
-from equipoise.learning.q_learning import BEGUN, ENDED, IN_USE, Progress
-from equipoise.model.elementary import LANES
+from equipoise.learning.q_learning import BEGUN, ENDED, IN_USE, TrainingState
+from equipoise.model.elementary import BATCH_SIZE
 
 
 class _Bytes(Value):
@@ -32,7 +32,7 @@ class Finalist(_Bytes):
     """State-action values, 270 x 8 float64."""
     visits: bytes
     """Updates of each, 270 x 8 int64."""
-    candidate: Candidate
+    candidate: Checkpoint
     """Its screening."""
 
 
@@ -45,17 +45,17 @@ class LearnerState(_Bytes):
     """Running average of the table, 270 x 8 float64."""
     screened: int = Field(ge=0)
     """Number of screenings."""
-    known: dict[str, Candidate]
+    known: dict[str, Checkpoint]
     """Screening of each greedy policy, by the SHA-256 of its accelerations."""
     best: tuple[Finalist, ...]
     """The best so far, the best first."""
-    final: tuple[Candidate, ...]
+    final: tuple[Checkpoint, ...]
     """Final round of the first of them."""
     curve: tuple[LearningPoint, ...] = Field(min_length=1)
     """The learning curve so far."""
 
 
-class Checkpoint(Artefact):
+class ResumePoint(Artefact):
     """An unfinished training of one or several learners."""
 
     FORMAT: ClassVar[str] = "equipoise-checkpoint"
@@ -67,12 +67,12 @@ class Checkpoint(Artefact):
     """State of each learner that has begun, by its number."""
 
 
-def pack(progress: Progress) -> bytes:
+def pack(progress: TrainingState) -> bytes:
     """Return all arrays of a training, one after the other."""
     return b"".join(array.tobytes() for array in _arrays(progress))
 
 
-def unpack(data: bytes, progress: Progress) -> None:
+def unpack(data: bytes, progress: TrainingState) -> None:
     """Write what `pack` returned into the arrays of a training.
 
     Args:
@@ -94,7 +94,7 @@ def unpack(data: bytes, progress: Progress) -> None:
     bounds = {
         "box": (progress.box, COUNT),
         "action": (progress.action, ACTIONS),
-        "lanes in use": (totals[IN_USE], LANES + 1),
+        "lanes in use": (totals[IN_USE], BATCH_SIZE + 1),
         "episodes ended": (totals[ENDED], int(totals[BEGUN]) + 1),
     }
     for name, (values, end) in bounds.items():

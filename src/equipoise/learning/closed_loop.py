@@ -8,7 +8,7 @@ once per episode, on the pose error e in every step.
 With the actuator `ideal`, the paper's, the arm is where it is sent and the state is known. With any
 other the setpoints take effect after a delay, joint by joint through servo and drive, an encoder
 counts with a wrong zero, and the policy sees what the controller makes of it
-(`equipoise.control.controller`). Delay, lags and zero differ from episode to episode.
+(`equipoise.control.control_step`). Delay, lags and zero differ from episode to episode.
 
 Kernels advance a block of independent states at once, one to a lane (`equipoise.model.elementary`).
 Training, evaluation, the recorded run and any policy written in Python call the `step` below; what
@@ -24,31 +24,31 @@ import numpy.typing as npt
 from equipoise.compiled import inlined, kernel
 from equipoise.control.boxes import (
     ANGLE,
-    GUARD,
     JOINT_LIMIT,
-    LASTED,
+    SAFETY_STOP,
     TRACK,
+    TRUNCATED,
     Boxes,
     box_index,
     boxes,
 )
 from equipoise.control.clik import pose_error
-from equipoise.control.controller import (
-    PHI_DOT_SEEN,
-    PHI_SEEN,
-    SETPOINTS,
-    X_DOT_SEEN,
-    X_SEEN,
-    Controller,
-    Memory,
-    begin,
+from equipoise.control.control_step import (
+    OBS_PHI,
+    OBS_PHI_DOT,
+    OBS_X,
+    OBS_X_DOT,
+    SETPOINTS_PER_TICK,
+    ControllerParams,
+    ControllerState,
     command,
-    copy_memory,
+    copy_controller_state,
     copy_rows,
-    make_controller,
-    new_memory,
+    make_controller_params,
+    new_controller_state,
     observe,
     pivot_velocity,
+    start_controller,
 )
 from equipoise.control.safety import SPEED_CODE
 from equipoise.model.actuator import (
@@ -60,7 +60,7 @@ from equipoise.model.actuator import (
     steady_error,
 )
 from equipoise.model.arms.arm import FRAME_SIZE, FREE_JOINTS, POSITION, TWIST, Arm
-from equipoise.model.elementary import LANES, at, put, sincos
+from equipoise.model.elementary import BATCH_SIZE, at, put, sincos
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.random import normal_radius, philox, turn, uniform
@@ -68,10 +68,10 @@ from equipoise.settings import Settings
 
 Array = npt.NDArray[np.float64]
 
-LEAST_INERTIA_FACTOR: Final = 0.1
-SENT: Final = 32
+MIN_INERTIA_FACTOR: Final = 0.1
+SETPOINT_HISTORY: Final = 32
 """Setpoints that may be under way to the arm."""
-TOO_FAST: Final = GUARD + SPEED_CODE
+SPEED_LIMIT_CAUSE: Final = SAFETY_STOP + SPEED_CODE
 """Cause of failure where the task limits the flange's speed: that of the guard of a rig."""
 
 # Rows of the block of states.
@@ -85,10 +85,10 @@ PARAMETERS: Final = 5
 """Rows of the block of pendulums: the numbers of `PendulumParameters`."""
 
 
-class Plant(NamedTuple):
+class LoopParams(NamedTuple):
     """What does not change during an episode."""
 
-    controller: Controller
+    controller: ControllerParams
     """What turns u into setpoints, and measurements into what the policy sees."""
     phi_limit: float
     """|phi| of failure [rad]."""
@@ -104,7 +104,7 @@ class Plant(NamedTuple):
     """Whether the pendulum is that of equation (7)."""
 
 
-class Variation(NamedTuple):
+class DomainRandomization(NamedTuple):
     """How the plant of one episode differs from the nominal one."""
 
     inertia_factor: float
@@ -119,10 +119,10 @@ class Variation(NamedTuple):
     """What the encoder reads too much of phi [rad]."""
 
 
-class Block(NamedTuple):
-    """The states of `LANES` closed loops, which a step changes in place; each a block of rows."""
+class BatchState(NamedTuple):
+    """States of `BATCH_SIZE` closed loops, changed in place by a step; each field is a block."""
 
-    memory: Memory
+    controller: ControllerState
     """What the controllers know."""
     pendula: Array
     """Numbers of `PendulumParameters`, 5 rows."""
@@ -141,8 +141,8 @@ class Block(NamedTuple):
     """What the lag of a joint takes up in a servo cycle, 6 rows."""
     target: Array
     """Room for the setpoints in force, 6 rows."""
-    sent: Array
-    """The last `SENT` setpoints, 6 rows each."""
+    setpoints: Array
+    """The last `SETPOINT_HISTORY` setpoints, 6 rows each."""
     newest: npt.NDArray[np.int64]
     """Which of them is the newest, shape (1,)."""
     delay: npt.NDArray[np.int64]
@@ -151,13 +151,13 @@ class Block(NamedTuple):
     """What the encoder reads too much of phi [rad], 1 row."""
 
 
-def make_plant(
+def make_loop_params(
     arm: Arm,
     settings: Settings,
     h: float,
     pendulum: PendulumParameters,
     actuator: Actuator = IDEAL_ACTUATOR,
-) -> Plant:
+) -> LoopParams:
     """Return the constants of a plant for compiled loops.
 
     Args:
@@ -172,8 +172,8 @@ def make_plant(
         SettingsError: The delay is longer than the controller remembers.
     """
     limits, max_speed = boxes(), settings.plant.max_speed
-    return Plant(
-        controller=make_controller(
+    return LoopParams(
+        controller=make_controller_params(
             arm,
             settings,
             actuator,
@@ -191,35 +191,35 @@ def make_plant(
     )
 
 
-def new_block() -> Block:
+def new_batch_state() -> BatchState:
     """Return a block for `reset`."""
 
     def rows(count: int) -> Array:
-        return np.zeros(count * LANES)
+        return np.zeros(count * BATCH_SIZE)
 
-    return Block(
-        memory=new_memory(),
+    return BatchState(
+        controller=new_controller_state(),
         pendula=rows(PARAMETERS),
         state=rows(STATE_SIZE),
-        cause=np.zeros(LANES, np.int64),
+        cause=np.zeros(BATCH_SIZE, np.int64),
         q=rows(6),
         dq=rows(6),
         frame=rows(FRAME_SIZE),
         share=rows(6),
         target=rows(6),
-        sent=rows(6 * SENT),
+        setpoints=rows(6 * SETPOINT_HISTORY),
         newest=np.zeros(1, np.int64),
-        delay=np.zeros(LANES, np.int64),
+        delay=np.zeros(BATCH_SIZE, np.int64),
         zero=rows(1),
     )
 
 
 @kernel
 def reset(
-    plant: Plant,
-    block: Block,
+    plant: LoopParams,
+    block: BatchState,
     pendulum: PendulumParameters,
-    variation: Variation,
+    variation: DomainRandomization,
     start: tuple[float, float, float, float],
     n: int,
 ) -> None:
@@ -234,10 +234,10 @@ def reset(
             the pendulum from upright [rad] and its angular velocity [rad/s].
         n: Lane.
     """
-    controller, memory = plant.controller, block.memory
+    controller, memory = plant.controller, block.controller
     x, x_dot, phi, phi_dot = start
-    zero = variation.zero if controller.observes else 0.0
-    begin(controller, memory, x, x_dot, phi + zero, phi_dot, n)
+    zero = variation.zero if controller.has_sensor else 0.0
+    start_controller(controller, memory, x, x_dot, phi + zero, phi_dot, n)
     own = scaled(pendulum, variation.inertia_factor, variation.friction_factor)
     put(block.pendula, 0, n, own.w2)
     put(block.pendula, 1, n, own.k)
@@ -249,46 +249,46 @@ def reset(
     put(block.state, PHI, n, phi)
     put(block.state, PHI_DOT, n, phi_dot)
     put(block.state, TRACKED, n, 0.0)
-    block.cause[n] = LASTED
-    if not controller.observes:
+    block.cause[n] = TRUNCATED
+    if not controller.has_sensor:
         return
     delay = max(controller.delay + variation.delay, 0.0)
     block.delay[n] = round(delay / CYCLE)
     put(block.zero, 0, n, zero)
-    apart = controller.h / SETPOINTS
+    apart = controller.h / SETPOINTS_PER_TICK
     for i in range(FREE_JOINTS):
         dq, lag = at(memory.dq, i, n), controller.lags[i] * variation.lag_factor
         behind = dq * delay + steady_error(dq, lag, controller.actuator)
         put(block.q, i, n, at(memory.q, i, n) - behind)
         put(block.dq, i, n, dq)
         put(block.share, i, n, lag_share(lag))
-        for j in range(SENT):
-            row = 6 * ((block.newest[0] - j) % SENT)
-            put(block.sent, row + i, n, at(memory.q, i, n) - j * apart * dq)
+        for j in range(SETPOINT_HISTORY):
+            row = 6 * ((block.newest[0] - j) % SETPOINT_HISTORY)
+            put(block.setpoints, row + i, n, at(memory.q, i, n) - j * apart * dq)
     for i in range(FRAME_SIZE):
         put(block.frame, i, n, at(memory.frame, i, n))
 
 
 @kernel
-def step(plant: Plant, block: Block, lanes: int) -> None:
+def step(plant: LoopParams, block: BatchState, lanes: int) -> None:
     """Advance controller, arm and pendulum of the first lanes by one time step.
 
     Reads `memory.u` and standard normal numbers in `memory.noise`; everything else of the block is
-    brought up to date, with the cause of failure of each lane, `LASTED` if none.
+    brought up to date, with the cause of failure of each lane, `TRUNCATED` if none.
 
     Args:
         plant: Constants.
         block: Changed in place.
         lanes: How many lanes.
     """
-    controller, memory, state, cause = plant.controller, block.memory, block.state, block.cause
+    controller, memory, state, cause = plant.controller, block.controller, block.state, block.cause
     noise, h, home_x = memory.noise, controller.h, controller.home_reference[POSITION]
     for i in range(6):
         sigma = plant.position_noise if i < 3 else plant.orientation_noise
         for n in range(lanes):
             put(noise, i, n, sigma * at(noise, i, n))
     frame = memory.frame
-    if controller.observes:
+    if controller.has_sensor:
         frame = block.frame
     for n in range(lanes):
         # u' starts as minus the velocity before the step.
@@ -297,33 +297,35 @@ def step(plant: Plant, block: Block, lanes: int) -> None:
     dry = False
     for n in range(lanes):
         dry = dry or at(block.pendula, 3, n) > 0.0
-    if controller.observes:
+    if controller.has_sensor:
         move_arms(controller, block, plant.linearised, dry, lanes)
     for n in range(lanes):
         v = pivot_velocity(frame, controller.pivot, n)
         put(state, TRACKED, n, (v + at(state, TRACKED, n)) / h)
         put(state, X, n, at(frame, POSITION, n) - home_x)
         put(state, X_DOT, n, at(frame, TWIST, n))
-    if not (controller.observes and dry):
+    if not (controller.has_sensor and dry):
         advance_pendula(state, block.pendula, h, plant.linearised, lanes)
     for n in range(lanes):
         slow = abs(at(state, X_DOT, n)) < plant.speed_limit
-        within = JOINT_LIMIT if memory.beyond[n] else (LASTED if slow else TOO_FAST)
+        within = (
+            JOINT_LIMIT if memory.limit_exceeded[n] else (TRUNCATED if slow else SPEED_LIMIT_CAUSE)
+        )
         on_track = abs(at(state, X, n)) < plant.x_limit
         upright = abs(at(state, PHI, n)) < plant.phi_limit
         cause[n] = (within if on_track else TRACK) if upright else ANGLE
-    if controller.observes:
+    if controller.has_sensor:
         measure(controller, block, lanes)
         observe(controller, memory, 0.0, 0.0, lanes)
     else:
         for i in range(4):
             for n in range(lanes):
-                put(memory.seen, i, n, at(state, i, n))
+                put(memory.observation, i, n, at(state, i, n))
 
 
 @kernel
 def move_arms(
-    controller: Controller, block: Block, linearised: bool, dry: bool, lanes: int
+    controller: ControllerParams, block: BatchState, linearised: bool, dry: bool, lanes: int
 ) -> None:
     """Send the setpoints of the tick, and move the arms of the first lanes by one tick.
 
@@ -337,22 +339,27 @@ def move_arms(
         dry: Whether some pendulum has dry friction.
         lanes: How many lanes.
     """
-    sent, target, setpoints, delay = block.sent, block.target, block.memory.setpoints, block.delay
-    before, state = np.empty(LANES), block.state
+    sent, target, setpoints, delay = (
+        block.setpoints,
+        block.target,
+        block.controller.setpoints,
+        block.delay,
+    )
+    before, state = np.empty(BATCH_SIZE), block.state
     for n in range(lanes):
         before[n] = at(state, TRACKED, n)
-    cycles = round(controller.h / SETPOINTS / CYCLE)
-    for s in range(SETPOINTS):
-        block.newest[0] = (block.newest[0] + 1) % SENT
+    cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
+    for s in range(SETPOINTS_PER_TICK):
+        block.newest[0] = (block.newest[0] + 1) % SETPOINT_HISTORY
         row = 6 * block.newest[0]
         for i in range(6):
             for n in range(lanes):
                 put(sent, row + i, n, at(setpoints, 6 * s + i, n))
     # The newest but SETPOINTS - 1 was sent at the tick; a setpoint from before is older by one.
-    at_tick = block.newest[0] - (SETPOINTS - 1)
-    for cycle in range(SETPOINTS * cycles):
+    at_tick = block.newest[0] - (SETPOINTS_PER_TICK - 1)
+    for cycle in range(SETPOINTS_PER_TICK * cycles):
         for n in range(lanes):
-            row = 6 * ((at_tick + (cycle - delay[n]) // cycles) % SENT)
+            row = 6 * ((at_tick + (cycle - delay[n]) // cycles) % SETPOINT_HISTORY)
             for i in range(6):
                 put(target, i, n, at(sent, row + i, n))
         follow(block.q, block.dq, target, block.share, controller.actuator, lanes)
@@ -370,9 +377,9 @@ def move_arms(
 
 
 @kernel
-def measure(controller: Controller, block: Block, lanes: int) -> None:
+def measure(controller: ControllerParams, block: BatchState, lanes: int) -> None:
     """Write what encoder and joints show to the controllers of the first lanes."""
-    memory, state, frame, zero = block.memory, block.state, block.frame, block.zero
+    memory, state, frame, zero = block.controller, block.state, block.frame, block.zero
     for n in range(lanes):
         tilt = -pose_error(frame, memory.reference, n)[4]
         theta = pi - (at(state, PHI, n) - tilt + at(zero, 0, n))
@@ -464,25 +471,25 @@ def draw_noise(
 def box_of(seen: Array, boxes: Boxes, n: int) -> int:
     """Return the box of what the policy of lane `n` sees."""
     return box_index(
-        at(seen, X_SEEN, n),
-        at(seen, X_DOT_SEEN, n),
-        at(seen, PHI_SEEN, n),
-        at(seen, PHI_DOT_SEEN, n),
+        at(seen, OBS_X, n),
+        at(seen, OBS_X_DOT, n),
+        at(seen, OBS_PHI, n),
+        at(seen, OBS_PHI_DOT, n),
         boxes,
     )
 
 
 @kernel
-def copy_lane(block: Block, source: int, target: int) -> None:
+def copy_lane(block: BatchState, source: int, target: int) -> None:
     """Copy the state of one lane to another, which closes the gap that a finished one leaves."""
-    copy_memory(block.memory, source, target)
+    copy_controller_state(block.controller, source, target)
     copy_rows(block.pendula, source, target)
     copy_rows(block.state, source, target)
     copy_rows(block.q, source, target)
     copy_rows(block.dq, source, target)
     copy_rows(block.frame, source, target)
     copy_rows(block.share, source, target)
-    copy_rows(block.sent, source, target)
+    copy_rows(block.setpoints, source, target)
     copy_rows(block.delay, source, target)
     copy_rows(block.zero, source, target)
     block.cause[target] = block.cause[source]
@@ -496,7 +503,7 @@ def scaled(
 
     Factors come from normal distributions: I keeps at least a tenth of itself, b is not negative.
     """
-    inertia_factor = max(inertia_factor, LEAST_INERTIA_FACTOR)
+    inertia_factor = max(inertia_factor, MIN_INERTIA_FACTOR)
     friction_factor = max(friction_factor, 0.0)
     return PendulumParameters(
         pendulum.w2 / inertia_factor,

@@ -7,11 +7,11 @@ gamma^n in place of gamma: the update of a semi-Markov process (Bradtke & Duff 1
 equation (1) is the case n = 1. Within a box nothing changes that the table could see, so a greedy
 policy holds its action anyway.
 
-One compiled loop runs whole episodes, `LANES` of them at once, all learning on the one table: in
-each step every lane acts by the table as it stands, then the updates are made one after the other.
-A failure is terminal, so its target is the reward alone. With `mirrored`, the mirror image of each
-update is made with it, so that the table stays exactly symmetric. Ties between best actions are
-broken at random.
+One compiled loop runs whole episodes, `BATCH_SIZE` of them at once, all learning on the one table:
+in each step every lane acts by the table as it stands, then the updates are made one after the
+other. A failure is terminal, so its target is the reward alone. With `mirrored`, the mirror image
+of each update is made with it, so that the table stays exactly symmetric. Ties between best actions
+are broken at random.
 """
 
 from typing import Final, NamedTuple
@@ -20,19 +20,19 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
-from equipoise.control.boxes import ACTIONS, COUNT, LASTED, Boxes, mirrored_box
+from equipoise.control.boxes import ACTIONS, COUNT, TRUNCATED, Boxes, mirrored_box
 from equipoise.learning.closed_loop import (
-    Block,
-    Plant,
-    Variation,
+    BatchState,
+    DomainRandomization,
+    LoopParams,
     box_of,
     copy_lane,
     draw_noise,
-    new_block,
+    new_batch_state,
     reset,
     step,
 )
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
@@ -55,11 +55,11 @@ STEPS: Final = 3
 ENDED_STEPS: Final = 4
 
 
-class Learner(NamedTuple):
+class QLearningConfig(NamedTuple):
     """Constants of a training; each is described in `equipoise.settings.LearningSettings`."""
 
     episodes: int
-    longest: int
+    max_steps: int
     """Steps after which an episode is cut off, without a failure."""
     gamma: float
     alpha_initial: float
@@ -69,7 +69,7 @@ class Learner(NamedTuple):
     epsilon_until: float
     reward_failure: float
     mirrored: bool
-    held: bool
+    hold_action: bool
     start: tuple[float, float, float, float]
     """Half widths of x, x_dot, phi, phi_dot at the start."""
     inertia_sigma: float
@@ -83,14 +83,14 @@ class Learner(NamedTuple):
 
 
 @inlined
-def learning_rate(visits: float, learner: Learner) -> float:
+def learning_rate(visits: float, learner: QLearningConfig) -> float:
     """Return alpha of a state-action pair that was visited so often before."""
     rate = learner.alpha_initial / (1.0 + learner.alpha_decay * visits)
     return max(rate, learner.alpha_minimum)
 
 
 @inlined
-def exploration(episode: int, learner: Learner) -> float:
+def exploration(episode: int, learner: QLearningConfig) -> float:
     """Return the probability of a random action in an episode."""
     if learner.epsilon_until <= 0.0:
         return learner.epsilon_initial
@@ -99,7 +99,7 @@ def exploration(episode: int, learner: Learner) -> float:
 
 
 @inlined
-def discount(steps: int, learner: Learner) -> float:
+def discount(steps: int, learner: QLearningConfig) -> float:
     """Return gamma to the power of a number of steps."""
     # As a float: Numba's power of whole numbers rounds otherwise than Python's.
     return learner.gamma ** float(steps)
@@ -138,7 +138,7 @@ def update(
     box: int,
     action: int,
     target: float,
-    learner: Learner,
+    learner: QLearningConfig,
 ) -> None:
     """Apply equation (1) to one state-action pair, and to its mirror image if asked.
 
@@ -159,50 +159,50 @@ def update(
         visits[box_m, action_m] = visits[box, action]
 
 
-class Progress(NamedTuple):
+class TrainingState(NamedTuple):
     """A training under way: the table, and the episodes that its lanes are in."""
 
     Q: Array
     """State-action values, shape (270, 8)."""
     visits: npt.NDArray[np.int64]
     """Updates of each, shape (270, 8)."""
-    block: Block
+    batch: BatchState
     """States of the running episodes."""
     episode: npt.NDArray[np.int64]
-    """Episode of each lane, shape (LANES,)."""
+    """Episode of each lane, shape (BATCH_SIZE,)."""
     tick: npt.NDArray[np.int64]
-    """Its step, shape (LANES,)."""
+    """Its step, shape (BATCH_SIZE,)."""
     box: npt.NDArray[np.int64]
-    """Its box, shape (LANES,)."""
+    """Its box, shape (BATCH_SIZE,)."""
     action: npt.NDArray[np.int64]
-    """Index of its action, shape (LANES,)."""
-    held: npt.NDArray[np.int64]
-    """Steps for which it has been held in this box, shape (LANES,)."""
+    """Index of its action, shape (BATCH_SIZE,)."""
+    held_steps: npt.NDArray[np.int64]
+    """Steps for which it has been held in this box, shape (BATCH_SIZE,)."""
     totals: npt.NDArray[np.int64]
     """Episodes begun, episodes ended, lanes in use, steps, steps of ended episodes; shape (5,)."""
 
 
-def new_progress() -> Progress:
+def new_training_state() -> TrainingState:
     """Return a training that has not begun: a table of zeros."""
-    return Progress(
+    return TrainingState(
         Q=np.zeros((COUNT, ACTIONS)),
         visits=np.zeros((COUNT, ACTIONS), np.int64),
-        block=new_block(),
-        episode=np.zeros(LANES, np.int64),
-        tick=np.zeros(LANES, np.int64),
-        box=np.zeros(LANES, np.int64),
-        action=np.zeros(LANES, np.int64),
-        held=np.zeros(LANES, np.int64),
+        batch=new_batch_state(),
+        episode=np.zeros(BATCH_SIZE, np.int64),
+        tick=np.zeros(BATCH_SIZE, np.int64),
+        box=np.zeros(BATCH_SIZE, np.int64),
+        action=np.zeros(BATCH_SIZE, np.int64),
+        held_steps=np.zeros(BATCH_SIZE, np.int64),
         totals=np.zeros(5, np.int64),
     )
 
 
 @kernel
 def begin_episode(
-    plant: Plant,
+    plant: LoopParams,
     pendulum: PendulumParameters,
-    learner: Learner,
-    progress: Progress,
+    learner: QLearningConfig,
+    progress: TrainingState,
     seed: int,
     number: int,
     n: int,
@@ -212,7 +212,7 @@ def begin_episode(
     w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_EPISODE)
     inertia_noise, friction_noise = normal_pair(w0, w1)
     w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_ACTUATOR)
-    variation = Variation(
+    variation = DomainRandomization(
         1.0 + learner.inertia_sigma * inertia_noise,
         1.0 + learner.friction_sigma * friction_noise,
         uniform(w0, -learner.delay_spread, learner.delay_spread),
@@ -227,19 +227,19 @@ def begin_episode(
         uniform(w2, -phi, phi),
         uniform(w3, -phi_dot, phi_dot),
     )
-    reset(plant, progress.block, pendulum, variation, start, n)
+    reset(plant, progress.batch, pendulum, variation, start, n)
     progress.episode[n] = episode
-    progress.tick[n] = progress.held[n] = 0
-    progress.box[n] = box_of(progress.block.memory.seen, learner.boxes, n)
+    progress.tick[n] = progress.held_steps[n] = 0
+    progress.box[n] = box_of(progress.batch.controller.observation, learner.boxes, n)
     progress.totals[BEGUN] += 1
 
 
 @kernel
 def train_episodes(
-    plant: Plant,
+    plant: LoopParams,
     pendulum: PendulumParameters,
-    learner: Learner,
-    progress: Progress,
+    learner: QLearningConfig,
+    progress: TrainingState,
     until: int,
     seed: int,
     number: int,
@@ -258,10 +258,10 @@ def train_episodes(
         number: Which learner of that seed; each has random numbers of its own.
     """
     Q, visits, block, episode, tick, box, action, held, totals = progress
-    memory, cause = block.memory, block.cause
-    seen, u = memory.seen, memory.u
+    memory, cause = block.controller, block.cause
+    seen, u = memory.observation, memory.u
     lanes = totals[IN_USE]
-    while lanes < LANES and totals[BEGUN] < learner.episodes:
+    while lanes < BATCH_SIZE and totals[BEGUN] < learner.episodes:
         begin_episode(plant, pendulum, learner, progress, seed, number, lanes)
         lanes += 1
     while totals[ENDED] < until and lanes > 0:
@@ -278,15 +278,15 @@ def train_episodes(
         totals[STEPS] += lanes
         for n in range(lanes - 1, -1, -1):
             tick[n] += 1
-            if cause[n] == LASTED:
+            if cause[n] == TRUNCATED:
                 box_next = box_of(seen, learner.boxes, n)
                 held[n] += 1
-                if learner.held and box_next == box[n] and tick[n] < learner.longest:
+                if learner.hold_action and box_next == box[n] and tick[n] < learner.max_steps:
                     continue
                 target = discount(held[n], learner) * best_value(Q, box_next)
                 update(Q, visits, box[n], action[n], target, learner)
                 box[n], held[n] = box_next, 0
-                if tick[n] < learner.longest:
+                if tick[n] < learner.max_steps:
                     continue
             else:
                 target = discount(held[n], learner) * learner.reward_failure

@@ -14,25 +14,25 @@ import numpy.typing as npt
 from scipy.special import ndtri
 
 from equipoise.compiled import kernel
-from equipoise.control.boxes import LASTED
-from equipoise.control.controller import PHI_DOT_SEEN, PHI_SEEN, X_DOT_SEEN, X_SEEN
+from equipoise.control.boxes import TRUNCATED
+from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
 from equipoise.control.policy import RANDOM, Policy, PolicyKernel, act
 from equipoise.learning.closed_loop import (
     TRACKED,
-    Block,
-    Plant,
-    Variation,
+    BatchState,
+    DomainRandomization,
+    LoopParams,
     X,
     copy_lane,
     draw_noise,
-    new_block,
+    new_batch_state,
     reset,
     step,
 )
-from equipoise.model.elementary import LANES, at
+from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import philox, uniform
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import Settings
 
 Array = npt.NDArray[np.float64]
@@ -102,7 +102,7 @@ def twin_settings(settings: Settings, world: TwinSettings) -> Settings:
 
 
 def run_over_cores(
-    plant: Plant,
+    plant: LoopParams,
     policy: PolicyKernel,
     pendulum: PendulumParameters,
     trials: Trials,
@@ -131,11 +131,11 @@ def run_over_cores(
 
     def piece(first: int) -> None:
         last = min(first + size, count)
-        block = new_block()
+        block = new_batch_state()
         run_trials(plant, block, policy, pendulum, trials, first, last, longest, seed, stream)
         done(last - first)
 
-    size = 4 * LANES
+    size = 4 * BATCH_SIZE
     if workers == 1:
         for first in range(0, count, size):
             piece(first)
@@ -153,11 +153,16 @@ def available_cores() -> int:
 
 @kernel
 def place_trial(
-    plant: Plant, block: Block, pendulum: PendulumParameters, trials: Trials, i: int, n: int
+    plant: LoopParams,
+    block: BatchState,
+    pendulum: PendulumParameters,
+    trials: Trials,
+    i: int,
+    n: int,
 ) -> None:
     """Place trial `i` in lane `n`."""
     x, x_dot, phi, phi_dot = trials.start[i]
-    variation = Variation(
+    variation = DomainRandomization(
         trials.inertia_factor[i],
         trials.friction_factor[i],
         trials.delay[i],
@@ -169,14 +174,14 @@ def place_trial(
 
 @kernel
 def run_trials(
-    plant: Plant,
-    block: Block,
+    plant: LoopParams,
+    block: BatchState,
     policy: PolicyKernel,
     pendulum: PendulumParameters,
     trials: Trials,
     first: int,
     last: int,
-    longest: int,
+    max_steps: int,
     seed: int,
     stream: int,
 ) -> None:
@@ -190,18 +195,18 @@ def run_trials(
         trials: Conditions, and arrays that are written.
         first: First trial.
         last: One past the last trial.
-        longest: Number of steps after which a trial has lasted.
+        max_steps: Number of steps after which a trial has lasted.
         seed: Seed of the noise.
         stream: Stream of the noise: selection or test.
     """
-    memory, cause = block.memory, block.cause
-    seen, u = memory.seen, memory.u
-    index = np.zeros(LANES, np.int64)
-    tick = np.zeros(LANES, np.int64)
-    sum_x2 = np.zeros(LANES)
+    memory, cause = block.controller, block.cause
+    seen, u = memory.observation, memory.u
+    index = np.zeros(BATCH_SIZE, np.int64)
+    tick = np.zeros(BATCH_SIZE, np.int64)
+    sum_x2 = np.zeros(BATCH_SIZE)
     waiting = first
     lanes = 0
-    while lanes < LANES and waiting < last:
+    while lanes < BATCH_SIZE and waiting < last:
         index[lanes] = waiting
         place_trial(plant, block, pendulum, trials, waiting, lanes)
         waiting += 1
@@ -213,10 +218,10 @@ def run_trials(
                 chance = uniform(philox(seed, tick[n], index[n], 1, stream)[0], 0.0, 1.0)
             u[n] = act(
                 policy,
-                at(seen, X_SEEN, n),
-                at(seen, X_DOT_SEEN, n),
-                at(seen, PHI_SEEN, n),
-                at(seen, PHI_DOT_SEEN, n),
+                at(seen, OBS_X, n),
+                at(seen, OBS_X_DOT, n),
+                at(seen, OBS_PHI, n),
+                at(seen, OBS_PHI_DOT, n),
                 chance,
             )
         draw_noise(memory.noise, seed, tick, index, 0, stream, lanes)
@@ -224,7 +229,7 @@ def run_trials(
         for n in range(lanes - 1, -1, -1):
             tick[n] += 1
             sum_x2[n] += at(block.state, X, n) ** 2
-            if cause[n] == LASTED and tick[n] < longest:
+            if cause[n] == TRUNCATED and tick[n] < max_steps:
                 continue
             i = index[n]
             trials.steps[i], trials.cause[i], trials.sum_x2[i] = tick[n], cause[n], sum_x2[n]
@@ -238,10 +243,10 @@ def run_trials(
                 index[n], tick[n], sum_x2[n] = index[lanes], tick[lanes], sum_x2[lanes]
 
 
-class Recording(NamedTuple):
+class TrialRecording(NamedTuple):
     """What one recorded run went through, a row per step."""
 
-    seen: Array
+    observation: Array
     """x, x_dot, phi, phi_dot as the policy saw them before the step, shape (n, 4)."""
     state: Array
     """The same as they were, shape (n, 4)."""
@@ -260,15 +265,15 @@ class Recording(NamedTuple):
 
 
 def record_trial(
-    plant: Plant,
+    plant: LoopParams,
     policy: Policy,
     pendulum: PendulumParameters,
     trials: Trials,
     i: int,
-    longest: int,
+    max_steps: int,
     seed: int,
     stream: int,
-) -> tuple[int, Recording]:
+) -> tuple[int, TrialRecording]:
     """Run one trial with a policy written in Python, `policy.act(state) -> u`, and record it.
 
     It is the loop of `run_trials`, step for step and noise for noise.
@@ -279,36 +284,36 @@ def record_trial(
         pendulum: The centre that the factors of the trial scale.
         trials: Conditions.
         i: Which trial.
-        longest: Number of steps after which the trial has lasted.
+        max_steps: Number of steps after which the trial has lasted.
         seed: Seed of the noise.
         stream: Stream of the noise.
 
     Returns:
         Cause of the end, and the recording.
     """
-    block = new_block()
-    memory = block.memory
+    block = new_batch_state()
+    memory = block.controller
     place_trial(plant, block, pendulum, trials, i, 0)
     widths = (4, 4, 0, 0, 3, 6, 6, 6)
-    rows = Recording(
-        *(np.zeros((longest, width)) if width else np.zeros(longest) for width in widths)
+    rows = TrialRecording(
+        *(np.zeros((max_steps, width)) if width else np.zeros(max_steps) for width in widths)
     )
-    now, at_index = np.zeros(LANES, np.int64), np.full(LANES, i, np.int64)
+    now, at_index = np.zeros(BATCH_SIZE, np.int64), np.full(BATCH_SIZE, i, np.int64)
     tick = 0
-    while tick < longest and block.cause[0] == LASTED:
+    while tick < max_steps and block.cause[0] == TRUNCATED:
         now[0] = tick
         draw_noise(memory.noise, seed, now, at_index, 0, stream, 1)
-        seen = memory.seen[::LANES].copy()
+        seen = memory.observation[::BATCH_SIZE].copy()
         memory.u[0] = float(policy.act(seen))
-        rows.seen[tick], rows.u[tick] = seen, memory.u[0]
-        rows.state[tick] = block.state[: 4 * LANES : LANES]
-        observes = plant.controller.observes
+        rows.observation[tick], rows.u[tick] = seen, memory.u[0]
+        rows.state[tick] = block.state[: 4 * BATCH_SIZE : BATCH_SIZE]
+        observes = plant.controller.has_sensor
         rows.estimate[tick, :2] = rows.state[tick, 2:]
         if observes:
-            rows.estimate[tick] = memory.estimate[: 3 * LANES : LANES]
+            rows.estimate[tick] = memory.estimate[: 3 * BATCH_SIZE : BATCH_SIZE]
         step(plant, block, 1)
-        rows.tracked[tick] = block.state[TRACKED * LANES]
-        rows.q[tick], rows.dq[tick] = memory.q[::LANES], memory.dq[::LANES]
-        rows.arm_q[tick] = block.q[::LANES] if observes else memory.q[::LANES]
+        rows.tracked[tick] = block.state[TRACKED * BATCH_SIZE]
+        rows.q[tick], rows.dq[tick] = memory.q[::BATCH_SIZE], memory.dq[::BATCH_SIZE]
+        rows.arm_q[tick] = block.q[::BATCH_SIZE] if observes else memory.q[::BATCH_SIZE]
         tick += 1
-    return int(block.cause[0]), Recording(*(row[:tick] for row in rows))
+    return int(block.cause[0]), TrialRecording(*(row[:tick] for row in rows))

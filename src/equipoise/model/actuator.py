@@ -42,7 +42,7 @@ CYCLE: Final = 1e-3
 """Time between two steps of the joint servo [s]."""
 AMPLITUDE: Final = 0.07
 """a of the shaping law [rad], as the server's source has it."""
-WIDTH: Final = 0.0525
+INTERVAL_WIDTH: Final = 0.0525
 """b of the shaping law [rad], as the server's source has it."""
 LONGEST_RESPONSE: Final = 10.0
 """Limit on delay, lag and cycle [s]: a pendulum of a metre falls within one."""
@@ -62,7 +62,7 @@ class ActuatorParameters(NamedTuple):
     """t_c of the shaping law [s]."""
     amplitude: float = AMPLITUDE
     """a of the shaping law [rad]."""
-    width: float = WIDTH
+    width: float = INTERVAL_WIDTH
     """b of the shaping law [rad]."""
 
 
@@ -253,9 +253,9 @@ def shaped_peak(speed: float, period: float) -> float:
         speed: Velocity v of the setpoints [rad/s].
         period: Time P between two of them [s].
     """
-    half, k = 0.5 * speed * period, AMPLITUDE / (WIDTH**2 * CYCLE)
+    half, k = 0.5 * speed * period, AMPLITUDE / (INTERVAL_WIDTH**2 * CYCLE)
     e = half + sqrt(half**2 + speed / k)
-    return AMPLITUDE / CYCLE * -expm1(-((e / WIDTH) ** 2))
+    return AMPLITUDE / CYCLE * -expm1(-((e / INTERVAL_WIDTH) ** 2))
 
 
 def speed_of_peak(peak: float, period: float) -> float:
@@ -267,8 +267,8 @@ def speed_of_peak(peak: float, period: float) -> float:
         peak: Of the velocity that the law asks for, below a / t_c = 70 [rad/s].
         period: Time between two setpoints [s].
     """
-    k = AMPLITUDE / (WIDTH**2 * CYCLE)
-    e = WIDTH * sqrt(-log1p(-peak * CYCLE / AMPLITUDE))
+    k = AMPLITUDE / (INTERVAL_WIDTH**2 * CYCLE)
+    e = INTERVAL_WIDTH * sqrt(-log1p(-peak * CYCLE / AMPLITUDE))
     return k * e**2 / (1.0 + k * e * period)
 
 
@@ -323,7 +323,7 @@ class Actuator(Artefact):
     """t_c of the shaping law [s]."""
     amplitude: float = Field(default=AMPLITUDE, ge=1e-6, le=10.0)
     """a of the shaping law [rad]."""
-    width: float = Field(default=WIDTH, ge=1e-6, le=10.0)
+    width: float = Field(default=INTERVAL_WIDTH, ge=1e-6, le=10.0)
     """b of the shaping law [rad]."""
     fit: ActuatorFit | None = None
     """The log that it was identified from, if any."""

@@ -1,11 +1,11 @@
 """Sine and cosine as polynomials, and blocks of lanes: what lets kernels run many states at once.
 
 A processor computes several numbers with one instruction, if the same straight-line code runs over
-neighbouring numbers. So kernels advance a *block* of `LANES` independent states (episodes,
-trials) together: row i of a block is `LANES` neighbouring numbers, entry (i, n) lies at
-i * LANES + n, and each formula stands in a loop over n. A call into a mathematics library would
-break that loop; the polynomials below do not. They are also what makes results the same bits in
-any lane of a block, alone or in company.
+neighbouring numbers. So kernels advance a *block* of `BATCH_SIZE` independent states (episodes,
+trials) together: row i of a block is `BATCH_SIZE` neighbouring numbers, entry (i, n) lies at
+i * BATCH_SIZE + n, and each formula stands in a loop over n. A call into a mathematics library
+would break that loop; the polynomials below do not. They are also what makes results the same bits
+in any lane of a block, alone or in company.
 """
 
 from typing import Final
@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from equipoise.compiled import inlined
 
-LANES: Final = 16
+BATCH_SIZE: Final = 16
 """States in a block: enough for the widest registers and to hide the time of a division."""
 
 TWO_OVER_PI: Final = 0.6366197723675814
@@ -28,13 +28,13 @@ HALF_PI_3: Final = 2.02226624879595063154e-21
 @inlined
 def at(block: npt.NDArray[np.float64], row: int, n: int) -> float:
     """Return the entry of a block in a row, in lane `n`."""
-    return block[row * LANES + n]
+    return block[row * BATCH_SIZE + n]
 
 
 @inlined
 def put(block: npt.NDArray[np.float64], row: int, n: int, value: float) -> None:
     """Write the entry of a block in a row, in lane `n`."""
-    block[row * LANES + n] = value
+    block[row * BATCH_SIZE + n] = value
 
 
 @inlined

@@ -7,7 +7,7 @@ import numpy as np
 from equipoise.artefacts import Provenance
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 from equipoise.report.choices import Chapter, Choice, chapter, chapters, departures
 from equipoise.report.markup import Part, heading, listing, numbered, paragraph, part, table
 from equipoise.settings import resolve
@@ -25,7 +25,7 @@ DIGITS = 12
 """Digits of a digest that the page shows; the file has all of them."""
 
 
-def left_open(results: Results) -> Part:
+def assumptions(results: Results) -> Part:
     """Return what the paper does not say, and what we chose, with the reasons."""
     other = "robust" if results.policy.recipe == "paper" else "paper"
     return part(
@@ -89,7 +89,7 @@ def _choices(chapter: Chapter, other: str) -> str:
     return heading(chapter.title.rstrip(".")) + table(head, rows, name="choices")
 
 
-def origins(results: Results, provenance: Provenance) -> Part:
+def provenance_section(results: Results, provenance: Provenance) -> Part:
     """Return where the numbers come from, and the commands that make them again."""
     record, policy = results.record, results.policy
     files = [

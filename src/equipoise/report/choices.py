@@ -11,7 +11,7 @@ from math import degrees
 from typing import Any, Final, NamedTuple
 
 from equipoise.artefacts import Value
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.settings import RECIPES, Settings
 
 UNIT: Final = re.compile(r"\s*\[([^\]]+)\]")
@@ -98,12 +98,12 @@ def departures(settings: Settings) -> Iterator[str]:
         if controller.estimate_bias:
             yield "The error of the encoder's zero is estimated while balancing, and taken off."
     yield (
-        f"{LANES} episodes learn at once on one table, for speed (the paper, surely, had one "
+        f"{BATCH_SIZE} episodes learn at once on one table, for speed (the paper, surely, had one "
         "after the other)."
     )
     if learning.mirrored:
         yield "Every update is made for its mirror image as well: the task is symmetric."
-    if learning.held:
+    if learning.hold_action:
         yield (
             "An action is held until the state leaves its box, and updated then; equation 1 does "
             "so in each step."

@@ -8,10 +8,10 @@ import numpy as np
 from equipoise import paper
 from equipoise.control.boxes import COUNT
 from equipoise.evaluation import Summary
-from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.model.sim_configs import MODEL, TwinSettings
 from equipoise.runlog import RunLog
+from equipoise.studies.formatting import LASTED, falls, how_it_ended, percent
 from equipoise.studies.results import Results, truth
-from equipoise.studies.wording import LASTED, falls, how_it_ended, percent
 
 
 class Row(NamedTuple):

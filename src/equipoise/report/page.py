@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Final
 from equipoise.artefacts import Provenance, read_document, write_whole
 from equipoise.errors import OutsideError
 from equipoise.report import figures
-from equipoise.report.appendix import left_open, origins
+from equipoise.report.appendix import assumptions, provenance_section
 from equipoise.report.markup import Missing, Part, Pictures, escape
-from equipoise.report.opening import opening
-from equipoise.report.outcome import outcome
 from equipoise.report.pictures import Animation, animation, strip
+from equipoise.report.sections_results import sections_results
+from equipoise.report.sections_training import sections_training
 from equipoise.report.style import save
 from equipoise.studies.results import RECORD, Results, estimates_zero, load
 
@@ -113,10 +113,10 @@ def page(
     """
     css = resources.files("equipoise.report").joinpath("page.css").read_text(encoding="utf-8")
     parts: list[Part] = [
-        *opening(results, pictures, film),
-        *outcome(results, pictures),
-        left_open(results),
-        origins(results, provenance),
+        *sections_training(results, pictures, film),
+        *sections_results(results, pictures),
+        assumptions(results),
+        provenance_section(results, provenance),
     ]
     links = "".join(f'<a href="#{part.name}">{escape(part.title)}</a> ' for part in parts)
     quick = " A quick look, with fewer episodes and trials." if results.record.quick else ""

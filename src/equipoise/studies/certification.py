@@ -36,9 +36,9 @@ from equipoise.artefacts import (
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError, InputError
 from equipoise.evaluation import Done, Evaluation, evaluate
-from equipoise.model.worlds import MODEL, NEWEST, PREFIX, SETS, TwinSettings, World, read_world
+from equipoise.model.sim_configs import MODEL, NEWEST, PREFIX, SETS, TwinSettings, World, read_world
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
-from equipoise.studies.wording import LASTED
+from equipoise.studies.formatting import LASTED
 
 MARGIN: Final = 10.0
 """The number of trials is chosen for a policy that fails so many times less often than the claim

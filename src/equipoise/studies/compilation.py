@@ -17,9 +17,9 @@ from equipoise.evaluation import evaluate, evaluate_function
 from equipoise.learning.trials import available_cores
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import shipped_pendulum
-from equipoise.model.worlds import MODEL, World
+from equipoise.model.sim_configs import MODEL, World
 from equipoise.settings import Settings
-from equipoise.studies.progress import Progress, Show
+from equipoise.studies.progress import ProgressReporter, Show
 from equipoise.training import train
 
 MOMENT: Final = 0.02
@@ -67,13 +67,13 @@ def compiling(show: Show, functions: int, stage: str = "compile") -> Generator[N
         nonlocal count
         count += 1
         text = f"{count} functions, once on this machine"
-        show(Progress(stage, min(count, functions - 1), functions, text=text))
+        show(ProgressReporter(stage, min(count, functions - 1), functions, text=text))
 
-    show(Progress(stage, 0, functions))
+    show(ProgressReporter(stage, 0, functions))
     with watching_compilation(compiled):
         yield
     text = f"{count} functions, once on this machine" if count else "done before, loaded"
-    show(Progress(stage, functions, functions, text=text))
+    show(ProgressReporter(stage, functions, functions, text=text))
 
 
 def compile_training(arm: Arm, settings: Settings) -> None:

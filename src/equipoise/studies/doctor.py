@@ -1,6 +1,6 @@
 """Is this machine, and is this rig, fit for a run? Readings become findings, each with its cure.
 
-Nothing here measures: `equipoise.devices.machine` and `equipoise.devices.probes` do, and what they
+Nothing here measures: `equipoise.devices.host` and `equipoise.devices.probes` do, and what they
 found is judged against what a run needs. A reading that could not be had is a finding of its own:
 it says so, says how to have it, and counts neither for nor against the machine.
 """
@@ -15,9 +15,9 @@ from equipoise.artefacts import Value
 from equipoise.control.safety import ENCODER_STALE
 from equipoise.deployment import preflight
 from equipoise.deployment.preflight import line_verdict, link_verdict, stream_verdict
-from equipoise.devices.machine import Machine
+from equipoise.devices.host import HostInfo
 from equipoise.devices.probes import PERIOD, Heard
-from equipoise.devices.realtime import Measure
+from equipoise.devices.realtime import RealtimeSetting
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -133,7 +133,7 @@ class EncoderReading(Value):
         )
 
 
-class Finding(Value):
+class DoctorCheck(Value):
     """What was found of one thing, and what to do about it."""
 
     name: str
@@ -151,9 +151,9 @@ class Diagnosis(Value):
 
     verdict: Verdict
     """Whether a run may follow."""
-    findings: tuple[Finding, ...]
+    findings: tuple[DoctorCheck, ...]
     """One for each thing that was looked at."""
-    machine: Machine
+    machine: HostInfo
     """The machine."""
     lateness: Spread
     """How late deadlines were met."""
@@ -166,8 +166,8 @@ class Diagnosis(Value):
 
 
 def diagnose(
-    machine: Machine,
-    measures: Sequence[Measure],
+    machine: HostInfo,
+    measures: Sequence[RealtimeSetting],
     lateness: Spread,
     *,
     loaded: Spread | None = None,
@@ -211,7 +211,7 @@ def diagnose(
     )
 
 
-def verdict(findings: Sequence[Finding]) -> Verdict:
+def verdict(findings: Sequence[DoctorCheck]) -> Verdict:
     """Return what findings mean together: the worst of them counts."""
     states = {finding.state for finding in findings}
     if "bad" in states:
@@ -219,7 +219,7 @@ def verdict(findings: Sequence[Finding]) -> Verdict:
     return "usable with care" if "care" in states else "fit"
 
 
-def judge_machine(machine: Machine) -> Iterator[Finding]:
+def judge_machine(machine: HostInfo) -> Iterator[DoctorCheck]:
     """Judge what a machine says of itself."""
     yield _kernel(machine)
     yield _governor(machine)
@@ -230,7 +230,7 @@ def judge_machine(machine: Machine) -> Iterator[Finding]:
     yield _disk(machine)
 
 
-def judge_measures(measures: Sequence[Measure], machine: Machine) -> Iterator[Finding]:
+def judge_measures(measures: Sequence[RealtimeSetting], machine: HostInfo) -> Iterator[DoctorCheck]:
     """Judge what a machine allowed for the sake of punctuality."""
     limits = {
         "real-time priority": f"the limit rtprio is {_said(machine.rtprio)}",
@@ -239,15 +239,15 @@ def judge_measures(measures: Sequence[Measure], machine: Machine) -> Iterator[Fi
     for measure in measures:
         name = measure.name
         if measure.taken:
-            yield Finding(name=name, state="good", found=measure.note)
+            yield DoctorCheck(name=name, state="good", found=measure.note)
         elif name in limits and machine.system == "Linux":
             found = f"not allowed; {limits[name]}"
-            yield Finding(name=name, state="care", found=found, cure=GROUP)
+            yield DoctorCheck(name=name, state="care", found=found, cure=GROUP)
         else:
-            yield Finding(name=name, state="care", found="not possible here", cure=measure.note)
+            yield DoctorCheck(name=name, state="care", found="not possible here", cure=measure.note)
 
 
-def judge_lateness(lateness: Spread) -> Finding:
+def judge_lateness(lateness: Spread) -> DoctorCheck:
     """Judge how late deadlines were met."""
     name, found = "deadlines", _spread(lateness)
     if lateness.most > FAULT:
@@ -255,17 +255,17 @@ def judge_lateness(lateness: Spread) -> Finding:
             f"a run ends at {1e3 * FAULT:g} ms: end other programs, then cure what stands above "
             "(kernel, governor, priority); measure again with --seconds 60"
         )
-        return Finding(name=name, state="bad", found=found, cure=cure)
+        return DoctorCheck(name=name, state="bad", found=found, cure=cure)
     if _uneven(lateness):
         cure = (
             "setpoints will come unevenly: end other programs, set the governor, allow real-time "
             "priority; measure again with --seconds 60"
         )
-        return Finding(name=name, state="care", found=found, cure=cure)
-    return Finding(name=name, state="good", found=found)
+        return DoctorCheck(name=name, state="care", found=found, cure=cure)
+    return DoctorCheck(name=name, state="good", found=found)
 
 
-def judge_loaded(loaded: Spread) -> Finding:
+def judge_loaded(loaded: Spread) -> DoctorCheck:
     """Judge how late deadlines were met while every core was kept busy.
 
     At worst it asks for care: in a run nobody needs to keep the cores busy.
@@ -276,8 +276,8 @@ def judge_loaded(loaded: Spread) -> Finding:
             "nothing else may run during a run; allow real-time priority, and take a kernel with "
             "PREEMPT_RT"
         )
-        return Finding(name=name, state="care", found=found, cure=cure)
-    return Finding(name=name, state="good", found=found)
+        return DoctorCheck(name=name, state="care", found=found, cure=cure)
+    return DoctorCheck(name=name, state="good", found=found)
 
 
 def _uneven(lateness: Spread) -> bool:
@@ -285,7 +285,7 @@ def _uneven(lateness: Spread) -> bool:
     return lateness.p99 > PUNCTUAL or lateness.most > PERIOD
 
 
-def judge_link(link: Spread) -> Finding:
+def judge_link(link: Spread) -> DoctorCheck:
     """Judge round trips to the robot."""
     name, found = "link to the robot", _spread(link)
     cure = (
@@ -295,20 +295,20 @@ def judge_link(link: Spread) -> Finding:
     return _judged(name, link_verdict(link.p99), found, cure)
 
 
-def judge_networks(machine: Machine) -> Finding:
+def judge_networks(machine: HostInfo) -> DoctorCheck:
     """Judge what else the machine is connected to, where a robot is at one of its networks."""
     name, networks = "networks", machine.networks
     if not networks:
         cure = "make sure that only the robot's is switched on"
-        return Finding(name=name, state="unknown", found="cannot be read here", cure=cure)
+        return DoctorCheck(name=name, state="unknown", found="cannot be read here", cure=cure)
     found = ", ".join(f"{card}{' (wireless)' * air}" for card, air in networks.items())
     if len(networks) > 1 or any(networks.values()):
         cure = "switch off all but the card with the robot's cable (`nmcli device disconnect ...`)"
-        return Finding(name=name, state="care", found=found, cure=cure)
-    return Finding(name=name, state="good", found=found)
+        return DoctorCheck(name=name, state="care", found=found, cure=cure)
+    return DoctorCheck(name=name, state="good", found=found)
 
 
-def judge_silence(name: str, why: str) -> Finding:
+def judge_silence(name: str, why: str) -> DoctorCheck:
     """Judge a device that was not to be had.
 
     Args:
@@ -317,10 +317,12 @@ def judge_silence(name: str, why: str) -> Finding:
     """
     found, _, cure = why.removeprefix(f"{name}: ").partition("; ")
     cure = cure or "check its power, its cable and its address"
-    return Finding(name=name, state="bad", found=found, cure=cure)
+    return DoctorCheck(name=name, state="bad", found=found, cure=cure)
 
 
-def judge_encoder(encoder: EncoderReading, counts_per_rev: int | None = None) -> Iterator[Finding]:
+def judge_encoder(
+    encoder: EncoderReading, counts_per_rev: int | None = None
+) -> Iterator[DoctorCheck]:
     """Judge what an encoder showed.
 
     Args:
@@ -329,18 +331,18 @@ def judge_encoder(encoder: EncoderReading, counts_per_rev: int | None = None) ->
     """
     told = f"{encoder.counts_per_rev} per revolution"
     if counts_per_rev is not None and counts_per_rev != encoder.counts_per_rev:
-        yield Finding(
+        yield DoctorCheck(
             name="encoder's counts",
             state="bad",
             found=f"{told}, the rig says {counts_per_rev}",
             cure="correct counts_per_rev in rig.toml, or COUNTS_PER_REV in the firmware",
         )
     else:
-        yield Finding(name="encoder's counts", state="good", found=told)
+        yield DoctorCheck(name="encoder's counts", state="good", found=told)
     yield _stream(encoder)
     yield _losses(encoder)
     if encoder.illegal:
-        yield Finding(
+        yield DoctorCheck(
             name="encoder's signals",
             state="bad",
             found=f"{encoder.illegal} samples with transitions that cannot be",
@@ -348,10 +350,10 @@ def judge_encoder(encoder: EncoderReading, counts_per_rev: int | None = None) ->
             "its cable away from the motors'",
         )
     else:
-        yield Finding(name="encoder's signals", state="good", found="no illegal transition")
+        yield DoctorCheck(name="encoder's signals", state="good", found="no illegal transition")
 
 
-def _stream(encoder: EncoderReading) -> Finding:
+def _stream(encoder: EncoderReading) -> DoctorCheck:
     name, age = "encoder's samples", encoder.age
     found = f"{encoder.rate:.0f} in a second, newest {1e3 * age.p99:.1f} ms old (p99)"
     if encoder.delay is not None:
@@ -363,7 +365,7 @@ def _stream(encoder: EncoderReading) -> Finding:
     return _judged(name, stream_verdict(encoder.rate, age.p99), found, cure)
 
 
-def _losses(encoder: EncoderReading) -> Finding:
+def _losses(encoder: EncoderReading) -> DoctorCheck:
     name, rejected = "encoder's line", encoder.rejected
     found = f"{encoder.missing} samples lost" + (
         ", rejected ones are not counted here" if rejected is None else f", {rejected} rejected"
@@ -373,35 +375,35 @@ def _losses(encoder: EncoderReading) -> Finding:
     return _judged(name, line_verdict(encoder.missing + (rejected or 0), n), found, cure)
 
 
-def _judged(name: str, verdict: preflight.Verdict, found: str, cure: str) -> Finding:
+def _judged(name: str, verdict: preflight.Verdict, found: str, cure: str) -> DoctorCheck:
     """Return a finding on what the pre-flight of a run judges as well."""
     state = STATES[verdict]
-    return Finding(name=name, state=state, found=found, cure="" if state == "good" else cure)
+    return DoctorCheck(name=name, state=state, found=found, cure="" if state == "good" else cure)
 
 
-def _kernel(machine: Machine) -> Finding:
+def _kernel(machine: HostInfo) -> DoctorCheck:
     name = "kernel"
     found = f"{machine.system} {machine.kernel or ''}".rstrip()
     if machine.system != "Linux":
         cure = "it has no real-time priority for a loop; drive a robot from Linux"
-        return Finding(name=name, state="care", found=found, cure=cure)
+        return DoctorCheck(name=name, state="care", found=found, cure=cure)
     if machine.realtime is None:
         cure = "look whether `uname -v` says PREEMPT_RT"
         found += "; whether it is PREEMPT_RT cannot be read here"
-        return Finding(name=name, state="unknown", found=found, cure=cure)
+        return DoctorCheck(name=name, state="unknown", found=found, cure=cure)
     if not machine.realtime:
         cure = (
             "install a kernel with PREEMPT_RT: on Ubuntu `sudo pro enable realtime-kernel`, on "
             "Debian `sudo apt install linux-image-rt-amd64`; then restart"
         )
-        return Finding(name=name, state="care", found=f"{found}, not PREEMPT_RT", cure=cure)
-    return Finding(name=name, state="good", found=f"{found}, PREEMPT_RT")
+        return DoctorCheck(name=name, state="care", found=f"{found}, not PREEMPT_RT", cure=cure)
+    return DoctorCheck(name=name, state="good", found=f"{found}, PREEMPT_RT")
 
 
-def _governor(machine: Machine) -> Finding:
+def _governor(machine: HostInfo) -> DoctorCheck:
     name = "clock rate"
     if machine.governors is None:
-        return Finding(
+        return DoctorCheck(
             name=name,
             state="unknown",
             found="what governs it cannot be read here",
@@ -410,26 +412,26 @@ def _governor(machine: Machine) -> Finding:
     found = f"governor {', '.join(machine.governors)}"
     if machine.governors != ("performance",):
         cure = "sudo cpupower frequency-set -g performance"
-        return Finding(name=name, state="care", found=found, cure=cure)
-    return Finding(name=name, state="good", found=found)
+        return DoctorCheck(name=name, state="care", found=found, cure=cure)
+    return DoctorCheck(name=name, state="good", found=found)
 
 
-def _cores(machine: Machine) -> Finding:
+def _cores(machine: HostInfo) -> DoctorCheck:
     name, cores = "cores", machine.cores
     if cores is None:
         cure = "look whether the machine has two or more"
-        return Finding(name=name, state="unknown", found="cannot be read here", cure=cure)
+        return DoctorCheck(name=name, state="unknown", found="cannot be read here", cure=cure)
     if cores < 2:
         cure = "the loop needs one to itself, and the log another: use a machine with two or more"
-        return Finding(name=name, state="care", found=f"{cores}", cure=cure)
-    return Finding(name=name, state="good", found=f"{cores}")
+        return DoctorCheck(name=name, state="care", found=f"{cores}", cure=cure)
+    return DoctorCheck(name=name, state="good", found=f"{cores}")
 
 
-def _host(machine: Machine) -> Finding:
+def _host(machine: HostInfo) -> DoctorCheck:
     name, hosts = "bare machine", machine.hosts
     if hosts is None:
         cure = "make sure that no virtual machine or container is between"
-        return Finding(name=name, state="unknown", found="cannot be read here", cure=cure)
+        return DoctorCheck(name=name, state="unknown", found="cannot be read here", cure=cure)
     if hosts:
         found = f"no: {' and '.join(hosts)}"
         cure = "its host may stall it at any time: run on the machine itself"
@@ -438,44 +440,44 @@ def _host(machine: Machine) -> Finding:
                 "run outside the container, or give it --ulimit rtprio=99 --ulimit memlock=-1 "
                 "--network host and the encoder's device"
             )
-        return Finding(name=name, state="care", found=found, cure=cure)
-    return Finding(name=name, state="good", found="no sign of a virtual machine or a container")
+        return DoctorCheck(name=name, state="care", found=found, cure=cure)
+    return DoctorCheck(name=name, state="good", found="no sign of a virtual machine or a container")
 
 
-def _load(machine: Machine) -> Finding:
+def _load(machine: HostInfo) -> DoctorCheck:
     name, load = "other work", machine.load
     if load is None:
         cure = "look with `uptime` what else runs"
-        return Finding(name=name, state="unknown", found="cannot be read here", cure=cure)
+        return DoctorCheck(name=name, state="unknown", found="cannot be read here", cure=cure)
     found = f"{load:.2f} processes at work over the last minute"
     if load > BUSY * (machine.cores or 1):
         cure = "see with `top` what works, and end it; wait a minute and look again"
-        return Finding(name=name, state="care", found=found, cure=cure)
-    return Finding(name=name, state="good", found=found)
+        return DoctorCheck(name=name, state="care", found=found, cure=cure)
+    return DoctorCheck(name=name, state="good", found=found)
 
 
-def _swap(machine: Machine) -> Finding:
+def _swap(machine: HostInfo) -> DoctorCheck:
     name, swap = "swap", machine.swap
     if swap is None:
         cure = "look with `free` that nothing lies in swap"
-        return Finding(name=name, state="unknown", found="cannot be read here", cure=cure)
+        return DoctorCheck(name=name, state="unknown", found="cannot be read here", cure=cure)
     found = f"{swap / 2**20:.0f} MiB in use" if swap else "nothing there"
     if swap:
         cure = "memory is short: end other programs, then sudo swapoff -a"
-        return Finding(name=name, state="care", found=found, cure=cure)
-    return Finding(name=name, state="good", found=found)
+        return DoctorCheck(name=name, state="care", found=found, cure=cure)
+    return DoctorCheck(name=name, state="good", found=found)
 
 
-def _disk(machine: Machine) -> Finding:
+def _disk(machine: HostInfo) -> DoctorCheck:
     name, free = "room for logs", machine.free
     if free is None:
         cure = "look with `df` at the folder of the logs"
-        return Finding(name=name, state="unknown", found="cannot be read here", cure=cure)
+        return DoctorCheck(name=name, state="unknown", found="cannot be read here", cure=cure)
     found = f"{free / 2**30:.1f} GiB"
     if free < ROOM:
         cure = "a full disk ends a log, not a run: make room, or give another folder"
-        return Finding(name=name, state="care", found=found, cure=cure)
-    return Finding(name=name, state="good", found=found)
+        return DoctorCheck(name=name, state="care", found=found, cure=cure)
+    return DoctorCheck(name=name, state="good", found=found)
 
 
 def _said(limit: int | str | None, unit: int = 0) -> str:

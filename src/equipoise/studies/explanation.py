@@ -38,7 +38,7 @@ from equipoise.runwriter import RigRun
 from equipoise.studies.refinement import read_motion
 from equipoise.studies.runs import (
     BROKEN_OFF,
-    Ending,
+    LoggedEnding,
     arm_of,
     balancing,
     ending,
@@ -85,7 +85,7 @@ AT_RELEASE: Final = 0.05
 """What is outside so soon was so from the beginning [s]."""
 
 
-class Name(Enum):
+class CauseName(Enum):
     """Why a run ended."""
 
     LASTED = "lasted"
@@ -137,111 +137,124 @@ class Name(Enum):
 
 
 ADVICE: Final = {
-    Name.LASTED: "nothing has to be done",
-    Name.OPERATOR: "nothing has to be done",
-    Name.OUTSIDE: "let go more gently and more upright, and take the hand straight away",
-    Name.PUSH: "keep hands, cables and draughts away from the pendulum",
-    Name.ZERO: "look at the encoder's coupling and wires, level the base, and reference again with "
-    "the pendulum at rest",
-    Name.STALE: "look at the encoder's cable, power and coupling",
-    Name.JUMP: "look at the encoder's coupling, its wiring and what disturbs it",
-    Name.LATE: "let `equipoise doctor` look for what holds this machine up",
-    Name.SATURATION: "train a policy with larger actions, or identify pendulum and actuator again "
-    "(`equipoise refine`)",
-    Name.JOINT: "move home away from the limit, or lower the gains of CLIK",
-    Name.TRACK: "evaluate the policy on the twin (`equipoise evaluate POLICY --world "
+    CauseName.LASTED: "nothing has to be done",
+    CauseName.OPERATOR: "nothing has to be done",
+    CauseName.OUTSIDE: "let go more gently and more upright, and take the hand straight away",
+    CauseName.PUSH: "keep hands, cables and draughts away from the pendulum",
+    CauseName.ZERO: (
+        "look at the encoder's coupling and wires, level the base, and reference again with the "
+        "pendulum at rest"
+    ),
+    CauseName.STALE: "look at the encoder's cable, power and coupling",
+    CauseName.JUMP: "look at the encoder's coupling, its wiring and what disturbs it",
+    CauseName.LATE: "let `equipoise doctor` look for what holds this machine up",
+    CauseName.SATURATION: (
+        "train a policy with larger actions, or identify pendulum and actuator again (`equipoise "
+        "refine`)"
+    ),
+    CauseName.JOINT: "move home away from the limit, or lower the gains of CLIK",
+    CauseName.TRACK: "evaluate the policy on the twin (`equipoise evaluate POLICY --world "
     "twin:nominal`), and train one that stays on the track there",
-    Name.ANGLE: "identify pendulum and actuator again (`equipoise refine`)",
-    Name.CONTACT: "find what the arm touched before it moves again",
-    Name.NOT_FOLLOWING: "look at the smartPAD: emergency stop, enabling switch, mode",
-    Name.LINK: "look at cable and network; `equipoise doctor` measures round trips",
-    Name.POSTURE: "look at the mounting of base and flange, and at the actuator that is believed",
-    Name.SPEED: "train with --max-speed, leave T1, or make the link to the robot faster",
-    Name.SELF_TEST: "do what the self-test says",
-    Name.FAULT: "mend what the evidence names, and look at the rig with `equipoise doctor` before "
-    "the next run",
-    Name.BUG: "keep this log and report it; do not run again before it is understood",
-    Name.EXCITED: "identify the actuator from this log with `equipoise identify`",
-    Name.BROKEN_OFF: "look for what ended the program before the run: power, memory, a full disk, "
-    "a signal",
-    Name.UNKNOWN: "explain it with the version of Equipoise that wrote the log",
+    CauseName.ANGLE: "identify pendulum and actuator again (`equipoise refine`)",
+    CauseName.CONTACT: "find what the arm touched before it moves again",
+    CauseName.NOT_FOLLOWING: "look at the smartPAD: emergency stop, enabling switch, mode",
+    CauseName.LINK: "look at cable and network; `equipoise doctor` measures round trips",
+    CauseName.POSTURE: "look at the mounting of base and flange, and at the actuator in use",
+    CauseName.SPEED: "train with --max-speed, leave T1, or make the link to the robot faster",
+    CauseName.SELF_TEST: "do what the self-test says",
+    CauseName.FAULT: (
+        "mend what the evidence names, and look at the rig with `equipoise doctor` before the "
+        "next run"
+    ),
+    CauseName.BUG: "keep this log and report it; do not run again before it is understood",
+    CauseName.EXCITED: "identify the actuator from this log with `equipoise identify`",
+    CauseName.BROKEN_OFF: (
+        "look for what ended the program before the run: power, memory, a full disk, a signal"
+    ),
+    CauseName.UNKNOWN: "explain it with the version of Equipoise that wrote the log",
 }
 """What to do about each."""
 IN_SIMULATION: Final = {
-    Name.OUTSIDE: "start nearer to upright (`evaluation.phi_high`, `evaluation.phi_dot_high`), or "
-    "train with larger actions",
-    Name.ZERO: "train for a zero that is wrong by as much (`equipoise train --set "
+    CauseName.OUTSIDE: (
+        "start nearer to upright (`evaluation.phi_high`, `evaluation.phi_dot_high`), or train "
+        "with larger actions"
+    ),
+    CauseName.ZERO: "train for a zero that is wrong by as much (`equipoise train --set "
     "plant.zero_error=...`), or lower `zero_offset` and `zero_error` of the world",
-    Name.TRACK: "train for this world's actuator: `equipoise deploy --excite --world WORLD`, "
+    CauseName.TRACK: "train for this world's actuator: `equipoise deploy --excite --world WORLD`, "
     "`equipoise identify`, `equipoise train --actuator actuator.json --seeds 5`",
-    Name.ANGLE: "train for this world's actuator: `equipoise deploy --excite --world WORLD`, "
+    CauseName.ANGLE: "train for this world's actuator: `equipoise deploy --excite --world WORLD`, "
     "`equipoise identify`, `equipoise train --actuator actuator.json --seeds 5`",
-    Name.NOT_FOLLOWING: "identify the actuator of this world (`equipoise deploy --excite --world "
-    "WORLD`, `equipoise identify`) and give it with `--actuator`",
-    Name.POSTURE: "lower the masses of bracket and pendulum in the world, or identify its actuator "
-    "and give it with `--actuator`",
-    Name.SPEED: "train with --max-speed, or leave the speed limit away (`t1` of the world, "
+    CauseName.NOT_FOLLOWING: (
+        "identify the actuator of this world (`equipoise deploy --excite --world WORLD`, "
+        "`equipoise identify`) and give it with `--actuator`"
+    ),
+    CauseName.POSTURE: (
+        "lower the masses of bracket and pendulum in the world, or identify its actuator and give"
+        " it with `--actuator`"
+    ),
+    CauseName.SPEED: "train with --max-speed, or leave the speed limit away (`t1` of the world, "
     "`--max-speed` of the command)",
 }
 """What to do instead where the run was simulated."""
 
 TELLING: Final = {
-    "lasted": Name.LASTED,
-    "excited": Name.EXCITED,
-    Rule.NUMBER.value: Name.BUG,
-    Rule.COUNT.value: Name.BUG,
-    "operator": Name.OPERATOR,
-    "dry run": Name.OPERATOR,
-    "self-test": Name.SELF_TEST,
-    "link lost": Name.LINK,
-    Rule.LINK.value: Name.LINK,
-    Rule.NOT_FOLLOWING.value: Name.NOT_FOLLOWING,
-    Rule.FOLLOWING.value: Name.NOT_FOLLOWING,
-    Rule.FIRST.value: Name.NOT_FOLLOWING,
-    Rule.TORQUE.value: Name.CONTACT,
-    Rule.SPEED.value: Name.SPEED,
-    Rule.DRIFT.value: Name.POSTURE,
-    Rule.TILT.value: Name.POSTURE,
-    Rule.TICK.value: Name.LATE,
-    Rule.ENCODER_STALE.value: Name.STALE,
-    Rule.ENCODER_ILLEGAL.value: Name.JUMP,
-    Rule.ENCODER_GAP.value: Name.JUMP,
-    Rule.ENCODER_JUMP.value: Name.JUMP,
+    "lasted": CauseName.LASTED,
+    "excited": CauseName.EXCITED,
+    Rule.NUMBER.value: CauseName.BUG,
+    Rule.COUNT.value: CauseName.BUG,
+    "operator": CauseName.OPERATOR,
+    "dry run": CauseName.OPERATOR,
+    "self-test": CauseName.SELF_TEST,
+    "link lost": CauseName.LINK,
+    Rule.LINK.value: CauseName.LINK,
+    Rule.NOT_FOLLOWING.value: CauseName.NOT_FOLLOWING,
+    Rule.FOLLOWING.value: CauseName.NOT_FOLLOWING,
+    Rule.FIRST.value: CauseName.NOT_FOLLOWING,
+    Rule.TORQUE.value: CauseName.CONTACT,
+    Rule.SPEED.value: CauseName.SPEED,
+    Rule.DRIFT.value: CauseName.POSTURE,
+    Rule.TILT.value: CauseName.POSTURE,
+    Rule.TICK.value: CauseName.LATE,
+    Rule.ENCODER_STALE.value: CauseName.STALE,
+    Rule.ENCODER_ILLEGAL.value: CauseName.JUMP,
+    Rule.ENCODER_GAP.value: CauseName.JUMP,
+    Rule.ENCODER_JUMP.value: CauseName.JUMP,
 }
 """Causes of a log that name what happened."""
 ENDINGS: Final = {
-    Rule.ANGLE.value: Name.ANGLE,
-    Rule.TRACK.value: Name.TRACK,
-    "joint limit": Name.JOINT,
-    Rule.POSITION.value: Name.JOINT,
-    Rule.JUMP.value: Name.JOINT,
-    Rule.VELOCITY.value: Name.JOINT,
-    Rule.ACCELERATION.value: Name.JOINT,
-    Rule.SINGULAR.value: Name.JOINT,
-    "fault": Name.FAULT,
-    "error": Name.FAULT,
-    BROKEN_OFF: Name.BROKEN_OFF,
-    "unknown": Name.FAULT,
+    Rule.ANGLE.value: CauseName.ANGLE,
+    Rule.TRACK.value: CauseName.TRACK,
+    "joint limit": CauseName.JOINT,
+    Rule.POSITION.value: CauseName.JOINT,
+    Rule.JUMP.value: CauseName.JOINT,
+    Rule.VELOCITY.value: CauseName.JOINT,
+    Rule.ACCELERATION.value: CauseName.JOINT,
+    Rule.SINGULAR.value: CauseName.JOINT,
+    "fault": CauseName.FAULT,
+    "error": CauseName.FAULT,
+    BROKEN_OFF: CauseName.BROKEN_OFF,
+    "unknown": CauseName.FAULT,
 }
 """Causes of a log that name how it ended."""
-NO_SUSPICION: Final = frozenset({Name.LASTED, Name.OPERATOR, Name.EXCITED})
+NO_SUSPICION: Final = frozenset({CauseName.LASTED, CauseName.OPERATOR, CauseName.EXCITED})
 """Causes after which nothing is looked for."""
 FAULTS: Final = {
-    "jumped from": Name.JUMP,
-    "began anew": Name.JUMP,
-    "introduced itself": Name.JUMP,
-    "sent no line": Name.STALE,
-    "is gone": Name.STALE,
-    "ever later": Name.STALE,
-    "the setpoint of joint": Name.JOINT,
+    "jumped from": CauseName.JUMP,
+    "began anew": CauseName.JUMP,
+    "introduced itself": CauseName.JUMP,
+    "sent no line": CauseName.STALE,
+    "is gone": CauseName.STALE,
+    "ever later": CauseName.STALE,
+    "the setpoint of joint": CauseName.JOINT,
 }
 """What failed, by words of the drivers and the guard."""
 
 
-class Finding(NamedTuple):
+class Evidence(NamedTuple):
     """A cause that the log speaks for."""
 
-    name: Name
+    name: CauseName
     """Which."""
     score: float
     """How much speaks for it, from 0 to 1; the largest is why the run ended."""
@@ -261,15 +274,15 @@ class Finding(NamedTuple):
 class Explanation(NamedTuple):
     """Why a run ended."""
 
-    causes: tuple[Finding, ...]
+    causes: tuple[Evidence, ...]
     """What the log speaks for, the most likely first; never empty."""
-    ending: Ending
+    ending: LoggedEnding
     """What the log itself says."""
     log: RunLog | None
     """The balancing; none where the run did not get so far."""
 
 
-class Course(NamedTuple):
+class RunTimeline(NamedTuple):
     """What is looked at."""
 
     log: RunLog
@@ -310,7 +323,7 @@ def explain(run: RunLog | RigRun) -> Explanation:
     """
     if isinstance(run, RunLog):
         cause = run.conditions.guard or run.conditions.cause
-        how, log = Ending(cause, _reason(run), None, not run.damage), run
+        how, log = LoggedEnding(cause, _reason(run), None, not run.damage), run
     else:
         how = ending(run)
         try:
@@ -321,7 +334,7 @@ def explain(run: RunLog | RigRun) -> Explanation:
     if log is not None and len(log.time) > 0 and found[0].name not in NO_SUSPICION:
         course = _course(run, log)
         found += [finding for look in LOOKS if (finding := look(course)) is not None]
-    best: dict[Name, Finding] = {}
+    best: dict[CauseName, Evidence] = {}
     for finding in sorted(found, key=lambda finding: -finding.score):
         best.setdefault(finding.name, finding._replace(simulated=isinstance(run, RunLog)))
     return Explanation(tuple(best.values()), how, log)
@@ -346,18 +359,18 @@ def _reason(run: RunLog) -> str:
     return f"{who} {state}; joint {joint + 1} moved at {shares[joint]:.0%} of its velocity limit"
 
 
-def _told(how: Ending, lasted: float) -> Finding:
+def _told(how: LoggedEnding, lasted: float) -> Evidence:
     """Return what the log itself says."""
     reason = how.reason or f"the log says: {how.cause}"
     if how.cause in TELLING:
-        return Finding(TELLING[how.cause], 0.95, lasted, reason)
+        return Evidence(TELLING[how.cause], 0.95, lasted, reason)
     for words, name in FAULTS.items():
         if words in how.reason:
-            return Finding(name, 0.95, lasted, reason)
-    return Finding(ENDINGS.get(how.cause, Name.UNKNOWN), 0.2, lasted, reason)
+            return Evidence(name, 0.95, lasted, reason)
+    return Evidence(ENDINGS.get(how.cause, CauseName.UNKNOWN), 0.2, lasted, reason)
 
 
-def _course(run: RunLog | RigRun, log: RunLog) -> Course:
+def _course(run: RunLog | RigRun, log: RunLog) -> RunTimeline:
     if isinstance(run, RigRun):
         ticks = phase_ticks(run, Phase.BALANCING)
         # The tick that stops the run counts: its lateness may be why.
@@ -373,7 +386,7 @@ def _course(run: RunLog | RigRun, log: RunLog) -> Course:
         time, rate = _unexplained_rate(run, log, pendulum)
     except (ArtefactError, RecordingError, ValueError):  # too short, or of an unknown arm
         time, rate = nothing, nothing
-    return Course(log, pendulum, u_max, late, time, rate, *torques)
+    return RunTimeline(log, pendulum, u_max, late, time, rate, *torques)
 
 
 def _torques(run: RigRun) -> tuple[Array, Array, Array]:
@@ -427,7 +440,7 @@ def _lines(time: Array, values: Array, at: Array, half: float) -> tuple[Array, A
 # What is looked for.
 
 
-def _outside(course: Course) -> Finding | None:
+def _outside(course: RunTimeline) -> Evidence | None:
     """The release, or a later moment, from which on no command could hold the pendulum."""
     log, bound = course.log, course.recoverable
     beyond = np.abs(course.falling) > bound
@@ -441,18 +454,18 @@ def _outside(course: Course) -> Finding | None:
         f"{time:.2f} s, and u of {course.u_max:g} m/s^2 can turn back {degrees(bound):.1f} deg"
     )
     if time <= AT_RELEASE:
-        return Finding(Name.OUTSIDE, 0.85, time, f"let go too far out: {where}")
+        return Evidence(CauseName.OUTSIDE, 0.85, time, f"let go too far out: {where}")
     before = slice(max(first - 15, 0), first + 1)
     largest = float(np.mean(np.abs(log.u[before]) >= 0.99 * course.u_max))
-    return Finding(
-        Name.SATURATION,
+    return Evidence(
+        CauseName.SATURATION,
         0.35 + 0.1 * largest,
         time,
         f"{where}; the largest command stood for {largest:.0%} of the 0.15 s before",
     )
 
 
-def _push(course: Course) -> Finding | None:
+def _push(course: RunTimeline) -> Evidence | None:
     """The largest step of the unexplained rate."""
     time, rate = course.time, course.rate
     wide, around = round(STEP_TIME / GRID), round(AROUND / GRID)
@@ -469,8 +482,8 @@ def _push(course: Course) -> Finding | None:
     if unusual[i] < PUSH:
         return None
     size = float(steps[i] - usual[i])
-    return Finding(
-        Name.PUSH,
+    return Evidence(
+        CauseName.PUSH,
         0.5 + 0.32 * min(abs(size) / STRONG, 1.0),
         float(middle[i]),
         f"at {middle[i]:.2f} s the pendulum's rate changed by {degrees(size):+.0f} deg/s within "
@@ -478,7 +491,7 @@ def _push(course: Course) -> Finding | None:
     )
 
 
-def _zero(course: Course) -> Finding | None:
+def _zero(course: RunTimeline) -> Evidence | None:
     """The slope of the unexplained rate, and what the observer knows of it."""
     time, rate = course.time, course.rate
     end = course.log.lasted
@@ -492,8 +505,8 @@ def _zero(course: Course) -> Finding | None:
     known = float(course.log.bias[-1])
     if abs(error) < ZERO:
         return None
-    return Finding(
-        Name.ZERO,
+    return Evidence(
+        CauseName.ZERO,
         0.5 + 0.35 * min(abs(error) / CLEARLY, 1.0),
         end,
         f"over the last {late.sum() * GRID:.1f} s the encoder read {degrees(error):+.1f} deg from "
@@ -501,7 +514,7 @@ def _zero(course: Course) -> Finding | None:
     )
 
 
-def _frozen(course: Course) -> Finding | None:
+def _frozen(course: RunTimeline) -> Evidence | None:
     """Counts that stood still to the end while the pivot was accelerated."""
     encoder, log = course.log.encoder, course.log
     if len(encoder.time) < 3:
@@ -516,8 +529,8 @@ def _frozen(course: Course) -> Finding | None:
     turned = course.pendulum.k * cos(log.phi[-1]) * float(np.ptp(log.x_dot[ticks]))
     if turned < FROZEN_RATE:
         return None
-    return Finding(
-        Name.STALE,
+    return Evidence(
+        CauseName.STALE,
         0.9,
         since,
         f"from {since:.2f} s the count stood at {int(encoder.counts[-1])} for "
@@ -526,7 +539,7 @@ def _frozen(course: Course) -> Finding | None:
     )
 
 
-def _jump(course: Course) -> Finding | None:
+def _jump(course: RunTimeline) -> Evidence | None:
     """The largest step of the counts that no pendulum makes."""
     encoder, per_rev = course.log.encoder, course.log.conditions.counts_per_rev
     if per_rev is None or len(encoder.time) < 3:
@@ -540,27 +553,30 @@ def _jump(course: Course) -> Finding | None:
             worst, when = max((worst, when), (size, time[i]))
     if worst <= KINK_LIMIT:
         return None
-    return Finding(
-        Name.JUMP,
+    return Evidence(
+        CauseName.JUMP,
         0.92,
         when,
         f"at {when:.3f} s the count jumped by {degrees(worst):.1f} deg more than a pendulum moves",
     )
 
 
-def _late(course: Course) -> Finding | None:
+def _late(course: RunTimeline) -> Evidence | None:
     """The latest tick."""
     if course.late.max(initial=0.0) <= LATE:
         return None
     i = int(np.argmax(course.late))
     when = i * course.log.conditions.h
     # Above what a rule says: replies that nobody fetched in time are overdue, too.
-    return Finding(
-        Name.LATE, 0.97, when, f"the tick at {when:.2f} s was {1e3 * course.late[i]:.0f} ms late"
+    return Evidence(
+        CauseName.LATE,
+        0.97,
+        when,
+        f"the tick at {when:.2f} s was {1e3 * course.late[i]:.0f} ms late",
     )
 
 
-def _contact(course: Course) -> Finding | None:
+def _contact(course: RunTimeline) -> Evidence | None:
     """The largest external torque."""
     shares = np.abs(course.torque) / course.torque_limit
     if shares.max(initial=0.0) < TOUCHED:
@@ -568,8 +584,8 @@ def _contact(course: Course) -> Finding | None:
     i, joint = np.unravel_index(int(np.argmax(shares)), shares.shape)
     when, torque = float(course.torque_time[i]), float(course.torque[i, joint])
     # Above a rule that names where the arm was moved to by it.
-    return Finding(
-        Name.CONTACT,
+    return Evidence(
+        CauseName.CONTACT,
         0.96 if shares[i, joint] >= 1.0 else 0.8,
         when,
         f"at {when:.2f} s the external torque at joint {joint + 1} was {torque:+.1f} N m from what "
@@ -577,7 +593,7 @@ def _contact(course: Course) -> Finding | None:
     )
 
 
-LOOKS: Final[tuple[Callable[[Course], Finding | None], ...]] = (
+LOOKS: Final[tuple[Callable[[RunTimeline], Evidence | None], ...]] = (
     _outside,
     _push,
     _zero,

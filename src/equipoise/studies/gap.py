@@ -33,7 +33,7 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.errors import InputError
 from equipoise.evaluation import Done, TrialResults, evaluate
 from equipoise.model.actuator import CYCLE, Actuator
-from equipoise.model.worlds import MODEL, TwinSettings, World, pivot_friction, read_world
+from equipoise.model.sim_configs import MODEL, TwinSettings, World, pivot_friction, read_world
 from equipoise.settings import (
     MOST_TRIALS,
     ControllerSettings,
@@ -49,8 +49,8 @@ from equipoise.studies.gap_results import (
     PAPER,
     Controller,
     Gap,
+    GapPoint,
     Part,
-    Point,
 )
 from equipoise.training import Report, Selecting, train
 
@@ -347,14 +347,14 @@ class _Case(NamedTuple):
     """The twin as the actuator has it; none: the actuator of the training."""
 
 
-def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., Point], _Case]]:
+def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., GapPoint], _Case]]:
     """Return all points, without their results, and what decides about these."""
     clean = world.model_copy(update=CLEAN)
 
     def entry(
         part: Part, controller: Controller, twin: TwinSettings | None, **of_point: Any
-    ) -> tuple[Callable[..., Point], _Case]:
-        point = partial(Point, part=part, controller=controller, **of_point)
+    ) -> tuple[Callable[..., GapPoint], _Case]:
+        point = partial(GapPoint, part=part, controller=controller, **of_point)
         if controller == PAPER:
             return point, _Case(controller, twin, None)
         if controller == NOT_TOLD:

@@ -17,9 +17,9 @@ from equipoise.artefacts import Artefact, Extended, Name, Number, Seed, Value
 from equipoise.control.boxes import CAUSES, TRACK
 from equipoise.control.safety import Rule
 from equipoise.evaluation import CONFIDENCE, TrialResults
-from equipoise.model.worlds import PivotFriction, TwinSettings
+from equipoise.model.sim_configs import PivotFriction, TwinSettings
 from equipoise.settings import Settings
-from equipoise.studies.wording import LASTED, percent
+from equipoise.studies.formatting import LASTED, percent
 
 Array = npt.NDArray[np.float64]
 Controller = Literal["cured", "not told", "no prediction", "no bias estimate", "paper"]
@@ -43,7 +43,7 @@ NONE: Final = "none"
 """Stands for an empty list of effects."""
 
 
-class Point(Value):
+class GapPoint(Value):
     """The trials of one controller under one condition."""
 
     part: Part
@@ -108,7 +108,7 @@ class Gap(Artefact, Extended):
     """Of the policy: starts, number and length of the trials, the cures."""
     seed: Seed
     """Master seed of the trials."""
-    points: Annotated[tuple[Point, ...], Field(min_length=1, max_length=1000)]
+    points: Annotated[tuple[GapPoint, ...], Field(min_length=1, max_length=1000)]
     """All trials."""
 
     @property
@@ -134,7 +134,7 @@ class Gap(Artefact, Extended):
 
     def curve(
         self, part: Literal["delay", "zero"], controller: Controller, on_clean: bool = False
-    ) -> tuple[Point, ...]:
+    ) -> tuple[GapPoint, ...]:
         """Return survival against delay or zero error; empty where it was not tried."""
         return tuple(
             p
@@ -142,7 +142,7 @@ class Gap(Artefact, Extended):
             if (p.part, p.controller, p.on_clean) == (part, controller, on_clean)
         )
 
-    def point(self, part: Part, controller: Controller, name: str = "") -> Point:
+    def point(self, part: Part, controller: Controller, name: str = "") -> GapPoint:
         """Return a single point."""
         wanted = (part, controller, name)
         return next(p for p in self.points if (p.part, p.controller, p.name) == wanted)
@@ -275,7 +275,7 @@ def _way(gap: Gap) -> str:
     )
 
 
-def _along(curve: tuple[Point, ...], known: float = 0.0) -> str:
+def _along(curve: tuple[GapPoint, ...], known: float = 0.0) -> str:
     """Return a curve in words, and the least change from what is known that shows in it."""
     stands = ", ".join(
         f"{float(np.mean(p.results.survival)):.1f} s at {at_words(p.part, p.at)}" for p in curve

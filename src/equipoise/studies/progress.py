@@ -9,7 +9,7 @@ from equipoise.control.policy import LearningPoint
 from equipoise.settings import Settings
 
 
-class Progress(NamedTuple):
+class ProgressReporter(NamedTuple):
     """State of one stage."""
 
     stage: str
@@ -31,7 +31,7 @@ class Progress(NamedTuple):
         return min(self.completed / self.total, 1.0)
 
 
-Show = Callable[[Progress], None]
+Show = Callable[[ProgressReporter], None]
 """Called as the work goes on, also from other threads."""
 
 
@@ -48,7 +48,7 @@ def counted(stage: str, total: int, show: Show) -> Callable[[int], None]:
     def done(finished: int) -> None:
         with lock:
             so_far[0] += finished
-            show(Progress(stage, min(so_far[0], total), total, "trials"))
+            show(ProgressReporter(stage, min(so_far[0], total), total, "trials"))
 
     return done
 
@@ -82,9 +82,9 @@ class TrainingProgress:
         show(self.first)
 
     @property
-    def first(self) -> Progress:
+    def first(self) -> ProgressReporter:
         """Progress of the training when it begins."""
-        return Progress(self._train, 0, self._episodes, "episodes")
+        return ProgressReporter(self._train, 0, self._episodes, "episodes")
 
     def report(self, learner: int, point: LearningPoint) -> None:
         """Take in a point of a learning curve."""
@@ -112,4 +112,4 @@ class TrainingProgress:
             others = self._learners - len(self._finals)
             total = sum(of for _, of in self._finals.values()) + others * self._trials
             completed = sum(done for done, _ in self._finals.values())
-            self._show(Progress(self._select, completed, total, "trials"))
+            self._show(ProgressReporter(self._select, completed, total, "trials"))

@@ -22,17 +22,17 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import Estimate, Value
-from equipoise.control.policy import Candidate, TabularPolicy
+from equipoise.control.policy import Checkpoint, TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
-from equipoise.identification.closed_loop import ClosedLoopFit, Move, compare, regress
+from equipoise.identification.closed_loop import ClosedLoopFit, ParameterChange, compare, regress
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import Pendulum
 from equipoise.runlog import RunLog
 from equipoise.settings import PlantSettings, Settings
-from equipoise.training import Report, Selecting, judge, train
+from equipoise.training import Report, Selecting, score_policy, train
 
 Array = npt.NDArray[np.float64]
 
@@ -52,7 +52,7 @@ NO_DRAG: Final = Estimate(value=0.0, low=0.0, high=0.0, source="assumed")
 """Balancing is too slow for the drag of the air."""
 
 
-class Motion(NamedTuple):
+class ModelMotion(NamedTuple):
     """A run as the pendulum went through it; each of shape (n,)."""
 
     time: Array
@@ -63,7 +63,7 @@ class Motion(NamedTuple):
     """Displacement of the pivot along base x [m]."""
 
 
-class Response(Value):
+class ArmResponse(Value):
     """A number of the actuator that logs find elsewhere than it was."""
 
     name: str
@@ -88,14 +88,14 @@ class Response(Value):
         )
 
 
-class Findings(Value):
+class RefinementFindings(Value):
     """What logs say about the model of a policy."""
 
     fit: ClosedLoopFit
     """The pendulum of the logs."""
     response: dict[str, Estimate]
     """The actuator of the logs, by name, as far as they tell it [s]."""
-    moves: tuple[Move | Response, ...]
+    moves: tuple[ParameterChange | ArmResponse, ...]
     """What moved; empty where the model still holds."""
     pendulum: Pendulum
     """That of the policy, but for what moved."""
@@ -112,13 +112,13 @@ class Refinement(NamedTuple):
     """The one that was kept."""
     kept: Literal["old", "new"]
     """Whose table it has."""
-    old: Candidate
+    old: Checkpoint
     """How the old table does on the model."""
-    new: Candidate
+    new: Checkpoint
     """How the new table does in the same trials."""
 
 
-def inspect(policy: TabularPolicy, logs: Mapping[str, RunLog]) -> Findings:
+def inspect(policy: TabularPolicy, logs: Mapping[str, RunLog]) -> RefinementFindings:
     """Return what logs say about the model of a policy.
 
     Args:
@@ -162,7 +162,7 @@ def inspect(policy: TabularPolicy, logs: Mapping[str, RunLog]) -> Findings:
     }
     moves = compare(policy.pendulum, fit, plant)
     responded = compare_responses(policy.actuator, response, arm, plant)
-    return Findings(
+    return RefinementFindings(
         fit=fit,
         response=response,
         moves=(*moves, *responded),
@@ -218,11 +218,11 @@ def retrain(
     )
     old = policy.model_copy(update={"pendulum": pendulum, "actuator": actuator})
     of_old, of_new = (
-        judge(each, seed=seed + FRESH, workers=workers, done=done) for each in (old, new)
+        score_policy(each, seed=seed + FRESH, workers=workers, done=done) for each in (old, new)
     )
     if of_new.score > of_old.score:
         return Refinement(new, "new", of_old, of_new)
-    return Refinement(old.model_copy(update={"candidates": (of_old,)}), "old", of_old, of_new)
+    return Refinement(old.model_copy(update={"checkpoints": (of_old,)}), "old", of_old, of_new)
 
 
 def compared_trials(policy: TabularPolicy) -> int:
@@ -240,7 +240,7 @@ def settings_of_retraining(settings: Settings, episodes: int) -> Settings:
     return settings.model_copy(update={"learning": learning.model_copy(update=changes)})
 
 
-def read_motion(log: RunLog, arm: Arm) -> Motion:
+def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
     """Return how pendulum and pivot moved in a run, as encoder and joints measured it.
 
     Args:
@@ -274,10 +274,10 @@ def read_motion(log: RunLog, arm: Arm) -> Motion:
     pivot = CubicSpline(measured, _pivot(log.replies.q[of], arm))
     inside = (time >= measured[0]) & (time <= measured[-1])
     x, tilt = pivot(time[inside]).T
-    return Motion(time[inside], phi[inside] + tilt, x)
+    return ModelMotion(time[inside], phi[inside] + tilt, x)
 
 
-def thinned(motion: Motion) -> Motion:
+def thinned(motion: ModelMotion) -> ModelMotion:
     """Return a motion with means of neighbouring samples, about `SPACING` apart.
 
     A board sends each millisecond, with stamps that are wrong by a third of that: splines through
@@ -288,7 +288,7 @@ def thinned(motion: Motion) -> Motion:
         return motion
     every = max(round(SPACING / float(np.median(np.diff(motion.time)))), 1)
     whole = len(motion.time) // every * every
-    return Motion(*(part[:whole].reshape(-1, every).mean(axis=1) for part in motion))
+    return ModelMotion(*(part[:whole].reshape(-1, every).mean(axis=1) for part in motion))
 
 
 def _pivot(q: Array, arm: Arm) -> Array:
@@ -359,7 +359,7 @@ def _lag(arm: Arm, joint: int) -> str:
 
 def compare_responses(
     known: Actuator, response: Mapping[str, Estimate], arm: Arm, plant: PlantSettings
-) -> tuple[Response, ...]:
+) -> tuple[ArmResponse, ...]:
     """Return which numbers of an actuator moved since it was identified.
 
     As for the pendulum, a number moved where the difference is beyond both 95 % intervals,
@@ -375,7 +375,7 @@ def compare_responses(
     from scipy.stats import norm
 
     limit = float(norm.isf(0.025 / max(len(response), 1)))
-    moves: list[Response] = []
+    moves: list[ArmResponse] = []
     for name, before in numbers(known, arm).items():
         if name not in response:
             continue
@@ -385,7 +385,7 @@ def compare_responses(
         difference = abs(now.value - before.value)
         z = difference / hypot(_sigma(before), _sigma(now))
         if z > limit and difference > varied:
-            moves.append(Response(name=name, before=before, now=now, z=z))
+            moves.append(ArmResponse(name=name, before=before, now=now, z=z))
     return tuple(moves)
 
 
@@ -446,7 +446,9 @@ def combine_fits(fits: Sequence[ClosedLoopFit]) -> ClosedLoopFit:
     return fits[0].model_copy(update=changes)
 
 
-def _moved_pendulum(known: Pendulum, fit: ClosedLoopFit, moves: Sequence[Move]) -> Pendulum:
+def _moved_pendulum(
+    known: Pendulum, fit: ClosedLoopFit, moves: Sequence[ParameterChange]
+) -> Pendulum:
     """Return the pendulum with what moved; what was weighed apart may have changed with it."""
     covariance = np.array(known.covariance)
     changes: dict[str, Any] = {}

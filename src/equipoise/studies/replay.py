@@ -1,9 +1,9 @@
 """Replay: the measurements of a log go through the controller again, and the same has to come out.
 
 Of a run on a rig all that a tick was told is in its log: counts, replies, words, failures, how late
-it was. A fresh `Pilot` is told the same at the same times, from the first setpoint to rest. A log
-of a run on a twin begins at the release; there the control step alone runs again, on the counts and
-joints of its ticks.
+it was. A fresh `RunController` is told the same at the same times, from the first setpoint to rest.
+A log of a run on a twin begins at the release; there the control step alone runs again, on the
+counts and joints of its ticks.
 
 On the machine that made the log every bit is the same. Another processor or library rounds
 otherwise, and the tolerance says how much of that is allowed: the controller holds a pendulum that
@@ -17,12 +17,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.controller import make_controller
-from equipoise.control.lane import Lane
-from equipoise.control.pilot import Pilot
+from equipoise.control.control_step import make_controller_params
+from equipoise.control.controller import Controller
 from equipoise.control.policy import TabularPolicy
-from equipoise.control.ticks import Inputs, Output
-from equipoise.deployment.rig import Request, told_limit
+from equipoise.control.run_controller import RunController
+from equipoise.control.ticks import TickInputs, TickOutput
+from equipoise.deployment.rig import RunRequest, logged_speed_limit
 from equipoise.devices.interfaces import Reply, Sample
 from equipoise.errors import ArtefactError
 from equipoise.model.actuator import Actuator
@@ -147,7 +147,7 @@ def _of_rig(run: RigRun, policy: TabularPolicy, actuator: Actuator) -> Rows:
     told, tables = run.conditions, run.tables
     _check(policy.digest, told["policy"], "policy")
     _check(actuator.digest, told["actuator"], "actuator")
-    request = Request(
+    request = RunRequest(
         policy=policy,
         actuator=actuator,
         settings=RigSettings.model_validate(told["rig"]),
@@ -163,18 +163,18 @@ def _of_rig(run: RigRun, policy: TabularPolicy, actuator: Actuator) -> Rows:
     began = reply[np.isnan(reply["sent"])]
     if len(tick) == 0 or len(began) == 0:
         raise ArtefactError("nothing moved in this run; there is nothing to replay")
-    pilot = Pilot(
+    pilot = RunController(
         request.settings.described_arm,
         request.controller(counts_per_rev),
         policy.kernel,
-        request.guard(counts_per_rev, told_limit((e.name, e.text) for e in run.events)),
+        request.guard(counts_per_rev, logged_speed_limit((e.name, e.text) for e in run.events)),
         began["q"][0].tolist(),
         duration=request.duration,
     )
     return _through(run, pilot)
 
 
-def _through(run: RigRun, pilot: Pilot) -> Rows:
+def _through(run: RigRun, pilot: RunController) -> Rows:
     """Yield what the log says of each tick and what a pilot makes of its inputs."""
     tables = run.tables
     tick, stream, encoder, reply = (tables[n] for n in ("tick", "stream", "encoder", "reply"))
@@ -192,7 +192,7 @@ def _through(run: RigRun, pilot: Pilot) -> Rows:
             except Exception as error:  # as the loop does: the pilot stops on it
                 result = error
             working = None
-        inputs = Inputs(
+        inputs = TickInputs(
             samples=[
                 Sample(
                     float(s["time"]),
@@ -234,9 +234,9 @@ def _known(values: Array) -> tuple[float, ...] | None:
     return None if np.isnan(values).any() else tuple(values.tolist())
 
 
-def _pairs(row: Any, sent: list[list[float]], output: Output) -> dict[str, tuple[float, float]]:
+def _pairs(row: Any, sent: list[list[float]], output: TickOutput) -> dict[str, tuple[float, float]]:
     pairs = {"state": (float(row["state"]), float(output.state))}
-    pairs |= {name: (float(row[name]), float(getattr(output.seen, name))) for name in SEEN}
+    pairs |= {name: (float(row[name]), float(getattr(output.record, name))) for name in SEEN}
     joints = [("q", row["q"].tolist(), output.q), ("dq", row["dq"].tolist(), output.dq)]
     for name, setpoint, made in zip(("first", "second"), sent, output.setpoints, strict=False):
         joints.append((f"{name} setpoint", setpoint, made))
@@ -260,7 +260,7 @@ def _of_twin(run: RunLog, policy: TabularPolicy, actuator: Actuator) -> Rows:
         )
     _check(policy.digest, told.policy, "policy")
     _check(IDEAL if actuator.kind == "ideal" else actuator.digest, told.actuator, "actuator")
-    controller = make_controller(
+    controller = make_controller_params(
         policy.arm,
         told.settings,
         actuator,
@@ -268,10 +268,10 @@ def _of_twin(run: RunLog, policy: TabularPolicy, actuator: Actuator) -> Rows:
         h=told.h,
         counts_per_rev=told.counts_per_rev,
     )
-    return _control_steps(run, policy, Lane(policy.arm, controller), controller.resolution)
+    return _control_steps(run, policy, Controller(policy.arm, controller), controller.resolution)
 
 
-def _control_steps(run: RunLog, policy: TabularPolicy, lane: Lane, resolution: float) -> Rows:
+def _control_steps(run: RunLog, policy: TabularPolicy, lane: Controller, resolution: float) -> Rows:
     """Yield what the log says of each tick and what the control step makes of its measurements."""
     phi_dot = run.conditions.start[3]
     stamp, counts = run.encoder
@@ -285,7 +285,7 @@ def _control_steps(run: RunLog, policy: TabularPolicy, lane: Lane, resolution: f
                 time - float(run.replies.time[i]),
             )
         u, box = lane.decide(policy.kernel)
-        seen, estimate = lane.seen, lane.estimate
+        seen, estimate = lane.observation, lane.estimate
         setpoints = lane.command(u)
         made = (*seen, float(box), u, estimate.phi, estimate.phi_dot, estimate.bias)
         pairs = {

@@ -27,7 +27,7 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.inertials import link_inertials
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.worlds import MODEL
+from equipoise.model.sim_configs import MODEL
 from equipoise.runlog import RunLog
 from equipoise.settings import Settings, resolve
 from equipoise.studies.compilation import (
@@ -40,7 +40,7 @@ from equipoise.studies.compilation import (
 )
 from equipoise.studies.gap import gap, paper_settings, train_paper, trials_of
 from equipoise.studies.gap_results import Gap
-from equipoise.studies.progress import Progress, Show, TrainingProgress, counted
+from equipoise.studies.progress import ProgressReporter, Show, TrainingProgress, counted
 from equipoise.studies.results import (
     EVALUATION,
     GAP,
@@ -49,13 +49,13 @@ from equipoise.studies.results import (
     RECORD,
     RUN,
     SWING,
-    Record,
+    PipelineStage,
     Results,
-    Stage,
+    StageRecord,
     digests,
     verdict,
 )
-from equipoise.studies.stand_in import SimulatedSwing, simulated_swing
+from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.training import LEARNERS, software, train_several
 from equipoise.trajectory import Trajectory, read_swing, write_swing
 
@@ -116,7 +116,7 @@ class UnfinishedReproduction(Artefact):
     """Files that are done, by name."""
 
 
-class Request(NamedTuple):
+class ReproductionRequest(NamedTuple):
     """What decides about the results of a reproduction."""
 
     swing: Trajectory | None
@@ -151,7 +151,7 @@ def unfinished_path(out: Path) -> Path:
     return partial_path(out / RECORD)
 
 
-def differences(out: Path, request: Request) -> list[str] | None:
+def differences(out: Path, request: ReproductionRequest) -> list[str] | None:
     """Compare a request with the interrupted reproduction in a folder.
 
     Returns:
@@ -240,14 +240,14 @@ def reproduce(
     finished: dict[str, Finished] = {}
     if unfinished_path(out).exists():
         finished |= UnfinishedReproduction.load(unfinished_path(out)).finished
-    stages: list[Stage] = []
+    stages: list[PipelineStage] = []
 
     def stage(name: str, work: Callable[[], T], expected: float | None = None) -> T:
-        report(Progress(name, expected=expected))
+        report(ProgressReporter(name, expected=expected))
         begin = time.perf_counter()
         value = work()
-        stages.append(Stage(name=name, wall=round(time.perf_counter() - begin, 2)))
-        report(Progress(name, 1.0))
+        stages.append(PipelineStage(name=name, wall=round(time.perf_counter() - begin, 2)))
+        report(ProgressReporter(name, 1.0))
         return value
 
     def saved(
@@ -260,8 +260,8 @@ def reproduce(
     ) -> S:
         """Run a stage and save its value, or read it if it was done before an interruption."""
         if (value := _done_before(out / file, kind, finished.get(file), inputs)) is not None:
-            stages.append(Stage(name=name, wall=finished[file].wall))
-            report(Progress(name, 1.0, text="done before the interruption"))
+            stages.append(PipelineStage(name=name, wall=finished[file].wall))
+            report(ProgressReporter(name, 1.0, text="done before the interruption"))
             return value
         value = stage(name, work, expected)
         value.save(out / file, command=COMMAND, inputs=inputs)
@@ -270,10 +270,10 @@ def reproduce(
         so_far.save(unfinished_path(out), command=COMMAND)
         return value
 
-    simulated = SimulatedSwing() if swing is None else None
+    simulated = SyntheticSwing() if swing is None else None
     given = stage(
         "swing",
-        lambda: swing or simulated_swing(simulated or SimulatedSwing(), seed),
+        lambda: swing or synthetic_swing(simulated or SyntheticSwing(), seed),
         SWING_TAKES,
     )
     write_swing(out / SWING, given)
@@ -340,7 +340,7 @@ def reproduce(
             policy=policy.digest,
         )
 
-    record = Record(
+    record = StageRecord(
         quick=quick,
         recipe=recipe,
         seed=seed,
@@ -373,10 +373,10 @@ def make_request(
     recipe: str,
     seed: int,
     quick: bool,
-) -> Request:
+) -> ReproductionRequest:
     """Return what decides about a reproduction, the defaults filled in; as in `reproduce`."""
     settings = resolve(recipe) if settings is None else settings
-    return Request(
+    return ReproductionRequest(
         swing=swing,
         arm=iiwa(7) if arm is None else arm,
         settings=shortened(settings) if quick else settings,

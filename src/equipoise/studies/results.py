@@ -21,11 +21,11 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.worlds import MODEL
-from equipoise.runlog import RunLog, Truth, read_header
+from equipoise.model.sim_configs import MODEL
+from equipoise.runlog import RunLog, TruthColumns, read_header
+from equipoise.studies.formatting import LASTED, falls, how_it_ended, percent, plus_minus
 from equipoise.studies.gap_results import Controller, Gap
-from equipoise.studies.stand_in import SimulatedSwing
-from equipoise.studies.wording import LASTED, falls, how_it_ended, percent, plus_minus
+from equipoise.studies.synthetic_swing import SyntheticSwing
 from equipoise.trajectory import Trajectory, read_swing
 
 SWING: Final = "swing.csv"
@@ -37,7 +37,7 @@ GAP: Final = "gap.json"
 RECORD: Final = "reproduction.json"
 
 
-class Stage(Value):
+class PipelineStage(Value):
     """A stage of the reproduction."""
 
     name: Name
@@ -46,7 +46,7 @@ class Stage(Value):
     """How long it took [s], compilation on its first run included."""
 
 
-class Record(Artefact):
+class StageRecord(Artefact):
     """How a reproduction was made: all that its other files do not say."""
 
     FORMAT: ClassVar[str] = "equipoise-reproduction"
@@ -64,18 +64,18 @@ class Record(Artefact):
     """Name of the recording."""
     swing_sha256: Name
     """Digest of the recording as it was given."""
-    simulated: SimulatedSwing | None
+    simulated: SyntheticSwing | None
     """The pendulum that was simulated; none where a recording was given."""
     files: dict[Name, Name]
     """Digest of each value, by the name of its file."""
-    stages: Annotated[tuple[Stage, ...], Field(max_length=100)]
+    stages: Annotated[tuple[PipelineStage, ...], Field(max_length=100)]
     """Where the time went."""
 
 
 class Results(NamedTuple):
     """All that a reproduction found."""
 
-    record: Record
+    record: StageRecord
     """How it was made."""
     swing: Trajectory
     """The free swing."""
@@ -98,7 +98,7 @@ def load(out: Path) -> Results:
         ArtefactError: A file is missing, corrupt, or belongs to another reproduction.
         RecordingError: The swing cannot be read.
     """
-    record = Record.load(out / RECORD)
+    record = StageRecord.load(out / RECORD)
     results = Results(
         record=record,
         swing=read_swing(out / SWING),
@@ -160,7 +160,7 @@ def no_gap(results: Results) -> str:
     )
 
 
-def truth(run: RunLog) -> Truth | RunLog:
+def truth(run: RunLog) -> TruthColumns | RunLog:
     """Return what really was, where that is known, else what the policy saw and commanded."""
     return run.truth if len(run.truth.phi) else run
 
@@ -182,7 +182,7 @@ def _standing(evaluation: Evaluation) -> str:
     low, high = summary.interval
     median = "" if summary.rate > 0.5 else f"; median {summary.median:.3g} s"
     others = "; ".join(
-        f"{results.name} {percent(results.summary().rate)}" for results in evaluation.yardsticks
+        f"{results.name} {percent(results.summary().rate)}" for results in evaluation.baselines
     )
     return (
         f"On the plant of its training the table stood {evaluation.duration:g} s in "

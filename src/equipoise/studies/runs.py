@@ -120,7 +120,7 @@ class _RigEnd(_Checked):
     zero: Number | None = None
 
 
-class Ending(NamedTuple):
+class LoggedEnding(NamedTuple):
     """How a run ended, as far as its log knows."""
 
     cause: str
@@ -204,7 +204,7 @@ def load_run(path: Path) -> RunLog:
         raise RecordingError(f"{path}: {error}") from None
 
 
-def ending(run: RigRun) -> Ending:
+def ending(run: RigRun) -> LoggedEnding:
     """Return how a run on a rig ended."""
     tick = run.tables["tick"]
     names = [Phase(name) for name in run.conditions["phases"]]
@@ -213,11 +213,11 @@ def ending(run: RigRun) -> Ending:
     phase = before[-1] if before else None
     told = [event.text for event in run.events if event.name in (STOPPING, "fault")]
     if run.end is not None and "cause" in run.end:
-        return Ending(str(run.end["cause"]), str(run.end.get("reason", "")), phase, True)
+        return LoggedEnding(str(run.end["cause"]), str(run.end.get("reason", "")), phase, True)
     if run.end is not None:
         fault = run.end.get("fault", "an error ended the run; deploy has said which")
-        return Ending("error", str(fault), phase, True)
-    return Ending(BROKEN_OFF, told[-1] if told else "", phase, False)
+        return LoggedEnding("error", str(fault), phase, True)
+    return LoggedEnding(BROKEN_OFF, told[-1] if told else "", phase, False)
 
 
 def arm_of(run: RunLog | RigRun) -> Arm | None:

@@ -22,10 +22,10 @@ from equipoise.runwriter import FORMAT as RIG_FORMAT
 from equipoise.runwriter import VERSION as RIG_VERSION
 from equipoise.runwriter import RigRun, is_rig_run
 from equipoise.studies.certification import Certificate, check_evaluation, evaluation_path
+from equipoise.studies.formatting import falls
 from equipoise.studies.gap_results import Gap
-from equipoise.studies.results import Record
+from equipoise.studies.results import StageRecord
 from equipoise.studies.runs import ending, missing_part, phase_ticks, read_rig
-from equipoise.studies.wording import falls
 
 MCAP = b"\x89MCAP"
 """What an MCAP file begins with."""
@@ -172,7 +172,7 @@ def _certificate(certificate: Certificate) -> str:
     )
 
 
-def _reproduction(record: Record) -> str:
+def _reproduction(record: StageRecord) -> str:
     quick = "a quick " if record.quick else ""
     wall = sum(stage.wall for stage in record.stages)
     return (
@@ -207,5 +207,5 @@ _KINDS: Mapping[str, tuple[str, type[Artefact], Callable[[Any], str]]] = {
     Evaluation.FORMAT: ("evaluation", Evaluation, _evaluation),
     Gap.FORMAT: ("gap study", Gap, _gap),
     Certificate.FORMAT: ("certificate", Certificate, _certificate),
-    Record.FORMAT: ("reproduction", Record, _reproduction),
+    StageRecord.FORMAT: ("reproduction", StageRecord, _reproduction),
 }

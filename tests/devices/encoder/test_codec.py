@@ -13,8 +13,8 @@ from equipoise.devices.encoder.codec import (
     REQUEST,
     Banner,
     Decoder,
+    ELineSplitter,
     Flags,
-    Lines,
     Reading,
     Requests,
     crc8,
@@ -204,7 +204,7 @@ def test_lines_that_are_too_long_are_counted_with_the_damaged_ones():
 
 
 def test_a_line_without_end_takes_no_memory():
-    lines = Lines()
+    lines = ELineSplitter()
     lines.feed(b"\n")
     for _ in range(1000):
         assert lines.feed(b"x" * 50) == []

@@ -445,7 +445,7 @@ def test_the_limits_are_those_of_the_reference_page():
     for number in (
         f"{module.FASTEST:g} rad/s",
         f"{module.SILENCE:g} s",
-        f"{module.PATIENCE:g} s",
+        f"{module.CONNECT_TIMEOUT:g} s",
         f"{module.PERSISTENT} lines",
     ):
         assert number in page, number

@@ -8,8 +8,8 @@ import pytest
 from equipoise.devices.encoder.swing import (
     LEAD,
     LONGEST_GAP,
-    PATIENCE,
-    Stage,
+    RELEASE_TIMEOUT,
+    RecordingStage,
     SwingRecorder,
     record_swing,
 )
@@ -57,7 +57,7 @@ def test_what_is_recorded_identifies_the_pendulum(tmp_path, height):
     swing, recorder = record_swing(
         bench.sensor, bench.clock, 10.0, lambda recorder: stages.append(recorder.stage)
     )
-    assert list(dict.fromkeys(stages)) == list(Stage)
+    assert list(dict.fromkeys(stages)) == list(RecordingStage)
     assert recorder.missing == 0
     write_swing(tmp_path / "swing.csv", swing)
     pendulum = identify(read_swing(tmp_path / "swing.csv"), IdentificationSettings())
@@ -101,7 +101,7 @@ def test_the_zero_is_where_it_hung():
 def test_it_ends_when_little_is_left():
     braked = Pendulum.assumed(70.2, 1.0)
     recorder = recorded(ByHand(0.8, pendulum=braked), duration=30.0)
-    assert recorder.stage is Stage.DONE
+    assert recorder.stage is RecordingStage.DONE
     assert recorder.elapsed < 8.0
     assert recorder.amplitude < 0.06 * recorder.first_amplitude
 
@@ -142,28 +142,28 @@ def brought_down(time):
 def test_a_hand_that_lowers_it_is_waited_for_again(motion):
     recorder = recorded(motion, until=10.0)
     assert recorder.hint
-    assert recorder.stage in (Stage.SETTLING, Stage.READY)
+    assert recorder.stage in (RecordingStage.SETTLING, RecordingStage.READY)
     # It hangs again, and this time it is let go.
     recorder.take(samples_of(ByHand(0.8, zero=0.0), 20.0, begin=10.0))
-    assert recorder.stage is Stage.DONE
+    assert recorder.stage is RecordingStage.DONE
     assert recorder.trajectory().theta.max() > 0.7
 
 
 def test_a_small_swing_is_asked_for_again_higher():
     recorder = recorded(ByHand(radians(9.0)), until=8.0)
     assert recorder.hint == "lift it higher"
-    assert recorder.stage is Stage.SETTLING
+    assert recorder.stage is RecordingStage.SETTLING
 
 
 def test_a_tremble_while_it_hangs_is_no_lift():
     recorder = recorded(lambda time: radians(3.0) * np.sin(8.0 * max(time - 3.0, 0.0)), until=10.0)
-    assert recorder.stage is Stage.READY
+    assert recorder.stage is RecordingStage.READY
     assert degrees(recorder.theta) < 5.0
 
 
 def test_what_moves_is_not_taken_for_hanging():
     recorder = recorded(lambda time: 0.01 * np.sin(8.0 * time), until=20.0)
-    assert recorder.stage is Stage.SETTLING
+    assert recorder.stage is RecordingStage.SETTLING
     with pytest.raises(RecordingError, match="there is no recording yet"):
         recorder.trajectory()
 
@@ -188,9 +188,9 @@ def test_a_swing_at_the_twin_is_recorded_and_identified():
     sensor.connect()
 
     def watch(recorder):
-        if recorder.stage is Stage.READY and bench.hand.idle:
-            bench.aside()
-        elif recorder.stage is Stage.LIFTED and clock.now() > bench.hand.arrives() + 2.0:
+        if recorder.stage is RecordingStage.READY and bench.hand.idle:
+            bench.hold_deflected()
+        elif recorder.stage is RecordingStage.LIFTED and clock.now() > bench.hand.arrives() + 2.0:
             bench.let_go()
 
     swing, recorder = record_swing(sensor, clock, 20.0, watch)
@@ -255,19 +255,19 @@ def test_a_zero_that_was_held_is_refused():
 @pytest.mark.parametrize("motion", [lambda time: time, lambda time: 0.0])
 def test_an_operator_who_does_nothing_is_not_waited_for_for_ever(motion):
     with pytest.raises(RecordingError, match=r"waited 120 s in vain: (let it hang|lift it)"):
-        recorded(lambda time: motion(time) % 1.0, until=PATIENCE + 5.0, rate=100.0)
+        recorded(lambda time: motion(time) % 1.0, until=RELEASE_TIMEOUT + 5.0, rate=100.0)
 
 
 def test_a_hand_that_never_lets_go_is_not_waited_for_for_ever():
     with pytest.raises(RecordingError, match="in vain: let it go"):
-        recorded(lambda time: 0.8 if time > 3.0 else 0.0, until=PATIENCE + 10.0, rate=100.0)
+        recorded(lambda time: 0.8 if time > 3.0 else 0.0, until=RELEASE_TIMEOUT + 10.0, rate=100.0)
 
 
 def test_a_sensor_that_fails_ends_it():
     bench = bench_of(ByHand(0.8))
 
     def unplug(recorder):
-        if recorder.stage is Stage.SWINGING and bench.device is not None:
+        if recorder.stage is RecordingStage.SWINGING and bench.device is not None:
             bench.unplug()
 
     with pytest.raises(LinkError, match="is gone"):

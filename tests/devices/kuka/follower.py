@@ -3,7 +3,7 @@
 from math import exp, isnan
 
 from equipoise.devices.clocks import TICK, VirtualClock
-from equipoise.devices.kuka.cabinet import Faults, KstServer
+from equipoise.devices.kuka.server_emulator import Faults, KstServer
 from equipoise.devices.transports import memory_pipe
 
 HOME = (0.0, 0.4364, 0.0, -1.3962, 0.0, 1.309, 0.0)

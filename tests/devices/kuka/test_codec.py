@@ -15,7 +15,7 @@ from equipoise.devices.kuka.codec import (
     PORT,
     SETPOINTS,
     VELOCITIES,
-    Lines,
+    KstLineSplitter,
     expect_done,
     expect_numbers,
     java_double,
@@ -147,7 +147,7 @@ def test_velocity_does_not_ask_for_what_the_server_does_not_give():
 def test_stream_is_split_into_lines_however_it_is_cut():
     stream = b"jp_1_\n\ngetJointsPositions\r\n\r\nend\n"
     for cut in range(len(stream) + 1):
-        lines = Lines()
+        lines = KstLineSplitter()
         assert lines.feed(stream[:cut]) + lines.feed(stream[cut:]) == [
             b"jp_1_",
             b"getJointsPositions",
@@ -156,7 +156,7 @@ def test_stream_is_split_into_lines_however_it_is_cut():
 
 
 def test_line_without_an_end_is_given_up_for_good():
-    lines = Lines(longest=8)
+    lines = KstLineSplitter(longest=8)
     assert lines.feed(b"12345678") == []
     assert lines.feed(b"\n12345678") == [b"12345678"]
     with pytest.raises(LinkError, match="at most 8 bytes"):
@@ -165,10 +165,10 @@ def test_line_without_an_end_is_given_up_for_good():
         with pytest.raises(LinkError, match="at most 8 bytes"):
             lines.feed(b"\ndone\n")
     with pytest.raises(LinkError, match="at most 8 bytes"):
-        Lines(longest=8).feed(b"done\n123456789\ndone\n")
-    assert len(Lines().feed(b"x" * 1024 + b"\n")[0]) == 1024
+        KstLineSplitter(longest=8).feed(b"done\n123456789\ndone\n")
+    assert len(KstLineSplitter().feed(b"x" * 1024 + b"\n")[0]) == 1024
     with pytest.raises(LinkError, match="at most 1024 bytes"):
-        Lines().feed(b"x" * 1025 + b"\n")
+        KstLineSplitter().feed(b"x" * 1025 + b"\n")
 
 
 def test_replies_of_the_captured_session_are_read():
@@ -299,7 +299,7 @@ SAID = st.one_of(
 
 @given(st.lists(SAID, min_size=100, max_size=100))
 def test_whatever_the_server_says_is_read_or_refused(said):
-    lines = Lines()
+    lines = KstLineSplitter()
     for line in lines.feed(b"\n".join(said) + b"\n"):
         try:
             reply = parse_reply(line)
@@ -312,7 +312,7 @@ def test_whatever_the_server_says_is_read_or_refused(said):
 
 @given(st.lists(SAID, min_size=100, max_size=100))
 def test_whatever_a_client_says_is_taken_apart(said):
-    for line in Lines().feed(b"\n".join(said) + b"\n"):
+    for line in KstLineSplitter().feed(b"\n".join(said) + b"\n"):
         for field in tokens(line):
             try:
                 value = java_double(field)

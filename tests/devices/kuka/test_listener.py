@@ -8,9 +8,9 @@ import time
 import pytest
 
 from equipoise.devices.clocks import TICK, SystemClock, VirtualClock
-from equipoise.devices.kuka.cabinet import KstServer
 from equipoise.devices.kuka.listener import serve
 from equipoise.devices.kuka.robot import KstRobot, dial
+from equipoise.devices.kuka.server_emulator import KstServer
 from equipoise.errors import LinkError, OutsideError
 from tests.devices.kuka.follower import HOME, SPEEDS, Follower
 

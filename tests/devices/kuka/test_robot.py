@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from equipoise.devices.kuka.cabinet import Faults
 from equipoise.devices.kuka.codec import numbers_reply
 from equipoise.devices.kuka.robot import INSTRUCTIONS, KstRobot
+from equipoise.devices.kuka.server_emulator import Faults
 from equipoise.errors import InputError, LinkError
 from tests.devices.kuka.follower import HOME, Bench
 

@@ -16,7 +16,7 @@ from equipoise.model.arms import compiler
 from equipoise.model.arms.arm import FRAME_SIZE
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.symbols import Tape
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 
 INPUTS = {"a": 0.7, "b": -1.3, "c": 2.1}
 NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 0.5, -2.5])
@@ -154,14 +154,14 @@ import sys
 import numba, numpy as np
 from equipoise.model.arms.arm import FRAME_SIZE
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 sys.path.insert(0, {folder!r})
 from kernels_of_test import height
 
 arms = [iiwa(7), *(iiwa(7).model_copy(update={{"flange_xyz": (0, 0, d)}}) for d in (0.2, 0.3))]
 kernels = [arm.compiled() for arm in arms]
-print(*(round(height(kernel, np.zeros(6 * LANES), np.zeros(6 * LANES)), 12) for kernel in kernels))
-if not numba.config.DISABLE_JIT:
+print(*(round(height(kernel, np.zeros(6 * BATCH_SIZE), np.zeros(6 * BATCH_SIZE)), 12) for kernel in
+kernels)) if not numba.config.DISABLE_JIT:
     hits = [kernel.kinematics.cache_hits for kernel in kernels]
     print(*hits, sum(height.stats.cache_hits.values()))
 """
@@ -171,9 +171,9 @@ from equipoise.compiled import kernel
 
 @kernel
 def height(arm, q, dq):
-    frame = np.zeros({FRAME_SIZE * LANES})
+    frame = np.zeros({FRAME_SIZE * BATCH_SIZE})
     arm.kinematics(q, dq, frame, 1)
-    return frame[{2 * LANES}]
+    return frame[{2 * BATCH_SIZE}]
 """
 
 

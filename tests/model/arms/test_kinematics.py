@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from equipoise.compiled import kernel
 from equipoise.model.arms.arm import BIAS, FRAME_SIZE, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 from tests.model.arms.witnesses import ARMS, MuJoCo, Pinocchio
 from tests.reference import kinematics as reference
 
@@ -25,18 +25,18 @@ TOLERANCE = 1e-9
 @kernel
 def frames_of(arm, q, dq, frames):
     """Fill one record per state, a block of lanes at a time; the last block may be part full."""
-    q_block, dq_block = np.zeros(6 * LANES), np.zeros(6 * LANES)
-    frame_block = np.zeros(FRAME_SIZE * LANES)
-    for first in range(0, q.shape[0], LANES):
-        lanes = min(LANES, q.shape[0] - first)
+    q_block, dq_block = np.zeros(6 * BATCH_SIZE), np.zeros(6 * BATCH_SIZE)
+    frame_block = np.zeros(FRAME_SIZE * BATCH_SIZE)
+    for first in range(0, q.shape[0], BATCH_SIZE):
+        lanes = min(BATCH_SIZE, q.shape[0] - first)
         for n in range(lanes):
             for i in range(6):
-                q_block[i * LANES + n] = q[first + n, i]
-                dq_block[i * LANES + n] = dq[first + n, i]
+                q_block[i * BATCH_SIZE + n] = q[first + n, i]
+                dq_block[i * BATCH_SIZE + n] = dq[first + n, i]
         arm.kinematics(q_block, dq_block, frame_block, lanes)
         for n in range(lanes):
             for i in range(FRAME_SIZE):
-                frames[first + n, i] = frame_block[i * LANES + n]
+                frames[first + n, i] = frame_block[i * BATCH_SIZE + n]
 
 
 def random_states(arm, count=STATES, seed=1):

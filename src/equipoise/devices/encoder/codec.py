@@ -135,7 +135,7 @@ def decode(line: bytes) -> Reading | Banner | None:
     return None
 
 
-class Lines:
+class ELineSplitter:
     """Cuts a stream of bytes into lines.
 
     What comes before the first end of a line is dropped: one seldom begins to listen between two
@@ -177,7 +177,7 @@ class Decoder:
 
     def __init__(self) -> None:
         """Begin in the middle of a line."""
-        self._lines = Lines()
+        self._lines = ELineSplitter()
         self._bad = 0
 
     @property

@@ -7,8 +7,8 @@ follows a board whose clock is slow. Times given out always increase, and no jit
 in them.
 
 A line that arrives before the time that the guess gives it proves that all lines before came late.
-The guess then falls at `SLEW`, which keeps rates of the angle right within a tenth, or at `HURRY`
-while nothing depends on them.
+The guess then falls at `SLEW`, which keeps rates of the angle right within a tenth, or at
+`FAST_FALL_TIME` while nothing depends on them.
 """
 
 from typing import Final

@@ -36,7 +36,7 @@ PERSISTENT: Final = 5
 """So many lines in a row that do not follow are no accident: a chance of 256^-5 for noise."""
 SILENCE: Final = 0.5
 """Without a line for so long the link is down [s]: a run stops on stale counts long before."""
-PATIENCE: Final = 6.0
+CONNECT_TIMEOUT: Final = 6.0
 """So long a board may take to say who it is [s]: an Arduino restarts when its port is opened, and
 its boot loader waits 2 s."""
 ASKING: Final = 0.5
@@ -178,7 +178,7 @@ class LineEncoder:
     def _ask(self, transport: Transport) -> Banner:
         clock, came = self._clock, False
         asking = began = clock.now()
-        while (now := clock.now()) < began + PATIENCE:
+        while (now := clock.now()) < began + CONNECT_TIMEOUT:
             if now >= asking:
                 transport.write(REQUEST)
                 asking += ASKING
@@ -197,11 +197,11 @@ class LineEncoder:
             clock.wait_until(now + POLL)
         if not came:
             raise LinkError(
-                f"{self._name} said nothing for {PATIENCE:g} s; check its power and its address, "
-                "and that the firmware is on it (firmware/README.md)"
+                f"{self._name} said nothing for {CONNECT_TIMEOUT:g} s; check its power and its "
+                "address, and that the firmware is on it (firmware/README.md)"
             )
         raise LinkError(
-            f"{self._name} did not say who it is within {PATIENCE:g} s "
+            f"{self._name} did not say who it is within {CONNECT_TIMEOUT:g} s "
             f"({self._decoder.rejected} lines could not be read); expected E-lines: check the "
             "baud rate, the wires, and that it is the encoder's board"
         )
@@ -209,7 +209,7 @@ class LineEncoder:
     def _settle(self, transport: Transport) -> None:
         """Time the lines that come; they agree with each other before any is given out."""
         clock = self._clock
-        until, ready = clock.now() + PATIENCE, 0.0
+        until, ready = clock.now() + CONNECT_TIMEOUT, 0.0
         while (now := clock.now()) < until:
             for line in self._decoder.feed(transport.read()):
                 if isinstance(line, Banner):

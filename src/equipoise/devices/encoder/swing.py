@@ -42,13 +42,13 @@ LONGEST_GAP: Final = 0.02
 OFF_CENTRE: Final = radians(3.0)
 """The middle of the swing may be so far from where it hung [rad]: three times what the dry
 friction of a poor bearing explains."""
-PATIENCE: Final = 120.0
+RELEASE_TIMEOUT: Final = 120.0
 """So long the operator is waited for, in each stage [s]."""
 LOOK: Final = 0.01
 """Pause between two looks at the sensor [s]."""
 
 
-class Stage(Enum):
+class RecordingStage(Enum):
     """Where a recording is, in the words of an operator."""
 
     SETTLING = "let it hang still"
@@ -80,7 +80,7 @@ class SwingRecorder:
         self._side = 0
         self._extreme = 0.0
         self._turns: list[float] = []
-        self.stage = Stage.SETTLING
+        self.stage = RecordingStage.SETTLING
         """Where the recording is."""
         self.theta = 0.0
         """Newest angle from where it hung [rad]; zero before that is known."""
@@ -118,7 +118,7 @@ class SwingRecorder:
             RecordingError: The swing cannot be used, or nobody does what is waited for.
         """
         for sample in samples:
-            if self.stage is not Stage.DONE:
+            if self.stage is not RecordingStage.DONE:
                 self._take(sample)
 
     def trajectory(self, source: str = "recorded swing") -> Trajectory:
@@ -130,7 +130,7 @@ class SwingRecorder:
         Raises:
             RecordingError: It is not done, too short, too small, or not about where it hung.
         """
-        if self.stage is not Stage.DONE:
+        if self.stage is not RecordingStage.DONE:
             raise RecordingError("there is no recording yet; wait until it is done")
         if self.periods < LEAST_PERIODS:
             raise RecordingError(
@@ -157,25 +157,25 @@ class SwingRecorder:
         time, gap, self._last = sample.time, sample.time - self._last, sample.time
         if self._since is None:
             self._since = time
-        elif self.stage is not Stage.SWINGING and time - self._since > PATIENCE:
+        elif self.stage is not RecordingStage.SWINGING and time - self._since > RELEASE_TIMEOUT:
             raise RecordingError(
-                f"waited {PATIENCE:.0f} s in vain: {self.stage.value}; nothing was recorded"
+                f"waited {RELEASE_TIMEOUT:.0f} s in vain: {self.stage.value}; nothing was recorded"
             )
-        if self.stage is Stage.SETTLING:
+        if self.stage is RecordingStage.SETTLING:
             self._settle(sample)
             return
         self.theta = self._step * (sample.counts - self._zero)
         self._keep(sample, gap)
-        if self.stage is Stage.READY:
+        if self.stage is RecordingStage.READY:
             if abs(self.theta) > LIFTED:
                 self._side = 1 if self.theta > 0.0 else -1
-                self._enter(Stage.LIFTED)
-        elif self.stage is Stage.LIFTED:
+                self._enter(RecordingStage.LIFTED)
+        elif self.stage is RecordingStage.LIFTED:
             self._watch_hand()
         else:
             self._watch_swing()
 
-    def _enter(self, stage: Stage) -> None:
+    def _enter(self, stage: RecordingStage) -> None:
         self.stage, self._since = stage, self._last
 
     def _settle(self, sample: Sample) -> None:
@@ -186,13 +186,13 @@ class SwingRecorder:
         ):
             # Another attempt has the zero of the first: held still is not hanging.
             self._zero = self._quiet[1]
-            self._enter(Stage.READY)
+            self._enter(RecordingStage.READY)
 
     def _keep(self, sample: Sample, gap: float) -> None:
         """Keep a sample; before the fall only those of the last second."""
         kept = self._kept
         kept.append((sample.time, sample.counts))
-        if self.stage is not Stage.SWINGING:
+        if self.stage is not RecordingStage.SWINGING:
             while kept[0][0] < sample.time - LEAD:
                 kept.popleft()
             self.missing = 0
@@ -202,7 +202,7 @@ class SwingRecorder:
                 "the encoder lost a count (an illegal transition of its lines); check its wires, "
                 "its shield and its supply, then record again"
             )
-        if gap > LONGEST_GAP and self.stage is Stage.SWINGING:
+        if gap > LONGEST_GAP and self.stage is RecordingStage.SWINGING:
             raise RecordingError(
                 f"samples are missing for {1e3 * gap:.0f} ms, expected at most "
                 f"{1e3 * LONGEST_GAP:.0f}; close other programs, or use a faster link"
@@ -220,7 +220,7 @@ class SwingRecorder:
             self._again("the hand brought it down; let it go instead")
             return
         self._fell, self._side = self._last, -self._side
-        self._enter(Stage.SWINGING)
+        self._enter(RecordingStage.SWINGING)
 
     def _watch_swing(self) -> None:
         self._refuse_over_the_top()
@@ -231,8 +231,8 @@ class SwingRecorder:
             self._turn()
         elif not self._turns and self.elapsed > FALL:
             self._again("the hand was still on it")
-        if self.stage is Stage.SWINGING and self.elapsed >= self._duration:
-            self._enter(Stage.DONE)
+        if self.stage is RecordingStage.SWINGING and self.elapsed >= self._duration:
+            self._enter(RecordingStage.DONE)
 
     def _refuse_over_the_top(self) -> None:
         if abs(self.theta) >= pi:
@@ -247,7 +247,7 @@ class SwingRecorder:
             return
         self._turns.append(self._side * self._extreme)
         if self._extreme < REST * abs(self._turns[0]):
-            self._enter(Stage.DONE)
+            self._enter(RecordingStage.DONE)
         self._side, self._extreme = -self._side, -inf
 
     def _again(self, hint: str) -> None:
@@ -255,7 +255,7 @@ class SwingRecorder:
         self.hint, self._quiet, self._fell = hint, None, None
         self._turns, self._extreme = [], 0.0
         self._kept.clear()
-        self._enter(Stage.SETTLING)
+        self._enter(RecordingStage.SETTLING)
 
 
 def record_swing(
@@ -280,7 +280,7 @@ def record_swing(
         LinkError: The sensor is gone, or no longer what it was.
     """
     recorder = SwingRecorder(sensor.counts_per_rev, duration)
-    while recorder.stage is not Stage.DONE:
+    while recorder.stage is not RecordingStage.DONE:
         clock.wait_until(clock.now() + LOOK)
         recorder.take(sensor.samples())
         show(recorder)

@@ -89,7 +89,7 @@ _DOUBLE = re.compile(
 )
 
 
-class Lines:
+class KstLineSplitter:
     """What a stream of bytes holds of lines; it ends where a line grows too long."""
 
     def __init__(self, longest: int = LONGEST) -> None:

@@ -15,7 +15,7 @@ from contextlib import suppress
 from typing import Final
 
 from equipoise.devices.interfaces import Clock
-from equipoise.devices.kuka.cabinet import KstServer
+from equipoise.devices.kuka.server_emulator import KstServer
 from equipoise.devices.transports import CHUNK
 from equipoise.errors import OutsideError
 

@@ -1,6 +1,6 @@
 """What keeps the main thread of the emulated KST server busy: servos and point-to-point motions.
 
-Both hand targets to a `Body`, the arm behind the server, which follows them by the cabinet's own
+Both hand targets to a `ArmBody`, the arm behind the server, which follows them by the cabinet's own
 servo law. Either begins when its command is acknowledged, and is stepped at least once a
 millisecond until it is over.
 """
@@ -30,7 +30,7 @@ that receives both at once waits for ever for the second."""
 REACHED: Final = 1e-3
 """A motion has ended when no joint is further from its end than this [rad]: the servo's shaping
 takes a third of a second for the rest of a milliradian."""
-PATIENCE: Final = 0.5
+SERVO_TIMEOUT: Final = 0.5
 """So long after the end of its path a motion waits for the arm to reach that [s]."""
 SAG: Final = 5e-3
 """Where an arm rests short of its end by no more, the motion has succeeded, too [rad]: drives that
@@ -41,7 +41,7 @@ EPSILON: Final = 1e-9
 """Rounding of times [s]."""
 
 
-class Body(Protocol):
+class ArmBody(Protocol):
     """The arm behind an emulated server."""
 
     def measured(self) -> Sequence[float]:
@@ -78,7 +78,7 @@ class Targets:
         """Whether a servo shall run."""
 
 
-class Task(Protocol):
+class ServerTask(Protocol):
     """What keeps the main thread busy."""
 
     @property
@@ -99,12 +99,12 @@ Mode = Literal["joints", "velocity", "held"]
 """What a servo follows: the joint target, the integral of the velocities, or nothing."""
 
 
-class Servo:
+class ServoTask:
     """A servo from its acknowledgement to its end, whoever has gone meanwhile."""
 
     def __init__(
         self,
-        body: Body,
+        body: ArmBody,
         targets: Targets,
         now: float,
         mode: Mode,
@@ -172,10 +172,10 @@ class Servo:
         self._body.target(tuple(self._q))
 
 
-class Move:
+class PtpTask:
     """A point-to-point motion along a minimum-jerk path; nothing that a client says stops it."""
 
-    def __init__(self, body: Body, q: Array, speeds: Array, now: float) -> None:
+    def __init__(self, body: ArmBody, q: Array, speeds: Array, now: float) -> None:
         """Begin.
 
         Args:
@@ -204,7 +204,7 @@ class Move:
             return False
         error = np.asarray(self._body.measured()) - self._to
         missing = float(np.max(np.abs(error)))
-        if missing > REACHED and late < PATIENCE:
+        if missing > REACHED and late < SERVO_TIMEOUT:
             return False
         self._body.servo(False)
         self.last_words = DONE if missing <= SAG else NAK

@@ -33,7 +33,7 @@ from equipoise.devices.kuka.codec import (
     PORT,
     START_SERVO,
     STOP_SERVO,
-    Lines,
+    KstLineSplitter,
     expect_done,
     expect_numbers,
     setpoint,
@@ -48,7 +48,7 @@ milliseconds, and a garbage collection on the cabinet tens."""
 OUTSTANDING: Final = 20
 """So many setpoints may wait for their answer: 100 ms of a stream at 200 Hz. A run that is stopped
 after 50 ms without an answer can still send its way to rest."""
-AT_REST: Final = 1.0
+REST_TOLERANCE: Final = 1.0
 """The answer to anything else is overdue after this [s]."""
 FASTEST: Final = 4.0
 """No joint of an iiwa is faster [rad/s]; the fastest reaches 3.2."""
@@ -139,7 +139,7 @@ class KstRobot:
         self._transport: Transport | None = None
         self._failure = ""
         self._streams = False
-        self._lines = Lines()
+        self._lines = KstLineSplitter()
         self._came: deque[bytes] = deque()
         self._waiting: deque[tuple[float, bool]] = deque()
         self._ready: list[Reply] = []
@@ -316,7 +316,7 @@ class KstRobot:
         """Send a command that waits for its own answer, when no other does, and return that."""
         self._collect()
         self._write(command)
-        return self._receive(f"the answer to {_name(command)}", AT_REST)
+        return self._receive(f"the answer to {_name(command)}", REST_TOLERANCE)
 
     def _receive(self, what: str, timeout: float) -> bytes:
         deadline = self._clock.now() + timeout

@@ -18,7 +18,7 @@ from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import Floats
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 
 PERIOD: Final = 0.005
 """Between two setpoints [s]: half a control step."""
@@ -34,7 +34,7 @@ MARGIN: Final = 0.8
 """Share of the limits of velocity and acceleration that is used."""
 
 
-class Record(NamedTuple):
+class ExcitationRecord(NamedTuple):
     """What was sent to an arm and what came back, by one clock."""
 
     stream_time: Floats
@@ -90,7 +90,7 @@ def excite(
     pendulum: PendulumParameters,
     seed: int,
     duration: float = DURATION,
-) -> Record:
+) -> ExcitationRecord:
     """Send the excitation to a twin whose pendulum hangs, and record what it shows.
 
     Args:
@@ -114,7 +114,7 @@ def excite(
         twin.advance(PERIOD)
         replies.append(twin.measured())
         encoder.append(twin.encoder())
-    return Record(
+    return ExcitationRecord(
         stream_time=np.array(sent),
         stream_q=stream_q,
         reply_time=np.array([time for _, time in replies]),

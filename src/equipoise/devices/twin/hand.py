@@ -6,8 +6,8 @@ It is where it wants to be, phi_h(t), and pulls the rod there as a stiff spring 
 
 within the force of a hand; s falls from 1 to 0 while the fingers open. Angles are phi, from
 upright, relative to the flange, and go on beyond a turn. A hand that holds trembles: sines of 4 to
-10 Hz, and a slow drift. How it holds and lets go, its `Manner`, is drawn from a generator: equal
-generators give equal hands.
+10 Hz, and a slow drift. How it holds and lets go, its `HandParams`, is drawn from a generator:
+equal generators give equal hands.
 """
 
 from math import cos, pi, radians, sqrt
@@ -48,7 +48,7 @@ PUSH_TIME: Final = 0.05
 """Length of a push [s]."""
 
 
-class Manner(NamedTuple):
+class HandParams(NamedTuple):
     """How a hand lifts, holds and lets go, once."""
 
     side: Side
@@ -82,9 +82,9 @@ class Manner(NamedTuple):
         )
 
 
-def draw_manner(
+def draw_hand_params(
     random: np.random.Generator, *, side: Side | None = None, clumsy: float = 0.25
-) -> Manner:
+) -> HandParams:
     """Return how a hand acts, drawn at random.
 
     Args:
@@ -99,7 +99,7 @@ def draw_manner(
     fumbled, pushed = kind < clumsy, kind < 0.5 * clumsy
     opening = random.uniform(*(DRAG_OPENING if fumbled and not pushed else OPENING))
     push = random.uniform(*PUSH) * (1.0 if random.random() < 0.5 else -1.0)
-    return Manner(
+    return HandParams(
         side=either if side is None else side,
         lifting=float(random.uniform(*LIFTING)),
         holding=float(random.uniform(*HOLDING)),
@@ -129,7 +129,7 @@ class Hand:
         """
         self._inertia = inertia
         self._most = FORCE * reach
-        self._manner: Manner | None = None
+        self._manner: HandParams | None = None
         self._begin = self._duration = 0.0
         self._from = self._to = 0.0
         self._opens: float | None = None
@@ -149,7 +149,7 @@ class Hand:
         """Return when the pendulum is where it is brought to [s]."""
         return self._begin + self._duration
 
-    def lift(self, now: float, phi: float, manner: Manner) -> None:
+    def lift(self, now: float, phi: float, manner: HandParams) -> None:
         """Grip the pendulum and bring it upright.
 
         Args:
@@ -160,12 +160,12 @@ class Hand:
         turns = np.floor(phi / (2.0 * pi)) if manner.side == "front" else np.ceil(phi / (2.0 * pi))
         self._grip(now, phi, 2.0 * pi * float(turns), manner.lifting, manner)
 
-    def steady(self, now: float, phi: float, manner: Manner) -> None:
+    def steady(self, now: float, phi: float, manner: HandParams) -> None:
         """Grip the pendulum and bring it to where it hangs, on the shorter way."""
         still = manner._replace(amplitude=np.zeros_like(manner.amplitude), push=0.0)
         self._grip(now, phi, _hanging(phi), manner.lifting, still)
 
-    def aside(self, now: float, phi: float, height: float, manner: Manner) -> None:
+    def hold_deflected(self, now: float, phi: float, height: float, manner: HandParams) -> None:
         """Grip the pendulum and hold it aside, for a free swing.
 
         Args:
@@ -214,12 +214,12 @@ class Hand:
                 pull += rate / PUSH_TIME * (1.0 - cos(2.0 * pi * share))
         return min(max(self._inertia * pull, -self._most), self._most)
 
-    def _grip(self, now: float, phi: float, to: float, duration: float, manner: Manner) -> None:
+    def _grip(self, now: float, phi: float, to: float, duration: float, manner: HandParams) -> None:
         self._manner, self._opens = manner, None
         self._begin, self._duration = now, duration
         self._from, self._to = phi, to
 
-    def _place(self, now: float, manner: Manner) -> tuple[float, float]:
+    def _place(self, now: float, manner: HandParams) -> tuple[float, float]:
         """Return where the hand is [rad], and its rate [rad/s]: minimum jerk, then still."""
         s = min(max((now - self._begin) / self._duration, 0.0), 1.0)
         way = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)

@@ -20,7 +20,7 @@ from equipoise.model.arms.inertials import Inertial, link_inertials
 from equipoise.model.arms.scene import SIZES, Sizes, scene
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.physics_engine import mujoco
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import GRAVITY
 
 TICK: Final = 1e-3

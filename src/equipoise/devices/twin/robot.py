@@ -15,9 +15,9 @@ import numpy as np
 
 from equipoise.devices.interfaces import Array, Clock, Reply, Sample
 from equipoise.devices.setpoints import checked
-from equipoise.devices.twin.bench import Bench
 from equipoise.devices.twin.physics import TICK
 from equipoise.devices.twin.sensors import ROUNDING
+from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.errors import LinkError
 from equipoise.model.encoder import counts_from_theta
 
@@ -31,7 +31,7 @@ KEPT: Final = 4096
 class TwinRobot:
     """The arm of a bench as a `Robot`."""
 
-    def __init__(self, bench: Bench, clock: Clock) -> None:
+    def __init__(self, bench: SimulatedRig, clock: Clock) -> None:
         """Stand the arm on a bench.
 
         Args:
@@ -147,7 +147,9 @@ class TwinRobot:
 class TwinEncoder:
     """The encoder of a bench as an `AngleSensor`, counting from where the pendulum is now."""
 
-    def __init__(self, bench: Bench, clock: Clock, *, sign: int = 1, factor: float = 1.0) -> None:
+    def __init__(
+        self, bench: SimulatedRig, clock: Clock, *, sign: int = 1, factor: float = 1.0
+    ) -> None:
         """Switch the encoder on.
 
         Args:

@@ -16,11 +16,11 @@ from equipoise.devices.twin.physics import TICK
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.encoder import counts_from_theta
 from equipoise.model.random import TWIN, normal_pair, philox, uniform
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 
 Array = npt.NDArray[np.float64]
 
-PAST: Final = 128
+HISTORY_MS: Final = 128
 """Milliseconds that are remembered: more than the greatest age."""
 ROUNDING: Final = 1e-9
 """An age this close to a whole number of milliseconds is meant to be that."""
@@ -43,7 +43,7 @@ class Sensors(NamedTuple):
     """Standard deviation of the noise on a measured joint [rad]."""
 
 
-class Past(NamedTuple):
+class SensorHistory(NamedTuple):
     """The last milliseconds, each at its number modulo `PAST`."""
 
     phi: Array
@@ -72,13 +72,15 @@ def make_sensors(settings: TwinSettings, seed: int, index: int) -> Sensors:
     )
 
 
-def new_past() -> Past:
+def new_sensor_history() -> SensorHistory:
     """Return an empty past."""
-    return Past(np.zeros(PAST), np.zeros((PAST, FREE_JOINTS)))
+    return SensorHistory(np.zeros(HISTORY_MS), np.zeros((HISTORY_MS, FREE_JOINTS)))
 
 
 @kernel
-def encoder(sensors: Sensors, past: Past, now: int, seed: int, index: int) -> tuple[float, float]:
+def encoder(
+    sensors: Sensors, past: SensorHistory, now: int, seed: int, index: int
+) -> tuple[float, float]:
     """Return the newest encoder counts, and their time stamp [s].
 
     Args:
@@ -89,14 +91,16 @@ def encoder(sensors: Sensors, past: Past, now: int, seed: int, index: int) -> tu
         index: Number of the trial.
     """
     tick = now - sensors.encoder_age
-    theta = pi - (past.phi[tick % PAST] + sensors.zero)
+    theta = pi - (past.phi[tick % HISTORY_MS] + sensors.zero)
     word = philox(seed, tick, index, 0, TWIN)[1]
     stamp = tick * TICK + uniform(word, -sensors.encoder_jitter, sensors.encoder_jitter)
     return counts_from_theta(theta, sensors.counts_per_rev, 1.0), stamp
 
 
 @kernel
-def reply(sensors: Sensors, past: Past, now: int, seed: int, index: int, q: Array) -> float:
+def reply(
+    sensors: Sensors, past: SensorHistory, now: int, seed: int, index: int, q: Array
+) -> float:
     """Write the newest measured joints, and return their time [s].
 
     Args:
@@ -112,5 +116,5 @@ def reply(sensors: Sensors, past: Past, now: int, seed: int, index: int, q: Arra
     v0, v1, _, _ = philox(seed, tick, index, 0, TWIN + 3)
     noise = (*normal_pair(w0, w1), *normal_pair(w2, w3), *normal_pair(v0, v1))
     for i in range(FREE_JOINTS):
-        q[i] = past.q[tick % PAST, i] + sensors.joint_noise * noise[i]
+        q[i] = past.q[tick % HISTORY_MS, i] + sensors.joint_noise * noise[i]
     return tick * TICK

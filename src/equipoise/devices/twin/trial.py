@@ -16,32 +16,38 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import kernel
-from equipoise.control.boxes import ANGLE, GUARD, JOINT_LIMIT, LASTED, TRACK, Boxes, boxes
-from equipoise.control.controller import (
-    PHI_DOT_SEEN,
-    PHI_SEEN,
-    SETPOINTS,
-    X_DOT_SEEN,
-    X_SEEN,
-    Controller,
-    Memory,
-    begin,
+from equipoise.control.boxes import ANGLE, JOINT_LIMIT, SAFETY_STOP, TRACK, TRUNCATED, Boxes, boxes
+from equipoise.control.control_step import (
+    OBS_PHI,
+    OBS_PHI_DOT,
+    OBS_X,
+    OBS_X_DOT,
+    SETPOINTS_PER_TICK,
+    ControllerParams,
+    ControllerState,
     command,
-    new_memory,
+    new_controller_state,
     observe,
+    start_controller,
 )
-from equipoise.control.guards import Watching, begin_watching, new_watching, refused, stopped
 from equipoise.control.policy import RANDOM, PolicyKernel, act
-from equipoise.control.safety import KEPT, Guard
-from equipoise.devices.twin.cabinet import NOW, make_servo
+from equipoise.control.safety import NO_VIOLATION, SafetyParams
+from equipoise.control.trial_safety import (
+    TrialSafetyMonitor,
+    new_trial_monitor,
+    refused,
+    reset_trial_monitor,
+    stopped,
+)
 from equipoise.devices.twin.physics import TICK
 from equipoise.devices.twin.sensors import encoder, reply
+from equipoise.devices.twin.servo_model import NOW, make_servo_params
 from equipoise.devices.twin.twin import Twin, TwinKernel, advance, reset, send_free, truth
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.elementary import at, put
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import TWIN, philox, uniform
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 
 Array = npt.NDArray[np.float64]
 
@@ -59,7 +65,7 @@ class Trial(NamedTuple):
     """Its rate [rad/s]."""
 
 
-class Outcome(NamedTuple):
+class TrialResult(NamedTuple):
     """What came of a trial."""
 
     steps: int
@@ -70,10 +76,10 @@ class Outcome(NamedTuple):
     """Sum of x^2 over its steps [m^2]."""
 
 
-class Rows(NamedTuple):
+class TrialRecord(NamedTuple):
     """What a trial goes through, a row for each tick; room for none records nothing."""
 
-    seen: Array
+    observation: Array
     """x, x_dot, phi, phi_dot as the policy saw them, shape (n, 4)."""
     u: Array
     """Commanded acceleration [m/s^2], shape (n,)."""
@@ -95,15 +101,15 @@ class Rows(NamedTuple):
     """All joints as they were at the tick [rad], shape (n, joints)."""
 
 
-def new_rows(length: int, joints: int) -> Rows:
+def new_trial_record(length: int, joints: int) -> TrialRecord:
     """Return room for the rows of a trial of so many steps, on an arm of so many joints."""
-    return Rows(
-        seen=np.zeros((length, 4)),
+    return TrialRecord(
+        observation=np.zeros((length, 4)),
         u=np.zeros(length),
         estimate=np.zeros((length, 4)),
         counts=np.zeros((length, 2)),
         measured=np.zeros((length, FREE_JOINTS + 1)),
-        setpoints=np.zeros((length, SETPOINTS * FREE_JOINTS)),
+        setpoints=np.zeros((length, SETPOINTS_PER_TICK * FREE_JOINTS)),
         command=np.zeros((length, 2 * FREE_JOINTS)),
         truth=np.zeros((length, 4)),
         q=np.zeros((length, joints)),
@@ -112,7 +118,11 @@ def new_rows(length: int, joints: int) -> Rows:
 
 @kernel
 def release(
-    twin: TwinKernel, controller: Controller, memory: Memory, phi: float, phi_dot: float
+    twin: TwinKernel,
+    controller: ControllerParams,
+    memory: ControllerState,
+    phi: float,
+    phi_dot: float,
 ) -> None:
     """Let the pendulum go, the arm waiting at home; the controller has seen it until now.
 
@@ -126,12 +136,16 @@ def release(
     reset(twin, twin.home, phi, phi_dot)
     counts, stamp = encoder(twin.sensors, twin.past, 0, twin.seed, twin.trial)
     shown = pi - counts * controller.resolution - stamp * phi_dot
-    begin(controller, memory, 0.0, 0.0, shown, phi_dot, 0)
+    start_controller(controller, memory, 0.0, 0.0, shown, phi_dot, 0)
 
 
 @kernel
 def step(
-    twin: TwinKernel, controller: Controller, memory: Memory, limits: Boxes, watching: Watching
+    twin: TwinKernel,
+    controller: ControllerParams,
+    memory: ControllerState,
+    limits: Boxes,
+    watching: TrialSafetyMonitor,
 ) -> int:
     """Let a control step pass: send what u asks for, and see what the sensors show at its end.
 
@@ -147,15 +161,15 @@ def step(
     """
     q = np.empty(FREE_JOINTS)
     command(controller, memory, 1)
-    for s in range(SETPOINTS):
+    for s in range(SETPOINTS_PER_TICK):
         for i in range(FREE_JOINTS):
             q[i] = at(memory.setpoints, 6 * s + i, 0)
         if watching.active:
             broken = refused(watching, q, twin.cabinet.clock[NOW] * TICK)
-            if broken != KEPT:
-                return GUARD + broken
+            if broken != NO_VIOLATION:
+                return SAFETY_STOP + broken
         send_free(twin, q)
-        advance(twin, round(controller.h / SETPOINTS / TICK))
+        advance(twin, round(controller.h / SETPOINTS_PER_TICK / TICK))
     tick = twin.cabinet.clock[NOW]
     counts, counted = encoder(twin.sensors, twin.past, tick, twin.seed, twin.trial)
     measured = reply(twin.sensors, twin.past, tick, twin.seed, twin.trial, q)
@@ -169,29 +183,29 @@ def step(
         return ANGLE
     if not abs(real.x) < limits.x_limit:
         return TRACK
-    if memory.beyond[0]:
+    if memory.limit_exceeded[0]:
         return JOINT_LIMIT
     if watching.active:
         broken = stopped(watching, controller, memory, q, measured)
-        if broken != KEPT:
-            return GUARD + broken
-    return LASTED
+        if broken != NO_VIOLATION:
+            return SAFETY_STOP + broken
+    return TRUNCATED
 
 
 @kernel
-def decide(twin: TwinKernel, memory: Memory, policy: PolicyKernel) -> None:
+def decide(twin: TwinKernel, memory: ControllerState, policy: PolicyKernel) -> None:
     """Let the policy turn what it sees into u."""
     chance = 0.0
     if policy.kind == RANDOM:
         words = philox(twin.seed, twin.cabinet.clock[NOW], twin.trial, 0, TWIN)
         chance = uniform(words[2], 0.0, 1.0)
-    seen = memory.seen
+    seen = memory.observation
     memory.u[0] = act(
         policy,
-        at(seen, X_SEEN, 0),
-        at(seen, X_DOT_SEEN, 0),
-        at(seen, PHI_SEEN, 0),
-        at(seen, PHI_DOT_SEEN, 0),
+        at(seen, OBS_X, 0),
+        at(seen, OBS_X_DOT, 0),
+        at(seen, OBS_PHI, 0),
+        at(seen, OBS_PHI_DOT, 0),
         chance,
     )
 
@@ -199,16 +213,16 @@ def decide(twin: TwinKernel, memory: Memory, policy: PolicyKernel) -> None:
 @kernel
 def run_trial(
     twin: TwinKernel,
-    controller: Controller,
-    memory: Memory,
+    controller: ControllerParams,
+    memory: ControllerState,
     policy: PolicyKernel,
     phi: float,
     phi_dot: float,
-    longest: int,
+    max_steps: int,
     limits: Boxes,
-    watching: Watching,
-    rows: Rows,
-) -> Outcome:
+    watching: TrialSafetyMonitor,
+    rows: TrialRecord,
+) -> TrialResult:
     """Run one trial.
 
     Args:
@@ -218,15 +232,15 @@ def run_trial(
         policy: What decides.
         phi: Angle of the pendulum from upright at the release [rad].
         phi_dot: Its rate [rad/s].
-        longest: Number of steps after which a trial has lasted.
+        max_steps: Number of steps after which a trial has lasted.
         limits: |x| and |phi| of failure.
         watching: Guards, and room for what they remember.
         rows: Receives a row per step, as far as there is room.
     """
     release(twin, controller, memory, phi, phi_dot)
-    begin_watching(watching, controller.home)
-    steps, cause, sum_x2 = 0, LASTED, 0.0
-    while steps < longest and cause == LASTED:
+    reset_trial_monitor(watching, controller.home)
+    steps, cause, sum_x2 = 0, TRUNCATED, 0.0
+    while steps < max_steps and cause == TRUNCATED:
         decide(twin, memory, policy)
         recorded = steps < len(rows.u)
         if recorded:
@@ -236,11 +250,11 @@ def run_trial(
             record_after(twin, memory, rows, steps)
         steps += 1
         sum_x2 += truth(twin).x ** 2
-    return Outcome(steps, cause, sum_x2)
+    return TrialResult(steps, cause, sum_x2)
 
 
 @kernel
-def record_before(twin: TwinKernel, memory: Memory, rows: Rows, row: int) -> None:
+def record_before(twin: TwinKernel, memory: ControllerState, rows: TrialRecord, row: int) -> None:
     """Write what is known at the tick."""
     real = truth(twin)
     tick = twin.cabinet.clock[NOW]
@@ -251,7 +265,7 @@ def record_before(twin: TwinKernel, memory: Memory, rows: Rows, row: int) -> Non
     )
     rows.u[row] = memory.u[0]
     for i in range(4):
-        rows.seen[row, i] = at(memory.seen, i, 0)
+        rows.observation[row, i] = at(memory.observation, i, 0)
         rows.estimate[row, i] = at(memory.estimate, i, 0)
     rows.truth[row, 0], rows.truth[row, 1] = real.x, real.x_dot
     rows.truth[row, 2], rows.truth[row, 3] = real.phi, real.phi_dot
@@ -261,9 +275,9 @@ def record_before(twin: TwinKernel, memory: Memory, rows: Rows, row: int) -> Non
 
 
 @kernel
-def record_after(twin: TwinKernel, memory: Memory, rows: Rows, row: int) -> None:
+def record_after(twin: TwinKernel, memory: ControllerState, rows: TrialRecord, row: int) -> None:
     """Write what was commanded in the step."""
-    for i in range(FREE_JOINTS * SETPOINTS):
+    for i in range(FREE_JOINTS * SETPOINTS_PER_TICK):
         rows.setpoints[row, i] = at(memory.setpoints, i, 0)
     for i in range(FREE_JOINTS):
         rows.command[row, i] = at(memory.q, i, 0)
@@ -273,16 +287,16 @@ def record_after(twin: TwinKernel, memory: Memory, rows: Rows, row: int) -> None
 def run_over_cores(
     arm: Arm,
     settings: TwinSettings,
-    controller: Controller,
+    controller: ControllerParams,
     policy: PolicyKernel,
     trials: Sequence[Trial],
     *,
     duration: float,
     seed: int,
     workers: int,
-    guard: Guard | None = None,
-    done: Callable[[Trial, Outcome], None] = lambda _trial, _outcome: None,
-) -> list[Outcome]:
+    guard: SafetyParams | None = None,
+    done: Callable[[Trial, TrialResult], None] = lambda _trial, _outcome: None,
+) -> list[TrialResult]:
     """Run trials on `workers` threads, each on a twin of its own.
 
     Args:
@@ -303,13 +317,13 @@ def run_over_cores(
     Raises:
         ArmError: The masses of the arm's links are not known.
     """
-    servo = make_servo(arm, settings)
-    longest, nothing = round(duration / controller.h), new_rows(0, len(arm.joints))
+    servo = make_servo_params(arm, settings)
+    longest, nothing = round(duration / controller.h), new_trial_record(0, len(arm.joints))
 
-    def outcome(trial: Trial) -> Outcome:
+    def outcome(trial: Trial) -> TrialResult:
         twin = Twin(arm, trial.pendulum, settings, seed=seed, index=trial.number, servo=servo)
-        start, watching = (trial.phi, trial.phi_dot), new_watching(arm, guard)
-        result = _outcome(twin, controller, policy, start, longest, watching, nothing)
+        start, watching = (trial.phi, trial.phi_dot), new_trial_monitor(arm, guard)
+        result = _run(twin, controller, policy, start, longest, watching, nothing)
         done(trial, result)
         return result
 
@@ -322,7 +336,7 @@ def run_over_cores(
 def record_trial(
     arm: Arm,
     settings: TwinSettings,
-    controller: Controller,
+    controller: ControllerParams,
     policy: PolicyKernel,
     pendulum: PendulumParameters,
     *,
@@ -330,8 +344,8 @@ def record_trial(
     phi_dot: float,
     duration: float,
     seed: int,
-    guard: Guard | None = None,
-) -> tuple[Outcome, Rows, float]:
+    guard: SafetyParams | None = None,
+) -> tuple[TrialResult, TrialRecord, float]:
     """Run one trial and record it.
 
     Args:
@@ -353,23 +367,26 @@ def record_trial(
         ArmError: The masses of the arm's links are not known.
     """
     longest = round(duration / controller.h)
-    twin, rows = Twin(arm, pendulum, settings, seed=seed), new_rows(longest, len(arm.joints))
-    watching = new_watching(arm, guard)
-    outcome = _outcome(twin, controller, policy, (phi, phi_dot), longest, watching, rows)
-    return outcome, Rows(*(row[: outcome.steps] for row in rows)), twin.kernel.sensors.zero
+    twin, rows = (
+        Twin(arm, pendulum, settings, seed=seed),
+        new_trial_record(longest, len(arm.joints)),
+    )
+    watching = new_trial_monitor(arm, guard)
+    outcome = _run(twin, controller, policy, (phi, phi_dot), longest, watching, rows)
+    return outcome, TrialRecord(*(row[: outcome.steps] for row in rows)), twin.kernel.sensors.zero
 
 
-def _outcome(
+def _run(
     twin: Twin,
-    controller: Controller,
+    controller: ControllerParams,
     policy: PolicyKernel,
     start: tuple[float, float],
     longest: int,
-    watching: Watching,
-    rows: Rows,
-) -> Outcome:
-    memory, limits = new_memory(), boxes()
+    watching: TrialSafetyMonitor,
+    rows: TrialRecord,
+) -> TrialResult:
+    memory, limits = new_controller_state(), boxes()
     steps, cause, sum_x2 = run_trial(
         twin.kernel, controller, memory, policy, *start, longest, limits, watching, rows
     )
-    return Outcome(int(steps), int(cause), float(sum_x2))
+    return TrialResult(int(steps), int(cause), float(sum_x2))

@@ -17,32 +17,32 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import kernel
-from equipoise.devices.twin.cabinet import (
+from equipoise.devices.twin.engine import Engine, call, engine
+from equipoise.devices.twin.physics import TICK, build
+from equipoise.devices.twin.sensors import (
+    HISTORY_MS,
+    SensorHistory,
+    Sensors,
+    encoder,
+    make_sensors,
+    new_sensor_history,
+    reply,
+)
+from equipoise.devices.twin.servo_model import (
     NOW,
     SATURATED,
-    Cabinet,
-    Servo,
-    make_servo,
-    new_cabinet,
+    ServoParams,
+    ServoState,
+    make_servo_params,
+    new_servo_state,
     send,
     serve,
     start,
 )
-from equipoise.devices.twin.engine import Engine, call, engine
-from equipoise.devices.twin.physics import TICK, build
-from equipoise.devices.twin.sensors import (
-    PAST,
-    Past,
-    Sensors,
-    encoder,
-    make_sensors,
-    new_past,
-    reply,
-)
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import TWIN, normal_pair, philox
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.sim_configs import TwinSettings
 
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
@@ -86,13 +86,13 @@ class TwinKernel(NamedTuple):
     """Steps of the engine in a millisecond."""
     bodies: Bodies
     """State of the bodies."""
-    servo: Servo
+    servo: ServoParams
     """Constants of the cabinet."""
-    cabinet: Cabinet
+    cabinet: ServoState
     """Its state, and the time."""
     sensors: Sensors
     """Constants of encoder and replies."""
-    past: Past
+    past: SensorHistory
     """What they show next."""
     home: Array
     """All joints at x = 0 [rad], shape (n,)."""
@@ -108,7 +108,7 @@ class TwinKernel(NamedTuple):
     """Its number."""
 
 
-class Truth(NamedTuple):
+class TrueState(NamedTuple):
     """The state of a twin, which no sensor shows."""
 
     x: float
@@ -143,10 +143,10 @@ def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
     bodies.applied[:] = 0.0
     bodies.warmstart[:] = 0.0
     start(twin.cabinet, q)
-    for tick in range(1 - PAST, 1):
-        past.phi[tick % PAST] = phi + tick * TICK * phi_dot
+    for tick in range(1 - HISTORY_MS, 1):
+        past.phi[tick % HISTORY_MS] = phi + tick * TICK * phi_dot
         for i in range(FREE_JOINTS):
-            past.q[tick % PAST, i] = q[free[i]]
+            past.q[tick % HISTORY_MS, i] = q[free[i]]
     call(twin.engine.before, twin.engine.model, twin.engine.data)
 
 
@@ -169,7 +169,7 @@ def advance(twin: TwinKernel, ticks: int) -> None:
             call(after, model, data)
             call(before, model, data)
         clock[NOW] += 1
-        slot = clock[NOW] % PAST
+        slot = clock[NOW] % HISTORY_MS
         past_phi[slot] = qpos[n]
         for i in range(FREE_JOINTS):
             past_q[slot, i] = qpos[free[i]]
@@ -201,7 +201,7 @@ def noise(twin: TwinKernel, sigma: float, stream: int, values: Array) -> None:
 
 
 @kernel
-def truth(twin: TwinKernel) -> Truth:
+def truth(twin: TwinKernel) -> TrueState:
     """Return where flange and pendulum are."""
     xpos, xmat, cvel, centre = (
         twin.bodies.xpos,
@@ -216,7 +216,7 @@ def truth(twin: TwinKernel) -> Truth:
     dx, dy, dz = xmat[rod, 2], xmat[rod, 5], xmat[rod, 8]
     wx, wy, wz = cvel[rod, 0], cvel[rod, 1], cvel[rod, 2]
     change_x, change_z = wy * dz - wz * dy, wx * dy - wy * dx
-    return Truth(
+    return TrueState(
         xpos[flange, 0] - twin.home_x,
         x_dot,
         atan2(dx, dz),
@@ -239,7 +239,7 @@ class Twin:
         *,
         seed: int = 0,
         index: int = 0,
-        servo: Servo | None = None,
+        servo: ServoParams | None = None,
     ) -> None:
         """Build a twin, at home and with the pendulum hanging.
 
@@ -261,10 +261,10 @@ class Twin:
             engine=engine(self.model, self.data),
             substeps=settings.substeps,
             bodies=_bodies(self.model, self.data),
-            servo=make_servo(arm, settings) if servo is None else servo,
-            cabinet=new_cabinet(len(arm.joints)),
+            servo=make_servo_params(arm, settings) if servo is None else servo,
+            cabinet=new_servo_state(len(arm.joints)),
             sensors=make_sensors(settings, seed, index),
-            past=new_past(),
+            past=new_sensor_history(),
             home=np.array(arm.home),
             free=np.array(arm.free),
             home_x=float(arm.pose(arm.home_free).position[0]),
@@ -320,9 +320,9 @@ class Twin:
         stamp = reply(twin.sensors, twin.past, self._tick, twin.seed, twin.trial, q)
         return q, float(stamp)
 
-    def truth(self) -> Truth:
+    def truth(self) -> TrueState:
         """Return where flange and pendulum are."""
-        return Truth(*(float(value) for value in truth(self.kernel)))
+        return TrueState(*(float(value) for value in truth(self.kernel)))
 
     @property
     def _tick(self) -> int:

@@ -28,7 +28,7 @@ from equipoise.artefacts import Name, Value, first_fault, shortened, value_diges
 from equipoise.compiled import function_pointer
 from equipoise.errors import ArmError
 from equipoise.model.arms.chain import Floats, Triple, wrist_centre
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 
 T = TypeVar("T")
 KinematicsFunction = Callable[[Any, Any, Any, int], None]
@@ -258,12 +258,12 @@ class Arm(_Described):
         from equipoise.model.arms.compiler import load
 
         q_block, dq_block, frame = (
-            [0.0] * (rows * LANES) for rows in (FREE_JOINTS, FREE_JOINTS, FRAME_SIZE)
+            [0.0] * (rows * BATCH_SIZE) for rows in (FREE_JOINTS, FREE_JOINTS, FRAME_SIZE)
         )
-        q_block[::LANES] = (float(angle) for angle in q)
-        dq_block[::LANES] = (float(rate) for rate in dq)
+        q_block[::BATCH_SIZE] = (float(angle) for angle in q)
+        dq_block[::BATCH_SIZE] = (float(rate) for rate in dq)
         load(self)(q_block, dq_block, frame, 1)
-        record = np.array(frame[::LANES])
+        record = np.array(frame[::BATCH_SIZE])
         return Kinematics(
             position=record[POSITION:ROTATION],
             rotation=record[ROTATION:TWIST].reshape(3, 3),

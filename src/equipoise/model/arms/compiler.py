@@ -39,7 +39,7 @@ from equipoise.model.arms.arm import (
 )
 from equipoise.model.arms.chain import Floats, links
 from equipoise.model.arms.symbols import Symbol, Tape, Vector
-from equipoise.model.elementary import LANES
+from equipoise.model.elementary import BATCH_SIZE
 
 COMMITTED: Final = ("iiwa7", "iiwa14")
 """Names of the arms whose modules are part of the package."""
@@ -216,7 +216,7 @@ def _imported(path: Path) -> Any:
 
 def _entry(row: int) -> str:
     """Return the index of a row of a block, in lane n."""
-    return f"{row * LANES} + n" if row else "n"
+    return f"{row * BATCH_SIZE} + n" if row else "n"
 
 
 def _place(i: int) -> str:

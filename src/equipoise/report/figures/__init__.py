@@ -3,11 +3,11 @@
 Every function returns a matplotlib figure; `equipoise.report.style.save` writes it as SVG and PNG.
 """
 
-from equipoise.report.figures.course import learning_curve
 from equipoise.report.figures.free_swing import free_swing, predicted_swing
 from equipoise.report.figures.gap import gap_figure
+from equipoise.report.figures.learning_curve import learning_curve
 from equipoise.report.figures.run import commands, encoder_zero, flange, joints, pendulum
-from equipoise.report.figures.standing import survival
+from equipoise.report.figures.survival import survival
 from equipoise.report.figures.table import policy_picture
 
 __all__ = [

@@ -14,6 +14,7 @@ from equipoise.report.style import (
     drawn,
     new_figure,
 )
+from equipoise.studies.formatting import percent
 from equipoise.studies.gap_results import (
     CURED,
     LABELS,
@@ -23,7 +24,7 @@ from equipoise.studies.gap_results import (
     PAPER,
     Controller,
     Gap,
-    Point,
+    GapPoint,
     Seconds,
     at_scale,
     difference,
@@ -31,7 +32,6 @@ from equipoise.studies.gap_results import (
     spelled,
     track_share,
 )
-from equipoise.studies.wording import percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -166,7 +166,7 @@ def _variants(part: Any, gap: Gap) -> None:
     panel.set_title(f"an open question: other guesses at the cabinet, {LABELS[CURED]}")
 
 
-def _rows(panel: Any, gap: Gap, points: list[Point], colour: str) -> None:
+def _rows(panel: Any, gap: Gap, points: list[GapPoint], colour: str) -> None:
     found = [mean(p.results, gap.duration) for p in points]
     rows = range(len(points))
     _seconds_axis(panel, "x", gap)

@@ -30,8 +30,8 @@ from equipoise.report.style import (
     new_figure,
 )
 from equipoise.runlog import RunLog
+from equipoise.studies.formatting import LASTED, how_it_ended
 from equipoise.studies.results import seen_otherwise
-from equipoise.studies.wording import LASTED, how_it_ended
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

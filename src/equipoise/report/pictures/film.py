@@ -15,7 +15,7 @@ from equipoise.model.arms.arm import Arm
 from equipoise.report.pictures.camera import Size
 from equipoise.report.pictures.moments import Floats, moments, span
 from equipoise.report.pictures.rendering import Picture, draw
-from equipoise.report.pictures.stage import stage
+from equipoise.report.pictures.scene import stage
 from equipoise.report.style import GREY, INK
 from equipoise.runlog import RunLog
 from equipoise.runwriter import RigRun

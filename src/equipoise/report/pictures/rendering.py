@@ -20,7 +20,7 @@ from equipoise.errors import ArmError, OutsideError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.physics_engine import mujoco
 from equipoise.report.pictures.camera import Size
-from equipoise.report.pictures.stage import CAMERA, Stage, stage
+from equipoise.report.pictures.scene import CAMERA, PictureScene, stage
 
 Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
@@ -66,7 +66,7 @@ def frames(
     return draw(stage(arm, size), q, phi, u)
 
 
-def draw(scene: Stage, q: Floats, phi: Floats, u: Floats | None = None) -> Iterator[Picture]:
+def draw(scene: PictureScene, q: Floats, phi: Floats, u: Floats | None = None) -> Iterator[Picture]:
     """Draw a stage, one moment after another; `frames` makes the stage and checks the shapes.
 
     Raises:

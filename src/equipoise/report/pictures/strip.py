@@ -10,7 +10,7 @@ from equipoise.model.arms.arm import Arm
 from equipoise.report.pictures.camera import Size
 from equipoise.report.pictures.moments import moments, span
 from equipoise.report.pictures.rendering import ARROW_PER_U, draw
-from equipoise.report.pictures.stage import stage
+from equipoise.report.pictures.scene import stage
 from equipoise.report.style import drawn, new_figure
 from equipoise.runlog import RunLog
 from equipoise.runwriter import RigRun

@@ -11,12 +11,12 @@ from multiprocessing import get_context
 from typing import Final, NamedTuple
 
 from equipoise.errors import EquipoiseError, InputError
+from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario
 from equipoise.studies.rehearsal.faults import FAULTS as ON_STAGE
 from equipoise.studies.rehearsal.faults import Fault
 from equipoise.studies.rehearsal.files import FILES
-from equipoise.studies.rehearsal.judgement import judge
 from equipoise.studies.rehearsal.real_time import REAL_TIME, LiveFault
-from equipoise.studies.rehearsal.stage import Scene, Stage
+from equipoise.studies.rehearsal.verdicts import judge
 
 FAULTS: Final[tuple[Fault, ...]] = (*ON_STAGE, *FILES)
 """All that can be shown in virtual time."""
@@ -52,7 +52,7 @@ def rehearse(fault: Fault) -> Result:
     if fault.play is not None:
         problems = fault.play()
         return Result(*told, "it was refused" if not problems else "", tuple(problems))
-    stage = Stage(fault.scene(Scene()), fault.moment, fault.inject)
+    stage = FaultHarness(fault.scene(Scenario()), fault.moment, fault.inject)
     outcome = stage.run()
     problems = [
         *judge(

@@ -11,23 +11,30 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from equipoise.control.safety import Rule
-from equipoise.control.ticks import Inputs
-from equipoise.devices.kuka.cabinet import Faults
-from equipoise.devices.twin.hand import draw_manner
-from equipoise.studies.rehearsal.stage import START, Moment, Scene, Setpoint, Stage, on
+from equipoise.control.ticks import TickInputs
+from equipoise.devices.kuka.server_emulator import Faults
+from equipoise.devices.twin.hand import draw_hand_params
+from equipoise.studies.rehearsal.fault_harness import (
+    START,
+    FaultHarness,
+    Scenario,
+    Setpoint,
+    Trigger,
+    on,
+)
 
-BALANCING: Final = Moment("balancing", 0.5)
+BALANCING: Final = Trigger("balancing", 0.5)
 """In the middle of a balance."""
-AT_START: Final = Moment(START)
+AT_START: Final = Trigger(START)
 
-Inject = Callable[[Stage], None]
+Inject = Callable[[FaultHarness], None]
 
 
-def nothing(stage: Stage) -> None:
+def nothing(stage: FaultHarness) -> None:
     """Break nothing: it was broken before the run began."""
 
 
-def unchanged(scene: Scene) -> Scene:
+def unchanged(scene: Scenario) -> Scenario:
     """Return a scene as it is."""
     return scene
 
@@ -47,9 +54,9 @@ class Fault(NamedTuple):
     """Causes of which the run names one; `refused` where it must not begin."""
     inject: Inject = nothing
     """Makes it go wrong."""
-    moment: Moment = BALANCING
+    moment: Trigger = BALANCING
     """When."""
-    scene: Callable[[Scene], Scene] = unchanged
+    scene: Callable[[Scenario], Scenario] = unchanged
     """What is wrong from the start."""
     within: float | None = None
     """From the fault to the stop [s]; none where the fault shows only by what comes of it."""
@@ -57,7 +64,7 @@ class Fault(NamedTuple):
     """Whether software can stop the arm."""
     says: str = ""
     """What the operator reads."""
-    check: Callable[[Stage], Sequence[str]] = lambda stage: ()
+    check: Callable[[FaultHarness], Sequence[str]] = lambda stage: ()
     """What else has to be so; returns what is not."""
     held_at_start: bool = False
     """Whether the policy may begin while a hand still holds the pendulum."""
@@ -76,48 +83,48 @@ FELL: Final = _ends(Rule.ANGLE, Rule.TRACK, Rule.SPEED)
 # The encoder.
 
 
-def _unplug(stage: Stage) -> None:
+def _unplug(stage: FaultHarness) -> None:
     stage.parts.encoder_link.close()
 
 
-def _silence(stage: Stage) -> None:
+def _silence(stage: FaultHarness) -> None:
     stage.parts.board.silent = True
 
 
-def _freeze(stage: Stage) -> None:
+def _freeze(stage: FaultHarness) -> None:
     stage.parts.board.frozen = True
 
 
-def _lose_counts(stage: Stage) -> None:
+def _lose_counts(stage: FaultHarness) -> None:
     stage.parts.board.loss = 0.05
 
 
-def _wrong_sign(stage: Stage) -> None:
+def _wrong_sign(stage: FaultHarness) -> None:
     stage.parts.board.sign = -1
 
 
-def _half_counts(stage: Stage) -> None:
+def _half_counts(stage: FaultHarness) -> None:
     stage.parts.board.factor = 0.5
 
 
-def _more_counts(stage: Stage) -> None:
+def _more_counts(stage: FaultHarness) -> None:
     stage.parts.board.factor = 1.1
 
 
-def _other_board(stage: Stage) -> None:
+def _other_board(stage: FaultHarness) -> None:
     stage.parts.board.counts_per_rev = 4096
 
 
-def _slip_slowly(stage: Stage) -> None:
+def _slip_slowly(stage: FaultHarness) -> None:
     """Turn the encoder by 1 deg on its spindle, slowly enough for any plausibility."""
     stage.each(lambda since: stage.parts.bench.slip(radians(0.005)) if since < 0.2 else None)
 
 
-def _delay_lines(stage: Stage) -> None:
+def _delay_lines(stage: FaultHarness) -> None:
     stage.parts.encoder_link.delay = 0.06
 
 
-def _damage_lines(stage: Stage) -> None:
+def _damage_lines(stage: FaultHarness) -> None:
     stage.parts.board.malformed = 0.02
 
 
@@ -139,7 +146,7 @@ ENCODER: Final = (
         "a stop within a tick",
         _ends("fault"),
         _unplug,
-        Moment("swing", 0.7),
+        Trigger("swing", 0.7),
         within=0.02,
         says="encoder",
     ),
@@ -169,7 +176,7 @@ ENCODER: Final = (
         "the self-test refuses",
         _ends("self-test"),
         _freeze,
-        Moment("swing"),
+        Trigger("swing"),
     ),
     Fault(
         "count jump",
@@ -187,7 +194,7 @@ ENCODER: Final = (
         "it balances while the zero can be estimated, then the arm stops on its track",
         FELL | _ends("lasted"),
         _lose_counts,
-        Moment("balancing"),
+        Trigger("balancing"),
         lambda scene: on(scene, duration=8.0),
     ),
     Fault(
@@ -237,7 +244,7 @@ ENCODER: Final = (
         "a stop within a tick",
         _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
         lambda stage: stage.parts.board.zero(),
-        Moment("swing", 1.4),
+        Trigger("swing", 1.4),
         within=0.03,
     ),
     Fault(
@@ -247,7 +254,7 @@ ENCODER: Final = (
         "the self-test refuses the zero, it is referenced anew, and balances",
         _ends("lasted"),
         _slip_slowly,
-        Moment("swing"),
+        Trigger("swing"),
         check=lambda stage: (
             () if [one.name for one in stage.told].count("swing") == 2 else ("no second reference",)
         ),
@@ -324,7 +331,7 @@ ENCODER: Final = (
 
 
 def _hold_up(*times: float) -> Inject:
-    def inject(stage: Stage) -> None:
+    def inject(stage: FaultHarness) -> None:
         # Every second wait is for a tick, the other for the setpoint in its middle.
         stage.clock.held_up = list(times)
 
@@ -364,22 +371,22 @@ TIME: Final = (
 # The robot and its link.
 
 
-def _drop(stage: Stage) -> None:
+def _drop(stage: FaultHarness) -> None:
     stage.parts.server.faults = Faults(close=True)
     stage.parts.robot_link.close()
 
 
-def _half_open(stage: Stage) -> None:
+def _half_open(stage: FaultHarness) -> None:
     stage.parts.robot_link.cut = stage.parts.robot_link.other.cut = True
 
 
-def _back_up(stage: Stage) -> None:
+def _back_up(stage: FaultHarness) -> None:
     there = stage.parts.robot_link.other
     before, there.delay = there.delay, 0.08
     stage.after(0.1, lambda: setattr(there, "delay", before))
 
 
-def _refuse(stage: Stage) -> None:
+def _refuse(stage: FaultHarness) -> None:
     stage.parts.server.faults = Faults(refuse=1.0)
 
 
@@ -390,7 +397,7 @@ def _stopped(why: str) -> Inject:
 def _touch(force: float) -> Inject:
     """Press on the flange along the track for 0.3 s [N]."""
 
-    def inject(stage: Stage) -> None:
+    def inject(stage: FaultHarness) -> None:
         bench = stage.parts.bench
         bench.touch((force, 0.0, 0.0))
         stage.after(0.3, lambda: bench.touch((0.0, 0.0, 0.0)))
@@ -398,7 +405,7 @@ def _touch(force: float) -> Inject:
     return inject
 
 
-def _no_bytes_after(stage: Stage) -> Sequence[str]:
+def _no_bytes_after(stage: FaultHarness) -> Sequence[str]:
     fault = stage.broken_at or 0.0
     late = [time for time, _ in stage.robot_wire.sent if time > fault + 0.02]
     if stage.robot_wire.opened != 1:
@@ -406,13 +413,13 @@ def _no_bytes_after(stage: Stage) -> Sequence[str]:
     return (f"{len(late)} lines were sent after the drop",) if late else ()
 
 
-def _pushing(scene: Scene) -> Scene:
+def _pushing(scene: Scenario) -> Scenario:
     """Return a scene whose policy pushes one way only."""
     table = tuple((1.0, *[0.0] * (len(row) - 1)) for row in scene.policy.Q)
     return on(scene, policy=scene.policy.model_copy(update={"Q": table}))
 
 
-def _stretched(scene: Scene) -> Scene:
+def _stretched(scene: Scenario) -> Scenario:
     """Return a scene with an elbow that is all but stretched at home."""
     home = list(scene.settings.home_deg)
     home[3] = -3.0
@@ -422,7 +429,7 @@ def _stretched(scene: Scene) -> Scene:
 def _setpoint(change: Callable[[Setpoint, float], Setpoint]) -> Inject:
     """Change each setpoint, given the time since the fault [s]."""
 
-    def inject(stage: Stage) -> None:
+    def inject(stage: FaultHarness) -> None:
         stage.change_setpoint = change
 
     return inject
@@ -509,7 +516,7 @@ ROBOT: Final = (
         "a latched stop; targets go on from where the arm is",
         _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING),
         _stopped("the drives' protection"),
-        Moment("homing", 0.4),
+        Trigger("homing", 0.4),
         within=0.4,
     ),
     Fault(
@@ -528,7 +535,7 @@ ROBOT: Final = (
         "a latched stop as soon as the arm should move",
         _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.ANGLE),
         _stopped("emergency stop"),
-        Moment("armed"),
+        Trigger("armed"),
     ),
     Fault(
         "mode change",
@@ -537,7 +544,7 @@ ROBOT: Final = (
         "a latched stop; targets go on from where the arm is",
         _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING),
         _stopped("change of the operating mode"),
-        Moment("swing", 0.5),
+        Trigger("swing", 0.5),
         within=0.5,
     ),
     Fault(
@@ -557,7 +564,7 @@ ROBOT: Final = (
         "a stop at the next torques",
         _ends(Rule.TORQUE),
         _touch(150.0),
-        Moment("homing", 0.3),
+        Trigger("homing", 0.3),
         within=0.1,
     ),
     Fault(
@@ -606,7 +613,7 @@ ROBOT: Final = (
         "a stop from which the flange rests on its track",
         _ends(Rule.TRACK, Rule.ANGLE),
         scene=_pushing,
-        moment=Moment("balancing"),
+        moment=Trigger("balancing"),
         within=1.0,
     ),
     Fault(
@@ -674,8 +681,8 @@ ROBOT: Final = (
 # Numbers that are none.
 
 
-def _inputs(change: Callable[[Inputs], Inputs]) -> Inject:
-    def inject(stage: Stage) -> None:
+def _inputs(change: Callable[[TickInputs], TickInputs]) -> Inject:
+    def inject(stage: FaultHarness) -> None:
         stage.change_inputs = change
 
     return inject
@@ -701,14 +708,14 @@ def _no_torques(reply: Any) -> Any:
     return reply if reply.torque is None else reply._replace(torque=(nan,) * len(reply.torque))
 
 
-def _nan_line(stage: Stage) -> None:
+def _nan_line(stage: FaultHarness) -> None:
     def spoil(data: bytes) -> bytes:
         return b"_".join([b"NaN"] * 7) + b"\n" if data else data
 
     stage.robot_wire.spoil = spoil
 
 
-def _nan_count(stage: Stage) -> None:
+def _nan_count(stage: FaultHarness) -> None:
     stage.encoder_wire.spoil = lambda data: data and b"E,nan,nan,nan,0*00\n"
 
 
@@ -776,7 +783,7 @@ NUMBERS: Final = (
         "it is held back; the guard brings the arm to rest",
         HELD_BACK,
         _joint(3, lambda q, since: inf),
-        Moment("homing", 0.3),
+        Trigger("homing", 0.3),
         within=0.03,
         says="finite",
     ),
@@ -806,12 +813,12 @@ NUMBERS: Final = (
 # The release.
 
 
-def _let_go_in_mid_lift(stage: Stage) -> None:
+def _let_go_in_mid_lift(stage: FaultHarness) -> None:
     stage.each(lambda since: _drop_it(stage))
     stage.after(9.0, lambda: stage.typed.append("stop"))
 
 
-def _drop_it(stage: Stage) -> None:
+def _drop_it(stage: FaultHarness) -> None:
     bench = stage.parts.bench
     if bench.hand.holds and abs(abs(remainder(bench.phi, 2.0 * pi)) - radians(40.0)) < radians(2.0):
         bench.let_go()
@@ -820,11 +827,11 @@ def _drop_it(stage: Stage) -> None:
 def _take_away(duration: float) -> Inject:
     """Hold on for 4 s, then bring the pendulum down in so long [s]."""
 
-    def inject(stage: Stage) -> None:
+    def inject(stage: FaultHarness) -> None:
         bench = stage.parts.bench
 
         def down() -> None:
-            manner = draw_manner(np.random.default_rng(0), clumsy=0.0)
+            manner = draw_hand_params(np.random.default_rng(0), clumsy=0.0)
             bench.hand.steady(bench.now, bench.phi, manner._replace(lifting=duration))
 
         stage.after(4.0, down)
@@ -833,7 +840,7 @@ def _take_away(duration: float) -> Inject:
     return inject
 
 
-def _never_began(stage: Stage) -> Sequence[str]:
+def _never_began(stage: FaultHarness) -> Sequence[str]:
     if any(one.name == "balancing" for one in stage.told):
         return ("the policy began",)
     return ()
@@ -847,7 +854,7 @@ RELEASE: Final = (
         "the policy does not begin; the arm holds still until a key is pressed",
         _ends("operator"),
         _let_go_in_mid_lift,
-        Moment("lift"),
+        Trigger("lift"),
         check=_never_began,
     ),
     Fault(
@@ -857,7 +864,7 @@ RELEASE: Final = (
         "the policy does not begin: the hand is still on",
         _ends("operator"),
         _take_away(0.8),
-        Moment("armed"),
+        Trigger("armed"),
         lambda scene: on(scene, unheard=frozenset({"armed", "disarmed", "nudge"})),
         check=_never_began,
         says="still on",
@@ -869,7 +876,7 @@ RELEASE: Final = (
         "it may be taken for a release; the arm then stops at the angle, on its track",
         FELL | _ends("operator"),
         _take_away(2.5),
-        Moment("armed"),
+        Trigger("armed"),
         lambda scene: on(scene, unheard=frozenset({"armed", "disarmed", "nudge"})),
         held_at_start=True,
     ),
@@ -896,7 +903,7 @@ RELEASE: Final = (
 # The operator.
 
 
-def _key(stage: Stage) -> None:
+def _key(stage: FaultHarness) -> None:
     stage.typed.append("stop")
 
 
@@ -908,7 +915,7 @@ def _keys(phase: str, after: float) -> Fault:
         "a stop within a tick",
         _ends("operator"),
         _key,
-        Moment(phase, after),
+        Trigger(phase, after),
         within=0.02,
         says="operator",
     )
@@ -930,11 +937,11 @@ OPERATOR: Final = tuple(
 # What is given.
 
 
-def _other_arm(scene: Scene) -> Scene:
+def _other_arm(scene: Scenario) -> Scenario:
     return on(scene, settings=scene.settings.model_copy(update={"arm": "iiwa14"}))
 
 
-def _radians_for_degrees(scene: Scene) -> Scene:
+def _radians_for_degrees(scene: Scenario) -> Scenario:
     home = tuple(radians(angle) for angle in scene.settings.home_deg)
     return on(scene, settings=scene.settings.model_copy(update={"home_deg": home}))
 

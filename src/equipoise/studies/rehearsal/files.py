@@ -14,19 +14,19 @@ from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import EquipoiseError, OutsideError
 from equipoise.rigs import read_rig
 from equipoise.runwriter import read_rig_run
+from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario, Trigger, on
 from equipoise.studies.rehearsal.faults import BALANCING, Fault
-from equipoise.studies.rehearsal.stage import Moment, Scene, Stage, on
 
 LOGGED: Final = 2.0
 """A log may lack so much of its end [s]: a chunk that was not full, and what was not drained."""
 HOUR: Final = 3600.0
 
 
-def _with_a_log(scene: Scene) -> Scene:
+def _with_a_log(scene: Scenario) -> Scenario:
     return on(scene, out=Path(tempfile.mkdtemp(prefix="equipoise-")) / "run.mcap")
 
 
-def _log(stage: Stage) -> Path:
+def _log(stage: FaultHarness) -> Path:
     path = stage.scene.out
     return Path() if path is None else path
 
@@ -34,7 +34,7 @@ def _log(stage: Stage) -> Path:
 # The disk.
 
 
-def _fill_the_disk(stage: Stage) -> None:
+def _fill_the_disk(stage: FaultHarness) -> None:
     """Let no file of this process grow any more: what a full disk does to a log."""
     try:
         import resource
@@ -48,14 +48,14 @@ def _fill_the_disk(stage: Stage) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
 
 
-def _cut_the_power(stage: Stage) -> None:
+def _cut_the_power(stage: FaultHarness) -> None:
     shutil.copy(_log(stage), _log(stage).with_suffix(".cut"))
 
 
-def _readable(suffix: str) -> Callable[[Stage], Sequence[str]]:
+def _readable(suffix: str) -> Callable[[FaultHarness], Sequence[str]]:
     """Return what checks that a log reaches to just before the fault."""
 
-    def check(stage: Stage) -> Sequence[str]:
+    def check(stage: FaultHarness) -> Sequence[str]:
         from mcap.exceptions import McapError
         from mcap.stream_reader import StreamReader
 
@@ -78,7 +78,7 @@ def _readable(suffix: str) -> Callable[[Stage], Sequence[str]]:
 # The date.
 
 
-def _step_the_date(stage: Stage) -> None:
+def _step_the_date(stage: FaultHarness) -> None:
     real = time.time
     stage.undo.append(lambda: setattr(time, "time", real))
     time.time = lambda: real() - HOUR
@@ -156,7 +156,7 @@ FILES: Final = (
         "the run goes on; the log is sound to its last chunk",
         frozenset({"lasted"}),
         _fill_the_disk,
-        Moment("balancing", 1.5),
+        Trigger("balancing", 1.5),
         _with_a_log,
         check=_readable(".mcap"),
     ),
@@ -167,7 +167,7 @@ FILES: Final = (
         "every reader takes it, to its last chunk",
         frozenset({"lasted"}),
         _cut_the_power,
-        Moment("balancing", 1.5),
+        Trigger("balancing", 1.5),
         _with_a_log,
         check=_readable(".cut"),
     ),

@@ -25,16 +25,22 @@ from equipoise.control.policy import shipped_policy
 from equipoise.devices.clocks import SystemClock
 from equipoise.devices.emulation import Emulation
 from equipoise.errors import EquipoiseError
-from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings
 from equipoise.runwriter import read_rig_run
-from equipoise.studies.rehearsal.judgement import AT_REST, TOLD, Sent, came_to_rest, limits_kept
-from equipoise.studies.rehearsal.stage import WORLD
+from equipoise.studies.rehearsal.fault_harness import WORLD
+from equipoise.studies.rehearsal.verdicts import (
+    REST_TOLERANCE,
+    TOLD,
+    Sent,
+    came_to_rest,
+    limits_kept,
+)
 
 HOST: Final = "127.0.0.1"
 BALANCED: Final = 6.0
 """How long the run shall balance [s]."""
-PATIENCE: Final = 100.0
+RUN_TIMEOUT: Final = 100.0
 """A run that has not ended after so long hangs [s]."""
 LOAD: Final = 3.0
 """The machine is kept busy for so long [s]."""
@@ -55,7 +61,7 @@ class LiveFault(NamedTuple):
     """Makes it happen; returns what did, and what of that is not as it should be."""
 
 
-class Course(NamedTuple):
+class LiveRun(NamedTuple):
     """A run of `equipoise deploy` on an emulated rig, and what is seen of both."""
 
     process: subprocess.Popen[str]
@@ -75,19 +81,19 @@ class Course(NamedTuple):
         Raises:
             TimeoutError: It does not.
         """
-        until = time.monotonic() + PATIENCE
+        until = time.monotonic() + RUN_TIMEOUT
         while time.monotonic() < until:
             for moment, line in list(self.lines):
                 if words in line and moment >= since:
                     return moment
-            if self.process.poll() is not None and time.monotonic() > until - PATIENCE + 1.0:
+            if self.process.poll() is not None and time.monotonic() > until - RUN_TIMEOUT + 1.0:
                 break
             time.sleep(0.005)
         raise TimeoutError(f"the run never said {words!r}")
 
 
 @contextmanager
-def course() -> Generator[Course]:
+def course() -> Generator[LiveRun]:
     """Run the whole course beside this process."""
     settings, policy, world = RigSettings(), shipped_policy(), read_world(WORLD).settings
     over = threading.Event()
@@ -128,7 +134,7 @@ def course() -> Generator[Course]:
         lines: list[tuple[float, str]] = []
         threading.Thread(target=_attend, args=(process, lines), daemon=True).start()
         try:
-            yield Course(process, emulation, ready[0], log, lines)
+            yield LiveRun(process, emulation, ready[0], log, lines)
         finally:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
@@ -173,14 +179,14 @@ def _attend(process: subprocess.Popen[str], lines: list[tuple[float, str]]) -> N
                     process.stdin.flush()
 
 
-def _ended(run: Course) -> int | None:
+def _ended(run: LiveRun) -> int | None:
     try:
-        return run.process.wait(PATIENCE)
+        return run.process.wait(RUN_TIMEOUT)
     except subprocess.TimeoutExpired:
         return None
 
 
-def _judged(run: Course, codes: Sequence[int]) -> list[str]:
+def _judged(run: LiveRun, codes: Sequence[int]) -> list[str]:
     """Return what is wrong with the end of a run that software stopped."""
     code = _ended(run)
     if code is None:
@@ -207,10 +213,10 @@ def _rests(emulation: Emulation) -> list[str]:
         places.append(np.array(bench.twin.kernel.bodies.qpos[: bench.joints]))
         time.sleep(0.01)
     moved = float(np.ptp(np.array(places), axis=0).max())
-    return [f"at the end a joint moves by {moved:.3f} rad"] if moved > AT_REST else []
+    return [f"at the end a joint moves by {moved:.3f} rad"] if moved > REST_TOLERANCE else []
 
 
-def _last_words(run: Course) -> str:
+def _last_words(run: LiveRun) -> str:
     told = [line.strip() for _, line in run.lines if line.strip()]
     return next((line for line in reversed(told) if "ended" in line), told[-1] if told else "")
 

@@ -1,0 +1,190 @@
+"""The operator at a terminal: events as lines, answers as words, and any key as a stop."""
+
+import os
+import re
+import select
+import sys
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from math import degrees, isnan
+from typing import Any, Final
+
+from rich.text import Text
+
+from equipoise.cli.output import Output
+from equipoise.control.ticks import OK
+from equipoise.errors import OutsideError
+from equipoise.printable import printable
+
+STYLES: Final = {
+    "fault": "bold red",
+    "stopping": "bold yellow",
+    "armed": "bold green",
+    "balancing": "bold green",
+    "notice": "yellow",
+    "warning": "yellow",
+}
+DENIED: Final = "n"
+BACKSPACE: Final = "\b\x7f"
+"""Takes the last key back, on one keyboard or another."""
+VERDICTS: Final = {"good": "green", "warning": "yellow", "refused": "bold red"}
+SEQUENCE: Final = re.compile("\x1b(?:\\[[0-?]*[ -/]*[@-~]|O[ -~]|[ -~])?")
+"""What a terminal sends for a key without a character: ESC, and what follows it at once."""
+KEYS: Final = {
+    "A": "up arrow",
+    "B": "down arrow",
+    "C": "right arrow",
+    "D": "left arrow",
+    "F": "End",
+    "H": "Home",
+    "Z": "Shift-Tab",
+    "2~": "Insert",
+    "3~": "Delete",
+    "5~": "Page Up",
+    "6~": "Page Down",
+    "": "Esc",
+}
+"""Names of keys, by what follows ESC and `[` or `O`."""
+
+
+class TerminalOperator:
+    """A person at a terminal."""
+
+    def __init__(self, output: Output) -> None:
+        """Speak through an output."""
+        self._output = output
+        self._answers: tuple[str, ...] = ()
+        self._typed = ""
+        self._live = False
+        self._ended = sys.stdin is None or sys.stdin.closed
+
+    def notify(self, event: Any) -> None:
+        """Print an event."""
+        self._clear()
+        if event.name == "finding":
+            self._finding(*(*event.text.split("\t"), "", "", "")[:4])  # a long one was cut
+            return
+        if event.name != "word":
+            self._answers = tuple(event.answers)
+        text = printable(event.text.replace("\a", ""))
+        if "\a" in event.text and self._output.stream.isatty():
+            self._output.stream.write("\a")
+        self._output.tell(Text(text, style=STYLES.get(event.name, "bold" if self._answers else "")))
+
+    def read_input(self) -> list[str]:
+        """Return what was typed: lines where an answer is asked for, else any key at once.
+
+        Where nothing can be typed any more, what is asked for is denied at once; but not a press of
+        the pendulum's button, which needs no keyboard.
+        """
+        if self._ended:
+            denied = bool(self._answers) and OK not in self._answers
+            self._answers = () if denied else self._answers
+            return [DENIED] if denied else []
+        came = ""
+        while select.select([sys.stdin], [], [], 0.0)[0]:
+            try:
+                data = os.read(sys.stdin.fileno(), 1024)
+            except OSError:  # the terminal was closed
+                data = b""
+            if not data:
+                self._ended = True
+                break
+            came += data.decode("utf-8", "ignore")
+        if not came:
+            return []
+        if not self._answers and sys.stdin.isatty():
+            return [key_names(came)]
+        return self._lines(SEQUENCE.sub("", came.replace("\r", "\n")))
+
+    def _lines(self, came: str) -> list[str]:
+        """Return the lines that keys end; what a terminal would do with a line is done here."""
+        lines: list[str] = []
+        shown = ""
+        for key in came:
+            if key not in BACKSPACE and key != "\n" and not key.isprintable():
+                continue
+            if key in BACKSPACE:
+                shown += "\b \b" if self._typed else ""
+                self._typed = self._typed[:-1]
+                continue
+            shown += key
+            if key == "\n":
+                lines.append(self._typed)
+                self._typed = ""
+            else:
+                self._typed += key
+        if sys.stdin.isatty():
+            self._output.stream.write(shown)
+            self._output.stream.flush()
+        return lines
+
+    def live(self, phase: str, phi: float) -> None:
+        """Show the angle, on a terminal."""
+        if not self._output.stream.isatty() or self._typed:
+            return
+        angle = "" if isnan(phi) else f"  phi {degrees(phi):+8.2f} deg"
+        self._output.stream.write(f"\r  {phase:<12}{angle}   ")
+        self._output.stream.flush()
+        self._live = True
+
+    def _clear(self) -> None:
+        if self._live:
+            self._output.stream.write("\r" + " " * 48 + "\r")
+            self._live = False
+
+    def _finding(self, name: str, verdict: str, found: str, cure: str) -> None:
+        line = Text.assemble(
+            ("  ", ""),
+            (f"{verdict:<9}", VERDICTS.get(verdict, "")),
+            (f"{name:<20}", "dim"),
+            printable(found),
+        )
+        self._output.tell(line)
+        if cure:
+            self._output.tell(Text(f"{'':31}{printable(cure)}", style="dim"))
+
+
+def key_names(typed: str) -> str:
+    r"""Return what was typed with the names of keys in place of what a terminal sends for them.
+
+    Example:
+        >>> key_names("\x1b[A"), key_names("\x03"), key_names("q")
+        ('up arrow', 'Ctrl-C', 'q')
+    """
+
+    def name(found: re.Match[str]) -> str:
+        sequence = found[0][1:]
+        return f" {KEYS.get(sequence.removeprefix('[').removeprefix('O'), 'a function key')} "
+
+    named = SEQUENCE.sub(name, typed)
+    named = re.sub("[\x01-\x08\x0e-\x1a]", lambda key: f" Ctrl-{chr(ord(key[0]) + 64)} ", named)
+    named = named.replace("\x7f", " Backspace ")
+    return " ".join(named.split()) if named != typed else typed
+
+
+@contextmanager
+def single_keys() -> Generator[None]:
+    """Let each key be heard at once, where there is a terminal; as before afterwards.
+
+    Raises:
+        OutsideError: This system has no such terminals, on which any key could stop a run.
+    """
+    try:
+        import termios
+        import tty
+    except ImportError:
+        raise OutsideError(
+            f"{sys.platform} cannot read single keys of a terminal, with which a run is stopped; "
+            "drive a robot from Linux"
+        ) from None
+    if sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
+        yield
+        return
+    before = termios.tcgetattr(sys.stdin)
+    try:
+        tty.setcbreak(sys.stdin)
+        yield
+    finally:
+        with suppress(termios.error):  # the terminal was closed
+            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)

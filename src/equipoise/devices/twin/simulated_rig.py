@@ -1,0 +1,194 @@
+"""A bench: the twin with an operator's hand at it, whose time passes as a clock's does.
+
+On it an emulated cabinet and an emulated encoder board run, or robot and encoder in process
+(`equipoise.devices.twin.robot`). Virtual time drives it by `clock.attach(bench.advance)`, real time
+by calling `advance` with the time as often as one likes: it catches up in whole milliseconds. Equal
+seeds and equal acts at equal times give equal motion.
+
+What can go wrong with the bodies is a method each: see `Bench.push`, `touch`, `slip`, `tilt`, and
+`stop` and `misalign` of its `body`.
+"""
+
+from collections.abc import Callable, Sequence
+from math import cos, pi, radians, sin
+from typing import Final
+
+import numpy as np
+
+from equipoise.devices.twin.hand import Hand, HandParams, Side, draw_hand_params
+from equipoise.devices.twin.physics import TICK
+from equipoise.devices.twin.simulated_arm import SimulatedArm
+from equipoise.devices.twin.twin import Array, TrueState, Twin, advance
+from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.sim_configs import TwinSettings
+from equipoise.settings import GRAVITY
+
+PRESS: Final = 0.1
+"""How long a finger keeps a button down [s]."""
+ASIDE: Final = radians(50.0)
+"""So far aside the pendulum is held for a free swing [rad]."""
+
+
+class SimulatedRig:
+    """Arm, pendulum, hand and button, in time."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        pendulum: PendulumParameters,
+        settings: TwinSettings,
+        *,
+        seed: int = 0,
+        start: float = 0.0,
+        q: Sequence[float] | Array | None = None,
+        phi: float = pi,
+    ) -> None:
+        """Set up a bench, the arm at rest.
+
+        Args:
+            arm: An iiwa with its home posture.
+            pendulum: The pendulum, with the friction that acts in the twin.
+            settings: The world's numbers.
+            seed: Seed of all that is random.
+            start: The time at which it begins [s].
+            q: Free joints [rad], shape (6,); home if not given.
+            phi: Angle of the pendulum from upright [rad]; it hangs if not given.
+
+        Raises:
+            ArmError: The masses of the arm's links are not known.
+        """
+        self.settings = settings
+        """The world's numbers."""
+        self.seed = seed
+        """Seed of all that is random."""
+        self.joints = len(arm.joints)
+        """How many joints the arm has."""
+        self.twin = Twin(arm, pendulum, settings, seed=seed)
+        self.twin.reset(q, phi)
+        self.body = SimulatedArm(self.twin, arm, settings)
+        """What an emulated cabinet moves and measures."""
+        self._reach = 3.0 * GRAVITY / (4.0 * pendulum.w2)
+        inertia = settings.pendulum_mass * GRAVITY * self._reach / pendulum.w2
+        self.hand = Hand(inertia, self._reach)
+        """The operator's, at the middle of the rod."""
+        self._random = np.random.default_rng(seed)
+        self._start = start
+        self._ticks = 0
+        self._down_until = 0.0
+        self._slip = 0.0
+        self._touching = False
+        self._watching: list[Callable[[], None]] = []
+
+    @property
+    def now(self) -> float:
+        """The time [s]."""
+        return self._start + self._ticks * TICK
+
+    def advance(self, now: float) -> None:
+        """Let milliseconds pass until a time [s]."""
+        due = round((now - self._start) / TICK)
+        while self._ticks < due:
+            self.body.tick()
+            self._grasp()
+            advance(self.twin.kernel, 1)
+            self._ticks += 1
+            for work in self._watching:
+                work()
+
+    def watch(self, work: Callable[[], None]) -> None:
+        """Let `work()` run at the end of each millisecond from now on."""
+        self._watching.append(work)
+
+    @property
+    def phi(self) -> float:
+        """Angle of the pendulum from upright, relative to the flange, beyond a turn [rad]."""
+        return float(self.twin.kernel.bodies.qpos[self.joints])
+
+    @property
+    def phi_dot(self) -> float:
+        """Its rate [rad/s]."""
+        return float(self.twin.kernel.bodies.qvel[self.joints])
+
+    @property
+    def theta(self) -> float:
+        """What an encoder sees: the angle from hanging, relative to the flange [rad]."""
+        return pi - self.phi + self._slip
+
+    def truth(self) -> TrueState:
+        """Return where flange and pendulum are in space."""
+        return self.twin.truth()
+
+    @property
+    def button(self) -> bool:
+        """Whether the button is down."""
+        return self.now < self._down_until
+
+    def press(self, duration: float = PRESS) -> None:
+        """Press the button for a while [s]."""
+        self._down_until = self.now + duration
+
+    def lift(self, *, side: Side | None = None, clumsy: float = 0.25) -> HandParams:
+        """Grip the pendulum and bring it upright; it is held until `let_go`.
+
+        Args:
+            side: From where; either if not given.
+            clumsy: Chance that it will be let go with a push or a drag.
+
+        Returns:
+            How the hand does it; how long it means to hold, too, but it leaves that to the caller.
+        """
+        manner = draw_hand_params(self._random, side=side, clumsy=clumsy)
+        self.hand.lift(self.now, self.phi, manner)
+        return manner
+
+    def steady(self) -> None:
+        """Grip the pendulum and bring it to where it hangs; it is held until `let_go`."""
+        self.hand.steady(self.now, self.phi, draw_hand_params(self._random, clumsy=0.0))
+
+    def hold_deflected(self) -> None:
+        """Grip the pendulum and hold it aside, until `let_go`: it is a free swing then."""
+        self.hand.hold_deflected(
+            self.now, self.phi, ASIDE, draw_hand_params(self._random, clumsy=0.0)
+        )
+
+    def let_go(self) -> None:
+        """Let go of the pendulum."""
+        self.hand.release(self.now)
+
+    def push(self, rate: float) -> None:
+        """Push the pendulum, so that its rate changes by so much [rad/s]."""
+        self.hand.push(self.now, rate)
+
+    def touch(self, force: Sequence[float] | Array) -> None:
+        """Press on the middle of the bracket, beside the flange, from now on.
+
+        Args:
+            force: In base axes [N], shape (3,); zero lets go.
+        """
+        flange = self.twin.kernel.bodies.flange
+        self.twin.data.xfrc_applied[flange, :3] = np.asarray(force, np.float64)
+
+    def slip(self, angle: float) -> None:
+        """Let the encoder slip on its spindle: from now on it shows so much more [rad]."""
+        self._slip += angle
+
+    def tilt(self, angle: float) -> None:
+        """Tilt the base about its y axis, from level by so much [rad].
+
+        What hangs then stands elsewhere relative to the flange, whose joints show nothing of it.
+        """
+        self.twin.model.opt.gravity[:] = [GRAVITY * sin(angle), 0.0, -GRAVITY * cos(angle)]
+
+    def _grasp(self) -> None:
+        """Let the hand pull at the middle of the rod, across it."""
+        if self.hand.idle:
+            if self._touching:
+                self.twin.data.xfrc_applied[self.twin.kernel.bodies.pendulum, :3] = 0.0
+                self._touching = False
+            return
+        bodies = self.twin.kernel.bodies
+        torque = self.hand.torque(self.now, self.phi, self.phi_dot)
+        across = bodies.xmat[bodies.pendulum, 0::3]
+        self.twin.data.xfrc_applied[bodies.pendulum, :3] = torque / self._reach * across
+        self._touching = True

@@ -1,0 +1,111 @@
+"""How long the policy and the yardsticks stood: the share that still stands against time."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise import paper
+from equipoise.evaluation import Evaluation, TrialResults
+from equipoise.report.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+    drawn,
+    new_figure,
+    plain,
+)
+from equipoise.studies.formatting import LASTED
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LINES: tuple[dict[str, Any], ...] = (
+    {"color": BLUE, "linewidth": 3.2, "linestyle": "-"},
+    {"color": INK, "linewidth": 1.3, "linestyle": (0, (5, 2))},
+    {"color": ORANGE, "linewidth": 1.6, "linestyle": (0, (1, 1.5))},
+    {"color": VERMILION, "linewidth": 1.3, "linestyle": (0, (6, 1.5, 1, 1.5))},
+    {"color": GREEN, "linewidth": 1.0, "linestyle": "-"},
+    {"color": PURPLE, "linewidth": 1.3, "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+)
+"""The policy first, below the others and wide, so that curves on top of it are seen."""
+
+
+@drawn
+def survival(evaluation: Evaluation) -> "Figure":
+    """Draw the share of trials that still stand, and the share that lasted with its interval.
+
+    Args:
+        evaluation: Trials of a policy, with the yardsticks on the same conditions.
+    """
+    everyone = [evaluation.results, *evaluation.baselines]
+    figure = new_figure(3.6, "How long it stands: the policy beside the yardsticks")
+    axes: Any = figure.subplots(1, 2, width_ratios=(5, 3))
+    left, right = axes
+    shortest = min(min(results.survival) for results in everyone)
+    for results, line in zip(everyone, LINES, strict=False):
+        left.plot(
+            *_curve(results, shortest, evaluation.duration),
+            drawstyle="steps-post",
+            label=plain(results.name),
+            **line,
+        )
+    left.set_xscale("log")
+    left.set_xlim(0.8 * shortest, evaluation.duration)
+    ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60) if t >= 0.8 * shortest]
+    ticks = [t for t in ticks if t <= evaluation.duration]
+    left.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    left.minorticks_off()
+    left.set_ylim(-4.0, 104.0)
+    left.set_xlabel("time since the release [s]")
+    left.set_ylabel("trials still standing [%]")
+    left.set_title(f"{len(evaluation.results.survival)} trials each, the same conditions for all")
+    left.axvline(
+        paper.SECONDS_BALANCED,
+        color=GREY,
+        linewidth=1.4,
+        zorder=0.9,
+        label=f"the paper's run on the real arm, {paper.SECONDS_BALANCED:g} s",
+    )
+    _shares(right, everyone, evaluation.duration)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _curve(
+    results: TrialResults, shortest: float, duration: float
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return times and the share that stands from then on [%]; trials that lasted do not fall."""
+    falls = np.sort(
+        [s for s, c in zip(results.survival, results.causes, strict=True) if c != LASTED]
+    )
+    standing = 100.0 * (1.0 - np.arange(len(falls) + 1) / len(results.survival))
+    time = np.concatenate(([0.5 * shortest], falls, [duration]))
+    return time, np.append(standing, standing[-1])
+
+
+def _shares(panel: Any, everyone: list[TrialResults], duration: float) -> None:
+    for row, (results, line) in enumerate(zip(everyone, LINES, strict=False)):
+        summary = results.summary()
+        rate, (low, high) = 100.0 * summary.rate, (100.0 * end for end in summary.interval)
+        colour = line["color"]
+        panel.plot([low, high], [row, row], color=colour, linewidth=2.2, solid_capstyle="butt")
+        panel.plot(rate, row, "o", color=colour, markeredgecolor=INK, markersize=5.5)
+        panel.annotate(
+            f"{rate:.3g} %  [{low:.3g}, {high:.3g}]",
+            (0.5 * (low + high), row),
+            xytext=(0, 6),
+            textcoords="offset points",
+            ha="left" if rate < 50.0 else "right",
+            fontsize=7.5,
+        )
+    panel.set_yticks(range(len(everyone)), [plain(results.name) for results in everyone])
+    panel.set_ylim(len(everyone) - 0.5, -0.7)
+    panel.set_xlim(-4.0, 104.0)
+    panel.grid(visible=False, axis="y")
+    panel.set_xlabel("share [%] with 95 % interval")
+    panel.set_title(f"lasted {duration:g} s")

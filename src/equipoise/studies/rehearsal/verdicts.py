@@ -1,0 +1,196 @@
+"""Whether a fault ended as it should, judged by what was sent and by what the twin did.
+
+Nothing here asks the run how it went, but for the cause that it names: the setpoints are read from
+the bytes on the link, limits come from the arm, and rest is what the twin's joints do.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from equipoise import paper
+from equipoise.control.safety import POSITION_MARGIN, STOP_DECELERATION
+from equipoise.deployment.rig import RunResult
+from equipoise.errors import EquipoiseError
+from equipoise.model.arms.arm import Arm
+from equipoise.studies.rehearsal.fault_harness import BrokenRunError, FaultHarness
+
+REPLY_SLACK: Final = 0.010
+"""Time between ticks [s]; a stop's first setpoint leaves within it."""
+TOLD: Final = 0.100
+"""Where software cannot stop the robot, the operator knows within this [s]."""
+REST_TOLERANCE: Final = 0.01
+"""An arm whose joints move by no more in `WATCHED` rests [rad]: a pendulum that swings out shakes
+the twin's arm by half of this."""
+WATCHED: Final = 0.3
+"""It is watched for so long at the end [s]."""
+ROUNDING: Final = 1e-6
+STILL: Final = 5e-5
+"""A setpoint that differs by less from the one before holds the arm [rad]: 0.01 rad/s."""
+GOING_ON: Final = frozenset(
+    {"homing", "home", "hang", "reference", "swing", "lift", "armed", "balancing"}
+)
+"""What nobody may be told once a stop holds."""
+RETURNING: Final = 0.1 + ROUNDING
+"""Share of the joints' velocities on the way back to the measured posture."""
+
+
+class Sent(NamedTuple):
+    """A setpoint on the link."""
+
+    time: float
+    """When it was sent [s]."""
+    q: tuple[float, ...]
+    """The numbers in it [rad]."""
+
+
+def setpoints_of(lines: Sequence[tuple[float, bytes]]) -> list[Sent]:
+    """Return the setpoints among the lines that were sent."""
+    sent: list[Sent] = []
+    for time, line in lines:
+        command, *fields = line.decode().strip().rstrip("_").split("_")
+        if command.startswith("jp") or command == "jf":
+            sent.append(Sent(time, tuple(float(number) for number in fields)))
+    return sent
+
+
+def limits_kept(arm: Arm, sent: Sequence[Sent]) -> list[str]:
+    """Return what is wrong with setpoints: number, finiteness, position, step."""
+    problems: list[str] = []
+    before: tuple[float, ...] | None = None
+    for time, q in sent:
+        if len(q) != len(arm.joints) or not all(map(math.isfinite, q)):
+            problems.append(f"at {time:.3f} s {q} was sent")
+            continue
+        for i, joint in enumerate(arm.joints):
+            inside = joint.lower + POSITION_MARGIN, joint.upper - POSITION_MARGIN
+            if not inside[0] - ROUNDING <= q[i] <= inside[1] + ROUNDING:
+                problems.append(f"at {time:.3f} s {joint.name} was sent to {q[i]:.4f} rad")
+            most = joint.velocity * REPLY_SLACK / 2.0 * (1.0 + ROUNDING) + 1e-9
+            if before is not None and abs(q[i] - before[i]) > most:
+                problems.append(f"at {time:.3f} s {joint.name} was sent {q[i] - before[i]:.4f} rad")
+        before = q
+    return problems[:3]
+
+
+def came_to_rest(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
+    """Return what is wrong with the setpoints from a stop on [s]: each is to be slower."""
+    q = np.array([one.q for one in sent])
+    steps = np.abs(np.diff(q, axis=0)).max(axis=1)
+    times = np.array([one.time for one in sent[1:]])
+    after = np.flatnonzero(times >= stop - 1e-9)
+    if not len(after):
+        return ["no setpoint was sent after the stop"]
+    problems: list[str] = []
+    first = int(after[0])
+    if times[first] > stop + REPLY_SLACK + 1e-9:
+        problems.append(f"the first setpoint of the stop came {times[first] - stop:.3f} s after it")
+    before = steps[first - 1] if first else 0.0
+    slow = RETURNING * REPLY_SLACK / 2.0 * np.array([joint.velocity for joint in arm.joints])
+    resting = False
+    for k in after:
+        if resting:
+            if np.any(np.abs(q[k + 1] - q[k]) > slow):
+                problems.append(f"at {times[k]:.3f} s the arm was sent away again, and not slowly")
+                break
+        elif steps[k] > max(before - ROUNDING, STILL):
+            problems.append(f"at {times[k]:.3f} s a setpoint was no slower than the one before")
+            break
+        resting, before = resting or steps[k] <= STILL, steps[k]
+    if steps[-1] > STILL:
+        problems.append("the last setpoint still moves the arm")
+    # 4 m/s^2 bring the fastest flange to rest in v / 4.
+    lasted = times[int(after[np.argmax(steps[after] <= STILL)])] - stop
+    if lasted > paper.X_LIMIT * 10.0 / STOP_DECELERATION:
+        problems.append(f"the stop took {lasted:.2f} s")
+    return problems
+
+
+def judge(
+    stage: FaultHarness,
+    outcome: RunResult | EquipoiseError,
+    *,
+    ends: frozenset[str],
+    within: float | None,
+    stoppable: bool,
+    says: str,
+    held_at_start: bool = False,
+) -> list[str]:
+    """Return what did not end as it should.
+
+    Args:
+        stage: What was seen.
+        outcome: What the run says.
+        ends: Causes of which one is expected; `refused` for a run that must not begin.
+        within: From the fault to the stop [s]; none where it has no bound.
+        stoppable: Whether software can stop the arm.
+        says: What the operator has to read.
+        held_at_start: Whether the policy may begin while a hand holds the pendulum.
+    """
+    arm, told = stage.scene.settings.described_arm, stage.told
+    sent = setpoints_of(stage.robot_wire.sent)
+    problems = limits_kept(arm, sent)
+    if isinstance(outcome, BrokenRunError):
+        return [*problems, str(outcome)]
+    cause = "refused" if isinstance(outcome, EquipoiseError) else outcome.cause
+    if cause not in ends:
+        reason = str(outcome) if isinstance(outcome, EquipoiseError) else outcome.reason
+        problems.append(f"it ended with {cause} ({reason})")
+    if stage.broken_at is None:
+        return [*problems, "it never came to the fault"]
+    words = [one for one in told if one.name in ("stopping", "fault", "error")]
+    if says and not any(says in one.text for one in told):
+        problems.append(f"the operator did not read {says!r}")
+    if "refused" in ends and cause == "refused":
+        return [*problems, *_nothing_moved(stage, sent)]
+    if stage.held_at_start and not held_at_start:
+        problems.append("the policy began while the hand held the pendulum")
+    problems += _on_track(stage)
+    if not words:
+        return [*problems, "the operator was told nothing"]
+    stop = words[0].time
+    if within is not None and stop - stage.broken_at > within + 1e-9:
+        problems.append(f"it stopped {stop - stage.broken_at:.3f} s after the fault")
+    if stoppable:
+        # What starts the servo holds the arm where it is.
+        problems += came_to_rest(arm, sent, stop) if len(sent) > 1 else []
+    else:
+        warned = [one for one in words if "software" in one.text and _names_the_button(one.text)]
+        if not warned:
+            problems.append("nobody told the operator that software cannot stop the robot")
+        elif within is not None and warned[0].time - stage.broken_at > TOLD + 1e-9:
+            late = warned[0].time - stage.broken_at
+            problems.append(f"the operator was told of it after {1e3 * late:.0f} ms")
+    if any(one.name in GOING_ON for one in told if one.time > stop + 1e-9):
+        problems.append("the run went on after its stop")
+    ended = [time for time, line in stage.robot_wire.sent if line.startswith(b"stopDirectServo")]
+    if ended and sent and sent[-1].time > ended[0]:
+        problems.append("a setpoint was sent after the servo had ended")
+    return problems + _at_rest(stage)
+
+
+def _names_the_button(text: str) -> bool:
+    return "E-stop" in text or "emergency stop" in text
+
+
+def _nothing_moved(stage: FaultHarness, sent: Sequence[Sent]) -> list[str]:
+    if len(sent) > 1:
+        return [f"{len(sent)} setpoints were sent"]
+    return _at_rest(stage)
+
+
+def _on_track(stage: FaultHarness) -> list[str]:
+    home = [one.time for one in stage.told if one.name == "home"]
+    if not home:
+        return []
+    x = max((abs(look.x) for look in stage.looks if look.time >= home[0]), default=0.0)
+    return [f"the flange was {x:.3f} m from home"] if x >= paper.X_LIMIT else []
+
+
+def _at_rest(stage: FaultHarness) -> list[str]:
+    end = stage.looks[-1].time
+    q = np.array([look.q for look in stage.looks if look.time > end - WATCHED])
+    moved = float(np.ptp(q, axis=0).max())
+    return [f"at the end a joint moves by {moved:.3f} rad"] if moved > REST_TOLERANCE else []

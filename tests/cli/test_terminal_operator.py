@@ -1,0 +1,170 @@
+"""The operator's terminal: a real one, of which the test has the other end."""
+
+import os
+import pty
+import select
+import sys
+import time
+
+import pytest
+
+from equipoise.cli.output import Output
+from equipoise.cli.terminal_operator import TerminalOperator, single_keys
+from equipoise.control.ticks import OperatorMessage
+
+termios = pytest.importorskip("termios", reason="there are no pseudo-terminals")
+
+ICANON, ECHO = termios.ICANON, termios.ECHO
+
+
+class Terminal:
+    """The keyboard's and the screen's end of a pseudo-terminal."""
+
+    def __init__(self):
+        self.end, slave = pty.openpty()
+        self.keyboard = os.fdopen(slave, encoding="utf-8")
+        self.screen = os.fdopen(os.dup(slave), "w", encoding="utf-8")
+
+    def type(self, text):
+        os.write(self.end, text.encode())
+        # A terminal's line discipline takes a moment.
+        select.select([self.keyboard], [], [], 1.0)
+
+    def shows(self):
+        shown = b""
+        while select.select([self.end], [], [], 0.05)[0]:
+            shown += os.read(self.end, 4096)
+        return shown.decode()
+
+    @property
+    def modes(self):
+        return termios.tcgetattr(self.keyboard)
+
+    def hang_up(self):
+        os.close(self.end)
+        self.end = -1
+
+    def close(self):
+        self.keyboard.close()
+        self.screen.close()
+        if self.end >= 0:
+            os.close(self.end)
+
+
+@pytest.fixture
+def seat(monkeypatch):
+    """Put somebody at a terminal; in the test itself, for pytest has its own streams until then."""
+    terminals = []
+
+    def sit():
+        terminals.append(terminal := Terminal())
+        monkeypatch.setattr(sys, "stdin", terminal.keyboard)
+        monkeypatch.setattr(sys, "stdout", terminal.screen)
+        return terminal, TerminalOperator(Output(as_json=False))
+
+    yield sit
+    monkeypatch.undo()
+    for terminal in terminals:
+        terminal.close()
+
+
+def test_each_key_is_heard_at_once_and_not_shown(seat):
+    terminal, console = seat()
+    before = terminal.modes
+    with single_keys():
+        assert not terminal.modes[3] & (ICANON | ECHO)
+        # Ctrl-C stays what it is: a signal, which stops as well.
+        assert terminal.modes[3] & termios.ISIG
+        assert console.read_input() == []
+        keys = {" ": " ", "q": "q", "\n": "\n", "ü": "ü", "\x1b[A": "up arrow", "\x1b": "Esc"}
+        for key, name in keys.items():
+            terminal.type(key)
+            assert console.read_input() == [name]
+        assert console.read_input() == []
+        assert terminal.shows() == ""
+    assert terminal.modes == before
+    assert before[3] & ICANON
+
+
+def test_without_single_keys_a_terminal_waits_for_its_line(seat):
+    terminal, console = seat()
+    os.write(terminal.end, b"q")
+    time.sleep(0.05)
+    assert console.read_input() == []
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_the_terminal_is_as_before_after_an_exception(seat, error):
+    terminal, _ = seat()
+    before = terminal.modes
+
+    def run():
+        with single_keys():
+            assert terminal.modes != before
+            raise error
+
+    with pytest.raises(error):
+        run()
+    assert terminal.modes == before
+
+
+def test_a_question_is_answered_by_a_line_which_is_shown(seat):
+    terminal, console = seat()
+    with single_keys():
+        console.notify(OperatorMessage("checklist", "Type estop.", ("estop",)))
+        terminal.shows()
+        terminal.type("est")
+        assert console.read_input() == []
+        terminal.type("op\n")
+        assert console.read_input() == ["estop"]
+        assert terminal.shows().replace("\r", "") == "estop\n"
+        terminal.type("y\nn\n")
+        assert console.read_input() == ["y", "n"]
+        # Once nothing is asked for, any key is heard again.
+        console.notify(OperatorMessage("homing", "Moving to home."))
+        terminal.type("x")
+        assert console.read_input() == ["x"]
+
+
+def test_what_was_mistyped_can_be_taken_back(seat):
+    terminal, console = seat()
+    with single_keys():
+        console.notify(OperatorMessage("checklist", "Type estop.", ("estop",)))
+        terminal.shows()
+        terminal.type("\x7festpo\x7f\b")
+        assert console.read_input() == []
+        assert terminal.shows() == "estpo\b \b\b \b"
+        terminal.type("op\n")
+        assert console.read_input() == ["estop"]
+
+
+def test_an_angle_in_passing_gives_way_to_what_is_told(seat):
+    terminal, console = seat()
+    with single_keys():
+        console.live("balancing", 0.1)
+        assert "+5.73 deg" in terminal.shows()
+        console.live("homing", float("nan"))
+        assert "deg" not in terminal.shows()
+        console.notify(OperatorMessage("armed", "\aArmed. Let go."))
+        shown = terminal.shows()
+        assert "\a" in shown
+        assert shown.index("\r") < shown.index("Armed. Let go.")
+
+
+def test_half_a_typed_answer_is_not_overwritten_by_the_angle(seat):
+    terminal, console = seat()
+    with single_keys():
+        console.notify(OperatorMessage("home", "Is this home?", ("y", "n")))
+        terminal.type("y")
+        console.read_input()
+        terminal.shows()
+        console.live("at home", 0.1)
+        assert terminal.shows() == ""
+
+
+def test_a_terminal_that_is_closed_is_no_error(seat):
+    terminal, console = seat()
+    with single_keys():
+        terminal.hang_up()
+        assert console.read_input() == []
+        assert console.read_input() == []

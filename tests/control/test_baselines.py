@@ -1,0 +1,188 @@
+"""Yardsticks: gains against an independent recursion, and how they do on the plant."""
+
+from math import factorial, pi, sqrt
+
+import numpy as np
+import pytest
+
+from equipoise import paper
+from equipoise.control.baselines import baselines, lqr_gains, pd_gains, state_space
+from equipoise.control.boxes import TRACK, TRUNCATED
+from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, act
+from equipoise.learning.closed_loop import (
+    make_loop_params,
+)
+from equipoise.learning.trials import draw_trials, run_over_cores
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import PendulumParameters, angular_acceleration
+from equipoise.model.random import TEST
+from equipoise.settings import resolve
+
+H = 0.01
+PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
+OTHERS = [
+    PENDULUM,
+    PendulumParameters(w2=20.0, k=2.0, c=0.0),
+    PendulumParameters(w2=150.0, k=16.0, c=1.0),
+]
+
+
+def sampled(A, B, h):
+    """Return A and B with the input held over h: the power series of the integral."""
+    A_h, B_h = np.zeros((4, 4)), np.zeros((4, 1))
+    power = np.eye(4)
+    for n in range(30):
+        A_h += power * h**n / factorial(n)
+        B_h += power @ B * h ** (n + 1) / factorial(n + 1)
+        power = power @ A
+    return A_h, B_h
+
+
+def nominal(pendulum):
+    """Return A and B of equation (7), typed from the paper."""
+    A = np.zeros((4, 4))
+    A[0, 1] = A[2, 3] = 1.0
+    A[3, 2], A[3, 3] = pendulum.w2, -pendulum.c
+    return A, np.array([[0.0], [1.0], [0.0], [-pendulum.k]])
+
+
+def survived(kernel, *, trials=40, duration=10.0, noise=True):
+    """Return steps and causes of trials around the pendulum, without variation if without noise."""
+    overrides = (
+        []
+        if noise
+        else [
+            f"plant.{name}=0"
+            for name in (
+                "inertia_sigma",
+                "friction_sigma",
+                "position_error_sigma",
+                "orientation_error_sigma",
+            )
+        ]
+    )
+    settings = resolve(overrides=overrides)
+    drawn = draw_trials(trials, settings, 0, TEST, 1.0)
+    run_over_cores(
+        make_loop_params(iiwa(14), settings, H, PENDULUM),
+        kernel,
+        PENDULUM,
+        drawn,
+        duration=duration,
+        seed=0,
+        stream=TEST,
+        workers=1,
+    )
+    return drawn.steps * H, drawn.cause
+
+
+@pytest.mark.parametrize("pendulum", OTHERS, ids=str)
+def test_the_state_space_is_equation_7(pendulum):
+    A, B = state_space(pendulum)
+    expected_A, expected_B = nominal(pendulum)
+    assert np.array_equal(A, expected_A)
+    assert np.array_equal(B, expected_B)
+
+
+def test_the_state_space_is_the_plant_near_upright():
+    A, B = state_space(PENDULUM)
+    d = 1e-6  # central differences: the error is of the order of d squared
+    for column, (phi, phi_dot, u) in {2: (d, 0, 0), 3: (0, d, 0), "u": (0, 0, d)}.items():
+        slope = angular_acceleration(phi, phi_dot, u, PENDULUM)
+        slope -= angular_acceleration(-phi, -phi_dot, -u, PENDULUM)
+        slope /= 2 * d
+        assert slope == pytest.approx(B[3, 0] if column == "u" else A[3, column], rel=1e-9)
+
+
+@pytest.mark.parametrize("pendulum", OTHERS, ids=str)
+def test_gains_are_those_to_which_the_riccati_recursion_converges(pendulum):
+    A, B = sampled(*nominal(pendulum), H)
+    Q = np.diag([1 / 0.22**2, 0.0, 1 / (11 * pi / 180) ** 2, 0.0])
+    R = 1 / 2.0**2
+    P = Q.copy()
+    for _ in range(20_000):
+        K = (B.T @ P @ A) / (R + (B.T @ P @ B).item())
+        P = Q + A.T @ P @ (A - B @ K)
+        P = 0.5 * (P + P.T)
+    # Twenty thousand steps are 200 s, and the recursion forgets with the slowest pole, in 1 s.
+    np.testing.assert_allclose(lqr_gains(pendulum, H), -K[0], rtol=1e-7)
+
+
+@pytest.mark.parametrize("pendulum", OTHERS, ids=str)
+def test_lqr_puts_all_poles_inside_the_unit_circle(pendulum):
+    A, B = sampled(*nominal(pendulum), H)
+    assert np.abs(np.linalg.eigvals(A)).max() > 1.0
+    closed = A + B @ np.array([lqr_gains(pendulum, H)])
+    assert np.abs(np.linalg.eigvals(closed)).max() < 0.995
+
+
+def test_lqr_is_better_than_gains_beside_it():
+    A, B = sampled(*nominal(PENDULUM), H)
+    gains = np.array(lqr_gains(PENDULUM, H))
+
+    def cost(gains, start):
+        s, total = np.array(start), 0.0
+        for _ in range(3000):
+            u = gains @ s
+            total += (s[0] / 0.22) ** 2 + (s[2] / (11 * pi / 180)) ** 2 + (u / 2.0) ** 2
+            s = A @ s + B[:, 0] * u
+        return total
+
+    for start in ([0.0, 0.0, 0.03, 0.2], [0.1, 0.0, 0.0, 0.0]):
+        best = cost(gains, start)
+        for i in range(4):
+            for factor in (0.97, 1.03):
+                other = gains.copy()
+                other[i] *= factor
+                assert cost(other, start) > best
+
+
+@pytest.mark.parametrize("pendulum", OTHERS, ids=str)
+def test_pd_puts_both_poles_of_the_pendulum_at_its_own_rate_of_fall(pendulum):
+    _, _, on_phi, on_phi_dot = pd_gains(pendulum)
+    assert pd_gains(pendulum)[:2] == (0.0, 0.0)
+    # phi_ddot = (w2 - k on_phi) phi - (c + k on_phi_dot) phi_dot = -(s + w)^2 at s = 0.
+    w = sqrt(pendulum.w2)
+    assert pendulum.k * on_phi - pendulum.w2 == pytest.approx(w**2)
+    assert pendulum.k * on_phi_dot + pendulum.c == pytest.approx(2 * w)
+
+
+def test_there_are_four_yardsticks():
+    kinds = {name: kernel.kind for name, kernel in baselines(PENDULUM, H).items()}
+    assert kinds == {"LQR": LINEAR, "LQR, snapped": SNAPPED, "PD": LINEAR, "random": RANDOM}
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("noise", [False, True])
+def test_lqr_lasts(noise):
+    beside = baselines(PENDULUM, H)
+    steps, causes = survived(beside["LQR"], noise=noise)
+    assert np.all(causes == TRUNCATED)
+    assert np.all(steps == 10.0)
+
+
+@pytest.mark.compiled_only
+def test_lqr_with_the_eight_actions_lasts():
+    assert np.all(survived(baselines(PENDULUM, H)["LQR, snapped"])[1] == TRUNCATED)
+
+
+def test_pd_keeps_the_pendulum_up_and_ends_on_the_track():
+    steps, causes = survived(baselines(PENDULUM, H)["PD"])
+    assert np.all(causes == TRACK)
+    assert steps.min() > 0.5
+
+
+def test_random_actions_fail_at_once():
+    steps, causes = survived(baselines(PENDULUM, H)["random"])
+    assert np.all(causes != TRUNCATED)
+    # From 2 degrees and 13 degrees per second the pendulum alone needs 0.2 s to 11 degrees.
+    assert np.median(steps) < 0.4
+    assert steps.max() < 2.0
+
+
+def test_a_yardstick_pushes_under_a_pendulum_that_tips():
+    for name in ("LQR", "LQR, snapped", "PD"):
+        kernel = baselines(PENDULUM, H)[name]
+        # Positive phi tips towards +x: the flange has to follow.
+        assert act(kernel, 0.0, 0.0, 0.05, 0.0, 0.0) > 0.0 > act(kernel, 0.0, 0.0, -0.05, 0.0, 0.0)
+        assert abs(act(kernel, 0.0, 0.0, 3.0, 0.0, 0.0)) == max(paper.ACTIONS)

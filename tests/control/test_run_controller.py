@@ -1,0 +1,416 @@
+"""A run from home to balance, its measurements made up: what stops it, and what it lets pass.
+
+The arm is where it was sent a little while ago, the pendulum where each test puts it.
+"""
+
+from math import cosh, nan, pi, radians, sinh, sqrt
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from equipoise.control.control_step import horizon, make_controller_params
+from equipoise.control.policy import shipped_policy
+from equipoise.control.run_controller import TORQUE_EVERY, UNSURE, RunController
+from equipoise.control.safety import (
+    ANGLE_RULE_LIMIT,
+    ENCODER_STALE,
+    LATE,
+    OVERDUE,
+    Rule,
+    make_safety_params,
+)
+from equipoise.control.self_test import ParameterInterval, SelfTest, SelfTestVerdict
+from equipoise.control.states import Phase
+from equipoise.control.ticks import TickInputs
+
+pytestmark = pytest.mark.compiled_only
+
+POLICY = shipped_policy()
+ARM, H = POLICY.arm, POLICY.h
+COUNTS = 8192
+PER_RADIAN = COUNTS / (2.0 * pi)
+TORQUES = np.array([0.1, 1.7, 0.0, -1.2, 0.1, 0.3, -0.1])
+FALLS = sqrt(POLICY.pendulum.parameters().w2)
+SOUND = SelfTest(
+    SelfTestVerdict.PASSED,
+    "all well",
+    *(ParameterInterval(value, 0.01) for value in (1.0, 70.0, 0.0, 0.0)),
+    0.1,
+)
+
+
+class Sample(NamedTuple):
+    time: float
+    counts: int
+    pressed: bool = False
+    illegal: bool = False
+    missing: int = 0
+
+
+class Reply(NamedTuple):
+    sent: float
+    received: float
+    q: tuple | None
+    torque: tuple | None
+
+
+class Course:
+    """A pilot and what it is told, a tick of 10 ms at a time."""
+
+    def __init__(self, q=ARM.home):
+        guard = make_safety_params(
+            ARM,
+            reaction=horizon(ARM, POLICY.actuator, 0.0),
+            u_max=max(map(abs, POLICY.actions)),
+            h=H,
+            counts_per_rev=COUNTS,
+        )
+        controller = make_controller_params(
+            ARM, POLICY.settings, POLICY.actuator, POLICY.pendulum.parameters(),
+            h=H, counts_per_rev=COUNTS,
+        )  # fmt: skip
+        self.guard = guard
+        self.pilot = RunController(ARM, controller, POLICY.kernel, guard, q, duration=60.0)
+        self.tick_number, self.now = 0, 0.0
+        self.theta = lambda time: 0.0
+        self.samples_lost = frozenset()
+        self.torques = TORQUES
+        self.sent = [(-1.0, tuple(q), False)]
+        self.told = []
+        self.answers, self.result = [], None
+        self.link_dead = self.encoder_dead = False
+        self.answered = self.seen = 0
+
+    def where(self, time):
+        """Where the arm is: where it was sent before its response."""
+        return next(
+            q
+            for when, q, _ in reversed(self.sent)
+            if when <= time - self.guard.reaction or when < 0
+        )
+
+    def samples(self):
+        """One in each millisecond, but for those that are lost on their way."""
+        came, missing = [], 0
+        last = round(1e3 * self.now) - 1
+        if self.encoder_dead:
+            return came
+        for ms in range(self.seen + 1, last + 1):
+            if ms in self.samples_lost:
+                missing += 1
+                continue
+            came.append(
+                Sample(1e-3 * ms, round(self.theta(1e-3 * ms) * PER_RADIAN), missing=missing)
+            )
+            missing = 0
+        self.seen = last - missing
+        return came
+
+    def replies(self):
+        came = []
+        while not self.link_dead and self.answered + 1 < len(self.sent):
+            when, _, torque = self.sent[self.answered + 1]
+            if when + 0.004 > self.now:
+                break
+            self.answered += 1
+            q = tuple(np.asarray(self.where(when + 0.002)) + 1e-3 * (self.answered % 2))
+            came.append(
+                Reply(when, when + 0.004, *((None, tuple(self.torques)) if torque else (q, None)))
+            )
+        return came
+
+    def tick(self, late=0.0, **inputs):
+        """Let a tick begin so late; those that it misses are left out."""
+        self.tick_number += 1 + int(late / H + 1e-9)
+        due = H * self.tick_number
+        self.now = due + late % H if late >= H else due + late
+        answers, self.answers = self.answers, []
+        result, self.result = self.result, None
+        given = TickInputs(self.samples(), self.replies(), answers, [], late, result)
+        output = self.pilot.tick(self.now, given._replace(**inputs))
+        first, second = output.setpoints
+        self.sent.append((self.now, first, False))
+        self.sent.append((max(self.now, due + 0.5 * H), second, output.torque))
+        self.told += [event.name for event in output.events]
+        if output.job is not None:
+            self.result = SOUND
+        for event in output.events:
+            if event.answers:
+                self.answers = [event.answers[0]]
+        return output
+
+    def until(self, phase, longest=30.0):
+        for _ in range(round(longest / H)):
+            self.tick()
+            if self.pilot.phase is phase:
+                return self
+        raise AssertionError(f"{self.pilot.phase} after {longest} s: {self.pilot.state.cause}")
+
+    @property
+    def cause(self):
+        return None if self.pilot.state.cause is None else self.pilot.state.cause.name
+
+    @property
+    def reason(self):
+        return "" if self.pilot.state.cause is None else self.pilot.state.cause.reason
+
+
+def balancing():
+    """A course whose pendulum was let go; then it comes upright again and stands there."""
+    course = Course().until(Phase.LIFTING)
+    lifted = course.now
+
+    def lifting(time):
+        share = min(max((time - lifted) / 2.0, 0.0), 1.0)
+        return pi * share**2 * (3.0 - 2.0 * share)
+
+    course.theta = lifting
+    course.until(Phase.ARMED)
+    begin = course.now + 0.1
+
+    def falling(time):
+        since = max(time - begin, 0.0)
+        return pi - radians(0.4) * (cosh(FALLS * since) + 0.5 * sinh(FALLS * since))
+
+    course.theta = falling
+    course.until(Phase.BALANCING, 1.0)
+    released, back = falling(course.now), course.now
+    # A smooth way back to upright, with the rate that it has.
+    rate = (falling(back + 1e-4) - falling(back - 1e-4)) / 2e-4
+
+    def returning(time):
+        since = time - back
+        away = (released - pi) + (rate + (released - pi) / 0.08) * since
+        return pi + away * np.exp(-since / 0.08)
+
+    course.theta = lambda time: falling(time) if time <= back else returning(time)
+    return course
+
+
+@pytest.fixture
+def course():
+    return balancing()
+
+
+def test_it_comes_from_home_to_balance_and_goes_on(course):
+    for _ in range(20):
+        course.tick()
+    assert course.pilot.phase is Phase.BALANCING
+    order = ["homing", "home", "hang", "reference", "swing", "self-test", "lift", "armed"]
+    assert [name for name in course.told if name in order] == order
+    assert "warning" not in course.told
+
+
+@pytest.mark.parametrize("word", ["ok", ""])
+def test_a_confirmation_that_comes_after_the_pendulum_has_moved_is_not_a_stop(word):
+    course = Course().until(Phase.REFERENCING)
+    while "reference" not in course.told:
+        course.tick()
+    course.answers = []
+    moved = course.now
+    course.theta = lambda time: radians(1.0) if time > moved else 0.0
+    course.tick()
+    course.tick()
+    course.tick(words=[word])
+    assert course.pilot.phase is Phase.REFERENCING
+    # It is asked again, once the pendulum has come to rest.
+    course.until(Phase.SELF_TEST, 5.0)
+    assert course.told.count("reference") == 2
+    assert course.pilot.zero == pytest.approx(radians(1.0) * PER_RADIAN, abs=1.0)
+
+
+def test_a_confirmation_of_nothing_stops_what_moves():
+    course = Course(q=tuple(np.add(ARM.home, 0.1)))
+    course.tick()
+    assert course.pilot.phase is Phase.HOMING
+    course.tick(words=["ok"])
+    assert course.cause == "operator"
+
+
+# Time.
+
+
+@pytest.mark.parametrize("late", [0.021, 0.035, 0.060, 0.150, 0.400])
+def test_a_loop_that_was_late_says_so_and_blames_nobody_else(course, late):
+    course.tick()
+    course.tick(late)
+    assert course.cause == Rule.TICK.value
+    assert f"{1e3 * late:.1f} ms late" in course.reason
+
+
+def test_a_tick_that_is_late_by_less_than_the_limit_is_nothing(course):
+    course.tick(LATE - 0.001)
+    course.tick()
+    assert course.pilot.phase is Phase.BALANCING
+
+
+@pytest.mark.parametrize("late", [0.0, 0.008])
+def test_a_robot_that_does_not_answer_is_overdue_however_late_the_loop_is(course, late):
+    course.tick()
+    course.link_dead, began = True, course.now
+    while course.pilot.phase is Phase.BALANCING:
+        course.tick(late)
+    assert course.cause == Rule.LINK.value
+    assert OVERDUE < course.now - began <= OVERDUE + 2.0 * H + late
+
+
+def test_a_robot_that_does_not_answer_after_a_stall_is_found_all_the_same():
+    course = balancing()
+    course.tick()
+    course.link_dead = True
+    course.tick(0.015)
+    assert course.pilot.phase is Phase.BALANCING
+    began = course.now
+    while course.pilot.phase is Phase.BALANCING:
+        course.tick()
+    assert course.cause == Rule.LINK.value
+    assert course.now - began <= OVERDUE
+
+
+# The encoder.
+
+
+def lose(course, *ms):
+    """Lose the samples of so many milliseconds from now."""
+    course.samples_lost = frozenset(round(1e3 * course.now) + after for after in ms)
+
+
+def test_a_single_lost_sample_is_bridged_counted_and_told_once(course):
+    lose(course, 5, 255)
+    for _ in range(30):
+        course.tick()
+    assert course.pilot.phase is Phase.BALANCING
+    assert course.told.count("warning") == 1
+
+
+def test_lost_samples_that_come_often_stop_it(course):
+    lose(course, 5, 45, 85)
+    ticks = 0
+    while course.pilot.phase is Phase.BALANCING:
+        course.tick()
+        ticks += 1
+    assert course.cause == Rule.ENCODER_GAP.value
+    assert ticks == 9  # the third is at 85 ms
+
+
+@pytest.mark.parametrize("ms", [(5, 6), (5, 6, 7), tuple(range(3, 18))])
+def test_several_samples_lost_at_once_stop_it(course, ms):
+    lose(course, *ms)
+    while course.pilot.phase is Phase.BALANCING:
+        course.tick()
+    assert course.cause == Rule.ENCODER_GAP.value
+
+
+def test_a_count_that_cannot_be_after_a_lost_sample_stops_it(course):
+    lose(course, 5)
+    before, jump = course.theta, course.now + 0.0055
+    course.theta = lambda time: before(time) + (radians(3.0) if time > jump else 0.0)
+    course.tick()
+    course.tick()
+    assert course.cause == Rule.ENCODER_JUMP.value
+
+
+def test_samples_that_stay_away_are_stale_as_ever(course):
+    course.encoder_dead, began = True, course.now
+    while course.pilot.phase is Phase.BALANCING:
+        course.tick()
+    assert course.cause == Rule.ENCODER_STALE.value
+    assert course.now - began <= ENCODER_STALE + H
+
+
+def test_before_there_is_a_zero_a_gap_means_nothing():
+    course = Course()
+    lose(course, *range(500, 1000, 10))
+    course.until(Phase.SELF_TEST)
+    assert "warning" not in course.told
+
+
+# External torques.
+
+
+def away():
+    return tuple(angle + 0.2 for angle in ARM.home)
+
+
+def push(course, joint, share):
+    limit = course.guard.torque[joint]
+    course.torques = TORQUES + share * limit * np.eye(7)[joint]
+
+
+@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_contact_on_the_way_home_stops_it(joint, sign):
+    course = Course(away())
+    for _ in range(2 * TORQUE_EVERY):
+        course.tick()
+    push(course, joint, 1.02 * UNSURE * sign)
+    began = course.now
+    while course.pilot.phase is Phase.HOMING:
+        course.tick()
+    assert course.cause == Rule.TORQUE.value
+    assert course.now - began <= (TORQUE_EVERY + 1) * H
+    assert course.pilot.state.from_measured
+
+
+def test_what_hangs_on_the_flange_pulls_differently_on_the_way_home():
+    course = Course(away())
+    for _ in range(2 * TORQUE_EVERY):
+        course.tick()
+    push(course, 1, 0.98 * UNSURE)
+    course.until(Phase.AT_HOME)
+
+
+def test_at_home_the_limit_is_the_narrow_one():
+    course = Course().until(Phase.SELF_TEST)
+    push(course, 1, 1.02)
+    for _ in range(TORQUE_EVERY + 1):
+        course.tick()
+    assert course.cause == Rule.TORQUE.value
+
+
+def test_the_torques_at_home_are_what_others_are_compared_with_there():
+    # Where it began something else hung on it.
+    course = Course(away())
+    for _ in range(2 * TORQUE_EVERY):
+        course.tick()
+    push(course, 1, 0.9 * UNSURE)
+    course.until(Phase.SELF_TEST)
+    for _ in range(20):
+        course.tick()
+    assert course.pilot.phase is Phase.SELF_TEST
+
+
+def test_first_torques_that_are_no_numbers_stop_it():
+    course = Course(away())
+    course.torques = np.array([nan] * 7)
+    for _ in range(TORQUE_EVERY + 2):
+        course.tick()
+    assert course.cause == Rule.NUMBER.value
+
+
+# What the observer believes.
+
+
+def test_the_rules_are_asked_with_the_estimate_of_the_same_tick(course):
+    began, before = course.now, course.theta
+    course.theta = lambda time: before(time) - 60.0 * max(time - began, 0.0) ** 2
+    while course.pilot.phase is Phase.BALANCING:
+        seen = course.tick().record
+        # Who is believed to have fallen is not balanced any more.
+        assert seen.box == -1 or abs(seen.estimated_phi) < ANGLE_RULE_LIMIT
+    assert course.cause == Rule.ANGLE.value
+
+
+@pytest.mark.parametrize("spoilt", [nan, 1e300, -1e300])
+def test_measurements_that_are_none_do_not_reach_the_observer(course, spoilt):
+    course.tick()
+    samples = [Sample(spoilt, 0)]
+    output = course.tick(samples=samples)
+    assert course.pilot.state.latched
+    for _ in range(200):
+        if output.done:
+            break
+        output = course.tick()
+        assert np.isfinite(output.setpoints).all()
+    assert output.done

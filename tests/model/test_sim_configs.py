@@ -1,0 +1,141 @@
+"""Worlds: their names, their numbers as published, and what is refused."""
+
+from math import radians
+
+import pytest
+
+from equipoise.artefacts import Estimate
+from equipoise.errors import SettingsError
+from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.sim_configs import (
+    NEWEST,
+    SETS,
+    TwinSettings,
+    pendulum_on,
+    pivot_friction,
+    read_world,
+)
+
+VISCOUS = Pendulum.assumed(70.2, 0.15)
+DRY = Pendulum.assumed(120.0, 0.23).model_copy(
+    update={
+        "coulomb": Estimate.normal(1.957, 0.08, "identified"),
+        "drag": Estimate.normal(0.02, 0.001, "identified"),
+    }
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "transport", "counts", "coulomb", "zero_deg", "inertia", "friction"),
+    [
+        ("twin:nominal", 0.010, 8192, 0.1, 0.2, 0.02, 0.2),
+        ("twin:harsh", 0.030, 4096, 0.3, 0.4, 0.04, 0.4),
+    ],
+)
+def test_the_named_sets_have_the_numbers_that_the_documents_state(
+    name, transport, counts, coulomb, zero_deg, inertia, friction
+):
+    world = read_world(name).settings
+    assert (world.transport, world.counts_per_rev) == (transport, counts)
+    assert (world.coulomb, world.drag, world.assumed_coulomb) == (None, None, coulomb)
+    assert world.zero_error == pytest.approx(radians(zero_deg))
+    assert (world.inertia_sigma, world.friction_sigma) == (inertia, friction)
+    assert (world.lag, world.cycle, world.inner, world.pivot_outward) == (8e-3, 1, "velocity", 0.13)
+
+
+@pytest.mark.parametrize("short", NEWEST)
+def test_a_name_stands_for_its_newest_version_which_has_a_name_of_its_own(short):
+    assert read_world(f"twin:{short}") == read_world(f"twin:{NEWEST[short]}")
+    assert read_world(f"twin:{short}").name == f"twin:{NEWEST[short]}"
+
+
+@pytest.mark.parametrize("short", NEWEST)
+def test_a_set_without_guards_stays_as_it_was_published(short):
+    before, now = (read_world(f"twin:{short}-{version}").settings for version in (1, 2))
+    assert now == before.model_copy(update={"guards": True})
+    assert not before.guards
+    # Digests of what was found there do not know of guards.
+    assert not {"guards", "t1"} & set(before.model_dump())
+    assert now.model_dump()["guards"] is True
+    for settings in (before, now):
+        assert TwinSettings.model_validate_json(settings.model_dump_json()) == settings
+
+
+@pytest.mark.parametrize("short", NEWEST)
+def test_the_third_version_leaves_friction_to_the_pendulum_and_changes_nothing_else(short):
+    before, now = (read_world(f"twin:{short}-{version}").settings for version in (2, 3))
+    freed = {"coulomb": None, "drag": None, "assumed_coulomb": before.coulomb}
+    assert now == before.model_copy(update=freed)
+    assert not {"drag", "assumed_coulomb"} & set(before.model_dump())
+    assert TwinSettings.model_validate_json(now.model_dump_json()) == now
+
+
+@pytest.mark.parametrize(
+    ("pendulum", "world", "coulomb", "drag", "saying"),
+    [
+        (DRY, "twin:nominal", 1.957, 0.02, "dry friction 1.96 1/s^2 (as identified), drag 0.02"),
+        (DRY, "twin:harsh", 1.957, 0.02, "(as identified)"),
+        (DRY, "twin:nominal-2", 0.1, 0.0, "set by twin:nominal-2; the pendulum has 1.96"),
+        (VISCOUS, "twin:nominal", 0.1, 0.0, "assumed by twin:nominal-3; not identified"),
+        (VISCOUS, "twin:harsh", 0.3, 0.0, "assumed by twin:harsh-3; not identified"),
+        (VISCOUS, "twin:nominal-1", 0.1, 0.0, "set by twin:nominal-1; the pendulum has 0)"),
+    ],
+)
+def test_a_twin_has_the_friction_of_its_pendulum_unless_its_set_says_otherwise(
+    pendulum, world, coulomb, drag, saying
+):
+    name, settings = read_world(world)
+    assert saying in pivot_friction(pendulum, settings).words(name)
+    swings = pendulum_on(pendulum, settings)
+    assert (swings.coulomb, swings.drag) == (coulomb, drag)
+    assert (swings.w2, swings.c) == (pendulum.w2.value, pendulum.c.value)
+
+
+def test_what_a_trial_varies_varies_the_pendulums_own_friction_and_not_the_worlds():
+    heavy = PendulumParameters(w2=60.0, k=6.0, c=0.1, coulomb=1.0, drag=0.01)
+    nominal, before = (read_world(f"twin:nominal-{version}").settings for version in (3, 2))
+    assert pivot_friction(DRY, nominal).on(heavy) == heavy
+    assert pivot_friction(DRY, before).on(heavy) == heavy._replace(coulomb=0.1, drag=0.0)
+
+
+def test_each_set_can_be_told_from_the_others():
+    assert len({read_world(f"twin:{name}").settings.model_dump_json() for name in SETS}) == len(
+        SETS
+    )
+
+
+def test_every_number_says_what_it_is():
+    for name, field in TwinSettings.model_fields.items():
+        assert field.description, name
+
+
+def test_a_file_holds_differences_to_nominal_and_keeps_its_own_name(tmp_path):
+    file = tmp_path / "nominal-1.toml"
+    file.write_text("transport = 0.02\nzero_offset = 0.0087\n")
+    world = read_world(f"twin:{file}")
+    nominal = read_world("twin:nominal").settings
+    assert world.settings == nominal.model_copy(update={"transport": 0.02, "zero_offset": 0.0087})
+    assert world.name == f"twin:{file}"
+    file.write_text("coulomb = 0.7\n")
+    assert pivot_friction(DRY, read_world(f"twin:{file}").settings).coulomb == 0.7
+
+
+@pytest.mark.parametrize(
+    ("text", "saying"),
+    [
+        ("transport = -1", "transport"),
+        ("transprot = 0.1", "transprot"),
+        ('inner = "spring"', "inner"),
+        ("transport = ", "not valid TOML"),
+    ],
+)
+def test_a_file_with_a_mistake_is_refused_by_name(tmp_path, text, saying):
+    (tmp_path / "w.toml").write_text(text)
+    with pytest.raises(SettingsError, match=saying):
+        read_world(f"twin:{tmp_path / 'w.toml'}")
+
+
+@pytest.mark.parametrize("name", ["nominal", "twin:nominel", "robot", "twin:"])
+def test_an_unknown_world_is_refused_with_those_that_there_are(name):
+    with pytest.raises(SettingsError, match="nominal"):
+        read_world(name)
