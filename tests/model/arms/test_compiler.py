@@ -160,8 +160,9 @@ from kernels_of_test import height
 
 arms = [iiwa(7), *(iiwa(7).model_copy(update={{"flange_xyz": (0, 0, d)}}) for d in (0.2, 0.3))]
 kernels = [arm.compiled() for arm in arms]
-print(*(round(height(kernel, np.zeros(6 * BATCH_SIZE), np.zeros(6 * BATCH_SIZE)), 12) for kernel in
-kernels)) if not numba.config.DISABLE_JIT:
+rest = np.zeros(6 * BATCH_SIZE)
+print(*(round(height(kernel, rest, rest), 12) for kernel in kernels))
+if not numba.config.DISABLE_JIT:
     hits = [kernel.kinematics.cache_hits for kernel in kernels]
     print(*hits, sum(height.stats.cache_hits.values()))
 """
