@@ -336,12 +336,6 @@ def test_a_limited_speed_brings_its_differences_unless_others_are_given(tmp_path
         resolve(max_speed=0.0)
 
 
-def test_settings_without_a_limit_are_written_as_before():
-    assert "max_speed" not in Settings().model_dump()["plant"]
-    assert resolve(max_speed=0.23).model_dump()["plant"]["max_speed"] == 0.23
-    assert Settings.model_validate(Settings().model_dump()) == Settings()
-
-
 DEEP = {
     "lists": "[" * 900,
     "tables": "{a=" * 300,

@@ -12,11 +12,13 @@ from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum
+from equipoise.model.sim_configs import TwinSettings, World
 from equipoise.runlog import RunLog
 from equipoise.training import train
 
 pytestmark = pytest.mark.compiled_only
 WORLD = "twin:nominal"
+UNGUARDED = World("twin:unguarded", TwinSettings(guards=False))
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +42,7 @@ def test_results_do_not_depend_on_the_number_of_workers(behind_a_servo, evaluati
 
 
 def test_the_evaluation_says_in_which_world_and_behind_what(behind_a_servo, evaluation):
-    assert evaluation.world == "twin:nominal-3"
+    assert evaluation.world == "twin:nominal-1"
     assert evaluation.world_settings.transport == 0.010
     assert evaluation.actuator == behind_a_servo.actuator.digest
 
@@ -128,7 +130,7 @@ def test_the_twin_has_the_friction_that_was_identified_and_files_say_whose_it_is
     policy = behind_a_servo.model_copy(update={"pendulum": dry})
     for world, coulomb, drag, whose in (
         ("twin:nominal", 1.957, 0.02, "pendulum"),
-        ("twin:nominal-2", 0.1, 0.0, "world"),
+        (World("twin:sticky", TwinSettings(coulomb=0.1, drag=0.0)), 0.1, 0.0, "world"),
     ):
         run = deploy(policy, world=world, seed=1, duration=0.2).conditions
         inertia = run.pendulum["w2"] / dry.w2.value if whose == "pendulum" else 1.0
@@ -176,10 +178,10 @@ def test_a_delay_that_the_controller_cannot_remember_is_refused(behind_a_servo):
 
 def test_guards_end_trials_in_the_worlds_that_have_them(evaluation, behind_a_servo):
     """What falls in a world without guards falls there with a guard, no later."""
-    before = evaluate(behind_a_servo, world="twin:nominal-1", seed=4)
+    before = evaluate(behind_a_servo, world=UNGUARDED, seed=4)
     assert "guard" not in {c for results in (before.results, *before.baselines)
                            for c in results.causes}  # fmt: skip
-    assert "guards" not in before.results.model_dump()
+    assert not before.results.guards
     told = []
     for free, held in zip(
         (before.results, *before.baselines),
@@ -219,6 +221,4 @@ def test_what_a_policy_was_trained_for_limits_its_speed_on_plant_and_twin(behind
         assert (run.conditions.cause, run.conditions.guard) == ("guard", "flange speed")
         assert abs(run.truth.x_dot).max() < 0.1
     # A world without guards has none.
-    assert not evaluate(
-        policy, world="twin:nominal-1", seed=4, with_yardsticks=False
-    ).results.guards
+    assert not evaluate(policy, world=UNGUARDED, seed=4, with_yardsticks=False).results.guards

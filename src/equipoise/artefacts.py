@@ -3,8 +3,8 @@
 A file is `{format, version, digest, provenance, body}`. The body is a frozen pydantic model; the
 digest is the SHA-256 of its canonical JSON, so that a body that was cut, damaged or edited is
 refused with one sentence (it finds corruption, not forgery; the provenance is a note beside it).
-NaN and infinity are not allowed. Older versions are read through upgrade functions; newer ones are
-refused. A file is written whole or not at all.
+NaN and infinity are not allowed. Files of another version are refused. A file is written whole or not
+at all.
 """
 
 import hashlib
@@ -26,9 +26,7 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    SerializerFunctionWrapHandler,
     ValidationError,
-    model_serializer,
 )
 
 from equipoise.errors import ArtefactError, InputError, OutsideError
@@ -57,23 +55,6 @@ class Value(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
-
-
-class Extended(Value):
-    """A value that has got fields since files of it were first written.
-
-    They are left out of a file where they have their default: what is older keeps its digest, and
-    an older program reads what it understands. Elsewhere it refuses the file by their name.
-    """
-
-    LATER: ClassVar[tuple[str, ...]] = ()
-    """Those fields."""
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        fields = type(self).model_fields
-        said_nothing = {name for name in self.LATER if getattr(self, name) == fields[name].default}
-        return {name: told for name, told in dump(self).items() if name not in said_nothing}
 
 
 Name = Annotated[str, Field(max_length=1024)]
@@ -149,7 +130,7 @@ class Artefact(Value):
     FORMAT: ClassVar[str]
     """Name of the format, written in the file."""
     VERSION: ClassVar[int]
-    """Version of the format; raised with a change of the fields, but for those of an `Extended`."""
+    """Version of the format; raised with a change of the fields."""
 
     @property
     def digest(self) -> str:

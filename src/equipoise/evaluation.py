@@ -21,7 +21,6 @@ from equipoise import paper
 from equipoise.artefacts import (
     Artefact,
     Count,
-    Extended,
     Name,
     PartialFile,
     Seed,
@@ -90,10 +89,8 @@ class Summary(NamedTuple):
     """How many trials ended in which way."""
 
 
-class TrialResults(Extended):
+class TrialResults(Value):
     """The trials of one policy, in their order."""
-
-    LATER: ClassVar[tuple[str, ...]] = ("guards",)
 
     name: Name
     """Whose trials these are."""
@@ -127,10 +124,9 @@ class TrialResults(Extended):
         )
 
 
-class Evaluation(Viewable, Artefact, Extended):
+class Evaluation(Viewable, Artefact):
     """All trials of a policy and of the yardsticks beside it."""
 
-    LATER: ClassVar[tuple[str, ...]] = ("friction",)
     FORMAT: ClassVar[str] = "equipoise-evaluation"
     VERSION: ClassVar[int] = 3
 

@@ -29,7 +29,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal, NamedTuple, Self, TypeAlias, TypeVar
+from typing import Any, Final, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -37,11 +37,11 @@ from pydantic import Field, ValidationError
 
 from equipoise.artefacts import (
     DIGEST_PREFIX,
-    Extended,
     Name,
     Number,
     Provenance,
     StrPath,
+    Value,
     write_whole,
 )
 from equipoise.errors import ArtefactError
@@ -67,10 +67,8 @@ Array: TypeAlias = npt.NDArray[np.float64]
 Whole: TypeAlias = npt.NDArray[np.int64]
 
 
-class RunConditions(Extended):
+class RunConditions(Value):
     """Where a run took place, and what decided about it."""
-
-    LATER: ClassVar[tuple[str, ...]] = ("guard", "friction")
 
     policy: Name
     """Digest of the policy that ran; empty where the arm was only excited."""

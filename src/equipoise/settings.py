@@ -11,14 +11,13 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from math import radians
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
 from equipoise import paper
 from equipoise.artefacts import (
     LONGEST_QUOTE,
-    Extended,
     StrPath,
     Value,
     first_fault,
@@ -120,10 +119,8 @@ class ClikSettings(Value):
     """Damping factor at a singularity."""
 
 
-class PlantSettings(Extended):
+class PlantSettings(Value):
     """The simulated plant and its noise; the paper calls the noise "small"."""
-
-    LATER: ClassVar[tuple[str, ...]] = ("max_speed",)
 
     ideal: bool = False
     """The arm is where it is sent, at once, and the state is known without a sensor, as in the

@@ -49,36 +49,13 @@ def test_a_name_stands_for_its_newest_version_which_has_a_name_of_its_own(short)
     assert read_world(f"twin:{short}").name == f"twin:{NEWEST[short]}"
 
 
-@pytest.mark.parametrize("short", NEWEST)
-def test_a_set_without_guards_stays_as_it_was_published(short):
-    before, now = (read_world(f"twin:{short}-{version}").settings for version in (1, 2))
-    assert now == before.model_copy(update={"guards": True})
-    assert not before.guards
-    # Digests of what was found there do not know of guards.
-    assert not {"guards", "t1"} & set(before.model_dump())
-    assert now.model_dump()["guards"] is True
-    for settings in (before, now):
-        assert TwinSettings.model_validate_json(settings.model_dump_json()) == settings
-
-
-@pytest.mark.parametrize("short", NEWEST)
-def test_the_third_version_leaves_friction_to_the_pendulum_and_changes_nothing_else(short):
-    before, now = (read_world(f"twin:{short}-{version}").settings for version in (2, 3))
-    freed = {"coulomb": None, "drag": None, "assumed_coulomb": before.coulomb}
-    assert now == before.model_copy(update=freed)
-    assert not {"drag", "assumed_coulomb"} & set(before.model_dump())
-    assert TwinSettings.model_validate_json(now.model_dump_json()) == now
-
-
 @pytest.mark.parametrize(
     ("pendulum", "world", "coulomb", "drag", "saying"),
     [
         (DRY, "twin:nominal", 1.957, 0.02, "dry friction 1.96 1/s^2 (as identified), drag 0.02"),
         (DRY, "twin:harsh", 1.957, 0.02, "(as identified)"),
-        (DRY, "twin:nominal-2", 0.1, 0.0, "set by twin:nominal-2; the pendulum has 1.96"),
-        (VISCOUS, "twin:nominal", 0.1, 0.0, "assumed by twin:nominal-3; not identified"),
-        (VISCOUS, "twin:harsh", 0.3, 0.0, "assumed by twin:harsh-3; not identified"),
-        (VISCOUS, "twin:nominal-1", 0.1, 0.0, "set by twin:nominal-1; the pendulum has 0)"),
+        (VISCOUS, "twin:nominal", 0.1, 0.0, "assumed by twin:nominal-1; not identified"),
+        (VISCOUS, "twin:harsh", 0.3, 0.0, "assumed by twin:harsh-1; not identified"),
     ],
 )
 def test_a_twin_has_the_friction_of_its_pendulum_unless_its_set_says_otherwise(
@@ -93,9 +70,11 @@ def test_a_twin_has_the_friction_of_its_pendulum_unless_its_set_says_otherwise(
 
 def test_what_a_trial_varies_varies_the_pendulums_own_friction_and_not_the_worlds():
     heavy = PendulumParameters(w2=60.0, k=6.0, c=0.1, coulomb=1.0, drag=0.01)
-    nominal, before = (read_world(f"twin:nominal-{version}").settings for version in (3, 2))
+    nominal, sticky = TwinSettings(), TwinSettings(coulomb=0.1, drag=0.0)
     assert pivot_friction(DRY, nominal).on(heavy) == heavy
-    assert pivot_friction(DRY, before).on(heavy) == heavy._replace(coulomb=0.1, drag=0.0)
+    assert pivot_friction(DRY, sticky).on(heavy) == heavy._replace(coulomb=0.1, drag=0.0)
+    told = pivot_friction(DRY, sticky).words("twin:sticky.toml")
+    assert "set by twin:sticky.toml; the pendulum has 1.96" in told
 
 
 def test_each_set_can_be_told_from_the_others():

@@ -5,9 +5,8 @@ sets of the numbers of the digital twin, `twin:FILE` is a TOML file of differenc
 carry a version (`nominal-1`): published results stay comparable, and a changed number makes a new
 version.
 
-A twin's pendulum has the friction that was identified, viscous, dry and drag. A world may set dry
-friction and drag itself, as the sets of versions 1 and 2 do; `pivot_friction` says which friction
-acts and who set it.
+A twin's pendulum has the friction that was identified: viscous, dry and drag. A world may set dry
+friction and drag itself; `pivot_friction` says which friction acts and who set it.
 
 Each number says where it comes from: the source of the KUKA Sunrise Toolbox and the arm's data are
 facts; what is marked *assumed* is ours, chosen on the unforgiving side of what is plausible.
@@ -17,11 +16,11 @@ import os.path
 from collections.abc import Mapping
 from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
-from equipoise.artefacts import Extended, Number, Value, first_fault, quoted
+from equipoise.artefacts import Number, Value, first_fault, quoted
 from equipoise.errors import SettingsError
 from equipoise.settings import FINEST_ENCODER, QUARTER_TURN, read_toml
 
@@ -38,10 +37,8 @@ FrictionSource = Literal["pendulum", "world", "assumed"]
 identified."""
 
 
-class TwinSettings(Extended):
-    """The digital twin's numbers; the defaults are `nominal-1`."""
-
-    LATER: ClassVar[tuple[str, ...]] = ("guards", "t1", "drag", "assumed_coulomb")
+class TwinSettings(Value):
+    """Numbers of the digital twin; the defaults are those of `nominal-1`."""
 
     transport: float = Field(default=0.010, ge=0.0, le=0.2)
     """From sending a setpoint to the servo's use of it [s]. Assumed: one request and reply through
@@ -75,10 +72,10 @@ class TwinSettings(Extended):
     """Mass of the pendulum, unknown to the drive [kg]; a uniform rod. Assumed."""
     pivot_outward: float = Field(default=0.13, ge=0.0, le=1.0)
     """From the axis of A7 to the plane in which the pendulum turns [m]: room for the wrist."""
-    coulomb: float | None = Field(default=0.1, ge=0.0, le=1e3)
+    coulomb: float | None = Field(default=None, ge=0.0, le=1e3)
     """Dry friction of the pendulum over its inertia, in place of the pendulum's own [1/s^2]; none:
     the pendulum's own."""
-    drag: float | None = Field(default=0.0, ge=0.0, le=1e3)
+    drag: float | None = Field(default=None, ge=0.0, le=1e3)
     """Quadratic drag of the pendulum over its inertia, in place of the pendulum's own [1/rad];
     none: the pendulum's own."""
     assumed_coulomb: float = Field(default=0.1, ge=0.0, le=1e3)
@@ -107,7 +104,7 @@ class TwinSettings(Extended):
     arm's repeatability of 0.1 mm at 0.8 m is 6e-5 rad."""
     substeps: int = Field(default=1, ge=1, le=16)
     """Steps of the physics engine in a millisecond."""
-    guards: bool = False
+    guards: bool = True
     """Whether the rules that would stop a run on a rig end a trial (cause `guard`)."""
     t1: bool = False
     """Whether the speed limit of T1 is one of them."""
@@ -204,37 +201,22 @@ class World(NamedTuple):
     """Its numbers."""
 
 
-_HARSH: Final[Mapping[str, Any]] = {
-    "transport": 0.030,
-    "counts_per_rev": 4096,
-    "coulomb": 0.3,
-    "zero_error": radians(0.4),
-    "inertia_sigma": 0.04,
-    "friction_sigma": 0.4,
-}
-_BARE: Final[Mapping[str, Any]] = {"rotor_inertia": 0.0}
-_GUARDED: Final[Mapping[str, Any]] = {"guards": True}
-_OWN_FRICTION: Final[Mapping[str, Any]] = _GUARDED | {"coulomb": None, "drag": None}
-
 SETS: Final[Mapping[str, Mapping[str, Any]]] = {
     "nominal-1": {},
-    "harsh-1": _HARSH,
-    "bare-1": _BARE,
-    "nominal-2": _GUARDED,
-    "harsh-2": _HARSH | _GUARDED,
-    "bare-2": _BARE | _GUARDED,
-    "nominal-3": _OWN_FRICTION,
-    "harsh-3": _HARSH | _OWN_FRICTION | {"assumed_coulomb": _HARSH["coulomb"]},
-    "bare-3": _BARE | _OWN_FRICTION,
+    "harsh-1": {
+        "transport": 0.030,
+        "counts_per_rev": 4096,
+        "assumed_coulomb": 0.3,
+        "zero_error": radians(0.4),
+        "inertia_sigma": 0.04,
+        "friction_sigma": 0.4,
+    },
+    "bare-1": {"rotor_inertia": 0.0},
 }
-"""Frozen sets, as differences to nominal-1. Version 2 has guards; version 3 has the pendulum's own
-friction, too, and versions 1 and 2 set it."""
+"""Frozen sets by name and version, as differences from the defaults of `TwinSettings`."""
 
-NEWEST: Final[Mapping[str, str]] = {
-    "nominal": "nominal-3",
-    "harsh": "harsh-3",
-    "bare": "bare-3",
-}
+NEWEST: Final[Mapping[str, str]] = {name.partition("-")[0]: name for name in SETS}
+"""Newest version of each set, by its name without version."""
 
 
 def read_world(name: str) -> World:
@@ -250,7 +232,7 @@ def read_world(name: str) -> World:
     Example:
         >>> world = read_world("twin:harsh")
         >>> world.name, world.settings.transport
-        ('twin:harsh-3', 0.03)
+        ('twin:harsh-1', 0.03)
     """
     twins = f"{', '.join(PREFIX + short for short in NEWEST)} or {PREFIX}FILE.toml"
     if name == MODEL:

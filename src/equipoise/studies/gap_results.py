@@ -13,7 +13,7 @@ from pydantic import Field
 from scipy.stats import t as student
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Extended, Name, Number, Seed, Value
+from equipoise.artefacts import Artefact, Name, Number, Seed, Value
 from equipoise.control.boxes import CAUSES, TRACK
 from equipoise.control.safety import Rule
 from equipoise.evaluation import CONFIDENCE, TrialResults
@@ -73,13 +73,11 @@ class Seconds(NamedTuple):
     """Upper end [s]."""
 
 
-class Gap(Artefact, Extended):
+class Gap(Artefact):
     """How long each controller balances, and what of the twin ends it."""
 
     FORMAT: ClassVar[str] = "equipoise-gap"
     VERSION: ClassVar[int] = 1
-    LATER: ClassVar[tuple[str, ...]] = ("friction",)
-
     quick: bool
     """The short form: fewer points, fewer and shorter trials."""
     policy: Name
