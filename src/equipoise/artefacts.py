@@ -3,8 +3,8 @@
 A file is `{format, version, digest, provenance, body}`. The body is a frozen pydantic model; the
 digest is the SHA-256 of its canonical JSON, so that a body that was cut, damaged or edited is
 refused with one sentence (it finds corruption, not forgery; the provenance is a note beside it).
-NaN and infinity are not allowed. Files of another version are refused. A file is written whole or not
-at all.
+NaN and infinity are not allowed. Files of another version are refused. A file is written whole or
+not at all.
 """
 
 import hashlib
