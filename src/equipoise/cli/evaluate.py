@@ -126,7 +126,8 @@ def evaluate(
 
     of_urdf = (held, base, tip)
     if function is not None:
-        from equipoise.cli.functions import read_function
+        from equipoise.control.python_policy import PythonPolicy
+        from equipoise.guests import load_object
         from equipoise.model.sim_configs import MODEL
 
         if world != MODEL or actuator or max_speed is not None or not with_yardsticks:
@@ -136,7 +137,7 @@ def evaluate(
             )
         evaluation = _evaluate_function(
             output,
-            read_function(function),
+            PythonPolicy(load_object(function, "--policy"), function),
             read_pendulum(pendulum),
             read_arm(arm or "iiwa7", *of_urdf),
             trials,

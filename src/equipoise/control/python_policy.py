@@ -6,7 +6,6 @@ says where and in which state.
 
 import math
 import numbers
-import traceback
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from equipoise.control.policy import Array, Policy
 from equipoise.errors import InputError
+from equipoise.guests import format_error
 
 
 class PythonPolicy:
@@ -52,7 +52,7 @@ class PythonPolicy:
             u = self._act(state)
         except Exception as error:
             raise InputError(
-                f"{self.name} raised {format_error(error)} in the state "
+                f"{self.name} raised {format_error(error, __file__)} in the state "
                 f"{_format_state(state)}; correct it"
             ) from error
         if isinstance(u, np.ndarray) and u.size == 1:
@@ -75,16 +75,9 @@ class PythonPolicy:
             return kind()
         except Exception as error:
             raise InputError(
-                f"calling {self.name}() raised {format_error(error)}; give a class that needs no "
-                "arguments, or an object of it"
+                f"calling {self.name}() raised {format_error(error, __file__)}; give a class "
+                "that needs no arguments, or an object of it"
             ) from error
-
-
-def format_error(error: BaseException) -> str:
-    """Return what kind of error it is, what it says, and the line of code where it arose."""
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
-    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {error}{where}"
 
 
 def _format_state(state: Array) -> str:

@@ -1,0 +1,91 @@
+"""Import of objects from outside the package, named as MODULE:NAME.
+
+A guest's policy, reward or learner is an object in a Python module of the current folder or of an
+installed package. Results name it by the digest of the file that defines it.
+"""
+
+import hashlib
+import importlib
+import inspect
+import sys
+import traceback
+from pathlib import Path
+from typing import Any
+
+from equipoise.errors import InputError
+
+
+def load_object(name: str, option: str) -> Any:
+    """Import the object that `MODULE:NAME` names, from the current folder or what is installed.
+
+    Args:
+        name: Module and attribute, e.g. `own_policy:balance`; the suffix `.py` may stand.
+        option: Option or setting that was given, for messages, e.g. `--policy`.
+
+    Raises:
+        InputError: The name is malformed, the module cannot be imported, or the object is missing.
+    """
+    module_name, _, attribute = name.partition(":")
+    module_name = module_name.removesuffix(".py") if attribute else module_name
+    parts = module_name.split(".")
+    if not attribute.isidentifier() or not all(part.isidentifier() for part in parts):
+        raise InputError(
+            f"{option} is {name!r}, expected MODULE:NAME, e.g. own:balance for the object balance "
+            "of own.py in this folder"
+        )
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
+            raise _broken(module_name, error) from error
+        raise InputError(
+            f"there is no module {module_name!r} in {here} or among what is installed; "
+            f"check {option} MODULE:NAME"
+        ) from None
+    except Exception as error:
+        raise _broken(module_name, error) from error
+    if not hasattr(module, attribute):
+        raise InputError(
+            f"the module {module_name!r} ({module.__file__}) has no {attribute!r}; "
+            f"check {option} MODULE:NAME"
+        )
+    return getattr(module, attribute)
+
+
+def source_digest(function: Any) -> str:
+    """Return the SHA-256 of the file that defines a function or class.
+
+    Raises:
+        InputError: The object has no source file.
+    """
+    try:
+        source = Path(inspect.getsourcefile(inspect.unwrap(function)) or "").read_bytes()
+    except (TypeError, OSError):
+        raise InputError(
+            f"{function!r:.60} has no source file, expected a function of a .py file; "
+            "define it in one"
+        ) from None
+    return hashlib.sha256(source).hexdigest()
+
+
+def format_error(error: BaseException, hidden: str = __file__) -> str:
+    """Return the type of an error, its text, and the line of code where it arose.
+
+    Args:
+        error: The error.
+        hidden: File of which no line is named, that of the caller.
+    """
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename not in (hidden, __file__)
+    ]
+    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {error}{where}"
+
+
+def _broken(module: str, error: Exception) -> InputError:
+    return InputError(f"importing {module!r} raised {format_error(error)}; correct it")
