@@ -1,21 +1,514 @@
-"""Steps per second, side by side: `equipoise bench` with the thread pools of BLAS switched off.
+"""Steps per second, side by side: our training and two peers, on one core, in one run.
 
-They are read when NumPy is loaded, so they are set before anything is. All arguments are passed on;
-`python benchmarks/bench.py --help` lists them.
+- `equipoise`: a training step of the paper's simulation, everything included: boxes, action, noise,
+  CLIK on the full kinematics of the arm, pendulum, update of the table and its mirror image, starts
+  of episodes. Servo, encoder and observer, which no peer has, are left out.
+- `pinocchio`: the arm's part of that step alone, through Pinocchio from Python.
+- `gymnasium`: a CartPole step, which has no arm, with a tabular update in Python.
+
+The peers are optimised as far as Python allows. Each does the same piece of work in
+each round, and the rounds alternate, so that a processor that warms up or is shared slows all of
+them alike. Compilation and imports come before the first round::
+
+    python benchmarks/bench.py            # a table
+    python benchmarks/bench.py --json     # steps_per_second and ratios, by name
 """
 
+import argparse
+import gc
+import json
 import os
-import runpy
+import platform
+import statistics
 import sys
+import time
+from bisect import bisect
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from math import radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-POOLS = (
+import numpy as np
+import numpy.typing as npt
+
+from equipoise import paper
+from equipoise.artefacts import Value
+from equipoise.model.actuator import IDEAL_ACTUATOR
+from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import Pendulum
+from equipoise.settings import Settings
+from equipoise.training import train
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+Array = npt.NDArray[np.float64]
+Work = Callable[[], int]
+"""Does a piece of work, the same at each call, and returns how many steps it took."""
+
+POOLS: Final = (
     "MKL_NUM_THREADS",
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
 )
+"""Variables that set the number of threads of a BLAS."""
+OURS: Final = "equipoise"
+ROUNDS: Final = 5
+PEER_STEPS: Final = 32_000
+"""Steps of a peer in a round: some tenths of a second."""
+
+
+class Contestant(NamedTuple):
+    """Somebody who takes part."""
+
+    name: str
+    """One word."""
+    what: str
+    """What a step of it holds."""
+    package: str
+    """What `pip` installs it from; empty for ours."""
+    prepare: Callable[[], Work]
+    """Imports and builds; raises `ImportError` where the package is not installed."""
+
+
+class Rate(Value):
+    """How fast one of them was."""
+
+    what: str
+    """What a step of it holds."""
+    steps_per_second: float
+    """Median over the rounds."""
+    slowest: float
+    """Slowest round [steps/s]."""
+    fastest: float
+    """Fastest round [steps/s]."""
+
+
+class Benchmark(Value):
+    """What came of a benchmark."""
+
+    rates: dict[str, Rate]
+    """Each that took part, by name; ours is the first."""
+    missing: dict[str, str]
+    """Why the others did not, by name."""
+    rounds: int
+    """How many rounds each median is of."""
+    core: int | None
+    """The core that all ran on; none where the system cannot say."""
+    processor: str
+    """What the processor calls itself."""
+
+    @property
+    def steps_per_second(self) -> dict[str, float]:
+        """Median steps per second, by name."""
+        return {name: rate.steps_per_second for name, rate in self.rates.items()}
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """How many times faster ours is than each peer, by name."""
+        ours = self.rates[OURS].steps_per_second
+        return {name: ours / rate for name, rate in self.steps_per_second.items() if name != OURS}
+
+
+def benchmark(
+    pendulum: Pendulum,
+    arm: Arm,
+    settings: Settings,
+    *,
+    rounds: int = ROUNDS,
+    episodes: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Benchmark:
+    """Measure our training and the peers that are installed.
+
+    Args:
+        pendulum: What training balances.
+        arm: The arm of ours and of Pinocchio.
+        settings: Gains, noise and learning.
+        rounds: How often each is measured.
+        episodes: Episodes of training in a round; the settings' number if not given.
+        progress: Called with the name of each piece of work before it is done.
+    """
+    if episodes is not None:
+        learning = settings.learning.model_copy(update={"episodes": episodes})
+        settings = settings.model_copy(update={"learning": learning})
+    return race(contestants(pendulum, arm, settings), rounds, progress=progress)
+
+
+def contestants(pendulum: Pendulum, arm: Arm, settings: Settings) -> tuple[Contestant, ...]:
+    """Return ours and the peers."""
+    return (
+        Contestant(
+            OURS,
+            f"training on the full kinematics of the {arm.name}",
+            "",
+            lambda: training_work(pendulum, arm, settings),
+        ),
+        Contestant(
+            "pinocchio",
+            f"the CLIK step of the {arm.name} alone, from Python",
+            "pin",
+            lambda: pinocchio_work(arm, settings),
+        ),
+        Contestant(
+            "gymnasium",
+            "CartPole, without an arm, with a tabular update in Python",
+            "gymnasium",
+            cart_pole_work,
+        ),
+    )
+
+
+def race(
+    contestants: Sequence[Contestant],
+    rounds: int,
+    *,
+    clock: Callable[[], float] = time.perf_counter,
+    progress: Callable[[str], None] | None = None,
+) -> Benchmark:
+    """Let them work in turn on one core, without garbage collection, as `timeit` does.
+
+    Args:
+        contestants: Ours first.
+        rounds: How often each is measured.
+        clock: Gives the time [s].
+        progress: Called with the name of each piece of work before it is done.
+    """
+    works: dict[str, Work] = {}
+    missing: dict[str, str] = {}
+    rates: dict[str, list[float]] = {}
+    with _one_core() as core:
+        for name, _, package, prepare in contestants:
+            _tell(progress, f"{name}: preparing")
+            try:
+                works[name] = prepare()
+            except ImportError as error:
+                if not package:
+                    raise
+                missing[name] = (
+                    f"{package} cannot be imported ({error}); "
+                    f"install it with: python -m pip install {package}"
+                )
+                continue
+            works[name]()  # compiles what is compiled on the first call
+            rates[name] = []
+        for number in range(1, rounds + 1):
+            for name, work in works.items():
+                _tell(progress, f"{name}: round {number} of {rounds}")
+                with _no_collection():
+                    begin = clock()
+                    steps = work()
+                    rates[name].append(steps / (clock() - begin))
+    return Benchmark(
+        rates={
+            name: Rate(
+                what=what,
+                steps_per_second=statistics.median(rates[name]),
+                slowest=min(rates[name]),
+                fastest=max(rates[name]),
+            )
+            for name, what, _, _ in contestants
+            if name in rates
+        },
+        missing=missing,
+        rounds=rounds,
+        core=core,
+        processor=_processor(),
+    )
+
+
+def table(result: Benchmark) -> "Table":
+    """Return the result as a table for a terminal."""
+    from rich.table import Table
+
+    where = result.processor if result.core is None else f"core {result.core}, {result.processor}"
+    notes = [f"median of {result.rounds} rounds; ratio: ours over the peer; {where}"]
+    notes += [f"{name} is left out: {why}" for name, why in result.missing.items()]
+    view = Table(title="Steps per second", caption="\n".join(notes))
+    view.add_column()
+    for title in ("steps/s", "slowest", "fastest", "ratio"):
+        view.add_column(title, justify="right", no_wrap=True)
+    for name, rate in result.rates.items():
+        speeds = (rate.steps_per_second, rate.slowest, rate.fastest)
+        ratio = f"{result.ratios[name]:.1f}" if name in result.ratios else ""
+        view.add_row(f"{name}: {rate.what}", *(f"{speed:,.0f}" for speed in speeds), ratio)
+    return view
+
+
+def training_work(pendulum: Pendulum, arm: Arm, settings: Settings) -> Work:
+    """Return our work: one training, without the trials that select a policy."""
+    selection = settings.selection.model_copy(update={"every": 0})
+    alone = settings.model_copy(update={"selection": selection})
+    return lambda: train(pendulum, arm, alone, actuator=IDEAL_ACTUATOR).steps
+
+
+def pinocchio_work(arm: Arm, settings: Settings, steps: int = PEER_STEPS) -> Work:
+    """Return the work of Pinocchio: the arm moves to and fro, and ends where it began."""
+    loop = PinocchioLoop(arm, settings, paper.STEP)
+    cycle = _to_and_fro()
+    commands = np.tile(cycle, -(-steps // cycle.size)).tolist()
+
+    def work() -> int:
+        loop.reset()
+        return loop.run(commands)
+
+    return work
+
+
+def _to_and_fro(ticks: int = 10) -> Array:
+    """Return a command per step: with each size of action, there and back to where it began."""
+    sizes = [u for u in paper.ACTIONS if u > 0.0]
+    return np.concatenate([np.repeat((u, -u, u), (ticks, 2 * ticks, ticks)) for u in sizes])
+
+
+class PinocchioLoop:
+    """The arm's part of a control step, equation (3) and what follows it, through Pinocchio.
+
+    As a user of Python writes it who wants it fast: arrays are made once and changed in place,
+    names are local to the loop, all limits are one comparison.
+    """
+
+    def __init__(self, arm: Arm, settings: Settings, h: float, seed: int = 0) -> None:
+        """Build the model from the numbers of the arm.
+
+        Raises:
+            ImportError: Pinocchio is not installed.
+        """
+        self.pin = pin = _imported("pinocchio")
+        self.model, self.frame, self.pivot = _model(pin, arm)
+        self.data = self.model.createData()
+        self.h, self.clik = h, settings.clik
+        plant = settings.plant
+        self.sigma = np.repeat((plant.position_error_sigma, plant.orientation_error_sigma), 3)
+        self.rng = np.random.default_rng(seed)
+        joints = arm.free_joints
+        bounds = np.array([(j.velocity, j.acceleration) for j in joints]).T.ravel()
+        self.lower = np.concatenate(([j.lower for j in joints], -bounds))
+        self.upper = np.concatenate(([j.upper for j in joints], bounds))
+        self.home = arm.home_free
+        self.motion = np.zeros(18)
+        """q, dq, ddq of the free joints in one array."""
+        self.reset()
+
+    @property
+    def q(self) -> Array:
+        """Free joints [rad], shape (6,)."""
+        return self.motion[:6]
+
+    def reset(self) -> None:
+        """Return home, at rest."""
+        self.motion[:] = 0.0
+        self.q[:] = self.home
+        self.pin.forwardKinematics(self.model, self.data, self.home)
+        place = self.pin.updateFramePlacement(self.model, self.data, self.frame)
+        self.position, self.rotation = place.translation.copy(), place.rotation.copy()
+        self.reference_twist = np.zeros(6)
+        self.tracked = 0.0
+        self.within = True
+
+    def run(self, commands: Sequence[float]) -> int:
+        """Take a step for each commanded acceleration u [m/s^2]; return how many it took.
+
+        Afterwards `motion` and `tracked` hold the last step, `within` whether all kept the limits.
+        """
+        pin, model, data, frame, h = self.pin, self.model, self.data, self.frame, self.h
+        aligned, pivot, velocity = pin.LOCAL_WORLD_ALIGNED, self.pivot, pin.getFrameVelocity
+        K_p, K_d, sigma, normal = self.clik.K_p, self.clik.K_d, self.sigma, self.rng.standard_normal
+        motion, lower, upper = self.motion, self.lower, self.upper
+        q, dq, ddq = motion[:6], motion[6:12], motion[12:]
+        position, rotation, twist_r = self.position, self.rotation, self.reference_twist
+        e, Gamma, zero = np.zeros(6), np.zeros(6), np.zeros(6)
+        within, tracked = self.within, self.tracked
+
+        pin.forwardKinematics(model, data, q, dq, zero)
+        jacobian = pin.computeFrameJacobian(model, data, q, frame, aligned)
+        twist = jacobian @ dq
+        v = velocity(model, data, pivot, aligned).linear[0]
+        for u in commands:
+            place = pin.updateFramePlacement(model, data, frame)
+            bias = pin.getFrameClassicalAcceleration(model, data, frame, aligned).vector
+            e[:3] = position - place.translation
+            e[3:] = pin.log3(rotation @ place.rotation.T)
+            e += sigma * normal(6)
+            Gamma[0] = u
+            ddq[:] = np.linalg.solve(jacobian, Gamma + K_d * (twist_r - twist) + K_p * e - bias)
+            q += h * dq + (0.5 * h * h) * ddq
+            dq += h * ddq
+            within = within and bool(((lower <= motion) & (motion <= upper)).all())
+            position[0] += h * twist_r[0] + 0.5 * u * h * h
+            twist_r[0] += u * h
+
+            v_before = v
+            pin.forwardKinematics(model, data, q, dq, zero)
+            jacobian = pin.computeFrameJacobian(model, data, q, frame, aligned)
+            twist = jacobian @ dq
+            v = velocity(model, data, pivot, aligned).linear[0]
+            tracked = (v - v_before) / h
+        self.within, self.tracked = within, float(tracked)
+        return len(commands)
+
+
+def _model(pin: Any, arm: Arm) -> tuple[Any, int, int]:
+    """Return a Pinocchio model of the free joints, and the numbers of its flange and its pivot."""
+    along = {
+        (1.0, 0.0, 0.0): pin.JointModelRX,
+        (0.0, 1.0, 0.0): pin.JointModelRY,
+        (0.0, 0.0, 1.0): pin.JointModelRZ,
+    }
+    model, parent = pin.Model(), 0
+    place = pin.SE3.Identity()
+    for number, joint in enumerate(arm.joints, start=1):
+        place = place * pin.SE3(pin.rpy.rpyToMatrix(*joint.rpy), np.array(joint.xyz))
+        axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+        if number == arm.held_joint:
+            place = place * pin.SE3(pin.exp3(arm.held_angle * axis), np.zeros(3))
+            continue
+        known = along.get(joint.axis)
+        turn = pin.JointModelRevoluteUnaligned(axis) if known is None else known()
+        parent = model.addJoint(parent, turn, place, joint.name)
+        place = pin.SE3.Identity()
+    place = place * pin.SE3(pin.rpy.rpyToMatrix(*arm.flange_rpy), np.array(arm.flange_xyz))
+    flange = model.addFrame(pin.Frame("flange", parent, place, pin.FrameType.OP_FRAME))
+    place = place * pin.SE3(np.eye(3), np.array(arm.pivot))
+    return model, flange, model.addFrame(pin.Frame("pivot", parent, place, pin.FrameType.OP_FRAME))
+
+
+# Boxes of Barto, Sutton and Anderson, "Neuronlike adaptive elements that can solve difficult
+# learning control problems", 1983, section V: x [m], x_dot [m/s], angle [rad], its rate [rad/s].
+CART_POLE_EDGES: Final = (
+    (-0.8, 0.8),
+    (-0.5, 0.5),
+    (radians(-6.0), radians(-1.0), 0.0, radians(1.0), radians(6.0)),
+    (radians(-50.0), radians(50.0)),
+)
+
+
+def cart_pole_work(steps: int = PEER_STEPS) -> Work:
+    """Return the work of Gymnasium: a tabular Q-learning of CartPole-v1 from its beginning.
+
+    Raises:
+        ImportError: Gymnasium is not installed.
+    """
+    gymnasium = _imported("gymnasium")
+    env = gymnasium.make("CartPole-v1")
+    xs, x_dots, phis, phi_dots = CART_POLE_EDGES
+    alpha, gamma, epsilon = 0.1, 0.99, 0.05
+
+    def box(observation: Array) -> tuple[int, int, int, int]:
+        x, x_dot, phi, phi_dot = observation.tolist()
+        return bisect(xs, x), bisect(x_dots, x_dot), bisect(phis, phi), bisect(phi_dots, phi_dot)
+
+    def work() -> int:
+        rng = np.random.default_rng(0)
+        Q = np.zeros((*(len(edges) + 1 for edges in CART_POLE_EDGES), 2))
+        s = box(env.reset(seed=0)[0])
+        for _ in range(steps):
+            a = int(rng.integers(2)) if rng.random() < epsilon else int(Q[s].argmax())
+            observation, reward, terminated, truncated, _ = env.step(a)
+            s_next = box(observation)
+            target = reward if terminated else reward + gamma * Q[s_next].max()
+            Q[s][a] += alpha * (target - Q[s][a])
+            s = box(env.reset()[0]) if terminated or truncated else s_next
+        return steps
+
+    return work
+
+
+def _imported(module: str) -> Any:
+    """Import a library that has no types, or may be absent."""
+    return import_module(module)
+
+
+def _print_to_stderr(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+def _tell(progress: Callable[[str], None] | None, what: str) -> None:
+    if progress is not None:
+        progress(what)
+
+
+@contextmanager
+def _one_core() -> Generator[int | None]:
+    """Keep this thread, and those that it starts, on one core, where the system can do that.
+
+    Systems of 6 equations are far below the size from which a BLAS calls its threads.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        yield None
+        return
+    allowed = os.sched_getaffinity(0)
+    core = max(allowed)  # the first ones serve most interrupts
+    os.sched_setaffinity(0, {core})
+    try:
+        yield core
+    finally:
+        os.sched_setaffinity(0, allowed)
+
+
+@contextmanager
+def _no_collection() -> Generator[None]:
+    enabled = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return next(iter(names), "") or platform.processor() or platform.machine()
+
+
+def main() -> None:
+    """Measure, and print a table or one JSON object."""
+    from rich.console import Console
+
+    from equipoise.cli.options import read_arm
+    from equipoise.errors import EquipoiseError
+    from equipoise.model.pendulum import shipped_pendulum
+
+    parser = argparse.ArgumentParser(description="Steps per second beside Pinocchio and Gymnasium.")
+    parser.add_argument("--arm", default="iiwa7", help="iiwa7, iiwa14, or the URDF file of an arm")
+    parser.add_argument("--held", help="held joint of a URDF arm, by name or number")
+    parser.add_argument("--base", help="fixed link of a URDF arm")
+    parser.add_argument("--tip", help="flange link of a URDF arm")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    given = parser.parse_args()
+    try:
+        arm = read_arm(given.arm, given.held, given.base, given.tip)
+    except EquipoiseError as error:
+        parser.error(str(error))
+    _print_to_stderr("Measuring on one core, in alternating rounds, for about half a minute")
+    result = benchmark(shipped_pendulum(), arm, Settings(), progress=_print_to_stderr)
+    if given.json:
+        print(json.dumps(summary(result)))
+    else:
+        Console().print(table(result))
+
+
+def summary(result: Benchmark) -> dict[str, object]:
+    """Return the result as the object of `--json`."""
+    return {
+        "steps_per_second": result.steps_per_second,
+        "ratios": result.ratios,
+        "missing": result.missing,
+        "processor": result.processor,
+    }
+
 
 if __name__ == "__main__":
-    os.environ.update(dict.fromkeys(POOLS, "1"))
-    sys.argv[1:1] = ["bench"]
-    runpy.run_module("equipoise", run_name="__main__")
+    # BLAS reads these when NumPy is loaded: begin again with them set.
+    if any(os.environ.get(pool) != "1" for pool in POOLS):
+        os.execve(sys.executable, sys.orig_argv, os.environ | dict.fromkeys(POOLS, "1"))
+    main()

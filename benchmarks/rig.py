@@ -1,7 +1,7 @@
 """Runs on the emulated rig in real time: how long they last, and how punctual they are.
 
-`equipoise emulate` runs in one process, over TCP and a pseudo-terminal, and `equipoise deploy` in
-another, once for each run; this script types what an operator would::
+`equipoise rig emulate` runs in one process, over TCP and a pseudo-terminal. `equipoise deploy` runs
+in another, once for each run; this script types the answers of an operator::
 
     python benchmarks/rig.py --runs 20 --duration 60 --out runs
     python benchmarks/rig.py --runs 1 --duration 600 --out runs
@@ -44,7 +44,7 @@ def main() -> None:
             said: list[str] = []
             rig = subprocess.Popen(
                 [
-                    *(*EQUIPOISE, "emulate", "--world", given.world, "--seed", str(number)),
+                    *(*EQUIPOISE, "rig", "emulate", "--world", given.world, "--seed", str(number)),
                     *("--port", str(given.port), "--encoder-link", str(link)),
                 ],
                 stdout=subprocess.PIPE,

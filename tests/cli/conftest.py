@@ -50,7 +50,19 @@ def parse(words):
     group = typer.main.get_command(app)
     context = group.make_context("equipoise", list(words))
     name, command, rest = group.resolve_command(context, list(words))
+    if hasattr(command, "commands"):
+        context = command.make_context(name, rest, parent=context)
+        name, command, rest = command.resolve_command(context, rest)
     return command.make_context(name, rest, parent=context).params
+
+
+def verbs():
+    """Every verb, as it is typed, and its command."""
+    found = {}
+    for name, command in typer.main.get_command(app).commands.items():
+        for verb, inner in getattr(command, "commands", {"": command}).items():
+            found[f"{name} {verb}".strip()] = inner
+    return found
 
 
 @pytest.fixture

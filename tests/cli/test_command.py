@@ -8,55 +8,43 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
-from typer.main import get_command
 
-from equipoise.cli.app import app
+from tests.cli.conftest import verbs
 
-VERBS = (
-    "reproduce",
-    "identify",
-    "train",
-    "evaluate",
-    "deploy",
-    "doctor",
-    "record",
-    "emulate",
-    "rehearse",
-    "certify",
-    "gap",
-    "refine",
-    "explain",
-    "replay",
-    "export",
-    "verify",
-    "bench",
-)
+VERBS = tuple(verbs())
+STORY = ("reproduce", "identify", "train", "evaluate", "gap", "refine")
+RIG = ("doctor", "emulate", "record", "rehearse")
+LOG = ("explain", "replay", "export", "show")
 NEEDS = {
     "identify": ["x.csv"],
-    "verify": ["x.csv"],
-    "explain": ["x.mcap"],
-    "replay": ["x.mcap"],
-    "export": ["x.mcap"],
-    "record": ["--encoder", "serial:///dev/ttyACM0"],
+    "refine": ["policy.json", "run.mcap"],
+    "log show": ["x.csv"],
+    "log explain": ["x.mcap"],
+    "log replay": ["x.mcap"],
+    "log export": ["x.mcap"],
+    "rig record": ["--encoder", "serial:///dev/ttyACM0"],
 }
-"""What a verb cannot do without."""
-STUDIES = ("explain", "replay", "certify", "gap", "refine", "verify", "export", "bench")
+"""Required arguments of a verb."""
 HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
 
 
 def test_help_shows_the_verbs_in_their_panels(equipoise):
     ran = equipoise("--help")
     assert ran.code == 0
-    story, rest = ran.out.split("The story")[1].split("The rig")
-    rig, studies = rest.split("Studies")
-    assert all(f" {verb} " in story for verb in ("reproduce", "identify", "train", "evaluate"))
-    assert all(f" {verb} " in rig for verb in ("doctor", "record", "emulate", "rehearse"))
-    assert all(f" {verb} " in studies for verb in STUDIES)
+    story, rest = ran.out.split("The story")[1].split("The robot")
+    robot, logs = rest.split("Logs")
+    assert all(f" {verb} " in story for verb in STORY)
+    assert all(f" {verb} " in robot for verb in ("deploy", "rig"))
+    assert " log " in logs
+    for group, members in (("rig", RIG), ("log", LOG)):
+        assert all(f" {verb} " in equipoise(group, "--help").out for verb in members)
+        # Without a verb a group shows its help, like the command itself.
+        assert f"Usage: equipoise {group}" in equipoise(group).out
 
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_each_option_of_a_verb_is_explained(equipoise, verb):
-    ran = equipoise(verb, "--help")
+    ran = equipoise(*verb.split(), "--help")
     assert ran.code == 0
     # On the wide page each option stands on a line of its own, its text at the end.
     lines = [line for line in ran.out.splitlines() if line.startswith("│ ") and "--" in line]
@@ -98,13 +86,13 @@ def first_words(self, words, **_):
     assert words
     raise SystemExit(0)
 output.Output.say = first_words
-main([{verb!r}, *{NEEDS.get(verb, [])}])
+main([*{verb.split()}, *{NEEDS.get(verb, [])}])
 """
     assert loaded_after(program) == []
 
 
 def test_python_m_and_exit_codes_reach_the_shell(tmp_path):
-    command = [sys.executable, "-m", "equipoise", "verify", "nowhere.json"]
+    command = [sys.executable, "-m", "equipoise", "log", "show", "nowhere.json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr == "error: there is no file nowhere.json; check the path\n"
@@ -114,7 +102,7 @@ def test_python_m_and_exit_codes_reach_the_shell(tmp_path):
 def test_the_reference_page_has_every_option():
     page = (Path(__file__).parents[2] / "docs" / "reference" / "command-line.md").read_text()
     sections = {section.split("\n")[0]: section for section in page.split("\n## ")}
-    for verb, command in get_command(app).commands.items():
+    for verb, command in verbs().items():
         options = {
             option
             for parameter in command.params

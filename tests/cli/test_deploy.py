@@ -53,7 +53,7 @@ def test_what_does_not_go_together_is_refused(refused, policy_file, tmp_path):
 def test_a_film_that_cannot_be_encoded_is_refused_before_the_run(refused, monkeypatch, log):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     refused("deploy", "--video", "run.mp4", saying="needs the package imageio-ffmpeg")
-    refused("export", log, "--video", "run.mp4", saying="needs the package imageio-ffmpeg")
+    refused("log", "export", log, "--video", "run.mp4", saying="needs the package imageio-ffmpeg")
     assert not list(log.parent.glob("run*"))
 
 

@@ -49,7 +49,7 @@ REFUSED = {
     "two encoders": (("--robot", "twin:nominal", "--encoder", BOARD), "leave --encoder out"),
     "two worlds": (("--robot", "twin:nominal", "--world", "twin:harsh"), "do not go with"),
     "an excitation": (("--robot", "twin:nominal", "--excite"), "do not go with --robot"),
-    "a film": (("--robot", "twin:nominal", "--video", "x.mp4"), "equipoise export run.mcap"),
+    "a film": (("--robot", "twin:nominal", "--video", "x.mp4"), "equipoise log export run.mcap"),
     "no rig": (("--robot", "twin:nominal", "--rig", "none.toml"), "there is no file none.toml"),
     "a rig without a robot": (("--rig", "rig.toml"), "give --robot"),
     "an unknown key": (("--robot", "twin:nominal", "--rig", "unknown.toml"), "no such setting"),

@@ -156,8 +156,8 @@ VERBS = {
     "train": ((), ".json"),
     "evaluate": ((), ".json"),
     "deploy": ((), ".mcap"),
-    "record": (("--encoder", "serial:///dev/nowhere"), ".csv"),
-    "certify": ((), ".json"),
+    "rig record": (("--encoder", "serial:///dev/nowhere"), ".csv"),
+    "evaluate --claim 0.9": ((), ".json"),
     "gap": ((), ".json"),
     "refine": (("policy.json", "run.mcap"), ".json"),
     "reproduce": ((), ""),
@@ -168,9 +168,9 @@ VERBS = {
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_refuses_a_name_that_cannot_be_written_before_it_works(refused, verb):
     needs, suffix = VERBS[verb]
-    refused(verb, *needs, "--out", LONG + suffix, saying="File name too long")
+    refused(*verb.split(), *needs, "--out", LONG + suffix, saying="File name too long")
     if suffix:
-        refused(verb, *needs, "--out", ".", saying=f"give a name that ends in {suffix}")
+        refused(*verb.split(), *needs, "--out", ".", saying=f"give a name that ends in {suffix}")
 
 
 READING = (
@@ -186,9 +186,9 @@ READING = (
     ("deploy", "--robot", "twin:nominal", "--rig", f"{LONG}.toml"),
     ("deploy", "--video", f"{LONG}.mp4"),
     ("refine", f"{LONG}.json", "run.mcap"),
-    ("explain", f"{LONG}.mcap"),
-    ("export", f"{LONG}.mcap"),
-    ("verify", f"{LONG}.json"),
+    ("log", "explain", f"{LONG}.mcap"),
+    ("log", "export", f"{LONG}.mcap"),
+    ("log", "show", f"{LONG}.json"),
     ("reproduce", "--swing", f"{LONG}.csv"),
 )
 

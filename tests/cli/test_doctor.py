@@ -1,4 +1,4 @@
-"""`equipoise doctor`: what it says and measures, exit codes, and what it refuses."""
+"""`equipoise rig doctor`: what it says and measures, exit codes, and what it refuses."""
 
 import threading
 import time
@@ -19,7 +19,7 @@ QUICK = ("--seconds", 0.2)
 
 def test_json_is_one_object_with_the_stable_keys_in_no_time(equipoise):
     begin = time.monotonic()
-    ran = equipoise("doctor", *QUICK, "--json")
+    ran = equipoise("rig", "doctor", *QUICK, "--json")
     assert time.monotonic() - begin < 3.0
     found = ran.json
     assert found.keys() == STABLE
@@ -32,7 +32,7 @@ def test_json_is_one_object_with_the_stable_keys_in_no_time(equipoise):
 
 
 def test_words_show_both_histograms_each_finding_and_the_verdict(equipoise):
-    ran = equipoise("doctor", *QUICK, "--load")
+    ran = equipoise("rig", "doctor", *QUICK, "--load")
     assert "How late deadlines of 200 a second were met" in ran.out
     assert "... while every core was busy" in ran.out
     assert "█" in ran.out
@@ -50,15 +50,15 @@ def test_a_deadline_missed_by_far_is_told_by_the_exit_code(
     equipoise, monkeypatch, late, code, saying
 ):
     monkeypatch.setattr("equipoise.devices.probes.lateness", lambda *_: np.full(100, late))
-    ran = equipoise("doctor", *QUICK)
+    ran = equipoise("rig", "doctor", *QUICK)
     assert ran.code == code
     assert saying in ran.out
 
 
 def test_logs_are_looked_for_where_they_will_go(equipoise, tmp_path):
-    assert equipoise("doctor", *QUICK, "--logs", tmp_path / "runs", "--json").json["machine"][
-        "free"
-    ]
+    assert equipoise("rig", "doctor", *QUICK, "--logs", tmp_path / "runs", "--json").json[
+        "machine"
+    ]["free"]
     assert not (tmp_path / "runs").exists()
 
 
@@ -94,7 +94,7 @@ def encoder():
 
 
 def test_a_rig_is_examined_and_does_not_move(equipoise, robot, encoder):
-    ran = equipoise("doctor", *QUICK, "--robot", robot[0], "--encoder", encoder[0], "--json")
+    ran = equipoise("rig", "doctor", *QUICK, "--robot", robot[0], "--encoder", encoder[0], "--json")
     found = ran.json
     assert ran.code == VERDICTS[found["verdict"]], ran
     assert 1 <= found["link"]["n"] <= 40
@@ -110,7 +110,7 @@ def test_a_rig_is_examined_and_does_not_move(equipoise, robot, encoder):
 
 
 def test_words_say_that_the_robots_server_has_ended(equipoise, robot):
-    ran = equipoise("doctor", *QUICK, "--robot", robot[0])
+    ran = equipoise("rig", "doctor", *QUICK, "--robot", robot[0])
     assert "How long the robot took to answer" in ran.out
     assert "start it again on the smartPAD" in ran.out
     assert "equipoise deploy times the link itself" in ran.out
@@ -119,7 +119,7 @@ def test_words_say_that_the_robots_server_has_ended(equipoise, robot):
 
 def test_an_encoder_of_another_rig_is_found_out(equipoise, encoder, tmp_path):
     (tmp_path / "rig.toml").write_text("counts_per_rev = 8192\n")
-    ran = equipoise("doctor", *QUICK, "--encoder", encoder[0], "--rig", "rig.toml")
+    ran = equipoise("rig", "doctor", *QUICK, "--encoder", encoder[0], "--rig", "rig.toml")
     assert ran.code == 1
     assert "4096 per revolution, the rig says 8192" in ran.out
     assert "correct counts_per_rev" in ran.out
@@ -127,7 +127,7 @@ def test_an_encoder_of_another_rig_is_found_out(equipoise, encoder, tmp_path):
 
 
 def test_an_encoder_that_is_not_there_is_a_finding_among_the_others(equipoise):
-    ran = equipoise("doctor", *QUICK, "--encoder", "serial:///dev/nowhere", "--json")
+    ran = equipoise("rig", "doctor", *QUICK, "--encoder", "serial:///dev/nowhere", "--json")
     assert ran.code == 1
     found = ran.json
     assert found["encoder"] is None
@@ -149,21 +149,23 @@ ADDRESSES = {
 
 @pytest.mark.parametrize("flaw", ADDRESSES)
 def test_addresses_that_cannot_be_meant_are_refused(refused, flaw):
-    refused("doctor", *QUICK, *ADDRESSES[flaw], saying=ADDRESSES[flaw][1])
+    refused("rig", "doctor", *QUICK, *ADDRESSES[flaw], saying=ADDRESSES[flaw][1])
 
 
 def test_a_rig_that_cannot_be_read_is_refused(refused):
-    refused("doctor", *QUICK, "--rig", "nowhere.toml", saying="there is no file nowhere.toml")
+    refused(
+        "rig", "doctor", *QUICK, "--rig", "nowhere.toml", saying="there is no file nowhere.toml"
+    )
 
 
 def test_logs_go_to_a_folder(refused, tmp_path):
     (tmp_path / "runs").write_text("")
-    refused("doctor", *QUICK, "--logs", "runs", saying="give the name of a folder")
+    refused("rig", "doctor", *QUICK, "--logs", "runs", saying="give the name of a folder")
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf", "soon"])
 def test_durations_that_cannot_be_meant_are_refused(refused, seconds):
-    refused("doctor", "--seconds", seconds, saying="--seconds")
+    refused("rig", "doctor", "--seconds", seconds, saying="--seconds")
 
 
 def test_every_state_has_a_look():

@@ -1,4 +1,4 @@
-"""`equipoise emulate` as a program of its own: what stands on its port and its terminal."""
+"""`equipoise rig emulate` as a program of its own: what stands on its port and its terminal."""
 
 import contextlib
 import itertools
@@ -27,7 +27,17 @@ pytestmark = [
 class Emulator:
     def __init__(self, *options):
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "equipoise", "emulate", "--port", "0", "--json", *options],
+            [
+                sys.executable,
+                "-m",
+                "equipoise",
+                "rig",
+                "emulate",
+                "--port",
+                "0",
+                "--json",
+                *options,
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -124,19 +134,19 @@ def test_it_survives_a_client_that_vanishes_and_does_what_is_typed():
 
 @pytest.mark.parametrize("faults", ["delay=x", "delay=-1", "drop=2", "noise=1", "delay"])
 def test_faults_that_cannot_be_are_refused(equipoise, faults):
-    ran = equipoise("emulate", "--inject", faults)
+    ran = equipoise("rig", "emulate", "--inject", faults)
     assert ran.code == 2
     assert "drop=0 to 1" in ran.err
 
 
 def test_the_plant_of_the_training_has_no_hardware(equipoise):
-    ran = equipoise("emulate", "--world", "model")
+    ran = equipoise("rig", "emulate", "--world", "model")
     assert ran.code == 2
     assert "is no digital twin; choose twin:nominal" in ran.err
 
 
 def test_a_port_that_is_taken_is_told(equipoise):
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        ran = equipoise("emulate", "--port", str(taken.getsockname()[1]))
+        ran = equipoise("rig", "emulate", "--port", str(taken.getsockname()[1]))
     assert ran.code == 3
     assert "cannot listen" in ran.err

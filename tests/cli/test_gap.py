@@ -71,7 +71,7 @@ def test_it_says_the_tables_and_the_words(equipoise, cured_file, paper_file, mad
     assert "40 trials of 60 s at each point, on the iiwa14, world twin:nominal-1, seed 0" in ran.out
     assert "wrote mine.json, mine.svg and mine.png" in ran.out
     assert not (tmp_path / "mine-paper-policy.json").exists()
-    assert "next: equipoise certify" in ran.out
+    assert "--claim 0.99" in ran.out
 
 
 def test_options_reach_the_study(equipoise, cured_file, paper_file, made_up, tmp_path):

@@ -5,31 +5,35 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from typer.main import get_command
 
-from equipoise.cli.app import app
+from tests.cli.conftest import verbs
 
 ROOT = Path(__file__).parents[2]
 WRITTEN = {
     "reproduce": ("equipoise-report/report.html",),
     "identify": ("pendulum.json", "pendulum.svg", "pendulum.png", "actuator.json"),
     "train": ("policy.json", "policy.partial.json"),
-    "evaluate": ("evaluation.json", "evaluation.partial.json"),
+    "evaluate": (
+        "evaluation.json",
+        "evaluation.partial.json",
+        "certificate.json",
+        "certificate-evaluation.json",
+    ),
     "deploy": ("run.mcap", "log.mcap", "run.mp4"),
-    "record": ("swing.csv",),
-    "certify": ("certificate.json", "certificate-evaluation.json"),
+    "rig record": ("swing.csv",),
     "gap": ("gap.json", "gap.svg", "gap.png", "gap-paper-policy.json"),
     "refine": ("refined.json", "refined-pendulum.json"),
-    "export": ("run-csv/tick.csv", "run.mp4"),
+    "log export": ("run-csv/tick.csv", "run.mp4"),
 }
 """Files by verb, under default names and those of the documents."""
 OTHERS = ("swing.csv.gz", ".policy.json.12.34.tmp", "equipoise-report-2/report.html")
 
 
 def test_every_verb_that_writes_is_known_here():
-    commands = get_command(app).commands.items()
     writing = {
-        verb for verb, command in commands if any("--out" in param.opts for param in command.params)
+        verb
+        for verb, command in verbs().items()
+        if any("--out" in param.opts for param in command.params)
     }
     assert writing == set(WRITTEN)
 

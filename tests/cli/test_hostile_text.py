@@ -112,27 +112,29 @@ def rig_log(tmp_path):
     return path
 
 
-@pytest.mark.parametrize("verb", ["explain", "verify", "replay", "identify", "export"])
+@pytest.mark.parametrize(
+    "verb", ["log explain", "log show", "log replay", "identify", "log export"]
+)
 def test_a_log(equipoise, twin_log, rig_log, verb):
     for path in (twin_log, rig_log):
-        ran = equipoise(verb, path)
-        check(ran, shown=SHOWN if verb in ("explain", "verify") else "")
-        if equipoise(verb, path, "--json").out:
-            assert equipoise(verb, path, "--json").json
+        ran = equipoise(*verb.split(), path)
+        check(ran, shown=SHOWN if verb in ("log explain", "log show") else "")
+        if equipoise(*verb.split(), path, "--json").out:
+            assert equipoise(*verb.split(), path, "--json").json
 
 
 def test_a_policy_and_a_pendulum(equipoise, tmp_path, policy_file, pendulum_file):
     body = read_document(policy_file)["body"]
     assert "recipe" in body
     rebuilt(policy_file, lambda body: body.update(recipe=HOSTILE))
-    check(equipoise("verify", policy_file))
+    check(equipoise("log", "show", policy_file))
     rebuilt(pendulum_file, lambda body: body.update({HOSTILE: 1.0}))
-    check(equipoise("verify", pendulum_file))
+    check(equipoise("log", "show", pendulum_file))
     (tmp_path / "key.json").write_text(json.dumps({HOSTILE: 1}))
-    check(equipoise("verify", "key.json"), shown="")
+    check(equipoise("log", "show", "key.json"), shown="")
     document = json.loads(policy_file.read_text()) | {"format": HOSTILE}
     policy_file.write_text(json.dumps(document))
-    check(equipoise("verify", policy_file))
+    check(equipoise("log", "show", policy_file))
 
 
 def test_a_recording(equipoise, csv):
@@ -147,7 +149,7 @@ def test_settings_worlds_and_rigs(equipoise, tmp_path):
     for arguments in (
         ("train", "--settings", "bad.toml"),
         ("evaluate", "--world", "twin:bad.toml"),
-        ("doctor", "--rig", "bad.toml"),
+        ("rig", "doctor", "--rig", "bad.toml"),
     ):
         check(equipoise(*arguments), shown=r"evil\x1b[2J\x1b]0;owned\x07")
 
@@ -171,7 +173,7 @@ def test_a_robot_server(equipoise):
     with socketserver.TCPServer(("127.0.0.1", 0), Server) as server:
         threading.Thread(target=server.handle_request, daemon=True).start()
         robot = f"kst://127.0.0.1:{server.server_address[1]}"
-        check(equipoise("doctor", "--robot", robot, "--seconds", "0.05"), shown=r"evil")
+        check(equipoise("rig", "doctor", "--robot", robot, "--seconds", "0.05"), shown=r"evil")
 
 
 def test_the_page():

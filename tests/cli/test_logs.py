@@ -1,4 +1,4 @@
-"""`equipoise explain`, `replay` and `export`: what is asked of the log of a run."""
+"""`equipoise log explain`, `replay` and `export`: what is asked of the log of a run."""
 
 import pytest
 
@@ -25,38 +25,38 @@ def on_a_twin(tmp_path_factory):
 
 
 def test_explain_names_the_cause_with_evidence_and_advice(equipoise, pushed):
-    ran = equipoise("explain", pushed)
+    ran = equipoise("log", "explain", pushed)
     assert ran.code == 0
     assert "Why: push" in ran.out
     assert "deg/s within 80 ms, beyond what gravity and the flange explain" in ran.out
     assert "keep hands, cables and draughts away" in ran.out
     picture = [line for line in ran.out.splitlines() if line.endswith("]") or "[ " in line]
     assert len(picture) > 8
-    assert f"next: equipoise replay {pushed}" in ran.out
+    assert f"next: equipoise log replay {pushed}" in ran.out
 
 
 def test_explain_in_json(equipoise, pushed, on_a_twin):
-    found = equipoise("explain", pushed, "--json").json
+    found = equipoise("log", "explain", pushed, "--json").json
     assert found["cause"] == found["causes"][0]["name"] == "push"
     assert set(found["causes"][0]) == {"name", "score", "time_s", "evidence", "advice"}
     assert found["whole"] is True
-    other = equipoise("explain", on_a_twin, "--json").json
+    other = equipoise("log", "explain", on_a_twin, "--json").json
     assert (other["cause"], other["lasted_s"]) == ("lasted", 0.4)
 
 
 def test_a_log_that_breaks_off_is_explained_with_a_warning(equipoise, pushed, tmp_path):
     (tmp_path / "cut.mcap").write_bytes(pushed.read_bytes()[: pushed.stat().st_size // 2])
-    ran = equipoise("explain", "cut.mcap")
+    ran = equipoise("log", "explain", "cut.mcap")
     assert ran.code == 0
     assert "warning: the log is cut short" in ran.out
     assert "what came after is not known" in ran.out
 
 
 def test_replay_says_that_it_is_the_same(equipoise, on_a_twin):
-    ran = equipoise("replay", on_a_twin)
+    ran = equipoise("log", "replay", on_a_twin)
     assert ran.code == 0
     assert "The same: 40 ticks, bit for bit." in ran.out
-    found = equipoise("replay", on_a_twin, "--json").json
+    found = equipoise("log", "replay", on_a_twin, "--json").json
     assert (found["same"], found["ticks"], found["difference"]) == (True, 40, None)
 
 
@@ -68,37 +68,37 @@ def test_replay_says_where_it_differs(equipoise, tmp_path):
     u = log.u.copy()
     u[12] = 0.125
     dataclasses.replace(log, u=u).save(tmp_path / "run.mcap", command="test")
-    ran = equipoise("replay", "run.mcap")
+    ran = equipoise("log", "replay", "run.mcap")
     assert ran.code == 1
     assert "12 ticks are the same; in the next, at 0.120 s, u is" in ran.out
     assert "the log says 0.125" in ran.out
-    found = equipoise("replay", "run.mcap", "--json")
+    found = equipoise("log", "replay", "run.mcap", "--json")
     assert found.code == 1
     assert found.json["difference"]["what"] == "u"
-    assert equipoise("replay", "run.mcap", "--tolerance", "3").code == 0
+    assert equipoise("log", "replay", "run.mcap", "--tolerance", "3").code == 0
 
 
 @pytest.mark.parametrize("tolerance", ["-1", "nan"])
 def test_a_tolerance_that_is_none_is_refused(equipoise, on_a_twin, tolerance):
-    ran = equipoise("replay", on_a_twin, f"--tolerance={tolerance}")
+    ran = equipoise("log", "replay", on_a_twin, f"--tolerance={tolerance}")
     assert ran.code == 2
     assert "give 0 or more" in ran.err
 
 
 def test_export_writes_the_tables_beside_the_log(equipoise, on_a_twin, tmp_path):
     (tmp_path / "run.mcap").write_bytes(on_a_twin.read_bytes())
-    ran = equipoise("export", "run.mcap")
+    ran = equipoise("log", "export", "run.mcap")
     assert ran.code == 0
     made = sorted(path.name for path in (tmp_path / "run-csv").iterdir())
     assert made == ["encoder.csv", "reply.csv", "stream.csv", "tick.csv", "truth.csv"]
-    assert equipoise("export", "run.mcap", "--out", "run.mcap").code == 2
+    assert equipoise("log", "export", "run.mcap", "--out", "run.mcap").code == 2
 
 
 @pytest.mark.parametrize("log", ["pushed", "on_a_twin"])
 def test_export_films_the_log_of_a_rig_and_of_a_twin(equipoise, request, log, tmp_path):
     pytest.importorskip("imageio_ffmpeg")
     run = request.getfixturevalue(log)
-    ran = equipoise("export", run, "--video", "run.mp4", "--json")
+    ran = equipoise("log", "export", run, "--video", "run.mp4", "--json")
     if "cannot draw pictures" in ran.err:
         pytest.skip(ran.err)
     assert ran.code == 0, ran
@@ -107,23 +107,23 @@ def test_export_films_the_log_of_a_rig_and_of_a_twin(equipoise, request, log, tm
 
 
 def test_a_film_of_another_kind_is_refused_before_a_table_is_written(refused, on_a_twin):
-    refused("export", on_a_twin, "--video", "run.gif", "--out", "t", saying="ends in .mp4")
+    refused("log", "export", on_a_twin, "--video", "run.gif", "--out", "t", saying="ends in .mp4")
 
 
-@pytest.mark.parametrize("verb", ["explain", "replay", "export"])
+@pytest.mark.parametrize("verb", ["log explain", "log replay", "log export"])
 def test_what_is_no_log_is_refused(equipoise, tmp_path, verb):
     (tmp_path / "x.mcap").write_bytes(b"hello")
     for name in ("x.mcap", "nowhere.mcap"):
-        ran = equipoise(verb, name)
+        ran = equipoise(*verb.split(), name)
         assert ran.code == 2
         assert name in ran.err
         assert "Traceback" not in ran.err
 
 
-def test_verify_takes_the_log_of_a_rig(equipoise, pushed):
-    ran = equipoise("verify", pushed)
+def test_show_reads_the_log_of_a_rig(equipoise, pushed):
+    ran = equipoise("log", "show", pushed)
     assert ran.code == 0
-    assert "a sound log of a run on a rig" in ran.out
-    assert f"next: equipoise explain {pushed}" in ran.out
-    found = equipoise("verify", pushed, "--json").json
+    assert "an intact log of a run on a rig" in ran.out
+    assert f"next: equipoise log explain {pushed}" in ran.out
+    found = equipoise("log", "show", pushed, "--json").json
     assert (found["digest"], found["provenance"]) == (None, None)

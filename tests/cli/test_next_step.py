@@ -96,10 +96,10 @@ def evaluated(balanced, policy=OTHER, path=MINE, **given):
         # Logs.
         (
             next_step.after_explanation(Path("r.mcap"), shipped_policy().digest, moved=True),
-            "replay|r.mcap",
+            "log|replay|r.mcap",
         ),
-        (next_step.after_explanation(Path("r.mcap"), "sha256:0", moved=True), "export|r.mcap"),
-        (next_step.after_explanation(Path("r.mcap"), "sha256:0", moved=False), "doctor"),
+        (next_step.after_explanation(Path("r.mcap"), "sha256:0", moved=True), "log|export|r.mcap"),
+        (next_step.after_explanation(Path("r.mcap"), "sha256:0", moved=False), "rig|doctor"),
         (next_step.after_explanation(Path("r.mcap"), "", moved=False), "identify|r.mcap"),
     ],
 )
@@ -128,8 +128,8 @@ def test_a_table_that_its_own_selection_saw_fall_is_trained_again(survived, word
     ("cause", "words"),
     [
         ("lasted", f"evaluate|my policy.json|--world|{TOML}|--actuator|a.json"),
-        ("guard", "explain|run-2.mcap"),
-        ("angle", "explain|run-2.mcap"),
+        ("guard", "log|explain|run-2.mcap"),
+        ("angle", "log|explain|run-2.mcap"),
     ],
 )
 def test_a_run_that_failed_is_explained(cause, words):

@@ -1,4 +1,4 @@
-"""`equipoise record`, in virtual time: a hand in front of an emulated board."""
+"""`equipoise rig record`, in virtual time: a hand in front of an emulated board."""
 
 import pytest
 
@@ -28,7 +28,7 @@ def bench(monkeypatch):
 
 
 def test_a_swing_becomes_a_file_that_identify_reads(equipoise, bench, tmp_path):
-    ran = equipoise("record", "--encoder", URI, "--duration", 8)
+    ran = equipoise("rig", "record", "--encoder", URI, "--duration", 8)
     assert ran.code == 0, ran
     assert ran.err == ""
     said = ran.out.splitlines()
@@ -44,7 +44,9 @@ def test_a_swing_becomes_a_file_that_identify_reads(equipoise, bench, tmp_path):
 
 
 def test_json_is_one_object(equipoise, bench):
-    ran = equipoise("record", "--encoder", URI, "--duration", 4, "--out", "a/b.csv", "--json")
+    ran = equipoise(
+        "rig", "record", "--encoder", URI, "--duration", 4, "--out", "a/b.csv", "--json"
+    )
     assert ran.code == 0
     assert ran.json["recording"] == "a/b.csv"
     assert ran.json["amplitude_deg"] == pytest.approx(45.0, abs=1.5)
@@ -63,7 +65,7 @@ def test_ctrl_c_keeps_nothing_and_says_so(equipoise, bench, tmp_path):
             raise KeyboardInterrupt
 
     bench.clock.attach(interrupt)
-    ran = equipoise("record", "--encoder", URI)
+    ran = equipoise("rig", "record", "--encoder", URI)
     assert ran.code == 130
     assert "nothing was recorded, swing-2.csv was not written" in ran.out
     assert contents(tmp_path) == {"swing.csv": b"an older one\n"}
@@ -76,27 +78,27 @@ def test_a_board_that_dies_is_the_outside_world(equipoise, bench, tmp_path):
             bench.unplug()
 
     bench.clock.attach(unplug)
-    ran = equipoise("record", "--encoder", URI)
+    ran = equipoise("rig", "record", "--encoder", URI)
     assert ran.code == 3
     assert ran.err.startswith(f"error: {URI} is gone")
     assert contents(tmp_path) == {}
 
 
 def test_a_board_of_other_counts_is_refused(equipoise, bench):
-    ran = equipoise("record", "--encoder", URI, "--counts-per-rev", 4096)
+    ran = equipoise("rig", "record", "--encoder", URI, "--counts-per-rev", 4096)
     assert ran.code == 3
     assert "counts 8192 per revolution, the rig expects 4096" in ran.err
 
 
 def test_a_missing_device_is_named(equipoise):
-    ran = equipoise("record", "--encoder", "serial:///dev/ttyNONE7")
+    ran = equipoise("rig", "record", "--encoder", "serial:///dev/ttyNONE7")
     assert ran.code == 3
     assert "there is no device /dev/ttyNONE7" in ran.err
 
 
 def test_wrong_use_is_refused(refused):
-    refused("record", saying="Missing option")
-    refused("record", "--encoder", "/dev/ttyACM0", saying="no address of a serial port")
-    refused("record", "--encoder", URI, "--out", "swing.txt", saying="ends in .csv")
-    refused("record", "--encoder", URI, "--duration", 0.5, saying="a number from 1 to 600")
-    refused("record", "--encoder", URI, "--duration", "nan", saying="a number from 1 to 600")
+    refused("rig", "record", saying="Missing option")
+    refused("rig", "record", "--encoder", "/dev/ttyACM0", saying="no address of a serial port")
+    refused("rig", "record", "--encoder", URI, "--out", "swing.txt", saying="ends in .csv")
+    refused("rig", "record", "--encoder", URI, "--duration", 0.5, saying="a number from 1 to 600")
+    refused("rig", "record", "--encoder", URI, "--duration", "nan", saying="a number from 1 to 600")

@@ -1,4 +1,4 @@
-"""`equipoise rehearse`: what it lists, tries, refuses, and its exit codes."""
+"""`equipoise rig rehearse`: what it lists, tries, refuses, and its exit codes."""
 
 import pytest
 
@@ -8,14 +8,14 @@ pytestmark = pytest.mark.compiled_only
 
 
 def test_the_list_names_every_fault_and_tries_none(equipoise):
-    ran = equipoise("rehearse", "--list", "--json")
+    ran = equipoise("rig", "rehearse", "--list", "--json")
     assert ran.code == 0
     everything = (*rehearsal.FAULTS, *rehearsal.REAL_TIME)
     assert ran.json == {"faults": [fault.name for fault in everything]}
 
 
 def test_a_fault_that_ends_well_is_exit_code_0(equipoise):
-    ran = equipoise("rehearse", "--only", "key: homing", "--only", "second client", "--json")
+    ran = equipoise("rig", "rehearse", "--only", "key: homing", "--only", "second client", "--json")
     assert ran.code == 0
     tried, left = ran.json["faults"]
     assert (tried["tried"], tried["problems"]) == (True, [])
@@ -26,7 +26,7 @@ def test_a_fault_that_ends_well_is_exit_code_0(equipoise):
 def test_a_fault_that_ends_otherwise_is_exit_code_1(equipoise, monkeypatch):
     bad = rehearsal.FAULTS[-1]._replace(name="made up", play=lambda: ["the file was taken"])
     monkeypatch.setattr(rehearsal, "FAULTS", (bad,))
-    ran = equipoise("rehearse", "--only", "made up")
+    ran = equipoise("rig", "rehearse", "--only", "made up")
     assert ran.code == 1
     assert "failed" in ran.out
     assert "the file was taken" in ran.out
@@ -34,6 +34,6 @@ def test_a_fault_that_ends_otherwise_is_exit_code_1(equipoise, monkeypatch):
 
 
 def test_an_unknown_fault_is_refused(equipoise):
-    ran = equipoise("rehearse", "--only", "encoder unplugd")
+    ran = equipoise("rig", "rehearse", "--only", "encoder unplugd")
     assert ran.code == 2
     assert "--list shows them all" in ran.err

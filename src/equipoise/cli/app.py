@@ -1,11 +1,10 @@
-"""The command and its verbs, in the order in which one needs them."""
+"""The command and its verbs, grouped as they are used: the story, the robot, the logs."""
 
+from functools import partial
 from typing import Annotated
 
 import typer
 
-from equipoise.cli.bench import bench
-from equipoise.cli.certify import certify
 from equipoise.cli.deploy import deploy
 from equipoise.cli.doctor import doctor
 from equipoise.cli.emulate import emulate
@@ -19,30 +18,37 @@ from equipoise.cli.refine import refine
 from equipoise.cli.rehearse import rehearse
 from equipoise.cli.replay import replay
 from equipoise.cli.reproduce import reproduce
+from equipoise.cli.show import show
 from equipoise.cli.train import train
-from equipoise.cli.verify import verify
 
 STORY = "The story"
-RIG = "The rig"
-STUDIES = "Studies"
+ROBOT = "The robot"
+LOGS = "Logs"
 
-app = typer.Typer(
+group = partial(
+    typer.Typer,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    pretty_exceptions_enable=False,
+)
+app = group(
     name="equipoise",
     help="Teach a robot arm to balance an inverted pendulum: identify, train, evaluate, deploy.",
     epilog="Begin with: equipoise reproduce --quick",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-    context_settings={"help_option_names": ["-h", "--help"]},
 )
+rig = group(help="Check, emulate, use and test a rig: doctor, emulate, record, rehearse.")
+log = group(help="Read the log of a run, or another file: explain, replay, export, show.")
 
-for verb in (reproduce, identify, train, evaluate, deploy):
+for verb in (reproduce, identify, train, evaluate, gap, refine):
     app.command(rich_help_panel=STORY)(verb)
-for verb in (doctor, record, emulate, rehearse):
-    app.command(rich_help_panel=RIG)(verb)
-for verb in (explain, replay, certify, gap, refine, verify, export, bench):
-    app.command(rich_help_panel=STUDIES)(verb)
+app.command(rich_help_panel=ROBOT)(deploy)
+for verb in (doctor, emulate, record, rehearse):
+    rig.command()(verb)
+for verb in (explain, replay, export, show):
+    log.command()(verb)
+app.add_typer(rig, name="rig", rich_help_panel=ROBOT)
+app.add_typer(log, name="log", rich_help_panel=LOGS)
 
 
 def _version(wanted: bool) -> None:
@@ -56,7 +62,8 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _command(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say which version.")
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
     ] = False,
 ) -> None:
     """Carry the options that belong to no verb; typer takes its help from `app`."""

@@ -143,7 +143,7 @@ def deploy(
         if video is not None:
             raise InputError(
                 "--video does not go with --robot; film the log afterwards: "
-                f"equipoise export {shlex.quote(str(out or LOG))} "
+                f"equipoise log export {shlex.quote(str(out or LOG))} "
                 f"--video {shlex.quote(str(video))}"
             )
         log = choose_file(output, out, LOG, policy, rig, force=force, suffix=".mcap")
@@ -351,10 +351,10 @@ def _on_a_rig(
     output.wrote(out)
     code = exit_code(outcome)
     if code:
-        output.next("explain", out)
+        output.next("log", "explain", out)
     elif not dry_run:
         known = ("--actuator", actuator) if actuator else ()
-        output.next("replay", out, *((policy,) if policy else ()), *known)
+        output.next("log", "replay", out, *((policy,) if policy else ()), *known)
     else:
         words = {"--encoder": encoder, "--rig": rig, "--actuator": actuator}
         given = [str(word) for pair in words.items() if pair[1] for word in pair]

@@ -1,4 +1,4 @@
-"""`equipoise doctor`: are machine and rig fit for a run?"""
+"""`equipoise rig doctor`: are machine and rig fit for a run?"""
 
 import math
 from pathlib import Path
@@ -84,7 +84,8 @@ def doctor(
 
     if robot is not None and is_virtual(robot):
         raise InputError(
-            f"{robot} has no link to time; give kst://HOST:30001, as equipoise emulate names one"
+            f"{robot} has no link to time; give kst://HOST:30001, such as that of equipoise rig "
+            "emulate"
         )
     clock, settings = SystemClock(), read_rig(rig)
     arm = None if robot is None else robot_at(robot, clock, tell=output.say)

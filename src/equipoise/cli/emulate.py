@@ -1,4 +1,4 @@
-"""`equipoise emulate`: the rig's hardware on this machine, for a driver that cannot tell."""
+"""`equipoise rig emulate`: the rig's hardware on this machine, for a driver that cannot tell."""
 
 import queue
 import sys

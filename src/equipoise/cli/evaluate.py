@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from equipoise.cli import next_step
+from equipoise.cli.claim import certify, repeat
 from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.options import (
     IN_AND_OUT,
@@ -24,6 +25,7 @@ from equipoise.cli.options import (
     Tip,
     Workers,
     available_workers,
+    only,
     read_actuator,
     read_arm,
     read_pendulum,
@@ -41,14 +43,18 @@ if TYPE_CHECKING:
     from equipoise.model.pendulum import Pendulum
     from equipoise.settings import Settings
 
-NOT_BALANCED = 1
-"""Exit code where the median trial does not last."""
+CLAIM = "A claim and its certificate"
+NOT_BALANCED = REFUSED = OTHER_OUTCOME = 1
+"""Exit code: the median trial ended early, a claim was refused, or a certificate not repeated."""
+DURATION = 60.0
+"""Duration of a claim's trials by default [s]."""
 QUANTILES = ("0.05", "0.25", "0.75", "0.95")
 """Names of the quantiles of survival in the JSON object."""
 
 
 @verb
 def evaluate(
+    context: typer.Context,
     policy: PolicyFile = None,
     function: Annotated[
         str | None,
@@ -59,7 +65,10 @@ def evaluate(
         ),
     ] = None,
     trials: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Number of trials; by default 200.")
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="Number of trials; by default 200, or as --claim requires."
+        ),
     ] = None,
     duration: Annotated[
         float | None,
@@ -74,10 +83,31 @@ def evaluate(
     ] = "model",
     max_speed: MaxSpeed = None,
     actuator: KnownActuator = None,
-    with_yardsticks: Annotated[
+    with_baselines: Annotated[
         bool,
-        typer.Option("--yardsticks/--no-yardsticks", help="Run LQR, PD and chance beside it."),
+        typer.Option("--baselines/--no-baselines", help="Run LQR, PD and random actions too."),
     ] = True,
+    claim: Annotated[
+        float | None,
+        typer.Option(
+            metavar="P",
+            help="Claim that a trial lasts with at least this probability, e.g. 0.99, and write "
+            "a certificate.",
+            rich_help_panel=CLAIM,
+        ),
+    ] = None,
+    confidence: Annotated[
+        float,
+        typer.Option(metavar="C", help="Confidence of the claim.", rich_help_panel=CLAIM),
+    ] = 0.95,
+    verify: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CERTIFICATE",
+            help="Repeat the trials of this certificate of POLICY.",
+            rich_help_panel=CLAIM,
+        ),
+    ] = None,
     pendulum: Annotated[
         Path | None,
         typer.Option(
@@ -99,9 +129,9 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="The evaluation that is written.",
+            help="Evaluation to write; with --claim the certificate, its trials beside it.",
             rich_help_panel=IN_AND_OUT,
-            show_default="evaluation.json",
+            show_default="evaluation.json or certificate.json",
         ),
     ] = None,
     force: Force = False,
@@ -109,11 +139,30 @@ def evaluate(
 ) -> None:
     """Evaluate a policy: how long it stands, and why it falls.
 
-    Four yardsticks run the same trials. Interrupted on a twin, the same command
-    goes on where it stopped. Exit code 1 says that it does not
-    balance: the median trial ended before its time.
+    Four baselines run the same trials. Interrupted on a twin, the same command
+    goes on where it stopped. Exit code 1: the median trial ended early.
+
+    --claim grants or refuses a claim by an exact bound. Claim and policy
+    determine the number of trials and their seed, so a second attempt is the
+    same. --verify repeats a certificate. Exit code 1: refused, or not repeated.
     """
     output = Output(as_json)
+    if verify is not None:
+        only(context, "--verify", "policy", "verify", "workers", "as_json")
+        output.say(f"Repeating the trials of {verify}")
+        if not repeat(output, verify, policy, workers):
+            raise typer.Exit(OTHER_OUTCOME)
+        return
+    if claim is not None:
+        taken = ("policy", "claim", "confidence", "duration", "world", "trials", "workers")
+        only(context, "--claim", *taken, "out", "force", "as_json")
+        output.say(f"Certifying {policy or 'the policy that ships with Equipoise'}")
+        length = DURATION if duration is None else duration
+        if not certify(
+            output, policy, claim, confidence, length, world, trials, workers, out, force
+        ):
+            raise typer.Exit(REFUSED)
+        return
     output.say(f"Evaluating {function or policy or 'the policy that ships with Equipoise'}")
     destination = choose_file(output, out, "evaluation.json", policy, pendulum, force=force)
 
@@ -130,10 +179,10 @@ def evaluate(
         from equipoise.guests import load_object
         from equipoise.model.sim_configs import MODEL
 
-        if world != MODEL or actuator or max_speed is not None or not with_yardsticks:
+        if world != MODEL or actuator or max_speed is not None or not with_baselines:
             raise InputError(
-                "--policy runs on the plant of the paper, beside the yardsticks; leave out "
-                "--world, --actuator, --max-speed and --no-yardsticks"
+                "--policy runs on the plant of the paper, beside the baselines; leave out "
+                "--world, --actuator, --max-speed and --no-baselines"
             )
         evaluation = _evaluate_function(
             output,
@@ -161,7 +210,7 @@ def evaluate(
             max_speed,
             seed,
             workers,
-            with_yardsticks,
+            with_baselines,
             partial,
         )
     inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
@@ -233,7 +282,7 @@ def _evaluate_table(
     max_speed: float | None,
     seed: int,
     workers: int | None,
-    with_yardsticks: bool,
+    with_baselines: bool,
     partial: Path,
 ) -> "Evaluation":
     from equipoise.evaluation import evaluate
@@ -244,7 +293,7 @@ def _evaluate_table(
             raise InputError(f"--max-speed is {max_speed:g} m/s; give a number from 0.01 to 2")
         plant = settings.plant.model_copy(update={"max_speed": max_speed})
         settings = settings.model_copy(update={"plant": plant})
-    runs = _runs(policy.pendulum) if with_yardsticks else 1
+    runs = _runs(policy.pendulum) if with_baselines else 1
     with trials_of(output, "evaluate", policy, world, runs * settings.evaluation.trials) as done:
         return evaluate(
             policy,
@@ -252,7 +301,7 @@ def _evaluate_table(
             world=world,
             actuator=actuator,
             seed=seed,
-            with_yardsticks=with_yardsticks,
+            with_yardsticks=with_baselines,
             workers=available_workers(workers),
             partial=partial,
             done=done,
@@ -291,7 +340,7 @@ def _evaluate_function(
 
 
 def _runs(pendulum: "Pendulum") -> int:
-    """Return how many policies run all trials: the one asked for and the yardsticks."""
+    """Return how many policies run all trials: the one asked for and the baselines."""
     from equipoise import paper
     from equipoise.control.baselines import baselines
 

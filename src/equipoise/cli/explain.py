@@ -1,4 +1,4 @@
-"""`equipoise explain`: why did a run end?"""
+"""`equipoise log explain`: why did a run end?"""
 
 from math import degrees
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""`equipoise export`: a run log becomes tables that any program reads, or a film."""
+"""`equipoise log export`: a run log becomes tables that any program reads, or a film."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -68,7 +68,7 @@ def export(
         with film.claimed() as video:
             _film(output, log, run, video)
     output.wrote(*made, *([video] if video else []))
-    output.next("explain", run)
+    output.next("log", "explain", run)
     output.result(
         {
             "run": str(run),

@@ -143,7 +143,7 @@ def gap(
             other.save(wrote[-1], command="gap", inputs={"pendulum": table.pendulum.digest})
     _say(output, found)
     output.wrote(*wrote)
-    output.next("certify", *((policy,) if policy else ()), "--world", world)
+    output.next("evaluate", *((policy,) if policy else ()), "--world", world, "--claim", "0.99")
     output.result(_result(found, wrote))
 
 

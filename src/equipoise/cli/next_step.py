@@ -190,7 +190,7 @@ def after_run(
         actuator: The actuator's file, where it was given.
     """
     if run.conditions.cause != "lasted":
-        return ("explain", str(out))
+        return ("log", "explain", str(out))
     return ("evaluate", *_file(path), *_given(world=world, actuator=actuator))
 
 
@@ -207,11 +207,14 @@ def after_explanation(run: Path, policy: str, moved: bool) -> Command:
     if not policy:
         return ("identify", str(run))
     if not moved:
-        return ("doctor",)
+        return (
+            "rig",
+            "doctor",
+        )
     if policy == shipped_policy().digest:
-        return ("replay", str(run))
+        return ("log", "replay", str(run))
     found = file_with(policy, run)
-    return ("replay", str(run), str(found)) if found else ("export", str(run))
+    return ("log", "replay", str(run), str(found)) if found else ("log", "export", str(run))
 
 
 def after_refinement(

@@ -170,6 +170,32 @@ Tip = Annotated[
 ]
 
 
+def only(context: typer.Context, mode: str, *allowed: str, hint: str = "") -> None:
+    """Refuse options of the command line that a mode of a verb does not take.
+
+    Args:
+        context: Context of the verb.
+        mode: Name of the mode in the message.
+        allowed: Names of the parameters that the mode takes.
+        hint: Advice of the message; by default to leave the options out.
+
+    Raises:
+        InputError: Another option or argument was given.
+    """
+    odd: list[str] = []
+    for parameter in context.command.params:
+        name = str(parameter.name)
+        source = context.get_parameter_source(name)
+        if name not in allowed and source is not None and source.name == "COMMANDLINE":
+            negated = context.params[name] is False and parameter.secondary_opts
+            option = (negated or parameter.opts)[0]
+            odd.append(option if option.startswith("-") else name.upper())
+    if odd:
+        names = " and ".join((", ".join(odd[:-1]), odd[-1]) if len(odd) > 1 else odd)
+        verb, what = ("do", "them") if len(odd) > 1 else ("does", "it")
+        raise InputError(f"{names} {verb} not go with {mode}; {hint or f'leave {what} out'}")
+
+
 def read_pendulum(path: Path | None) -> "Pendulum":
     """Return the pendulum of a file, or the one that ships with Equipoise.
 

@@ -1,4 +1,4 @@
-"""`equipoise record`: a free swing, made by hand in front of an encoder, becomes a recording."""
+"""`equipoise rig record`: records a free swing from the encoder."""
 
 from collections.abc import Callable
 from math import degrees

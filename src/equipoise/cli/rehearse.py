@@ -1,4 +1,4 @@
-"""`equipoise rehearse`: everything goes wrong, and ends as it should."""
+"""`equipoise rig rehearse`: everything goes wrong, and ends as it should."""
 
 from typing import TYPE_CHECKING, Annotated
 
@@ -68,11 +68,11 @@ def rehearse(
     words = f"{len(tried) - len(bad)} of {len(tried)} faults ended as they should"
     output.say(f"{words}; {left} need --real-time" if left else words, style="red" if bad else None)
     if bad:
-        output.next("rehearse", "--only", bad[0])
+        output.next("rig", "rehearse", "--only", bad[0])
     elif left:
-        output.next("rehearse", "--real-time")
+        output.next("rig", "rehearse", "--real-time")
     else:
-        output.next("doctor")
+        output.next("rig", "doctor")
     output.result({"faults": [_plain(result) for result in results], "failed": bad})
     if bad:
         raise typer.Exit(ENDED_OTHERWISE)

@@ -1,4 +1,4 @@
-"""`equipoise replay`: does the controller do again what a log says?"""
+"""`equipoise log replay`: does the controller do again what a log says?"""
 
 from pathlib import Path
 from typing import Annotated
@@ -60,7 +60,7 @@ def replay(
             f"{first.what} is {first.replayed!r}, and the log says {first.logged!r}.",
             style="red",
         )
-    output.next("explain", run)
+    output.next("log", "explain", run)
     output.result(
         {
             "run": str(run),

@@ -736,7 +736,7 @@ def _tick(watched: MonitorState, view: SafetyInputs) -> Violation | None:
         return Violation(
             Rule.TICK,
             f"the loop was {1e3 * view.lateness:.1f} ms late, expected at most "
-            f"{1e3 * LATE:g} ms; `equipoise doctor` looks for the cause",
+            f"{1e3 * LATE:g} ms; `equipoise rig doctor` looks for the cause",
             view.lateness,
             LATE,
         )
@@ -744,7 +744,7 @@ def _tick(watched: MonitorState, view: SafetyInputs) -> Violation | None:
         return Violation(
             Rule.TICK,
             f"the loop missed {watched.missed} ticks in a row, expected fewer than "
-            f"{MISSED_LIMIT}; `equipoise doctor` looks for the cause",
+            f"{MISSED_LIMIT}; `equipoise rig doctor` looks for the cause",
             float(watched.missed),
             float(MISSED_LIMIT),
         )

@@ -157,7 +157,7 @@ def check_link(trips: Array) -> Iterator[PreflightCheck]:
     """Judge the round trips of a link to the robot [s], shape (n,)."""
     p50, p99, most = (float(t) for t in (*np.percentile(trips, (50, 99)), trips.max()))
     found = f"p50 {1e3 * p50:.2f} ms, p99 {1e3 * p99:.2f} ms, at most {1e3 * most:.2f} ms"
-    cure = "use a direct cable and no other traffic; equipoise doctor finds more"
+    cure = "use a direct cable and no other traffic; equipoise rig doctor finds more"
     yield _finding("link to the robot", link_verdict(p99), found, cure)
 
 

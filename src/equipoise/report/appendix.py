@@ -161,5 +161,5 @@ def _commands(results: Results) -> list[str]:
         f"equipoise evaluate {POLICY} --world {world}",
         f"equipoise deploy {POLICY} --world {world}",
         *([f"equipoise gap {POLICY} --world {world}"] if results.gap else []),
-        f"equipoise verify {RUN}",
+        f"equipoise log show {RUN}",
     ]

@@ -302,6 +302,19 @@ def certify(
     return _try(policy, claim, numbers, workers, partial, done)
 
 
+def check_policy(certificate: Certificate, policy: TabularPolicy) -> None:
+    """Check that a certificate is about a policy.
+
+    Raises:
+        ArtefactError: The certificate is about another policy.
+    """
+    if policy.digest != certificate.policy:
+        raise ArtefactError(
+            f"the certificate is about another policy ({certificate.policy[:19]}...), not about "
+            f"this one ({policy.digest[:19]}...); give that one"
+        )
+
+
 def repeat(
     certificate: Certificate,
     policy: TabularPolicy,
@@ -320,11 +333,7 @@ def repeat(
     Raises:
         ArtefactError: The certificate is about another policy.
     """
-    if policy.digest != certificate.policy:
-        raise ArtefactError(
-            f"the certificate is about another policy ({certificate.policy[:19]}...), not about "
-            f"this one ({policy.digest[:19]}...); give that one"
-        )
+    check_policy(certificate, policy)
     numbers = certificate.world_settings
     again, evaluation = _try(policy, certificate.claim, numbers, workers, None, done)
     return Repetition(

@@ -147,7 +147,7 @@ ADVICE: Final = {
     ),
     CauseName.STALE: "look at the encoder's cable, power and coupling",
     CauseName.JUMP: "look at the encoder's coupling, its wiring and what disturbs it",
-    CauseName.LATE: "let `equipoise doctor` look for what holds this machine up",
+    CauseName.LATE: "let `equipoise rig doctor` look for what holds this machine up",
     CauseName.SATURATION: (
         "train a policy with larger actions, or identify pendulum and actuator again (`equipoise "
         "refine`)"
@@ -158,12 +158,12 @@ ADVICE: Final = {
     CauseName.ANGLE: "identify pendulum and actuator again (`equipoise refine`)",
     CauseName.CONTACT: "find what the arm touched before it moves again",
     CauseName.NOT_FOLLOWING: "look at the smartPAD: emergency stop, enabling switch, mode",
-    CauseName.LINK: "look at cable and network; `equipoise doctor` measures round trips",
+    CauseName.LINK: "look at cable and network; `equipoise rig doctor` measures round trips",
     CauseName.POSTURE: "look at the mounting of base and flange, and at the actuator in use",
     CauseName.SPEED: "train with --max-speed, leave T1, or make the link to the robot faster",
     CauseName.SELF_TEST: "do what the self-test says",
     CauseName.FAULT: (
-        "mend what the evidence names, and look at the rig with `equipoise doctor` before the "
+        "mend what the evidence names, and look at the rig with `equipoise rig doctor` before the "
         "next run"
     ),
     CauseName.BUG: "keep this log and report it; do not run again before it is understood",

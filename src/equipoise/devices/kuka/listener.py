@@ -1,6 +1,6 @@
 """An emulated KST server on a TCP port, in real time.
 
-`equipoise emulate` calls `serve` with the body's own progress as `work`::
+`equipoise rig emulate` calls `serve` with the body's own progress as `work`::
 
     server = KstServer(body, speeds)
     serve(server, "127.0.0.1", 30001, SystemClock(), body.advance_until, stop.is_set)

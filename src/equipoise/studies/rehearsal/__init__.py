@@ -87,7 +87,7 @@ def choose(only: Sequence[str]) -> tuple[list[Fault], list[LiveFault]]:
     for word in only:
         if word not in known:
             raise InputError(
-                f"there is no fault {word!r}; equipoise rehearse --list shows them all"
+                f"there is no fault {word!r}; equipoise rig rehearse --list shows them all"
             )
 
     def wanted(fault: Fault | LiveFault) -> bool:

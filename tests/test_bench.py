@@ -8,6 +8,8 @@ import os
 
 import numpy as np
 import pytest
+from benchmarks import bench
+from benchmarks.bench import OURS, Contestant, PinocchioLoop, race, table
 from rich.console import Console
 
 from equipoise import paper
@@ -22,8 +24,6 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import Settings, resolve
-from equipoise.studies import benchmark as bench
-from equipoise.studies.benchmark import OURS, Contestant, PinocchioLoop, race, table
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.1)
 NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)

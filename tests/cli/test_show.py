@@ -1,4 +1,4 @@
-"""`equipoise verify`: every kind of file, sound and damaged."""
+"""`equipoise log show` and `evaluate --verify`: every kind of file, intact and damaged."""
 
 import pytest
 
@@ -37,12 +37,12 @@ HOLDS = {
 @pytest.mark.parametrize("name", HOLDS)
 def test_it_says_what_a_file_is_and_holds(equipoise, files, name):
     what, content = HOLDS[name]
-    ran = equipoise("verify", name)
+    ran = equipoise("log", "show", name)
     assert ran.code == 0
-    assert f"a sound {what} " in ran.out
+    assert f"an intact {what} " in ran.out
     assert content in ran.out
     assert "digest  matches" in ran.out
-    found = equipoise("verify", name, "--json").json
+    found = equipoise("log", "show", name, "--json").json
     assert found["what"] == what
     assert found["digest"].startswith("sha256:")
     assert found["provenance"]["command"] == "test"
@@ -54,30 +54,30 @@ def test_it_says_what_a_file_is_and_holds(equipoise, files, name):
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_file_is_refused(refused, files, name, damage):
     damage(files / name)
-    refused("verify", name, saying=DAMAGE[damage])
+    refused("log", "show", name, saying=DAMAGE[damage])
 
 
 def test_a_damaged_run_log_is_refused(refused, files):
     whole = (files / "run.mcap").read_bytes()
     for damaged in (whole[: len(whole) // 3], whole[:5], whole[:900] + whole[950:]):
         (files / "run.mcap").write_bytes(damaged)
-        refused("verify", "run.mcap", saying="run.mcap")
+        refused("log", "show", "run.mcap", saying="run.mcap")
 
 
 def test_what_is_no_file_of_ours_is_refused(refused, swing, tmp_path):
-    refused("verify", "nowhere.json", saying="there is no file nowhere.json")
-    refused("verify", swing, saying="is not a file of Equipoise")
-    refused("verify", tmp_path, saying="cannot read")
-    refused("verify", saying="Missing argument")
+    refused("log", "show", "nowhere.json", saying="there is no file nowhere.json")
+    refused("log", "show", swing, saying="is not a file of Equipoise")
+    refused("log", "show", tmp_path, saying="cannot read")
+    refused("log", "show", saying="Missing argument")
 
 
 # A certificate
 
 
 def test_a_certificate_says_how_to_repeat_it(equipoise, files):
-    ran = equipoise("verify", "certificate.json")
-    assert "next: equipoise verify certificate.json --policy " in ran.out
-    found = equipoise("verify", "certificate.json", "--json").json
+    ran = equipoise("log", "show", "certificate.json")
+    assert "next: equipoise evaluate policy.json --verify certificate.json" in ran.out
+    found = equipoise("log", "show", "certificate.json", "--json").json
     assert "at least 90 %, at 90 % confidence, world model; 22 trials, " in found["content"]
     assert found["content"].endswith(", 0 failures allowed")
     assert "repeated" not in found
@@ -85,19 +85,23 @@ def test_a_certificate_says_how_to_repeat_it(equipoise, files):
 
 @pytest.mark.compiled_only
 def test_with_its_policy_all_trials_come_out_the_same(equipoise, files):
-    asked = ("verify", "certificate.json", "--policy", "policy.json")
+    asked = ("evaluate", "policy.json", "--verify", "certificate.json")
     ran = equipoise(*asked)
     assert ran.code == 0, ran
     assert "Repeated: 22 trials again: " in ran.out
     assert "each lasted as long as before, refused." in ran.out
-    repeated = equipoise(*asked, "--workers", 2, "--json").json["repeated"]
+    repeated = equipoise(*asked, "--workers", 2, "--json").json
     certificate = Certificate.load(files / "certificate.json")
     assert repeated == {
         "granted": False,
+        "claim": certificate.claim.model_dump(mode="json"),
+        "bound": certificate.bound,
+        "trials": 22,
         "failures": certificate.failed,
         "causes": certificate.failures,
         "same_outcome": True,
         "same_trials": True,
+        "certificate": "certificate.json",
     }
 
 
@@ -109,19 +113,19 @@ def test_a_certificate_with_fewer_failures_than_its_trials_have_is_found(equipoi
 
     rebuilt(files / "certificate.json", granted)
     # ... does not fit the trials beside it,
-    refused("verify", "certificate.json", saying="does not hold the trials of the certificate")
+    refused("log", "show", "certificate.json", saying="does not hold the trials of the certificate")
     # and without them it comes out otherwise.
     (files / "certificate-evaluation.json").unlink()
-    assert equipoise("verify", "certificate.json").code == 0
-    ran = equipoise("verify", "certificate.json", "--policy", "policy.json")
+    assert equipoise("log", "show", "certificate.json").code == 0
+    ran = equipoise("evaluate", "policy.json", "--verify", "certificate.json")
     assert ran.code == 1
     assert "Not repeated: 22 trials again: " in ran.out
     assert "refused; the certificate says none failed, granted." in ran.out
 
 
 def test_only_a_certificate_is_repeated_and_only_with_its_own_policy(refused, files, small_policy):
-    saying = "is a policy, and --policy repeats a certificate"
-    refused("verify", "policy.json", "--policy", "policy.json", saying=saying)
+    saying = "holds 'equipoise-policy', expected 'equipoise-certificate'"
+    refused("evaluate", "policy.json", "--verify", "policy.json", saying=saying)
     other = small_policy.model_copy(update={"seed": small_policy.seed + 1})
     other.save(files / "other.json", command="test")
     for policy, saying in (
@@ -129,4 +133,7 @@ def test_only_a_certificate_is_repeated_and_only_with_its_own_policy(refused, fi
         ("pendulum.json", "holds 'equipoise-pendulum'"),
         ("nowhere.json", "there is no file nowhere.json"),
     ):
-        refused("verify", "certificate.json", "--policy", policy, saying=saying)
+        refused("evaluate", policy, "--verify", "certificate.json", saying=saying)
+    saying = "--trials and --duration do not go with --verify"
+    options = ("--trials", 5, "--duration", 3)
+    refused("evaluate", "policy.json", "--verify", "certificate.json", *options, saying=saying)

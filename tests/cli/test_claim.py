@@ -1,4 +1,4 @@
-"""`equipoise certify`: what it says, what it leaves, exit codes, and what it refuses."""
+"""`equipoise evaluate --claim`: output, files, exit codes, and what it refuses."""
 
 import pytest
 
@@ -8,14 +8,14 @@ from equipoise.studies.certification import Certificate
 from tests.cli.damage import DAMAGE
 
 STABLE = {"granted", "claim", "bound", "trials", "failures"}
-GRANTED = ("--probability", 0.9, "--confidence", 0.9, "--duration", 0.05)
-REFUSED = ("--probability", 0.9, "--confidence", 0.9, "--duration", 60)
+GRANTED = ("--claim", 0.9, "--confidence", 0.9, "--duration", 0.05)
+REFUSED = ("--claim", 0.9, "--confidence", 0.9, "--duration", 60)
 """A table that was hardly trained stands for a tenth of a second, and often not for a minute."""
 
 
 @pytest.mark.compiled_only
 def test_a_claim_that_holds_is_granted_and_left_with_its_trials(equipoise, policy_file, tmp_path):
-    ran = equipoise("certify", policy_file, *GRANTED)
+    ran = equipoise("evaluate", policy_file, *GRANTED)
     assert ran.code == 0, ran
     assert "lasts 0.05 s with a probability of at least 90 %, at 90 % confidence" in ran.out
     assert "100 trials, 5 failures allowed" in ran.out
@@ -23,7 +23,7 @@ def test_a_claim_that_holds_is_granted_and_left_with_its_trials(equipoise, polic
     # 0.1^(1/100) = 0.977237..., rounded down
     assert "a probability of at least 97.723 %, at 90 % confidence" in ran.out
     assert "Granted: 0 failures, 5 allowed." in ran.out
-    assert "next: equipoise verify certificate.json --policy" in ran.out
+    assert "next: equipoise evaluate" in ran.out
     certificate = Certificate.load(tmp_path / "certificate.json")
     evaluation = Evaluation.load(tmp_path / "certificate-evaluation.json")
     assert certificate.granted
@@ -34,7 +34,7 @@ def test_a_claim_that_holds_is_granted_and_left_with_its_trials(equipoise, polic
 
 @pytest.mark.compiled_only
 def test_a_claim_that_the_trials_do_not_support_is_refused(equipoise, policy_file, tmp_path):
-    ran = equipoise("certify", policy_file, *REFUSED, "--out", "mine.json")
+    ran = equipoise("evaluate", policy_file, *REFUSED, "--out", "mine.json")
     assert ran.code == 1
     certificate = Certificate.load(tmp_path / "mine.json")
     assert not certificate.granted
@@ -46,7 +46,7 @@ def test_a_claim_that_the_trials_do_not_support_is_refused(equipoise, policy_fil
 
 @pytest.mark.compiled_only
 def test_json_is_one_object_with_the_stable_keys(equipoise, policy_file):
-    ran = equipoise("certify", policy_file, *GRANTED, "--trials", 50, "--json")
+    ran = equipoise("evaluate", policy_file, *GRANTED, "--trials", 50, "--json")
     found = ran.json
     assert found.keys() >= STABLE
     assert found["granted"] is True
@@ -60,13 +60,13 @@ def test_json_is_one_object_with_the_stable_keys(equipoise, policy_file):
     assert (found["trials"], found["failures"], found["causes"]) == (50, 0, {})
     assert found["bound"] == pytest.approx(0.1 ** (1 / 50))
     assert ran.err == ""
-    assert equipoise("certify", policy_file, *REFUSED, "--json").code == 1
+    assert equipoise("evaluate", policy_file, *REFUSED, "--json").code == 1
 
 
 @pytest.mark.compiled_only
 def test_a_second_try_is_the_same_try(equipoise, policy_file, tmp_path):
     for name, workers in (("one.json", 1), ("two.json", 2)):
-        equipoise("certify", policy_file, *REFUSED, "--workers", workers, "--out", name)
+        equipoise("evaluate", policy_file, *REFUSED, "--workers", workers, "--out", name)
     one, two = (Certificate.load(tmp_path / name) for name in ("one.json", "two.json"))
     assert one.digest == two.digest
 
@@ -74,13 +74,13 @@ def test_a_second_try_is_the_same_try(equipoise, policy_file, tmp_path):
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_policy_is_refused(refused, policy_file, damage):
     damage(policy_file)
-    refused("certify", policy_file, saying=DAMAGE[damage])
+    refused("evaluate", policy_file, *GRANTED, saying=DAMAGE[damage])
 
 
 OPTIONS = {
-    "certainty": (("--probability", "1"), "probability is 1; it should be less than 1"),
-    "a percentage": (("--probability", "99"), "probability is 99"),
-    "no number": (("--probability", "nan"), "probability is nan"),
+    "certainty": (("--claim", "1"), "probability is 1; it should be less than 1"),
+    "a percentage": (("--claim", "99"), "probability is 99"),
+    "no number": (("--claim", "nan"), "probability is nan"),
     "no confidence": (("--confidence", "0.2"), "confidence is 0.2"),
     "no duration": (("--duration", "0"), "duration is 0"),
     "an endless duration": (("--duration", "inf"), "duration is inf"),
@@ -89,6 +89,11 @@ OPTIONS = {
     "trials beyond any integer": (("--trials", 10**30), "1000000"),
     "too few trials": (("--trials", "298"), "give 299 or more"),
     "unknown world": (("--world", "mars"), "there is no world 'mars'"),
+    "a seed of its own": (("--seed", "3"), "--seed does not go with --claim; leave it out"),
+    "limits": (
+        ("--max-speed", "1", "--no-baselines"),
+        "--max-speed and --no-baselines do not go with --claim",
+    ),
     "no workers": (("--workers", "0"), "--workers"),
     "output is no JSON": (("--out", "certificate.txt"), "ends in .json"),
     "output is the policy": (("--out", "policy.json"), "would be written over"),
@@ -98,15 +103,15 @@ OPTIONS = {
 @pytest.mark.parametrize("flaw", OPTIONS)
 def test_options_that_cannot_be_meant_are_refused(refused, policy_file, flaw):
     options, saying = OPTIONS[flaw]
-    refused("certify", policy_file, *options, saying=saying)
+    refused("evaluate", policy_file, "--claim", "0.99", *options, saying=saying)
 
 
 def test_trials_are_not_written_over_the_policy(refused, policy_file):
     beside = policy_file.rename(policy_file.with_name("mine-evaluation.json"))
-    refused("certify", beside, "--out", "mine.json", saying="would be written over")
+    refused("evaluate", beside, *GRANTED, "--out", "mine.json", saying="would be written over")
 
 
 def test_another_kind_of_file_is_refused(refused, pendulum_file):
     saying = "holds 'equipoise-pendulum', expected 'equipoise-policy'"
-    refused("certify", pendulum_file, saying=saying)
-    refused("certify", "nowhere.json", saying="there is no file nowhere.json")
+    refused("evaluate", pendulum_file, *GRANTED, saying=saying)
+    refused("evaluate", "nowhere.json", *GRANTED, saying="there is no file nowhere.json")

@@ -1,0 +1,165 @@
+"""Certificates: `equipoise evaluate --claim` and `equipoise evaluate --verify`."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from equipoise.cli import next_step
+from equipoise.cli.destinations import check_output, choose_file
+from equipoise.cli.options import available_workers, read_policy
+from equipoise.cli.output import Output
+
+if TYPE_CHECKING:
+    from equipoise.studies.certification import Certificate, Repetition
+
+
+def certify(
+    output: Output,
+    policy: Path | None,
+    probability: float,
+    confidence: float,
+    duration: float,
+    world: str,
+    trials: int | None,
+    workers: int | None,
+    out: Path | None,
+    force: bool,
+) -> bool:
+    """Grant or refuse a claim about a policy, write the certificate, and return whether granted."""
+    from equipoise.artefacts import partial_path
+    from equipoise.cli.evaluate import trials_of
+    from equipoise.studies import certification as study
+
+    destination = choose_file(
+        output,
+        out,
+        "certificate.json",
+        policy,
+        force=force,
+        beside=lambda path: (study.evaluation_path(path),),
+    )
+    partial = partial_path(study.evaluation_path(destination.path))
+    check_output(partial)
+    claim = study.make_claim(probability, confidence, duration, world=world, trials=trials)
+    table = read_policy(policy)
+    output.rows(
+        {
+            "claim": claim.words,
+            "test": f"{claim.trials:,} trials, {claim.allowed:,} failures allowed",
+        }
+    )
+    with trials_of(output, "evaluate", table, world, claim.trials) as done:
+        certificate, evaluation = study.certify(
+            table, claim, workers=available_workers(workers), partial=partial, done=done
+        )
+    with destination.claimed() as out:
+        beside = study.evaluation_path(out)
+        inputs = {"policy": certificate.policy, "pendulum": evaluation.pendulum}
+        evaluation.save(beside, command="evaluate", inputs=inputs)
+        inputs = {"policy": certificate.policy, "evaluation": certificate.evaluation}
+        certificate.save(out, command="evaluate", inputs=inputs)
+    _say(output, certificate)
+    output.wrote(out, beside)
+    if certificate.granted:
+        output.next("evaluate", *((policy,) if policy else ()), "--verify", out)
+    else:
+        output.next(*next_step.after_evaluation(False, table, policy, world=world))
+    output.result(
+        {
+            "granted": certificate.granted,
+            "claim": claim.model_dump(mode="json"),
+            "bound": certificate.bound,
+            "trials": claim.trials,
+            "failures": certificate.failed,
+            "allowed": claim.allowed,
+            "causes": certificate.failures,
+            "seed": certificate.seed,
+            "certificate": str(out),
+            "evaluation": str(beside),
+        }
+    )
+    return certificate.granted
+
+
+def repeat(output: Output, file: Path, policy: Path | None, workers: int | None) -> bool:
+    """Repeat the trials of a certificate, and return whether the outcome is the same.
+
+    Raises:
+        ArtefactError: The file is no certificate, or one of another policy.
+    """
+    from equipoise.cli.evaluate import trials_of
+    from equipoise.studies import certification as study
+    from equipoise.studies.verification import verify
+
+    verify(file)
+    certificate, table = study.Certificate.load(file), read_policy(policy)
+    claim = certificate.claim
+    output.rows({"claim": claim.words})
+    study.check_policy(certificate, table)
+    with trials_of(output, "repeat", table, claim.world, claim.trials) as done:
+        again = study.repeat(certificate, table, workers=available_workers(workers), done=done)
+    _say_repeated(output, certificate, again)
+    known = (policy,) if policy else ()
+    output.next("evaluate", *known, "--world", certificate.claim.world)
+    output.result(
+        {
+            "granted": again.granted,
+            "claim": claim.model_dump(mode="json"),
+            "bound": certificate.bound,
+            "trials": claim.trials,
+            "failures": sum(again.failures.values()),
+            "causes": dict(again.failures),
+            "same_outcome": again.same_outcome,
+            "same_trials": again.same_trials,
+            "certificate": str(file),
+        }
+    )
+    return again.same_outcome
+
+
+def _say(output: Output, certificate: "Certificate") -> None:
+    from equipoise.studies.certification import percentage
+    from equipoise.studies.formatting import falls
+
+    claim = certificate.claim
+    # Rounded down: a lower bound that is rounded up is too high.
+    bound = math.floor(1e5 * certificate.bound) / 1e5
+    output.rows(
+        {
+            "outcome": f"{claim.trials - certificate.failed:,} of {claim.trials:,} lasted; "
+            f"{falls(certificate.failures)}",
+            "proves": f"a probability of at least {percentage(bound)}, at "
+            f"{percentage(claim.confidence)} confidence",
+            "seed": f"{certificate.seed}, from policy and claim: a second attempt is the same",
+        }
+    )
+    count = f"{certificate.failed:,} failures, {claim.allowed:,} allowed."
+    if certificate.granted:
+        output.say(f"Granted: {count}", style="green")
+    else:
+        output.say(
+            f"Refused: {count} That does not disprove the claim; these trials do not support it.",
+            style="red",
+        )
+
+
+def _say_repeated(output: Output, certificate: "Certificate", again: "Repetition") -> None:
+    from equipoise.studies.formatting import falls
+
+    words = f"{certificate.claim.trials:,} trials again: {falls(again.failures)}"
+    verdict = "granted" if again.granted else "refused"
+    if not again.same_outcome:
+        before = "granted" if certificate.granted else "refused"
+        output.say(
+            f"Not repeated: {words}, {verdict}; the certificate says "
+            f"{falls(certificate.failures)}, {before}.",
+            style="red",
+        )
+    elif again.same_trials:
+        output.say(f"Repeated: {words}; each lasted as long as before, {verdict}.", style="green")
+    else:
+        output.say(
+            f"Repeated: {words}; the same counts as before, {verdict}, but some trials lasted "
+            "differently: another processor or library rounds differently.",
+            style="green",
+        )

@@ -1,0 +1,73 @@
+"""`equipoise log show`: the content of any file of Equipoise, and whether it is intact."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from equipoise.cli.next_step import file_with
+from equipoise.cli.options import Json
+from equipoise.cli.output import Output, verb
+
+
+@verb
+def show(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="A run log, pendulum, actuator, policy, evaluation, certificate or reproduction.",
+        ),
+    ],
+    as_json: Json = False,
+) -> None:
+    """Show the content of a file, and check that it is intact.
+
+    Reads the whole file by the rules of its kind. Refuses a file that was
+    edited, damaged or cut. A certificate is compared with the trials beside it.
+    """
+    output = Output(as_json)
+    output.say(f"Reading {file}")
+
+    from equipoise.studies.verification import verify
+
+    found = verify(file)
+    history = found.provenance
+    rows = {
+        "is": f"an intact {found.what} ({found.format}, version {found.version})",
+        "holds": found.content,
+    }
+    if history is not None:
+        software = history.software.get("equipoise", "unknown")
+        rows["made"] = f"by {history.command} of Equipoise {software}, {history.created}"
+    if found.digest is not None:
+        rows["digest"] = f"matches, {found.digest[:19]}..."
+    output.rows(rows)
+    output.next(*_next(found.what, file))
+    output.result(
+        {
+            "what": found.what,
+            "format": found.format,
+            "version": found.version,
+            "digest": found.digest,
+            "content": found.content,
+            "provenance": history and history.model_dump(mode="json"),
+        }
+    )
+
+
+def _next(what: str, file: Path) -> tuple[str, ...]:
+    """Return the command that takes a file of this kind."""
+    if what == "certificate":
+        from equipoise.studies.certification import Certificate
+
+        policy = file_with(Certificate.load(file).policy, file)
+        return ("evaluate", str(policy or "POLICY"), "--verify", str(file))
+    verbs = {
+        "pendulum": ("train",),
+        "actuator": ("train", "--actuator"),
+        "policy": ("evaluate",),
+        "run log": ("log", "explain"),
+        "log of a run on a rig": ("log", "explain"),
+    }
+    return (*verbs[what], str(file)) if what in verbs else ("reproduce",)
