@@ -43,7 +43,7 @@ slow:  ## the full statistics
 	$(PYTHON) -m pytest -m slow
 
 generated:  ## write the kinematics of the iiwas again; git must see no difference
-	$(PYTHON) -m equipoise.model.arms.compiler
+	$(PYTHON) -m equipoise.model.arms.iiwa
 
 pictures:  ## make the pictures of README and documents again, in a minute
 	$(PYTHON) docs/figures/make.py

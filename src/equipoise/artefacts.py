@@ -399,9 +399,14 @@ def temporary_name(path: Path) -> Path:
     return path.with_name(f".{name}.{os.getpid()}.{threading.get_ident()}.tmp")
 
 
-def value_digest(value: BaseModel) -> str:
-    """Return the SHA-256 of the canonical JSON of any frozen value."""
-    return _digest(value.model_dump(mode="json"))
+def value_digest(value: BaseModel, *, exclude: dict[str, Any] | None = None) -> str:
+    """Return the SHA-256 of the canonical JSON of any frozen value.
+
+    Args:
+        value: The value.
+        exclude: Fields that the digest leaves out, as `model_dump` takes them.
+    """
+    return _digest(value.model_dump(mode="json", exclude=exclude))
 
 
 def _digest(body: Any) -> str:

@@ -7,12 +7,10 @@ import pytest
 from equipoise.devices.twin.physics import build, mass_matrix, pivot
 from equipoise.errors import ArmError
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import GRAVITY
-from tests.model.arms.weighed import by_mujoco, by_pinocchio
-from tests.model.arms.witnesses import ELBOW, ELBOW_HOME
+from tests.model.arms.weighed import WEIGHED, by_mujoco, by_pinocchio
 
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
 BARE = TwinSettings(bracket_mass=0.0, pendulum_mass=1e-9, rotor_inertia=0.0)
@@ -31,28 +29,30 @@ def matrix(model, q):
     return M
 
 
-@pytest.mark.parametrize("size", [7, 14])
+@pytest.mark.parametrize("name", WEIGHED)
 @pytest.mark.parametrize("library", [by_mujoco, by_pinocchio])
-def test_the_arm_is_the_public_one(size, library):
-    model = build(iiwa(size), PENDULUM, BARE)
-    rng = np.random.default_rng(size)
+def test_the_arm_is_that_of_an_independent_library(name, library):
+    arm, urdf = WEIGHED[name]
+    n = len(arm.joints)
+    model = build(arm, PENDULUM, BARE)
+    rng = np.random.default_rng(n)
     for _ in range(5):
-        q = rng.uniform(-2.0, 2.0, 7)
-        M, torque = library(size, q)
+        q = rng.uniform(-2.0, 2.0, n)
+        M, torque = library(urdf, q)
         # MuJoCo keeps principal inertias, to some 1e-7 of what it is given.
-        assert matrix(model, [*q, 0.0])[:7, :7] == pytest.approx(M, abs=1e-6)
+        assert matrix(model, [*q, 0.0])[:n, :n] == pytest.approx(M, abs=1e-6)
         data = at(model, [*q, 0.0])
-        assert data.qfrc_bias[:7] == pytest.approx(torque, abs=1e-6)
-        assert data.qfrc_gravcomp[:7] == pytest.approx(torque, abs=1e-6)
+        assert data.qfrc_bias[:n] == pytest.approx(torque, abs=1e-6)
+        assert data.qfrc_gravcomp[:n] == pytest.approx(torque, abs=1e-6)
 
 
-@pytest.mark.parametrize("size", [7, 14])
+@pytest.mark.parametrize("name", WEIGHED)
 @pytest.mark.parametrize("library", [by_mujoco, by_pinocchio])
-def test_the_drives_know_the_bare_arm_at_home_and_its_rotors(size, library):
-    arm = iiwa(size)
-    M, _ = library(size, np.array(arm.home))
+def test_the_drives_know_the_bare_arm_at_home_and_its_rotors(name, library):
+    arm, urdf = WEIGHED[name]
+    M, _ = library(urdf, np.array(arm.home))
     assert mass_matrix(arm, 0.0) == pytest.approx(M, abs=1e-6)
-    assert mass_matrix(arm, 0.2) == pytest.approx(M + 0.2 * np.eye(7), abs=1e-6)
+    assert mass_matrix(arm, 0.2) == pytest.approx(M + 0.2 * np.eye(len(arm.joints)), abs=1e-6)
 
 
 def test_rotors_bracket_and_pendulum_have_their_inertia():
@@ -172,8 +172,9 @@ def test_a_joint_ends_at_its_limit(joint, side):
 
 
 def test_an_arm_of_unknown_masses_is_refused():
-    arm = read_urdf(ELBOW, home=ELBOW_HOME)
-    with pytest.raises(ArmError, match="not known"):
+    joints = tuple(joint.model_copy(update={"link": None}) for joint in iiwa(7).joints)
+    arm = iiwa(7).model_copy(update={"joints": joints})
+    with pytest.raises(ArmError, match="has no mass, no inertia"):
         build(arm, PENDULUM, TwinSettings())
-    with pytest.raises(ArmError, match="not known"):
+    with pytest.raises(ArmError, match="has no mass, no inertia"):
         mass_matrix(arm, 0.0)

@@ -7,7 +7,7 @@ import pytest
 
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.chain import links, rotation_from_rpy, rpy_from_rotation
+from equipoise.model.arms.chain import rotation_from_rpy, rpy_from_rotation
 from equipoise.model.arms.iiwa import iiwa
 
 
@@ -52,10 +52,11 @@ def test_an_arm_survives_json():
     assert Arm.model_validate_json(iiwa(14).model_dump_json()) == iiwa(14)
 
 
-def test_the_digest_sees_geometry_and_limits_but_not_names_home_and_pivot():
+def test_the_digest_sees_geometry_and_limits_but_not_names_masses_home_and_pivot():
     arm = iiwa(7)
     assert arm.digest == changed(name="mine").digest == iiwa(7, media_flange=0.061).digest
     assert arm.digest == changed(home=(0.1, 0, 0, -1, 0, 0, 0)).digest
+    assert arm.digest == changed_joint(link=None).digest
     others = [
         changed(flange_xyz=(0.0, 0.0, 0.1)),
         changed(held_joint=None, joints=arm.joints[:6], home=arm.home[:6]),
@@ -91,5 +92,5 @@ def test_an_axis_beside_z_by_the_smallest_number_is_z():
     joints = iiwa(7).joints
     beside = joints[0].model_copy(update={"axis": (0.0, 5e-324, 1.0)})
     arm = iiwa(7).model_copy(update={"joints": (beside, *joints[1:])})
-    for ours, theirs in zip(links(arm), links(iiwa(7)), strict=True):
+    for ours, theirs in zip(arm.chain.links, iiwa(7).chain.links, strict=True):
         assert np.array_equal(ours.rotation, theirs.rotation)

@@ -1,13 +1,20 @@
-"""Masses and inertias against MuJoCo and Pinocchio, which read them from the public chain."""
+"""Masses and inertias against MuJoCo and Pinocchio, which read them from URDFs."""
 
 import numpy as np
 import pytest
 
 from equipoise.errors import ArmError
-from equipoise.model.arms.iiwa import MEDIA_FLANGES, iiwa
-from equipoise.model.arms.inertials import link_inertials
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.inertials import inertia_matrix, link_inertials
 from equipoise.model.arms.urdf import read_urdf
-from tests.model.arms.weighed import GRAVITY, PUBLISHED, TOTAL, by_mujoco, by_pinocchio
+from tests.model.arms.weighed import (
+    GRAVITY,
+    PUBLISHED,
+    TOTAL,
+    WEIGHED,
+    by_mujoco,
+    by_pinocchio,
+)
 from tests.model.arms.witnesses import ELBOW, ELBOW_HOME
 
 
@@ -19,34 +26,35 @@ def turn(axis, angle):
 
 def summed_over_links(arm, q):
     """M and the torques that hold the arm, link by link: sum of m Jv'Jv + Jw' I Jw, -m Jv'g."""
-    M, torque = np.zeros((7, 7)), np.zeros(7)
+    n = len(arm.joints)
+    M, torque = np.zeros((n, n)), np.zeros(n)
     origin, rotation = np.zeros(3), np.eye(3)
     axes, origins = [], []
     for joint, angle, link in zip(arm.joints, q, link_inertials(arm), strict=True):
         origin = origin + rotation @ joint.xyz
-        for axis, part in zip(np.eye(3), joint.rpy, strict=True):
+        for axis, part in zip(np.eye(3)[::-1], joint.rpy[::-1], strict=True):
             rotation = rotation @ turn(axis, part)
         rotation = rotation @ turn(joint.axis, angle)
-        axes.append(rotation @ joint.axis)
+        axes.append(rotation @ joint.axis / np.linalg.norm(joint.axis))
         origins.append(origin)
-        com = origin + rotation @ link.com
-        linear, angular = np.zeros((3, 7)), np.zeros((3, 7))
+        com = origin + rotation @ np.array(link.com)
+        linear, angular = np.zeros((3, n)), np.zeros((3, n))
         for i, (axis, place) in enumerate(zip(axes, origins, strict=True)):
             linear[:, i], angular[:, i] = np.cross(axis, com - place), axis
-        inertia = rotation @ link.inertia @ rotation.T
+        inertia = rotation @ inertia_matrix(link.inertia) @ rotation.T
         M += link.mass * linear.T @ linear + angular.T @ inertia @ angular
         torque -= link.mass * linear.T @ GRAVITY
     return M, torque
 
 
-@pytest.mark.parametrize("size", [7, 14])
+@pytest.mark.parametrize("name", WEIGHED)
 @pytest.mark.parametrize("library", [by_mujoco, by_pinocchio])
-def test_mass_matrix_and_gravity_are_those_of_the_public_chain(size, library):
-    arm = iiwa(size)
-    rng = np.random.default_rng(size)
+def test_mass_matrix_and_gravity_are_those_of_an_independent_library(name, library):
+    arm, urdf = WEIGHED[name]
+    rng = np.random.default_rng(7)
     for _ in range(10):
-        q = rng.uniform(-2.0, 2.0, 7)
-        expected_M, expected_torque = library(size, q)
+        q = rng.uniform(-2.0, 2.0, len(arm.joints))
+        expected_M, expected_torque = library(urdf, q)
         M, torque = summed_over_links(arm, q)
         # MuJoCo keeps principal inertias, to some 1e-7 of what the file says.
         assert pytest.approx(expected_M, abs=1e-6) == M
@@ -60,15 +68,62 @@ def test_the_links_weigh_what_the_robot_weighs_without_its_base(size):
     assert moving + base == pytest.approx(TOTAL[size], abs=1e-6)
 
 
-def test_home_pivot_and_held_joint_do_not_change_the_links():
-    arm = iiwa(7, media_flange=MEDIA_FLANGES[2])
-    home = (0.1, 0.2, 0.0, -0.5, 0.1, 0.6, 0.3)
-    moved = arm.model_copy(update={"home": home, "held_joint": 7, "held_angle": 0.3})
-    for here, there in zip(link_inertials(iiwa(7)), link_inertials(moved), strict=True):
-        assert all(np.array_equal(a, b) for a, b in zip(here, there, strict=True))
+def test_a_gripper_counts_as_part_of_the_link_that_carries_it(tmp_path):
+    gripper = """
+      <link name="finger"><inertial><origin xyz="0 0 0.05" rpy="0.4 0 0"/><mass value="0.7"/>
+        <inertia ixx="0.001" iyy="0.002" izz="0.0015" ixy="0.0001" ixz="0" iyz="0"/></inertial>
+      </link>
+      <joint name="grip" type="prismatic"><parent link="flange"/><child link="finger"/>
+        <origin xyz="0.02 0 0.03" rpy="0.1 0.2 0.3"/><axis xyz="0 0 1"/>
+        <limit lower="0" upper="0.1" velocity="1" effort="1"/></joint></robot>"""
+    path = tmp_path / "arm.urdf"
+    path.write_text(ELBOW.read_text().replace("</robot>", gripper))
+    arm = read_urdf(path, tip="flange", home=ELBOW_HOME)
+    q = np.array([0.4, -0.3, 0.8, 0.2, -0.7, 1.1])
+    expected_M, expected_torque = by_pinocchio(path.read_text(), np.array([*q, 0.0]))
+    M, torque = summed_over_links(arm, q)
+    assert pytest.approx(expected_M[:6, :6], abs=1e-9) == M
+    assert torque == pytest.approx(expected_torque[:6], abs=1e-9)
 
 
-def test_the_links_of_an_arm_from_a_urdf_are_not_known():
-    arm = read_urdf(ELBOW, home=ELBOW_HOME)
-    with pytest.raises(ArmError, match=f"{arm.name} are not known.*iiwa7 and iiwa14"):
+def lacking(tmp_path, *replacements):
+    """The test arm with parts of its <inertial>s replaced."""
+    text = ELBOW.read_text()
+    for old, new in replacements:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    return read_urdf(path, home=ELBOW_HOME)
+
+
+def test_one_message_names_all_that_a_urdf_lacks(tmp_path):
+    slant = '<link name="wrist_2"><inertial><mass value="1"/>'
+    arm = lacking(
+        tmp_path,
+        ('<mass value="4"/>', ""),
+        (slant, '<link name="wrist_2"><inertial>'),
+        ('<inertia ixx="0.001" iyy="0.001"', '<inertia_ ixx="0.001" iyy="0.001"'),
+        ('ixx="0.01" iyy="0.03" izz="0.03"', 'ixx="0.01" iyy="0.03" izz="0.05"'),
+    )
+    with pytest.raises(ArmError) as refusal:
         link_inertials(arm)
+    said = str(refusal.value)
+    assert "link upper_arm has no mass; link forearm has an impossible inertia" in said
+    assert "link wrist_2 has no mass; link wrist_3 has no inertia; complete <inertial>" in said
+    assert "wrist_1" not in said
+
+
+def test_the_masses_do_not_matter_to_an_arm_that_only_moves(tmp_path):
+    bare = lacking(tmp_path, ('<mass value="4"/>', ""), ('<mass value="2"/>', ""))
+    whole = read_urdf(ELBOW, home=ELBOW_HOME)
+    assert bare.digest == whole.digest
+    assert bare.kinematics(np.zeros(6)).jacobian.tolist() == (
+        whole.kinematics(np.zeros(6)).jacobian.tolist()
+    )
+
+
+def test_joints_without_links_are_named():
+    joints = [j.model_copy(update={"link": None}) for j in iiwa(7).joints]
+    with pytest.raises(ArmError, match=r"behind joint 1 \(A1\).*behind joint 7 \(A7\)"):
+        link_inertials(iiwa(7).model_copy(update={"joints": tuple(joints)}))

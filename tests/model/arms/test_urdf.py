@@ -94,7 +94,7 @@ LIMIT_OF_PAN = '<limit lower="-3.1" upper="3.1" velocity="2.5" effort="150"/>'
         ('"lift" type="continuous"', '"lift" type="fixed"', "5 free joints, expected six"),
         ('link name="adapter"', 'link name="spare"', "could be floor, spare; say which with base="),
         ('<child link="flange"/>', '<child link="adapter"/>', "could be floor, flange"),
-        ('<link name="adapter"/>', '<link name="adapter"/><link name="x"/>', "could be floor, x"),
+        ('<link name="flange"/>', '<link name="flange"/><link name="x"/>', "could be floor, x"),
     ],
 )
 def test_what_is_not_an_arm_is_refused(edited, old, new, says):

@@ -1,13 +1,13 @@
-"""The iiwas of `witnesses` with their masses, in MuJoCo and Pinocchio.
+"""The arms of `witnesses` with their masses, in MuJoCo and Pinocchio.
 
-The table is typed from the public description, in its own frames.
+The table of the iiwas is typed from the public description, in its own frames.
 """
 
 import mujoco
 import numpy as np
-import pytest
 
-from tests.model.arms.witnesses import iiwa_urdf
+from equipoise.model.arms.iiwa import iiwa
+from tests.model.arms.witnesses import ARMS, Pinocchio, iiwa_urdf
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 PUBLISHED = {
@@ -58,8 +58,16 @@ def weighed_urdf(size):
     return urdf[:start] + '<link name="flange">' + urdf[urdf.index("</link>", start) :]
 
 
-def by_mujoco(size, q):
-    model = mujoco.MjModel.from_xml_string(weighed_urdf(size))
+WEIGHED = {
+    "iiwa7": (iiwa(7), weighed_urdf(7)),
+    "iiwa14": (iiwa(14), weighed_urdf(14)),
+    "elbow6": ARMS["elbow6"],
+}
+"""Arms, and the URDFs with their masses that the libraries read."""
+
+
+def by_mujoco(urdf, q):
+    model = mujoco.MjModel.from_xml_string(urdf)
     model.opt.gravity[:] = GRAVITY
     data = mujoco.MjData(model)
     data.qpos[:] = q
@@ -69,10 +77,10 @@ def by_mujoco(size, q):
     return M, data.qfrc_bias.copy()
 
 
-def by_pinocchio(size, q):
-    pin = pytest.importorskip("pinocchio")
-    model = pin.buildModelFromXML(weighed_urdf(size))
-    model.gravity.linear = GRAVITY
-    data = model.createData()
-    M = pin.crba(model, data, q)
-    return np.triu(M) + np.triu(M, 1).T, pin.computeGeneralizedGravity(model, data, q)
+def by_pinocchio(urdf, q):
+    robot = Pinocchio(urdf)
+    robot.model.gravity.linear = GRAVITY
+    configuration = robot.configuration(q)
+    M = robot.pin.crba(robot.model, robot.data, configuration)
+    torque = robot.pin.computeGeneralizedGravity(robot.model, robot.data, configuration)
+    return np.triu(M) + np.triu(M, 1).T, torque

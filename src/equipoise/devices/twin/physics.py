@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from equipoise.model.arms.arm import Arm
+from equipoise.model.arms.arm import Arm, Inertial
 from equipoise.model.arms.chain import Floats, Triple
-from equipoise.model.arms.inertials import Inertial, link_inertials
+from equipoise.model.arms.inertials import inertia_entries, link_inertials
 from equipoise.model.arms.scene import SIZES, Sizes, scene
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.physics_engine import mujoco
@@ -60,7 +60,12 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
     if settings.bracket_mass > 0.0:
         _weigh(spec.body("flange"), _bar(settings.bracket_mass, np.array(arm.pivot)))
     across, along = I - m * l**2, 0.5 * m * SIZES.rod**2
-    rod = Inertial(m, np.array([0.0, 0.0, l]), np.diag([across, across, along]))
+    rod = Inertial(
+        name="pendulum",
+        mass=m,
+        com=(0.0, 0.0, l),
+        inertia=(across, 0.0, 0.0, across, 0.0, along),
+    )
     _weigh(spec.body("pendulum"), rod)
 
     phi = spec.joint("phi")
@@ -144,12 +149,14 @@ def _weighed(arm: Arm, sizes: Sizes, rotor_inertia: float) -> Any:
 def _bar(mass: float, end: Floats) -> Inertial:
     """Return the inertial of a bar, as thick as the bracket, from a frame's origin to `end` [m]."""
     slender = (end @ end * np.eye(3) - np.outer(end, end)) / 12.0
-    return Inertial(mass, 0.5 * end, mass * (slender + SIZES.bracket**2 / 4.0 * np.eye(3)))
+    inertia = mass * (slender + SIZES.bracket**2 / 4.0 * np.eye(3))
+    x, y, z = (0.5 * end).tolist()
+    return Inertial(name="bracket", mass=mass, com=(x, y, z), inertia=inertia_entries(inertia))
 
 
 def _weigh(body: Any, link: Inertial) -> None:
-    """Give a body its inertial, whatever is drawn of it."""
-    xx, xy, xz, _, yy, yz, _, _, zz = link.inertia.ravel()
+    """Set the inertial of a body, independent of its geometry."""
+    xx, xy, xz, yy, yz, zz = link.inertia
     body.explicitinertial = True
     body.mass, body.ipos = link.mass, link.com
     body.fullinertia = [xx, yy, zz, xy, xz, yz]

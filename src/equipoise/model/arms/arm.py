@@ -1,22 +1,13 @@
-"""A serial arm as numbers: where its joints are, how they are limited, which one is held.
+"""A serial arm as numbers: places, limits and masses of its joints and links.
 
-Each joint frame is placed in the one before it as a URDF does: `xyz`, then the fixed-axis angles
-`rpy`, then the turn by q about `axis`; the first in the base (z up), the flange in the last. Where
-there are seven joints one is held at a fixed angle and becomes part of the constants: kernels see
-the six *free* joints only, so that J is 6x6 (Safeea & Neto, section 3.1).
-
-The compiled kinematics writes one record of `FRAME_SIZE` rows, all in base axes, for each lane of
-a block (see `equipoise.model.elementary`)::
-
-    POSITION  0:3    the flange [m]
-    ROTATION  3:12   R, flange to base, row by row
-    TWIST    12:18   J dq: linear [m/s], angular [rad/s]
-    BIAS     18:24   J_dot dq [m/s^2], [rad/s^2]
-    JACOBIAN 24:60   J, row by row, linear rows first
+Each joint frame is placed in the previous one as in a URDF: `xyz`, then the fixed-axis angles
+`rpy`, then the rotation by q about `axis`. The first frame is placed in the base (z up), the flange
+in the last. An arm of seven joints holds one at a fixed angle, which becomes part of the constants:
+kernels see the six *free* joints only, so that J is 6x6 (Safeea & Neto, section 3.1).
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import hypot, isclose
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self, TypeVar
 
@@ -27,23 +18,23 @@ from pydantic import Field, ValidationError, model_validator
 from equipoise.artefacts import Name, Value, first_fault, shortened, value_digest
 from equipoise.compiled import function_pointer
 from equipoise.errors import ArmError
-from equipoise.model.arms.chain import Floats, Triple, wrist_centre
+from equipoise.model.arms.chain import FREE_JOINTS, Chain, Floats, Triple, links, wrist_centre
+from equipoise.model.arms.compiler import (
+    BIAS,
+    FRAME_SIZE,
+    JACOBIAN,
+    POSITION,
+    ROTATION,
+    TWIST,
+    KinematicsFunction,
+    load,
+)
 from equipoise.model.elementary import BATCH_SIZE
 
 T = TypeVar("T")
-KinematicsFunction = Callable[[Any, Any, Any, int], None]
-"""Called as kinematics(q, dq, frame, lanes): reads the first two, writes the record of so many
-lanes of the block."""
 
-POSITION: Final = 0
-ROTATION: Final = 3
-TWIST: Final = 12
-BIAS: Final = 18
-JACOBIAN: Final = 24
-FRAME_SIZE: Final = 60
-FREE_JOINTS: Final = 6
 MOST_JOINTS: Final = 64
-"""Limit on the joints of a chain: only six or seven can be used, and a message names the rest."""
+"""Maximum number of joints of a chain. Only six or seven are usable; a message names the rest."""
 
 Angle = Annotated[float, Field(ge=-1e3, le=1e3)]
 """Angle of a joint [rad]; no cable takes 160 turns."""
@@ -55,18 +46,22 @@ Offset = tuple[Length, Length, Length]
 """Origin in another frame [m]."""
 Limit = Annotated[float, Field(le=1e9)]
 """Limit of a velocity, an acceleration or a torque in SI units; larger ones limit nothing."""
+Mass = Annotated[float, Field(ge=0.0, le=1e5)]
+"""Mass [kg]."""
+Moment = Annotated[float, Field(ge=-1e6, le=1e6)]
+"""Entry of an inertia matrix [kg m^2]."""
 
 
 class _Described(Value):
-    """A value that says what is wrong with its description."""
+    """Value whose constructor raises `ArmError` with one sentence."""
 
-    if not TYPE_CHECKING:  # for a reader of types the fields are the constructor
+    if not TYPE_CHECKING:  # type checkers derive the constructor from the fields
 
         def __init__(self, **fields: Any) -> None:
             """Check the fields.
 
             Raises:
-                ArmError: The thing cannot be what the fields say.
+                ArmError: A field has an impossible value.
             """
             try:
                 super().__init__(**fields)
@@ -78,15 +73,28 @@ class _Described(Value):
                 raise ArmError(f"{what}: {where}{fault.what}{got}") from None
 
 
-class Joint(_Described):
-    """A revolute joint: its place in the frame of the joint before it, its axis, its limits."""
+class Inertial(_Described):
+    """Mass, centre of mass and inertia of a link, in the frame of the joint that moves it."""
 
     name: Name
-    """What the maker calls it."""
+    """Name of the link."""
+    mass: Mass
+    """Mass [kg]; zero if unknown."""
+    com: Offset
+    """Centre of mass [m]."""
+    inertia: tuple[Moment, Moment, Moment, Moment, Moment, Moment]
+    """Inertia about the centre of mass: xx, xy, xz, yy, yz, zz [kg m^2]; zeros if unknown."""
+
+
+class Joint(_Described):
+    """A revolute joint: its place in the frame of the previous joint, its axis, its limits."""
+
+    name: Name
+    """Name that its maker gave it."""
     xyz: Offset
-    """Origin in the frame of the joint before it [m]."""
+    """Origin in the frame of the previous joint [m]."""
     rpy: Angles = (0.0, 0.0, 0.0)
-    """Roll, pitch and yaw about the fixed axes of the frame before it [rad]."""
+    """Roll, pitch and yaw about the fixed axes of the previous frame [rad]."""
     axis: Triple = (0.0, 0.0, 1.0)
     """Axis of rotation in its own frame."""
     lower: Angle
@@ -99,6 +107,8 @@ class Joint(_Described):
     """Limit of the acceleration, both ways [rad/s^2]."""
     torque: Limit
     """Limit of the torque, both ways [N m]."""
+    link: Inertial | None = None
+    """Mass and inertia of the link that it moves; only simulations of the dynamics need them."""
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -119,21 +129,21 @@ class Joint(_Described):
 
 
 class Pose(NamedTuple):
-    """Where the flange is."""
+    """Pose of the flange."""
 
     position: Floats
-    """In the base [m], shape (3,)."""
+    """Position in the base [m], shape (3,)."""
     rotation: Floats
-    """Flange to base, shape (3, 3)."""
+    """Rotation from flange to base, shape (3, 3)."""
 
 
 class Kinematics(NamedTuple):
-    """The flange at one state of the arm, in base axes."""
+    """Motion of the flange in one state of the arm, in base axes."""
 
     position: Floats
-    """In the base [m], shape (3,)."""
+    """Position in the base [m], shape (3,)."""
     rotation: Floats
-    """Flange to base, shape (3, 3)."""
+    """Rotation from flange to base, shape (3, 3)."""
     twist: Floats
     """J dq: linear [m/s] and angular [rad/s], shape (6,)."""
     bias: Floats
@@ -143,12 +153,14 @@ class Kinematics(NamedTuple):
 
 
 class ArmKernel(NamedTuple):
-    """What kernels take of an arm; a `NamedTuple` because they cannot take a model."""
+    """An arm as compiled kernels take it."""
 
     kinematics: KinematicsFunction
-    """kinematics(q, dq, frame, lanes), compiled for blocks of 6, 6 and `FRAME_SIZE` rows."""
+    """Function kinematics(q, dq, frame, lanes), compiled for blocks of 6, 6 and `FRAME_SIZE`
+    rows."""
     wrist: Floats
-    """Point where the last three axes meet, in the flange frame [m], shape (3,); NaN if none."""
+    """Point in which the last three axes meet, in the flange frame [m], shape (3,); NaN without
+    one."""
     lower: Floats
     """Lower limits of the free joints [rad], shape (6,)."""
     upper: Floats
@@ -160,22 +172,22 @@ class ArmKernel(NamedTuple):
 
 
 class Arm(_Described):
-    """A serial arm with six free joints, its flange and the pendulum's place on it."""
+    """A serial arm with six free joints, its flange and the pendulum's pivot on it."""
 
     name: Annotated[str, Field(pattern=r"^[\w .-]{1,64}$")]
-    """What it is called in messages and file headers: letters, digits, blank, `_`, `.` and `-`."""
+    """Name in messages and file headers: letters, digits, blank, `_`, `.` and `-`."""
     joints: Annotated[tuple[Joint, ...], Field(max_length=MOST_JOINTS)]
-    """From the base to the flange."""
+    """Joints from the base to the flange."""
     held_joint: int | None = None
-    """The joint that does not move, counted from one."""
+    """Number of the joint that does not move, counted from one."""
     held_angle: Angle = 0.0
-    """Where it is held [rad]."""
+    """Angle of the held joint [rad]."""
     flange_xyz: Offset = (0.0, 0.0, 0.0)
     """Origin of the flange in the last joint's frame [m]."""
     flange_rpy: Angles = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the flange in the last joint's frame [rad]."""
     pivot: Offset = (0.0, 0.0, 0.0)
-    """The pendulum's pivot in the flange frame [m]."""
+    """Pivot of the pendulum in the flange frame [m]."""
     home: Annotated[tuple[Angle, ...], Field(max_length=MOST_JOINTS)]
     """Posture at x = 0, all joints [rad]. The pendulum's spindle lies along base y there."""
 
@@ -203,31 +215,39 @@ class Arm(_Described):
         return self
 
     def __hash__(self) -> int:
-        """Frozen, hence hashable: compiled arms are kept by value."""
+        """Hash by value: compiled arms are cached by it."""
         return hash(tuple(getattr(self, field) for field in type(self).model_fields))
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that decides how the flange moves: geometry, held joint, limits.
+        """SHA-256 of the numbers that decide how the flange moves: geometry, held joint, limits.
 
-        Names, home and pivot are left out: the flange keeps its orientation, so that a pivot
-        elsewhere on it moves in the same way, and a policy records its home by itself.
+        Names, masses, home and pivot are left out. The flange keeps its orientation, so that a
+        pivot elsewhere on it moves alike; a policy records its home by itself.
         """
         return _shape(self, limits=True)
 
     @property
     def geometry_digest(self) -> str:
-        """SHA-256 of what the kinematics is generated from: the geometry and the held joint."""
+        """SHA-256 of the numbers from which the kinematics is generated."""
         return _shape(self, limits=False)
 
     @property
+    def chain(self) -> Chain:
+        """Geometry from which the kinematics is generated."""
+        steps = links(
+            self.joints, self.held_joint, self.held_angle, self.flange_xyz, self.flange_rpy
+        )
+        return Chain(self.name, self.geometry_digest, steps)
+
+    @property
     def free(self) -> tuple[int, ...]:
-        """Places of the joints that move, counted from zero."""
+        """Indices of the joints that move, counted from zero."""
         return self.without_held(range(len(self.joints)))
 
     @property
     def free_joints(self) -> tuple[Joint, ...]:
-        """The joints that move."""
+        """Joints that move."""
         return self.without_held(self.joints)
 
     @property
@@ -255,14 +275,12 @@ class Arm(_Described):
             q: Free joints [rad], shape (6,).
             dq: Their velocities [rad/s], shape (6,).
         """
-        from equipoise.model.arms.compiler import load
-
         q_block, dq_block, frame = (
             [0.0] * (rows * BATCH_SIZE) for rows in (FREE_JOINTS, FREE_JOINTS, FRAME_SIZE)
         )
         q_block[::BATCH_SIZE] = (float(angle) for angle in q)
         dq_block[::BATCH_SIZE] = (float(rate) for rate in dq)
-        load(self)(q_block, dq_block, frame, 1)
+        _kinematics(self)(q_block, dq_block, frame, 1)
         record = np.array(frame[::BATCH_SIZE])
         return Kinematics(
             position=record[POSITION:ROTATION],
@@ -273,12 +291,12 @@ class Arm(_Described):
         )
 
     def pose(self, q: Sequence[float] | Floats) -> Pose:
-        """Return where the flange is when the free joints are at `q` [rad], shape (6,)."""
+        """Return the pose of the flange for the free joints `q` [rad], shape (6,)."""
         flange = self.kinematics(q)
         return Pose(flange.position, flange.rotation)
 
     def compiled(self) -> ArmKernel:
-        """Return the arm as kernels take it; compiled, or found in the cache, on the first call."""
+        """Return the arm as kernels take it; the first call compiles it or loads it."""
         return _compiled(self)
 
 
@@ -290,24 +308,29 @@ def _which_to_hold(joints: Sequence[Joint]) -> str:
 
 
 def _shape(arm: Arm, *, limits: bool) -> str:
-    nameless: dict[str, Any] = {"name": ""}
+    """Return the digest of an arm without names, masses, home and pivot."""
+    left_out: dict[str, Any] = {"name": ""}
     if not limits:
-        nameless |= dict.fromkeys(("lower", "upper", "velocity", "acceleration", "torque"), 0.0)
-    joints = tuple(joint.model_copy(update=nameless) for joint in arm.joints)
-    elsewhere = {"name": "", "joints": joints, "home": (), "pivot": (0.0, 0.0, 0.0)}
-    return value_digest(arm.model_copy(update=elsewhere))
+        left_out |= dict.fromkeys(("lower", "upper", "velocity", "acceleration", "torque"), 0.0)
+    joints = tuple(joint.model_copy(update=left_out) for joint in arm.joints)
+    shape = {"name": "", "joints": joints, "home": (), "pivot": (0.0, 0.0, 0.0)}
+    return value_digest(arm.model_copy(update=shape), exclude={"joints": {"__all__": {"link"}}})
+
+
+@functools.lru_cache(maxsize=64)
+def _kinematics(arm: Arm) -> KinematicsFunction:
+    return load(arm.chain)
 
 
 @functools.cache
 def _compiled(arm: Arm) -> ArmKernel:
-    from equipoise.model.arms.compiler import load
-
     array = numba.float64[::1]
     limits = np.array([(j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints])
     lower, upper, velocity, acceleration = np.ascontiguousarray(limits.T)
+    signature = numba.void(array, array, array, numba.int64)
     return ArmKernel(
-        kinematics=function_pointer(load(arm), numba.void(array, array, array, numba.int64)),
-        wrist=wrist_centre(arm),
+        kinematics=function_pointer(_kinematics(arm), signature),
+        wrist=wrist_centre(arm.chain.links),
         lower=lower,
         upper=upper,
         max_velocity=velocity,

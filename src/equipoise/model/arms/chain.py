@@ -1,24 +1,25 @@
-"""The constants of a chain of joints: rotations and translations from one axis to the next.
+"""Constants of a chain of joints: rotations and translations from one axis to the next.
 
-Held joints are folded in, and every frame is laid so that its joint turns about the frame's own z:
-what is left are six free joints that all turn alike, and seven constant steps between them.
+A held joint is folded into the constants, and each frame is turned so that its joint rotates about
+the frame's own z axis. The result is six free joints of one kind and seven constant steps.
 """
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-if TYPE_CHECKING:
-    from equipoise.model.arms.arm import Arm
-
 Floats = npt.NDArray[np.float64]
 Triple = tuple[float, float, float]
 
+FREE_JOINTS: Final = 6
+"""Number of joints that move."""
+
 ROUNDING: Final = 1e-15
-"""An entry of a constant rotation this close to -1, 0 or 1 is meant to be that number."""
+"""Distance from -1, 0 or 1 at which an entry of a constant rotation is rounded to that number."""
 MEETING: Final = 1e-12
-"""Axes that pass this close to one point meet in it [m]."""
+"""Largest distance from an axis to a point in which the axis counts as meeting others [m]."""
 
 
 class Link(NamedTuple):
@@ -30,21 +31,65 @@ class Link(NamedTuple):
     """Origin of the next frame in this one [m], shape (3,)."""
 
 
-def links(arm: "Arm") -> list[Link]:
-    """Return the constants of the chain: a step to each of the six free joints and the flange."""
+class Chain(NamedTuple):
+    """Geometry from which the kinematics of an arm is generated."""
+
+    name: str
+    """Name of the arm."""
+    digest: str
+    """Digest of the geometry."""
+    links: tuple[Link, ...]
+    """Steps to each of the six free joints and to the flange."""
+
+
+class Placement(Protocol):
+    """Place and axis of a joint."""
+
+    @property
+    def xyz(self) -> Triple:
+        """Origin in the frame of the previous joint [m]."""
+        ...
+
+    @property
+    def rpy(self) -> Triple:
+        """Roll, pitch and yaw about the fixed axes of the previous frame [rad]."""
+        ...
+
+    @property
+    def axis(self) -> Triple:
+        """Axis of rotation in the joint's own frame."""
+        ...
+
+
+def links(
+    joints: Sequence[Placement],
+    held_joint: int | None,
+    held_angle: float,
+    flange_xyz: Triple,
+    flange_rpy: Triple,
+) -> tuple[Link, ...]:
+    """Return the constants of a chain: a step to each free joint and one to the flange.
+
+    Args:
+        joints: All joints, from the base to the flange.
+        held_joint: Number of the joint that does not move, counted from one.
+        held_angle: Its angle [rad].
+        flange_xyz: Origin of the flange in the last joint's frame [m].
+        flange_rpy: Roll, pitch and yaw of the flange in the last joint's frame [rad].
+    """
     chain: list[Link] = []
     rotation, offset = np.eye(3), np.zeros(3)  # since the last free joint
-    for number, joint in enumerate(arm.joints, start=1):
+    for number, joint in enumerate(joints, start=1):
         offset = offset + rotation @ joint.xyz
         rotation = rotation @ rotation_from_rpy(joint.rpy)
-        if number == arm.held_joint:
-            rotation = rotation @ rotation_about(np.array(joint.axis), arm.held_angle)
+        if number == held_joint:
+            rotation = rotation @ rotation_about(np.array(joint.axis), held_angle)
         else:
             along_z = _turned_to(np.array(joint.axis))
             chain.append(Link(_exact(rotation @ along_z), offset))
             rotation, offset = along_z.T, np.zeros(3)
-    offset = offset + rotation @ arm.flange_xyz
-    return [*chain, Link(_exact(rotation @ rotation_from_rpy(arm.flange_rpy)), offset)]
+    offset = offset + rotation @ flange_xyz
+    return (*chain, Link(_exact(rotation @ rotation_from_rpy(flange_rpy)), offset))
 
 
 def rotation_about(axis: Floats, angle: float) -> Floats:
@@ -63,8 +108,8 @@ def rotation_from_rpy(rpy: Triple) -> Floats:
 def rpy_from_rotation(R: Floats) -> Triple:
     """Return roll, pitch and yaw [rad] of a rotation.
 
-    Roll is read off what is left once yaw is undone, so that the three together are exact also
-    near a pitch of 90 degrees, where roll and yaw alone are not.
+    Roll is read after yaw is undone. The three together are then exact near a pitch of 90 degrees
+    too, where roll and yaw alone are not.
     """
     yaw = np.arctan2(R[1, 0], R[0, 0])
     level = rotation_about(np.eye(3)[2], -yaw) @ R
@@ -74,7 +119,7 @@ def rpy_from_rotation(R: Floats) -> Triple:
 
 
 def _exact(R: Floats) -> Floats:
-    """Return `R` with the entries that are -1, 0 or 1 up to rounding made so."""
+    """Return `R` with entries close to -1, 0 or 1 rounded to that number."""
     return np.where(np.abs(R - np.round(R)) < ROUNDING, np.round(R) + 0.0, R)
 
 
@@ -82,22 +127,22 @@ def _turned_to(axis: Floats) -> Floats:
     """Return the smallest rotation that takes z to `axis`."""
     x, y, z = axis / np.linalg.norm(axis)
     across = np.array([-y, x, 0.0])  # z cross axis
-    # The length of the smallest numbers is zero, though they are not.
+    # The norm of subnormal numbers underflows to zero.
     there = np.linalg.norm(across) > 0.0
     return rotation_about(across if there else np.eye(3)[0], np.arctan2(np.hypot(x, y), z))
 
 
-def wrist_centre(arm: "Arm") -> Floats:
-    """Return where the last three axes meet, in the flange frame; NaN where they do not.
+def wrist_centre(steps: Sequence[Link]) -> Floats:
+    """Return the point in which the last three axes meet, in the flange frame; NaN without one.
 
-    They meet at every q if they meet at one: the point lies on the fifth axis and on the sixth,
-    so that neither turn moves it.
+    Axes that meet in one posture meet in all: the point lies on the fifth and on the sixth axis,
+    and neither rotation moves it.
     """
     rotation, origin = np.eye(3), np.zeros(3)  # in the frame of the fourth axis
     axes, origins = [rotation[:, 2]], [origin]
-    for link in links(arm)[4:]:
-        origin = origin + rotation @ link.translation
-        rotation = rotation @ link.rotation
+    for step in steps[4:]:
+        origin = origin + rotation @ step.translation
+        rotation = rotation @ step.rotation
         axes.append(rotation[:, 2])
         origins.append(origin)
     across = [np.eye(3) - np.outer(axis, axis) for axis in axes[:3]]

@@ -1,21 +1,24 @@
 """The KUKA LBR iiwa 7 R800 and iiwa 14 R820, the arms of the experiment.
 
-Both are one chain with other lengths: seven joints whose axes alternate between along the link
-and across it, a spherical shoulder, elbow and wrist (modified Denavit-Hartenberg, all a = 0).
-Speeds and torques are KUKA's. KUKA publishes no limits of the accelerations; 10 rad/s^2 is what
-MoveIt configurations of the iiwa use.
+Both are one chain with different lengths: seven joints whose axes alternate between along the link
+and across it, with a spherical shoulder, elbow and wrist (modified Denavit-Hartenberg, all a = 0).
+Speeds and torques are KUKA's. KUKA publishes no limits of the accelerations; 10 rad/s^2 is the
+limit of MoveIt configurations of the iiwa.
 
-The paper holds joint 3 (section 3.1); it does not say which iiwa, nor the posture. Our home
-(90, 30, 0, -70, 0, 80, 0) degrees holds the flange pointing down in front of the arm, so that
-x is tangential: A1 does most of the motion and the arm is far from its limits over all of the
-track. "Outward", away from the base, is base +y there and -x of the flange frame.
+The paper holds joint 3 (section 3.1); it names neither the iiwa nor the posture. Our home
+(90, 30, 0, -70, 0, 80, 0) degrees holds the flange pointing down in front of the arm, so that x is
+tangential: A1 does most of the motion and the arm is far from its limits on the whole track.
+"Outward", away from the base, is base +y there and -x of the flange frame.
 """
 
 from math import radians
 from typing import Final, Literal, NamedTuple
 
+from equipoise.artefacts import write_whole
 from equipoise.errors import ArmError
+from equipoise.model.arms import compiler
 from equipoise.model.arms.arm import Arm, Joint
+from equipoise.model.arms.inertials import place_links
 from equipoise.paper import HELD_JOINT
 
 ALPHA_DEG: Final = (0.0, -90.0, 90.0, 90.0, -90.0, -90.0, 90.0)
@@ -27,8 +30,8 @@ ACCELERATION: Final = 10.0
 HOME_DEG: Final = (90.0, 30.0, 0.0, -70.0, 0.0, 80.0, 0.0)
 """Home posture [deg]."""
 PIVOT_OUTWARD: Final = 0.13
-"""From the axis of A7 to the plane in which the pendulum turns [m]: it passes in front of the
-wrist, which is a ball of less than 0.1 m."""
+"""Distance from the axis of A7 to the plane in which the pendulum turns [m]. The pendulum passes in
+front of the wrist, a ball of less than 0.1 m."""
 MEDIA_FLANGES: Final = (0.0, 0.035, 0.061)
 """Heights of KUKA's media flanges: none, electric or pneumatic, touch pneumatic [m]."""
 
@@ -104,9 +107,29 @@ def iiwa(size: Literal[7, 14], *, media_flange: float = 0.0) -> Arm:
     )
     return Arm(
         name=f"iiwa{size}",
-        joints=joints,
+        joints=place_links(joints, size),
         held_joint=HELD_JOINT,
         flange_xyz=(0.0, 0.0, hand),
         pivot=(-PIVOT_OUTWARD, 0.0, media_flange),
         home=tuple(radians(angle) for angle in HOME_DEG),
     )
+
+
+def iiwa7() -> Arm:
+    """Return the iiwa 7, as the entry point of that name."""
+    return iiwa(7)
+
+
+def iiwa14() -> Arm:
+    """Return the iiwa 14, as the entry point of that name."""
+    return iiwa(14)
+
+
+def main() -> None:
+    """Write the generated kinematics of both arms into the package."""
+    for arm in (iiwa7(), iiwa14()):
+        write_whole(compiler.COMMITTED_ROOM / f"{arm.name}.py", compiler.source(arm.chain))
+
+
+if __name__ == "__main__":
+    main()

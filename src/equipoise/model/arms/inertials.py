@@ -1,35 +1,27 @@
-"""Masses and inertias of the links of the iiwa 7 and iiwa 14, for simulations of their dynamics.
+"""Masses and inertias of the links: those of the iiwas, and the check that a twin needs.
 
-KUKA publishes none; these are the numbers of `lbr_description` of the LBR stack (Apache-2.0), whose
-joint frames lie half-way along the links and beside them and are parallel to the base at zero.
-`link_inertials` places them in the joint frames of our chain. The base, link 0, does not move and
-is left out.
+KUKA publishes none for the iiwa 7 and iiwa 14. These numbers are those of `lbr_description` of the
+LBR stack (Apache-2.0), whose joint frames lie half-way along the links and beside them and are
+parallel to the base at zero. `place_links` moves them into the joint frames of another chain of
+the same arm. The base, link 0, does not move and is left out.
 """
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from equipoise.errors import ArmError
-from equipoise.model.arms.arm import Arm
+from equipoise.model.arms.arm import Arm, Inertial, Joint
 from equipoise.model.arms.chain import Floats, Triple, rotation_from_rpy
-from equipoise.model.arms.iiwa import iiwa
 
-
-class Inertial(NamedTuple):
-    """What decides how a link resists motion, in the frame of the joint that moves it."""
-
-    mass: float
-    """Mass [kg]."""
-    com: Floats
-    """Centre of mass [m], shape (3,)."""
-    inertia: Floats
-    """Inertia about the centre of mass [kg m^2], shape (3, 3)."""
+ROUNDING: Final = 1e-6
+"""Relative rounding of published moments of inertia."""
 
 
 class _Link(NamedTuple):
     origin: Triple
-    """Origin of the joint in the frame before it [m]; all axes are parallel at zero."""
+    """Origin of the joint in the previous frame [m]; all axes are parallel at zero."""
     mass: float
     """Mass of the link that the joint moves [kg]."""
     com: Triple
@@ -130,47 +122,74 @@ _LINKS: Final = {
 }
 
 
-def link_inertials(arm: Arm) -> tuple[Inertial, ...]:
-    """Return the inertial of the link behind each joint.
+def place_links(joints: Sequence[Joint], size: int) -> tuple[Joint, ...]:
+    """Return joints of an iiwa with the published inertials, in their own frames.
+
+    Both frames of a link are fixed to it, so that their places at zero give one in the other.
 
     Args:
-        arm: An iiwa; home, pivot, limits and held joint do not matter.
-
-    Raises:
-        ArmError: The inertials of this arm are not known.
-    """
-    for size in (7, 14):
-        if _chain(arm) == _chain(iiwa(size)):
-            return _placed(arm, _LINKS[size])
-    raise ArmError(
-        f"masses and inertias of the links of {arm.name} are not known, only those of iiwa7 and "
-        "iiwa14; choose one of these for the twin"
-    )
-
-
-def _chain(arm: Arm) -> tuple[object, ...]:
-    places = tuple((joint.xyz, joint.rpy, joint.axis) for joint in arm.joints)
-    return *places, arm.flange_xyz, arm.flange_rpy
-
-
-def _placed(arm: Arm, links: tuple[_Link, ...]) -> tuple[Inertial, ...]:
-    """Return the published inertials in the joint frames of `arm`.
-
-    Both frames of a link are fixed to it, so that where they are at zero tells one in the other.
+        joints: All seven joints.
+        size: 7 or 14.
     """
     origin, rotation, published = np.zeros(3), np.eye(3), np.zeros(3)
-    result: list[Inertial] = []
-    for joint, link in zip(arm.joints, links, strict=True):
+    result: list[Joint] = []
+    for number, (joint, link) in enumerate(zip(joints, _LINKS[size], strict=True), start=1):
         origin = origin + rotation @ joint.xyz
         rotation = rotation @ rotation_from_rpy(joint.rpy)
         published = published + link.origin
-        xx, xy, xz, yy, yz, zz = link.inertia
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        result.append(
-            Inertial(
-                mass=link.mass,
-                com=rotation.T @ (published + link.com - origin),
-                inertia=rotation.T @ inertia @ rotation,
-            )
+        inertia = rotation.T @ inertia_matrix(link.inertia) @ rotation
+        x, y, z = (rotation.T @ (published + link.com - origin)).tolist()
+        placed = Inertial(
+            name=f"link {number}",
+            mass=link.mass,
+            com=(x, y, z),
+            inertia=inertia_entries(inertia),
         )
+        result.append(joint.model_copy(update={"link": placed}))
     return tuple(result)
+
+
+def link_inertials(arm: Arm) -> tuple[Inertial, ...]:
+    """Return the inertial of the link that each joint moves.
+
+    Raises:
+        ArmError: A mass or an inertia is unknown or impossible; the message names all of them.
+    """
+    faults: list[str] = []
+    for number, joint in enumerate(arm.joints, start=1):
+        link = joint.link
+        if link is None:
+            faults.append(f"the link behind joint {number} ({joint.name}) has no mass, no inertia")
+            continue
+        lacks = [] if link.mass else ["no mass"]
+        lacks += [] if any(link.inertia) else ["no inertia"]
+        if lacks:
+            faults.append(f"link {link.name} has {', '.join(lacks)}")
+        elif not _is_possible(link):
+            faults.append(
+                f"link {link.name} has an impossible inertia (each principal moment must be "
+                "positive and at most the sum of the other two)"
+            )
+    if faults:
+        raise ArmError(
+            f"a twin of {arm.name} needs mass and inertia of every moving link: "
+            f"{'; '.join(faults)}; complete <inertial> with <mass> and <inertia> in its URDF"
+        )
+    return tuple(joint.link for joint in arm.joints if joint.link is not None)
+
+
+def inertia_matrix(entries: Sequence[float]) -> Floats:
+    """Return an inertia matrix from xx, xy, xz, yy, yz, zz, shape (3, 3)."""
+    xx, xy, xz, yy, yz, zz = entries
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def inertia_entries(inertia: Floats) -> tuple[float, float, float, float, float, float]:
+    """Return xx, xy, xz, yy, yz, zz of an inertia matrix, shape (3, 3)."""
+    xx, xy, xz, _, yy, yz, _, _, zz = inertia.ravel().tolist()
+    return xx, xy, xz, yy, yz, zz
+
+
+def _is_possible(link: Inertial) -> bool:
+    moments = np.linalg.eigvalsh(inertia_matrix(link.inertia))
+    return bool(moments[0] > 0.0 and moments[2] <= (moments[0] + moments[1]) * (1.0 + ROUNDING))

@@ -1,33 +1,38 @@
-"""Arms from URDF files: the chain of revolute joints between two links.
+"""Arms from URDF files: the chain of revolute joints between two links, with its masses.
 
-Fixed joints become part of the next origin (or of the flange). URDF knows no limits of
-accelerations, no home and no pendulum: these are arguments.
+Fixed joints become part of the next origin (or of the flange). Everything that a moving link
+carries outside the chain (fixed links, tools, grippers at zero) is merged into its mass and
+inertia. URDF holds no limits of accelerations, no home and no pendulum: these are arguments.
 """
 
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import pi
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from equipoise.artefacts import MEBIBYTE, StrPath, quoted, read_bytes, shortened
 from equipoise.errors import ArmError
-from equipoise.model.arms.arm import Arm, Joint
+from equipoise.model.arms.arm import Arm, Inertial, Joint
 from equipoise.model.arms.chain import Floats, Triple, rotation_from_rpy, rpy_from_rotation
 from equipoise.model.arms.iiwa import ACCELERATION
+from equipoise.model.arms.inertials import inertia_entries, inertia_matrix
 from equipoise.model.arms.posture import search_home
 
 CONTINUOUS = 20.0 * pi
-"""Limit of a continuous joint, and of one whose limits are wider: ten turns each way [rad]."""
+"""Largest position limit of a joint, that of a continuous one: ten turns each way [rad]."""
 LARGEST_URDF: Final = 2 * MEBIBYTE
 """Size limit of a URDF [bytes]: humanoids with hands need less than 1 MB."""
 MOST_LINKS: Final = 1000
 """Limit on the number of links; humanoids with hands have about a hundred."""
 LONGEST_LIST: Final = 300
-"""Number of characters that a message spends on a list of names."""
+"""Maximum length of a list of names in a message [characters]."""
+
+MOMENTS: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""Attributes of <inertia>, in the order of `Inertial.inertia`."""
 
 Element = ElementTree.Element
 
@@ -47,11 +52,11 @@ def read_urdf(
 
     Args:
         path: The file.
-        base: Link that stands still, z up; by default the root.
-        tip: Link that is the flange; by default the only end of the tree.
-        held: Joint that is held, by name or counted from one along the chain.
-        held_angle: Where it is held [rad].
-        home: Posture at x = 0, all joints [rad]; by default one is searched (`search_home`).
+        base: Fixed link, z up; by default the root.
+        tip: Link of the flange; by default the only end of the tree.
+        held: Joint that does not move, by name or counted from one along the chain.
+        held_angle: Its angle [rad].
+        home: Posture at x = 0, all joints [rad]; by default the result of `search_home`.
         pivot: The pendulum's pivot in the flange frame [m].
         acceleration: Acceleration limit of every joint [rad/s^2].
 
@@ -61,8 +66,9 @@ def read_urdf(
     path = Path(path)
     robot = _parsed(path)
     elements = _chain(robot, base, tip, path)
+    carried = _carried(robot, elements)
     joints: list[Joint] = []
-    rotation, offset = np.eye(3), np.zeros(3)  # of fixed joints since the last that turns
+    rotation, offset = np.eye(3), np.zeros(3)  # of fixed joints since the last moving one
     for element in elements:
         xyz, rpy = _origin(element)
         if offset.any() or not np.array_equal(rotation, np.eye(3)):
@@ -71,7 +77,8 @@ def read_urdf(
         if element.get("type") == "fixed":
             rotation, offset = rotation_from_rpy(rpy), np.array(xyz)
             continue
-        joints.append(_joint(element, xyz, rpy, acceleration))
+        joint = _joint(element, xyz, rpy, acceleration)
+        joints.append(joint.model_copy(update={"link": carried[_end(element, "child")]}))
         rotation, offset = np.eye(3), np.zeros(3)
     names = [joint.name for joint in joints]
     if isinstance(held, str):
@@ -149,6 +156,87 @@ def _way_down(link: str, base: str, above: dict[str, Element]) -> list[Element] 
     return chain[::-1]
 
 
+class _Part(NamedTuple):
+    """A link that a moving link carries, with its <inertial> in the moving link's frame."""
+
+    name: str
+    """Name of the link."""
+    mass: float
+    """Mass [kg]; zero if the file has none."""
+    com: Floats
+    """Centre of mass [m], shape (3,)."""
+    inertia: Floats
+    """Inertia about it [kg m^2], shape (3, 3); zero if the file has none."""
+
+
+def _carried(robot: Element, chain: list[Element]) -> Mapping[str, Inertial]:
+    """Return mass and inertia behind each moving joint, by the name of the link that it moves."""
+    links = {link.get("name", ""): link for link in robot.findall("link")}
+    moving = {_end(joint, "child") for joint in chain if joint.get("type") != "fixed"}
+    below: dict[str, list[Element]] = {}
+    for joint in robot.findall("joint"):
+        below.setdefault(_end(joint, "parent"), []).append(joint)
+    result: dict[str, Inertial] = {}
+    for name in moving:
+        parts: list[_Part] = []
+        waiting, seen = [(name, np.eye(3), np.zeros(3))], {name}
+        while waiting:
+            link, rotation, offset = waiting.pop()
+            parts += _part(link, links.get(link), rotation, offset)
+            for joint in below.get(link, []):
+                child = _end(joint, "child")
+                if child not in moving and child not in seen:
+                    seen.add(child)
+                    xyz, rpy = _origin(joint)
+                    turned = rotation @ rotation_from_rpy(rpy)
+                    waiting.append((child, turned, offset + rotation @ xyz))
+        result[name] = _merged(name, parts)
+    return result
+
+
+def _part(name: str, link: Element | None, rotation: Floats, offset: Floats) -> list[_Part]:
+    """Return a link as a part, or nothing where it has neither mass nor inertia."""
+    inertial = None if link is None else link.find("inertial")
+    if inertial is None:
+        return []
+    where = f"<inertial> of link {shortened(name)}"
+    mass, inertia, origin = (inertial.find(tag) for tag in ("mass", "inertia", "origin"))
+    xyz, rpy = (_vector(where, origin, key, "0 0 0") for key in ("xyz", "rpy"))
+    kilograms = 0.0 if mass is None else _numbers(where, mass.get("value", "0"), 1)[0]
+    moments = [
+        0.0 if inertia is None else _numbers(where, inertia.get(key, "0"), 1)[0] for key in MOMENTS
+    ]
+    if kilograms == 0.0 and not any(moments):
+        return []
+    turned = rotation @ rotation_from_rpy(rpy)
+    matrix = turned @ inertia_matrix(moments) @ turned.T
+    return [_Part(name, kilograms, offset + rotation @ xyz, matrix)]
+
+
+def _merged(name: str, parts: list[_Part]) -> Inertial:
+    """Return the inertial of links that are fixed to each other, in the frame of the first.
+
+    One without mass or without inertia is returned alone, for a twin to name it.
+    """
+    lacking = [part for part in parts if not (part.mass and part.inertia.any())]
+    if lacking or not parts:
+        part = lacking[0] if lacking else _Part(name, 0.0, np.zeros(3), np.zeros((3, 3)))
+        return _inertial(*part)
+    masses = np.array([part.mass for part in parts])
+    com = np.average([part.com for part in parts], axis=0, weights=masses)
+    inertia = np.zeros((3, 3))
+    for part in parts:
+        d = part.com - com
+        inertia += part.inertia + part.mass * (d @ d * np.eye(3) - np.outer(d, d))
+    return _inertial(name, float(masses.sum()), com, inertia)
+
+
+def _inertial(name: str, mass: float, com: Floats, inertia: Floats) -> Inertial:
+    return Inertial(
+        name=shortened(name), mass=mass, com=_triple(com), inertia=inertia_entries(inertia)
+    )
+
+
 def _link(chosen: str | None, possible: list[str], which: str, names: list[str], path: Path) -> str:
     if chosen is not None:
         if chosen not in names:
@@ -179,7 +267,8 @@ def _name(joint: Element) -> str:
 
 def _origin(joint: Element) -> tuple[Triple, Triple]:
     origin = joint.find("origin")
-    return _vector(joint, origin, "xyz", "0 0 0"), _vector(joint, origin, "rpy", "0 0 0")
+    where = f"joint {_name(joint)}"
+    return _vector(where, origin, "xyz", "0 0 0"), _vector(where, origin, "rpy", "0 0 0")
 
 
 def _joint(element: Element, xyz: Triple, rpy: Triple, acceleration: float) -> Joint:
@@ -198,12 +287,13 @@ def _joint(element: Element, xyz: Triple, rpy: Triple, acceleration: float) -> J
             f"joint {name} has no limit of {', '.join(missing)}; add it to the file: "
             '<limit lower="..." upper="..." velocity="..." effort="..."/>'
         )
-    limits = {key: _numbers(element, limit.get(key, ""), 1)[0] for key in wanted}
+    where = f"joint {name}"
+    limits = {key: _numbers(where, limit.get(key, ""), 1)[0] for key in wanted}
     return Joint(
         name=name,
         xyz=xyz,
         rpy=rpy,
-        axis=_vector(element, element.find("axis"), "xyz", "1 0 0"),
+        axis=_vector(where, element.find("axis"), "xyz", "1 0 0"),
         lower=max(limits.get("lower", -CONTINUOUS), -CONTINUOUS),
         upper=min(limits.get("upper", CONTINUOUS), CONTINUOUS),
         velocity=limits["velocity"],
@@ -212,20 +302,18 @@ def _joint(element: Element, xyz: Triple, rpy: Triple, acceleration: float) -> J
     )
 
 
-def _vector(joint: Element, element: Element | None, key: str, default: str) -> Triple:
+def _vector(where: str, element: Element | None, key: str, default: str) -> Triple:
     text = default if element is None else element.get(key, default)
-    return _triple(_numbers(joint, text, 3))
+    return _triple(_numbers(where, text, 3))
 
 
-def _numbers(joint: Element, text: str, count: int) -> list[float]:
+def _numbers(where: str, text: str, count: int) -> list[float]:
     try:
         numbers = [float(part) for part in text.split()]
     except ValueError:
         numbers = []
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ArmError(
-            f"joint {_name(joint)} has {quoted(text)} where {count} number(s) belong; correct it"
-        )
+        raise ArmError(f"{where} has {quoted(text)} where {count} number(s) belong; correct it")
     return numbers
 
 

@@ -17,7 +17,7 @@ DIGEST = "sha256:d0499a00c411dd2f93624a7213237a89269e673e8fd5fd12e44fc1f39991365
 
 
 def kinematics(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
-    """Write pose, J dq, J_dot dq and J of the flange to `frame`; see `equipoise.model.arms.arm`."""
+    """Write the record of the flange to `frame`; see `equipoise.model.arms.compiler`."""
     for n in range(lanes):
         # The state
         s_1, c_1 = sincos(q[n])

@@ -17,7 +17,7 @@ DIGEST = "sha256:2e96f6f47e927402eb60461c88f9e2e98fc9f3ef1b73efc97d91376a4dc927a
 
 
 def kinematics(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
-    """Write pose, J dq, J_dot dq and J of the flange to `frame`; see `equipoise.model.arms.arm`."""
+    """Write the record of the flange to `frame`; see `equipoise.model.arms.compiler`."""
     for n in range(lanes):
         # The state
         s_1, c_1 = sincos(q[n])
