@@ -8,6 +8,7 @@ from equipoise.cli import next_step
 from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.options import available_workers, read_policy
 from equipoise.cli.output import Output
+from equipoise.cli.trial_bar import trials_of
 
 if TYPE_CHECKING:
     from equipoise.studies.certification import Certificate, Repetition
@@ -27,7 +28,6 @@ def certify(
 ) -> bool:
     """Grant or refuse a claim about a policy, write the certificate, and return whether granted."""
     from equipoise.artefacts import partial_path
-    from equipoise.cli.evaluate import trials_of
     from equipoise.studies import certification as study
 
     destination = choose_file(
@@ -87,7 +87,6 @@ def repeat(output: Output, file: Path, policy: Path | None, workers: int | None)
     Raises:
         ArtefactError: The file is no certificate, or one of another policy.
     """
-    from equipoise.cli.evaluate import trials_of
     from equipoise.studies import certification as study
     from equipoise.studies.verification import verify
 

@@ -1,8 +1,6 @@
 """`equipoise evaluate`: how long a policy stands, with what confidence, and why it falls."""
 
 import shlex
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -32,12 +30,13 @@ from equipoise.cli.options import (
     read_policy,
 )
 from equipoise.cli.output import Output, verb
+from equipoise.cli.trial_bar import trial_bar, trials_of
 from equipoise.errors import ArtefactError, InputError
 
 if TYPE_CHECKING:
     from equipoise.control.policy import TabularPolicy
     from equipoise.control.python_policy import PythonPolicy
-    from equipoise.evaluation import Done, Evaluation, TrialResults
+    from equipoise.evaluation import Evaluation, TrialResults
     from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
@@ -345,41 +344,6 @@ def _runs(pendulum: "Pendulum") -> int:
     from equipoise.control.baselines import baselines
 
     return 1 + len(baselines(pendulum.parameters(), paper.STEP))
-
-
-@contextmanager
-def trial_bar(
-    output: Output, name: str, total: int, compile: Callable[[], None], functions: int
-) -> "Generator[Done]":
-    """Have kernels compiled, then show how many trials are done; both are stages.
-
-    Args:
-        output: The voice of the verb.
-        name: Name of the stage of the trials.
-        total: Number of trials.
-        compile: Has the kernels of the trials compiled.
-        functions: Number of functions that are compiled where the cache is empty.
-    """
-    from equipoise.studies.compilation import compiling
-    from equipoise.studies.progress import counted
-
-    with output.stages() as show:
-        with compiling(show, functions):
-            compile()
-        yield counted(name, total, show)
-
-
-@contextmanager
-def trials_of(
-    output: Output, name: str, policy: "TabularPolicy", world: str, total: int
-) -> "Generator[Done]":
-    """Show the trials of a policy in a world, as `trial_bar`."""
-    from equipoise.model.sim_configs import MODEL
-    from equipoise.studies.compilation import FUNCTIONS, TWIN_FUNCTIONS, compile_trials
-
-    functions = FUNCTIONS if world == MODEL else FUNCTIONS + TWIN_FUNCTIONS
-    with trial_bar(output, name, total, lambda: compile_trials(policy, world), functions) as done:
-        yield done
 
 
 def _say(output: Output, evaluation: "Evaluation") -> bool:

@@ -159,13 +159,8 @@ from kernels_of_test import height
 
 arms = [iiwa(7), *(iiwa(7).model_copy(update={{"flange_xyz": (0, 0, d)}}) for d in (0.2, 0.3))]
 kernels = [arm.compiled() for arm in arms]
-<<<<<<< HEAD
 rest = np.zeros(6 * BATCH_SIZE)
 print(*(round(height(kernel, rest, rest), 12) for kernel in kernels))
-=======
-block = np.zeros(6 * BATCH_SIZE)
-print(*(round(height(kernel, block, block), 12) for kernel in kernels))
->>>>>>> e490bd6 (Add the masses of an arm's links, read from its URDF; remove the import circle of the arms)
 if not numba.config.DISABLE_JIT:
     hits = [kernel.kinematics.cache_hits for kernel in kernels]
     print(*hits, sum(height.stats.cache_hits.values()))
