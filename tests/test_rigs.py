@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from equipoise import rigs
+from equipoise.checks.fit import check_fit
 from equipoise.control.policy import shipped_policy
-from equipoise.deployment.preflight import check_room
 from equipoise.deployment.rig import RunRequest
 from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import EquipoiseError, InputError, SettingsError
@@ -141,9 +141,11 @@ def test_what_a_rig_says_of_its_limits_becomes_its_rules(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("height", "verdict"), [(None, None), (0.0, "good"), (230.0, "good"), (232.0, "refused")]
+    ("height", "verdict"), [(None, None), (0.0, "good"), (230.0, "good"), (232.0, "bad")]
 )
 def test_the_hanging_pendulum_needs_room(height, verdict):
     """The pivot is 491 mm above the base, a rod of w2 = 70.2 1/s^2 is 209.6 mm long."""
-    found = list(check_room(shipped_policy(), RigSettings(table_height_mm=height)))
-    assert [finding.verdict for finding in found] == ([] if verdict is None else [verdict])
+    policy = shipped_policy()
+    found = check_fit(policy, policy.actuator, RigSettings(table_height_mm=height))
+    below = [one for one in found if one.name == "room below"]
+    assert [one.verdict for one in below] == ([] if verdict is None else [verdict])

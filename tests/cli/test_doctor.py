@@ -2,14 +2,17 @@
 
 import threading
 import time
+from typing import get_args
 
 import numpy as np
 import pytest
 
+from equipoise.checks.results import Spread, Verdict
+from equipoise.cli.doctor import LOOKS, bar, bars
 from equipoise.devices.clocks import SystemClock
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.terminal import Terminal
-from equipoise.studies import doctor as study
+from equipoise.studies.doctor import Fitness
 from tests.devices.kuka.test_listener import Served
 
 STABLE = {"verdict", "findings", "machine", "lateness", "loaded", "link", "encoder"}
@@ -27,7 +30,7 @@ def test_json_is_one_object_with_the_stable_keys_in_no_time(equipoise):
     assert found["lateness"]["n"] == 40
     assert 0.0 < found["lateness"]["median"] <= found["lateness"]["most"]
     assert found["loaded"] is None
-    assert all(one["cure"] or one["state"] == "good" for one in found["findings"])
+    assert all(one["cure"] or one["verdict"] == "good" for one in found["findings"])
     assert ran.err == ""
 
 
@@ -49,7 +52,7 @@ def test_words_show_both_histograms_each_finding_and_the_verdict(equipoise):
 def test_a_deadline_missed_by_far_is_told_by_the_exit_code(
     equipoise, monkeypatch, late, code, saying
 ):
-    monkeypatch.setattr("equipoise.devices.probes.lateness", lambda *_: np.full(100, late))
+    monkeypatch.setattr("equipoise.checks.deadlines.lateness", lambda *_: np.full(100, late))
     ran = equipoise("rig", "doctor", *QUICK)
     assert ran.code == code
     assert saying in ran.out
@@ -132,7 +135,7 @@ def test_an_encoder_that_is_not_there_is_a_finding_among_the_others(equipoise):
     found = ran.json
     assert found["encoder"] is None
     last = found["findings"][-1]
-    assert (last["name"], last["state"]) == ("encoder", "bad")
+    assert (last["name"], last["verdict"]) == ("encoder", "bad")
     assert last["found"] == "there is no device /dev/nowhere"
     assert "plug the board in" in last["cure"]
     assert len(found["findings"]) > 5
@@ -168,10 +171,15 @@ def test_durations_that_cannot_be_meant_are_refused(refused, seconds):
     refused("rig", "doctor", "--seconds", seconds, saying="--seconds")
 
 
-def test_every_state_has_a_look():
-    from typing import get_args
+def test_every_verdict_has_a_look():
+    assert set(LOOKS) == set(get_args(Verdict))
+    assert set(VERDICTS) == set(get_args(Fitness))
 
-    from equipoise.cli.doctor import LOOKS
 
-    assert set(LOOKS) == set(get_args(study.State))
-    assert set(VERDICTS) == set(get_args(study.Verdict))
+def test_bars_are_as_long_as_their_counts():
+    assert bar(8, 8) == "█" * 40
+    assert bar(4, 8) == "█" * 20
+    assert bar(1, 320) == "▏"
+    assert bar(1, 10**6) == "▏"
+    assert bar(0, 8) == ""
+    assert bars(Spread.of(np.array([1e-4, 2e-3, 0.9]))).row_count == 13

@@ -15,8 +15,8 @@ from equipoise.control.run_controller import TORQUE_EVERY, UNSURE, RunController
 from equipoise.control.safety import (
     ANGLE_RULE_LIMIT,
     ENCODER_STALE,
-    LATE,
-    OVERDUE,
+    MAX_REPLY_TIME,
+    MAX_TICK_LATENESS,
     Rule,
     make_safety_params,
 )
@@ -240,7 +240,7 @@ def test_a_loop_that_was_late_says_so_and_blames_nobody_else(course, late):
 
 
 def test_a_tick_that_is_late_by_less_than_the_limit_is_nothing(course):
-    course.tick(LATE - 0.001)
+    course.tick(MAX_TICK_LATENESS - 0.001)
     course.tick()
     assert course.pilot.phase is Phase.BALANCING
 
@@ -252,7 +252,7 @@ def test_a_robot_that_does_not_answer_is_overdue_however_late_the_loop_is(course
     while course.pilot.phase is Phase.BALANCING:
         course.tick(late)
     assert course.cause == Rule.LINK.value
-    assert OVERDUE < course.now - began <= OVERDUE + 2.0 * H + late
+    assert MAX_REPLY_TIME < course.now - began <= MAX_REPLY_TIME + 2.0 * H + late
 
 
 def test_a_robot_that_does_not_answer_after_a_stall_is_found_all_the_same():
@@ -265,7 +265,7 @@ def test_a_robot_that_does_not_answer_after_a_stall_is_found_all_the_same():
     while course.pilot.phase is Phase.BALANCING:
         course.tick()
     assert course.cause == Rule.LINK.value
-    assert course.now - began <= OVERDUE
+    assert course.now - began <= MAX_REPLY_TIME
 
 
 # The encoder.

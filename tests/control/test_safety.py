@@ -18,7 +18,6 @@ from equipoise.control.safety import (
     check,
     check_first,
     check_setpoint,
-    encoder_is_late,
     limits_of,
     make_safety_params,
     newest_before,
@@ -54,18 +53,18 @@ def broken(view, guard=GUARD, watched=CALM):
 
 
 def test_the_numbers_are_those_that_were_asked_for():
-    assert safety.TRACK == 0.22
+    assert safety.TRACK_LIMIT == 0.22
     assert safety.STOP_DECELERATION == 4.0
     assert safety.T1_SPEED == 0.23
     assert pytest.approx(radians(11.0)) == safety.ANGLE_RULE_LIMIT
     assert pytest.approx(radians(3.0)) == safety.POSITION_MARGIN
-    assert (safety.ENCODER_LATE, safety.ENCODER_STALE) == (0.005, 0.020)
-    assert (safety.LATE, safety.MISSED_LIMIT) == (0.020, 3)
+    assert safety.ENCODER_STALE == 0.020
+    assert (safety.MAX_TICK_LATENESS, safety.MAX_MISSED_TICKS) == (0.020, 3)
     assert safety.FOLLOWING_TIME == 0.05
-    assert safety.STILL_LIMIT == 5e-4
+    assert safety.STILL_ANGLE == 5e-4
     assert safety.ROUNDING == 1e-6
     # The operator is told within 100 ms that software cannot stop the robot.
-    assert safety.OVERDUE <= 0.1 - 2 * H
+    assert safety.MAX_REPLY_TIME <= 0.1 - 2 * H
 
 
 def test_limits_are_those_of_the_arm_less_three_degrees():
@@ -366,16 +365,16 @@ def test_at_their_bounds_these_are_kept():
         drift=safety.DRIFT_LIMIT,
         tilt=safety.TILT_LIMIT,
         manipulability=GUARD.least_manipulability,
-        encoder_jump=safety.KINK_LIMIT,
+        encoder_jump=safety.MAX_COUNT_JUMP,
     )
     assert check(
-        GUARD, MonitorState(farthest=safety.STILL_MOTION, astray=safety.FOLLOWING_TIME), at
+        GUARD, MonitorState(farthest=safety.EXPECTED_MOTION, astray=safety.FOLLOWING_TIME), at
     ) is (None)
     # Joint 3 is at zero at home, so that nothing is rounded.
     view = SafetyInputs(measured=moved(HOME, 3, safety.FOLLOWING_LIMIT), expected=HOME)
     assert update_monitor(GUARD, CALM, view).astray == 0.0
     rested = update_monitor(GUARD, CALM, SafetyInputs(measured=HOME, expected=HOME))
-    view = SafetyInputs(measured=moved(HOME, 3, safety.STILL_LIMIT), expected=HOME)
+    view = SafetyInputs(measured=moved(HOME, 3, safety.STILL_ANGLE), expected=HOME)
     assert update_monitor(GUARD, rested, view).rest == HOME
 
 
@@ -638,11 +637,6 @@ def test_the_setpoint_in_force_is_the_newest_that_was_sent_by_then():
 
 
 # Encoder.
-
-
-def test_an_old_sample_is_worth_a_warning():
-    assert not encoder_is_late(0.005)
-    assert encoder_is_late(0.0051)
 
 
 def test_a_falling_pendulum_is_explained():

@@ -21,7 +21,7 @@ from hypothesis.stateful import (
 
 from equipoise.control.minimum_jerk import path_within
 from equipoise.control.safety import (
-    STILL_MOTION,
+    EXPECTED_MOTION,
     MonitorState,
     Rule,
     SafetyInputs,
@@ -285,7 +285,7 @@ class Run(RuleBasedStateMachine):
         if self.state.phase is Phase.STOPPED and self.last is not None and self.sent:
             np.testing.assert_allclose(self.dq, 0.0, atol=1e-12)
             if self.state.from_measured:
-                assert np.max(np.abs(np.subtract(self.last, self.measured))) < STILL_MOTION
+                assert np.max(np.abs(np.subtract(self.last, self.measured))) < EXPECTED_MOTION
 
     def teardown(self):
         """From wherever the run is, a stop is possible, at rest in the end, and latched."""

@@ -16,7 +16,7 @@ from equipoise.control.control_step import (
 )
 from equipoise.control.policy import LINEAR, RANDOM, act, policy_kernel
 from equipoise.control.safety import T1_SPEED, Rule
-from equipoise.control.safety import TRACK as TRACK_LIMIT
+from equipoise.control.safety import TRACK_LIMIT as TRACK_LIMIT
 from equipoise.control.stop import ramp
 from equipoise.control.trial_safety import guard_named, new_trial_monitor, trial_safety
 from equipoise.devices.twin.trial import (

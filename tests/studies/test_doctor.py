@@ -3,24 +3,13 @@
 import numpy as np
 import pytest
 
-from equipoise.devices.host import HostInfo
-from equipoise.devices.probes import Heard
-from equipoise.devices.realtime import RealtimeSetting
-from equipoise.studies.doctor import (
-    EncoderReading,
-    Spread,
-    bar,
-    bars,
-    diagnose,
-    judge_encoder,
-    judge_lateness,
-    judge_link,
-    judge_loaded,
-    judge_machine,
-    judge_measures,
-    judge_networks,
-    judge_silence,
-)
+from equipoise.checks.deadlines import check_lateness, check_loaded_lateness
+from equipoise.checks.encoder import EncoderReading, Heard, check_encoder
+from equipoise.checks.host import HostInfo, check_host, check_realtime
+from equipoise.checks.link import check_link, check_networks
+from equipoise.checks.results import Spread
+from equipoise.devices.realtime import ALLOW, RealtimeSetting
+from equipoise.studies.doctor import diagnose
 
 GOOD = HostInfo(
     system="Linux",
@@ -64,32 +53,32 @@ def finding(findings, name):
 def test_a_machine_without_a_flaw_is_fit():
     diagnosis = diagnose(GOOD, MEASURES, PUNCTUAL, loaded=PUNCTUAL)
     assert diagnosis.verdict == "fit"
-    assert {found.state for found in diagnosis.findings} == {"good"}
+    assert {found.verdict for found in diagnosis.findings} == {"good"}
     assert {found.cure for found in diagnosis.findings} == {""}
 
 
 FLAWS = {
-    "another system": ({"system": "Darwin"}, "kernel", "care", "from Linux"),
-    "a stock kernel": ({"realtime": False}, "kernel", "care", "PREEMPT_RT"),
+    "another system": ({"system": "Darwin"}, "kernel", "warning", "from Linux"),
+    "a stock kernel": ({"realtime": False}, "kernel", "warning", "PREEMPT_RT"),
     "an unknown kernel": ({"realtime": None}, "kernel", "unknown", "uname -v"),
-    "a lazy governor": ({"governors": ("powersave",)}, "clock rate", "care", "cpupower"),
+    "a lazy governor": ({"governors": ("powersave",)}, "clock rate", "warning", "cpupower"),
     "some lazy cores": (
         {"governors": ("performance", "powersave")},
         "clock rate",
-        "care",
+        "warning",
         "cpupower frequency-set -g performance",
     ),
-    "no governor": ({"governors": None}, "clock rate", "unknown", "the host decides"),
-    "one core": ({"cores": 1}, "cores", "care", "two or more"),
+    "no governor": ({"governors": None}, "clock rate", "unknown", "its host decides"),
+    "one core": ({"cores": 1}, "cores", "warning", "two or more"),
     "unknown cores": ({"cores": None}, "cores", "unknown", "two or more"),
-    "a virtual machine": ({"hosts": ("virtual machine",)}, "bare machine", "care", "itself"),
-    "a container": ({"hosts": ("container",)}, "bare machine", "care", "--ulimit rtprio=99"),
+    "a virtual machine": ({"hosts": ("virtual machine",)}, "bare machine", "warning", "itself"),
+    "a container": ({"hosts": ("container",)}, "bare machine", "warning", "--ulimit rtprio=99"),
     "unknown hosts": ({"hosts": None}, "bare machine", "unknown", "make sure"),
-    "other work": ({"load": 4.1}, "other work", "care", "`top`"),
+    "other work": ({"load": 4.1}, "other work", "warning", "`top`"),
     "unknown work": ({"load": None}, "other work", "unknown", "`uptime`"),
-    "memory in swap": ({"swap": 2**20}, "swap", "care", "swapoff"),
+    "memory in swap": ({"swap": 2**20}, "swap", "warning", "swapoff"),
     "unknown swap": ({"swap": None}, "swap", "unknown", "`free`"),
-    "a full disk": ({"free": 2**29}, "room for logs", "care", "make room"),
+    "a full disk": ({"free": 2**29}, "room for logs", "warning", "make room"),
     "an unknown disk": ({"free": None}, "room for logs", "unknown", "`df`"),
 }
 
@@ -97,48 +86,29 @@ FLAWS = {
 @pytest.mark.parametrize("flaw", FLAWS)
 def test_each_flaw_of_a_machine_has_its_cure(flaw):
     fields, name, state, cure = FLAWS[flaw]
-    findings = list(judge_machine(machine(**fields)))
+    findings = list(check_host(machine(**fields)))
     found = finding(findings, name)
-    assert found.state == state
+    assert found.verdict == state
     assert cure in found.cure
-    assert [other.state for other in findings if other is not found] == ["good"] * 6
+    assert [other.verdict for other in findings if other is not found] == ["good"] * 6
     worst = diagnose(machine(**fields), MEASURES, PUNCTUAL).verdict
-    assert worst == ("usable with care" if state == "care" else "fit")
+    assert worst == ("usable with care" if state == "warning" else "fit")
 
 
 def test_the_load_is_judged_by_the_cores_that_share_it():
-    assert finding(judge_machine(machine(load=3.9)), "other work").state == "good"
-    assert finding(judge_machine(machine(load=3.9, cores=4)), "other work").state == "care"
-    assert finding(judge_machine(machine(load=0.6, cores=None)), "other work").state == "care"
+    assert finding(check_host(machine(load=3.9)), "other work").verdict == "good"
+    assert finding(check_host(machine(load=3.9, cores=4)), "other work").verdict == "warning"
+    assert finding(check_host(machine(load=0.6, cores=None)), "other work").verdict == "warning"
 
 
-def test_what_the_machine_did_not_allow_is_cured_in_limits_conf():
-    denied = (
-        RealtimeSetting("memory locked", False, "no"),
-        RealtimeSetting("real-time priority", False, "no"),
-    )
-    lock, priority = judge_measures(denied, machine(rtprio=0, memlock=8388608))
-    assert lock.state == priority.state == "care"
-    assert lock.found == "not allowed; the limit memlock is 8192 KiB"
-    assert priority.found == "not allowed; the limit rtprio is 0"
+def test_what_the_machine_did_not_allow_has_the_cure_of_its_setting():
+    denied = RealtimeSetting("real-time priority", False, "not allowed", ALLOW)
+    taken, missing = check_realtime([MEASURES[2], denied])
+    assert (taken.verdict, taken.cure) == ("good", "")
+    assert (missing.verdict, missing.found) == ("warning", "not allowed")
     for line in ("@realtime - rtprio 99", "@realtime - memlock unlimited", "usermod -aG realtime"):
-        assert line in lock.cure
-        assert line in priority.cure
-    unread = list(judge_measures(denied, machine(rtprio=None, memlock="unlimited")))
-    assert [found.found for found in unread] == [
-        "not allowed; the limit memlock is unlimited",
-        "not allowed; the limit rtprio is not known",
-    ]
-
-
-def test_what_a_system_does_not_have_keeps_the_words_of_the_measure():
-    (found,) = judge_measures(
-        [RealtimeSetting("real-time priority", False, "darwin has no SCHED_FIFO; use Linux")],
-        machine(system="Darwin"),
-    )
-    assert (found.state, found.cure) == ("care", "darwin has no SCHED_FIFO; use Linux")
-    (found,) = judge_measures([RealtimeSetting("own core", False, "use two cores")], GOOD)
-    assert (found.state, found.cure) == ("care", "use two cores")
+        assert line in missing.cure
+    assert diagnose(GOOD, [denied], PUNCTUAL).verdict == "usable with care"
 
 
 @pytest.mark.parametrize(
@@ -146,68 +116,77 @@ def test_what_a_system_does_not_have_keeps_the_words_of_the_measure():
     [
         ((), "good"),
         ((0.004,), "good"),
-        ((0.0051,), "care"),
-        ((0.0199,), "care"),
+        ((0.0051,), "warning"),
+        ((0.0199,), "warning"),
         ((0.0201,), "bad"),
-        ((0.0015,) * 150, "care"),
+        ((0.0015,) * 150, "warning"),
         ((0.0015,) * 50, "good"),
     ],
 )
 def test_a_late_deadline_costs_by_how_late_it_was(late, state):
-    found = judge_lateness(spread(*late))
-    assert found.state == state
+    found = check_lateness(spread(*late))
+    assert found.verdict == state
     assert bool(found.cure) == (state != "good")
 
 
 def test_under_load_lateness_is_at_worst_a_matter_of_care():
-    assert judge_loaded(PUNCTUAL).state == "good"
-    found = judge_loaded(spread(0.5))
-    assert found.state == "care"
+    assert check_loaded_lateness(PUNCTUAL).verdict == "good"
+    found = check_loaded_lateness(spread(0.5))
+    assert found.verdict == "warning"
     assert "PREEMPT_RT" in found.cure
     assert diagnose(GOOD, MEASURES, PUNCTUAL, loaded=spread(0.5)).verdict == "usable with care"
 
 
 @pytest.mark.parametrize(
-    ("trip", "state"), [(0.001, "good"), (0.0039, "good"), (0.006, "care"), (0.0095, "bad")]
+    ("trip", "state"), [(0.001, "good"), (0.0039, "good"), (0.006, "warning"), (0.0095, "bad")]
 )
 def test_a_slow_link_is_cured_by_a_cable_of_its_own(trip, state):
-    found = judge_link(spread(*[trip] * 200))
-    assert found.state == state
+    found = check_link(spread(*[trip] * 200))
+    assert found.verdict == state
     assert ("direct cable" in found.cure) == (state != "good")
 
 
 def test_one_slow_answer_of_many_does_not_condemn_a_link():
-    assert judge_link(spread(0.05)).state == "good"
+    assert check_link(spread(0.05)).verdict == "good"
 
 
 @pytest.mark.parametrize(
     ("networks", "state"),
     [
         ({"eno1": False}, "good"),
-        ({"eno1": False, "eno2": False}, "care"),
-        ({"wlan0": True}, "care"),
+        ({"eno1": False, "eno2": False}, "warning"),
+        ({"wlan0": True}, "warning"),
         ({}, "unknown"),
         (None, "unknown"),
     ],
 )
 def test_a_second_network_is_told_where_a_robot_is_at_the_first(networks, state):
-    found = judge_networks(machine(networks=networks))
-    assert found.state == state
+    found = check_networks(networks)
+    assert found.verdict == state
     assert bool(found.cure) == (state != "good")
     names = {one.name for one in diagnose(GOOD, MEASURES, PUNCTUAL, link=PUNCTUAL).findings}
     assert names >= {"link to the robot", "networks"}
     assert "networks" not in {one.name for one in diagnose(GOOD, MEASURES, PUNCTUAL).findings}
 
 
-def test_a_device_that_is_not_there_makes_the_rig_unfit():
-    found = judge_silence("encoder", "there is no device /dev/x; plug the board in; then again")
-    assert found.found == "there is no device /dev/x"
-    assert found.cure == "plug the board in; then again"
-    assert judge_silence("robot", "robot: no answer; look").found == "no answer"
-    assert judge_silence("robot", "it is gone").cure == "check its power, its cable and its address"
-    diagnosis = diagnose(GOOD, MEASURES, PUNCTUAL, silent={"robot": "no answer; look"})
+@pytest.mark.parametrize(
+    ("name", "error", "found", "cure"),
+    [
+        (
+            "encoder",
+            "there is no /dev/x; plug it in; then again",
+            "there is no /dev/x",
+            "plug it in; then again",
+        ),
+        ("robot", "robot: no answer; look", "no answer", "look"),
+        ("robot", "it is gone", "it is gone", "check its power, its cable and its address"),
+    ],
+)
+def test_a_device_that_is_not_there_makes_the_rig_unfit(name, error, found, cure):
+    diagnosis = diagnose(GOOD, MEASURES, PUNCTUAL, silent={name: error})
     assert diagnosis.verdict == "not fit"
-    assert diagnosis.findings[-1].name == "robot"
+    last = diagnosis.findings[-1]
+    assert (last.name, last.verdict, last.found, last.cure) == (name, "bad", found, cure)
 
 
 def heard(rate=1000.0, age=0.0015, delay=0.0003, **fields):
@@ -223,22 +202,22 @@ def heard(rate=1000.0, age=0.0015, delay=0.0003, **fields):
 
 
 def test_a_good_encoder_is_fit():
-    findings = list(judge_encoder(heard(), 8192))
-    assert {found.state for found in findings} == {"good"}
+    findings = list(check_encoder(heard(), 8192))
+    assert {found.verdict for found in findings} == {"good"}
     assert heard().rate == 1000.0
-    assert "1000 in a second, newest 1.5 ms old (p99), arrival 0.3 ms late" in findings[1].found
+    assert "1000 per second, newest 1.5 ms old (p99), arrival 0.3 ms late" in findings[1].found
     assert diagnose(GOOD, MEASURES, PUNCTUAL, link=PUNCTUAL, encoder=heard()).verdict == "fit"
 
 
 ENCODERS = {
     "other counts": ({"counts_per_rev": 4096}, "encoder's counts", "bad", "rig.toml"),
-    "a slow board": ({"rate": 400.0}, "encoder's samples", "care", "latency timer"),
+    "a slow board": ({"rate": 400.0}, "encoder's samples", "warning", "latency timer"),
     "a crawling board": ({"rate": 150.0}, "encoder's samples", "bad", "native USB"),
     "a dead board": ({"rate": 0.0}, "encoder's samples", "bad", "native USB"),
-    "a buffering adapter": ({"age": 0.016}, "encoder's samples", "care", "latency timer"),
+    "a buffering adapter": ({"age": 0.016}, "encoder's samples", "warning", "latency timer"),
     "a stalling adapter": ({"age": 0.021}, "encoder's samples", "bad", "latency timer"),
-    "a bad wire": ({"missing": 21}, "encoder's line", "care", "change the cable"),
-    "a noisy wire": ({"rejected": 21}, "encoder's line", "care", "change the cable"),
+    "a bad wire": ({"missing": 21}, "encoder's line", "warning", "change the cable"),
+    "a noisy wire": ({"rejected": 21}, "encoder's line", "warning", "change the cable"),
     "lost edges": ({"illegal": 1}, "encoder's signals", "bad", "supply, screen"),
 }
 
@@ -246,18 +225,18 @@ ENCODERS = {
 @pytest.mark.parametrize("flaw", ENCODERS)
 def test_each_flaw_of_an_encoder_has_its_cure(flaw):
     fields, name, state, cure = ENCODERS[flaw]
-    findings = list(judge_encoder(heard(**fields), 8192))
+    findings = list(check_encoder(heard(**fields), 8192))
     found = finding(findings, name)
-    assert found.state == state
+    assert found.verdict == state
     assert cure in found.cure
-    assert {other.state for other in findings if other is not found} == {"good"}
+    assert {other.verdict for other in findings if other is not found} == {"good"}
     verdict = diagnose(GOOD, MEASURES, PUNCTUAL, encoder=heard(**fields), counts_per_rev=8192)
     assert verdict.verdict == ("not fit" if state == "bad" else "usable with care")
 
 
 def test_what_is_not_counted_or_expected_is_not_judged():
-    findings = list(judge_encoder(heard(counts_per_rev=600, rejected=None)))
-    assert {found.state for found in findings} == {"good"}
+    findings = list(check_encoder(heard(counts_per_rev=600, rejected=None)))
+    assert {found.verdict for found in findings} == {"good"}
     assert "not counted" in finding(findings, "encoder's line").found
 
 
@@ -287,12 +266,3 @@ def test_a_histogram_counts_each_duration_once_in_its_range():
     assert by_end[None] == 2
     assert len(found.histogram) == 16
     assert Spread.of(np.array([0.003])).histogram == ((pytest.approx(0.005), 1),)
-
-
-def test_bars_are_as_long_as_their_counts():
-    assert bar(8, 8) == "█" * 40
-    assert bar(4, 8) == "█" * 20
-    assert bar(1, 320) == "▏"
-    assert bar(1, 10**6) == "▏"
-    assert bar(0, 8) == ""
-    assert bars(Spread.of(np.array([1e-4, 2e-3, 0.9]))).row_count == 13

@@ -12,15 +12,19 @@ from equipoise.errors import InputError, LinkError
 from equipoise.printable import printable
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
+    from equipoise.checks.encoder import EncoderReading
+    from equipoise.checks.results import Spread
     from equipoise.devices.interfaces import AngleSensor, Clock, Robot
-    from equipoise.studies.doctor import Diagnosis, EncoderReading, Spread
+    from equipoise.studies.doctor import Diagnosis
 
 THE_RIG = "The rig"
 NOT_FIT: Final = 1
 """Exit code where no run should follow."""
 LOOKS: Final = {
     "good": ("good", "green"),
-    "care": ("care", "yellow"),
+    "warning": ("warning", "yellow"),
     "bad": ("bad", "bold red"),
     "unknown": ("unknown", "dim"),
 }
@@ -76,11 +80,13 @@ def doctor(
     looked_at = "this machine" if robot is None and encoder is None else "machine and rig"
     output.say(f"Looking at {looked_at}; nothing moves")
 
+    from equipoise.checks.deadlines import burning, lateness
+    from equipoise.checks.host import read_host_info
+    from equipoise.checks.results import Spread
     from equipoise.devices.clocks import SystemClock
-    from equipoise.devices.host import read_host_info, run_with_realtime_priority
-    from equipoise.devices.probes import burning, lateness
+    from equipoise.devices.realtime import run_with_realtime_priority
     from equipoise.rigs import encoder_at, is_virtual, read_rig, robot_at
-    from equipoise.studies.doctor import Spread, diagnose
+    from equipoise.studies.doctor import diagnose
 
     if robot is not None and is_virtual(robot):
         raise InputError(
@@ -128,9 +134,10 @@ def _examine(
     seconds: float,
 ) -> "tuple[EncoderReading | None, Spread | None, dict[str, str]]":
     """Look at what there is of a rig; a part that fails is named, with what its driver said."""
-    from equipoise.devices.host import run_with_realtime_priority
-    from equipoise.devices.probes import connected, listen, round_trips
-    from equipoise.studies.doctor import EncoderReading, Spread
+    from equipoise.checks.encoder import EncoderReading, listen
+    from equipoise.checks.link import connected, round_trips
+    from equipoise.checks.results import Spread
+    from equipoise.devices.realtime import run_with_realtime_priority
 
     reading = link = None
     silent: dict[str, str] = {}
@@ -167,7 +174,7 @@ def _say(output: Output, diagnosis: "Diagnosis", looked_at: str) -> None:
     table.add_column(no_wrap=True, style="dim")
     table.add_column(overflow="fold")
     for finding in diagnosis.findings:
-        words, style = LOOKS[finding.state]
+        words, style = LOOKS[finding.verdict]
         table.add_row(Text(f"  {words}", style=style), finding.name, finding.found)
         if finding.cure:
             table.add_row("", "", Text(f"-> {printable(finding.cure)}", style="italic"))
@@ -180,10 +187,42 @@ def _say(output: Output, diagnosis: "Diagnosis", looked_at: str) -> None:
 
 
 def _draw(output: Output, title: str, spread: "Spread") -> None:
-    from equipoise.studies.doctor import bars
-
     output.say()
     output.say(title)
     output.say(bars(spread))
     later = ", ".join(f"{share:.2%} by more than {t} ms" for t, share in spread.longer.items())
     output.say(f"  {later}", style="dim")
+
+
+BLOCKS: Final = " ▏▎▍▌▋▊▉█"
+BAR_WIDTH: Final = 40
+"""Length of the longest bar of a histogram, in characters."""
+
+
+def bars(spread: "Spread") -> "Table":
+    """Return a histogram as bars of characters, one range on each line."""
+    from rich.table import Table
+
+    from equipoise.checks.results import HISTOGRAM_EDGES
+
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(justify="right", style="dim", no_wrap=True)
+    table.add_column(no_wrap=True)
+    table.add_column(justify="right", no_wrap=True)
+    most = max(count for _, count in spread.histogram)
+    for end, count in spread.histogram:
+        label = f"over {1e3 * HISTOGRAM_EDGES[-1]:g} ms" if end is None else f"to {1e3 * end:g} ms"
+        table.add_row(f"  {label}", bar(count, most), f"{count}" if count else "")
+    return table
+
+
+def bar(count: int, most: int) -> str:
+    """Return a bar for a count of at most `most`; any count but zero is visible.
+
+    Example:
+        >>> bar(40, 40) == 40 * "█", bar(1, 100_000), bar(0, 5)
+        (True, '▏', '')
+    """
+    eighths = max(round(8 * BAR_WIDTH * count / most), 1) if count else 0
+    whole, rest = divmod(eighths, 8)
+    return BLOCKS[-1] * whole + (BLOCKS[rest] if rest else "")

@@ -27,7 +27,7 @@ STYLES: Final = {
 DENIED: Final = "n"
 BACKSPACE: Final = "\b\x7f"
 """Takes the last key back, on one keyboard or another."""
-VERDICTS: Final = {"good": "green", "warning": "yellow", "refused": "bold red"}
+VERDICTS: Final = {"good": "green", "warning": "yellow", "bad": "bold red", "unknown": "dim"}
 SEQUENCE: Final = re.compile("\x1b(?:\\[[0-?]*[ -/]*[@-~]|O[ -~]|[ -~])?")
 """What a terminal sends for a key without a character: ESC, and what follows it at once."""
 KEYS: Final = {

@@ -53,29 +53,27 @@ ROUNDING: Final = 1e-6
 STOP_DECELERATION: Final = 4.0
 """The flange's deceleration on the way to rest [m/s^2]: twice the largest command, which an arm
 that balances follows with room to spare."""
-TRACK: Final = paper.X_LIMIT
+TRACK_LIMIT: Final = paper.X_LIMIT
 """The flange stays within plus and minus this [m]."""
 ANGLE_RULE_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
 """A pendulum that leans so far is lost [rad]."""
 T1_SPEED: Final = 0.23
 """In T1 the flange stays below this [m/s]: the controller stops the arm with its brakes at
 0.25 m/s, and measured speeds are noisy."""
-ENCODER_LATE: Final = 0.005
-"""An encoder sample older than this is worth a warning [s]: at 1 kHz five were missed."""
 ENCODER_STALE: Final = 0.020
 """An encoder sample older than this is no measurement [s]: the observer bridges two ticks."""
-RATE_LIMIT: Final = 20.0
+MAX_PENDULUM_RATE: Final = 20.0
 """A pendulum turns no faster [rad/s]: falling from upright it reaches 2 sqrt(w2) = 17 rad/s."""
-KINK_LIMIT: Final = radians(0.6)
+MAX_COUNT_JUMP: Final = radians(0.6)
 """Counts do not leave the straight line through the two before by more than this, beyond what a
 step of the encoder and gravity explain [rad]: time stamps are wrong by up to 0.3 ms."""
-SHAKE: Final = 150.0
+MAX_PENDULUM_ACCELERATION: Final = 150.0
 """What accelerates a pendulum at most [rad/s^2]: gravity 70, its pivot 15, a hand the rest."""
-LATE: Final = 0.020
+MAX_TICK_LATENESS: Final = 0.020
 """A tick may begin so late [s]: the observer and the last setpoints bridge two ticks."""
-MISSED_LIMIT: Final = 3
+MAX_MISSED_TICKS: Final = 3
 """... and fewer than so many ticks in a row may be missed, each late by a tick or more."""
-OVERDUE: Final = 0.050
+MAX_REPLY_TIME: Final = 0.050
 """A reply of the robot may take so long [s]: a round trip takes 1 to 4 ms, and the operator has to
 know within 100 ms that software cannot stop the robot any more."""
 TORQUE_SHARE: Final = 0.10
@@ -86,10 +84,10 @@ FOLLOWING_LIMIT: Final = 0.03
 the largest difference in 100 trials of 60 s on `twin:nominal`."""
 FOLLOWING_TIME: Final = 0.05
 """... or by more, for less than this [s]."""
-STILL_LIMIT: Final = 5e-4
+STILL_ANGLE: Final = 5e-4
 """A joint whose measured angle changes by less than this has not moved [rad]: ten times its
 noise."""
-STILL_MOTION: Final = 0.01
+EXPECTED_MOTION: Final = 0.01
 """An arm that has not moved while some joint was expected to go so far [rad] does not follow:
 emergency stop, enabling switch, protective stop or another mode."""
 SINGULAR_SHARE: Final = 0.1
@@ -504,7 +502,7 @@ def update_monitor(guard: SafetyParams, before: MonitorState, view: SafetyInputs
     if (
         before.rest is None
         or before.expected is None
-        or largest_difference(measured, before.rest)[0] > STILL_LIMIT
+        or largest_difference(measured, before.rest)[0] > STILL_ANGLE
     ):
         return MonitorState(missed, astray, measured, expected)
     farthest = max(before.farthest, largest_difference(expected, before.expected)[0])
@@ -548,25 +546,25 @@ def _numbers(view: SafetyInputs) -> Violation | None:
 
 
 def _link(view: SafetyInputs) -> Violation | None:
-    if view.overdue <= OVERDUE:
+    if view.overdue <= MAX_REPLY_TIME:
         return None
     return Violation(
         Rule.LINK,
         f"the robot has not answered for {1e3 * view.overdue:.0f} ms, expected at most "
-        f"{1e3 * OVERDUE:.0f} ms; software may be unable to stop it: use the emergency stop",
+        f"{1e3 * MAX_REPLY_TIME:.0f} ms; software may be unable to stop it: use the emergency stop",
         view.overdue,
-        OVERDUE,
+        MAX_REPLY_TIME,
     )
 
 
 def _motion(guard: SafetyParams, watched: MonitorState, view: SafetyInputs) -> Violation | None:
-    if watched.farthest > STILL_MOTION:
+    if watched.farthest > EXPECTED_MOTION:
         return Violation(
             Rule.NOT_FOLLOWING,
             f"the arm stands still where a joint should have moved by {watched.farthest:.3f} rad: "
             "emergency stop, enabling switch, protective stop or another mode",
             watched.farthest,
-            STILL_MOTION,
+            EXPECTED_MOTION,
         )
     if view.torque is not None:
         number = pushed(view.torque, guard.torque)
@@ -698,8 +696,8 @@ def broken_flange(
         return SINGULAR_CODE, manipulability, guard.least_manipulability
     reach = stopping_reach(x, x_dot, guard.reaction, guard.u_max)
     # Written so that a number that is none breaks the rule.
-    if not (reach < TRACK and abs(x) < TRACK):
-        return TRACK_CODE, max(reach, abs(x)), TRACK
+    if not (reach < TRACK_LIMIT and abs(x) < TRACK_LIMIT):
+        return TRACK_CODE, max(reach, abs(x)), TRACK_LIMIT
     if abs(x_dot) >= guard.speed:
         return SPEED_CODE, x_dot, guard.speed
     if drift > DRIFT_LIMIT:
@@ -732,21 +730,21 @@ def stopping_reach(x: float, x_dot: float, reaction: float, u_max: float) -> flo
 
 
 def _tick(watched: MonitorState, view: SafetyInputs) -> Violation | None:
-    if view.lateness > LATE:
+    if view.lateness > MAX_TICK_LATENESS:
         return Violation(
             Rule.TICK,
             f"the loop was {1e3 * view.lateness:.1f} ms late, expected at most "
-            f"{1e3 * LATE:g} ms; `equipoise rig doctor` looks for the cause",
+            f"{1e3 * MAX_TICK_LATENESS:g} ms; `equipoise rig doctor` looks for the cause",
             view.lateness,
-            LATE,
+            MAX_TICK_LATENESS,
         )
-    if watched.missed >= MISSED_LIMIT:
+    if watched.missed >= MAX_MISSED_TICKS:
         return Violation(
             Rule.TICK,
             f"the loop missed {watched.missed} ticks in a row, expected fewer than "
-            f"{MISSED_LIMIT}; `equipoise rig doctor` looks for the cause",
+            f"{MAX_MISSED_TICKS}; `equipoise rig doctor` looks for the cause",
             float(watched.missed),
-            float(MISSED_LIMIT),
+            float(MAX_MISSED_TICKS),
         )
     return None
 
@@ -775,13 +773,13 @@ def _encoder(view: SafetyInputs) -> Violation | None:
             float(view.encoder_missing),
             0.0,
         )
-    if view.encoder_jump > KINK_LIMIT:
+    if view.encoder_jump > MAX_COUNT_JUMP:
         return Violation(
             Rule.ENCODER_JUMP,
             f"the encoder jumped by {np.rad2deg(view.encoder_jump):.2f} deg more than a pendulum "
-            f"moves, expected at most {np.rad2deg(KINK_LIMIT):g} deg; look at its coupling",
+            f"moves, expected at most {np.rad2deg(MAX_COUNT_JUMP):g} deg; look at its coupling",
             view.encoder_jump,
-            KINK_LIMIT,
+            MAX_COUNT_JUMP,
         )
     return None
 
@@ -802,11 +800,6 @@ def _angle(view: SafetyInputs) -> Violation | None:
 def has_fallen(phi: float) -> bool:
     """Return whether a pendulum at this angle from upright [rad] is lost; NaN is."""
     return not abs(phi) < ANGLE_RULE_LIMIT
-
-
-def encoder_is_late(age: float) -> bool:
-    """Return whether the age of the newest encoder sample [s] is worth a warning."""
-    return age > ENCODER_LATE
 
 
 def unexplained(
@@ -830,9 +823,9 @@ def unexplained(
         return inf
     turned = (counts[2] - counts[1]) * resolution
     straight = (counts[1] - counts[0]) * resolution * dt / first
-    allowed = resolution * (1.0 + dt / first) + 0.5 * SHAKE * dt * (dt + first)
+    allowed = resolution * (1.0 + dt / first) + 0.5 * MAX_PENDULUM_ACCELERATION * dt * (dt + first)
     kink = abs(turned - straight) - allowed
-    return max(kink, abs(turned) - resolution - RATE_LIMIT * dt, 0.0)
+    return max(kink, abs(turned) - resolution - MAX_PENDULUM_RATE * dt, 0.0)
 
 
 @compilable

@@ -11,6 +11,8 @@ from math import ceil, inf, nan, radians
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from equipoise.checks.fit import check_fit
+from equipoise.checks.results import require
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.policy import TabularPolicy
@@ -19,19 +21,13 @@ from equipoise.control.safety import T1_SPEED, Rule, SafetyParams, make_safety_p
 from equipoise.control.states import Cause
 from equipoise.control.ticks import OperatorMessage, TickHandler
 from equipoise.deployment import deploy
-from equipoise.deployment.preflight import (
-    PreflightCheck,
-    check_fit,
-    check_home,
-    check_room,
-    preflight,
-)
+from equipoise.deployment.preflight import preflight
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Clock
 from equipoise.devices.loop import Executor, LoopResult, run_loop
 from equipoise.devices.operator import Operator
 from equipoise.devices.realtime import RealtimeSetting
-from equipoise.errors import ArtefactError, EquipoiseError, InputError, LinkError, OutsideError
+from equipoise.errors import ArtefactError, EquipoiseError, InputError, LinkError
 from equipoise.model.actuator import Actuator
 from equipoise.model.sim_configs import PivotFriction, pivot_friction, read_world
 from equipoise.printable import printable
@@ -292,9 +288,10 @@ def run_on_rig(
         before = preflight(
             request.policy, request.actuator, request.settings, rig, measures(), t1=request.t1
         )
-        for finding in before.findings:
-            tell(OperatorMessage("finding", "\t".join(map(printable, finding[:4]))))
-        refuse(before.findings)
+        for result in before.results:
+            columns = (result.name, result.verdict, result.found, result.cure)
+            tell(OperatorMessage("finding", "\t".join(map(printable, columns))))
+        require(before.results)
         if before.max_speed < inf:
             tell(speed_limit(before.max_speed))
         tell(OperatorMessage("notice", NO_WATCHDOG))
@@ -316,19 +313,12 @@ def run_on_rig(
 
 
 def check_request(request: RunRequest) -> None:
-    """Refuse what needs no rig to be told: the pre-flight tells the rest.
+    """Check a request as far as that needs no rig; the pre-flight checks the rest.
 
     Raises:
         InputError: Policy, actuator and `rig.toml` do not fit each other.
     """
-    policy, settings = request.policy, request.settings
-    refuse(
-        [
-            *check_fit(policy, request.actuator, settings, settings.counts_per_rev),
-            *check_home(settings),
-            *check_room(policy, settings),
-        ]
-    )
+    require(list(check_fit(request.policy, request.actuator, request.settings)))
 
 
 def speed_limit(max_speed: float) -> OperatorMessage:
@@ -357,19 +347,6 @@ def logged_speed_limit(events: Iterable[tuple[str, str]]) -> float:
                     "give another log"
                 ) from None
     return inf
-
-
-def refuse(findings: Sequence[PreflightCheck]) -> None:
-    """Raise what forbids a run.
-
-    Raises:
-        InputError: What was given does not fit.
-        OutsideError: The rig is not as it should be.
-    """
-    refused = [finding for finding in findings if finding.verdict == "refused"]
-    if refused:
-        told = "; ".join(f"{f.name}: {f.found}; {f.cure}" for f in refused)
-        raise (OutsideError if all(f.outside for f in refused) else InputError)(told)
 
 
 def _run(

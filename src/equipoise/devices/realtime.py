@@ -1,47 +1,59 @@
-"""What lets a loop of Python keep its deadlines, as far as the machine allows it.
+"""Settings that let a loop in Python keep its deadlines, where the machine allows them.
 
-Each measure is taken where it is allowed and named where it is not: a run without it is possible,
-later ticks are likely, and the log says which it was.
+Each setting is tried, and its result says whether it was granted. A run without it is possible, with
+late ticks likelier, and the log says which settings held.
 """
 
 import ctypes
 import gc
 import os
 import sys
-from typing import Final, NamedTuple
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final, NamedTuple, TypeVar
+
+T = TypeVar("T")
 
 PRIORITY: Final = 60
-"""Of the loop under SCHED_FIFO: above all ordinary work, below the threads of the kernel's
-interrupts that carry its bytes, which have 50 on a kernel for real time only if they are tuned."""
+"""Priority of the loop under SCHED_FIFO: above all ordinary work. The threads of the kernel's
+interrupts, which carry the loop's bytes, have 50 on a real-time kernel unless they are tuned."""
 MCL_CURRENT: Final = 1
 MCL_FUTURE: Final = 2
+ALLOW: Final = (
+    "sudo groupadd -f realtime; sudo usermod -aG realtime $USER; put `@realtime - rtprio 99` and "
+    "`@realtime - memlock unlimited` into /etc/security/limits.conf; log in again"
+)
+"""Commands that allow real-time priority and locked memory on Linux."""
 
 
 class RealtimeSetting(NamedTuple):
-    """One thing that makes ticks punctual."""
+    """Result of one setting."""
 
     name: str
-    """What it is."""
+    """Subject of the setting."""
     taken: bool
     """Whether the machine allowed it."""
-    note: str
-    """How it is now, or what to do about it."""
+    found: str
+    """State of the machine now."""
+    cure: str = ""
+    """Action that allows the setting; empty where it was taken."""
 
 
 def prepare(core: int = -1) -> tuple[RealtimeSetting, ...]:
-    """Make this process punctual; call it once all memory is laid out and all code was run.
+    """Apply all settings to this process; call it once all memory is allocated and all code ran.
 
     Args:
-        core: Place of the core to stay on among those that are allowed; the last one if not given.
+        core: Index of the core to stay on among the allowed ones (default: the last).
 
     Returns:
-        What was done, and what was not allowed.
+        The result of each setting.
     """
     return freeze_garbage(), lock_memory(), real_time_priority(), stay_on_core(core)
 
 
 def freeze_garbage() -> RealtimeSetting:
-    """Let Python not look for garbage any more: that would stop the loop for milliseconds."""
+    """Turn off Python's garbage collection, which would stop the loop for milliseconds."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -57,49 +69,91 @@ def lock_memory() -> RealtimeSetting:
             return RealtimeSetting(name, True, "all pages stay in memory")
         reason = os.strerror(ctypes.get_errno())
     except (AttributeError, OSError, TypeError) as error:
-        reason = str(error)
-    return RealtimeSetting(
-        name,
-        False,
-        f"{reason}; allow it in /etc/security/limits.conf: @realtime - memlock unlimited",
-    )
+        return RealtimeSetting(name, False, f"not possible here ({error})", "use Linux")
+    return _denied(name, reason, "RLIMIT_MEMLOCK", 1024, " KiB")
 
 
 def real_time_priority(priority: int = PRIORITY) -> RealtimeSetting:
-    """Run before all ordinary work."""
+    """Schedule this thread before all ordinary work."""
     name = "real-time priority"
     if sys.platform != "linux":
-        return RealtimeSetting(name, False, f"{sys.platform} has no SCHED_FIFO; use Linux")
+        return RealtimeSetting(name, False, f"{sys.platform} has no SCHED_FIFO", "use Linux")
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
-        return RealtimeSetting(
-            name,
-            False,
-            f"{error.strerror}; allow it in /etc/security/limits.conf: @realtime - rtprio 99",
-        )
+        return _denied(name, str(error.strerror), "RLIMIT_RTPRIO")
     return RealtimeSetting(name, True, f"SCHED_FIFO {priority}")
 
 
+def _denied(
+    name: str, reason: str, resource_name: str, unit: int = 1, suffix: str = ""
+) -> RealtimeSetting:
+    """Return the result of a setting that the system's limit forbids."""
+    import resource
+
+    limit, _ = resource.getrlimit(getattr(resource, resource_name))
+    text = "unlimited" if limit == resource.RLIM_INFINITY else f"{limit // unit}{suffix}"
+    found = f"not allowed ({reason}); the limit {resource_name[7:].lower()} is {text}"
+    return RealtimeSetting(name, False, found, ALLOW)
+
+
 def stay_on_core(core: int = -1) -> RealtimeSetting:
-    """Stay on one processor core, so that its caches stay warm.
+    """Stay on one processor core, whose caches then stay warm.
 
     Args:
-        core: Its place among those that are allowed.
+        core: Index of the core among the allowed ones.
     """
     name = "own core"
     if sys.platform != "linux":
-        return RealtimeSetting(name, False, f"{sys.platform} cannot do that; use Linux")
+        return RealtimeSetting(name, False, f"{sys.platform} cannot do that", "use Linux")
     allowed = sorted(os.sched_getaffinity(0))
     if len(allowed) < 2:
-        return RealtimeSetting(
-            name, False, "there is one core only; use a machine with two or more"
-        )
+        return RealtimeSetting(name, False, "one core only", "use a machine with two or more")
     chosen = allowed[core]
     try:
         os.sched_setaffinity(0, {chosen})
     except OSError as error:
-        return RealtimeSetting(
-            name, False, f"core {chosen}: {error.strerror}; give one of {allowed}"
-        )
+        cure = f"choose one of {allowed}"
+        return RealtimeSetting(name, False, f"core {chosen}: {error.strerror}", cure)
     return RealtimeSetting(name, True, f"core {chosen}")
+
+
+def run_with_realtime_priority(
+    work: Callable[[], T], *, take: Callable[[], tuple[RealtimeSetting, ...]] = prepare
+) -> tuple[T, tuple[RealtimeSetting, ...]]:
+    """Run a function on a thread of its own under the settings of a run, and undo them.
+
+    Priority and core belong to the thread and end with it; garbage collection and the memory lock
+    belong to the process and are restored.
+
+    Args:
+        work: The function.
+        take: Applies the settings.
+
+    Returns:
+        Its result, and the result of each setting.
+    """
+    done: list[tuple[T, tuple[RealtimeSetting, ...]]] = []
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            measures = take()
+            done.append((work(), measures))
+        except BaseException as error:
+            failed.append(error)
+
+    collects = gc.isenabled()
+    thread = threading.Thread(target=run, daemon=True)
+    try:
+        thread.start()
+        thread.join()
+    finally:
+        gc.unfreeze()
+        if collects:
+            gc.enable()
+        with suppress(AttributeError, OSError, TypeError):
+            ctypes.CDLL(None).munlockall()
+    if failed:
+        raise failed[0]
+    return done[0]

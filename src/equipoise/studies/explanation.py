@@ -29,7 +29,13 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.control.safety import KINK_LIMIT, LATE, TORQUE_SHARE, Rule, unexplained
+from equipoise.control.safety import (
+    MAX_COUNT_JUMP,
+    MAX_TICK_LATENESS,
+    TORQUE_SHARE,
+    Rule,
+    unexplained,
+)
 from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.model.pendulum import PendulumParameters
@@ -551,7 +557,7 @@ def _jump(course: RunTimeline) -> Evidence | None:
         if time[i] > time[i - 1] > time[i - 2]:
             size = unexplained(tuple(time[i - 2 : i + 1]), tuple(counts[i - 2 : i + 1]), resolution)
             worst, when = max((worst, when), (size, time[i]))
-    if worst <= KINK_LIMIT:
+    if worst <= MAX_COUNT_JUMP:
         return None
     return Evidence(
         CauseName.JUMP,
@@ -563,7 +569,7 @@ def _jump(course: RunTimeline) -> Evidence | None:
 
 def _late(course: RunTimeline) -> Evidence | None:
     """The latest tick."""
-    if course.late.max(initial=0.0) <= LATE:
+    if course.late.max(initial=0.0) <= MAX_TICK_LATENESS:
         return None
     i = int(np.argmax(course.late))
     when = i * course.log.conditions.h

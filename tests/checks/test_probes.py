@@ -5,12 +5,14 @@ import threading
 import numpy as np
 import pytest
 
+from equipoise.checks.deadlines import burning, lateness
+from equipoise.checks.encoder import listen
+from equipoise.checks.link import connected, round_trips
 from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.sensor import LineEncoder
 from equipoise.devices.interfaces import Sample
 from equipoise.devices.kuka.robot import KstRobot
-from equipoise.devices.probes import burning, connected, lateness, listen, round_trips
 from equipoise.devices.transports import memory_pipe
 from equipoise.errors import LinkError
 from tests.devices.kuka.follower import HOME, Bench

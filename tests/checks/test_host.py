@@ -5,8 +5,8 @@ import threading
 
 import pytest
 
-from equipoise.devices.host import read_host_info, run_with_realtime_priority
-from equipoise.devices.realtime import RealtimeSetting
+from equipoise.checks.host import read_host_info
+from equipoise.devices.realtime import RealtimeSetting, run_with_realtime_priority
 
 LIMITS = """Limit                     Soft Limit           Hard Limit           Units
 Max locked memory         {memlock}              unlimited            bytes

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from equipoise.deployment.preflight import LISTENING, check_encoder, check_link
+from equipoise.checks.encoder import EncoderReading, check_encoder, listen
+from equipoise.checks.link import check_link, round_trips
+from equipoise.checks.results import Spread
+from equipoise.deployment.preflight import MEASURING_TIME
 from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.interfaces import Sample
-from equipoise.devices.probes import round_trips
 from equipoise.rigs import RigSettings
 
 RIG = RigSettings()
@@ -55,39 +57,44 @@ class Sensor:
         (0.002, None, "good"),
         (0.005, None, "good"),
         (0.002, 0.007, "warning"),
-        (0.002, 0.010, "refused"),
-        (0.050, None, "refused"),
+        (0.002, 0.010, "bad"),
+        (0.050, None, "bad"),
     ],
 )
 def test_the_link_is_judged_by_its_slowest_answers(takes, tenth, verdict):
     clock = VirtualClock()
-    (link,) = check_link(round_trips(Robot(clock, takes, tenth), clock, LISTENING))
-    assert (link.verdict, link.outside) == (verdict, verdict == "refused")
+    link = check_link(Spread.of(round_trips(Robot(clock, takes, tenth), clock, MEASURING_TIME)))
+    assert (link.verdict, link.outside) == (verdict, True)
     assert bool(link.cure) == (verdict != "good")
     assert clock.now() < 1.2
+
+
+def encoder(**sensor):
+    clock = VirtualClock()
+    return list(check_encoder(EncoderReading.of(listen(Sensor(clock, **sensor), clock, 1.0))))
 
 
 @pytest.mark.parametrize(
     ("sensor", "verdict", "says"),
     [
-        ({}, "good", "1000 samples/s"),
+        ({}, "good", "1000 per second"),
         ({"rate": 300.0}, "warning", "latency timer"),
-        ({"rate": 100.0}, "refused", "native USB"),
-        ({"lost": 0.005}, "good", "5 lost"),
+        ({"rate": 100.0}, "bad", "native USB"),
+        ({"lost": 0.005}, "good", "5 samples lost"),
         ({"lost": 0.05}, "warning", "change the cable"),
-        ({"illegal": True}, "refused", "supply, screen and wiring"),
-        ({"rate": 100.0, "lost": 0.05}, "refused", "native USB"),
+        ({"illegal": True}, "bad", "supply, screen and plugs"),
+        ({"rate": 100.0, "lost": 0.05}, "bad", "native USB"),
     ],
 )
 def test_the_encoder_is_judged_by_rate_losses_and_signals(sensor, verdict, says):
-    clock = VirtualClock()
-    (encoder,) = check_encoder(Sensor(clock, **sensor), clock)
-    assert encoder.verdict == verdict
-    assert says in f"{encoder.found}; {encoder.cure}"
+    found = encoder(**sensor)
+    order = ("good", "warning", "bad")
+    assert max((one.verdict for one in found), key=order.index) == verdict
+    assert any(says in f"{one.found}; {one.cure}" for one in found)
+    assert all(one.outside for one in found[1:]), "the rig is at fault, not what was given"
 
 
 def test_what_waited_before_does_not_count_for_the_rate():
-    clock = VirtualClock()
-    (encoder,) = check_encoder(Sensor(clock, rate=150.0, waiting=4.0), clock)
-    assert encoder.verdict == "refused"
-    assert "150 samples/s" in encoder.found
+    samples = encoder(rate=150.0, waiting=4.0)[1]
+    assert samples.verdict == "bad"
+    assert "150 per second" in samples.found
