@@ -1,7 +1,7 @@
 """Settings that let a loop in Python keep its deadlines, where the machine allows them.
 
-Each setting is tried, and its result says whether it was granted. A run without it is possible, with
-late ticks likelier, and the log says which settings held.
+Each setting is tried, and its result says whether it was granted. A run without it is possible;
+late ticks are then likelier, and the log says which settings held.
 """
 
 import ctypes
