@@ -10,7 +10,9 @@ from equipoise.deployment.rig import RunRequest
 from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import EquipoiseError, InputError, SettingsError
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.urdf import read_urdf
 from equipoise.rigs import RigSettings, check_addresses, read_rig, robot_at
+from tests.model.arms.witnesses import ELBOW, ELBOW_HOME
 
 
 def written(tmp_path, text):
@@ -37,6 +39,26 @@ def test_a_rig_says_where_its_pendulum_is(tmp_path):
     assert rig.encoder_sign == -1
 
 
+def test_a_rig_describes_an_arm_from_a_urdf_beside_it(tmp_path):
+    (tmp_path / "arm.urdf").write_text(ELBOW.read_text())
+    home = ", ".join(f"{np.degrees(angle):.4f}" for angle in ELBOW_HOME)
+    text = (
+        f'arm = "arm.urdf"\nbase = "pedestal"\ntip = "adapter"\nhome_deg = [{home}]\n'
+        "pivot_mm = [10, 20, 130]\nacceleration_deg = 400\n"
+    )
+    arm = read_rig(written(tmp_path, text)).described_arm
+    expected = read_urdf(ELBOW, base="pedestal", tip="adapter", home=ELBOW_HOME)
+    assert arm.geometry_digest == expected.geometry_digest
+    assert arm.home == pytest.approx(ELBOW_HOME, abs=1e-6)
+    assert arm.pivot == pytest.approx((0.01, 0.02, 0.13))
+    assert arm.joints[0].acceleration == pytest.approx(np.radians(400))
+    assert arm.joints[0].link == expected.joints[0].link
+    with pytest.raises(SettingsError, match="place the pivot of an iiwa, and this is elbow 6"):
+        read_rig(
+            written(tmp_path, text.replace("pivot_mm = [10, 20, 130]", "media_flange_mm = 35"))
+        )
+
+
 def test_equal_rigs_have_one_digest_and_others_another(tmp_path):
     path = written(tmp_path, 'arm = "iiwa7"\n')
     assert read_rig(path).digest == RigSettings().digest
@@ -47,10 +69,16 @@ def test_equal_rigs_have_one_digest_and_others_another(tmp_path):
     ("text", "saying"),
     [
         ("counts = 8192", "known: name, arm"),
-        ('arm = "iiwa"', "'iiwa7' or 'iiwa14'"),
+        ('arm = "iiwa"', "no arm 'iiwa'; choose iiwa14, iiwa7"),
+        ('arm = "iiwa.urdf"', r"there is no file .*iiwa\.urdf"),
+        ('held = "A3"', "held belong to an arm from a URDF, and iiwa7 is a registered arm"),
+        (
+            "pivot_mm = [1, 2, 3]\nmedia_flange_mm = 35",
+            "give pivot_mm alone",
+        ),
         ("media_flange_mm = 20", "0, 35 or 61"),
         ("encoder_sign = 2", "1 or -1"),
-        ("home_deg = [0, 0, 0]", "at least 7 items"),
+        ("home_deg = [0, 0, 0]", "3 angles; give one for each of 7"),
         ("home_deg = [0, 130, 0, 0, 0, 0, 0]", "joint 2"),
         ("home_deg = [1.57, 0.52, 0.1, -1.22, 0, 1.4, 0]", "joint 3"),
         ("base_tilt_deg = [1.0, 1.0]", "level the base"),

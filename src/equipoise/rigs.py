@@ -18,7 +18,7 @@ from contextlib import suppress
 from functools import cached_property, partial
 from math import degrees, hypot, radians
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Final, Literal, NamedTuple
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -40,14 +40,17 @@ from equipoise.devices.twin.operator_actions import operator_actions
 from equipoise.devices.twin.robot import TwinEncoder, TwinRobot
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.errors import ArmError, InputError, LinkError, SettingsError
-from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.arms.iiwa import HOME_DEG, PIVOT_OUTWARD, iiwa
+from equipoise.model.arms.arm import FREE_JOINTS, MOST_JOINTS, Arm
+from equipoise.model.arms.chain import Triple
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.resolve import SUFFIXES, placed, resolve_arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.sim_configs import PREFIX as TWIN
 from equipoise.model.sim_configs import World, pendulum_on, read_world
 from equipoise.settings import read_toml
 
 Degrees = Annotated[float, Field(ge=-180.0, le=180.0)]
+Millimetres = Annotated[float, Field(ge=-1e3, le=1e3)]
 
 LARGEST_TILT_DEG: Final = 1.0
 """A base that leans more than this is to be levelled [deg]: the track would climb, and gravity
@@ -63,18 +66,29 @@ class RigSettings(Value):
 
     name: Name = "rig"
     """What the rig is called in logs."""
-    arm: Literal["iiwa7", "iiwa14"] = "iiwa7"
-    """Which arm."""
+    arm: Name = "iiwa7"
+    """Name of the arm, or path of its URDF (from the folder of this file)."""
+    held: int | Name | None = None
+    """Joint of a URDF that does not move, by name or counted from one."""
+    base: Name | None = None
+    """Fixed link of a URDF; by default its root."""
+    tip: Name | None = None
+    """Link of a URDF that is the flange; by default its only end."""
+    acceleration_deg: float | None = Field(default=None, gt=0.0, le=1e5)
+    """Acceleration limit of every joint of a URDF [deg/s^2]; a URDF holds none."""
     robot: Name | None = None
     """Where the robot answers, if --robot is not given, e.g. kst://172.31.1.147:30001."""
     encoder: Name | None = None
     """Where the encoder does, if --encoder is not given, e.g. serial:///dev/ttyACM0."""
-    home_deg: Annotated[tuple[Degrees, ...], Field(min_length=7, max_length=7)] = HOME_DEG
-    """Posture at x = 0, all joints [deg]: flange down, the pendulum's spindle along base y."""
-    pivot_outward_mm: float = Field(default=1e3 * PIVOT_OUTWARD, ge=0.0, le=500.0)
-    """From the axis of A7 to the plane in which the pendulum turns [mm]."""
+    home_deg: Annotated[tuple[Degrees, ...], Field(max_length=MOST_JOINTS)] | None = None
+    """Posture at x = 0, all joints [deg], with the pendulum's spindle along base y; by default the
+    arm's own. For a URDF one is searched, which knows nothing of tables and walls."""
+    pivot_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
+    """Pivot of the pendulum in the flange frame [mm]; by default the arm's own."""
+    pivot_outward_mm: float | None = Field(default=None, ge=0.0, le=500.0)
+    """Distance from the axis of an iiwa's A7 to the plane in which the pendulum turns [mm]."""
     media_flange_mm: Literal[0, 35, 61] = 0
-    """Height of the media flange: none, electric or pneumatic, touch pneumatic [mm]."""
+    """Height of an iiwa's media flange: none, electric or pneumatic, touch pneumatic [mm]."""
     counts_per_rev: int = Field(default=8192, ge=64, le=2**24)
     """Encoder counts per revolution, after x4."""
     encoder_sign: Literal[1, -1] = 1
@@ -99,16 +113,43 @@ class RigSettings(Value):
 
     @cached_property
     def described_arm(self) -> Arm:
-        """The arm as it stands there: its home, and the pendulum's place on its flange.
+        """The arm as it stands there: its home, and the pendulum's pivot on its flange.
 
         Raises:
-            ArmError: Home is out of the joints' limits.
+            ArmError: There is no such arm, or home is outside the joints' limits.
         """
-        bare = iiwa(7 if self.arm == "iiwa7" else 14, media_flange=self.media_flange_mm / 1e3)
-        fields: dict[str, Any] = {name: getattr(bare, name) for name in Arm.model_fields}
-        fields["home"] = tuple(radians(angle) for angle in self.home_deg)
-        fields["pivot"] = (-self.pivot_outward_mm / 1e3, 0.0, bare.pivot[2])
-        return Arm(**fields)
+        limit = self.acceleration_deg
+        arm = resolve_arm(
+            self.arm,
+            held=self.held,
+            base=self.base,
+            tip=self.tip,
+            acceleration=None if limit is None else radians(limit),
+            home=None if self.home_deg is None else [radians(angle) for angle in self.home_deg],
+        )
+        return placed(arm, home=None, pivot=self._pivot(arm))
+
+    def _pivot(self, arm: Arm) -> Triple | None:
+        """Return the pivot in the flange frame [m]; `None` for the arm's own."""
+        of_iiwa = self.pivot_outward_mm is not None or self.media_flange_mm
+        if of_iiwa and self.pivot_mm is not None:
+            raise ArmError(
+                "pivot_mm places the pivot, and so do pivot_outward_mm and media_flange_mm; give "
+                "pivot_mm alone"
+            )
+        if of_iiwa and arm.digest not in (iiwa(7).digest, iiwa(14).digest):
+            raise ArmError(
+                "pivot_outward_mm and media_flange_mm place the pivot of an iiwa, and this is "
+                f"{arm.name}; give pivot_mm"
+            )
+        if self.pivot_mm is not None:
+            x, y, z = self.pivot_mm
+            return x / 1e3, y / 1e3, z / 1e3
+        if not of_iiwa:
+            return None
+        outward = self.pivot_outward_mm
+        own = -arm.pivot[0] if outward is None else outward / 1e3
+        return -own, 0.0, self.media_flange_mm / 1e3
 
 
 def read_rig(path: Path | None) -> RigSettings:
@@ -120,6 +161,9 @@ def read_rig(path: Path | None) -> RigSettings:
     if path is None:
         return RigSettings()
     tree = read_toml(path, "the rig")
+    arm = tree.get("arm")
+    if isinstance(arm, str) and Path(arm).suffix.lower() in SUFFIXES:
+        tree["arm"] = str(path.parent / arm)
     try:
         rig = RigSettings.model_validate(tree)
     except ValidationError as error:

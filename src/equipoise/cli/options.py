@@ -126,7 +126,10 @@ Workers = Annotated[
     ),
 ]
 ArmName = Annotated[
-    str, typer.Option("--arm", metavar="ARM", help="iiwa7, iiwa14, or an arm's URDF file.")
+    str,
+    typer.Option(
+        "--arm", metavar="ARM", help="iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."
+    ),
 ]
 ActuatorFile = Annotated[
     str | None,
@@ -249,34 +252,29 @@ def read_actuator(name: str | None) -> "Actuator | None":
 def read_arm(
     name: str, held: str | None = None, base: str | None = None, tip: str | None = None
 ) -> "Arm":
-    """Return the arm that `--arm` names.
+    """Return the arm of `--arm`.
 
     Args:
-        name: iiwa7, iiwa14 or the path of a URDF.
-        held: Joint of the URDF that is held.
-        base: Link of the URDF that stands still.
+        name: Registered name such as iiwa7, or the path of a URDF or of a rig.toml.
+        held: Joint of the URDF that does not move.
+        base: Fixed link of the URDF.
         tip: Link of the URDF that is the flange.
 
     Raises:
         InputError: There is no such arm, or the options do not fit it.
     """
-    from equipoise.model.arms.iiwa import iiwa
-    from equipoise.model.arms.urdf import read_urdf
+    from equipoise.model.arms.resolve import resolve_arm
 
-    given = {"--held": held, "--base": base, "--tip": tip}
-    if name in ("iiwa7", "iiwa14"):
-        if odd := [option for option, value in given.items() if value is not None]:
-            raise InputError(
-                f"{' and '.join(odd)} belong to an arm from a URDF, and the {name} is built in; "
-                "leave them out"
-            )
-        return iiwa(7 if name == "iiwa7" else 14)
-    if Path(name).suffix.lower() not in (".urdf", ".xml"):
-        raise InputError(
-            f"there is no arm {name!r}; choose iiwa7, iiwa14 or a file that ends in .urdf"
-        )
     joint = int(held) if held is not None and held.isdecimal() else held
-    return read_urdf(Path(name), base=base, tip=tip, held=joint)
+    if Path(name).suffix.lower() == ".toml":
+        if joint or base or tip:
+            raise InputError(
+                f"{name} says which joints its arm has; leave --held, --base, --tip out"
+            )
+        from equipoise.rigs import read_rig
+
+        return read_rig(Path(name)).described_arm
+    return resolve_arm(name, held=joint, base=base, tip=tip)
 
 
 def check_encoder() -> None:

@@ -1,8 +1,9 @@
-"""Postures: where the joints are when the flange is somewhere on its line, and which home is good.
+"""Postures along the track, and the search for a home posture.
 
-The flange moves along base x and keeps the orientation that it has at home.
+The flange moves along base x and keeps its orientation at home.
 """
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,7 +14,7 @@ from equipoise.model.arms.chain import Floats
 from equipoise.paper import X_LIMIT
 
 DAMPING = 1e-9
-"""Added to J J^T in a Newton step, so that a singular posture is no division by zero."""
+"""Term added to J J^T in a Newton step, against a division by zero in a singular posture."""
 
 
 def along_x(arm: Arm, displacements: Sequence[float] | Floats) -> Floats:
@@ -29,7 +30,7 @@ def along_x(arm: Arm, displacements: Sequence[float] | Floats) -> Floats:
         Free joints [rad], shape (n, 6).
 
     Raises:
-        ArmError: The flange does not get there within the limits of the joints.
+        ArmError: A place cannot be reached within the limits of the joints.
     """
     home = arm.pose(arm.home_free)
     places = [float(x) for x in displacements]
@@ -47,7 +48,7 @@ def condition(arm: Arm, q: Floats) -> float:
 
 
 def x_speed_limit(arm: Arm, q: Floats) -> float:
-    r"""Return how fast the joints can carry the flange along x [m/s], being at `q` [rad].
+    r"""Return the largest speed of the flange along x at the free joints `q` [rad], in m/s.
 
     .. math:: \min_i \dot q_{i,\max} / |J^{-1} e_x|_i
     """
@@ -57,7 +58,7 @@ def x_speed_limit(arm: Arm, q: Floats) -> float:
 
 
 def limit_margin(arm: Arm, q: Floats) -> float:
-    """Return how far the nearest limit of a joint is [rad] at the free joints `q` [rad]."""
+    """Return the distance to the nearest limit of a joint [rad] at the free joints `q` [rad]."""
     joints = arm.free_joints
     return min(
         min(angle - joint.lower, joint.upper - angle)
@@ -65,12 +66,13 @@ def limit_margin(arm: Arm, q: Floats) -> float:
     )
 
 
+@functools.lru_cache(maxsize=16)
 def search_home(arm: Arm, *, lowest: float = 0.3, candidates: int = 2000) -> Arm:
     """Return `arm` with a home from which the whole track is far from singular postures.
 
     Random postures (seed 0) in the middle of the joints' ranges, the flange at least `lowest`
-    [m] above the base plane; of the twenty best conditioned the one whose worst place on the
-    track is best. It knows nothing of the surroundings: check it with `scene.clearance`.
+    [m] above the base plane. Of the twenty best conditioned, the one with the best condition at
+    its worst place on the track. The surroundings are not considered: see `scene.clearance`.
 
     Raises:
         ArmError: No candidate can carry the flange along the track.

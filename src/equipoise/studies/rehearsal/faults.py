@@ -421,7 +421,7 @@ def _pushing(scene: Scenario) -> Scenario:
 
 def _stretched(scene: Scenario) -> Scenario:
     """Return a scene with an elbow that is all but stretched at home."""
-    home = list(scene.settings.home_deg)
+    home = [degrees(angle) for angle in scene.settings.described_arm.home]
     home[3] = -3.0
     return on(scene, settings=scene.settings.model_copy(update={"home_deg": tuple(home)}))
 

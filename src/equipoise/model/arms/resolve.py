@@ -1,0 +1,95 @@
+"""Arms by name or file: one function for the command line, `rig.toml` and studies.
+
+A package registers an arm under the entry point group `equipoise.arms`: its name, and a function
+without arguments that returns an `Arm`. The iiwas are registered in the same way.
+"""
+
+from collections.abc import Sequence
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Final
+
+from equipoise.artefacts import quoted
+from equipoise.errors import ArmError
+from equipoise.model.arms.arm import Arm
+from equipoise.model.arms.chain import Triple
+from equipoise.model.arms.iiwa import ACCELERATION
+from equipoise.model.arms.urdf import read_urdf
+
+GROUP: Final = "equipoise.arms"
+"""Entry point group of arms."""
+SUFFIXES: Final = (".urdf", ".xml")
+"""File suffixes of URDFs."""
+
+
+def resolve_arm(
+    name: str,
+    *,
+    held: int | str | None = None,
+    base: str | None = None,
+    tip: str | None = None,
+    acceleration: float | None = None,
+    home: Sequence[float] | None = None,
+    pivot: Triple | None = None,
+) -> Arm:
+    """Return the arm of a registered name or of a URDF file.
+
+    Args:
+        name: Registered name, or path of a URDF.
+        held: Joint of the URDF that does not move, by name or counted from one.
+        base: Fixed link of the URDF.
+        tip: Link of the URDF that is the flange.
+        acceleration: Acceleration limit of every joint of the URDF [rad/s^2].
+        home: Posture at x = 0, all joints [rad]; by default the arm's own, or one that is searched.
+        pivot: The pendulum's pivot in the flange frame [m]; by default the arm's own.
+
+    Raises:
+        ArmError: There is no such arm, or an argument does not fit it.
+    """
+    of_urdf = {"held": held, "base": base, "tip": tip, "acceleration": acceleration}
+    if Path(name).suffix.lower() in SUFFIXES:
+        return read_urdf(
+            name,
+            base=base,
+            tip=tip,
+            held=held,
+            home=home,
+            pivot=(0.0, 0.0, 0.0) if pivot is None else pivot,
+            acceleration=ACCELERATION if acceleration is None else acceleration,
+        )
+    registered = {point.name: point for point in entry_points(group=GROUP)}
+    if name not in registered:
+        raise ArmError(
+            f"there is no arm {quoted(name)}; choose {', '.join(sorted(registered))} or a file "
+            "that ends in .urdf"
+        )
+    if given := [option for option, value in of_urdf.items() if value is not None]:
+        raise ArmError(
+            f"{' and '.join(given)} belong to an arm from a URDF, and {name} is a registered arm; "
+            "leave them out"
+        )
+    try:
+        arm = registered[name].load()()
+    except Exception as error:
+        raise ArmError(
+            f"the arm {name} of {registered[name].value} cannot be loaded: "
+            f"{type(error).__name__}: {error}; repair or remove the package that registers it"
+        ) from error
+    if not isinstance(arm, Arm):
+        raise ArmError(
+            f"the arm {name} of {registered[name].value} is a {type(arm).__name__}, expected an "
+            "equipoise.Arm; correct the package that registers it"
+        )
+    return placed(arm, home=home, pivot=pivot)
+
+
+def placed(arm: Arm, *, home: Sequence[float] | None, pivot: Triple | None) -> Arm:
+    """Return an arm with another home [rad] or another pivot [m], where they are given.
+
+    Raises:
+        ArmError: Home is outside the joints' limits.
+    """
+    fields: dict[str, Any] = {field: getattr(arm, field) for field in Arm.model_fields}
+    fields |= {} if home is None else {"home": tuple(home)}
+    fields |= {} if pivot is None else {"pivot": pivot}
+    return Arm(**fields)
