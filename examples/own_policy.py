@@ -32,7 +32,7 @@ class Damped:
 
 def main():
     """Evaluate it on a few trials: Python runs each in about a second."""
-    policy = eq.PythonPolicy(Damped)
+    policy = eq.bind_policy(Damped, pendulum=PENDULUM)
     settings = eq.resolve(overrides=["evaluation.trials=5", "evaluation.duration=10"])
     evaluation = eq.evaluate_function(policy, "damped", PENDULUM, eq.iiwa(7), settings)
     summary = evaluation.results.summary()

@@ -17,8 +17,8 @@ from equipoise import views
 
 if TYPE_CHECKING:
     from equipoise.artefacts import Estimate
+    from equipoise.control.bound_policy import bind_policy, load_policy
     from equipoise.control.policy import Policy, TabularPolicy, shipped_policy
-    from equipoise.control.python_policy import PythonPolicy
     from equipoise.deployment import deploy, excite
     from equipoise.errors import EquipoiseError
     from equipoise.evaluation import Evaluation, evaluate, evaluate_function
@@ -51,12 +51,12 @@ __all__ = [
     "Pendulum",
     "PendulumParameters",
     "Policy",
-    "PythonPolicy",
     "RunLog",
     "Settings",
     "TabularPolicy",
     "Trajectory",
     "__version__",
+    "bind_policy",
     "certify",
     "deploy",
     "evaluate",
@@ -65,6 +65,7 @@ __all__ = [
     "identify",
     "identify_run",
     "iiwa",
+    "load_policy",
     "make_claim",
     "read_swing",
     "read_urdf",
@@ -83,8 +84,8 @@ __all__ = [
 
 _HOMES = {
     "artefacts": ("Estimate",),
+    "control.bound_policy": ("bind_policy", "load_policy"),
     "control.policy": ("Policy", "TabularPolicy", "shipped_policy"),
-    "control.python_policy": ("PythonPolicy",),
     "deployment": ("deploy", "excite"),
     "errors": ("EquipoiseError",),
     "evaluation": ("Evaluation", "evaluate", "evaluate_function"),

@@ -34,8 +34,7 @@ from equipoise.cli.trial_bar import trial_bar, trials_of
 from equipoise.errors import ArtefactError, InputError
 
 if TYPE_CHECKING:
-    from equipoise.control.policy import TabularPolicy
-    from equipoise.control.python_policy import PythonPolicy
+    from equipoise.control.policy import TabularPolicy, TaskPolicy
     from equipoise.evaluation import Evaluation, TrialResults
     from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
@@ -174,8 +173,7 @@ def evaluate(
 
     of_urdf = (held, base, tip)
     if function is not None:
-        from equipoise.control.python_policy import PythonPolicy
-        from equipoise.guests import load_object
+        from equipoise.control.bound_policy import load_policy
         from equipoise.model.sim_configs import MODEL
 
         if world != MODEL or actuator or max_speed is not None or not with_baselines:
@@ -185,9 +183,11 @@ def evaluate(
             )
         evaluation = _evaluate_function(
             output,
-            PythonPolicy(load_object(function, "--policy"), function),
-            read_pendulum(pendulum),
-            read_arm(arm or "iiwa7", *of_urdf),
+            load_policy(
+                function,
+                pendulum=read_pendulum(pendulum),
+                arm=read_arm(arm or "iiwa7", *of_urdf),
+            ),
             trials,
             duration,
             seed,
@@ -309,9 +309,7 @@ def _evaluate_table(
 
 def _evaluate_function(
     output: Output,
-    policy: "PythonPolicy",
-    pendulum: "Pendulum",
-    arm: "Arm",
+    policy: "TaskPolicy",
     trials: int | None,
     duration: float | None,
     seed: int,
@@ -322,15 +320,15 @@ def _evaluate_function(
     from equipoise.studies.compilation import FUNCTIONS, compile_trials_in_python
 
     settings = _settings(Settings(), trials, duration)
-    total = _runs(pendulum) * settings.evaluation.trials
+    total = _runs(policy.pendulum) * settings.evaluation.trials
     with trial_bar(
-        output, "evaluate", total, lambda: compile_trials_in_python(arm), FUNCTIONS
+        output, "evaluate", total, lambda: compile_trials_in_python(policy.arm), FUNCTIONS
     ) as done:
         return evaluate_function(
             policy,
             policy.name,
-            pendulum,
-            arm,
+            policy.pendulum,
+            policy.arm,
             settings,
             seed=seed,
             workers=available_workers(workers),

@@ -1,7 +1,10 @@
-"""What decides: a policy maps the state (x, x_dot, phi, phi_dot) to an acceleration u.
+"""Policies: maps from the observation (x, x_dot, phi, phi_dot) to an acceleration u of the flange.
 
-`Policy` is the protocol that anything can meet; `TabularPolicy` is the paper's table as a file.
-The compiled loops call `act`, with a `PolicyKernel` made from a table or from a yardstick.
+`Policy` is the protocol of two methods that every policy meets. `TaskPolicy` adds what trials and
+runs need beside it: pendulum, arm, actuator, settings and a digest. `TabularPolicy`, the paper's
+table as a file, brings all of that along; `equipoise.control.bound_policy` adds it to any other.
+
+Compiled loops call the kernel `act` with a `PolicyKernel`; a policy without one runs in Python.
 """
 
 import functools
@@ -13,13 +16,14 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Share, Value
+from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Share, Value, value_digest
 from equipoise.compiled import kernel
 from equipoise.control import boxes
 from equipoise.control.boxes import BoxDescription, Boxes, box_index
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
+from equipoise.model.random import DEPLOYMENT, philox, uniform
 from equipoise.settings import MOST_CANDIDATES, Settings
 from equipoise.views import Viewable
 
@@ -32,26 +36,79 @@ RANDOM: Final = 3
 
 
 class Policy(Protocol):
-    """Anything that balances: any callable of this shape can be evaluated."""
+    """A map from observations to accelerations of the flange, which may keep a state."""
 
-    def act(self, state: Array) -> float:
-        """Return u [m/s^2] for the state (x, x_dot, phi, phi_dot) in SI units, shape (4,)."""
+    def reset(self) -> None:
+        """Begin a trial or a run: forget the state of the one before."""
+        ...
+
+    def act(self, observation: Array) -> float:
+        """Return u [m/s^2] for the observation (x, x_dot, phi, phi_dot) in SI units, shape (4,)."""
         ...
 
 
 class PolicyKernel(NamedTuple):
-    """A policy as compiled loops take it."""
+    """A policy as an argument of compiled loops."""
 
     kind: int
     """TABLE, LINEAR (clipped to the range of the actions), SNAPPED (to an action) or RANDOM."""
     u_of_box: Array
     """Acceleration of each box [m/s^2], shape (270,); for TABLE."""
     gains: tuple[float, float, float, float]
-    """u = gains . (x, x_dot, phi, phi_dot); for LINEAR and SNAPPED."""
+    """Gains of u = gains . (x, x_dot, phi, phi_dot); for LINEAR and SNAPPED."""
     actions: tuple[float, ...]
     """The eight accelerations [m/s^2]."""
     boxes: Boxes
     """Edges of the boxes."""
+
+
+class TaskPolicy(Policy, Protocol):
+    """A policy with the task that it is used on: the argument of evaluations, studies and runs."""
+
+    @property
+    def name(self) -> str:
+        """Name of the policy in results and messages."""
+        ...
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the policy's file or source."""
+        ...
+
+    @property
+    def kernel(self) -> PolicyKernel | None:
+        """The policy for compiled loops; none where it runs in Python only."""
+        ...
+
+    @property
+    def u_max(self) -> float:
+        """Largest acceleration that the policy commands [m/s^2]."""
+        ...
+
+    @property
+    def pendulum(self) -> Pendulum:
+        """Nominal pendulum."""
+        ...
+
+    @property
+    def arm(self) -> Arm:
+        """Arm with its home posture."""
+        ...
+
+    @property
+    def actuator(self) -> Actuator:
+        """Model of the arm's response in the controller."""
+        ...
+
+    @property
+    def settings(self) -> Settings:
+        """Settings of plant, controller and evaluation."""
+        ...
+
+    @property
+    def h(self) -> float:
+        """Time step [s]."""
+        ...
 
 
 @kernel
@@ -61,7 +118,7 @@ def act(
     """Return the acceleration that a policy commands.
 
     Args:
-        policy: Table or yardstick.
+        policy: Table or baseline.
         x: Displacement of the flange [m].
         x_dot: Its velocity [m/s].
         phi: Angle of the pendulum from upright [rad].
@@ -103,8 +160,52 @@ def policy_kernel(
     )
 
 
+class KernelPolicy:
+    """A policy for compiled loops, called from Python."""
+
+    def __init__(self, kernel: PolicyKernel) -> None:
+        """Wrap `kernel`."""
+        self.kernel = kernel
+        self._tick = 0
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of its numbers."""
+        kernel = self.kernel
+        return value_digest(
+            _Numbers(
+                kind=kernel.kind,
+                u_of_box=tuple(kernel.u_of_box.tolist()),
+                gains=kernel.gains,
+                actions=kernel.actions,
+            )
+        )
+
+    def reset(self) -> None:
+        """Begin the sequence of random numbers again, for RANDOM."""
+        self._tick = 0
+
+    def act(self, observation: Array) -> float:
+        """Return u [m/s^2] for the observation (x, x_dot, phi, phi_dot), shape (4,)."""
+        chance = 0.0
+        if self.kernel.kind == RANDOM:
+            chance = uniform(philox(0, self._tick, 0, 0, DEPLOYMENT)[0], 0.0, 1.0)
+            self._tick += 1
+        x, x_dot, phi, phi_dot = observation.tolist()
+        return float(act(self.kernel, x, x_dot, phi, phi_dot, chance))
+
+
+class _Numbers(Value):
+    """Numbers of a policy for compiled loops."""
+
+    kind: int
+    u_of_box: tuple[Number, ...]
+    gains: tuple[Number, ...]
+    actions: tuple[Number, ...]
+
+
 class LearningPoint(Value):
-    """The training as it stood after some episodes."""
+    """State of the training after some episodes."""
 
     episodes: Count
     """Episodes so far."""
@@ -113,28 +214,28 @@ class LearningPoint(Value):
     duration: Number
     """Mean duration of the training episodes that ended since the last point [s]."""
     survival: Share | None = None
-    """Share of the screening trials that the greedy policy of this moment lasted."""
+    """Share of the screening trials that the greedy policy of this moment survived."""
 
 
 class Checkpoint(Value):
-    """A greedy policy of some moment of the training, and how it did on selection seeds."""
+    """A greedy policy from the course of the training, with its results on selection seeds."""
 
     episodes: Count
-    """When it was taken."""
+    """Number of episodes before it."""
     trials: Count
-    """How many selection trials it ran."""
+    """Number of selection trials."""
     survived: Count
-    """How many of them it lasted."""
+    """Number of trials that lasted."""
     mean_duration: Number
-    """Mean balance [s]."""
+    """Mean duration of the trials [s]."""
     rms_x: Number
     """Root mean square of x over the trials [m]."""
     score: Number
-    """What was compared: mean duration over the longest possible, less a penalty on rms_x."""
+    """Score of the selection: mean duration over the longest possible, less a penalty on rms_x."""
 
 
 class TabularPolicy(Viewable, Artefact):
-    """A trained table and all that is needed to run it and to train it again."""
+    """A trained table, with all that is needed to run it and to train it again."""
 
     FORMAT: ClassVar[str] = "equipoise-policy"
     VERSION: ClassVar[int] = 3
@@ -146,15 +247,15 @@ class TabularPolicy(Viewable, Artefact):
     Q: tuple[tuple[Number, ...], ...]
     """State-action values, 270 x 8."""
     visits: tuple[tuple[Count, ...], ...]
-    """How often each value was updated, 270 x 8."""
+    """Number of updates of each value, 270 x 8."""
     h: float = Field(ge=0.001, le=0.1)
-    """Time step [s]; the servo's cycle is 1 ms, and with 0.1 s none stands."""
+    """Time step [s]: at least the servo's cycle of 1 ms; with 0.1 s no policy balances."""
     pendulum: Pendulum
-    """The pendulum it was trained for."""
+    """Pendulum of the training."""
     arm: Arm
-    """The arm it was trained on, with its home posture."""
+    """Arm of the training, with its home posture."""
     actuator: Actuator
-    """How the arm followed its setpoints in the training."""
+    """Response of the arm to its setpoints in the training."""
     recipe: Name
     """Name of the training recipe."""
     settings: Settings
@@ -162,15 +263,15 @@ class TabularPolicy(Viewable, Artefact):
     seed: Seed
     """Master seed."""
     learner: Count
-    """Which of the learners of that seed."""
+    """Number of the learner among those of that seed."""
     episodes: Count
     """Episodes trained."""
     steps: Count
     """Control steps trained."""
     learning_curve: Annotated[tuple[LearningPoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
-    """The course of the training."""
+    """Course of the training."""
     checkpoints: Annotated[tuple[Checkpoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
-    """The finalists of the selection, the chosen one first; empty if the last table was taken."""
+    """Finalists of the selection, the chosen one first; empty if the last table was taken."""
 
     @model_validator(mode="after")
     def _fits_the_boxes(self) -> Self:
@@ -194,23 +295,36 @@ class TabularPolicy(Viewable, Artefact):
     __str__ = __repr__
 
     @property
+    def name(self) -> str:
+        """Name in results."""
+        return "policy"
+
+    @property
+    def u_max(self) -> float:
+        """Largest acceleration [m/s^2]."""
+        return max(map(abs, self.actions))
+
+    @property
     def table(self) -> Array:
         """Q as an array, shape (270, 8)."""
         return np.array(self.Q)
 
     @property
     def u_of_box(self) -> Array:
-        """The greedy acceleration of each box [m/s^2], shape (270,)."""
+        """Greedy acceleration of each box [m/s^2], shape (270,)."""
         return greedy_accelerations(self.table)
 
     @property
     def kernel(self) -> PolicyKernel:
-        """The greedy policy for compiled loops."""
+        """Greedy policy for compiled loops."""
         return policy_kernel(TABLE, u_of_box=self.u_of_box)
 
-    def act(self, state: Array) -> float:
-        """Return u [m/s^2] for the state (x, x_dot, phi, phi_dot), shape (4,)."""
-        x, x_dot, phi, phi_dot = (float(value) for value in state)
+    def reset(self) -> None:
+        """Do nothing: a table has no state."""
+
+    def act(self, observation: Array) -> float:
+        """Return u [m/s^2] for the observation (x, x_dot, phi, phi_dot), shape (4,)."""
+        x, x_dot, phi, phi_dot = (float(value) for value in observation)
         return _greedy(self.Q)[box_index(x, x_dot, phi, phi_dot, boxes.boxes())]
 
 
@@ -221,7 +335,7 @@ def greedy_accelerations(Q: Array) -> Array:
 
 @functools.lru_cache(maxsize=16)
 def _greedy(Q: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
-    """Return the same as numbers of Python; kept, for `act` is called every step."""
+    """Return the same as Python numbers; cached, since `act` needs them in every step."""
     return tuple(greedy_accelerations(np.array(Q)).tolist())
 
 

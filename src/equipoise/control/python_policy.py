@@ -1,87 +1,115 @@
-"""Policies written in Python by somebody else: any function or object, made safe to evaluate.
+"""Policies in Python: a function, a class or an object, given directly or as `module:name`.
 
-What it returns is checked at each step, and whatever goes wrong in it is told in one sentence that
-says where and in which state.
+A function is called with each observation. An object has `act(observation)`, and `reset()` if it
+keeps a state. A class is made without arguments, and made again for each trial if it has no
+`reset`.
 """
 
-import math
-import numbers
+import hashlib
+import sys
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from types import ModuleType
+from typing import Any, Self
 
-import numpy as np
-
+from equipoise.artefacts import DIGEST_PREFIX
 from equipoise.control.policy import Array, Policy
 from equipoise.errors import InputError
-from equipoise.guests import format_error
+from equipoise.guests import format_error, load_object, source_digest
 
 
 class PythonPolicy:
-    """A policy from any callable `state -> u`, or from any object with `act(state) -> u`."""
+    """A policy from any function, class or object in Python."""
 
-    def __init__(self, decide: Policy | Callable[[Array], float], name: str | None = None) -> None:
-        """Wrap what decides.
+    def __init__(
+        self,
+        source: Policy | Callable[[Array], float],
+        name: str | None = None,
+        module: ModuleType | None = None,
+    ) -> None:
+        """Wrap a policy.
 
         Args:
-            decide: A function of the state (x, x_dot, phi, phi_dot), SI units, shape (4,), that
-                returns the acceleration u of the flange along x [m/s^2]; or an object with such an
-                `act`, or a class of such objects that is made without arguments.
-            name: What to call it in messages and files; by default its own name.
+            source: A function of the observation (x, x_dot, phi, phi_dot), SI units, shape (4,),
+                that returns the acceleration u of the flange along x [m/s^2]; or an object with
+                such an `act`; or a class of such objects that takes no arguments.
+            name: Name in messages and files; by default that of the function or class.
+            module: Module that holds `source`, where that was read as `module:name`.
 
         Raises:
-            InputError: It is neither, or its class cannot be made.
+            InputError: `source` is no policy, its class cannot be made, or its source is unknown.
         """
-        self.name = name or str(getattr(decide, "__name__", type(decide).__name__))
-        if isinstance(decide, type):
-            decide = self._made(decide)
-        act = getattr(decide, "act", decide)
-        if not callable(act):
+        own = str(getattr(source, "__name__", type(source).__name__))
+        self.name, self._source, self._module = name or own, source, module
+        self._is_class = isinstance(source, type)
+        self._decide: Any = self._made() if self._is_class else source
+        if not callable(getattr(self._decide, "act", self._decide)):
             raise InputError(
-                f"{self.name} is of type {type(decide).__name__}, expected a function state -> u "
-                "or an object with act(state); give one of those"
+                f"{self.name} is of type {type(source).__name__}, expected a function "
+                "observation -> u or an object with act(observation); give one of those"
             )
-        self._act: Callable[[Array], Any] = act
+        attribute = own if module is None else self.name.rpartition(":")[2]
+        self.digest = _digest(source, attribute, module)
+        """SHA-256 of the source files and the name."""
 
-    def act(self, state: Array) -> float:
-        """Return u [m/s^2] for the state (x, x_dot, phi, phi_dot), shape (4,).
+    @classmethod
+    def load(cls, name: str, digest: str | None = None) -> Self:
+        """Import the policy `module:name`, from the current folder or an installed package.
+
+        Args:
+            name: Name of the module and of the function, class or object in it.
+            digest: Digest that the source is to have; any by default.
 
         Raises:
-            InputError: It raised something, or returned what is not a finite number.
+            InputError: The name cannot be imported, is no policy, or its source has changed.
         """
-        try:
-            u = self._act(state)
-        except Exception as error:
+        source = load_object(name, "the policy")
+        policy = cls(source, name, sys.modules[name.partition(":")[0].removesuffix(".py")])
+        if digest not in (None, policy.digest):
+            raise InputError(f"the source of {name} has changed since it was read; run it again")
+        return policy
+
+    def __reduce__(self) -> Any:
+        """Send a policy that was read by name to another process by that name."""
+        if self._module is not None:
+            return PythonPolicy.load, (self.name, self.digest)
+        return PythonPolicy, (self._source, self.name)
+
+    def reset(self) -> None:
+        """Call the policy's own `reset`; make an object anew if its class has none."""
+        if hasattr(self._decide, "reset"):
+            self._decide.reset()
+        elif self._is_class:
+            self._decide = self._made()
+
+    def act(self, observation: Array) -> float:
+        """Return the result of the policy for the observation, shape (4,), unchecked."""
+        return getattr(self._decide, "act", self._decide)(observation)
+
+    def _made(self) -> Any:
+        if not hasattr(self._source, "act"):
             raise InputError(
-                f"{self.name} raised {format_error(error, __file__)} in the state "
-                f"{_format_state(state)}; correct it"
-            ) from error
-        if isinstance(u, np.ndarray) and u.size == 1:
-            u = u.item()
-        try:
-            value = float(u) if isinstance(u, numbers.Real) else math.nan
-        except OverflowError:
-            value = math.inf
-        if not math.isfinite(value):
-            raise InputError(
-                f"{self.name} returned {u!r:.60} in the state {_format_state(state)}, expected a "
-                "finite number: the acceleration u in m/s^2; correct it"
+                f"the class {self.name} has no act(observation); add it, or give a function"
             )
-        return value
-
-    def _made(self, kind: type) -> Any:
-        if not hasattr(kind, "act"):
-            raise InputError(f"the class {self.name} has no act(state); add it, or give a function")
         try:
-            return kind()
+            return self._source()  # type: ignore[reportCallIssue]  # a class, by `_is_class`
         except Exception as error:
             raise InputError(
-                f"calling {self.name}() raised {format_error(error, __file__)}; give a class "
-                "that needs no arguments, or an object of it"
+                f"calling {self.name}() raised {format_error(error, __file__)}; give a class that "
+                "needs no arguments, or an object of it"
             ) from error
 
 
-def _format_state(state: Array) -> str:
-    return ", ".join(
-        f"{name} = {value:.3g}"
-        for name, value in zip(("x", "x_dot", "phi", "phi_dot"), state.tolist(), strict=True)
-    )
+def _digest(source: Any, name: str, module: ModuleType | None) -> str:
+    """Return the SHA-256 of the name and of the files that hold a policy and its definition."""
+    while isinstance(source, partial):
+        source = source.func
+    defined = source if hasattr(source, "__qualname__") else type(source)
+    files = set[str]() if module is None else {source_digest(module)}
+    try:
+        files.add(source_digest(defined))
+    except InputError:  # compiled code: the module that names it stands for it
+        if module is None:
+            raise
+    text = "\n".join((name, *sorted(files)))
+    return DIGEST_PREFIX + hashlib.sha256(text.encode()).hexdigest()

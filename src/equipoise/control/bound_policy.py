@@ -1,0 +1,221 @@
+"""Any policy, bound to the task that it is used on; and policies by name.
+
+`load_policy` reads the file of a table, a network (`.onnx`), Python (`module:name`) or a built-in
+name (`lqr`, `lqr-snapped`, `pd`, `random`). A table brings along the task of its training. The
+others take pendulum, arm, actuator and settings from the caller, by default those that ship.
+"""
+
+import math
+import numbers
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from equipoise import paper
+from equipoise.control.baselines import baselines
+from equipoise.control.onnx_policy import OnnxPolicy
+from equipoise.control.policy import (
+    Array,
+    KernelPolicy,
+    Policy,
+    PolicyKernel,
+    TabularPolicy,
+    TaskPolicy,
+    shipped_policy,
+)
+from equipoise.control.python_policy import PythonPolicy
+from equipoise.errors import ArtefactError, InputError
+from equipoise.guests import format_error
+from equipoise.model.actuator import Actuator, shipped_actuator
+from equipoise.model.arms.arm import Arm
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import Pendulum, shipped_pendulum
+from equipoise.settings import Settings
+
+BUILT_IN: Final = {"lqr": "LQR", "lqr-snapped": "LQR, snapped", "pd": "PD", "random": "random"}
+"""Built-in policies, and their names among the baselines."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoundPolicy:
+    """A policy with its task. Its u is checked, and clipped to the largest acceleration."""
+
+    policy: Policy
+    """The policy."""
+    name: str
+    """Name in results and messages."""
+    digest: str
+    """SHA-256 of the policy's file or source."""
+    kernel: PolicyKernel | None
+    """The policy for compiled loops; none where it runs in Python only."""
+    pendulum: Pendulum
+    """Nominal pendulum."""
+    arm: Arm
+    """Arm with its home posture."""
+    actuator: Actuator
+    """Model of the arm's response in the controller."""
+    settings: Settings
+    """Settings of plant, controller and evaluation."""
+    h: float = paper.STEP
+    """Time step [s]."""
+    u_max: float = max(map(abs, paper.ACTIONS))
+    """Largest acceleration [m/s^2], that of the paper's actions: guards and tracks are made for
+    it, and a larger u is clipped."""
+
+    def reset(self) -> None:
+        """Begin a trial or a run.
+
+        Raises:
+            InputError: The policy raised something.
+        """
+        try:
+            self.policy.reset()
+        except Exception as error:
+            raise InputError(
+                f"{self.name} raised {format_error(error, __file__)} in its reset; correct it"
+            ) from error
+
+    def act(self, observation: Array) -> float:
+        """Return u [m/s^2], within `u_max`, for the observation (x, x_dot, phi, phi_dot).
+
+        Raises:
+            InputError: The policy raised something, or returned no finite number.
+        """
+        state = observation.copy()  # the policy may write into its argument
+        try:
+            u: Any = self.policy.act(observation)
+        except Exception as error:
+            raise InputError(
+                f"{self.name} raised {format_error(error, __file__)} in the state "
+                f"{_format_state(state)}; correct it"
+            ) from error
+        value = _number(u)
+        if not math.isfinite(value):
+            raise InputError(
+                f"{self.name} returned {u!r:.60} in the state {_format_state(state)}, expected a "
+                "finite number: the acceleration u in m/s^2; correct it"
+            )
+        return min(max(value, -self.u_max), self.u_max)
+
+
+def load_policy(
+    name: str | Path | None = None,
+    *,
+    pendulum: Pendulum | None = None,
+    arm: Arm | None = None,
+    actuator: Actuator | None = None,
+    settings: Settings | None = None,
+) -> TaskPolicy:
+    """Return the policy of a name, bound to its task.
+
+    Args:
+        name: File of a table, file of a network (`.onnx`), `module:name` of a function, class or
+            object in Python, or `lqr`, `lqr-snapped`, `pd` or `random`; by default the table that
+            ships.
+        pendulum: Nominal pendulum; of a table, the one that it must be trained for.
+        arm: Arm with its home posture; of a table, the one that it must be trained on.
+        actuator: Model of the arm's response; a table has its own.
+        settings: Settings of plant, controller and evaluation; a table has its own.
+
+    Raises:
+        InputError: There is no such policy, or it cannot be used.
+        ArtefactError: The file holds no table, or one for another pendulum or arm.
+        MissingExtraError: ONNX Runtime is not installed.
+    """
+    text = "" if name is None else str(name)
+    if text in BUILT_IN:
+        plant = (settings or Settings()).plant
+        parameters = (pendulum or shipped_pendulum()).parameters(linearised=plant.linearised)
+        policy = KernelPolicy(baselines(parameters, paper.STEP)[BUILT_IN[text]])
+    elif Path(text).suffix.lower() == ".onnx":
+        policy = OnnxPolicy(text)
+    elif ":" in text and not Path(text).exists():
+        policy = PythonPolicy.load(text)
+    else:
+        return _table(name, pendulum, arm, settings)
+    return bind_policy(
+        policy, name=text, pendulum=pendulum, arm=arm, actuator=actuator, settings=settings
+    )
+
+
+def bind_policy(
+    policy: Policy | Callable[[Array], float],
+    *,
+    name: str | None = None,
+    pendulum: Pendulum | None = None,
+    arm: Arm | None = None,
+    actuator: Actuator | None = None,
+    settings: Settings | None = None,
+) -> BoundPolicy:
+    """Bind a function, a class or an object to a task.
+
+    Args:
+        policy: As `PythonPolicy` takes it.
+        name: Name in results and messages; by default that of the function or class.
+        pendulum: Nominal pendulum; by default the one that ships.
+        arm: Arm with its home posture; by default the iiwa7.
+        actuator: Model of the arm's response; by default the one that ships.
+        settings: Settings of plant, controller and evaluation; by default all defaults.
+
+    Raises:
+        InputError: It is no policy.
+    """
+    known = (KernelPolicy, OnnxPolicy, PythonPolicy)
+    own = policy if isinstance(policy, known) else PythonPolicy(policy, name)
+    return BoundPolicy(
+        policy=own,
+        name=name or str(getattr(own, "name", type(own).__name__)),
+        digest=own.digest,
+        kernel=own.kernel if isinstance(own, KernelPolicy) else None,
+        pendulum=pendulum or shipped_pendulum(),
+        arm=arm or iiwa(7),
+        actuator=actuator or shipped_actuator(),
+        settings=settings or Settings(),
+    )
+
+
+def _table(
+    path: str | Path | None, pendulum: Pendulum | None, arm: Arm | None, settings: Settings | None
+) -> TabularPolicy:
+    """Return the table of a file, if it was trained for the task."""
+    if path is not None and Path(path).suffix == ".py":
+        raise InputError(
+            f"{path} is Python; name the function, class or object in it: {Path(path).stem}:NAME"
+        )
+    if path is not None and not Path(path).suffix and not Path(path).exists():
+        raise InputError(
+            f"there is no policy {path}; give a file from equipoise train, a network that ends in "
+            f".onnx, MODULE:NAME, or one of {', '.join(BUILT_IN)}"
+        )
+    table = shipped_policy() if path is None else TabularPolicy.load(path)
+    if settings is not None:
+        raise InputError("a table has the settings of its training; leave out the settings")
+    if pendulum is not None and pendulum.digest != table.pendulum.digest:
+        raise ArtefactError(
+            "the policy was trained for another pendulum; train one for this pendulum with "
+            "equipoise train"
+        )
+    if arm is not None and arm.digest != table.arm.digest:
+        raise ArtefactError(
+            f"the policy was trained on the {table.arm.name}, not on this {arm.name}; train one "
+            "for it with equipoise train --arm"
+        )
+    return table
+
+
+def _number(u: Any) -> float:
+    """Return a number as a float; NaN for anything else."""
+    if isinstance(u, np.ndarray) and u.size == 1:
+        u = u.item()
+    try:
+        return float(u) if isinstance(u, numbers.Real) else math.nan
+    except OverflowError:
+        return math.inf
+
+
+def _format_state(state: Array) -> str:
+    named = zip(("x", "x_dot", "phi", "phi_dot"), state.tolist(), strict=True)
+    return ", ".join(f"{name} = {value:.3g}" for name, value in named)

@@ -1,0 +1,101 @@
+"""Policies as networks in the ONNX format, run by ONNX Runtime on the CPU.
+
+The network has one input of four numbers, the observation (x, x_dot, phi, phi_dot) in SI units,
+and one output of one number, the acceleration u [m/s^2]. Dimensions of one around them, such as
+that of a batch, do not matter.
+"""
+
+import hashlib
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.artefacts import DIGEST_PREFIX, StrPath
+from equipoise.control.policy import Array
+from equipoise.errors import InputError, MissingExtraError
+
+TYPES: Final = {"tensor(float)": np.float32, "tensor(double)": np.float64}
+"""Element types of the input."""
+
+
+class OnnxPolicy:
+    """A network without a state of its own."""
+
+    def __init__(self, path: StrPath, digest: str | None = None) -> None:
+        """Read a network.
+
+        Args:
+            path: File that holds it, with its weights.
+            digest: Digest that the file is to have; any by default.
+
+        Raises:
+            InputError: The file is no such network, or has changed.
+            MissingExtraError: ONNX Runtime is not installed.
+        """
+        self._path = Path(path).absolute()
+        try:
+            network = self._path.read_bytes()
+        except OSError as error:
+            raise InputError(f"cannot read {path}: {error.strerror or error}") from None
+        self.digest = DIGEST_PREFIX + hashlib.sha256(network).hexdigest()
+        """SHA-256 of the file."""
+        if digest not in (None, self.digest):
+            raise InputError(f"{path} has changed since it was read; run it again")
+        self._session = _session(network, self._path)
+        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
+        shape = [size if isinstance(size, int) else 1 for size in inputs[0].shape] if inputs else []
+        if shape and not isinstance(inputs[0].shape[-1], int):
+            shape[-1] = 4
+        found = f"inputs {_described(inputs)}, outputs {_described(outputs)}"
+        wrong = InputError(
+            f"{path} has {found}; expected one input of 4 numbers (x, x_dot, phi, phi_dot) and one "
+            "output of one number (u)"
+        )
+        one_each = len(inputs) == len(outputs) == 1 and inputs[0].type in TYPES
+        if not one_each or int(np.prod(shape)) != 4:
+            raise wrong
+        self._input: npt.NDArray[Any] = np.zeros(shape, TYPES[inputs[0].type])
+        self._feed = {inputs[0].name: self._input}
+        try:
+            u = self._run()
+        except Exception as error:  # the runtime has many kinds
+            raise InputError(f"{path} does not run ({error}); export it again") from None
+        if u.size != 1:
+            raise wrong
+
+    def __reduce__(self) -> Any:
+        """Send the network to another process by its file."""
+        return OnnxPolicy, (str(self._path), self.digest)
+
+    def reset(self) -> None:
+        """Do nothing: the network has no state."""
+
+    def act(self, observation: Array) -> float:
+        """Return the output of the network for the observation, shape (4,), unchecked."""
+        self._input.ravel()[:] = observation
+        return self._run().item()
+
+    def _run(self) -> Array:
+        return np.asarray(self._session.run(None, self._feed)[0])
+
+
+def _session(network: bytes, path: Path) -> Any:
+    """Return a session of ONNX Runtime on one thread: a small network gains nothing from more."""
+    try:
+        runtime: Any = import_module("onnxruntime")
+    except ImportError:
+        raise MissingExtraError("onnxruntime", "onnx") from None
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        return runtime.InferenceSession(network, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # the runtime has many kinds
+        raise InputError(f"{path} is no network that ONNX Runtime reads ({error})") from None
+
+
+def _described(tensors: Any) -> str:
+    return ", ".join(f"{one.name} {one.type} {list(one.shape)}" for one in tensors) or "none"

@@ -1,0 +1,271 @@
+"""Policies by name: every kind is read, checked, clipped, and sent to another process."""
+
+import hashlib
+import importlib.util
+import pickle
+import sys
+
+import numpy as np
+import pytest
+
+from equipoise.control.baselines import lqr_gains
+from equipoise.control.bound_policy import BUILT_IN, bind_policy, load_policy
+from equipoise.control.policy import KernelPolicy, act, shipped_policy
+from equipoise.control.policy import TabularPolicy as Table
+from equipoise.errors import ArtefactError, InputError, MissingExtraError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import Pendulum, shipped_pendulum
+from equipoise.settings import Settings
+from tests.reference.onnx_network import DOUBLE, FLOAT, linear_network
+
+GAINS = lqr_gains(shipped_pendulum().parameters(), 0.01)
+OBSERVATION = np.array([0.05, -0.1, 0.02, -0.15])
+SOURCE = f"""
+G = {GAINS}
+
+def lqr(observation):
+    x, x_dot, phi, phi_dot = observation
+    return G[0] * x + G[1] * x_dot + G[2] * phi + G[3] * phi_dot
+
+class Counting:
+    def __init__(self):
+        self.calls = 0
+
+    def act(self, observation):
+        self.calls += 1
+        return 0.1 * self.calls
+
+class Resetting(Counting):
+    def reset(self):
+        self.calls = 10
+
+instance = Resetting()
+number = 3
+
+class Actless:
+    pass
+
+class Needy(Counting):
+    def __init__(self, gain):
+        self.gain = gain
+
+def raises(observation):
+    return 1.0 / 0.0
+
+def mutates(observation):
+    observation[:] = 7.0
+    return float("nan")
+
+def text(observation):
+    return "1.0"
+
+def huge(observation):
+    return 10**400
+
+def array(observation):
+    return np_array
+
+import numpy
+np_array = numpy.array([[0.25]], numpy.float32)
+"""
+needs_onnx = pytest.mark.skipif(
+    importlib.util.find_spec("onnxruntime") is None, reason="onnxruntime is not installed"
+)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder with policies of all kinds, which is the current one."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "guest.py").write_text(SOURCE)
+    (tmp_path / "lqr.onnx").write_bytes(linear_network([[gain] for gain in GAINS]))
+    shipped_policy().save(tmp_path / "table.json", command="test")
+    yield tmp_path
+    sys.modules.pop("guest", None)
+
+
+KINDS = [
+    *BUILT_IN,
+    "table.json",
+    "guest:lqr",
+    "guest:Counting",
+    "guest:instance",
+    pytest.param("lqr.onnx", marks=needs_onnx),
+]
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_every_kind_acts_and_begins_anew_and_has_a_task_and_a_digest(folder, name):
+    policy = load_policy(name)
+    policy.reset()
+    before = [policy.act(OBSERVATION.copy()) for _ in range(3)]
+    policy.reset()
+    assert [policy.act(OBSERVATION.copy()) for _ in range(3)] == before
+    assert all(isinstance(u, float) and abs(u) <= policy.u_max for u in before)
+    assert policy.digest.startswith("sha256:")
+    assert policy.digest == load_policy(name).digest
+    assert policy.pendulum == shipped_pendulum()
+    assert (policy.arm, policy.h, policy.u_max) == (iiwa(7), 0.01, 2.0)
+    if policy.kernel is not None and name != "random":
+        assert act(policy.kernel, *OBSERVATION, 0.0) == before[0]
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_every_kind_is_the_same_in_another_process(folder, name):
+    policy = load_policy(name)
+    there = pickle.loads(pickle.dumps(policy))
+    assert there.digest == policy.digest
+    seen = []
+    for one in (policy, there):
+        one.reset()
+        seen.append([one.act(OBSERVATION.copy()) for _ in range(3)])
+    assert seen[0] == seen[1]
+
+
+def test_different_policies_have_different_digests(folder):
+    kinds = [*BUILT_IN, "table.json", "guest:lqr", "guest:Counting", "guest:instance"]
+    assert len({load_policy(name).digest for name in kinds}) == len(kinds)
+
+
+def test_the_digest_of_python_follows_its_source_and_not_its_folder(folder, tmp_path):
+    policy = load_policy("guest:lqr")
+    assert bind_policy(sys.modules["guest"].lqr, name="mine").digest == policy.digest
+    (tmp_path / "guest.py").write_text(SOURCE + "# another\n")
+    with pytest.raises(InputError, match="has changed"):
+        pickle.loads(pickle.dumps(policy))
+
+
+@needs_onnx
+def test_the_digest_of_a_network_is_that_of_its_file(folder):
+    policy = load_policy("lqr.onnx")
+    written = (folder / "lqr.onnx").read_bytes()
+    assert policy.digest == "sha256:" + hashlib.sha256(written).hexdigest()
+    there = pickle.dumps(policy)
+    (folder / "lqr.onnx").write_bytes(linear_network([[0.0]] * 4))
+    with pytest.raises(InputError, match="has changed"):
+        pickle.loads(there)
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "third"), [("Counting", 0.1, 0.3), ("instance", 1.1, 1.3)]
+)
+def test_a_reset_calls_the_policys_own_or_makes_its_class_anew(folder, name, first, third):
+    policy = load_policy(f"guest:{name}")
+    for _ in range(2):
+        policy.reset()
+        assert [policy.act(OBSERVATION) for _ in range(3)][::2] == pytest.approx([first, third])
+
+
+def test_u_is_clipped_to_the_largest_acceleration_and_may_be_an_array_of_one(folder):
+    assert load_policy("guest:lqr").act(np.array([0.0, 0.0, 0.15, 0.0])) == 2.0
+    assert load_policy("guest:lqr").act(np.array([0.0, 0.0, -0.15, 0.0])) == -2.0
+    assert load_policy("guest:array").act(OBSERVATION) == 0.25
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("raises", "guest:raises raised ZeroDivisionError.*guest.py, line .* x = 0.05"),
+        ("mutates", "returned nan in the state x = 0.05"),
+        ("text", "returned '1.0'"),
+        ("huge", "finite number"),
+    ],
+)
+def test_a_policy_that_raises_or_returns_no_finite_number_is_named_with_the_state(
+    folder, name, says
+):
+    with pytest.raises(InputError, match=says):
+        load_policy(f"guest:{name}").act(OBSERVATION.copy())
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("guest:number", "of type int, expected a function"),
+        ("guest:Actless", r"has no act\(observation\)"),
+        ("guest:Needy", "needs no arguments"),
+        ("guest:nothing", "has no 'nothing'"),
+        ("nowhere:act", "there is no module 'nowhere'"),
+        ("guest.py", "guest:NAME"),
+        ("guest:", "expected MODULE:NAME"),
+        ("missing.json", "missing.json"),
+        ("missing.onnx", "cannot read missing.onnx"),
+    ],
+)
+def test_a_name_that_is_no_policy_is_refused_with_a_reason(folder, name, says):
+    with pytest.raises(InputError, match=says):
+        load_policy(name)
+
+
+def test_a_table_is_refused_for_another_task_and_other_policies_take_it(folder):
+    other = Pendulum.assumed(50.0, 0.1)
+    for task, says in (
+        ({"pendulum": other}, "another pendulum"),
+        ({"arm": iiwa(14)}, "trained on the iiwa7, not on this iiwa14"),
+        ({"settings": Settings()}, "has the settings of its training"),
+    ):
+        with pytest.raises((ArtefactError, InputError), match=says):
+            load_policy("table.json", **task)
+        bound = load_policy("lqr", **task)
+        assert all(getattr(bound, what) == value for what, value in task.items())
+    assert load_policy("lqr", pendulum=other).digest != load_policy("lqr").digest
+    assert load_policy("table.json", pendulum=shipped_pendulum(), arm=iiwa(7)) == shipped_policy()
+
+
+def test_random_actions_follow_the_tick_and_are_spread_over_all(folder):
+    policy = load_policy("random")
+    seen = [policy.act(OBSERVATION) for _ in range(400)]
+    shares = [seen.count(u) / 400 for u in policy.kernel.actions]
+    assert min(shares) > 0.07
+    assert max(shares) < 0.18
+
+
+def test_a_table_commands_the_same_from_python_and_compiled():
+    table = shipped_policy()
+    compiled = KernelPolicy(table.kernel)
+    for observation in np.random.default_rng(0).uniform(-0.2, 0.2, (50, 4)):
+        assert compiled.act(observation) == table.act(observation)
+    assert isinstance(table, Table)
+
+
+# Networks
+
+
+@needs_onnx
+@pytest.mark.parametrize(
+    ("shape", "element", "tolerance"),
+    [((1, 4), DOUBLE, 1e-12), (("batch", 4), FLOAT, 1e-5), ((4,), DOUBLE, 1e-12)],
+)
+def test_a_linear_network_commands_what_the_same_law_in_python_does(
+    folder, shape, element, tolerance
+):
+    outputs = (1,) if shape == (4,) else (shape[0], 1)
+    network = linear_network(
+        [[gain] for gain in GAINS], inputs=shape, outputs=outputs, element=element
+    )
+    (folder / "net.onnx").write_bytes(network)
+    policy, law = load_policy("net.onnx"), load_policy("guest:lqr")
+    for observation in np.random.default_rng(0).uniform(-0.05, 0.05, (50, 4)):
+        assert policy.act(observation) == pytest.approx(law.act(observation), abs=tolerance)
+
+
+@needs_onnx
+@pytest.mark.parametrize(
+    ("network", "says"),
+    [
+        (linear_network([[1.0]] * 5, inputs=(1, 5)), "expected one input of 4 numbers"),
+        (linear_network([[1.0, 2.0]] * 4, outputs=(1, 2)), "one output of one number"),
+        (b"no network", "no network that ONNX Runtime reads"),
+    ],
+)
+def test_a_file_that_is_no_such_network_is_refused(folder, network, says):
+    (folder / "net.onnx").write_bytes(network)
+    with pytest.raises(InputError, match=says):
+        load_policy("net.onnx")
+
+
+def test_without_the_extra_a_message_says_what_installs_it(folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(MissingExtraError, match=r"pip install onnxruntime \(or '\.\[onnx\]'"):
+        load_policy("lqr.onnx")
