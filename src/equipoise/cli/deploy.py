@@ -17,7 +17,6 @@ from equipoise.cli.options import (
     KnownActuator,
     PolicyFile,
     Seed,
-    check_encoder,
     read_actuator,
     read_arm,
     read_pendulum,
@@ -164,7 +163,7 @@ def deploy(
         film = choose_file(
             output, video, video, policy, pendulum, force=force, suffix=".mp4", option="--video"
         )
-        check_encoder()
+        find_encoder()
     if excite:
         if policy is not None or actuator is not None or video is not None:
             raise InputError("POLICY, --actuator and --video do not go with --excite; leave them")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from equipoise.cli.destinations import choose_file, choose_folder
-from equipoise.cli.options import IN_AND_OUT, Force, Json, RunFile, check_encoder
+from equipoise.cli.options import IN_AND_OUT, Force, Json, RunFile
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
 
@@ -57,7 +57,7 @@ def export(
     film = folder = None
     if video is not None:
         film = choose_file(output, video, video, run, force=force, suffix=".mp4", option="--video")
-        check_encoder()
+        find_encoder()
     if tables:
         folder = choose_folder(output, out, run.with_name(f"{run.stem}-csv"), force=force)
     made: list[Path] = []

@@ -1,5 +1,6 @@
-"""`equipoise gap`: what the twin does to a policy, what cures it, and effect by effect why."""
+"""`equipoise gap`: measures what each effect of the twin costs a policy, and what cures it."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -7,23 +8,27 @@ import typer
 
 from equipoise.cli.destinations import choose_file
 from equipoise.cli.options import (
-    IN_AND_OUT,
     Force,
     Json,
+    KnownActuator,
     PolicyFile,
     Seed,
     Workers,
     available_workers,
+    check_range,
+    option,
     read_actuator,
     read_policy,
+    result_file,
 )
 from equipoise.cli.output import Output, verb
-from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from equipoise.studies.gap_results import Controller, Gap, GapPoint
+
+STUDY = ("quick", "trials", "duration", "world", "seed")
+POINT = ("part", "controller", "on_clean", "name", "at")
+"""Fields of the study, and of each of its points, in the JSON object."""
 
 
 @verb
@@ -31,54 +36,35 @@ def gap(
     policy: PolicyFile = None,
     paper_policy: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Trained as the paper describes; by default one is trained here.",
-        ),
+        option("FILE", "Policy trained as the paper describes; by default one is trained here."),
     ] = None,
     world: Annotated[
-        str, typer.Option(metavar="WORLD", help="twin:nominal, twin:harsh, or twin:FILE.")
+        str, option("WORLD", "twin:nominal, twin:harsh, or twin:FILE.")
     ] = "twin:nominal",
-    actuator: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE",
-            help="What was identified of this world's arm; by default that of the policy.",
-        ),
-    ] = None,
+    actuator: KnownActuator = None,
     trials: Annotated[
-        int | None,
-        typer.Option(min=2, metavar="N", help="Trials of each point; 40, or 8 with --quick."),
+        int | None, option("N", "Trials of each point; 40, or 8 with --quick.", min=2)
     ] = None,
     duration: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Length of a trial; 60, or 20 with --quick."),
+        float | None, option("SECONDS", "Duration of a trial; 60, or 20 with --quick.")
     ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="The short form: fewer points and trials.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer points and trials.")] = False,
     seed: Seed = 0,
     workers: Workers = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="The study that is written, its figure beside it.",
-            rich_help_panel=IN_AND_OUT,
-            show_default="gap.json",
-        ),
+        Path | None, result_file("Study to write, its figure beside it.", "gap.json")
     ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Take the gap between training plant and twin apart, effect by effect.
+    """Separate the gap between training plant and twin into its effects.
 
     A policy with its cures, without prediction and without bias estimate runs
-    beside a table that was trained as the paper describes. It takes some
-    minutes on two cores, with --quick half a minute.
+    beside a table that was trained as the paper describes. Takes some minutes
+    on two cores, and half a minute with --quick.
     """
     output = Output(as_json)
-    output.say(f"Measuring the gap of {policy or 'the policy that ships'} to {world}")
+    output.say(f"Measuring the gap of {policy or 'the shipped policy'} to {world}")
     destination = choose_file(
         output,
         out,
@@ -88,35 +74,29 @@ def gap(
         force=force,
         beside=lambda path: (*_figure(path), *(() if paper_policy else (_paper_policy(path),))),
     )
-    if duration is not None and not 0.01 <= duration <= 3600.0:
-        raise InputError(f"--duration is {duration:g} s; give a number from 0.01 to 3600")
+    check_range("--duration", duration, 0.01, 3600.0, " s")
 
     from equipoise.report.figures.gap import gap_figure
     from equipoise.report.style import save
+    from equipoise.studies import compilation
     from equipoise.studies import gap as study
-    from equipoise.studies.compilation import (
-        FUNCTIONS,
-        TWIN_FUNCTIONS,
-        compile_training,
-        compile_trials,
-        compiling,
-    )
     from equipoise.studies.progress import TrainingProgress, counted
 
     table = read_policy(policy)
     known = read_actuator(actuator)
     total = study.trials_of(world, quick=quick, trials=trials)
+    settings, threads = study.paper_settings(quick=quick), available_workers(workers)
     with output.stages() as show:
-        with compiling(show, FUNCTIONS + TWIN_FUNCTIONS):
-            compile_training(table.arm, study.paper_settings(quick=quick))
-            compile_trials(table, world)
+        with compilation.compiling(show, compilation.FUNCTIONS + compilation.TWIN_FUNCTIONS):
+            compilation.compile_training(table.arm, settings)
+            compilation.compile_trials(table, world)
         if paper_policy is None:
-            progress = TrainingProgress(study.paper_settings(quick=quick), 1, show, "paper")
+            progress = TrainingProgress(settings, 1, show, "paper")
             other = study.train_paper(
                 table,
                 quick=quick,
                 seed=seed,
-                workers=available_workers(workers),
+                workers=threads,
                 report=lambda point: progress.report(0, point),
                 selecting=lambda done, of: progress.selecting(0, done, of),
             )
@@ -131,7 +111,7 @@ def gap(
             duration=duration,
             quick=quick,
             seed=seed,
-            workers=available_workers(workers),
+            workers=threads,
             done=counted("gap", total, show),
         )
     inputs = {"policy": found.policy, "paper policy": found.paper_policy}
@@ -143,7 +123,7 @@ def gap(
             other.save(wrote[-1], command="gap", inputs={"pendulum": table.pendulum.digest})
     _say(output, found)
     output.wrote(*wrote)
-    output.next("evaluate", *((policy,) if policy else ()), "--world", world, "--claim", "0.99")
+    output.next("evaluate", policy, "--world", world, "--claim", "0.99")
     output.result(_result(found, wrote))
 
 
@@ -158,10 +138,10 @@ def _paper_policy(out: Path) -> Path:
 def _say(output: Output, found: "Gap") -> None:
     from equipoise.studies.gap_results import LABELS, words
 
-    wrong = abs(found.delay - found.world_settings.transport)
-    if wrong > found.settings.controller.margin:
+    error = abs(found.delay - found.world_settings.transport)
+    if error > found.settings.controller.margin:
         output.warn(
-            f"the cures go by a delay of {1e3 * found.delay:.1f} ms, and {found.world} has "
+            f"the cures assume a delay of {1e3 * found.delay:.1f} ms, and {found.world} has "
             f"{1e3 * found.world_settings.transport:.1f} ms; identify that twin and give its "
             "--actuator"
         )
@@ -172,30 +152,30 @@ def _say(output: Output, found: "Gap") -> None:
     if found.friction is not None:
         output.say(f"pendulum: {found.friction.words(found.world)}")
     output.say("\nMean survival [s], in brackets the share of the falls on the track limit [%]")
-    output.say(_curves(found, "delay"))
-    output.say(_curves(found, "zero"))
+    _say_curves(output, found, "delay")
+    _say_curves(output, found, "zero")
     for controller in found.apart:
         output.say(f"Effect by effect, {LABELS[controller]}")
-        output.say(_effects(found, controller))
+        columns = ("", "added alone, clean twin", "removed alone, twin")
+        output.table(columns, list(_effects(found, controller)), section=0)
     output.points(words(found))
 
 
-def _curves(found: "Gap", part: Literal["delay", "zero"]) -> "Table":
-    from rich.box import SIMPLE
-    from rich.table import Table
-
+def _say_curves(output: Output, found: "Gap", part: Literal["delay", "zero"]) -> None:
     from equipoise.studies.gap_results import at_words
 
     curves = {key: found.curve(part, *key) for key in found.curves}
-    table = Table(box=SIMPLE, pad_edge=False)
-    table.add_column({"delay": "transport delay", "zero": "wrong zero"}[part], no_wrap=True)
-    for point in next(iter(curves.values())):
-        table.add_column(at_words(part, point.at), justify="right", no_wrap=True)
-    for (controller, on_clean), curve in curves.items():
-        if curve:
-            name = f"{controller}, clean twin" if on_clean else controller
-            table.add_row(name, *(_cell(found, point) for point in curve))
-    return table
+    title = {"delay": "transport delay", "zero": "zero error"}[part]
+    points = next(iter(curves.values()))
+    output.table(
+        [title, *(at_words(part, point.at) for point in points)],
+        [
+            [f"{controller}, clean twin" if on_clean else controller]
+            + [_cell(found, point) for point in curve]
+            for (controller, on_clean), curve in curves.items()
+            if curve
+        ],
+    )
 
 
 def _cell(found: "Gap", point: "GapPoint") -> str:
@@ -206,31 +186,18 @@ def _cell(found: "Gap", point: "GapPoint") -> str:
     return f"{mean(point.results, found.duration).mean:.1f}{ends}"
 
 
-def _effects(found: "Gap", controller: "Controller") -> "Table":
-    from rich.box import SIMPLE
-    from rich.table import Table
-
+def _effects(found: "Gap", controller: "Controller") -> Iterator[Sequence[str]]:
     from equipoise.studies.gap_results import difference, mean, spelled
 
-    plant, clean, world = (found.point(p, controller) for p in ("plant", "clean", "world"))
-    table = Table(box=SIMPLE, pad_edge=False)
-    table.add_column("", no_wrap=True)
-    table.add_column("on alone, clean twin", justify="right", no_wrap=True)
-    table.add_column("away alone, twin", justify="right", no_wrap=True)
-    own = mean(plant.results, found.duration).mean
-    table.add_row(
-        f"none ({own:.1f} s on its own plant)",
-        *(spelled(mean(p.results, found.duration)) for p in (clean, world)),
-        end_section=True,
+    plant, clean, world = (
+        found.point(part, controller).results for part in ("plant", "clean", "world")
     )
+    own = mean(plant, found.duration).mean
+    base = (spelled(mean(results, found.duration)) for results in (clean, world))
+    yield (f"none ({own:.1f} s on its own plant)", *base)
     for name in found.names("alone"):
-        alone, without = (found.point(part, controller, name) for part in ("alone", "without"))
-        table.add_row(
-            name,
-            spelled(difference(alone.results, clean.results)),
-            spelled(difference(without.results, world.results)),
-        )
-    return table
+        alone, without = (found.point(p, controller, name).results for p in ("alone", "without"))
+        yield name, spelled(difference(alone, clean)), spelled(difference(without, world))
 
 
 def _result(found: "Gap", wrote: list[Path]) -> dict[str, object]:
@@ -239,18 +206,10 @@ def _result(found: "Gap", wrote: list[Path]) -> dict[str, object]:
     return {
         "gap": str(wrote[0]),
         "files": [str(path) for path in wrote],
-        "quick": found.quick,
-        "trials": found.trials,
-        "duration": found.duration,
-        "world": found.world,
-        "seed": found.seed,
+        **{name: getattr(found, name) for name in STUDY},
         "points": [
             {
-                "part": point.part,
-                "controller": point.controller,
-                "on_clean": point.on_clean,
-                "name": point.name,
-                "at": point.at,
+                **{name: getattr(point, name) for name in POINT},
                 "mean_s": mean(point.results, found.duration).mean,
                 "interval_s": list(mean(point.results, found.duration)[1:]),
                 "causes": point.results.summary().causes,

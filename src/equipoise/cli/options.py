@@ -1,8 +1,8 @@
-"""Options that several verbs share, and what they mean."""
+"""Options that several verbs share, their checks, and the values that they name."""
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,94 +19,28 @@ LARGEST_SEED = 2**32 - 1
 IN_AND_OUT = "Files and settings"
 URDF = "For an arm from a URDF"
 RECORDING = "The recording"
+RIG = "The rig"
 """Titles of panels in the help."""
 
-Json = Annotated[
-    bool,
-    typer.Option(
-        "--json", help="Print one JSON object and nothing else.", rich_help_panel=IN_AND_OUT
-    ),
-]
-Force = Annotated[
-    bool,
-    typer.Option(
-        "--force",
-        help="Replace files that exist; else they are kept.",
-        rich_help_panel=IN_AND_OUT,
-    ),
-]
-Resume = Annotated[
-    bool,
-    typer.Option(
-        "--resume",
-        help="Go on with the interrupted training of this output, to the same result.",
-        rich_help_panel=IN_AND_OUT,
-    ),
-]
-SettingsFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--settings",
-        metavar="TOML",
-        help="Settings, a table for each section.",
-        rich_help_panel=IN_AND_OUT,
-    ),
-]
-MaxSpeed = Annotated[
-    float | None,
-    typer.Option(
-        metavar="M/S",
-        help="A trial fails where the flange reaches this; in T1 0.23, by default nothing.",
-    ),
-]
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="One setting; may be given again.",
-        rich_help_panel=IN_AND_OUT,
-    ),
-]
 
-Start = Annotated[
-    float | None,
-    typer.Option(
-        metavar="SECONDS",
-        help="Begin here; by default where the hand is seen to let go.",
-        rich_help_panel=RECORDING,
-    ),
-]
-End = Annotated[
-    float | None,
-    typer.Option(metavar="SECONDS", help="End here.", rich_help_panel=RECORDING),
-]
-CountsPerRev = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        metavar="N",
-        help="Encoder counts per revolution, after x4.",
-        rich_help_panel=RECORDING,
-    ),
-]
-Columns = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAMES",
-        help="Names of all columns in their order, e.g. time_s,theta_deg; for a file without a "
-        "header, or with other names.",
-        rich_help_panel=RECORDING,
-    ),
-]
-FromUpright = Annotated[
-    bool,
-    typer.Option(
-        "--from-upright",
-        help="The recorded angle is zero when upright.",
-        rich_help_panel=RECORDING,
-    ),
-]
+def option(
+    metavar: str | None, help: str, *names: str, panel: str | None = None, **more: Any
+) -> Any:
+    """Return the declaration of an option.
+
+    Args:
+        metavar: Name of the value in the help.
+        help: Text of the help.
+        names: Names of the option; by default that of the parameter.
+        panel: Title of its panel in the help.
+        more: Further arguments of `typer.Option`.
+    """
+    return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=panel, **more)
+
+
+def result_file(what: str, default: str | bool, metavar: str = "FILE") -> Any:
+    """Return the declaration of `--out`, with its default name for the help."""
+    return option(metavar, what, panel=IN_AND_OUT, show_default=default)
 
 
 def _seed(seed: int) -> int:
@@ -115,62 +49,109 @@ def _seed(seed: int) -> int:
     return seed
 
 
-Seed = Annotated[
-    int,
-    typer.Option(metavar="N", callback=_seed, help="Master seed; equal seeds give equal results."),
+Json = Annotated[
+    bool, option(None, "Print one JSON object and nothing else.", "--json", panel=IN_AND_OUT)
 ]
+Force = Annotated[
+    bool,
+    option(None, "Replace existing files; otherwise they are kept.", "--force", panel=IN_AND_OUT),
+]
+Resume = Annotated[
+    bool,
+    option(
+        None,
+        "Continue the interrupted training of this output, to the same result.",
+        "--resume",
+        panel=IN_AND_OUT,
+    ),
+]
+SettingsFile = Annotated[
+    Path | None,
+    option("TOML", "Settings, one table per section.", "--settings", panel=IN_AND_OUT),
+]
+Set = Annotated[
+    list[str] | None,
+    option("NAME=VALUE", "One setting; repeatable.", "--set", panel=IN_AND_OUT),
+]
+Recipe = Annotated[str, option("NAME", "robust, or paper: the most literal reading of its text.")]
+MaxSpeed = Annotated[
+    float | None, option("M/S", "Flange speed limit of a trial (T1: 0.23; default: none).")
+]
+
+Start = Annotated[
+    float | None,
+    option("SECONDS", "Begin here; by default at the detected release.", panel=RECORDING),
+]
+End = Annotated[float | None, option("SECONDS", "End here.", panel=RECORDING)]
+CountsPerRev = Annotated[
+    int | None, option("N", "Encoder counts per revolution, after x4.", min=1, panel=RECORDING)
+]
+Columns = Annotated[
+    str | None,
+    option(
+        "NAMES",
+        "Names of all columns in order, e.g. time_s,theta_deg; for a file without a header, or "
+        "with other names.",
+        panel=RECORDING,
+    ),
+]
+FromUpright = Annotated[
+    bool,
+    option(None, "The recorded angle is zero when upright.", "--from-upright", panel=RECORDING),
+]
+
+Seed = Annotated[int, option("N", "Master seed; equal seeds give equal results.", callback=_seed)]
 Workers = Annotated[
     int | None,
-    typer.Option(
-        min=1, metavar="N", help="Threads; by default one per core. Results do not depend on it."
-    ),
+    option("N", "Threads, by default one per core; results do not depend on them.", min=1),
 ]
 ArmName = Annotated[
-    str,
-    typer.Option(
-        "--arm", metavar="ARM", help="iiwa7, iiwa14, another registered arm, a URDF or a rig.toml."
-    ),
+    str, option("ARM", "iiwa7, iiwa14, another registered arm, a URDF or a rig.toml.", "--arm")
 ]
 ActuatorFile = Annotated[
     str | None,
-    typer.Option(
+    option(
+        "FILE",
+        "From equipoise identify RUN.mcap, or ideal; by default the shipped actuator.",
         "--actuator",
-        metavar="FILE",
-        help="From equipoise identify RUN.mcap, or ideal; by default the one that ships.",
     ),
 ]
 KnownActuator = Annotated[
     str | None,
-    typer.Option(
-        "--actuator",
-        metavar="FILE",
-        help="What the controller knows of the arm; by default that of the policy.",
-    ),
+    option("FILE", "Actuator that the controller assumes; by default the policy's.", "--actuator"),
 ]
 PolicyFile = Annotated[
     Path | None,
     typer.Argument(
         metavar="POLICY",
-        help="From equipoise train; without it, the policy that ships.",
+        help="From equipoise train; by default the shipped policy.",
         show_default=False,
     ),
 ]
 RunFile = Annotated[
-    Path, typer.Argument(metavar="RUN", help="A log from deploy.", show_default=False)
+    Path, typer.Argument(metavar="RUN", help="Log from equipoise deploy.", show_default=False)
 ]
-Held = Annotated[
+RobotUri = Annotated[str | None, option("URI", "Robot: kst://HOST:30001.", "--robot", panel=RIG)]
+EncoderUri = Annotated[
     str | None,
-    typer.Option(
-        metavar="JOINT", help="Joint that is held, by name or number.", rich_help_panel=URDF
-    ),
+    option("URI", "Encoder: serial:///dev/ttyACM0 or socket://HOST:PORT.", "--encoder", panel=RIG),
 ]
-Base = Annotated[
-    str | None,
-    typer.Option(metavar="LINK", help="Link that stands still.", rich_help_panel=URDF),
-]
-Tip = Annotated[
-    str | None, typer.Option(metavar="LINK", help="Link that is the flange.", rich_help_panel=URDF)
-]
+RigFile = Annotated[Path | None, option("TOML", "Description of the rig.", "--rig", panel=RIG)]
+Held = Annotated[str | None, option("JOINT", "Held joint, by name or number.", panel=URDF)]
+Base = Annotated[str | None, option("LINK", "Fixed link.", panel=URDF)]
+Tip = Annotated[str | None, option("LINK", "Flange link.", panel=URDF)]
+
+
+def check_range(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:
+    """Check that the number of an option, where it is given, is in its range.
+
+    Raises:
+        InputError: The number is outside, or NaN.
+    """
+    if value is not None and not low <= value <= high:
+        raise InputError(
+            f"{option} is {value:g}{unit}; give a number from {low:g} to {high:,.15g}{unit}"
+        )
 
 
 def only(context: typer.Context, mode: str, *allowed: str, hint: str = "") -> None:
@@ -275,17 +256,6 @@ def read_arm(
 
         return read_rig(Path(name)).described_arm
     return resolve_arm(name, held=joint, base=base, tip=tip)
-
-
-def check_encoder() -> None:
-    """Check before the work begins that a film can be encoded.
-
-    Raises:
-        MissingExtraError: imageio-ffmpeg is not installed.
-    """
-    from equipoise.report.pictures import find_encoder
-
-    find_encoder()
 
 
 def available_workers(workers: int | None) -> int:

@@ -11,7 +11,7 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TextIO, TypeVar
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 
+BAD_RESULT = 1
+"""Exit code of a verb that did its work, and whose result is bad."""
 INTERRUPTED = 130
 LEAST_ADDRESS_SPACE = 2**30
 """Least limit on the address space with which the libraries load [bytes]; 600 MB are too few."""
@@ -118,6 +120,39 @@ class Output:
             table.add_row(f"  {printable(name)}", printable(text))
         self.say(table)
 
+    def table(
+        self,
+        columns: Sequence[str],
+        rows: Iterable[Sequence[str]],
+        *,
+        bold: int | None = None,
+        section: int | None = None,
+    ) -> None:
+        """Print a table: the first column on the left, the others on the right.
+
+        Args:
+            columns: Titles; after the first one, a title that ends in `<` is on the left, too.
+            rows: Texts of each row.
+            bold: Row in bold print.
+            section: Row with a line below it.
+        """
+        from rich.box import SIMPLE
+        from rich.table import Table
+
+        table = Table(box=SIMPLE, pad_edge=False)
+        for number, title in enumerate(columns):
+            left = number == 0 or title.endswith("<")
+            table.add_column(
+                title.removesuffix("<"),
+                justify="left" if left else "right",
+                no_wrap=not title.endswith("<"),
+            )
+        for number, row in enumerate(rows):
+            table.add_row(
+                *row, style="bold" if number == bold else None, end_section=number == section
+            )
+        self.say(table)
+
     def points(self, lines: Iterable[str]) -> None:
         """Print sentences, each with a dash before it and blank lines around them all."""
         from rich.table import Table
@@ -139,15 +174,23 @@ class Output:
         names = f"{', '.join(first)} and {last}" if first else last
         self._voice.print(Text.assemble(("wrote ", "dim"), names), soft_wrap=True)
 
-    def next(self, *command: str | int | Path) -> None:
-        """Name the next command to try."""
-        words = printable(shlex.join(["equipoise", *(str(word) for word in command)]))
+    def next(self, *command: str | int | Path | None) -> None:
+        """Name the next command to try; words that are None are left out."""
+        given = (str(word) for word in command if word is not None)
+        words = printable(shlex.join(["equipoise", *given]))
         self._voice.print(Text.assemble(("next: ", "dim"), (words, "bold")), soft_wrap=True)
 
-    def result(self, result: Mapping[str, Any]) -> None:
-        """Print the object of `--json`; nothing without it."""
+    def result(self, result: Mapping[str, Any], *, bad: bool = False) -> None:
+        """Print the object of `--json`, and nothing without it.
+
+        Args:
+            result: The object.
+            bad: Whether the verb ends with the exit code of a bad result.
+        """
         if self._as_json:
             print(json.dumps(result, allow_nan=False))
+        if bad:
+            raise typer.Exit(BAD_RESULT)
 
     @contextmanager
     def stages(self) -> "Generator[Show]":
@@ -336,3 +379,17 @@ def measured(estimate: "Estimate", unit: str) -> str:
         return f"{value}  ({estimate.source})"
     low, high = (_spelled(end, half_width, size) for end in estimate.interval)
     return f"{value}  (95 %: {low} to {high})"
+
+
+def with_intervals(estimates: "Mapping[str, Estimate]") -> dict[str, object]:
+    """Return estimates as fields of `--json`: each value, and its interval beside it."""
+    fields: dict[str, object] = {}
+    for name, estimate in estimates.items():
+        fields |= {name: estimate.value, f"{name}_interval": list(estimate.interval)}
+    return fields
+
+
+def in_ms(time: "Estimate") -> str:
+    """Return an estimate of a time [s] in milliseconds, with its interval."""
+    ends = {name: 1e3 * getattr(time, name) for name in ("value", "low", "high")}
+    return measured(time.model_copy(update=ends), "ms")
