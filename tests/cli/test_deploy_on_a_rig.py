@@ -13,11 +13,23 @@ def test_a_run_on_a_twin_is_told_and_written(equipoise, tmp_path):
     ran = equipoise("deploy", "--robot", "twin:nominal", "--duration", 1, "--json")
     assert ran.code == 0, ran
     assert ran.json["cause"] == "lasted"
-    assert ran.json["lasted"] == 1.0
+    assert ran.json["lasted_s"] == 1.0
     # Whoever stands there is told, though a program reads the result.
     assert "no watchdog" in ran.err
     assert "Moving to home" in ran.err
     assert read_rig_run(tmp_path / "run.mcap").end["cause"] == "lasted"
+
+
+def test_a_run_on_a_twin_is_filmed(equipoise, tmp_path, monkeypatch):
+    filmed = []
+    monkeypatch.setattr("equipoise.report.pictures.find_encoder", lambda: None)
+    monkeypatch.setattr(
+        "equipoise.report.pictures.write_video", lambda *asked: filmed.append(asked)
+    )
+    options = ("--robot", "twin:nominal", "--duration", 1, "--video", "run.mp4")
+    assert equipoise("deploy", *options, "--json").json["video"] == "run.mp4"
+    (log, arm, path) = filmed[0]
+    assert (log.end["cause"], arm.name, str(path)) == ("lasted", "iiwa7", "run.mp4")
 
 
 def test_a_dry_run_ends_before_the_arm_moves(equipoise):
@@ -47,9 +59,12 @@ REFUSED = {
     "no such twin": (("--robot", "twin:nowhere"), "there is no world 'twin:nowhere'"),
     "no name": (("--robot", "twin:w\udcff.toml"), "is not UTF-8; give the file another name"),
     "two encoders": (("--robot", "twin:nominal", "--encoder", BOARD), "leave --encoder out"),
-    "two worlds": (("--robot", "twin:nominal", "--world", "twin:harsh"), "do not go with"),
-    "an excitation": (("--robot", "twin:nominal", "--excite"), "do not go with --robot"),
-    "a film": (("--robot", "twin:nominal", "--video", "x.mp4"), "equipoise log export run.mcap"),
+    "two worlds": (
+        ("--robot", "twin:nominal", "--world", "twin:harsh"),
+        "--world does not go with --robot",
+    ),
+    "an excitation": (("--robot", "twin:nominal", "--excite"), "--excite does not go with --robot"),
+    "a film of another kind": (("--robot", "twin:nominal", "--video", "x.gif"), "ends in .mp4"),
     "no rig": (("--robot", "twin:nominal", "--rig", "none.toml"), "there is no file none.toml"),
     "a rig without a robot": (("--rig", "rig.toml"), "give --robot"),
     "an unknown key": (("--robot", "twin:nominal", "--rig", "unknown.toml"), "no such setting"),

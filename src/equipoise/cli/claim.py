@@ -25,8 +25,8 @@ def certify(
     workers: int | None,
     out: Path | None,
     force: bool,
-) -> bool:
-    """Grant or refuse a claim about a policy, write the certificate, and return whether granted."""
+) -> None:
+    """Grant or refuse a claim about a policy, and write the certificate."""
     from equipoise.artefacts import partial_path
     from equipoise.studies import certification as study
 
@@ -61,28 +61,26 @@ def certify(
     _say(output, certificate)
     output.wrote(out, beside)
     if certificate.granted:
-        output.next("evaluate", *((policy,) if policy else ()), "--verify", out)
+        output.next("evaluate", policy, "--verify", out)
     else:
         output.next(*next_step.after_evaluation(False, table, policy, world=world))
     output.result(
         {
             "granted": certificate.granted,
-            "claim": claim.model_dump(mode="json"),
-            "bound": certificate.bound,
-            "trials": claim.trials,
+            **_claimed(certificate),
             "failures": certificate.failed,
             "allowed": claim.allowed,
             "causes": certificate.failures,
             "seed": certificate.seed,
             "certificate": str(out),
             "evaluation": str(beside),
-        }
+        },
+        bad=not certificate.granted,
     )
-    return certificate.granted
 
 
-def repeat(output: Output, file: Path, policy: Path | None, workers: int | None) -> bool:
-    """Repeat the trials of a certificate, and return whether the outcome is the same.
+def repeat(output: Output, file: Path, policy: Path | None, workers: int | None) -> None:
+    """Repeat the trials of a certificate, and compare the outcome.
 
     Raises:
         ArtefactError: The file is no certificate, or one of another policy.
@@ -98,22 +96,28 @@ def repeat(output: Output, file: Path, policy: Path | None, workers: int | None)
     with trials_of(output, "repeat", table, claim.world, claim.trials) as done:
         again = study.repeat(certificate, table, workers=available_workers(workers), done=done)
     _say_repeated(output, certificate, again)
-    known = (policy,) if policy else ()
-    output.next("evaluate", *known, "--world", certificate.claim.world)
+    output.next("evaluate", policy, "--world", claim.world)
     output.result(
         {
             "granted": again.granted,
-            "claim": claim.model_dump(mode="json"),
-            "bound": certificate.bound,
-            "trials": claim.trials,
+            **_claimed(certificate),
             "failures": sum(again.failures.values()),
             "causes": dict(again.failures),
             "same_outcome": again.same_outcome,
             "same_trials": again.same_trials,
             "certificate": str(file),
-        }
+        },
+        bad=not again.same_outcome,
     )
-    return again.same_outcome
+
+
+def _claimed(certificate: "Certificate") -> dict[str, object]:
+    claim = certificate.claim
+    return {
+        "claim": claim.model_dump(mode="json"),
+        "bound": certificate.bound,
+        "trials": claim.trials,
+    }
 
 
 def _say(output: Output, certificate: "Certificate") -> None:

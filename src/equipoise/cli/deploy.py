@@ -1,253 +1,201 @@
-"""`equipoise deploy`: a policy runs once, or an arm is moved to see how it follows."""
+"""`equipoise deploy`: runs a policy once, or moves an arm to measure its response.
 
-import shlex
+One program for a simulated run, an emulated rig and a real rig: check the options, choose the names
+of the files, run, then report the result, the files and the next command.
+"""
+
 from collections.abc import Callable
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from equipoise.cli import next_step
 from equipoise.cli.destinations import Destination, choose_file
+from equipoise.cli.export import choose_film, write_film
 from equipoise.cli.options import (
     IN_AND_OUT,
+    RIG,
+    EncoderUri,
     Force,
     Json,
     KnownActuator,
     PolicyFile,
+    RigFile,
     Seed,
+    check_range,
+    only,
+    option,
     read_actuator,
     read_arm,
     read_pendulum,
     read_policy,
+    result_file,
 )
 from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.errors import EquipoiseError, InputError
 
 if TYPE_CHECKING:
     from equipoise.cli.terminal_operator import TerminalOperator
+    from equipoise.deployment.rig import RunRequest, RunResult
     from equipoise.runlog import RunLog
 
-NOT_BALANCED = 1
-EXCITED = "To see how the arm follows"
-ON_A_RIG = "On a rig"
+EXCITATION = "To identify the arm"
 LOG = "run.mcap"
 """Default name of a run's log."""
 DURATION = 60.0
-"""How long a run on a rig lasts, if nothing else is said [s]."""
+"""Default duration of a run on a rig [s]."""
+EXCITATION_DURATION = 10.0
+"""Default duration of an excitation [s]."""
+OPTIONS = {
+    "--robot": ("policy", "robot", "encoder", "rig", "actuator", "dry_run", "t1", "video"),
+    "--excite": ("excite", "world", "arm", "pendulum"),
+    "a simulated run": ("policy", "world", "actuator", "video"),
+}
+"""Options of each mode, besides those of all modes."""
+OF_ALL_MODES = ("duration", "seed", "out", "force", "as_json")
+
+
+class _Report(NamedTuple):
+    """Result of a run, for the last lines of the verb."""
+
+    rows: dict[str, str]
+    """Lines of the result."""
+    next: tuple[object, ...]
+    """Words of the next command."""
+    fields: dict[str, Any]
+    """Fields of the JSON object, besides the names of the files."""
+    code: int
+    """Exit code."""
 
 
 @verb
 def deploy(
+    context: typer.Context,
     policy: PolicyFile = None,
     world: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WORLD",
-            help="twin:nominal (the default), twin:harsh, twin:FILE; or model, the plant of the "
-            "training.",
+        str,
+        option(
+            "WORLD", "twin:nominal, twin:harsh, twin:FILE; or model, the plant of the training."
         ),
-    ] = None,
+    ] = "twin:nominal",
     duration: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Length of the run; 60, or 10 with --excite."),
+        float | None, option("SECONDS", "Duration of the run; 60, or 10 with --excite.")
     ] = None,
     actuator: KnownActuator = None,
     seed: Seed = 0,
     robot: Annotated[
         str | None,
-        typer.Option(
-            metavar="URI",
-            help="kst://HOST:30001; or twin:nominal, the whole course on a digital twin.",
-            rich_help_panel=ON_A_RIG,
-        ),
+        option("URI", "kst://HOST:30001; or twin:nominal, an emulated rig.", panel=RIG),
     ] = None,
-    encoder: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URI",
-            help="serial:///dev/ttyACM0 or socket://HOST:PORT.",
-            rich_help_panel=ON_A_RIG,
-        ),
-    ] = None,
-    rig: Annotated[
-        Path | None,
-        typer.Option(metavar="TOML", help="What the rig is like.", rich_help_panel=ON_A_RIG),
-    ] = None,
+    encoder: EncoderUri = None,
+    rig: RigFile = None,
     dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="Do all but move.", rich_help_panel=ON_A_RIG),
+        bool, option(None, "Do everything except move.", "--dry-run", panel=RIG)
     ] = False,
     t1: Annotated[
-        bool,
-        typer.Option(
-            "--t1", help="Stop where the flange reaches 0.23 m/s.", rich_help_panel=ON_A_RIG
-        ),
+        bool, option(None, "Stop where the flange reaches 0.23 m/s.", "--t1", panel=RIG)
     ] = False,
     excite: Annotated[
         bool,
-        typer.Option(
+        option(
+            None,
+            "Move every joint about home instead, the pendulum hanging.",
             "--excite",
-            help="Move every joint about home instead, the pendulum hanging.",
-            rich_help_panel=EXCITED,
+            panel=EXCITATION,
         ),
     ] = False,
     arm: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ARM", help="iiwa7 or iiwa14, with --excite.", rich_help_panel=EXCITED
-        ),
-    ] = None,
+        str, option("ARM", "iiwa7 or iiwa14, with --excite.", panel=EXCITATION)
+    ] = "iiwa7",
     pendulum: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="That hangs on it, with --excite.", rich_help_panel=EXCITED
-        ),
+        Path | None, option("FILE", "Pendulum on the arm, with --excite.", panel=EXCITATION)
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="The run log, MCAP.",
-            rich_help_panel=IN_AND_OUT,
-            show_default=LOG,
-        ),
-    ] = None,
-    video: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Film of the run, MP4.", rich_help_panel=IN_AND_OUT),
-    ] = None,
+    out: Annotated[Path | None, result_file("Run log to write, MCAP.", LOG)] = None,
+    video: Annotated[Path | None, option("FILE", "Film of the run, MP4.", panel=IN_AND_OUT)] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Run a policy once, on a digital twin or on a rig, and write down what happens.
+    """Run a policy once, on a digital twin or on a rig, and write the log.
 
-    With --robot it runs on a rig: links and limits are looked at, a checklist
-    is acknowledged by typing, the arm goes home, tests itself, waits until the
-    pendulum is let go, and balances. Any key stops it. Exit code 3 says that
-    robot or encoder failed.
+    With --robot it runs on a rig: pre-flight checks, a checklist that is
+    acknowledged by typing, the move to home, a self-test, the release of the
+    pendulum, balancing, rest. Any key stops it. Exit code 3: robot or encoder
+    failed.
 
-    With --excite the arm moves by itself: equipoise identify makes an actuator
-    of that log. Exit code 1 says that the pendulum fell.
+    With --excite the arm moves by itself, and equipoise identify makes an
+    actuator of the log. Exit code 1: the pendulum fell.
     """
     output = Output(as_json)
-    if duration is not None and not 0.01 <= duration <= 3600.0:
-        raise InputError(f"--duration is {duration:g} s; give a number from 0.01 to 3600")
-    if robot is None and rig is not None:
-        robot = _robot_of(rig)
-    if robot is not None:
-        if excite or arm is not None or pendulum is not None or world is not None:
-            raise InputError("--excite, --arm, --pendulum and --world do not go with --robot")
-        if video is not None:
-            raise InputError(
-                "--video does not go with --robot; film the log afterwards: "
-                f"equipoise log export {shlex.quote(str(out or LOG))} "
-                f"--video {shlex.quote(str(video))}"
-            )
-        log = choose_file(output, out, LOG, policy, rig, force=force, suffix=".mcap")
-        code = _on_a_rig(
-            output, policy, robot, encoder, rig, actuator, duration, dry_run, t1, seed, log
-        )
-        if code:
-            raise typer.Exit(code)
-        return
-    if encoder is not None or dry_run or t1:
-        raise InputError("--encoder, --dry-run and --t1 belong to a rig; give --robot")
-    world = "twin:nominal" if world is None else world
-    what = "Exciting the arm" if excite else f"Running {policy or 'the policy that ships'}"
-    output.say(f"{what}, world {world}")
-    log = choose_file(output, out, LOG, policy, pendulum, force=force, suffix=".mcap")
+    check_range("--duration", duration, 0.01, 3600.0, " s")
+    if rig is not None and not excite:
+        from equipoise.rigs import is_virtual, read_rig
+
+        settings = read_rig(rig)
+        robot = robot or settings.robot
+        if robot is None:
+            raise InputError(f"{rig} does not name the robot; give --robot")
+        encoder = encoder if is_virtual(robot) else encoder or settings.encoder
+    mode = "--robot" if robot is not None else "--excite" if excite else "a simulated run"
+    hint = "give --robot for a rig, --excite for an arm, or leave it out"
+    only(context, mode, *OPTIONS[mode], *OF_ALL_MODES, hint="" if mode.startswith("-") else hint)
+    what = "Exciting the arm" if excite else f"Running {policy or 'the shipped policy'}"
+    output.say(f"{what} on {robot or world}")
+    inputs = (policy, pendulum, rig)
+    log = choose_file(output, out, LOG, *inputs, force=force, suffix=".mcap")
     film = None
     if video is not None:
-        film = choose_file(
-            output, video, video, policy, pendulum, force=force, suffix=".mp4", option="--video"
-        )
-        find_encoder()
-    if excite:
-        if policy is not None or actuator is not None or video is not None:
-            raise InputError("POLICY, --actuator and --video do not go with --excite; leave them")
-        run = _excite(output, arm or "iiwa7", pendulum, world, seed, duration)
-    else:
-        if arm is not None or pendulum is not None:
-            raise InputError("--arm and --pendulum belong to --excite; a policy has its own")
-        run = _run(output, policy, world, actuator, seed, duration)
-    with log.claimed() as out:
-        run.save(out, command="deploy", inputs={"policy": run.conditions.policy} if policy else {})
-    _say(output, run)
-    output.wrote(out)
-    if film is not None:
-        with film.claimed() as video:
-            _film(output, run, policy, video)
-        output.wrote(video)
-    if excite:
-        output.next("identify", out)
-    else:
-        output.next(*next_step.after_run(run, out, policy, world=world, actuator=actuator))
-    fell = not excite and run.conditions.cause != "lasted"
-    output.result(
-        {
-            "run": str(out),
-            "world": run.conditions.world,
-            "lasted_s": run.lasted,
-            "cause": run.conditions.cause,
-            "guard": run.conditions.guard or None,
-            "ticks": len(run.time),
-            "setpoints": len(run.stream.time),
-            "video": str(video) if video else None,
-        }
-    )
-    if fell:
-        raise typer.Exit(NOT_BALANCED)
-
-
-def _excite(
-    output: Output,
-    arm: str,
-    pendulum: Path | None,
-    world: str,
-    seed: int,
-    duration: float | None,
-) -> "RunLog":
-    from equipoise.deployment import excite
-    from equipoise.model.sim_configs import MODEL
-
-    if world == MODEL:
-        raise InputError(f"the world {MODEL} has no servo to excite; give a twin")
-    with output.busy("moving the arm"):
-        return excite(
-            read_arm(arm),
-            world,
-            read_pendulum(pendulum),
-            seed=seed,
-            duration=10.0 if duration is None else duration,
-        )
-
-
-def _run(
-    output: Output,
-    policy: Path | None,
-    world: str,
-    actuator: str | None,
-    seed: int,
-    duration: float | None,
-) -> "RunLog":
-    from equipoise.deployment import deploy
-
+        film = choose_film(output, video, *inputs, force=force)
     table = read_policy(policy)
     response = read_actuator(actuator)
-    with output.busy("running"):
-        return deploy(table, world=world, actuator=response, seed=seed, duration=duration)
+    if robot is not None:
+        from equipoise.deployment.rig import RunRequest
+        from equipoise.rigs import read_rig
+
+        request = RunRequest(
+            policy=table,
+            actuator=table.actuator if response is None else response,
+            settings=read_rig(rig),
+            robot=robot,
+            encoder=encoder,
+            duration=DURATION if duration is None else duration,
+            t1=t1,
+            dry_run=dry_run,
+            seed=seed,
+        )
+        out, report = _run_on_rig(output, request, policy, rig, actuator, log)
+    else:
+        from equipoise import deployment
+
+        with output.busy("moving the arm" if excite else "running"):
+            if excite:
+                length = EXCITATION_DURATION if duration is None else duration
+                hanging = read_pendulum(pendulum)
+                run = deployment.excite(read_arm(arm), world, hanging, seed=seed, duration=length)
+            else:
+                run = deployment.deploy(
+                    table, world=world, actuator=response, seed=seed, duration=duration
+                )
+        with log.claimed() as out:
+            made_from = {} if excite else {"policy": run.conditions.policy}
+            run.save(out, command="deploy", inputs=made_from)
+        report = _report(run, out, policy, world, actuator)
+    output.rows(report.rows)
+    output.wrote(out)
+    if film is not None and report.code in (0, 1):
+        video = write_film(output, out, film, None if robot else table.arm)
+        output.wrote(video)
+    output.next(*map(str, report.next))
+    output.result({"run": str(out), **report.fields, "video": str(video) if video else None})
+    if report.code:
+        raise typer.Exit(report.code)
 
 
-def _film(output: Output, run: "RunLog", policy: Path | None, video: Path) -> None:
-    from equipoise.report.pictures import write_video
-
-    with output.busy("drawing the film"):
-        write_video(run, read_policy(policy).arm, video)
-
-
-def _say(output: Output, run: "RunLog") -> None:
+def _report(
+    run: "RunLog", out: Path, policy: Path | None, world: str, actuator: str | None
+) -> _Report:
+    """Return the report of a simulated run or an excitation."""
     from equipoise.model.sim_configs import PivotFriction
 
     conditions, truth = run.conditions, run.truth
@@ -265,114 +213,91 @@ def _say(output: Output, run: "RunLog") -> None:
         )
     if len(run.stream.time):
         rows["setpoints"] = f"{len(run.stream.time):,} sent"
-    output.rows(rows)
+    fields = {
+        "world": conditions.world,
+        "lasted_s": run.lasted,
+        "cause": conditions.cause,
+        "guard": conditions.guard or None,
+        "ticks": len(run.time),
+        "setpoints": len(run.stream.time),
+    }
+    if not conditions.policy:
+        return _Report(rows, ("identify", out), fields, 0)
+    following = next_step.after_run(run, out, policy, world=world, actuator=actuator)
+    return _Report(rows, following, fields, 0 if conditions.cause == "lasted" else 1)
 
 
-def _robot_of(rig: Path) -> str:
-    from equipoise.rigs import read_rig
-
-    robot = read_rig(rig).robot
-    if robot is None:
-        raise InputError(f"{rig} does not say where the robot is; give --robot")
-    return robot
-
-
-def _on_a_rig(
+def _run_on_rig(
     output: Output,
+    request: "RunRequest",
     policy: Path | None,
-    robot: str,
-    encoder: str | None,
     rig: Path | None,
     actuator: str | None,
-    duration: float | None,
-    dry_run: bool,
-    t1: bool,
-    seed: int,
     log: Destination,
-) -> int:
-    """Run on a rig, and return the exit code."""
-    from equipoise.cli.terminal_operator import TerminalOperator, single_keys
-    from equipoise.deployment.processes import run_in_processes
-    from equipoise.deployment.rig import (
-        RunRequest,
-        check_request,
-        exit_code,
-        rehearse_t1,
-        run_virtually,
-    )
-    from equipoise.rigs import check_addresses, is_virtual, read_rig
+) -> tuple[Path, _Report]:
+    """Run on an emulated or a real rig; return the log and the report."""
+    from equipoise.deployment.rig import check_request, exit_code, rehearse_t1
 
-    settings = read_rig(rig)
-    encoder = settings.encoder if encoder is None and not is_virtual(robot) else encoder
-    check_addresses(robot, encoder)
-    table = read_policy(policy)
-    response = read_actuator(actuator)
-    request = RunRequest(
-        policy=table,
-        actuator=table.actuator if response is None else response,
-        settings=settings,
-        robot=robot,
-        encoder=encoder,
-        duration=DURATION if duration is None else duration,
-        t1=t1,
-        dry_run=dry_run,
-        seed=seed,
-    )
     check_request(request)
-    output.say(f"Running {policy or 'the policy that ships'} on {robot}")
     if (friction := request.friction) is not None:
-        output.rows({"pendulum": friction.words(robot)})
-    if t1:
-        with output.busy("trying the policy in T1 on the twin"):
+        output.rows({"pendulum": friction.words(request.robot)})
+    if request.t1:
+        with output.busy("testing the policy in T1 on the twin"):
             rehearse_t1(request)
-    console, out = TerminalOperator(output), log.path
+    out = log.path
     before = _identity(out)
     try:
-        if is_virtual(robot):
-            with stop_by_signal() as stopped:
-                outcome = run_virtually(
-                    request, out, Listening(console, stopped), replace=log.force
-                )
-        else:
-            with single_keys():
-                outcome = run_in_processes(request, out, console, replace=log.force)
+        result = _run(output, request, log)
     except EquipoiseError:
         if _identity(out) != before:
             output.wrote(out)
         raise
-    told = {"ended": f"{outcome.cause}: {outcome.reason}", "balanced": f"{outcome.lasted:.2f} s"}
-    for name, times in (("ticks late", outcome.late), ("compute time", outcome.compute)):
+    rows = {"ended": f"{result.cause}: {result.reason}", "balanced": f"{result.lasted:.2f} s"}
+    for name, times in (("ticks late", result.late), ("compute time", result.compute)):
         if times:
-            told[name] = ", ".join(f"{key} {1e3 * value:.2f} ms" for key, value in times.items())
-    if outcome.missed:
-        told["missed ticks"] = str(outcome.missed)
-    output.rows(told)
-    output.wrote(out)
-    code = exit_code(outcome)
+            rows[name] = ", ".join(f"{key} {1e3 * value:.2f} ms" for key, value in times.items())
+    if result.missed:
+        rows["missed ticks"] = str(result.missed)
+    code = exit_code(result)
+    words = {"--encoder": request.encoder, "--rig": rig, "--actuator": actuator}
+    given = [str(word) for pair in words.items() if pair[1] for word in pair]
+    known = [str(policy)] if policy else []
     if code:
-        output.next("log", "explain", out)
-    elif not dry_run:
-        known = ("--actuator", actuator) if actuator else ()
-        output.next("log", "replay", out, *((policy,) if policy else ()), *known)
+        following = ("log", "explain", out)
+    elif request.dry_run:
+        following = ("deploy", *known, "--robot", request.robot, *given)
     else:
-        words = {"--encoder": encoder, "--rig": rig, "--actuator": actuator}
-        given = [str(word) for pair in words.items() if pair[1] for word in pair]
-        output.next("deploy", *((policy,) if policy else ()), "--robot", robot, *given)
-    output.result({"run": str(out), "robot": robot, **outcome._asdict()})
-    return code
+        response = ("--actuator", actuator) if actuator else ()
+        following = ("log", "replay", out, *known, *response)
+    fields = result._asdict()
+    fields = {"world": request.robot, "lasted_s": fields.pop("lasted"), **fields}
+    return out, _Report(rows, following, fields, code)
+
+
+def _run(output: Output, request: "RunRequest", log: Destination) -> "RunResult":
+    from equipoise.cli.terminal_operator import TerminalOperator, single_keys
+    from equipoise.deployment.processes import run_in_processes
+    from equipoise.deployment.rig import run_virtually
+    from equipoise.rigs import is_virtual
+
+    person = TerminalOperator(output)
+    if is_virtual(request.robot):
+        with stop_by_signal() as stopped:
+            return run_virtually(request, log.path, _Spectator(person, stopped), replace=log.force)
+    with single_keys():
+        return run_in_processes(request, log.path, person, replace=log.force)
 
 
 def _identity(path: Path) -> int | None:
-    """Return what tells a file from one that replaces it; none where there is no file."""
+    """Return the number of a file, which differs from that of a replacement; None: no file."""
     return path.stat().st_ino if path.exists() else None
 
 
-class Listening:
-    """A console that is told, and speaks only by signals: an emulated operator types."""
+class _Spectator:
+    """A person who is notified, and can only stop the run, by a signal."""
 
-    def __init__(self, console: "TerminalOperator", stopped: Callable[[], bool]) -> None:
-        """Tell a console, and ask whether a signal came."""
-        self.notify, self._stopped = console.notify, stopped
+    def __init__(self, person: "TerminalOperator", stopped: Callable[[], bool]) -> None:
+        self.notify, self._stopped = person.notify, stopped
 
     def read_input(self) -> list[str]:
         """Return a stop, once a signal came."""

@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from equipoise.settings import Settings
 
 CLAIM = "A claim and its certificate"
-NOT_BALANCED = REFUSED = OTHER_OUTCOME = 1
-"""Exit code: the median trial ended early, a claim was refused, or a certificate not repeated."""
 DURATION = 60.0
 """Duration of a claim's trials by default [s]."""
 QUANTILES = ("0.05", "0.25", "0.75", "0.95")
@@ -148,18 +146,14 @@ def evaluate(
     if verify is not None:
         only(context, "--verify", "policy", "verify", "workers", "as_json")
         output.say(f"Repeating the trials of {verify}")
-        if not repeat(output, verify, policy, workers):
-            raise typer.Exit(OTHER_OUTCOME)
+        repeat(output, verify, policy, workers)
         return
     if claim is not None:
         taken = ("policy", "claim", "confidence", "duration", "world", "trials", "workers")
         only(context, "--claim", *taken, "out", "force", "as_json")
         output.say(f"Certifying {policy or 'the policy that ships with Equipoise'}")
         length = DURATION if duration is None else duration
-        if not certify(
-            output, policy, claim, confidence, length, world, trials, workers, out, force
-        ):
-            raise typer.Exit(REFUSED)
+        certify(output, policy, claim, confidence, length, world, trials, workers, out, force)
         return
     output.say(f"Evaluating {function or policy or 'the policy that ships with Equipoise'}")
     destination = choose_file(output, out, "evaluation.json", policy, pendulum, force=force)
@@ -234,9 +228,7 @@ def evaluate(
                 max_speed=max_speed,
             )
         )
-    output.result(_result(evaluation, out))
-    if not balanced:
-        raise typer.Exit(NOT_BALANCED)
+    output.result(_result(evaluation, out), bad=not balanced)
 
 
 def _refuse_other_pendulum(policy: "TabularPolicy", asked: Path) -> None:

@@ -1,5 +1,6 @@
-"""`equipoise log explain`: why did a run end?"""
+"""`equipoise log explain`: explains why a run ended."""
 
+from collections.abc import Iterator
 from math import degrees
 from typing import TYPE_CHECKING
 
@@ -9,23 +10,22 @@ from equipoise.cli.options import Json, RunFile
 from equipoise.cli.output import Output, verb
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from equipoise.runlog import RunLog
 
 ROWS = 12
-"""Rows of the picture of the end."""
+"""Number of rows of the picture of the end."""
 SHOWN = 1.1
-"""So much of the run it shows [s]."""
+"""Duration of the picture of the end [s]."""
 WIDTH = 15
-"""Places of a bar, odd."""
-HEADER = {
-    "t [s]": "",
-    "phi [deg]": f"within {paper.PHI_LIMIT_DEG:g} deg",
-    "x [m]": f"within {paper.X_LIMIT:g} m",
-    "u [m/s^2]": "",
-}
-"""Columns, and what the bar beside one is about."""
+"""Width of a bar, in characters; odd."""
+COLUMNS = (
+    "t [s]",
+    "phi [deg]",
+    f"within {paper.PHI_LIMIT_DEG:g} deg<",
+    "x [m]",
+    f"within {paper.X_LIMIT:g} m<",
+    "u [m/s^2]",
+)
 
 
 @verb
@@ -33,11 +33,11 @@ def explain(
     run: RunFile,
     as_json: Json = False,
 ) -> None:
-    """Say why a run ended: causes that its log speaks for, the most likely first.
+    """Explain why a run ended: causes with their evidence, the most likely first.
 
-    It looks at release, pushes, the encoder and its zero, lateness, commands
-    and guards, and says what to do. A log that breaks off is read as far as
-    it goes.
+    Examines release, pushes, the encoder and its zero, lateness, commands and
+    safety rules, and gives advice. A truncated log is read as far as it is
+    readable.
     """
     output = Output(as_json)
     output.say(f"Explaining {run}")
@@ -63,11 +63,11 @@ def explain(
     output.rows({"evidence": first.evidence, "what to do": first.advice})
     if others:
         output.say()
-        output.say("Less likely, or what followed from it:")
+        output.say("Less likely, or a consequence:")
         output.rows({one.name.value: one.evidence for one in others})
     if log is not None and len(log.time) > 1:
         output.say()
-        output.say(_picture(log))
+        output.table(COLUMNS, _picture(log))
     if isinstance(read, RunLog):
         who, ticks = read.conditions.policy, len(read.time)
     else:
@@ -78,13 +78,8 @@ def explain(
             "run": str(run),
             "cause": first.name.value,
             "causes": [
-                {
-                    "name": one.name.value,
-                    "score": one.score,
-                    "time_s": one.time,
-                    "evidence": one.evidence,
-                    "advice": one.advice,
-                }
+                {"name": one.name.value, "time_s": one.time}
+                | {field: getattr(one, field) for field in ("score", "evidence", "advice")}
                 for one in found.causes
             ],
             "ended": how.cause,
@@ -95,20 +90,13 @@ def explain(
     )
 
 
-def _picture(log: "RunLog") -> "Table":
-    """Return the last second as a table with bars."""
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 1), header_style="dim")
-    for title, within in HEADER.items():
-        table.add_column(title, justify="right", no_wrap=True)
-        if within:
-            table.add_column(within, no_wrap=True)
+def _picture(log: "RunLog") -> Iterator[tuple[str, ...]]:
+    """Yield the last second as rows with bars."""
     last = len(log.time) - 1
     step = max(round(min(SHOWN, log.lasted) / log.conditions.h / (ROWS - 1)), 1)
     for i in sorted({max(last - step * back, 0) for back in range(ROWS)}):
         phi, x = degrees(log.estimated_phi[i]), float(log.x[i])
-        table.add_row(
+        yield (
             f"{log.time[i]:.2f}",
             f"{phi:+.1f}",
             _bar(phi / paper.PHI_LIMIT_DEG),
@@ -116,11 +104,10 @@ def _picture(log: "RunLog") -> "Table":
             _bar(x / paper.X_LIMIT),
             f"{log.u[i]:+.1f}",
         )
-    return table
 
 
 def _bar(share: float) -> str:
-    """Return a line with a mark, -1 at its left end, 1 at its right."""
+    """Return a bar with a mark: -1 at its left end, 1 at its right end."""
     middle = WIDTH // 2
     places = [" "] * WIDTH
     places[middle] = "|"

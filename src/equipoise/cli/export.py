@@ -1,18 +1,15 @@
-"""`equipoise log export`: a run log becomes tables that any program reads, or a film."""
+"""`equipoise log export`: writes a run log as tables for other programs, or as a film."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from equipoise.cli.destinations import choose_file, choose_folder
-from equipoise.cli.options import IN_AND_OUT, Force, Json, RunFile
+from equipoise.cli.destinations import Destination, choose_file, choose_folder
+from equipoise.cli.options import IN_AND_OUT, Force, Json, RunFile, option, result_file
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from equipoise.runlog import RunLog
-    from equipoise.runwriter import RigRun
+    from equipoise.model.arms.arm import Arm
 
 
 @verb
@@ -20,28 +17,20 @@ def export(
     run: RunFile,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder for the tables; by default named as the log.",
-            rich_help_panel=IN_AND_OUT,
-        ),
+        result_file("Folder for the tables; by default named as the log.", False, "DIR"),
     ] = None,
     video: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="A film instead, MP4; with --out as well.",
-            rich_help_panel=IN_AND_OUT,
-        ),
+        option("FILE", "Write a film instead, MP4; with --out as well.", panel=IN_AND_OUT),
     ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write each table of a run log as a CSV file, or film the run.
 
-    Headers end in the unit: time_s, phi_rad. A log that breaks off is
-    written as far as it goes. The film of a run on a rig begins shortly before
-    the release.
+    Headers end in the unit: time_s, phi_rad. A truncated log is written as far
+    as it is readable. The film of a run on a rig begins shortly before the
+    release.
     """
     output = Output(as_json)
     tables = out is not None or video is None
@@ -56,8 +45,7 @@ def export(
         output.warn(missing)
     film = folder = None
     if video is not None:
-        film = choose_file(output, video, video, run, force=force, suffix=".mp4", option="--video")
-        find_encoder()
+        film = choose_film(output, video, run, force=force)
     if tables:
         folder = choose_folder(output, out, run.with_name(f"{run.stem}-csv"), force=force)
     made: list[Path] = []
@@ -65,8 +53,7 @@ def export(
         with folder.claimed() as path:
             made += write(log, path)
     if film is not None:
-        with film.claimed() as video:
-            _film(output, log, run, video)
+        video = write_film(output, run, film)
     output.wrote(*made, *([video] if video else []))
     output.next("log", "explain", run)
     output.result(
@@ -79,15 +66,42 @@ def export(
     )
 
 
-def _film(output: Output, log: "RunLog | RigRun", run: Path, video: Path) -> None:
-    from equipoise.report.pictures import write_video
-    from equipoise.studies.runs import arm_of
+def choose_film(output: Output, video: Path, *inputs: Path | None, force: bool) -> Destination:
+    """Choose the name of a film, and check that films can be encoded here.
 
-    arm = arm_of(log)
+    Raises:
+        InputError: The name cannot be used.
+        MissingExtraError: imageio-ffmpeg is not installed.
+    """
+    from equipoise.report.pictures import find_encoder
+
+    film = choose_file(output, video, video, *inputs, force=force, suffix=".mp4", option="--video")
+    find_encoder()
+    return film
+
+
+def write_film(output: Output, run: Path, film: Destination, arm: "Arm | None" = None) -> Path:
+    """Film the run of a log, and return the name of the film.
+
+    Args:
+        output: Shows that the film is drawn.
+        run: The log.
+        film: Name that was chosen for the film.
+        arm: Arm of the run; by default that of the log.
+
+    Raises:
+        InputError: Neither the caller nor the log describes the arm.
+    """
+    from equipoise.report.pictures import write_video
+    from equipoise.studies.runs import arm_of, read_any
+
+    log = read_any(run)
+    arm = arm or arm_of(log)
     if arm is None:
         raise InputError(
-            f"{run} does not describe its arm, which is none that ships; "
-            "repeat the run with equipoise deploy --video"
+            f"{run} does not describe its arm, which does not ship; repeat the run with equipoise "
+            "deploy --video"
         )
-    with output.busy("drawing the film"):
-        write_video(log, arm, video)
+    with film.claimed() as path, output.busy("drawing the film"):
+        write_video(log, arm, path)
+    return path

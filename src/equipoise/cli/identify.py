@@ -1,4 +1,4 @@
-"""`equipoise identify`: a swing becomes a pendulum, a run log an actuator."""
+"""`equipoise identify`: identifies a pendulum from a swing, or an actuator from a run log."""
 
 import math
 from pathlib import Path
@@ -18,8 +18,11 @@ from equipoise.cli.options import (
     Set,
     SettingsFile,
     Start,
+    only,
+    option,
+    result_file,
 )
-from equipoise.cli.output import Output, measured, verb
+from equipoise.cli.output import Output, in_ms, measured, verb, with_intervals
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,11 +31,12 @@ if TYPE_CHECKING:
     from equipoise.trajectory import Trajectory
 
 
-APART = "Measured apart, for I and b"
+SEPARATE = "Measured separately, for I and b"
 
 
 @verb
 def identify(
+    context: typer.Context,
     recording: Annotated[
         Path,
         typer.Argument(
@@ -44,9 +48,7 @@ def identify(
     ],
     friction: Annotated[
         str | None,
-        typer.Option(
-            metavar="MODEL", help="viscous (the paper's, and the default), coulomb or quadratic."
-        ),
+        option("MODEL", "viscous (the paper's, and the default), coulomb or quadratic."),
     ] = None,
     start: Start = None,
     end: End = None,
@@ -54,38 +56,26 @@ def identify(
     from_upright: FromUpright = False,
     columns: Columns = None,
     mass: Annotated[
-        float | None,
-        typer.Option(metavar="KG", help="Mass of all that rotates.", rich_help_panel=APART),
+        float | None, option("KG", "Mass of everything that rotates.", panel=SEPARATE)
     ] = None,
     mass_uncertainty: Annotated[
-        float | None,
-        typer.Option(metavar="KG", help="One standard deviation.", rich_help_panel=APART),
+        float | None, option("KG", "Its standard deviation.", panel=SEPARATE)
     ] = None,
     length: Annotated[
         float | None,
-        typer.Option(
-            metavar="METRES", help="From the axis to its centre of mass.", rich_help_panel=APART
-        ),
+        option("METRES", "Distance from the axis to its centre of mass.", panel=SEPARATE),
     ] = None,
     length_uncertainty: Annotated[
-        float | None,
-        typer.Option(metavar="METRES", help="One standard deviation.", rich_help_panel=APART),
+        float | None, option("METRES", "Its standard deviation.", panel=SEPARATE)
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="What is written; pendulum.json, or actuator.json for a run log.",
-            rich_help_panel=IN_AND_OUT,
-            show_default=False,
-        ),
+        result_file("File to write; pendulum.json, or actuator.json for a run log.", False),
     ] = None,
     force: Force = False,
     figure: Annotated[
         bool,
-        typer.Option(
-            "--figure/--no-figure", help="Draw figure 2 beside it.", rich_help_panel=IN_AND_OUT
-        ),
+        option(None, "Draw figure 2 beside it.", "--figure/--no-figure", panel=IN_AND_OUT),
     ] = True,
     settings_file: SettingsFile = None,
     settings: Set = None,
@@ -93,27 +83,13 @@ def identify(
 ) -> None:
     """Identify a pendulum from a free swing, or an arm's response from a run log.
 
-    Of a swing it writes the pendulum, and figure 2 of the paper: the recording
-    and its fit. Of a log (equipoise deploy --excite) it writes the actuator.
+    For a swing it writes the pendulum, and figure 2 of the paper: the recording
+    and its fit. For a log (equipoise deploy --excite) it writes the actuator.
     """
     output = Output(as_json)
     output.say(f"Reading {recording}")
     if recording.suffix.lower() == ".mcap":
-        of_a_swing = (
-            friction,
-            start,
-            end,
-            counts_per_rev,
-            mass,
-            length,
-            settings_file,
-            settings,
-            columns,
-        )
-        if from_upright or any(option is not None for option in of_a_swing):
-            raise InputError(
-                f"{recording} is a run log; options other than --out and --json belong to a swing"
-            )
+        only(context, "a run log", "recording", "out", "force", "as_json")
         _identify_actuator(output, recording, out, force)
         return
     destination = choose_file(
@@ -132,10 +108,10 @@ def identify(
     if friction is not None:
         chosen.append(f"identification.friction={friction}")
     resolved = resolve(file=settings_file, overrides=chosen).identification
-    m = _measured_apart("mass", mass, mass_uncertainty)
-    l = _measured_apart("length", length, length_uncertainty)
+    m = _given_estimate("mass", mass, mass_uncertainty)
+    l = _given_estimate("length", length, length_uncertainty)
     if (m is None) != (l is None):
-        raise InputError("I and b need both --mass and --length; give the other one, too")
+        raise InputError("I and b need both --mass and --length; give the other one too")
     swing = read_swing(
         recording,
         counts_per_rev=counts_per_rev,
@@ -170,12 +146,12 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
         actuator.save(out, command="identify", inputs={"run": run.digest})
     rows = {
         "servo law": actuator.kind,
-        "transport delay": measured(_in_ms(actuator.delay), "ms"),
+        "transport delay": in_ms(actuator.delay),
     }
     if actuator.kind == "kst":
-        rows["servo cycle"] = measured(_in_ms(actuator.cycle), "ms")
+        rows["servo cycle"] = in_ms(actuator.cycle)
     for place, lag in zip(run.conditions.free, actuator.lags, strict=True):
-        rows[f"lag of {run.conditions.joints[place]}"] = measured(_in_ms(lag), "ms")
+        rows[f"lag of {run.conditions.joints[place]}"] = in_ms(lag)
     fit = actuator.fit
     if fit is not None:
         rows["residual"] = f"{fit.rms:.3g} rad RMS over {fit.samples:,} positions"
@@ -189,10 +165,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     output.result(
         {
             "kind": actuator.kind,
-            "delay": actuator.delay.value,
-            "delay_interval": list(actuator.delay.interval),
-            "cycle": actuator.cycle.value,
-            "cycle_interval": list(actuator.cycle.interval),
+            **with_intervals({"delay": actuator.delay, "cycle": actuator.cycle}),
             "lags": [lag.value for lag in actuator.lags],
             "lag_intervals": [list(lag.interval) for lag in actuator.lags],
             "one_step": fit and fit.one_step,
@@ -201,11 +174,6 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
             "actuator": str(out),
         }
     )
-
-
-def _in_ms(time: "Estimate") -> "Estimate":
-    value, low, high = (1e3 * end for end in (time.value, *time.interval))
-    return time.model_copy(update={"value": value, "low": low, "high": high})
 
 
 def _pictures(out: Path) -> tuple[Path, ...]:
@@ -219,7 +187,7 @@ def _draw(stem: Path, swing: "Trajectory", pendulum: "Pendulum") -> tuple[Path, 
     return save(free_swing(swing, pendulum), stem)
 
 
-def _measured_apart(name: str, value: float | None, uncertainty: float | None) -> "Estimate | None":
+def _given_estimate(name: str, value: float | None, uncertainty: float | None) -> "Estimate | None":
     from equipoise.artefacts import Estimate
 
     if value is None:
@@ -241,18 +209,16 @@ def _say(output: Output, pendulum: "Pendulum") -> None:
     from equipoise.model.pendulum import amplitudes
 
     fit = pendulum.fit
-    rows = {
-        "w2 = m g l / I": measured(pendulum.w2, "1/s^2"),
-        "k = m l / I": measured(pendulum.k, "1/m"),
-        "c = b / I": measured(pendulum.c, "1/s"),
-    }
-    if pendulum.coulomb.source == "identified":
-        rows["Coulomb / I"] = measured(pendulum.coulomb, "1/s^2")
-    if pendulum.drag.source == "identified":
-        rows["drag / I"] = measured(pendulum.drag, "1/rad")
+    quantities = [
+        ("w2 = m g l / I", pendulum.w2, "1/s^2"),
+        ("k = m l / I", pendulum.k, "1/m"),
+        ("c = b / I", pendulum.c, "1/s"),
+    ]
+    friction = [("Coulomb / I", pendulum.coulomb, "1/s^2"), ("drag / I", pendulum.drag, "1/rad")]
+    quantities += [row for row in friction if row[1].source == "identified"]
     if pendulum.inertia and pendulum.friction:
-        rows["I"] = measured(pendulum.inertia, "kg m^2")
-        rows["b"] = measured(pendulum.friction, "N m s")
+        quantities += [("I", pendulum.inertia, "kg m^2"), ("b", pendulum.friction, "N m s")]
+    rows = {name: measured(estimate, unit) for name, estimate, unit in quantities}
     rows["period"] = f"{pendulum.period:.4g} s, small swings"
     if fit:
         begin, end = fit.window
@@ -271,20 +237,11 @@ def _say(output: Output, pendulum: "Pendulum") -> None:
 
 def _result(pendulum: "Pendulum", out: Path) -> dict[str, object]:
     fit = pendulum.fit
-    estimates = {"w2": pendulum.w2, "k": pendulum.k, "c": pendulum.c}
-    estimates |= {"coulomb": pendulum.coulomb, "drag": pendulum.drag}
-    if pendulum.inertia and pendulum.friction:
-        estimates |= {"inertia": pendulum.inertia, "friction": pendulum.friction}
-    result: dict[str, object] = {}
-    for name, estimate in estimates.items():
-        result |= {name: estimate.value, f"{name}_interval": list(estimate.interval)}
+    names = ["w2", "k", "c", "coulomb", "drag"]
+    names += ["inertia", "friction"] if pendulum.inertia and pendulum.friction else []
+    result = with_intervals({name: getattr(pendulum, name) for name in names})
     if fit:
-        result |= {
-            "rms_deg": fit.rms_deg,
-            "quantity": fit.quantity,
-            "window": list(fit.window),
-            "release": fit.release,
-            "periods": fit.periods,
-            "warnings": list(fit.warnings),
-        }
+        fields = ("rms_deg", "quantity", "release", "periods")
+        result |= {name: getattr(fit, name) for name in fields}
+        result |= {"window": list(fit.window), "warnings": list(fit.warnings)}
     return result | {"friction_model": pendulum.friction_model, "pendulum": str(out)}

@@ -1,4 +1,4 @@
-"""`equipoise refine`: logs of a policy say whether its model still holds; if not, it learns on."""
+"""`equipoise refine`: compares logs with the model of a policy, and trains on if it moved."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,15 +9,16 @@ import typer
 from equipoise.cli import next_step
 from equipoise.cli.destinations import choose_file
 from equipoise.cli.options import (
-    IN_AND_OUT,
     Force,
     Json,
     Resume,
     Seed,
     Workers,
     available_workers,
+    option,
+    result_file,
 )
-from equipoise.cli.output import Output, measured, verb
+from equipoise.cli.output import Output, in_ms, measured, verb, with_intervals
 from equipoise.cli.unfinished import unfinished
 from equipoise.printable import printable
 
@@ -40,35 +41,29 @@ def refine(
         typer.Argument(metavar="RUN", help="Logs from equipoise deploy.", show_default=False),
     ],
     training: Annotated[
-        bool, typer.Option("--train/--no-train", help="Train on, where the model moved.")
+        bool, option(None, "Train on where the model moved.", "--train/--no-train")
     ] = True,
-    always: Annotated[
-        bool, typer.Option("--always", help="Train on also where nothing moved.")
-    ] = False,
+    always: Annotated[bool, option(None, "Train on even where nothing moved.", "--always")] = False,
     episodes: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Episodes to train on; by default 2,000."),
+        int | None, option("N", "Number of further episodes; by default 2,000.", min=1)
     ] = None,
     seed: Seed = 0,
     workers: Workers = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="The policy that is written; pendulum and actuator beside it, if they moved.",
-            rich_help_panel=IN_AND_OUT,
-            show_default="refined.json",
+        result_file(
+            "Policy to write; pendulum and actuator beside it, if they moved.", "refined.json"
         ),
     ] = None,
     force: Force = False,
     resume: Resume = False,
     as_json: Json = False,
 ) -> None:
-    """Learn from the robot: does the model of a policy still hold in its logs?
+    """Compare logs with the model of a policy, and train on if it moved.
 
-    w2, c and the actuator are identified again. If one of them moved beyond its
-    interval, the policy is trained on from its table, and kept if it is better.
-    Interrupted, the same command with --resume goes on where it stopped.
+    Identifies w2, c and the actuator again. If one of them moved beyond its
+    interval, training continues from the policy's table, and the better table
+    is kept. After an interruption the same command with --resume continues.
     """
     output = Output(as_json)
     output.say(f"Comparing {policy} with {', '.join(map(str, runs))}")
@@ -137,21 +132,16 @@ def _retrain(
     workers: int | None,
     partial: Path,
 ) -> "Refinement":
-    from equipoise.studies.compilation import FUNCTIONS, compile_training, compiling
+    from equipoise.studies import compilation
+    from equipoise.studies import refinement as study
     from equipoise.studies.progress import TrainingProgress, counted
-    from equipoise.studies.refinement import (
-        EPISODES,
-        compared_trials,
-        retrain,
-        settings_of_retraining,
-    )
 
-    settings = settings_of_retraining(policy.settings, episodes or EPISODES)
+    settings = study.settings_of_retraining(policy.settings, episodes or study.EPISODES)
     with output.stages() as show:
-        with compiling(show, FUNCTIONS):
-            compile_training(policy.arm, settings)
+        with compilation.compiling(show, compilation.FUNCTIONS):
+            compilation.compile_training(policy.arm, settings)
         progress = TrainingProgress(settings, 1, show)
-        return retrain(
+        return study.retrain(
             policy,
             findings.pendulum,
             findings.actuator,
@@ -161,7 +151,7 @@ def _retrain(
             partial=partial,
             report=lambda point: progress.report(0, point),
             selecting=lambda done, of: progress.selecting(0, done, of),
-            done=counted("compare", compared_trials(policy), show),
+            done=counted("compare", study.compared_trials(policy), show),
         )
 
 
@@ -177,7 +167,7 @@ def _say(output: Output, policy: "TabularPolicy", findings: "RefinementFindings"
     }
     before = numbers(policy.actuator, policy.arm)
     for name, now in findings.response.items():
-        rows[name] = f"{_milliseconds(now)}; was {1e3 * before[name].value:.3g}"
+        rows[name] = f"{in_ms(now)}; was {1e3 * before[name].value:.3g}"
     output.rows(rows)
     for warning in findings.warnings:
         output.warn(warning)
@@ -188,11 +178,6 @@ def _say(output: Output, policy: "TabularPolicy", findings: "RefinementFindings"
             "The model still holds: nothing moved beyond its interval and what training varies.",
             style="green",
         )
-
-
-def _milliseconds(estimate: "Estimate") -> str:
-    ends = {name: 1e3 * getattr(estimate, name) for name in ("value", "low", "high")}
-    return measured(estimate.model_copy(update=ends), "ms")
 
 
 def _say_kept(output: Output, refinement: "Refinement") -> None:
@@ -213,9 +198,7 @@ def _result(findings: "RefinementFindings", refinement: "Refinement | None") -> 
         name: getattr(fit, name).not_negative() for name in ("w2", "k", "c", "coulomb", "friction")
     }
     estimates |= {name.replace(" ", "_"): now for name, now in findings.response.items()}
-    result: dict[str, object] = {"moved": [move.name for move in findings.moves]}
-    for name, estimate in estimates.items():
-        result |= {name: estimate.value, f"{name}_interval": list(estimate.interval)}
+    result = {"moved": [move.name for move in findings.moves], **with_intervals(estimates)}
     tables = {} if refinement is None else {"old": refinement.old, "new": refinement.new}
     return result | {
         "kept": refinement and refinement.kept,

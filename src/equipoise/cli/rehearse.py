@@ -1,44 +1,35 @@
-"""`equipoise rig rehearse`: everything goes wrong, and ends as it should."""
+"""`equipoise rig rehearse`: injects faults on an emulated rig, and checks how each run ends."""
 
 from typing import TYPE_CHECKING, Annotated
 
-import typer
 from rich.text import Text
 
-from equipoise.cli.options import Json
+from equipoise.cli.options import Json, available_workers, option
 from equipoise.cli.output import Output, verb
 
 if TYPE_CHECKING:
     from equipoise.studies.rehearsal import Result
 
-ENDED_OTHERWISE = 1
-"""Exit code where a fault did not end as it should."""
-
 
 @verb
 def rehearse(
     only: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="A fault or a kind of them; may be given again."),
+        list[str] | None, option("NAME", "A fault, or a kind of faults; repeatable.")
     ] = None,
-    listed: Annotated[
-        bool, typer.Option("--list", help="Say what there is, and try nothing.")
-    ] = False,
+    listed: Annotated[bool, option(None, "List the faults, and run none.", "--list")] = False,
     real_time: Annotated[
-        bool,
-        typer.Option("--real-time", help="Try those too that need real ports and processes."),
+        bool, option(None, "Run those too that need real ports and processes.", "--real-time")
     ] = False,
     workers: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Processes; by default one per core."),
+        int | None, option("N", "Processes; by default one per core.", min=1)
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Let everything go wrong on an emulated rig, and see how it ends.
+    """Inject each fault on an emulated rig, and check how the run ends.
 
-    Each fault has a run of its own, from the first byte to rest. What was sent
-    and what really moved says whether it ended as it should. Exit code 1 says
-    that one did not.
+    Each fault has a run of its own, from the first byte to rest. The bytes on
+    the link and the true motion decide whether it ended as required. Exit
+    code 1: one did not.
     """
     output = Output(as_json)
     if not listed:
@@ -54,8 +45,6 @@ def rehearse(
         output.result({"faults": [fault.name for fault in faults]})
         return
     results: list[Result] = []
-    from equipoise.cli.options import available_workers
-
     with output.busy("preparing") as rename:
         for result in rehearse_all(
             only or (), real_time=real_time, workers=available_workers(workers), begin=rename
@@ -65,7 +54,7 @@ def rehearse(
     tried = [result for result in results if result.ran]
     bad = [result.name for result in tried if not result.good]
     left = len(results) - len(tried)
-    words = f"{len(tried) - len(bad)} of {len(tried)} faults ended as they should"
+    words = f"{len(tried) - len(bad)} of {len(tried)} faults ended as required"
     output.say(f"{words}; {left} need --real-time" if left else words, style="red" if bad else None)
     if bad:
         output.next("rig", "rehearse", "--only", bad[0])
@@ -73,9 +62,7 @@ def rehearse(
         output.next("rig", "rehearse", "--real-time")
     else:
         output.next("rig", "doctor")
-    output.result({"faults": [_plain(result) for result in results], "failed": bad})
-    if bad:
-        raise typer.Exit(ENDED_OTHERWISE)
+    output.result({"faults": [_fields(result) for result in results], "failed": bad}, bad=bool(bad))
 
 
 def _say(output: Output, result: "Result") -> None:
@@ -88,13 +75,6 @@ def _say(output: Output, result: "Result") -> None:
         output.say(Text(f"       {problem}", style="red"))
 
 
-def _plain(result: "Result") -> dict[str, object]:
-    return {
-        "name": result.name,
-        "kind": result.kind,
-        "injected": result.injected,
-        "should": result.should,
-        "did": result.did,
-        "problems": list(result.problems),
-        "tried": result.ran,
-    }
+def _fields(result: "Result") -> dict[str, object]:
+    fields = {name: getattr(result, name) for name in ("name", "kind", "injected", "should", "did")}
+    return {**fields, "problems": list(result.problems), "tried": result.ran}

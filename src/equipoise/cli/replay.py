@@ -1,16 +1,21 @@
-"""`equipoise log replay`: does the controller do again what a log says?"""
+"""`equipoise log replay`: feeds a log through the controller again, and compares."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from equipoise.cli.options import Json, KnownActuator, RunFile, read_actuator, read_policy
+from equipoise.cli.options import (
+    Json,
+    KnownActuator,
+    RunFile,
+    check_range,
+    option,
+    read_actuator,
+    read_policy,
+)
 from equipoise.cli.output import Output, verb
-from equipoise.errors import InputError
-
-OTHERWISE = 1
-"""Exit code where it does not."""
 
 
 @verb
@@ -20,26 +25,24 @@ def replay(
         Path | None,
         typer.Argument(
             metavar="POLICY",
-            help="The policy that ran; without it, the one that ships.",
+            help="Policy of the run; by default the shipped policy.",
             show_default=False,
         ),
     ] = None,
     actuator: KnownActuator = None,
     tolerance: Annotated[
-        float,
-        typer.Option(metavar="SI", help="Numbers may differ by so much; 0 asks for every bit."),
+        float, option("SI", "Tolerated difference of numbers; 0 compares every bit.")
     ] = 0.0,
     as_json: Json = False,
 ) -> None:
     """Feed the measurements of a log through the controller again, and compare.
 
-    All that a tick was told is in the log of a run on a rig: setpoints and
-    states come out again, bit for bit on the machine that made it. Exit code 1
-    says that they do not, and where first.
+    The log of a run on a rig holds every input of a tick. On the computer that
+    made it, setpoints and states are the same bit for bit. Exit code 1: they
+    differ; the first difference is printed.
     """
     output = Output(as_json)
-    if not tolerance >= 0.0:
-        raise InputError(f"--tolerance is {tolerance:g}; give 0 or more")
+    check_range("--tolerance", tolerance, 0.0, math.inf)
     output.say(f"Replaying {run}")
 
     from equipoise.studies.replay import replay as again
@@ -56,8 +59,8 @@ def replay(
         output.say(f"The same: {found.ticks:,} ticks, {same}.", style="green")
     else:
         output.say(
-            f"Otherwise: {found.ticks:,} ticks are the same; in the next, at {first.time:.3f} s, "
-            f"{first.what} is {first.replayed!r}, and the log says {first.logged!r}.",
+            f"Different: {found.ticks:,} ticks are the same; in the next, at {first.time:.3f} s, "
+            f"{first.what} is {first.replayed!r}, and the log has {first.logged!r}.",
             style="red",
         )
     output.next("log", "explain", run)
@@ -77,7 +80,6 @@ def replay(
                 "logged": repr(first.logged),
                 "replayed": repr(first.replayed),
             },
-        }
+        },
+        bad=first is not None,
     )
-    if first is not None:
-        raise typer.Exit(OTHERWISE)

@@ -1,4 +1,4 @@
-"""`equipoise reproduce`: the whole paper, from a free swing to a report."""
+"""`equipoise reproduce`: reproduces the whole paper, from a free swing to a report."""
 
 import shlex
 import time
@@ -12,7 +12,6 @@ import typer
 
 from equipoise.cli.destinations import Destination, check_folder, choose_folder
 from equipoise.cli.options import (
-    IN_AND_OUT,
     RECORDING,
     ArmName,
     Base,
@@ -23,13 +22,17 @@ from equipoise.cli.options import (
     FromUpright,
     Held,
     Json,
+    Recipe,
     Seed,
     Set,
     SettingsFile,
     Start,
     Tip,
     Workers,
+    only,
+    option,
     read_arm,
+    result_file,
 )
 from equipoise.cli.output import Interrupted, Output, verb
 from equipoise.errors import InputError
@@ -40,29 +43,26 @@ if TYPE_CHECKING:
     from equipoise.studies.progress import Show
     from equipoise.studies.reproduction import ReproductionRequest
 
-NOT_BALANCED = 1
 FOLDER = "equipoise-report"
 """Folder by default."""
 
 
 @verb
 def reproduce(
+    context: typer.Context,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer episodes and trials: under a minute.")
+        bool, option(None, "Fewer episodes and trials: under a minute.", "--quick")
     ] = False,
-    recipe: Annotated[
-        str,
-        typer.Option(metavar="NAME", help="robust, or paper: the barest reading of its text."),
-    ] = "robust",
+    recipe: Recipe = "robust",
     arm: ArmName = "iiwa7",
     seed: Seed = 0,
     workers: Workers = None,
     swing: Annotated[
         Path | None,
-        typer.Option(
-            metavar="CSV",
-            help="Begin with it, as identify reads it, instead of a simulated one.",
-            rich_help_panel=RECORDING,
+        option(
+            "CSV",
+            "Recorded swing, as identify reads it; by default a simulated one.",
+            panel=RECORDING,
         ),
     ] = None,
     start: Start = None,
@@ -73,15 +73,7 @@ def reproduce(
     held: Held = None,
     base: Base = None,
     tip: Tip = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder for all files.",
-            rich_help_panel=IN_AND_OUT,
-            show_default=FOLDER,
-        ),
-    ] = None,
+    out: Annotated[Path | None, result_file("Folder for all files.", FOLDER, "DIR")] = None,
     force: Force = False,
     settings_file: SettingsFile = None,
     settings: Set = None,
@@ -90,8 +82,8 @@ def reproduce(
     """Reproduce the paper, from a free swing to a report.
 
     Identification, training, evaluation, a run on the digital twin and a short
-    study of the gap: leaves every file in a folder, with a report in HTML that
-    needs nothing else. Interrupted, the same command goes on where it stopped.
+    study of the gap. Writes every file to a folder, with a self-contained
+    report in HTML. After an interruption the same command continues.
     """
     output = Output(as_json)
     begin = time.perf_counter()
@@ -102,11 +94,10 @@ def reproduce(
     resolved = resolve(recipe, settings_file, settings or ())
     machine = read_arm(arm, held, base, tip)
     recording = None
-    if swing is None and any((start, end, counts_per_rev, from_upright, columns)):
-        raise InputError(
-            "--start, --end, --counts-per-rev, --from-upright and --columns belong to a recorded "
-            "swing; give it with --swing"
-        )
+    if swing is None:
+        of_a_recording = {"start", "end", "counts_per_rev", "from_upright", "columns"}
+        taken = context.params.keys() - of_a_recording
+        only(context, "a simulated swing", *taken, hint="give a recording with --swing")
     if swing is not None:
         from equipoise.trajectory import read_swing
 
@@ -164,10 +155,9 @@ def reproduce(
             "lasted_s": run.lasted,
             "cause": run.conditions.cause,
             "wall_s": time.perf_counter() - begin,
-        }
+        },
+        bad=summary.median < found.results.evaluation.duration,
     )
-    if summary.median < found.results.evaluation.duration:
-        raise typer.Exit(NOT_BALANCED)
 
 
 def _choose(

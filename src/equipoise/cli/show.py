@@ -9,6 +9,9 @@ from equipoise.cli.next_step import file_with
 from equipoise.cli.options import Json
 from equipoise.cli.output import Output, verb
 
+FIELDS = ("what", "format", "version", "digest", "content")
+"""Fields of the JSON object that are those of the file."""
+
 
 @verb
 def show(
@@ -44,16 +47,8 @@ def show(
         rows["digest"] = f"matches, {found.digest[:19]}..."
     output.rows(rows)
     output.next(*_next(found.what, file))
-    output.result(
-        {
-            "what": found.what,
-            "format": found.format,
-            "version": found.version,
-            "digest": found.digest,
-            "content": found.content,
-            "provenance": history and history.model_dump(mode="json"),
-        }
-    )
+    fields = {name: getattr(found, name) for name in FIELDS}
+    output.result(fields | {"provenance": history and history.model_dump(mode="json")})
 
 
 def _next(what: str, file: Path) -> tuple[str, ...]:
@@ -67,7 +62,7 @@ def _next(what: str, file: Path) -> tuple[str, ...]:
         "pendulum": ("train",),
         "actuator": ("train", "--actuator"),
         "policy": ("evaluate",),
-        "run log": ("log", "explain"),
-        "log of a run on a rig": ("log", "explain"),
     }
+    if "log" in what:
+        return ("log", "explain", str(file))
     return (*verbs[what], str(file)) if what in verbs else ("reproduce",)

@@ -31,7 +31,7 @@ from equipoise.errors import ArtefactError, EquipoiseError, InputError, LinkErro
 from equipoise.model.actuator import Actuator
 from equipoise.model.sim_configs import PivotFriction, pivot_friction, read_world
 from equipoise.printable import printable
-from equipoise.rigs import DrainingClock, Rig, RigSettings, connect, is_virtual
+from equipoise.rigs import DrainingClock, Rig, RigSettings, check_addresses, connect, is_virtual
 from equipoise.runwriter import CONNECTING, WORD_TYPED, Recorder, RunWriter, push_event
 
 LASTED: Final = "lasted"
@@ -316,8 +316,10 @@ def check_request(request: RunRequest) -> None:
     """Check a request as far as that needs no rig; the pre-flight checks the rest.
 
     Raises:
-        InputError: Policy, actuator and `rig.toml` do not fit each other.
+        InputError: Addresses, policy, actuator and `rig.toml` do not fit each other.
+        SettingsError: There is no such twin.
     """
+    check_addresses(request.robot, request.encoder)
     require(list(check_fit(request.policy, request.actuator, request.settings)))
 
 
