@@ -34,9 +34,9 @@ from equipoise.devices.interfaces import AngleSensor, Clock, Robot
 from equipoise.devices.kuka.codec import PORT
 from equipoise.devices.kuka.robot import KstRobot, dial
 from equipoise.devices.kuka.server_emulator import KstServer
-from equipoise.devices.operator import EmulatedOperator, Operator
+from equipoise.devices.operator import Operator
 from equipoise.devices.transports import MemoryPipe, memory_pipe
-from equipoise.devices.twin.operator_actions import operator_actions
+from equipoise.devices.twin.emulated_operator import EmulatedOperator
 from equipoise.devices.twin.robot import TwinEncoder, TwinRobot
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.errors import ArmError, InputError, LinkError, SettingsError
@@ -371,7 +371,7 @@ def twin_rig(
         ArmError: The masses of the arm's links are not known.
     """
     clock, bench = _bench(world, settings, pendulum, seed)
-    operator = EmulatedOperator(clock, operator_actions(bench), seed=seed)
+    operator = EmulatedOperator(bench, clock, seed=seed)
     return Rig(TwinRobot(bench, clock), TwinEncoder(bench, clock), clock, operator)
 
 
@@ -435,7 +435,7 @@ def emulated_rig(
             wire.write(said)
 
     clock.attach(work)
-    operator = EmulatedOperator(clock, operator_actions(bench), seed=seed)
+    operator = EmulatedOperator(bench, clock, seed=seed)
     sensor = LineEncoder(
         lambda: reader,
         clock,

@@ -14,7 +14,7 @@ from equipoise.artefacts import read_document
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator, key_names
 from equipoise.control.run_controller import PHASES
-from equipoise.devices.operator import Notice
+from equipoise.control.ticks import OperatorMessage
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.report import markup
 from equipoise.rigs import RigSettings
@@ -55,9 +55,9 @@ def test_output_escapes_whatever_it_is_given(capsys):
         lambda: output.points([HOSTILE]),
         lambda: output.warn(HOSTILE),
         lambda: output.next(HOSTILE),
-        lambda: TerminalOperator(output).notify(Notice("notice", HOSTILE)),
+        lambda: TerminalOperator(output).notify(OperatorMessage("notice", HOSTILE)),
         lambda: TerminalOperator(output).notify(
-            Notice("finding", f"{HOSTILE}\tgood\t{HOSTILE}\t{HOSTILE}")
+            OperatorMessage("finding", f"{HOSTILE}\tgood\t{HOSTILE}\t{HOSTILE}")
         ),
     )
     for way in ways:

@@ -7,10 +7,10 @@ import pytest
 
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator, single_keys
-from equipoise.devices.operator import Notice
+from equipoise.control.ticks import OperatorMessage
 
-ASKED = Notice("checklist", "Is the E-stop in somebody's hand? Type estop.", ("estop",))
-BUTTON = Notice("reference", "Press the button or Enter.", ("ok",))
+ASKED = OperatorMessage("checklist", "Is the E-stop in somebody's hand? Type estop.", ("estop",))
+BUTTON = OperatorMessage("reference", "Press the button or Enter.", ("ok",))
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_nobody_who_could_answer_denies_what_is_asked_once(typist):
     typist.write("estop\n")
     typist.close()
     assert console.read_input() == ["estop"]
-    console.notify(Notice("home", "Is this home?", ("y", "n")))
+    console.notify(OperatorMessage("home", "Is this home?", ("y", "n")))
     assert console.read_input() == ["n"]
     assert console.read_input() == []
 
@@ -48,7 +48,7 @@ def test_nobody_who_could_answer_denies_what_is_asked_once(typist):
 def test_the_button_needs_no_keyboard(typist):
     typist.close()
     console = TerminalOperator(Output(False))
-    for event in (Notice("balancing", "Balancing."), BUTTON):
+    for event in (OperatorMessage("balancing", "Balancing."), BUTTON):
         console.notify(event)
         assert console.read_input() == console.read_input() == []
 

@@ -15,8 +15,7 @@ from equipoise.control.run_controller import PHASES
 from equipoise.control.self_test import SelfTestVerdict
 from equipoise.control.states import Phase
 from equipoise.deployment.rig import RunRequest, run_rig_virtually
-from equipoise.devices.operator import EmulatedOperator
-from equipoise.devices.twin.operator_actions import operator_actions as at_the_bench
+from equipoise.devices.twin.emulated_operator import EmulatedOperator
 from equipoise.learning.closed_loop import scaled
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig
@@ -38,17 +37,16 @@ NUMBER_OF = {phase: PHASES.index(phase) for phase in Phase}
 class Hands:
     """Hands that hold the pendulum for as long as they like, and let go once they may."""
 
-    def __init__(self, bench, *, clumsy):
+    def __init__(self, bench, clock, *, clumsy, seed):
         self._bench, self._clumsy = bench, clumsy
         self._due, self._may = None, False
         self.manner = None
         """How the pendulum was lifted last."""
         self.released = None
         """When it was let go after that [s]; none before."""
-        acts = at_the_bench(bench, clumsy=clumsy)
-        self._give_a_nudge = acts["nudge"]
-        self.acts = acts | {
-            "hang": lambda: bench.steady(),  # whatever a fault makes of it
+        self.operator = EmulatedOperator(bench, clock, clumsy=clumsy, seed=seed)
+        self._give_a_nudge = self.operator.acts["nudge"]
+        self.operator.acts |= {
             "lift": self._lift,
             "armed": self._may_let_go,
             "disarmed": self._hold_on,
@@ -167,14 +165,13 @@ def stage(seed, *, share=1.0, clumsy=0.0, duration=BALANCED):
     world = read_world(WORLD)
     real = scaled(pendulum_on(policy.pendulum, world.settings), inertia, friction)
     emulated = emulated_rig(world, settings, real, seed=seed)
-    hands = Hands(emulated.bench, clumsy=clumsy)
     rig = emulated.rig
-    operator = EmulatedOperator(rig.clock, hands.acts, seed=seed)
+    hands = Hands(emulated.bench, rig.clock, clumsy=clumsy, seed=seed)
     request = RunRequest(
         policy=policy, actuator=policy.actuator, settings=settings, robot="kst://emulated",
         encoder="serial://emulated", duration=duration, t1=False, dry_run=False, seed=seed,
     )  # fmt: skip
-    return request, emulated._replace(rig=rig._replace(operator=operator)), hands
+    return request, emulated._replace(rig=rig._replace(operator=hands.operator)), hands
 
 
 def run(seed, *, fault=None, only_tested=False, **given):

@@ -13,7 +13,6 @@ from equipoise.control.states import Phase
 from equipoise.control.ticks import OperatorMessage
 from equipoise.deployment.rig import (
     OperatorChannel,
-    OperatorInbox,
     RunRequest,
     exit_code,
     rehearse_t1,
@@ -159,12 +158,14 @@ class Script:
 
 def test_words_that_come_together_answer_one_question_after_the_other():
     clock, recorder = VirtualClock(), Recorder(7)
-    hearing = OperatorInbox(Script("estop", " Fence \n", "stop"))
-    tell = OperatorChannel(hearing, recorder, clock)
-    assert [tell.ask(OperatorMessage("checklist", text, ())) for text in "ab"] == ["estop", "fence"]
+    channel = OperatorChannel([Script("estop", " Fence \n", "stop")], recorder, clock)
+    assert [channel.ask(OperatorMessage("checklist", text, ())) for text in "ab"] == [
+        "estop",
+        "fence",
+    ]
     # What was left over is not lost: the loop hears it, and stops.
-    assert hearing.read_input() == ["stop"]
-    assert hearing.read_input() == []
+    assert channel.read_input() == ["stop"]
+    assert channel.read_input() == []
     logged = [(event.name, event.text) for event in take_events(recorder.event)]
     assert logged == [
         ("checklist", "a"),
@@ -206,10 +207,8 @@ def test_a_mistyped_answer_to_the_move_is_asked_again():
 def test_whoever_asks_waits_for_a_word():
     clock, script = VirtualClock(), Script()
     clock.attach(lambda now: script._words.extend(["y"] if now == 1.0 else []))
-    assert (
-        OperatorChannel(OperatorInbox(script), Recorder(7), clock).ask(OperatorMessage("move"))
-        == "y"
-    )
+    channel = OperatorChannel([script], Recorder(7), clock)
+    assert channel.ask(OperatorMessage("move")) == "y"
     assert clock.now() == pytest.approx(1.0, abs=0.02)
 
 

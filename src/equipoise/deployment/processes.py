@@ -194,7 +194,7 @@ def _attend(
             person.notify(OperatorMessage("fault", f"the loop does not answer: {CANNOT_STOP}"))
         silent = streams and not beats
         for event in take_events(recorder.told):
-            person.notify(event)
+            person.notify(OperatorMessage(event.name, event.text, event.answers))
         log.mind(person)
         said = [*person.read_input(), *words]
         words.clear()
@@ -232,8 +232,8 @@ class OperatorProxy:
         self._parent = os.getppid()
         self.signalled = False
 
-    def notify(self, event: Any) -> None:
-        """Send an event to the operator in the parent process; never blocks."""
+    def notify(self, event: OperatorMessage) -> None:
+        """Send a message to the operator in the parent process; never blocks."""
         now = time.monotonic()
         push_event(self._recorder.told, now, event.name, event.answers, event.text)
 
@@ -365,7 +365,7 @@ def _loop(request: RunRequest, memory: Any, joints: int, pipe: Any) -> None:
             attend=across.attend,
         )
         result = run_on_rig(
-            request, rig, across, recorder, measures=realtime.prepare, workshop=aside
+            request, rig, [across], recorder, measures=realtime.prepare, workshop=aside
         )
     except EquipoiseError as error:
         result = type(error)(str(error))

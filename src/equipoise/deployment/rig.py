@@ -48,8 +48,8 @@ SPEED_LIMIT: Final = "speed limit"
 """Name of the event that says how fast the flange may go in a run."""
 PROLOGUE: Final = 600.0
 """Room in the record of punctuality for what comes before balancing [s]."""
-POLL: Final = 0.02
-"""Between two looks at what the operator types, while nothing moves [s]."""
+INPUT_POLL_PERIOD: Final = 0.02
+"""Polling period of typed input while nothing moves [s]."""
 DRAIN: Final = 25
 """In virtual time the rings are drained every so many ticks."""
 
@@ -196,56 +196,55 @@ class RunResult(NamedTuple):
     """The same of the time from reading to sending [s]."""
 
 
-class OperatorInbox:
-    """An operator whose words can be taken one at a time; what is left over is heard later."""
+class OperatorChannel:
+    """Channel to the operators of a run: messages to all of them, and their typed lines."""
 
-    def __init__(self, operator: Operator) -> None:
-        """Listen to an operator."""
-        self._operator = operator
-        self._heard: list[str] = []
+    def __init__(self, operators: Sequence[Operator], recorder: Recorder, clock: Clock) -> None:
+        """Connect operators to a run.
 
-    def notify(self, event: Any) -> None:
-        """Tell the operator."""
-        self._operator.notify(event)
+        Args:
+            operators: The operators; each may type.
+            recorder: Rings for the log.
+            clock: Time of the run before it moves.
+        """
+        self._operators, self._recorder, self._clock = operators, recorder, clock
+        self._pending: list[str] = []
+
+    def notify(self, event: OperatorMessage) -> None:
+        """Send a message to all operators."""
+        for operator in self._operators:
+            operator.notify(event)
 
     def read_input(self) -> list[str]:
-        """Return all that was typed and not taken yet."""
-        heard, self._heard = self._heard, []
-        return [*heard, *self._operator.read_input()]
+        """Return the lines that were typed and not taken yet, the oldest first."""
+        lines, self._pending = self._pending, []
+        return lines + [line for operator in self._operators for line in operator.read_input()]
 
-    def read_word(self) -> str | None:
-        """Take the oldest word; none where nothing was typed."""
-        self._heard = self.read_input()
-        return self._heard.pop(0) if self._heard else None
-
-
-class OperatorChannel:
-    """Tells the operator, and the log."""
-
-    def __init__(self, operator: OperatorInbox, recorder: Recorder, clock: Clock) -> None:
-        """Stand between both."""
-        self._operator, self._recorder, self._clock = operator, recorder, clock
-
-    def __call__(self, event: OperatorMessage) -> None:
-        """Tell."""
-        now = self._clock.now()
-        push_event(self._recorder.event, now, event.name, event.answers, event.text)
-        self._operator.notify(event)
+    def tell(self, event: OperatorMessage) -> None:
+        """Log a message, and send it to all operators."""
+        push_event(self._recorder.event, self._clock.now(), event.name, event.answers, event.text)
+        self.notify(event)
 
     def ask(self, event: OperatorMessage) -> str:
-        """Tell, and wait for an answer; return it, a denial, or the last of three other words."""
-        self(event)
+        """Send a question, and wait for the answer.
+
+        Returns:
+            An expected answer, a denial, or the last of three other words; lines that follow it
+            stay pending.
+        """
+        self.tell(event)
         for _ in range(ATTEMPTS - 1):
-            word = self._typed()
+            word = self._read_word()
             if not event.answers or word in (*event.answers, *DENIALS):
                 return word
             expected = " or ".join(event.answers)
-            self(event._replace(text=f"{word!r} is not {expected}. {event.text}"))
-        return self._typed()
+            self.tell(event._replace(text=f"{word!r} is not {expected}. {event.text}"))
+        return self._read_word()
 
-    def _typed(self) -> str:
-        while (word := self._operator.read_word()) is None:
-            self._clock.wait_until(self._clock.now() + POLL)
+    def _read_word(self) -> str:
+        while not (lines := self.read_input()):
+            self._clock.wait_until(self._clock.now() + INPUT_POLL_PERIOD)
+        word, *self._pending = lines
         push_event(self._recorder.event, self._clock.now(), WORD_TYPED, (), word)
         return word.strip().lower()
 
@@ -253,7 +252,7 @@ class OperatorChannel:
 def run_on_rig(
     request: RunRequest,
     rig: Rig,
-    operator: Operator,
+    operators: Sequence[Operator],
     recorder: Recorder,
     *,
     measures: Callable[[], Sequence[RealtimeSetting]] = tuple,
@@ -266,7 +265,7 @@ def run_on_rig(
     Args:
         request: What is to run.
         rig: Where.
-        operator: Who is told and asked.
+        operators: Operators; each receives the messages and may type.
         recorder: Rings for the log.
         measures: Makes this process punctual, and says what was allowed.
         workshop: Where longer jobs are done; at once if not given.
@@ -277,8 +276,8 @@ def run_on_rig(
         InputError: The policy does not fit the rig.
         OutsideError: The rig does not answer as it should.
     """
-    waiting, hearing = DrainingClock(rig.clock, rig.sensor), OperatorInbox(operator)
-    tell = OperatorChannel(hearing, recorder, waiting)
+    operator = OperatorChannel(operators, recorder, DrainingClock(rig.clock, rig.sensor))
+    tell = operator.tell
     period = request.policy.h / 2.0
     robot = GuardedRobot(rig.robot, request.guard(request.settings.counts_per_rev).limits, period)
     try:
@@ -296,16 +295,16 @@ def run_on_rig(
             tell(speed_limit(before.max_speed))
         tell(OperatorMessage("notice", NO_WATCHDOG))
         for word, question in CHECKLIST:
-            said = tell.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
+            said = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
             if said != word:
                 return _unmoved(OPERATOR, f"{word} was not acknowledged; nothing has moved")
         if request.dry_run:
             return _unmoved("dry run", "all but moving was done; nothing has moved")
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
-        if tell.ask(OperatorMessage("move", question, ("y", "n"))) != "y":
+        if operator.ask(OperatorMessage("move", question, ("y", "n"))) != "y":
             return _unmoved(OPERATOR, "the move was not allowed; nothing has moved")
         return _run(
-            request, rig, robot, hearing, recorder, before.max_speed, workshop, idle, around
+            request, rig, robot, operator, recorder, before.max_speed, workshop, idle, around
         )
     finally:
         robot.close()
@@ -475,10 +474,10 @@ def run_rig_virtually(
             else:
                 recorder.forget()
 
-    there = OperatorGroup([one for one in (rig.operator, operator) if one is not None])
+    operators = [one for one in (rig.operator, operator) if one is not None]
     end: dict[str, Any] = {}
     try:
-        outcome = run_on_rig(request, rig, there, recorder, idle=idle, around=around)
+        outcome = run_on_rig(request, rig, operators, recorder, idle=idle, around=around)
         end = outcome._asdict()
         return outcome
     except EquipoiseError as error:
@@ -489,24 +488,9 @@ def run_rig_virtually(
             writer.drain(recorder)
             writer.finish(rig.clock.now(), end)
             if writer.problem is not None:
-                there.notify(OperatorMessage("warning", f"the log is incomplete: {writer.problem}"))
-
-
-class OperatorGroup:
-    """Several operators as one: all are told, each may speak."""
-
-    def __init__(self, operators: Sequence[Operator]) -> None:
-        """Stand beside each other."""
-        self._operators = operators
-
-    def notify(self, event: Any) -> None:
-        """Tell all of them."""
-        for operator in self._operators:
-            operator.notify(event)
-
-    def read_input(self) -> list[str]:
-        """Return what any has typed."""
-        return [word for operator in self._operators for word in operator.read_input()]
+                warning = OperatorMessage("warning", f"the log is incomplete: {writer.problem}")
+                for one in operators:
+                    one.notify(warning)
 
 
 def rehearse_t1(

@@ -2,7 +2,7 @@
 
 Behind both stands one bench. Who connects cannot tell them from a robot and a board but by the
 address. The operator acts on what can be seen
-(`equipoise.devices.twin.visual_operator`), or on words that someone types.
+(`equipoise.devices.twin.emulated_operator`), or on words that someone types.
 
 The server ends with each client, as the real one does, and is started again on the smartPAD: by the
 emulated operator at once after an `end`, and some seconds after a client has vanished, until when
@@ -24,8 +24,8 @@ from equipoise.devices.encoder.terminal import Terminal
 from equipoise.devices.interfaces import Clock
 from equipoise.devices.kuka.listener import serve
 from equipoise.devices.kuka.server_emulator import Faults, KstServer
+from equipoise.devices.twin.emulated_operator import EmulatedOperator
 from equipoise.devices.twin.simulated_rig import SimulatedRig
-from equipoise.devices.twin.visual_operator import VisualOperator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import Floats
 from equipoise.model.pendulum import PendulumParameters
@@ -104,7 +104,7 @@ class Emulation:
         self._down = False
         self._operator = operator
         if operator:
-            bench.watch(VisualOperator(bench, clumsy=clumsy, say=say).look)
+            bench.watch(EmulatedOperator(bench, clock, clumsy=clumsy, say=say).look)
         self._server: KstServer | None = None
         self._restarted = False
         self._vanished: float | None = None

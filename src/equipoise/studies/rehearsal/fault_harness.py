@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.control.ticks import TickHandler, TickInputs, TickOutput
+from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
 from equipoise.deployment.rig import RunRequest, RunResult, run_rig_virtually
 from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.encoder.sensor import LineEncoder
 from equipoise.devices.interfaces import Clock, Transport
 from equipoise.devices.kuka.robot import KstRobot
-from equipoise.devices.operator import OperatorNotice
+from equipoise.devices.twin.emulated_operator import EmulatedOperator
 from equipoise.errors import EquipoiseError
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import DrainingClock, EmulatedRig, Rig, RigSettings, emulated_rig
@@ -207,7 +207,8 @@ class FaultHarness:
             sign=scene.settings.encoder_sign,
         )
         robot = KstRobot(self.robot_wire.open, DrainingClock(self.clock, sensor))
-        operator = DeafOperator(parts.rig, scene.unheard)
+        if isinstance(operator := parts.rig.operator, EmulatedOperator):
+            operator.ignored = scene.unheard
         rig = Rig(robot, sensor, self.clock, operator)
         request = RunRequest(
             policy=scene.policy,
@@ -248,7 +249,7 @@ class FaultHarness:
 
     # The operator's part: it hears all, and types what it is given to type.
 
-    def notify(self, event: OperatorNotice) -> None:
+    def notify(self, event: OperatorMessage) -> None:
         """Take note of an event."""
         if event.name == "balancing":
             self.held_at_start = self.parts.bench.hand.holds
@@ -285,22 +286,6 @@ class FaultHarness:
             self.looks.append(RunObservation(now, float(bench.truth().x), q))
         if round(1e3 * now) == round(1e3 * LONGEST):
             self.typed.append("stop")
-
-
-class DeafOperator:
-    """The emulated operator, deaf to some events."""
-
-    def __init__(self, rig: Rig, unheard: frozenset[str]) -> None:
-        self._rig, self._unheard = rig, unheard
-
-    def notify(self, event: OperatorNotice) -> None:
-        """Pass an event on, unless the operator is deaf to it."""
-        if self._rig.operator is not None and event.name not in self._unheard:
-            self._rig.operator.notify(event)
-
-    def read_input(self) -> list[str]:
-        """Return the words of the operator behind it."""
-        return [] if self._rig.operator is None else self._rig.operator.read_input()
 
 
 class FaultyTickHandler:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from equipoise.devices.twin import simulated_rig
+from equipoise.devices.twin.emulated_operator import EmulatedOperator, OperatorActivity
 from equipoise.devices.twin.hand import draw_hand_params
-from equipoise.devices.twin.visual_operator import OperatorActivity, VisualOperator
 from equipoise.model.arms.posture import along_x
 from tests.devices.in_process import ARM, stand
 
@@ -18,8 +18,11 @@ class Stage:
     def __init__(self):
         self.bench, self.clock = stand()
         self.said, self.presses = [], 0
-        self.onlooker = VisualOperator(
-            self.bench, swung_out=3.0, say=lambda words: self.said.append(words.split()[0])
+        self.onlooker = EmulatedOperator(
+            self.bench,
+            self.clock,
+            swing_out_time=3.0,
+            say=lambda words: self.said.append(words.split()[0]),
         )
         self.bench.watch(self.onlooker.look)
         self.bench.body.servo(True)
