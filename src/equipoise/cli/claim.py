@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from equipoise.cli import next_step
+from equipoise.cli import options as opt
 from equipoise.cli.destinations import check_output, choose_file
-from equipoise.cli.options import available_workers, read_policy
 from equipoise.cli.output import Output
 from equipoise.cli.trial_bar import trials_of
 
@@ -41,7 +41,7 @@ def certify(
     partial = partial_path(study.evaluation_path(destination.path))
     check_output(partial)
     claim = study.make_claim(probability, confidence, duration, world=world, trials=trials)
-    table = read_policy(policy)
+    table = opt.read_policy(policy)
     output.rows(
         {
             "claim": claim.words,
@@ -50,7 +50,7 @@ def certify(
     )
     with trials_of(output, "evaluate", table, world, claim.trials) as done:
         certificate, evaluation = study.certify(
-            table, claim, workers=available_workers(workers), partial=partial, done=done
+            table, claim, workers=opt.available_workers(workers), partial=partial, done=done
         )
     with destination.claimed() as out:
         beside = study.evaluation_path(out)
@@ -89,12 +89,12 @@ def repeat(output: Output, file: Path, policy: Path | None, workers: int | None)
     from equipoise.studies.verification import verify
 
     verify(file)
-    certificate, table = study.Certificate.load(file), read_policy(policy)
+    certificate, table = study.Certificate.load(file), opt.read_policy(policy)
     claim = certificate.claim
     output.rows({"claim": claim.words})
     study.check_policy(certificate, table)
     with trials_of(output, "repeat", table, claim.world, claim.trials) as done:
-        again = study.repeat(certificate, table, workers=available_workers(workers), done=done)
+        again = study.repeat(certificate, table, workers=opt.available_workers(workers), done=done)
     _say_repeated(output, certificate, again)
     output.next("evaluate", policy, "--world", claim.world)
     output.result(

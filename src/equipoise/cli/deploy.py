@@ -12,27 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from equipoise.cli import next_step
+from equipoise.cli import options as opt
 from equipoise.cli.destinations import Destination, choose_file
 from equipoise.cli.export import choose_film, write_film
-from equipoise.cli.options import (
-    IN_AND_OUT,
-    RIG,
-    EncoderUri,
-    Force,
-    Json,
-    KnownActuator,
-    PolicyFile,
-    RigFile,
-    Seed,
-    check_range,
-    only,
-    option,
-    read_actuator,
-    read_arm,
-    read_pendulum,
-    read_policy,
-    result_file,
-)
 from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.errors import EquipoiseError, InputError
 
@@ -73,49 +55,50 @@ class _Report(NamedTuple):
 @verb
 def deploy(
     context: typer.Context,
-    policy: PolicyFile = None,
+    policy: opt.PolicyFile = None,
     world: Annotated[
         str,
-        option(
+        opt.value(
             "WORLD", "twin:nominal, twin:harsh, twin:FILE; or model, the plant of the training."
         ),
     ] = "twin:nominal",
     duration: Annotated[
-        float | None, option("SECONDS", "Duration of the run; 60, or 10 with --excite.")
+        float | None, opt.value("SECONDS", "Duration of the run; 60, or 10 with --excite.")
     ] = None,
-    actuator: KnownActuator = None,
-    seed: Seed = 0,
+    actuator: opt.KnownActuator = None,
+    seed: opt.Seed = 0,
     robot: Annotated[
         str | None,
-        option("URI", "kst://HOST:30001; or twin:nominal, an emulated rig.", panel=RIG),
+        opt.value("URI", "kst://HOST:30001; or twin:nominal, an emulated rig.", panel=opt.RIG),
     ] = None,
-    encoder: EncoderUri = None,
-    rig: RigFile = None,
+    encoder: opt.EncoderUri = None,
+    rig: opt.RigFile = None,
     dry_run: Annotated[
-        bool, option(None, "Do everything except move.", "--dry-run", panel=RIG)
+        bool, opt.flag("--dry-run", "Do everything except move.", panel=opt.RIG)
     ] = False,
     t1: Annotated[
-        bool, option(None, "Stop where the flange reaches 0.23 m/s.", "--t1", panel=RIG)
+        bool, opt.flag("--t1", "Stop where the flange reaches 0.23 m/s.", panel=opt.RIG)
     ] = False,
     excite: Annotated[
         bool,
-        option(
-            None,
-            "Move every joint about home instead, the pendulum hanging.",
+        opt.flag(
             "--excite",
+            "Move every joint about home instead, the pendulum hanging.",
             panel=EXCITATION,
         ),
     ] = False,
     arm: Annotated[
-        str, option("ARM", "iiwa7 or iiwa14, with --excite.", panel=EXCITATION)
+        str, opt.value("ARM", "iiwa7 or iiwa14, with --excite.", panel=EXCITATION)
     ] = "iiwa7",
     pendulum: Annotated[
-        Path | None, option("FILE", "Pendulum on the arm, with --excite.", panel=EXCITATION)
+        Path | None, opt.value("FILE", "Pendulum on the arm, with --excite.", panel=EXCITATION)
     ] = None,
-    out: Annotated[Path | None, result_file("Run log to write, MCAP.", LOG)] = None,
-    video: Annotated[Path | None, option("FILE", "Film of the run, MP4.", panel=IN_AND_OUT)] = None,
-    force: Force = False,
-    as_json: Json = False,
+    out: Annotated[Path | None, opt.out("Run log to write, MCAP.", LOG)] = None,
+    video: Annotated[
+        Path | None, opt.value("FILE", "Film of the run, MP4.", panel=opt.IN_AND_OUT)
+    ] = None,
+    force: opt.Force = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Run a policy once, on a digital twin or on a rig, and write the log.
 
@@ -128,7 +111,7 @@ def deploy(
     actuator of the log. Exit code 1: the pendulum fell.
     """
     output = Output(as_json)
-    check_range("--duration", duration, 0.01, 3600.0, " s")
+    opt.check_range("--duration", duration, 0.01, 3600.0, " s")
     if rig is not None and not excite:
         from equipoise.rigs import is_virtual, read_rig
 
@@ -139,7 +122,9 @@ def deploy(
         encoder = encoder if is_virtual(robot) else encoder or settings.encoder
     mode = "--robot" if robot is not None else "--excite" if excite else "a simulated run"
     hint = "give --robot for a rig, --excite for an arm, or leave it out"
-    only(context, mode, *OPTIONS[mode], *OF_ALL_MODES, hint="" if mode.startswith("-") else hint)
+    opt.only(
+        context, mode, *OPTIONS[mode], *OF_ALL_MODES, hint="" if mode.startswith("-") else hint
+    )
     what = "Exciting the arm" if excite else f"Running {policy or 'the shipped policy'}"
     output.say(f"{what} on {robot or world}")
     inputs = (policy, pendulum, rig)
@@ -147,8 +132,8 @@ def deploy(
     film = None
     if video is not None:
         film = choose_film(output, video, *inputs, force=force)
-    table = read_policy(policy)
-    response = read_actuator(actuator)
+    table = opt.read_policy(policy)
+    response = opt.read_actuator(actuator)
     if robot is not None:
         from equipoise.deployment.rig import RunRequest
         from equipoise.rigs import read_rig
@@ -171,8 +156,10 @@ def deploy(
         with output.busy("moving the arm" if excite else "running"):
             if excite:
                 length = EXCITATION_DURATION if duration is None else duration
-                hanging = read_pendulum(pendulum)
-                run = deployment.excite(read_arm(arm), world, hanging, seed=seed, duration=length)
+                hanging = opt.read_pendulum(pendulum)
+                run = deployment.excite(
+                    opt.read_arm(arm), world, hanging, seed=seed, duration=length
+                )
             else:
                 run = deployment.deploy(
                     table, world=world, actuator=response, seed=seed, duration=duration

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from equipoise.cli.options import IN_AND_OUT, Json
+from equipoise.cli import options as opt
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError, LinkError
 from equipoise.printable import printable
@@ -63,10 +63,10 @@ def doctor(
     logs: Annotated[
         Path,
         typer.Option(
-            metavar="FOLDER", help="Where runs will be logged.", rich_help_panel=IN_AND_OUT
+            metavar="FOLDER", help="Where runs will be logged.", rich_help_panel=opt.IN_AND_OUT
         ),
     ] = Path(),
-    as_json: Json = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Say whether machine and rig are fit for a run, and the cure for what is not.
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from equipoise import paper
 from equipoise.cli import next_step
-from equipoise.cli.options import Json, RunFile
+from equipoise.cli import options as opt
 from equipoise.cli.output import Output, verb
 
 if TYPE_CHECKING:
@@ -30,8 +30,8 @@ COLUMNS = (
 
 @verb
 def explain(
-    run: RunFile,
-    as_json: Json = False,
+    run: opt.RunFile,
+    as_json: opt.Json = False,
 ) -> None:
     """Explain why a run ended: causes with their evidence, the most likely first.
 

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from equipoise.cli import options as opt
 from equipoise.cli.destinations import Destination, choose_file, choose_folder
-from equipoise.cli.options import IN_AND_OUT, Force, Json, RunFile, option, result_file
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
 
 @verb
 def export(
-    run: RunFile,
+    run: opt.RunFile,
     out: Annotated[
         Path | None,
-        result_file("Folder for the tables; by default named as the log.", False, "DIR"),
+        opt.out("Folder for the tables; by default named as the log.", False, "DIR"),
     ] = None,
     video: Annotated[
         Path | None,
-        option("FILE", "Write a film instead, MP4; with --out as well.", panel=IN_AND_OUT),
+        opt.value("FILE", "Write a film instead, MP4; with --out as well.", panel=opt.IN_AND_OUT),
     ] = None,
-    force: Force = False,
-    as_json: Json = False,
+    force: opt.Force = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Write each table of a run log as a CSV file, or film the run.
 

@@ -6,21 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file
-from equipoise.cli.options import (
-    Force,
-    Json,
-    KnownActuator,
-    PolicyFile,
-    Seed,
-    Workers,
-    available_workers,
-    check_range,
-    option,
-    read_actuator,
-    read_policy,
-    result_file,
-)
 from equipoise.cli.output import Output, verb
 
 if TYPE_CHECKING:
@@ -33,29 +20,29 @@ POINT = ("part", "controller", "on_clean", "name", "at")
 
 @verb
 def gap(
-    policy: PolicyFile = None,
+    policy: opt.PolicyFile = None,
     paper_policy: Annotated[
         Path | None,
-        option("FILE", "Policy trained as the paper describes; by default one is trained here."),
+        opt.value("FILE", "Policy trained as the paper describes; by default one is trained here."),
     ] = None,
     world: Annotated[
-        str, option("WORLD", "twin:nominal, twin:harsh, or twin:FILE.")
+        str, opt.value("WORLD", "twin:nominal, twin:harsh, or twin:FILE.")
     ] = "twin:nominal",
-    actuator: KnownActuator = None,
+    actuator: opt.KnownActuator = None,
     trials: Annotated[
-        int | None, option("N", "Trials of each point; 40, or 8 with --quick.", min=2)
+        int | None, opt.value("N", "Trials of each point; 40, or 8 with --quick.", min=2)
     ] = None,
     duration: Annotated[
-        float | None, option("SECONDS", "Duration of a trial; 60, or 20 with --quick.")
+        float | None, opt.value("SECONDS", "Duration of a trial; 60, or 20 with --quick.")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer points and trials.")] = False,
-    seed: Seed = 0,
-    workers: Workers = None,
+    seed: opt.Seed = 0,
+    workers: opt.Workers = None,
     out: Annotated[
-        Path | None, result_file("Study to write, its figure beside it.", "gap.json")
+        Path | None, opt.out("Study to write, its figure beside it.", "gap.json")
     ] = None,
-    force: Force = False,
-    as_json: Json = False,
+    force: opt.Force = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Separate the gap between training plant and twin into its effects.
 
@@ -74,7 +61,7 @@ def gap(
         force=force,
         beside=lambda path: (*_figure(path), *(() if paper_policy else (_paper_policy(path),))),
     )
-    check_range("--duration", duration, 0.01, 3600.0, " s")
+    opt.check_range("--duration", duration, 0.01, 3600.0, " s")
 
     from equipoise.report.figures.gap import gap_figure
     from equipoise.report.style import save
@@ -82,10 +69,10 @@ def gap(
     from equipoise.studies import gap as study
     from equipoise.studies.progress import TrainingProgress, counted
 
-    table = read_policy(policy)
-    known = read_actuator(actuator)
+    table = opt.read_policy(policy)
+    known = opt.read_actuator(actuator)
     total = study.trials_of(world, quick=quick, trials=trials)
-    settings, threads = study.paper_settings(quick=quick), available_workers(workers)
+    settings, threads = study.paper_settings(quick=quick), opt.available_workers(workers)
     with output.stages() as show:
         with compilation.compiling(show, compilation.FUNCTIONS + compilation.TWIN_FUNCTIONS):
             compilation.compile_training(table.arm, settings)
@@ -101,7 +88,7 @@ def gap(
                 selecting=lambda done, of: progress.selecting(0, done, of),
             )
         else:
-            other = read_policy(paper_policy)
+            other = opt.read_policy(paper_policy)
         found = study.gap(
             table,
             world=world,

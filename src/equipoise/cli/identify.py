@@ -6,22 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file
-from equipoise.cli.options import (
-    IN_AND_OUT,
-    Columns,
-    CountsPerRev,
-    End,
-    Force,
-    FromUpright,
-    Json,
-    Set,
-    SettingsFile,
-    Start,
-    only,
-    option,
-    result_file,
-)
 from equipoise.cli.output import Output, in_ms, measured, verb, with_intervals
 from equipoise.errors import InputError
 
@@ -48,38 +34,38 @@ def identify(
     ],
     friction: Annotated[
         str | None,
-        option("MODEL", "viscous (the paper's, and the default), coulomb or quadratic."),
+        opt.value("MODEL", "viscous (the paper's, and the default), coulomb or quadratic."),
     ] = None,
-    start: Start = None,
-    end: End = None,
-    counts_per_rev: CountsPerRev = None,
-    from_upright: FromUpright = False,
-    columns: Columns = None,
+    start: opt.Start = None,
+    end: opt.End = None,
+    counts_per_rev: opt.CountsPerRev = None,
+    from_upright: opt.FromUpright = False,
+    columns: opt.Columns = None,
     mass: Annotated[
-        float | None, option("KG", "Mass of everything that rotates.", panel=SEPARATE)
+        float | None, opt.value("KG", "Mass of everything that rotates.", panel=SEPARATE)
     ] = None,
     mass_uncertainty: Annotated[
-        float | None, option("KG", "Its standard deviation.", panel=SEPARATE)
+        float | None, opt.value("KG", "Its standard deviation.", panel=SEPARATE)
     ] = None,
     length: Annotated[
         float | None,
-        option("METRES", "Distance from the axis to its centre of mass.", panel=SEPARATE),
+        opt.value("METRES", "Distance from the axis to its centre of mass.", panel=SEPARATE),
     ] = None,
     length_uncertainty: Annotated[
-        float | None, option("METRES", "Its standard deviation.", panel=SEPARATE)
+        float | None, opt.value("METRES", "Its standard deviation.", panel=SEPARATE)
     ] = None,
     out: Annotated[
         Path | None,
-        result_file("File to write; pendulum.json, or actuator.json for a run log.", False),
+        opt.out("File to write; pendulum.json, or actuator.json for a run log.", False),
     ] = None,
-    force: Force = False,
+    force: opt.Force = False,
     figure: Annotated[
         bool,
-        option(None, "Draw figure 2 beside it.", "--figure/--no-figure", panel=IN_AND_OUT),
+        opt.flag("--figure/--no-figure", "Draw figure 2 beside it.", panel=opt.IN_AND_OUT),
     ] = True,
-    settings_file: SettingsFile = None,
-    settings: Set = None,
-    as_json: Json = False,
+    settings_file: opt.SettingsFile = None,
+    settings: opt.Set = None,
+    as_json: opt.Json = False,
 ) -> None:
     """Identify a pendulum from a free swing, or an arm's response from a run log.
 
@@ -89,7 +75,7 @@ def identify(
     output = Output(as_json)
     output.say(f"Reading {recording}")
     if recording.suffix.lower() == ".mcap":
-        only(context, "a run log", "recording", "out", "force", "as_json")
+        opt.only(context, "a run log", "recording", "out", "force", "as_json")
         _identify_actuator(output, recording, out, force)
         return
     destination = choose_file(

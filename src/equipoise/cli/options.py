@@ -23,10 +23,8 @@ RIG = "The rig"
 """Titles of panels in the help."""
 
 
-def option(
-    metavar: str | None, help: str, *names: str, panel: str | None = None, **more: Any
-) -> Any:
-    """Return the declaration of an option.
+def value(metavar: str, help: str, *names: str, panel: str | None = None, **more: Any) -> Any:
+    """Return the declaration of an option with a value.
 
     Args:
         metavar: Name of the value in the help.
@@ -38,9 +36,14 @@ def option(
     return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=panel, **more)
 
 
-def result_file(what: str, default: str | bool, metavar: str = "FILE") -> Any:
+def flag(names: str, help: str, panel: str | None = None) -> Any:
+    """Return the declaration of an option without a value."""
+    return typer.Option(names, help=help, rich_help_panel=panel)
+
+
+def out(what: str, default: str | bool, metavar: str = "FILE") -> Any:
     """Return the declaration of `--out`, with its default name for the help."""
-    return option(metavar, what, panel=IN_AND_OUT, show_default=default)
+    return value(metavar, what, panel=IN_AND_OUT, show_default=default)
 
 
 def _seed(seed: int) -> int:
@@ -49,46 +52,43 @@ def _seed(seed: int) -> int:
     return seed
 
 
-Json = Annotated[
-    bool, option(None, "Print one JSON object and nothing else.", "--json", panel=IN_AND_OUT)
-]
+Json = Annotated[bool, flag("--json", "Print one JSON object and nothing else.", panel=IN_AND_OUT)]
 Force = Annotated[
     bool,
-    option(None, "Replace existing files; otherwise they are kept.", "--force", panel=IN_AND_OUT),
+    flag("--force", "Replace existing files; otherwise they are kept.", panel=IN_AND_OUT),
 ]
 Resume = Annotated[
     bool,
-    option(
-        None,
-        "Continue the interrupted training of this output, to the same result.",
+    flag(
         "--resume",
+        "Continue the interrupted training of this output, to the same result.",
         panel=IN_AND_OUT,
     ),
 ]
 SettingsFile = Annotated[
     Path | None,
-    option("TOML", "Settings, one table per section.", "--settings", panel=IN_AND_OUT),
+    value("TOML", "Settings, one table per section.", "--settings", panel=IN_AND_OUT),
 ]
 Set = Annotated[
     list[str] | None,
-    option("NAME=VALUE", "One setting; repeatable.", "--set", panel=IN_AND_OUT),
+    value("NAME=VALUE", "One setting; repeatable.", "--set", panel=IN_AND_OUT),
 ]
-Recipe = Annotated[str, option("NAME", "robust, or paper: the most literal reading of its text.")]
+Recipe = Annotated[str, value("NAME", "robust, or paper: the most literal reading of its text.")]
 MaxSpeed = Annotated[
-    float | None, option("M/S", "Flange speed limit of a trial (T1: 0.23; default: none).")
+    float | None, value("M/S", "Flange speed limit of a trial (T1: 0.23; default: none).")
 ]
 
 Start = Annotated[
     float | None,
-    option("SECONDS", "Begin here; by default at the detected release.", panel=RECORDING),
+    value("SECONDS", "Begin here; by default at the detected release.", panel=RECORDING),
 ]
-End = Annotated[float | None, option("SECONDS", "End here.", panel=RECORDING)]
+End = Annotated[float | None, value("SECONDS", "End here.", panel=RECORDING)]
 CountsPerRev = Annotated[
-    int | None, option("N", "Encoder counts per revolution, after x4.", min=1, panel=RECORDING)
+    int | None, value("N", "Encoder counts per revolution, after x4.", min=1, panel=RECORDING)
 ]
 Columns = Annotated[
     str | None,
-    option(
+    value(
         "NAMES",
         "Names of all columns in order, e.g. time_s,theta_deg; for a file without a header, or "
         "with other names.",
@@ -97,20 +97,20 @@ Columns = Annotated[
 ]
 FromUpright = Annotated[
     bool,
-    option(None, "The recorded angle is zero when upright.", "--from-upright", panel=RECORDING),
+    flag("--from-upright", "The recorded angle is zero when upright.", panel=RECORDING),
 ]
 
-Seed = Annotated[int, option("N", "Master seed; equal seeds give equal results.", callback=_seed)]
+Seed = Annotated[int, value("N", "Master seed; equal seeds give equal results.", callback=_seed)]
 Workers = Annotated[
     int | None,
-    option("N", "Threads, by default one per core; results do not depend on them.", min=1),
+    value("N", "Threads, by default one per core; results do not depend on them.", min=1),
 ]
 ArmName = Annotated[
-    str, option("ARM", "iiwa7, iiwa14, another registered arm, a URDF or a rig.toml.", "--arm")
+    str, value("ARM", "iiwa7, iiwa14, another registered arm, a URDF or a rig.toml.", "--arm")
 ]
 ActuatorFile = Annotated[
     str | None,
-    option(
+    value(
         "FILE",
         "From equipoise identify RUN.mcap, or ideal; by default the shipped actuator.",
         "--actuator",
@@ -118,7 +118,7 @@ ActuatorFile = Annotated[
 ]
 KnownActuator = Annotated[
     str | None,
-    option("FILE", "Actuator that the controller assumes; by default the policy's.", "--actuator"),
+    value("FILE", "Actuator that the controller assumes; by default the policy's.", "--actuator"),
 ]
 PolicyFile = Annotated[
     Path | None,
@@ -131,15 +131,15 @@ PolicyFile = Annotated[
 RunFile = Annotated[
     Path, typer.Argument(metavar="RUN", help="Log from equipoise deploy.", show_default=False)
 ]
-RobotUri = Annotated[str | None, option("URI", "Robot: kst://HOST:30001.", "--robot", panel=RIG)]
+RobotUri = Annotated[str | None, value("URI", "Robot: kst://HOST:30001.", "--robot", panel=RIG)]
 EncoderUri = Annotated[
     str | None,
-    option("URI", "Encoder: serial:///dev/ttyACM0 or socket://HOST:PORT.", "--encoder", panel=RIG),
+    value("URI", "Encoder: serial:///dev/ttyACM0 or socket://HOST:PORT.", "--encoder", panel=RIG),
 ]
-RigFile = Annotated[Path | None, option("TOML", "Description of the rig.", "--rig", panel=RIG)]
-Held = Annotated[str | None, option("JOINT", "Held joint, by name or number.", panel=URDF)]
-Base = Annotated[str | None, option("LINK", "Fixed link.", panel=URDF)]
-Tip = Annotated[str | None, option("LINK", "Flange link.", panel=URDF)]
+RigFile = Annotated[Path | None, value("TOML", "Description of the rig.", "--rig", panel=RIG)]
+Held = Annotated[str | None, value("JOINT", "Held joint, by name or number.", panel=URDF)]
+Base = Annotated[str | None, value("LINK", "Fixed link.", panel=URDF)]
+Tip = Annotated[str | None, value("LINK", "Flange link.", panel=URDF)]
 
 
 def check_range(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:

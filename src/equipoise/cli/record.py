@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file
-from equipoise.cli.options import IN_AND_OUT, CountsPerRev, Force, Json
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
 
@@ -31,18 +31,18 @@ def record(
         float,
         typer.Option(metavar="SECONDS", help="Longest swing, from where the hand lets go."),
     ] = 30.0,
-    counts_per_rev: CountsPerRev = None,
+    counts_per_rev: opt.CountsPerRev = None,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
             help="The recording, CSV.",
-            rich_help_panel=IN_AND_OUT,
+            rich_help_panel=opt.IN_AND_OUT,
             show_default="swing.csv",
         ),
     ] = None,
-    force: Force = False,
-    as_json: Json = False,
+    force: opt.Force = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Record a free swing of the pendulum from its encoder.
 

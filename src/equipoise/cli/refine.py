@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from equipoise.cli import next_step
+from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file
-from equipoise.cli.options import (
-    Force,
-    Json,
-    Resume,
-    Seed,
-    Workers,
-    available_workers,
-    option,
-    result_file,
-)
 from equipoise.cli.output import Output, in_ms, measured, verb, with_intervals
 from equipoise.cli.unfinished import unfinished
 from equipoise.printable import printable
@@ -41,23 +32,21 @@ def refine(
         typer.Argument(metavar="RUN", help="Logs from equipoise deploy.", show_default=False),
     ],
     training: Annotated[
-        bool, option(None, "Train on where the model moved.", "--train/--no-train")
+        bool, opt.flag("--train/--no-train", "Train on where the model moved.")
     ] = True,
-    always: Annotated[bool, option(None, "Train on even where nothing moved.", "--always")] = False,
+    always: Annotated[bool, opt.flag("--always", "Train on even where nothing moved.")] = False,
     episodes: Annotated[
-        int | None, option("N", "Number of further episodes; by default 2,000.", min=1)
+        int | None, opt.value("N", "Number of further episodes; by default 2,000.", min=1)
     ] = None,
-    seed: Seed = 0,
-    workers: Workers = None,
+    seed: opt.Seed = 0,
+    workers: opt.Workers = None,
     out: Annotated[
         Path | None,
-        result_file(
-            "Policy to write; pendulum and actuator beside it, if they moved.", "refined.json"
-        ),
+        opt.out("Policy to write; pendulum and actuator beside it, if they moved.", "refined.json"),
     ] = None,
-    force: Force = False,
-    resume: Resume = False,
-    as_json: Json = False,
+    force: opt.Force = False,
+    resume: opt.Resume = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Compare logs with the model of a policy, and train on if it moved.
 
@@ -147,7 +136,7 @@ def _retrain(
             findings.actuator,
             episodes=settings.learning.episodes,
             seed=seed,
-            workers=available_workers(workers),
+            workers=opt.available_workers(workers),
             partial=partial,
             report=lambda point: progress.report(0, point),
             selecting=lambda done, of: progress.selecting(0, done, of),

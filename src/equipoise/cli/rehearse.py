@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from rich.text import Text
 
-from equipoise.cli.options import Json, available_workers, option
+from equipoise.cli import options as opt
 from equipoise.cli.output import Output, verb
 
 if TYPE_CHECKING:
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
 @verb
 def rehearse(
     only: Annotated[
-        list[str] | None, option("NAME", "A fault, or a kind of faults; repeatable.")
+        list[str] | None, opt.value("NAME", "A fault, or a kind of faults; repeatable.")
     ] = None,
-    listed: Annotated[bool, option(None, "List the faults, and run none.", "--list")] = False,
+    listed: Annotated[bool, opt.flag("--list", "List the faults, and run none.")] = False,
     real_time: Annotated[
-        bool, option(None, "Run those too that need real ports and processes.", "--real-time")
+        bool, opt.flag("--real-time", "Run those too that need real ports and processes.")
     ] = False,
     workers: Annotated[
-        int | None, option("N", "Processes; by default one per core.", min=1)
+        int | None, opt.value("N", "Processes; by default one per core.", min=1)
     ] = None,
-    as_json: Json = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Inject each fault on an emulated rig, and check how the run ends.
 
@@ -47,7 +47,7 @@ def rehearse(
     results: list[Result] = []
     with output.busy("preparing") as rename:
         for result in rehearse_all(
-            only or (), real_time=real_time, workers=available_workers(workers), begin=rename
+            only or (), real_time=real_time, workers=opt.available_workers(workers), begin=rename
         ):
             results.append(result)
             _say(output, result)

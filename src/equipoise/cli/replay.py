@@ -6,21 +6,13 @@ from typing import Annotated
 
 import typer
 
-from equipoise.cli.options import (
-    Json,
-    KnownActuator,
-    RunFile,
-    check_range,
-    option,
-    read_actuator,
-    read_policy,
-)
+from equipoise.cli import options as opt
 from equipoise.cli.output import Output, verb
 
 
 @verb
 def replay(
-    run: RunFile,
+    run: opt.RunFile,
     policy: Annotated[
         Path | None,
         typer.Argument(
@@ -29,11 +21,11 @@ def replay(
             show_default=False,
         ),
     ] = None,
-    actuator: KnownActuator = None,
+    actuator: opt.KnownActuator = None,
     tolerance: Annotated[
-        float, option("SI", "Tolerated difference of numbers; 0 compares every bit.")
+        float, opt.value("SI", "Tolerated difference of numbers; 0 compares every bit.")
     ] = 0.0,
-    as_json: Json = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Feed the measurements of a log through the controller again, and compare.
 
@@ -42,7 +34,7 @@ def replay(
     differ; the first difference is printed.
     """
     output = Output(as_json)
-    check_range("--tolerance", tolerance, 0.0, math.inf)
+    opt.check_range("--tolerance", tolerance, 0.0, math.inf)
     output.say(f"Replaying {run}")
 
     from equipoise.studies.replay import replay as again
@@ -50,7 +42,9 @@ def replay(
 
     log = read_any(run)
     with output.busy("replaying"):
-        found = again(log, read_policy(policy), read_actuator(actuator), tolerance=tolerance)
+        found = again(
+            log, opt.read_policy(policy), opt.read_actuator(actuator), tolerance=tolerance
+        )
     if missing := missing_part(log):
         output.warn(missing)
     first = found.difference

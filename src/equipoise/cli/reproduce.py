@@ -10,30 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from equipoise.cli import options as opt
 from equipoise.cli.destinations import Destination, check_folder, choose_folder
-from equipoise.cli.options import (
-    RECORDING,
-    ArmName,
-    Base,
-    Columns,
-    CountsPerRev,
-    End,
-    Force,
-    FromUpright,
-    Held,
-    Json,
-    Recipe,
-    Seed,
-    Set,
-    SettingsFile,
-    Start,
-    Tip,
-    Workers,
-    only,
-    option,
-    read_arm,
-    result_file,
-)
 from equipoise.cli.output import Interrupted, Output, verb
 from equipoise.errors import InputError
 
@@ -51,33 +29,33 @@ FOLDER = "equipoise-report"
 def reproduce(
     context: typer.Context,
     quick: Annotated[
-        bool, option(None, "Fewer episodes and trials: under a minute.", "--quick")
+        bool, opt.flag("--quick", "Fewer episodes and trials: under a minute.")
     ] = False,
-    recipe: Recipe = "robust",
-    arm: ArmName = "iiwa7",
-    seed: Seed = 0,
-    workers: Workers = None,
+    recipe: opt.Recipe = "robust",
+    arm: opt.ArmName = "iiwa7",
+    seed: opt.Seed = 0,
+    workers: opt.Workers = None,
     swing: Annotated[
         Path | None,
-        option(
+        opt.value(
             "CSV",
             "Recorded swing, as identify reads it; by default a simulated one.",
-            panel=RECORDING,
+            panel=opt.RECORDING,
         ),
     ] = None,
-    start: Start = None,
-    end: End = None,
-    counts_per_rev: CountsPerRev = None,
-    from_upright: FromUpright = False,
-    columns: Columns = None,
-    held: Held = None,
-    base: Base = None,
-    tip: Tip = None,
-    out: Annotated[Path | None, result_file("Folder for all files.", FOLDER, "DIR")] = None,
-    force: Force = False,
-    settings_file: SettingsFile = None,
-    settings: Set = None,
-    as_json: Json = False,
+    start: opt.Start = None,
+    end: opt.End = None,
+    counts_per_rev: opt.CountsPerRev = None,
+    from_upright: opt.FromUpright = False,
+    columns: opt.Columns = None,
+    held: opt.Held = None,
+    base: opt.Base = None,
+    tip: opt.Tip = None,
+    out: Annotated[Path | None, opt.out("Folder for all files.", FOLDER, "DIR")] = None,
+    force: opt.Force = False,
+    settings_file: opt.SettingsFile = None,
+    settings: opt.Set = None,
+    as_json: opt.Json = False,
 ) -> None:
     """Reproduce the paper, from a free swing to a report.
 
@@ -92,12 +70,12 @@ def reproduce(
     from equipoise.settings import resolve
 
     resolved = resolve(recipe, settings_file, settings or ())
-    machine = read_arm(arm, held, base, tip)
+    machine = opt.read_arm(arm, held, base, tip)
     recording = None
     if swing is None:
         of_a_recording = {"start", "end", "counts_per_rev", "from_upright", "columns"}
         taken = context.params.keys() - of_a_recording
-        only(context, "a simulated swing", *taken, hint="give a recording with --swing")
+        opt.only(context, "a simulated swing", *taken, hint="give a recording with --swing")
     if swing is not None:
         from equipoise.trajectory import read_swing
 

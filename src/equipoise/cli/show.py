@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
+from equipoise.cli import options as opt
 from equipoise.cli.next_step import file_with
-from equipoise.cli.options import Json
 from equipoise.cli.output import Output, verb
 
 FIELDS = ("what", "format", "version", "digest", "content")
@@ -22,7 +22,7 @@ def show(
             help="A run log, pendulum, actuator, policy, evaluation, certificate or reproduction.",
         ),
     ],
-    as_json: Json = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Show the content of a file, and check that it is intact.
 
