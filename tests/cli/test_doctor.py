@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from equipoise.checks.results import Spread, Verdict
-from equipoise.cli.doctor import LOOKS, bar, bars
+from equipoise.cli.doctor import FITNESS_STYLES, bar, bars
+from equipoise.cli.output import VERDICT_STYLES
 from equipoise.devices.clocks import SystemClock
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.terminal import Terminal
@@ -36,10 +37,10 @@ def test_json_is_one_object_with_the_stable_keys_in_no_time(equipoise):
 
 def test_words_show_both_histograms_each_finding_and_the_verdict(equipoise):
     ran = equipoise("rig", "doctor", *QUICK, "--load")
-    assert "How late deadlines of 200 a second were met" in ran.out
-    assert "... while every core was busy" in ran.out
+    assert "Lateness of deadlines at 200 Hz" in ran.out
+    assert "... with every core busy" in ran.out
     assert "█" in ran.out
-    assert "by more than 20 ms" in ran.out
+    assert "above 20 ms" in ran.out
     for name in ("kernel", "clock rate", "real-time priority", "memory locked", "room for logs"):
         assert f" {name} " in ran.out
     (verdict,) = [word for word in VERDICTS if f"Verdict on this machine: {word}." in ran.out]
@@ -52,7 +53,7 @@ def test_words_show_both_histograms_each_finding_and_the_verdict(equipoise):
 def test_a_deadline_missed_by_far_is_told_by_the_exit_code(
     equipoise, monkeypatch, late, code, saying
 ):
-    monkeypatch.setattr("equipoise.checks.deadlines.lateness", lambda *_: np.full(100, late))
+    monkeypatch.setattr("equipoise.studies.doctor.lateness", lambda *_: np.full(100, late))
     ran = equipoise("rig", "doctor", *QUICK)
     assert ran.code == code
     assert saying in ran.out
@@ -172,8 +173,8 @@ def test_durations_that_cannot_be_meant_are_refused(refused, seconds):
 
 
 def test_every_verdict_has_a_look():
-    assert set(LOOKS) == set(get_args(Verdict))
-    assert set(VERDICTS) == set(get_args(Fitness))
+    assert set(VERDICT_STYLES) == set(get_args(Verdict))
+    assert set(FITNESS_STYLES) == set(VERDICTS) == set(get_args(Fitness))
 
 
 def test_bars_are_as_long_as_their_counts():

@@ -28,8 +28,8 @@ HEAD: Final = 400
 """Length of the beginning of a file that holds its digest [bytes]."""
 
 
-def _given(**options: object) -> Command:
-    """Return the options that have a value, as they are typed."""
+def given(**options: object) -> Command:
+    """Return the options that have a value, as words of a command."""
     words = [
         (f"--{name.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else str(value))
         for name, value in options.items()
@@ -70,7 +70,7 @@ def after_training(out: Path, policy: "TabularPolicy", again: Sequence[str]) -> 
         again: Words of this training, without `--seeds` and `--out`.
     """
     if policy.checkpoints and 2 * policy.checkpoints[0].survived < policy.checkpoints[0].trials:
-        return ("train", *again, *_given(seeds=2 * SEEDS))
+        return ("train", *again, *given(seeds=2 * SEEDS))
     return ("evaluate", str(out))
 
 
@@ -99,12 +99,12 @@ def train_again(
     if actuator is None and policy.actuator.fit is not None:
         actuator = _actuator_of(policy, path)
     limit = policy.settings.plant.max_speed if max_speed is None else max_speed
-    options = _given(arm=_arm_of(policy), actuator=actuator, max_speed=limit, seeds=SEEDS)
+    options = given(arm=_arm_of(policy), actuator=actuator, max_speed=limit, seeds=SEEDS)
     return ("train", *words, *options)
 
 
 def _arm_of(policy: "TabularPolicy") -> str | None:
-    """Return the word for a policy's arm; none for the arm that a command takes by itself."""
+    """Return the word for a policy's arm; None for the default arm."""
     name = policy.arm.name
     return None if name == "iiwa7" else name if name == "iiwa14" else "ARM.urdf"
 
@@ -143,12 +143,12 @@ def after_evaluation(
         max_speed: Limit of the flange's speed, where it was given [m/s].
     """
     if balanced and world == MODEL:
-        limit = _given(max_speed=max_speed)
-        return ("evaluate", *_file(path), *_given(world=NOMINAL, actuator=actuator), *limit)
+        limit = given(max_speed=max_speed)
+        return ("evaluate", *_file(path), *given(world=NOMINAL, actuator=actuator), *limit)
     if balanced:
-        return ("deploy", *_file(path), *_given(world=world, actuator=actuator))
+        return ("deploy", *_file(path), *given(world=world, actuator=actuator))
     if world != MODEL and not world.startswith(NOMINAL) and actuator is None:
-        words = _given(world=world, arm=_arm_of(policy), out="excitation.mcap")
+        words = given(world=world, arm=_arm_of(policy), out="excitation.mcap")
         return ("deploy", "--excite", *words)
     return train_again(policy, path, pendulum=pendulum, actuator=actuator, max_speed=max_speed)
 
@@ -163,8 +163,8 @@ def after_function(balanced: bool, function: str, trials: int, *options: str) ->
         options: Pendulum and arm as they were given.
     """
     if balanced and trials < 1000:
-        return ("evaluate", "--policy", function, *options, *_given(trials=1000))
-    return ("train", *_pendulum_first(options), *_given(seeds=SEEDS))
+        return ("evaluate", "--policy", function, *options, *given(trials=1000))
+    return ("train", *_pendulum_first(options), *given(seeds=SEEDS))
 
 
 def _pendulum_first(options: Sequence[str]) -> Command:
@@ -191,7 +191,7 @@ def after_run(
     """
     if run.conditions.cause != "lasted":
         return ("log", "explain", str(out))
-    return ("evaluate", *_file(path), *_given(world=world, actuator=actuator))
+    return ("evaluate", *_file(path), *given(world=world, actuator=actuator))
 
 
 def after_explanation(run: Path, policy: str, moved: bool) -> Command:
@@ -237,9 +237,9 @@ def after_refinement(
         except SettingsError:  # one that was made in Python, or whose file is gone
             world = NOMINAL
     if refined is not None:
-        return ("evaluate", str(refined), *_given(world=world if simulated else NOMINAL))
+        return ("evaluate", str(refined), *given(world=world if simulated else NOMINAL))
     if moved:
         return ("refine", str(path), *map(str, runs))
     if world == MODEL or simulated:
-        return ("deploy", str(path), *_given(world=world))
-    return ("deploy", str(path), *_given(robot=world), "--encoder", "serial:///dev/ttyACM0")
+        return ("deploy", str(path), *given(world=world))
+    return ("deploy", str(path), *given(robot=world), "--encoder", "serial:///dev/ttyACM0")

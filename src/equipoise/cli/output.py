@@ -34,6 +34,8 @@ R = TypeVar("R")
 BAD_RESULT = 1
 """Exit code of a verb that did its work, and whose result is bad."""
 INTERRUPTED = 130
+VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red", "unknown": "dim"}
+"""Styles of the verdicts of checks."""
 LEAST_ADDRESS_SPACE = 2**30
 """Least limit on the address space with which the libraries load [bytes]; 600 MB are too few."""
 command_line: list[str] = []

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from rich.text import Text
 
-from equipoise.cli.output import Output
+from equipoise.cli.output import VERDICT_STYLES, Output
 from equipoise.control.ticks import OK
 from equipoise.errors import OutsideError
 from equipoise.printable import printable
@@ -27,7 +27,6 @@ STYLES: Final = {
 DENIED: Final = "n"
 BACKSPACE: Final = "\b\x7f"
 """Takes the last key back, on one keyboard or another."""
-VERDICTS: Final = {"good": "green", "warning": "yellow", "bad": "bold red", "unknown": "dim"}
 SEQUENCE: Final = re.compile("\x1b(?:\\[[0-?]*[ -/]*[@-~]|O[ -~]|[ -~])?")
 """What a terminal sends for a key without a character: ESC, and what follows it at once."""
 KEYS: Final = {
@@ -136,7 +135,7 @@ class TerminalOperator:
     def _finding(self, name: str, verdict: str, found: str, cure: str) -> None:
         line = Text.assemble(
             ("  ", ""),
-            (f"{verdict:<9}", VERDICTS.get(verdict, "")),
+            (f"{verdict:<9}", VERDICT_STYLES.get(verdict, "")),
             (f"{name:<20}", "dim"),
             printable(found),
         )

@@ -1,15 +1,20 @@
 """Diagnosis of a machine and a rig before a run: all checks that need no policy, and a verdict."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Literal
 
 from equipoise.artefacts import Value
-from equipoise.checks.deadlines import check_lateness, check_loaded_lateness
-from equipoise.checks.encoder import EncoderReading, check_encoder
-from equipoise.checks.host import HostInfo, check_host, check_realtime
-from equipoise.checks.link import check_link, check_networks
+from equipoise.checks.deadlines import burning, check_lateness, check_loaded_lateness, lateness
+from equipoise.checks.encoder import EncoderReading, check_encoder, listen
+from equipoise.checks.host import HostInfo, check_host, check_realtime, read_host_info
+from equipoise.checks.link import check_link, check_networks, connected, round_trips
 from equipoise.checks.results import CheckResult, Spread
-from equipoise.devices.realtime import RealtimeSetting
+from equipoise.devices.clocks import SystemClock
+from equipoise.devices.realtime import RealtimeSetting, run_with_realtime_priority
+from equipoise.errors import LinkError
+from equipoise.rigs import RigSettings, encoder_at, robot_at
 
 Fitness = Literal["fit", "usable with care", "not fit"]
 
@@ -31,6 +36,70 @@ class Diagnosis(Value):
     """Round trips to the robot."""
     encoder: EncoderReading | None
     """Statistics of the encoder's stream."""
+
+
+def examine(
+    robot: str | None,
+    encoder: str | None,
+    settings: RigSettings | None,
+    *,
+    seconds: float,
+    load: bool,
+    logs: Path,
+    busy: Callable[[str], AbstractContextManager[object]],
+    tell: Callable[[str], None],
+) -> Diagnosis:
+    """Measure a machine and a rig, and judge the readings; nothing moves.
+
+    Args:
+        robot: Address of the robot; None examines none.
+        encoder: Address of the encoder; None examines none.
+        settings: Description of the rig; None where it is not known.
+        seconds: Duration of each measurement [s].
+        load: Whether deadlines are measured again with every core busy.
+        logs: Folder of the run logs.
+        busy: Shows the name of a measurement while its context is open.
+        tell: Receives messages while a connection is established.
+
+    Raises:
+        InputError: An address is invalid.
+    """
+    clock, rig = SystemClock(), settings or RigSettings()
+    arm = None if robot is None else robot_at(robot, clock, tell=tell)
+    # The board states its own counts per revolution, and a check compares them.
+    sensor = None if encoder is None else encoder_at(encoder, clock, sign=rig.encoder_sign)
+    machine = read_host_info(logs)
+    with busy("measuring deadlines"):
+        late, measures = run_with_realtime_priority(lambda: lateness(clock, seconds))
+    loaded = reading = link = None
+    silent: dict[str, str] = {}
+    if load:
+        with busy("measuring deadlines with every core busy"), burning(machine.cores or 1):
+            loaded = Spread.of(run_with_realtime_priority(lambda: lateness(clock, seconds))[0])
+    if sensor is not None:
+        try:
+            with busy("listening to the encoder"), connected(sensor):
+                heard, _ = run_with_realtime_priority(lambda: listen(sensor, clock, seconds))
+            reading = EncoderReading.of(heard)
+        except LinkError as error:
+            silent["encoder"] = str(error)
+    if arm is not None:
+        try:
+            with busy("timing the robot's answers"), connected(arm):
+                trips, _ = run_with_realtime_priority(lambda: round_trips(arm, clock, seconds))
+            link = Spread.of(trips)
+        except LinkError as error:
+            silent["robot"] = str(error)
+    return diagnose(
+        machine,
+        measures,
+        Spread.of(late),
+        loaded=loaded,
+        link=link,
+        encoder=reading,
+        counts_per_rev=None if settings is None else settings.counts_per_rev,
+        silent=silent,
+    )
 
 
 def diagnose(
