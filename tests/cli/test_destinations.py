@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from equipoise.cli.destinations import choose_file, choose_folder
+from equipoise.cli.destinations import choose_file
 from equipoise.cli.output import Output
 from equipoise.errors import InputError, OutsideError
 
@@ -129,7 +129,7 @@ def test_folders_follow_the_same_rule(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
     def choose(given=None, force=False):
-        return choose_folder(Output(True), given, "report", force=force)
+        return choose_file(Output(True), given, "report", force=force, suffix="")
 
     with choose().claimed() as folder:
         assert str(folder) == "report"

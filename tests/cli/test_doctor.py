@@ -115,7 +115,7 @@ def test_a_rig_is_examined_and_does_not_move(equipoise, robot, encoder):
 
 def test_words_say_that_the_robots_server_has_ended(equipoise, robot):
     ran = equipoise("rig", "doctor", *QUICK, "--robot", robot[0])
-    assert "How long the robot took to answer" in ran.out
+    assert "Round trip to the robot" in ran.out
     assert "start it again on the smartPAD" in ran.out
     assert "equipoise deploy times the link itself" in ran.out
     assert "Verdict on machine and rig: " in ran.out
@@ -127,7 +127,7 @@ def test_an_encoder_of_another_rig_is_found_out(equipoise, encoder, tmp_path):
     assert ran.code == 1
     assert "4096 per revolution, the rig says 8192" in ran.out
     assert "correct counts_per_rev" in ran.out
-    assert "How old the encoder's newest sample was" in ran.out
+    assert "Age of the encoder's newest sample" in ran.out
 
 
 def test_an_encoder_that_is_not_there_is_a_finding_among_the_others(equipoise):

@@ -125,90 +125,51 @@ def choose_file(
     suffix: str = ".json",
     option: str = "--out",
 ) -> Destination:
-    """Choose the file that a verb writes, before its work begins.
+    """Choose the file or folder that a verb writes, before its work begins.
 
     Args:
-        output: Says which default name is kept.
-        given: Name that the user gave; none for the default.
+        output: Reports which default name is kept.
+        given: Name that the user gave; None for the default.
         default: Default name.
         inputs: Files that the verb reads; they are never written.
         force: Whether existing files are replaced.
         beside: Returns the files that belong to the result, from its name.
-        suffix: Required end of the name.
+        suffix: Required end of the name; empty for a folder. An empty folder is free.
         option: Option that gives the name.
 
     Raises:
         InputError: The name has another suffix, it exists or is an input, or nothing can be
             written there.
     """
-    name = Path(default) if given is None else given
-    if name.suffix.lower() != suffix:  # names beside a folder's cannot be made
-        raise InputError(f"{option} is {name}; give a name that ends in {suffix}")
-    chosen = Destination(name, force=force, beside=beside)
-    if given is None:
-        chosen = _free(output, chosen)
-    for path in (chosen.path, *beside(chosen.path)):
-        check_output(path, *inputs, suffix=path.suffix, option=option)
-    _refuse_existing(chosen, option)
-    return chosen
-
-
-def choose_folder(
-    output: Output,
-    given: Path | None,
-    default: str | Path,
-    *,
-    force: bool,
-    option: str = "--out",
-) -> Destination:
-    """Choose the folder that a verb fills, before its work begins; an empty folder is free.
-
-    Args:
-        output: Says which default name is kept.
-        given: Name that the user gave; none for the default.
-        default: Default name.
-        force: Whether files in an existing folder are replaced.
-        option: Option that gives the name.
-
-    Raises:
-        InputError: The folder exists and is not empty, or nothing can be written there.
-    """
-    chosen = Destination(Path(default) if given is None else given, folder=True, force=force)
-    if given is None:
-        chosen = _free(output, chosen)
-    check_folder(chosen.path, option=option)
-    _refuse_existing(chosen, option)
-    return chosen
-
-
-def _free(output: Output, chosen: Destination) -> Destination:
-    """Return the destination with the next free number."""
-    there = chosen.existing()
-    if there is None or chosen.force:
-        return chosen
-    free = next(one for one in chosen.numbered() if one.existing() is None)
-    output.say(f"{there} exists and is kept; the result goes to {free.path}")
-    return free
-
-
-def _refuse_existing(chosen: Destination, option: str) -> None:
-    there = chosen.existing()
-    if there is not None and not chosen.force:
-        what = "exists and is not empty" if chosen.folder else "exists"
+    name, folder = Path(default) if given is None else given, not suffix
+    if not folder:
+        _check_suffix(name, suffix, option)  # names beside a folder's cannot be made
+    chosen = Destination(name, folder=folder, force=force, beside=beside)
+    there = None if force else chosen.existing()
+    if there is not None and given is None:
+        chosen = next(one for one in chosen.numbered() if one.existing() is None)
+        output.say(f"{there} exists and is kept; the result goes to {chosen.path}")
+    if folder:
+        check_folder(chosen.path, option=option)
+    else:
+        for path in (chosen.path, *beside(chosen.path)):
+            check_output(path, *inputs, suffix=path.suffix, option=option)
+    if there is not None and given is not None:
+        what = "exists and is not empty" if folder else "exists"
         raise InputError(f"{there} {what}; give another {option}, or --force to replace it")
+    return chosen
 
 
 def check_output(
     path: Path, *inputs: Path | None, suffix: str = ".json", option: str = "--out"
 ) -> None:
-    """Check before the work begins that `path` can be written and is none of the inputs.
+    """Check before the work begins that `path` can be written and differs from the inputs.
 
     Raises:
-        InputError: Its name ends otherwise, it is a folder or an input, or nothing can be written
-            there.
+        InputError: The name has another suffix, is that of a folder or an input, or nothing can
+            be written there.
     """
-    if path.suffix.lower() != suffix:
-        raise InputError(f"{option} is {path}; give a name that ends in {suffix}")
+    _check_suffix(path, suffix, option)
     _check_name(path, option)
     if path.is_dir():
         raise InputError(f"{path} is a folder; give the name of a file to write")
@@ -219,7 +180,7 @@ def check_output(
 
 
 def check_folder(folder: Path, *, option: str = "--out") -> None:
-    """Check before the work begins that files can be written in `folder`, which may not exist yet.
+    """Check before the work begins that files can be written in `folder`, which may be new.
 
     Raises:
         InputError: They cannot.
@@ -238,8 +199,13 @@ def check_folder(folder: Path, *, option: str = "--out") -> None:
         ) from None
 
 
+def _check_suffix(path: Path, suffix: str, option: str) -> None:
+    if path.suffix.lower() != suffix:
+        raise InputError(f"{option} is {path}; give a name that ends in {suffix}")
+
+
 def _check_name(path: Path, option: str) -> None:
-    """Refuse a name that the file system does not take, such as one of 300 characters.
+    """Check that the file system accepts a name; one of 300 characters is too long.
 
     Raises:
         InputError: It does not.

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from equipoise.cli import options as opt
-from equipoise.cli.destinations import Destination, choose_file, choose_folder
+from equipoise.cli.destinations import Destination, choose_file
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
 
@@ -47,7 +47,7 @@ def export(
     if video is not None:
         film = choose_film(output, video, run, force=force)
     if tables:
-        folder = choose_folder(output, out, run.with_name(f"{run.stem}-csv"), force=force)
+        folder = choose_file(output, out, run.with_name(f"{run.stem}-csv"), force=force, suffix="")
     made: list[Path] = []
     if folder is not None:
         with folder.claimed() as path:

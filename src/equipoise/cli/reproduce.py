@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from equipoise.cli import options as opt
-from equipoise.cli.destinations import Destination, check_folder, choose_folder
+from equipoise.cli.destinations import Destination, check_folder, choose_file
 from equipoise.cli.output import Interrupted, Output, verb
 from equipoise.errors import InputError
 
@@ -157,7 +157,7 @@ def _choose(
                 f"{given} holds an interrupted reproduction with another {' and '.join(other)}; "
                 "give what it began with, another --out, or --force to begin anew"
             )
-    return choose_folder(output, given, FOLDER, force=force), False
+    return choose_file(output, given, FOLDER, force=force, suffix=""), False
 
 
 @contextmanager
