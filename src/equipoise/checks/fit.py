@@ -8,7 +8,7 @@ import numpy as np
 
 from equipoise.checks.link import GOOD_ROUND_TRIP
 from equipoise.checks.results import Array, CheckResult, Spread, rated
-from equipoise.control.policy import TabularPolicy
+from equipoise.control.policy import TaskPolicy
 from equipoise.control.safety import T1_SPEED
 from equipoise.control.slow_link import flange_speed
 from equipoise.model.actuator import Actuator
@@ -25,7 +25,7 @@ HOME_MARGIN_DEG: Final = 5.0
 """Minimum distance of home from a joint's limits, beyond the rig's margin [deg]."""
 
 
-def check_fit(policy: TabularPolicy, actuator: Actuator, rig: RigSettings) -> Iterator[CheckResult]:
+def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> Iterator[CheckResult]:
     """Check a policy against the description of the rig it is to run on.
 
     Args:
@@ -73,7 +73,7 @@ def check_fit(policy: TabularPolicy, actuator: Actuator, rig: RigSettings) -> It
     yield from _check_room(policy, rig)
 
 
-def _check_response(policy: TabularPolicy, actuator: Actuator) -> CheckResult:
+def _check_response(policy: TaskPolicy, actuator: Actuator) -> CheckResult:
     name, trained, plant = "arm's response", policy.actuator, policy.settings.plant
     cure = "train with --actuator and the file that identify makes of this rig's excitation"
     if plant.ideal or trained.kind == "ideal":
@@ -105,7 +105,7 @@ def _check_home(rig: RigSettings) -> Iterator[CheckResult]:
         yield CheckResult("home", "bad", f"{room:.1f} deg from a joint's limit", cure)
 
 
-def _check_room(policy: TabularPolicy, rig: RigSettings) -> Iterator[CheckResult]:
+def _check_room(policy: TaskPolicy, rig: RigSettings) -> Iterator[CheckResult]:
     """Check the clearance below the hanging pendulum, taken as a uniform rod."""
     if rig.table_height_mm is None:
         return
@@ -137,7 +137,7 @@ def max_flange_speed(arm: Arm, trips: Spread, t1: bool) -> tuple[float, str]:
     return (of_link, "a slow link") if of_link <= of_t1 else (of_t1, "T1")
 
 
-def check_speed(policy: TabularPolicy, limit: float, reason: str) -> Iterator[CheckResult]:
+def check_speed(policy: TaskPolicy, limit: float, reason: str) -> Iterator[CheckResult]:
     """Check whether the policy was trained for the flange's speed limit.
 
     Args:

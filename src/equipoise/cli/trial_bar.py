@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from equipoise.cli.output import Output
 
 if TYPE_CHECKING:
-    from equipoise.control.policy import TabularPolicy
+    from equipoise.control.policy import TaskPolicy
     from equipoise.evaluation import Done
 
 
@@ -35,7 +35,7 @@ def trial_bar(
 
 @contextmanager
 def trials_of(
-    output: Output, name: str, policy: "TabularPolicy", world: str, total: int
+    output: Output, name: str, policy: "TaskPolicy", world: str, total: int
 ) -> "Generator[Done]":
     """Show the progress of a policy's trials in a world, as `trial_bar`."""
     from equipoise.model.sim_configs import MODEL

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import kernel
-from equipoise.control.boxes import box_index
+from equipoise.control.boxes import box_index, boxes
 from equipoise.control.clik import manipulability
 from equipoise.control.control_step import (
     SETPOINTS_PER_TICK,
@@ -22,7 +22,7 @@ from equipoise.control.control_step import (
     observe,
     start_controller,
 )
-from equipoise.control.policy import PolicyKernel, act
+from equipoise.control.policy import Policy
 from equipoise.model.arms.arm import (
     FRAME_SIZE,
     FREE_JOINTS,
@@ -69,7 +69,7 @@ class Controller:
     def __init__(self, arm: Arm, controller: ControllerParams) -> None:
         """Begin at home, at rest."""
         self._arm, self._controller = arm, controller
-        self._memory = new_controller_state()
+        self._memory, self._boxes = new_controller_state(), boxes()
         self._free = list(arm.free)
         self._home_x = float(controller.home_reference[POSITION])
         self.begin(0.0, 0.0)
@@ -111,10 +111,14 @@ class Controller:
         """What the observer believes."""
         return StateEstimate(*self._memory.estimate[::BATCH_SIZE].tolist())
 
-    def decide(self, policy: PolicyKernel) -> tuple[float, int]:
-        """Return u [m/s^2], and the box of what the policy sees."""
-        seen = self.observation
-        return float(act(policy, *seen, 0.0)), int(box_index(*seen, policy.boxes))
+    def decide(self, policy: Policy) -> float:
+        """Return the policy's u [m/s^2] for the observation."""
+        return policy.act(np.array(self.observation))
+
+    @property
+    def box(self) -> int:
+        """Box of the observation."""
+        return int(box_index(*self.observation, self._boxes))
 
     def command(self, u: float) -> tuple[tuple[float, ...], ...]:
         """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""

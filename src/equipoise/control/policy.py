@@ -195,6 +195,11 @@ class KernelPolicy:
         return float(act(self.kernel, x, x_dot, phi, phi_dot, chance))
 
 
+def tick_policy(policy: TaskPolicy) -> Policy:
+    """Return a policy for a call per tick from Python: compiled if the policy has a kernel."""
+    return policy if policy.kernel is None else KernelPolicy(policy.kernel)
+
+
 class _Numbers(Value):
     """Numbers of a policy for compiled loops."""
 

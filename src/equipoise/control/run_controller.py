@@ -14,7 +14,7 @@ training (`equipoise.control.control_step`).
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import cosh, inf, isnan, nan, pi, sinh, sqrt
+from math import cosh, inf, isfinite, isnan, nan, pi, sinh, sqrt
 from typing import Any, Final
 
 import numpy as np
@@ -25,7 +25,7 @@ from equipoise.control.control_step import ControllerParams
 from equipoise.control.controller import Controller, FlangeKinematics, FlangePose
 from equipoise.control.dropouts import DropoutMonitor
 from equipoise.control.minimum_jerk import Path, path_within
-from equipoise.control.policy import PolicyKernel
+from equipoise.control.policy import Policy
 from equipoise.control.release import ReleaseDetector, ReleaseState
 from equipoise.control.safety import (
     MonitorState,
@@ -57,6 +57,7 @@ from equipoise.control.ticks import (
     TickRecord,
 )
 from equipoise.model.arms.arm import Arm
+from equipoise.printable import printable
 
 Array = npt.NDArray[np.float64]
 Setpoints = tuple[tuple[float, ...], tuple[float, ...]]
@@ -83,6 +84,14 @@ SWINGS: Final = 4
 """A self-test whose zero is not sharp enough is repeated up to so often."""
 NUDGE: Final = 5.0
 """A pendulum that is armed for so long and not let go is spoken of again [s]."""
+POLICY: Final = "policy"
+"""Name of the cause of a stop where the policy raises, is late, or returns no finite number."""
+FAILED: Final = "the policy failed"
+LATE: Final = "it took"
+"""Beginning of the reason of such a stop, and of its second part where the policy is late."""
+POLICY_TIME_SHARE: Final = 0.5
+"""Longest computing time of the policy, as a share of a tick: later, the second setpoint, due after
+half a tick, would be late too."""
 EXPECTED_HISTORY: Final = 64
 """Samples that are remembered for the fit at the release: 64 ms at 1 kHz."""
 
@@ -104,27 +113,29 @@ class RunController:
         self,
         arm: Arm,
         controller: ControllerParams,
-        policy: PolicyKernel,
+        policy: Policy,
         guard: SafetyParams,
         q: Sequence[float],
         *,
         duration: float,
+        clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
         """Begin the way home, the servo holding the arm where it stands.
 
         Args:
             arm: The arm with its home.
             controller: Constants of the control step, with the rig's counts per revolution.
-            policy: What decides.
+            policy: Any policy.
             guard: The rules of the rig.
             q: Where the arm is measured, all joints [rad].
             duration: How long it shall balance [s].
+            clock: Time [s] for the policy's computing; by default it takes none.
         """
         self._arm, self._controller, self._policy, self._guard = arm, controller, policy, guard
         self._lane, self._flange = Controller(arm, controller), FlangeKinematics(arm, controller)
         self._resolution = controller.resolution
         self._release = ReleaseDetector(controller.pendulum)
-        self._duration = duration
+        self._duration, self._clock = duration, clock
         self._h = controller.h
         self._events: list[OperatorMessage] = []
         self._answers: tuple[str, ...] = ()
@@ -543,7 +554,7 @@ class RunController:
             self._go(states.RunEvent.RELEASED)
             self.began = now
             self._tell("balancing", "Balancing. Any key stops.")
-            return self._decide()
+            return self._decide(now, first=True)
         return self._still()
 
     def _balance(self, now: float) -> Setpoints:
@@ -555,15 +566,37 @@ class RunController:
             self._stop(Cause("lasted", f"It stood for {self._duration:g} s. Catch the pendulum."))
         if self.state.latched:
             return self._come_to_rest(now)
-        return self._decide()
+        return self._decide(now)
 
-    def _decide(self) -> Setpoints:
-        u, box = self._lane.decide(self._policy)
-        state, estimate = self._lane.observation, self._lane.estimate
-        self._seen = TickRecord(*state, box, u, estimate.phi, estimate.phi_dot, estimate.bias)
-        first, second = self._lane.command(u)
-        self._q, self._dq = self._lane.q, self._lane.dq
-        return first, second
+    def _decide(self, now: float, *, first: bool = False) -> Setpoints:
+        """Command the policy's u; stop where the policy fails, for u is then of no use."""
+        controller, u, began = self._lane, nan, self._clock()
+        try:
+            if first:
+                self._policy.reset()
+            u = controller.decide(self._policy)
+            failure = "" if isfinite(u) else f"it returned {u}"
+        except BaseException as error:  # not even a request to exit may end the loop
+            failure = printable(str(error)) or type(error).__name__
+        took, limit = self._clock() - began, POLICY_TIME_SHARE * self._h
+        if not failure and took > limit:
+            failure = f"{LATE} {1e3 * took:.1f} ms, expected at most {1e3 * limit:.1f} ms"
+        estimate = controller.estimate
+        u = 0.0 if failure else u
+        self._seen = TickRecord(
+            *controller.observation,
+            controller.box,
+            u,
+            estimate.phi,
+            estimate.phi_dot,
+            estimate.bias,
+        )
+        if failure:
+            self._stop(Cause(POLICY, f"{FAILED}: {failure}"))
+            return self._come_to_rest(now)
+        first_setpoint, second_setpoint = controller.command(u)
+        self._q, self._dq = controller.q, controller.dq
+        return first_setpoint, second_setpoint
 
     def _come_to_rest(self, now: float) -> Setpoints:
         if self._ticks == 0:

@@ -11,7 +11,7 @@ from equipoise.checks.fit import check_fit, check_posture, check_speed, max_flan
 from equipoise.checks.host import check_realtime
 from equipoise.checks.link import check_link, round_trips
 from equipoise.checks.results import CheckResult, Spread
-from equipoise.control.policy import TabularPolicy
+from equipoise.control.policy import TaskPolicy
 from equipoise.devices.realtime import RealtimeSetting
 from equipoise.model.actuator import Actuator
 from equipoise.rigs import DrainingClock, Rig, RigSettings
@@ -30,7 +30,7 @@ class Preflight(NamedTuple):
 
 
 def preflight(
-    policy: TabularPolicy,
+    policy: TaskPolicy,
     actuator: Actuator,
     settings: RigSettings,
     rig: Rig,

@@ -13,18 +13,20 @@ to rest inside the stream, whatever it was doing.
 import ctypes
 import multiprocessing
 import os
+import pickle
 import signal
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.run_controller import PHASES
+from equipoise.control.policy import Policy
+from equipoise.control.run_controller import LATE, PHASES
 from equipoise.control.self_test import SelfTest, self_test
 from equipoise.control.states import STREAMING
 from equipoise.control.ticks import Job, OperatorMessage
@@ -32,7 +34,7 @@ from equipoise.deployment.rig import ALONE, STOP, RunRequest, RunResult, run_on_
 from equipoise.devices import realtime
 from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
-from equipoise.errors import EquipoiseError, OutsideError
+from equipoise.errors import EquipoiseError, InputError, OutsideError
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.rigs import connect
 from equipoise.runwriter import PULSE, Recorder, RunWriter, push_event, take_events
@@ -52,6 +54,10 @@ SIGNALS: Final = tuple(
 """What would end a program: Ctrl-C, a wish of the system, a terminal that is closed."""
 
 _TIME, _STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("time", "state", "phi", "ticks"))
+
+
+Array = npt.NDArray[np.float64]
+T = TypeVar("T")
 
 
 class LocalOperator(Operator, Protocol):
@@ -76,6 +82,7 @@ def run_in_processes(
     Raises:
         EquipoiseError: What the loop's process raised; or it ended without a word.
     """
+    _check_transfer(request)
     context = multiprocessing.get_context("spawn")
     joints = len(request.settings.described_arm.joints)
     memory = context.RawArray(ctypes.c_char, Recorder.room(joints))
@@ -117,6 +124,21 @@ def run_in_processes(
     if isinstance(result, EquipoiseError):
         raise result
     return result
+
+
+def _check_transfer(request: RunRequest) -> None:
+    """Check that the loop's process can receive a request.
+
+    Raises:
+        InputError: The policy cannot be sent there.
+    """
+    try:
+        pickle.dumps(request)
+    except Exception as error:  # whatever the policy holds
+        raise InputError(
+            f"{request.policy.name} cannot be sent to the process of the run ({error}); give it as "
+            "MODULE:NAME"
+        ) from None
 
 
 @contextmanager
@@ -301,7 +323,48 @@ class WorkerProcess:
             raise OutsideError(f"the process for the self-test does not work ({result})")
 
 
-Array = npt.NDArray[np.float64]
+class PolicyTimeout(BaseException):
+    """The time of a policy is over; no handler of `Exception` in the policy catches this."""
+
+
+class InterruptedPolicy:
+    """A policy that a timer of the system interrupts: an endless loop in Python ends in time.
+
+    The timer's signal reaches the main thread of a process, and waits for compiled code to return.
+    """
+
+    def __init__(self, policy: Policy, limit: float) -> None:
+        """Limit the time of each call of `policy` to `limit` [s]."""
+        self._policy, self._limit, self._running = policy, limit, False
+        if hasattr(signal, "setitimer"):
+            signal.signal(signal.SIGALRM, self._interrupt)
+
+    def reset(self) -> None:
+        """Begin a run."""
+        self._within(self._policy.reset)
+
+    def act(self, observation: Array) -> float:
+        """Return u [m/s^2] for the observation, shape (4,).
+
+        Raises:
+            PolicyTimeout: The policy takes too long.
+        """
+        return self._within(partial(self._policy.act, observation))
+
+    def _within(self, call: Callable[[], T]) -> T:
+        if not hasattr(signal, "setitimer"):
+            return call()
+        try:
+            self._running = True
+            signal.setitimer(signal.ITIMER_REAL, self._limit)
+            return call()
+        finally:
+            self._running = False
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+    def _interrupt(self, *_: object) -> None:
+        if self._running:
+            raise PolicyTimeout(f"{LATE} more than {1e3 * self._limit:.1f} ms")
 
 
 def _judge_nothing(time_: Array, counts: Array, move: Array) -> SelfTest:
@@ -365,7 +428,13 @@ def _loop(request: RunRequest, memory: Any, joints: int, pipe: Any) -> None:
             attend=across.attend,
         )
         result = run_on_rig(
-            request, rig, [across], recorder, measures=realtime.prepare, workshop=aside
+            request,
+            rig,
+            [across],
+            recorder,
+            measures=realtime.prepare,
+            workshop=aside,
+            supervise=InterruptedPolicy,
         )
     except EquipoiseError as error:
         result = type(error)(str(error))

@@ -9,14 +9,16 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import ceil, inf, nan, radians
 from pathlib import Path
+from statistics import median
+from time import perf_counter
 from typing import Any, Final, NamedTuple
 
 from equipoise.checks.fit import check_fit
 from equipoise.checks.results import require
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
 from equipoise.control.controller import Controller, FlangeKinematics
-from equipoise.control.policy import TabularPolicy
-from equipoise.control.run_controller import PHASES, RunController
+from equipoise.control.policy import Policy, TaskPolicy, tick_policy
+from equipoise.control.run_controller import PHASES, POLICY_TIME_SHARE, RunController
 from equipoise.control.safety import T1_SPEED, Rule, SafetyParams, make_safety_params
 from equipoise.control.states import Cause
 from equipoise.control.ticks import OperatorMessage, TickHandler
@@ -50,6 +52,8 @@ PROLOGUE: Final = 600.0
 """Room in the record of punctuality for what comes before balancing [s]."""
 INPUT_POLL_PERIOD: Final = 0.02
 """Polling period of typed input while nothing moves [s]."""
+WARM_UP_CALLS: Final = 20
+"""Number of calls of the policy before the run; their median is compared with the limit."""
 DRAIN: Final = 25
 """In virtual time the rings are drained every so many ticks."""
 
@@ -78,7 +82,7 @@ NO_WATCHDOG: Final = (
 class RunRequest:
     """What is to run where."""
 
-    policy: TabularPolicy
+    policy: TaskPolicy
     """The policy."""
     actuator: Actuator
     """How the rig's arm follows."""
@@ -125,7 +129,7 @@ class RunRequest:
         return make_safety_params(
             arm,
             reaction=horizon(arm, self.actuator, 0.0),
-            u_max=max(map(abs, self.policy.actions)),
+            u_max=self.policy.u_max,
             h=self.policy.h,
             counts_per_rev=counts_per_rev,
             speed=max_speed,
@@ -143,6 +147,7 @@ class RunRequest:
             "arm": arm.name,
             "held_joint": arm.held_joint,
             "policy": self.policy.digest,
+            "policy_name": self.policy.name,
             "pendulum": self.policy.pendulum.digest,
             "actuator": self.actuator.digest,
             "rig": self.settings.model_dump(mode="json"),
@@ -151,7 +156,7 @@ class RunRequest:
             "encoder": self.encoder,
             "settings": self.policy.settings.model_dump(mode="json"),
             "believed": self.policy.pendulum.parameters(linearised=plant.linearised)._asdict(),
-            "u_max": max(map(abs, self.policy.actions)),
+            "u_max": self.policy.u_max,
             "h": self.policy.h,
             "duration": self.duration,
             "t1": self.t1,
@@ -259,6 +264,7 @@ def run_on_rig(
     workshop: Executor | None = None,
     idle: Callable[[], None] = lambda: None,
     around: Callable[[TickHandler], TickHandler] = lambda heart: heart,
+    supervise: Callable[[Policy, float], Policy] = lambda policy, _: policy,
 ) -> RunResult:
     """Run a policy on a rig that is not connected yet; the arm rests and the rig is let go after.
 
@@ -271,6 +277,8 @@ def run_on_rig(
         workshop: Where longer jobs are done; at once if not given.
         idle: Called in each tick, such as to drain the rings.
         around: Stands between heart and loop; a rehearsal puts its faults there.
+        supervise: Returns the policy with a limit of its computing time [s], where it can be
+            interrupted.
 
     Raises:
         InputError: The policy does not fit the rig.
@@ -304,7 +312,16 @@ def run_on_rig(
         if operator.ask(OperatorMessage("move", question, ("y", "n"))) != "y":
             return _unmoved(OPERATOR, "the move was not allowed; nothing has moved")
         return _run(
-            request, rig, robot, operator, recorder, before.max_speed, workshop, idle, around
+            request,
+            rig,
+            robot,
+            operator,
+            recorder,
+            before.max_speed,
+            workshop,
+            idle,
+            around,
+            supervise,
         )
     finally:
         robot.close()
@@ -360,16 +377,20 @@ def _run(
     workshop: Executor | None,
     idle: Callable[[], None],
     around: Callable[[TickHandler], TickHandler],
+    supervise: Callable[[Policy, float], Policy],
 ) -> RunResult:
     counts_per_rev = rig.sensor.counts_per_rev
     arm, guard = request.settings.described_arm, request.guard(counts_per_rev, max_speed)
-    controller, policy = request.controller(counts_per_rev), request.policy.kernel
+    controller = request.controller(counts_per_rev)
+    policy = supervise(tick_policy(request.policy), POLICY_TIME_SHARE * request.policy.h)
     rig.sensor.samples()
     robot.start()
     q = robot.started_at
     began = rig.clock.now()
     recorder.reply.push(began, nan, q, recorder.unknown, began)
-    pilot = RunController(arm, controller, policy, guard, q, duration=request.duration)
+    pilot = RunController(
+        arm, controller, policy, guard, q, duration=request.duration, clock=rig.clock.now
+    )
     ending = run_loop(
         robot,
         rig.sensor,
@@ -390,18 +411,30 @@ def _run(
 
 
 def warm_up(request: RunRequest) -> None:
-    """Run all kernels of a tick once, so that none is compiled or loaded in the stream.
+    """Run and time all code of a tick, so that none is compiled or loaded in the stream.
 
     Raises:
         ArmError: Home is a singular posture.
         SettingsError: The delay is longer than the controller remembers.
+        InputError: The policy raises, returns no finite number, or takes too long.
     """
-    settings = request.settings
+    settings, policy = request.settings, tick_policy(request.policy)
     arm, controller = settings.described_arm, request.controller(settings.counts_per_rev)
-    lane = Controller(arm, controller)
-    lane.observe(0.0, 0.0, arm.home, 0.0)
-    lane.command(lane.decide(request.policy.kernel)[0])
+    lane, took = Controller(arm, controller), list[float]()
+    policy.reset()
+    for _ in range(WARM_UP_CALLS):
+        lane.observe(0.0, 0.0, arm.home, 0.0)
+        began = perf_counter()
+        u = lane.decide(policy)
+        took.append(perf_counter() - began)
+        lane.command(u)
     FlangeKinematics(arm, controller).place(arm.home)
+    typical, limit = median(took), POLICY_TIME_SHARE * request.policy.h
+    if typical > limit:
+        raise InputError(
+            f"{request.policy.name} takes {1e3 * typical:.1f} ms, expected at most "
+            f"{1e3 * limit:.1f} ms; make it faster"
+        )
 
 
 def _outcome(pilot: RunController, ending: LoopResult) -> RunResult:

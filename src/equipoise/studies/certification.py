@@ -33,7 +33,7 @@ from equipoise.artefacts import (
     first_fault,
     value_digest,
 )
-from equipoise.control.policy import TabularPolicy
+from equipoise.control.policy import TaskPolicy
 from equipoise.errors import ArtefactError, InputError
 from equipoise.evaluation import Done, Evaluation, evaluate
 from equipoise.model.sim_configs import MODEL, NEWEST, PREFIX, SETS, TwinSettings, World, read_world
@@ -96,7 +96,8 @@ class Certificate(Artefact):
     failures: dict[Name, Count]
     """How many trials ended in which way before their time."""
     policy: Name
-    """Digest of the policy; it covers the arm and the pendulum."""
+    """Digest of the policy; that of a table covers arm and pendulum, which the evaluation names for
+    any policy."""
     arm: Name
     """Name of the arm."""
     world_settings: TwinSettings | None
@@ -279,7 +280,7 @@ class _Try(Value):
 
 
 def certify(
-    policy: TabularPolicy,
+    policy: TaskPolicy,
     claim: Claim,
     *,
     workers: int = 1,
@@ -299,10 +300,10 @@ def certify(
         The certificate, granted or refused, and its trials.
     """
     numbers = None if claim.world == MODEL else read_world(claim.world).settings
-    return _try(policy, claim, numbers, workers, partial, done)
+    return _try(policy, claim, numbers, policy.settings, workers, partial, done)
 
 
-def check_policy(certificate: Certificate, policy: TabularPolicy) -> None:
+def check_policy(certificate: Certificate, policy: TaskPolicy) -> None:
     """Check that a certificate is about a policy.
 
     Raises:
@@ -317,7 +318,7 @@ def check_policy(certificate: Certificate, policy: TabularPolicy) -> None:
 
 def repeat(
     certificate: Certificate,
-    policy: TabularPolicy,
+    policy: TaskPolicy,
     *,
     workers: int = 1,
     done: Done = lambda _: None,
@@ -335,7 +336,9 @@ def repeat(
     """
     check_policy(certificate, policy)
     numbers = certificate.world_settings
-    again, evaluation = _try(policy, certificate.claim, numbers, workers, None, done)
+    again, evaluation = _try(
+        policy, certificate.claim, numbers, certificate.settings, workers, None, done
+    )
     return Repetition(
         granted=again.granted,
         failures=again.failures,
@@ -345,19 +348,20 @@ def repeat(
 
 
 def _try(
-    policy: TabularPolicy,
+    policy: TaskPolicy,
     claim: Claim,
     numbers: TwinSettings | None,
+    settings: Settings,
     workers: int,
     partial: StrPath | None,
     done: Done,
 ) -> tuple[Certificate, Evaluation]:
     """Run the trials of a claim, on the training plant or on a twin with these numbers."""
     asked = {"trials": claim.trials, "duration": claim.duration}
-    trials = policy.settings.evaluation.model_copy(update=asked)
+    trials = settings.evaluation.model_copy(update=asked)
     evaluation = evaluate(
         policy,
-        policy.settings.model_copy(update={"evaluation": trials}),
+        settings.model_copy(update={"evaluation": trials}),
         seed=trial_seed(policy.digest, claim),
         world=MODEL if numbers is None else World(claim.world, numbers),
         with_yardsticks=False,

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from typing import Final
 
 from equipoise.compiled import cache_is_empty, watching_compilation
-from equipoise.control.policy import TabularPolicy, shipped_policy
+from equipoise.control.policy import TaskPolicy, shipped_policy
 from equipoise.evaluation import evaluate, evaluate_function
 from equipoise.learning.trials import available_cores
 from equipoise.model.arms.arm import Arm
@@ -91,7 +91,7 @@ def compile_training(arm: Arm, settings: Settings) -> None:
     train(shipped_pendulum(), arm, Settings.model_validate(tree))
 
 
-def compile_trials(policy: TabularPolicy, world: str | World = MODEL) -> None:
+def compile_trials(policy: TaskPolicy, world: str | World = MODEL) -> None:
     """Have the kernels compiled that run a policy in a world."""
     evaluate(policy, _moment(policy.settings), world=world, with_yardsticks=False)
 

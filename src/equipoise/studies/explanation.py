@@ -29,6 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
+from equipoise.control.run_controller import POLICY
 from equipoise.control.safety import (
     MAX_COUNT_JUMP,
     MAX_TICK_LATENESS,
@@ -108,6 +109,8 @@ class CauseName(Enum):
     """Counts stood still or did not come."""
     JUMP = "jumping encoder"
     """Counts moved as no pendulum does, or were lost."""
+    POLICY = "policy"
+    """The policy raised, took too long, or returned no finite number."""
     LATE = "late tick"
     """The loop did not keep its time."""
     SATURATION = "saturation"
@@ -153,6 +156,10 @@ ADVICE: Final = {
     ),
     CauseName.STALE: "look at the encoder's cable, power and coupling",
     CauseName.JUMP: "look at the encoder's coupling, its wiring and what disturbs it",
+    CauseName.POLICY: (
+        "correct the policy as the evidence says, and try it on a virtual rig first (`equipoise "
+        "deploy POLICY --robot twin:nominal`)"
+    ),
     CauseName.LATE: "let `equipoise rig doctor` look for what holds this machine up",
     CauseName.SATURATION: (
         "train a policy with larger actions, or identify pendulum and actuator again (`equipoise "
@@ -221,6 +228,7 @@ TELLING: Final = {
     Rule.SPEED.value: CauseName.SPEED,
     Rule.DRIFT.value: CauseName.POSTURE,
     Rule.TILT.value: CauseName.POSTURE,
+    POLICY: CauseName.POLICY,
     Rule.TICK.value: CauseName.LATE,
     Rule.ENCODER_STALE.value: CauseName.STALE,
     Rule.ENCODER_ILLEGAL.value: CauseName.JUMP,

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from equipoise.artefacts import Estimate
-from equipoise.control.policy import TabularPolicy
+from equipoise.control.policy import TabularPolicy, TaskPolicy
 from equipoise.errors import InputError
 from equipoise.evaluation import Done, TrialResults, evaluate
 from equipoise.model.actuator import CYCLE, Actuator
@@ -150,7 +150,7 @@ SHORT: Final = Form(
 
 
 def gap(
-    policy: TabularPolicy,
+    policy: TaskPolicy,
     *,
     world: str | World = "twin:nominal",
     paper_policy: TabularPolicy | None = None,
@@ -187,7 +187,7 @@ def gap(
     actuator = actuator or policy.actuator
     if actuator.kind == "ideal":
         raise InputError(
-            "the policy was trained without an actuator and has no cures to leave out; train one "
+            "the policy has an ideal actuator, and no cures to leave out; train one "
             "with equipoise train, or give its --actuator"
         )
     if paper_policy is None:
@@ -222,9 +222,10 @@ def gap(
             done=done,
         ).results
 
-    # Conditions rather than trials go over the cores: there are more of them.
+    # Conditions rather than trials go over the cores: there are more of them. A policy in Python
+    # may keep a state, and runs one trial at a time.
     cases = tuple(dict.fromkeys(case for _, case in plan))
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(1 if policy.kernel is None else workers) as pool:
         found = dict(zip(cases, pool.map(run, cases), strict=True))
     return Gap(
         quick=quick,
@@ -254,7 +255,7 @@ def trials_of(
 
 
 def train_paper(
-    policy: TabularPolicy,
+    policy: TaskPolicy,
     *,
     quick: bool = False,
     seed: int = 0,

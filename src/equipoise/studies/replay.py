@@ -11,16 +11,18 @@ falls, so a difference grows e-fold each 0.12 s until feedback ends it.
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from math import isnan, pi
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.control.bound_policy import BoundPolicy
 from equipoise.control.control_step import make_controller_params
 from equipoise.control.controller import Controller
-from equipoise.control.policy import TabularPolicy
-from equipoise.control.run_controller import RunController
+from equipoise.control.policy import TaskPolicy, tick_policy
+from equipoise.control.run_controller import FAILED, LATE, RunController
 from equipoise.control.ticks import TickInputs, TickOutput
 from equipoise.deployment.rig import RunRequest, logged_speed_limit
 from equipoise.devices.interfaces import Reply, Sample
@@ -28,7 +30,9 @@ from equipoise.errors import ArtefactError
 from equipoise.model.actuator import Actuator
 from equipoise.rigs import RigSettings
 from equipoise.runlog import IDEAL, RunLog
-from equipoise.runwriter import FAILED, WORD_TYPED, RigRun
+from equipoise.runwriter import FAILED as DEVICE_FAILED
+from equipoise.runwriter import WORD_TYPED, RigRun
+from equipoise.settings import Settings
 
 Array = npt.NDArray[np.float64]
 
@@ -78,7 +82,7 @@ class Replayed(NamedTuple):
 
 def replay(
     run: RunLog | RigRun,
-    policy: TabularPolicy,
+    policy: TaskPolicy,
     actuator: Actuator | None = None,
     *,
     tolerance: float = 0.0,
@@ -143,10 +147,13 @@ Rows = Iterator[tuple[float, Pairs]]
 # A run on a rig.
 
 
-def _of_rig(run: RigRun, policy: TabularPolicy, actuator: Actuator) -> Rows:
+def _of_rig(run: RigRun, policy: TaskPolicy, actuator: Actuator) -> Rows:
     told, tables = run.conditions, run.tables
     _check(policy.digest, told["policy"], "policy")
+    _check(policy.pendulum.digest, told["pendulum"], "pendulum")
     _check(actuator.digest, told["actuator"], "actuator")
+    if isinstance(policy, BoundPolicy):
+        policy = replace(policy, settings=Settings.model_validate(told["settings"]))
     request = RunRequest(
         policy=policy,
         actuator=actuator,
@@ -163,19 +170,34 @@ def _of_rig(run: RigRun, policy: TabularPolicy, actuator: Actuator) -> Rows:
     began = reply[np.isnan(reply["sent"])]
     if len(tick) == 0 or len(began) == 0:
         raise ArtefactError("nothing moved in this run; there is nothing to replay")
+    clock = _PolicyClock()
     pilot = RunController(
         request.settings.described_arm,
         request.controller(counts_per_rev),
-        policy.kernel,
+        tick_policy(policy),
         request.guard(counts_per_rev, logged_speed_limit((e.name, e.text) for e in run.events)),
         began["q"][0].tolist(),
         duration=request.duration,
+        clock=clock,
     )
-    return _through(run, pilot)
+    return _through(run, pilot, clock)
 
 
-def _through(run: RigRun, pilot: RunController) -> Rows:
-    """Yield what the log says of each tick and what a pilot makes of its inputs."""
+class _PolicyClock:
+    """The clock of the policy's computing time: each call takes none, or far too long."""
+
+    def __init__(self) -> None:
+        self.late = False
+        self._now = 0.0
+
+    def __call__(self) -> float:
+        """Return the time [s]."""
+        self._now += 1.0 if self.late else 0.0
+        return self._now
+
+
+def _through(run: RigRun, pilot: RunController, clock: _PolicyClock) -> Rows:
+    """Yield the logged and the replayed values of each tick."""
     tables = run.tables
     tick, stream, encoder, reply = (tables[n] for n in ("tick", "stream", "encoder", "reply"))
     reply = reply[np.isfinite(reply["sent"])]
@@ -208,11 +230,12 @@ def _through(run: RigRun, pilot: RunController) -> Rows:
                 for r in _at(reply, "taken", now)
             ],
             words=[e.text for e in run.events if e.time == now and e.name == WORD_TYPED],
-            faults=[e.text for e in run.events if e.time == now and e.name == FAILED],
+            faults=[e.text for e in run.events if e.time == now and e.name == DEVICE_FAILED],
             lateness=float(row["late"]),
             result=result,
         )
         result = None
+        clock.late = told.get("stopping", "").startswith(f"{FAILED}: {LATE}")
         output = pilot.tick(now, inputs)
         working = output.job or working
         first = int(np.searchsorted(stream["time"], now))
@@ -249,7 +272,7 @@ def _pairs(row: Any, sent: list[list[float]], output: TickOutput) -> dict[str, t
 # A run on a twin, from the release.
 
 
-def _of_twin(run: RunLog, policy: TabularPolicy, actuator: Actuator) -> Rows:
+def _of_twin(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
     told = run.conditions
     ticks = len(run.time)
     rows = len(run.encoder.time)
@@ -271,11 +294,13 @@ def _of_twin(run: RunLog, policy: TabularPolicy, actuator: Actuator) -> Rows:
     return _control_steps(run, policy, Controller(policy.arm, controller), controller.resolution)
 
 
-def _control_steps(run: RunLog, policy: TabularPolicy, lane: Controller, resolution: float) -> Rows:
+def _control_steps(run: RunLog, policy: TaskPolicy, lane: Controller, resolution: float) -> Rows:
     """Yield what the log says of each tick and what the control step makes of its measurements."""
     phi_dot = run.conditions.start[3]
     stamp, counts = run.encoder
     lane.begin(pi - counts[0] * resolution - stamp[0] * phi_dot, phi_dot)
+    acting = tick_policy(policy)
+    acting.reset()
     for i, time in enumerate(run.time.tolist()):
         if i > 0:
             lane.observe(
@@ -284,7 +309,7 @@ def _control_steps(run: RunLog, policy: TabularPolicy, lane: Controller, resolut
                 run.replies.q[i].tolist(),
                 time - float(run.replies.time[i]),
             )
-        u, box = lane.decide(policy.kernel)
+        u, box = lane.decide(acting), lane.box
         seen, estimate = lane.observation, lane.estimate
         setpoints = lane.command(u)
         made = (*seen, float(box), u, estimate.phi, estimate.phi_dot, estimate.bias)
