@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from equipoise.control.control_step import horizon, make_controller_params
-from equipoise.control.policy import shipped_policy
+from equipoise.control.policy import shipped_policy, tick_policy
 from equipoise.control.run_controller import TORQUE_EVERY, UNSURE, RunController
 from equipoise.control.safety import (
     ANGLE_RULE_LIMIT,
@@ -62,7 +62,7 @@ class Course:
         guard = make_safety_params(
             ARM,
             reaction=horizon(ARM, POLICY.actuator, 0.0),
-            u_max=max(map(abs, POLICY.actions)),
+            u_max=POLICY.u_max,
             h=H,
             counts_per_rev=COUNTS,
         )
@@ -71,7 +71,7 @@ class Course:
             h=H, counts_per_rev=COUNTS,
         )  # fmt: skip
         self.guard = guard
-        self.pilot = RunController(ARM, controller, POLICY.kernel, guard, q, duration=60.0)
+        self.pilot = RunController(ARM, controller, tick_policy(POLICY), guard, q, duration=60.0)
         self.tick_number, self.now = 0, 0.0
         self.theta = lambda time: 0.0
         self.samples_lost = frozenset()

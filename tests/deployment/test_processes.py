@@ -108,7 +108,7 @@ class Heart:
         return (*ARM.home[:6], ARM.home[6] + 0.05 * (1.0 - cos(4.0 * n * H / 2.0)))
 
 
-def move(request, rig, across, recorder, *, measures, workshop):
+def move(request, rig, across, recorder, *, measures, workshop, supervise):
     """Be the course: no more than a stream."""
     robot = GuardedRobot(Arm(), limits_of(ARM), H / 2.0)
     robot.start()

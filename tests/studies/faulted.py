@@ -11,7 +11,7 @@ import numpy as np
 
 from equipoise.control.baselines import pd_gains
 from equipoise.control.controller import Controller
-from equipoise.control.policy import LINEAR, policy_kernel, shipped_policy
+from equipoise.control.policy import LINEAR, KernelPolicy, policy_kernel, shipped_policy
 from equipoise.control.run_controller import RunController
 from equipoise.control.states import Phase, RunState
 from equipoise.deployment.rig import RunRequest, _outcome
@@ -132,7 +132,7 @@ def run_with(fault, seed, path):
     pilot = RunController(
         arm,
         controller,
-        fault.policy or request.policy.kernel,
+        KernelPolicy(fault.policy or request.policy.kernel),
         guard,
         robot.started_at,
         duration=request.duration,
