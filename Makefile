@@ -47,6 +47,7 @@ generated:  ## write the kinematics of the iiwas again; git must see no differen
 
 pictures:  ## make the pictures of README and documents again, in a minute
 	$(PYTHON) docs/figures/make.py
+	$(PYTHON) docs/figures/rooms.py
 
 demo:  ## a first look at the whole paper, in a minute
 	$(PYTHON) -m equipoise reproduce --quick

@@ -71,7 +71,7 @@ def test_a_film_that_fails_leaves_the_log(equipoise, monkeypatch, tmp_path):
 
 
 def test_options_of_a_swing_are_refused_for_a_run_log(refused, log):
-    refused("identify", log, "--friction", "coulomb", saying="belong to a swing")
+    refused("identify", log, "--friction", "coulomb", saying="does not go with a run log")
 
 
 def test_a_log_of_a_run_that_moves_too_little_is_refused(refused, equipoise, policy_file, tmp_path):

@@ -96,7 +96,7 @@ def test_options_reach_the_study(equipoise, cured_file, paper_file, made_up, tmp
 
 def test_an_actuator_of_another_twin_is_warned_of(equipoise, cured_file, paper_file, made_up):
     ran = equipoise("gap", cured_file, "--world", "twin:harsh", "--paper-policy", paper_file)
-    assert "warning: the cures go by a delay of 10.0 ms, and twin:harsh-1 has 30.0 ms" in ran.out
+    assert "warning: the cures assume a delay of 10.0 ms, and twin:harsh-1 has 30.0 ms" in ran.out
 
 
 def test_json_is_one_object_with_a_point_for_each_condition(

@@ -71,7 +71,7 @@ def test_replay_says_where_it_differs(equipoise, tmp_path):
     ran = equipoise("log", "replay", "run.mcap")
     assert ran.code == 1
     assert "12 ticks are the same; in the next, at 0.120 s, u is" in ran.out
-    assert "the log says 0.125" in ran.out
+    assert "the log has 0.125" in ran.out
     found = equipoise("log", "replay", "run.mcap", "--json")
     assert found.code == 1
     assert found.json["difference"]["what"] == "u"
@@ -79,10 +79,10 @@ def test_replay_says_where_it_differs(equipoise, tmp_path):
 
 
 @pytest.mark.parametrize("tolerance", ["-1", "nan"])
-def test_a_tolerance_that_is_none_is_refused(equipoise, on_a_twin, tolerance):
+def test_an_invalid_tolerance_is_refused(equipoise, on_a_twin, tolerance):
     ran = equipoise("log", "replay", on_a_twin, f"--tolerance={tolerance}")
     assert ran.code == 2
-    assert "give 0 or more" in ran.err
+    assert "give a number of at least 0" in ran.err
 
 
 def test_export_writes_the_tables_beside_the_log(equipoise, on_a_twin, tmp_path):

@@ -30,7 +30,7 @@ def test_a_fault_that_ends_otherwise_is_exit_code_1(equipoise, monkeypatch):
     assert ran.code == 1
     assert "failed" in ran.out
     assert "the file was taken" in ran.out
-    assert "0 of 1 faults ended as they should" in ran.out
+    assert "0 of 1 faults ended as required" in ran.out
 
 
 def test_an_unknown_fault_is_refused(equipoise):

@@ -1,6 +1,7 @@
 """Options that several verbs share, their checks, and the values that they name."""
 
 import shlex
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -149,9 +150,8 @@ def check_range(option: str, value: float | None, low: float, high: float, unit:
         InputError: The number is outside, or NaN.
     """
     if value is not None and not low <= value <= high:
-        raise InputError(
-            f"{option} is {value:g}{unit}; give a number from {low:g} to {high:,.15g}{unit}"
-        )
+        span = f"from {low:g} to {high:.15g}" if high < inf else f"of at least {low:g}"
+        raise InputError(f"{option} is {value:g}{unit}; give a number {span}{unit}")
 
 
 def only(context: typer.Context, mode: str, *allowed: str, hint: str = "") -> None:

@@ -1,6 +1,6 @@
 """`equipoise log replay`: feeds a log through the controller again, and compares."""
 
-import math
+from math import inf
 from pathlib import Path
 from typing import Annotated
 
@@ -34,7 +34,7 @@ def replay(
     differ; the first difference is printed.
     """
     output = Output(as_json)
-    opt.check_range("--tolerance", tolerance, 0.0, math.inf)
+    opt.check_range("--tolerance", tolerance, 0.0, inf)
     output.say(f"Replaying {run}")
 
     from equipoise.studies.replay import replay as again
