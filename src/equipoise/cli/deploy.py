@@ -88,7 +88,7 @@ def deploy(
         ),
     ] = False,
     arm: Annotated[
-        str, opt.value("ARM", "iiwa7 or iiwa14, with --excite.", panel=EXCITATION)
+        str, opt.value("ARM", "Arm that is excited, as of train.", panel=EXCITATION)
     ] = "iiwa7",
     pendulum: Annotated[
         Path | None, opt.value("FILE", "Pendulum on the arm, with --excite.", panel=EXCITATION)

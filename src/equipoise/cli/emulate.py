@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from equipoise.cli.options import Json, Seed, read_arm, read_pendulum
+from equipoise.cli.options import ArmName, Json, Seed, read_arm, read_pendulum
 from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.devices import realtime
 from equipoise.errors import InputError
@@ -29,7 +29,7 @@ def emulate(
         str,
         typer.Option(metavar="WORLD", help="twin:nominal, twin:harsh or twin:FILE."),
     ] = "twin:nominal",
-    arm: Annotated[str, typer.Option(metavar="ARM", help="iiwa7 or iiwa14.")] = "iiwa7",
+    arm: ArmName = "iiwa7",
     pendulum: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="From equipoise identify; by default the shipped one."),

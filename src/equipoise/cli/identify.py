@@ -146,8 +146,10 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     for warning in fit.warnings if fit else ():
         output.warn(warning)
     output.wrote(out)
-    arm = ("--arm", run.conditions.arm) if run.conditions.arm != "iiwa7" else ()
-    output.next("train", "--actuator", out, *arm)
+    from equipoise.model.arms.resolve import arm_word
+
+    arm = arm_word(run.conditions.arm)
+    output.next("train", "--actuator", out, *(("--arm", arm) if arm else ()))
     output.result(
         {
             "kind": actuator.kind,

@@ -91,6 +91,7 @@ def train_again(
         actuator: The actuator's file, where it was given.
         max_speed: Limit of the flange's speed, where it was given [m/s].
     """
+    from equipoise.model.arms.resolve import arm_word
     from equipoise.model.pendulum import shipped_pendulum
 
     words: Command = _file(pendulum)
@@ -99,14 +100,8 @@ def train_again(
     if actuator is None and policy.actuator.fit is not None:
         actuator = _actuator_of(policy, path)
     limit = policy.settings.plant.max_speed if max_speed is None else max_speed
-    options = given(arm=_arm_of(policy), actuator=actuator, max_speed=limit, seeds=SEEDS)
+    options = given(arm=arm_word(policy.arm.name), actuator=actuator, max_speed=limit, seeds=SEEDS)
     return ("train", *words, *options)
-
-
-def _arm_of(policy: "TabularPolicy") -> str | None:
-    """Return the word for a policy's arm; None for the default arm."""
-    name = policy.arm.name
-    return None if name == "iiwa7" else name if name == "iiwa14" else "ARM.urdf"
 
 
 def _actuator_of(policy: "TabularPolicy", path: Path | None) -> str | None:
@@ -148,7 +143,9 @@ def after_evaluation(
     if balanced:
         return ("deploy", *_file(path), *given(world=world, actuator=actuator))
     if world != MODEL and not world.startswith(NOMINAL) and actuator is None:
-        words = given(world=world, arm=_arm_of(policy), out="excitation.mcap")
+        from equipoise.model.arms.resolve import arm_word
+
+        words = given(world=world, arm=arm_word(policy.arm.name), out="excitation.mcap")
         return ("deploy", "--excite", *words)
     return train_again(policy, path, pendulum=pendulum, actuator=actuator, max_speed=max_speed)
 

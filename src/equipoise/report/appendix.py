@@ -6,7 +6,7 @@ import numpy as np
 
 from equipoise.artefacts import Provenance
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.resolve import DEFAULT, arm_word
 from equipoise.model.sim_configs import TwinSettings
 from equipoise.report.choices import Chapter, Choice, chapter, chapters, departures
 from equipoise.report.markup import Part, heading, listing, numbered, paragraph, part, table
@@ -146,8 +146,9 @@ def _commands(results: Results) -> list[str]:
         everything.append(f"--swing {record.swing}")
     if record.recipe != "robust":
         everything.append(f"--recipe {record.recipe}")
-    if results.policy.arm.name != iiwa(7).name:
-        everything.append(f"--arm {results.policy.arm.name}")
+    arm = arm_word(results.policy.arm.name)
+    if arm is not None:
+        everything.append(f"--arm {arm}")
     if record.seed:
         everything.append(f"--seed {record.seed}")
     if record.quick:
@@ -157,7 +158,7 @@ def _commands(results: Results) -> list[str]:
         " ".join(everything),
         "",
         f"equipoise identify {SWING} --out {PENDULUM}",
-        f"equipoise train {PENDULUM} --arm {results.policy.arm.name} --out {POLICY}",
+        f"equipoise train {PENDULUM} --arm {arm or DEFAULT} --out {POLICY}",
         f"equipoise evaluate {POLICY} --world {world}",
         f"equipoise deploy {POLICY} --world {world}",
         *([f"equipoise gap {POLICY} --world {world}"] if results.gap else []),

@@ -5,7 +5,7 @@ without arguments that returns an `Arm`. The iiwas are registered in the same wa
 """
 
 from collections.abc import Sequence
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,6 +18,8 @@ from equipoise.model.arms.urdf import read_urdf
 
 GROUP: Final = "equipoise.arms"
 """Entry point group of arms."""
+DEFAULT: Final = "iiwa7"
+"""Registered name of the default arm."""
 SUFFIXES: Final = (".urdf", ".xml")
 """File suffixes of URDFs."""
 
@@ -57,7 +59,7 @@ def resolve_arm(
             pivot=(0.0, 0.0, 0.0) if pivot is None else pivot,
             acceleration=ACCELERATION if acceleration is None else acceleration,
         )
-    registered = {point.name: point for point in entry_points(group=GROUP)}
+    registered = registered_arms()
     if name not in registered:
         raise ArmError(
             f"there is no arm {quoted(name)}; choose {', '.join(sorted(registered))} or a file "
@@ -81,6 +83,16 @@ def resolve_arm(
             "equipoise.Arm; correct the package that registers it"
         )
     return placed(arm, home=home, pivot=pivot)
+
+
+def registered_arms() -> dict[str, EntryPoint]:
+    """Return the entry points of the registered arms, by name."""
+    return {point.name: point for point in entry_points(group=GROUP)}
+
+
+def arm_word(name: str) -> str | None:
+    """Return the value of `--arm` for the arm of a name; `None` for the default arm."""
+    return None if name == DEFAULT else name if name in registered_arms() else "ARM.urdf"
 
 
 def placed(arm: Arm, *, home: Sequence[float] | None, pivot: Triple | None) -> Arm:

@@ -1,10 +1,11 @@
 """An arm, its pendulum and the table in MuJoCo, in simple geometry that errs on the thick side.
 
-A link is a capsule from joint to joint, as wide as the link bulges anywhere, and pulled in at its
-ends; a joint that turns across its links has a housing, a capsule along its axis. The sizes are our
-own reading of public models of the iiwa; connectors and cables are not drawn. The pendulum sits on
-a bracket from the flange and turns about base y: its joint angle is phi, zero upright, positive
-towards +x. MuJoCo is imported where it is used.
+A link is a capsule from joint to joint, as wide as its widest place, and shortened at its ends. A
+joint that turns across its links has a housing, a capsule along its axis. The sizes are our own
+reading of public models of the iiwa; those of a shorter arm are smaller in proportion
+(`sizes_for`). Connectors and cables are not drawn. The pendulum sits on a bracket from the flange
+and turns about base y: its joint angle is phi, zero upright, positive towards +x. MuJoCo is
+imported where it is used.
 """
 
 from typing import Any, Final, NamedTuple
@@ -19,20 +20,20 @@ from equipoise.paper import X_LIMIT
 
 
 class Sizes(NamedTuple):
-    """How thick things are drawn; the defaults are for the iiwas."""
+    """Thickness of the parts; the defaults are for the iiwas."""
 
     link: float = 0.11
     """Radius of a link [m]."""
     pulled_in: float = 0.03
-    """By how much a link's capsule ends before its joints [m]."""
+    """Distance from the end of a link's capsule to its joints [m]."""
     housing: float = 0.09
     """Radius of the housing of a joint that turns across its links [m]."""
     housing_reach: float = 0.05
-    """From the centre of a housing to the centre of its round end [m]."""
+    """Distance from the centre of a housing to the centre of its round end [m]."""
     hand: float = 0.07
     """Radius of the last link, which ends in the flange [m]."""
     bracket: float = 0.015
-    """Radius of what carries the pendulum [m]."""
+    """Radius of the bracket that carries the pendulum [m]."""
     rod: float = 0.01
     """Radius of the pendulum [m]."""
     rod_length: float = 0.21
@@ -40,6 +41,9 @@ class Sizes(NamedTuple):
 
 
 SIZES: Final = Sizes()
+"""Thickness of the parts of an iiwa, on the thick side."""
+FULL_LENGTH: Final = 1.2
+"""Length from which a stretched arm has the sizes of an iiwa [m]; the iiwa 7 has 1.27 m."""
 
 
 class Clearance(NamedTuple):
@@ -59,16 +63,34 @@ class _Part(NamedTuple):
     radius: float
 
 
+def sizes_for(arm: Arm, sizes: Sizes = SIZES) -> Sizes:
+    """Return sizes in proportion to the length of an arm; at most those given.
+
+    Args:
+        arm: The arm.
+        sizes: Thickness of the parts of an iiwa.
+    """
+    steps = [joint.xyz for joint in arm.joints] + [arm.flange_xyz]
+    share = min(1.0, float(sum(np.linalg.norm(step) for step in steps)) / FULL_LENGTH)
+    return sizes._replace(
+        link=share * sizes.link,
+        pulled_in=share * sizes.pulled_in,
+        housing=share * sizes.housing,
+        housing_reach=share * sizes.housing_reach,
+        hand=share * sizes.hand,
+    )
+
+
 def scene(arm: Arm, *, table_height: float = 0.0, sizes: Sizes = SIZES) -> Any:
     """Return a MuJoCo model of the rig: every joint of the arm, then the pendulum.
 
-    Its keyframe `home` has the arm at home and the pendulum hanging. Nothing collides in it, and
-    its masses are those of the drawing, not of the robot.
+    Its keyframe `home` has the arm at home and the pendulum hanging. Nothing collides, and the
+    masses are those of the drawing, not of the robot.
 
     Args:
         arm: The arm.
         table_height: Top of the table above the arm's base plane [m].
-        sizes: How thick things are drawn.
+        sizes: Thickness of the parts.
 
     Returns:
         A `mujoco.MjSpec`.
@@ -79,14 +101,14 @@ def scene(arm: Arm, *, table_height: float = 0.0, sizes: Sizes = SIZES) -> Any:
 def clearance(
     arm: Arm, *, table_height: float = 0.0, sizes: Sizes = SIZES, track: float = X_LIMIT
 ) -> Clearance:
-    """Return how close things come: flange anywhere within `track`, pendulum at any angle.
+    """Return the smallest distances, flange anywhere within `track`, pendulum at any angle.
 
     Steps of 20 mm and 5 degrees.
 
     Args:
         arm: The arm.
         table_height: Top of the table above the arm's base plane [m].
-        sizes: How thick things are drawn.
+        sizes: Thickness of the parts.
         track: Largest |x| [m].
 
     Raises:

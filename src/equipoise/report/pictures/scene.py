@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.scene import Sizes, scene
+from equipoise.model.arms.scene import Sizes, scene, sizes_for
 from equipoise.model.physics_engine import mujoco
 from equipoise.paper import X_LIMIT
 from equipoise.report.pictures.camera import FOV_DEG, Camera, Size, camera_that_sees
@@ -119,7 +119,8 @@ def stage(arm: Arm, size: Size) -> PictureScene:
         arm: The arm.
         size: Of the picture.
     """
-    spec = scene(arm, sizes=SLIM)
+    slim = sizes_for(arm, SLIM)
+    spec = scene(arm, sizes=slim)
     table = spec.geom("table")
     surface = float(table.pos[2] + table.size[2])
     places = _places_at_home(spec)
@@ -128,10 +129,10 @@ def stage(arm: Arm, size: Size) -> PictureScene:
         Post(end, np.array([x + end, y, surface]), np.array([x + end, y, z + POST_ABOVE]))
         for end in (-X_LIMIT, X_LIMIT)
     )
-    _dress(spec)
+    _dress(spec, slim)
     _furnish(spec, table, surface, posts)
     _light(spec)
-    camera = _place_camera(spec, places, posts, size)
+    camera = _place_camera(spec, places, posts, size, slim)
     return PictureScene(spec.compile(), camera, posts)
 
 
@@ -145,7 +146,7 @@ def _places_at_home(spec: Any) -> Floats:
     return np.array(data.xpos)
 
 
-def _dress(spec: Any) -> None:
+def _dress(spec: Any, slim: Sizes) -> None:
     """Give the scene its colours, and add what makes an arm of its capsules."""
     from matplotlib.colors import to_rgba
 
@@ -163,8 +164,8 @@ def _dress(spec: Any) -> None:
     for housing in parts["housing"]:
         start, end, along = _axis(housing)
         for centre, out in ((start, -along), (end, along)):  # its round end shows inside the cap
-            cap = centre + 0.5 * SLIM.housing * out, centre + 0.87 * SLIM.housing * out
-            _add_cylinder(housing.parent, "cap", *cap, 0.67 * SLIM.housing)
+            cap = centre + 0.5 * slim.housing * out, centre + 0.87 * slim.housing * out
+            _add_cylinder(housing.parent, "cap", *cap, 0.67 * slim.housing)
     base, hand = parts["link"][0], parts["link"][-1]
     for link in (base, hand):  # flat on the table, and flat at the flange
         link.type = mujoco().mjtGeom.mjGEOM_CYLINDER
@@ -176,7 +177,7 @@ def _dress(spec: Any) -> None:
     spindle = np.array([0.0, 0.02, 0.0])
     _add_cylinder(pendulum, "dark", -spindle, spindle, 0.02)
     upright = pendulum.parent.add_body(pos=pendulum.pos, quat=pendulum.quat)
-    low, high = (np.array([0.0, SLIM.rod, z]) for z in (0.0, UPRIGHT))  # before the pendulum
+    low, high = (np.array([0.0, slim.rod, z]) for z in (0.0, UPRIGHT))  # before the pendulum
     _add_cylinder(upright, "upright", low, high, 0.0015)
 
 
@@ -234,13 +235,15 @@ def _light(spec: Any) -> None:
     head.ambient, head.diffuse, head.specular = [0.45] * 3, [0.35] * 3, [0.05] * 3
 
 
-def _place_camera(spec: Any, places: Floats, posts: tuple[Post, ...], size: Size) -> Camera:
+def _place_camera(
+    spec: Any, places: Floats, posts: tuple[Post, ...], size: Size, slim: Sizes
+) -> Camera:
     """Add a camera that sees the arm at home, the posts, and the hand with its pendulum at each."""
     ends = np.array([end for post in posts for end in (post.foot, post.top)])
     along = [np.array([post.x, 0.0, 0.0]) for post in posts]
     hands = np.vstack([places[-3:] + x for x in along])  # last joint, flange, pivot
     points = np.vstack([places, hands, ends])
-    joint = SLIM.housing + SLIM.housing_reach
+    joint = slim.housing + slim.housing_reach
     radii = np.repeat([joint, FOOT], [len(places) + len(hands), len(ends)]) + MARGIN
     camera = camera_that_sees(points, radii, size)
     quaternion = np.zeros(4)
