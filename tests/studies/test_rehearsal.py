@@ -190,7 +190,7 @@ class Seen:
     """What a stage shows to the judge, written by hand: a stop as it should be."""
 
     def __init__(self):
-        self.scene = SimpleNamespace(settings=RigSettings())
+        self.scenario = SimpleNamespace(settings=RigSettings())
         text = "_".join
         sent = [
             (one.time, f"jpJP_{text(f'{angle:.9g}' for angle in one.q)}_\n".encode())

@@ -1,8 +1,8 @@
-"""Rehearse: everything that may go wrong on a rig goes wrong, and is judged by how it ends.
+"""Rehearsal: each fault of a rig is injected into a run, and the end of the run is judged.
 
-In virtual time the whole course of `equipoise deploy` runs, from the first byte on, on an emulated
-rig on which one thing is broken (`stage`, `faults`, `files`). What is sent and what really moves
-decides whether it ended as it should (`judgement`).
+The whole of `equipoise deploy` runs in virtual time on an emulated rig with one fault
+(`fault_harness`, `faults`, `files`). The bytes that are sent and the motion of the twin decide
+whether the run ended as required (`verdicts`).
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -19,44 +19,44 @@ from equipoise.studies.rehearsal.real_time import REAL_TIME, LiveFault
 from equipoise.studies.rehearsal.verdicts import judge
 
 FAULTS: Final[tuple[Fault, ...]] = (*ON_STAGE, *FILES)
-"""All that can be shown in virtual time."""
+"""Faults that can be rehearsed in virtual time."""
 
 
 class Result(NamedTuple):
-    """How a fault ended."""
+    """End of one fault's run."""
 
     name: str
-    """Which fault."""
+    """Name of the fault."""
     kind: str
-    """What it is a fault of."""
+    """Subject of the fault."""
     injected: str
-    """What went wrong, and when."""
+    """Description of the fault and its time."""
     should: str
-    """What had to happen."""
+    """Description of the required end."""
     did: str
-    """What did."""
+    """Description of the actual end."""
     problems: tuple[str, ...]
-    """What was not as it should be."""
+    """Differences between both."""
     ran: bool = True
-    """Whether it was tried at all."""
+    """Whether the fault was rehearsed at all."""
 
     @property
     def good(self) -> bool:
-        """Whether it ended as it should, or was not tried."""
+        """Whether the run ended as required, or did not take place."""
         return not self.problems
 
 
 def rehearse(fault: Fault) -> Result:
-    """Let a fault happen in virtual time, and judge how it ends."""
+    """Rehearse a fault in virtual time, and judge the end."""
     told = (fault.name, fault.kind, fault.injected, fault.should)
     if fault.play is not None:
         problems = fault.play()
         return Result(*told, "it was refused" if not problems else "", tuple(problems))
-    stage = FaultHarness(fault.scene(Scenario()), fault.moment, fault.inject)
-    outcome = stage.run()
+    harness = FaultHarness(fault.scenario(Scenario()), fault.trigger, fault.inject)
+    outcome = harness.run()
     problems = [
         *judge(
-            stage,
+            harness,
             outcome,
             ends=fault.ends,
             within=fault.within,
@@ -64,23 +64,23 @@ def rehearse(fault: Fault) -> Result:
             says=fault.says,
             held_at_start=fault.held_at_start,
         ),
-        *fault.check(stage),
+        *fault.check(harness),
     ]
     if isinstance(outcome, EquipoiseError):
         did = f"refused: {outcome}"
     else:
         did = f"{outcome.cause}: {outcome.reason}"
-    words = [one.time for one in stage.told if one.name in ("stopping", "fault")]
-    if fault.within is not None and words and stage.broken_at is not None:
-        did += f" ({1e3 * (words[0] - stage.broken_at):.0f} ms after the fault)"
+    words = [one.time for one in harness.told if one.name in ("stopping", "fault")]
+    if fault.within is not None and words and harness.broken_at is not None:
+        did += f" ({1e3 * (words[0] - harness.broken_at):.0f} ms after the fault)"
     return Result(*told, did, tuple(problems))
 
 
 def choose(only: Sequence[str]) -> tuple[list[Fault], list[LiveFault]]:
-    """Return the faults of these names or kinds; all if none is given.
+    """Return the faults of these names or kinds (default: all).
 
     Raises:
-        InputError: There is none of that name.
+        InputError: A name is unknown.
     """
     everything = (*FAULTS, *REAL_TIME)
     known = {word for fault in everything for word in (fault.name, fault.kind)}
@@ -103,16 +103,16 @@ def rehearse_all(
     workers: int = 1,
     begin: Callable[[str], None] = lambda _: None,
 ) -> Generator[Result]:
-    """Yield how each fault ends, in the order of the list.
+    """Yield the result of each fault, in the order of the list.
 
     Args:
-        only: Names or kinds; all if empty.
-        real_time: Whether faults that need real time are tried too.
-        workers: Processes for those in virtual time.
-        begin: Is told the name of the fault that is waited for.
+        only: Names or kinds (default: all).
+        real_time: Whether to rehearse the faults that need real time.
+        workers: Number of processes for the faults in virtual time.
+        begin: Receives the name of the fault that begins.
 
     Raises:
-        InputError: There is no fault of that name.
+        InputError: A name is unknown.
     """
     virtual, live = choose(only)
     names = [fault.name for fault in virtual]

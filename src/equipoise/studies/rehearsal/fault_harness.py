@@ -1,9 +1,8 @@
-"""The stage of a rehearsal: an emulated rig in virtual time, on which anything can be broken.
+"""Harness of a rehearsal: an emulated rig in virtual time, into which faults are injected.
 
-The course is the run's own (`equipoise.deployment.rig`), with its loop, heart, guards and drivers;
-cabinet, board, arm and operator are emulated. What is sent is taken down as bytes at the link, and
-what really moves as the twin knows it, so that a fault is judged by neither the run's own numbers
-nor its own words.
+The run is that of `equipoise.deployment.rig`, with its loop, controller, safety rules and drivers;
+cabinet, board, arm and operator are emulated. The harness records the bytes on the link and the
+motion of the twin, so that a fault is not judged by the run's own numbers and words.
 """
 
 from collections.abc import Callable, Generator
@@ -27,44 +26,44 @@ from equipoise.rigs import DrainingClock, EmulatedRig, Rig, RigSettings, emulate
 
 WORLD: Final = "twin:nominal"
 BALANCED: Final = 3.0
-"""How long a run of a rehearsal balances if nothing stops it [s]."""
-AFTERWARDS: Final = 0.5
-"""The twin is watched for so long after a run [s]."""
-LOOKS: Final = 2
-"""Milliseconds between two looks at the twin."""
+"""Time for which a rehearsed run balances if nothing stops it [s]."""
+AFTER_RUN: Final = 0.5
+"""Time for which the twin is observed after a run [s]."""
+OBSERVATION_TICKS: Final = 2
+"""Time between two observations of the twin [ms]."""
 START: Final = "start"
-"""What happens before anything else."""
-LONGEST: Final = 90.0
-"""A run that lasts longer than this is stopped by a key [s]: it hangs."""
+"""Name of the event before the run."""
+MAX_RUN_TIME: Final = 90.0
+"""Time after which a run hangs, and is stopped by a key [s]."""
 
 Setpoint = tuple[float, ...]
 
 
 class Trigger(NamedTuple):
-    """When something goes wrong, counted from when the operator is first told of something."""
+    """Time of an injection, counted from the first message of a name to the operator."""
 
     event: str
-    """What the operator is told, e.g. `balancing`; or `start`."""
+    """Name of the message, e.g. `balancing`; or `start`."""
     after: float = 0.0
-    """How long after that [s]."""
+    """Delay after it [s]."""
 
 
 class ExpectedNotice(NamedTuple):
-    """What the operator was told, and when."""
+    """Message that the operator received."""
 
     time: float
-    """When [s]."""
+    """Time [s]."""
     name: str
-    """In a word."""
+    """Name of the message."""
     text: str
-    """The sentence."""
+    """Its sentence."""
 
 
 class RunObservation(NamedTuple):
-    """What the twin did at a moment."""
+    """Posture of the twin at one time."""
 
     time: float
-    """When [s]."""
+    """Time [s]."""
     x: float
     """Displacement of the flange [m]."""
     q: tuple[float, ...]
@@ -73,34 +72,34 @@ class RunObservation(NamedTuple):
 
 @dataclass
 class Scenario:
-    """What a run begins with; a fault may change it."""
+    """Conditions of a run; a fault may change them."""
 
     settings: RigSettings = field(default_factory=RigSettings)
-    """What `rig.toml` says."""
+    """Contents of `rig.toml`."""
     policy: TabularPolicy = field(default_factory=shipped_policy)
     """The policy."""
     duration: float = BALANCED
-    """How long it shall balance [s]."""
+    """Time to balance [s]."""
     t1: bool = False
-    """Whether T1's speed holds."""
+    """Whether the speed limit of T1 holds."""
     out: Path | None = None
     """The log."""
     unheard: frozenset[str] = frozenset()
-    """Events that the emulated operator does not hear of."""
+    """Names of messages that the emulated operator misses."""
 
 
 class TransportTap:
-    """The host's end of a link: keeps what is sent, and may spoil what comes."""
+    """Host's end of a link that records the bytes sent, and may damage those received."""
 
     def __init__(self, end: Transport, clock: Clock) -> None:
-        """Stand before an end."""
+        """Tap an end of a link."""
         self._end, self._clock = end, clock
         self.sent: list[tuple[float, bytes]] = []
-        """What was sent, and when."""
+        """Time and bytes of each write."""
         self.opened = 0
-        """How often a connection was made."""
+        """Number of connections."""
         self.spoil: Callable[[bytes], bytes] = lambda data: data
-        """What becomes of bytes that come."""
+        """Damages received bytes."""
 
     def open(self) -> Transport:
         """Return itself, as a new connection."""
@@ -113,7 +112,7 @@ class TransportTap:
         self._end.write(data)
 
     def read(self) -> bytes:
-        """Return what came."""
+        """Return the bytes received."""
         return self.spoil(self._end.read())
 
     def close(self) -> None:
@@ -122,74 +121,74 @@ class TransportTap:
 
 
 class StallingClock:
-    """A clock on which the loop can be held up: a wait that takes longer than it should."""
+    """Clock whose waits can be prolonged, to stall the loop."""
 
     def __init__(self, clock: Clock) -> None:
-        """Be that clock."""
+        """Wrap a clock."""
         self._clock = clock
         self.held_up: list[float] = []
-        """By how much the next waits are too long [s]."""
+        """Prolongations of the next waits [s]."""
 
     def now(self) -> float:
         """Return the time [s]."""
         return self._clock.now()
 
     def wait_until(self, time: float) -> None:
-        """Wait, and then too long if that is due."""
+        """Wait, and prolong the wait if that is due."""
         self._clock.wait_until(time)
         if self.held_up:
             self._clock.wait_until(self._clock.now() + self.held_up.pop(0))
 
 
 class BrokenRunError(EquipoiseError):
-    """A run ended with an exception that nobody meant."""
+    """A run ended with an unexpected exception."""
 
 
 class FaultHarness:
-    """An emulated rig, a run on it, and what is seen of both."""
+    """Emulated rig, a run on it, and the record of both."""
 
     def __init__(
-        self, scene: Scenario, moment: Trigger, inject: Callable[["FaultHarness"], None]
+        self, scenario: Scenario, trigger: Trigger, inject: Callable[["FaultHarness"], None]
     ) -> None:
-        """Set the stage.
+        """Set up the rig.
 
         Args:
-            scene: What the run begins with.
-            moment: When something goes wrong.
-            inject: Makes it go wrong.
+            scenario: Conditions of the run.
+            trigger: Time of the injection.
+            inject: Injects the fault.
         """
-        self.scene = scene
-        """What the run begins with."""
+        self.scenario = scenario
+        """Conditions of the run."""
         world = read_world(WORLD)
-        pendulum = pendulum_on(scene.policy.pendulum, world.settings)
-        self.parts: EmulatedRig = emulated_rig(world, scene.settings, pendulum)
-        """Bench, cabinet, board and links."""
+        pendulum = pendulum_on(scenario.policy.pendulum, world.settings)
+        self.parts: EmulatedRig = emulated_rig(world, scenario.settings, pendulum)
+        """Simulated rig, server, board and links."""
         clock = self.parts.rig.clock
         self.clock = StallingClock(clock)
-        """The run's."""
+        """Clock of the run."""
         self.robot_wire = TransportTap(self.parts.robot_link.other, clock)
-        """The host's end of the link to the robot."""
+        """Host's end of the link to the robot."""
         self.encoder_wire = TransportTap(self.parts.encoder_link.other, clock)
-        """... and to the encoder."""
+        """Host's end of the link to the encoder."""
         self.told: list[ExpectedNotice] = []
-        """What the operator was told."""
+        """Messages that the operator received."""
         self.looks: list[RunObservation] = []
-        """What the twin did."""
+        """Observations of the twin."""
         self.held_at_start = False
-        """Whether the hand still held the pendulum when the policy began."""
+        """Whether the hand held the pendulum when the policy began."""
         self.broken_at: float | None = None
-        """When it went wrong [s]; none where it did not."""
+        """Time of the injection [s]; None before it."""
         self.stopped_at = inf
-        """When the operator was told that the arm stops [s]."""
+        """Time of the message that the arm stops [s]."""
         self.change_inputs: Callable[[TickInputs], TickInputs] = lambda inputs: inputs
-        """What becomes of what the heart is given."""
+        """Changes the inputs of the controller."""
         self.change_setpoint: Callable[[Setpoint, float], Setpoint] = lambda q, _: q
-        """What becomes of a setpoint, so long after the fault [s]; time stops at the stop."""
+        """Changes a setpoint, given the time since the fault [s], which ends at the stop."""
         self.undo: list[Callable[[], Any]] = []
-        """What has to be put right after the run."""
+        """Actions that restore the process after the run."""
         self.typed: list[str] = []
-        """What somebody types."""
-        self._moment, self._inject = moment, inject
+        """Lines that are typed next."""
+        self._trigger, self._inject = trigger, inject
         self._due: list[tuple[float, Callable[[], Any]]] = []
         self._each: list[Callable[[float], Any]] = []
         self._ms = 0
@@ -198,77 +197,81 @@ class FaultHarness:
         self._notice(START)
 
     def run(self) -> RunResult | EquipoiseError:
-        """Run the policy, and return what came of it."""
-        scene, parts = self.scene, self.parts
+        """Run the policy, and return the result of the run."""
+        scenario, parts = self.scenario, self.parts
         sensor = LineEncoder(
             self.encoder_wire.open,
             self.clock,
-            counts_per_rev=scene.settings.counts_per_rev,
-            sign=scene.settings.encoder_sign,
+            counts_per_rev=scenario.settings.counts_per_rev,
+            sign=scenario.settings.encoder_sign,
         )
         robot = KstRobot(self.robot_wire.open, DrainingClock(self.clock, sensor))
         if isinstance(operator := parts.rig.operator, EmulatedOperator):
-            operator.ignored = scene.unheard
+            operator.ignored = scenario.unheard
         rig = Rig(robot, sensor, self.clock, operator)
         request = RunRequest(
-            policy=scene.policy,
-            actuator=scene.policy.actuator,
-            settings=scene.settings,
+            policy=scenario.policy,
+            actuator=scenario.policy.actuator,
+            settings=scenario.settings,
             robot="kst://emulated",
             encoder="serial://emulated",
-            duration=scene.duration,
-            t1=scene.t1,
+            duration=scenario.duration,
+            t1=scenario.t1,
             dry_run=False,
             seed=0,
         )
         try:
             outcome = run_rig_virtually(
-                request, rig, scene.out, self, around=lambda heart: FaultyTickHandler(heart, self)
+                request,
+                rig,
+                scenario.out,
+                self,
+                around=lambda handler: FaultyTickHandler(handler, self),
             )
         except EquipoiseError as error:
             self.told.append(ExpectedNotice(self.clock.now(), "error", str(error)))
             outcome = error
-        except Exception as error:  # a defect of the run, which is what a rehearsal looks for
+        except Exception as error:  # a defect of the run; a rehearsal looks for these
             outcome = BrokenRunError(f"the run broke with {type(error).__name__}: {error}")
         finally:
             while self.undo:
                 self.undo.pop()()
-        self.clock.wait_until(self.clock.now() + AFTERWARDS)
+        self.clock.wait_until(self.clock.now() + AFTER_RUN)
         return outcome
 
-    # What may be done to it.
+    # Injections.
 
     def after(self, delay: float, act: Callable[[], Any]) -> None:
-        """Do something later [s]."""
+        """Call `act` after a delay [s]."""
         self._due.append((self.clock.now() + delay, act))
 
     def each(self, act: Callable[[float], Any]) -> None:
-        """Do something in each millisecond from now on; it is given the time since now [s]."""
+        """Call `act` each millisecond from now on, with the time since now [s]."""
         begin = self.clock.now()
         self._each.append(lambda now: act(now - begin))
 
-    # The operator's part: it hears all, and types what it is given to type.
+    # A second operator, who receives every message and types what a fault makes it type.
 
     def notify(self, event: OperatorMessage) -> None:
-        """Take note of an event."""
+        """Record a message."""
         if event.name == "balancing":
             self.held_at_start = self.parts.bench.hand.holds
         self.told.append(ExpectedNotice(self.clock.now(), event.name, event.text))
         self._notice(event.name)
         if event.name == "stopping":
-            # Whatever is typed then shall move nothing any more.
+            # No input may move anything after a stop.
             for delay, word in ((0.05, "y"), (0.1, ""), (0.2, "ok"), (0.3, "stop")):
                 self.after(delay, lambda word=word: self.typed.append(word))
 
     def read_input(self) -> list[str]:
-        """Return what is typed."""
+        """Return the typed lines."""
         typed, self.typed = self.typed, []
         return typed
 
     def _notice(self, name: str) -> None:
-        if name == self._moment.event and self.broken_at is None:
-            self._moment = self._moment._replace(event="")
-            self.after(self._moment.after, self._break)
+        if name == self._trigger.event and self.broken_at is None:
+            self._trigger = self._trigger._replace(event="")
+            self.after(self._trigger.after, self._break)
 
     def _break(self) -> None:
         self.broken_at = self.clock.now()
@@ -280,38 +283,38 @@ class FaultHarness:
         for act in (*due, *(lambda each=each: each(now) for each in self._each)):
             act()
         self._ms += 1
-        if self._ms % LOOKS == 0:
+        if self._ms % OBSERVATION_TICKS == 0:
             bench = self.parts.bench
             q = tuple(bench.twin.kernel.bodies.qpos[: bench.joints].tolist())
             self.looks.append(RunObservation(now, float(bench.truth().x), q))
-        if round(1e3 * now) == round(1e3 * LONGEST):
+        if round(1e3 * now) == round(1e3 * MAX_RUN_TIME):
             self.typed.append("stop")
 
 
 class FaultyTickHandler:
-    """A heart whose inputs and setpoints change on their way, once it is broken."""
+    """Tick handler whose inputs and setpoints are changed by a fault."""
 
-    def __init__(self, heart: TickHandler, stage: FaultHarness) -> None:
-        self._heart, self._stage = heart, stage
+    def __init__(self, handler: TickHandler, harness: FaultHarness) -> None:
+        self._handler, self._stage = handler, harness
 
     @property
     def h(self) -> float:
         """Time between ticks [s]."""
-        return self._heart.h
+        return self._handler.h
 
     def tick(self, now: float, inputs: TickInputs) -> TickOutput:
         """Decide, with the faults of the scenario applied to inputs and output."""
-        stage = self._stage
-        output = self._heart.tick(now, stage.change_inputs(inputs))
-        if stage.broken_at is None:
+        harness = self._stage
+        output = self._handler.tick(now, harness.change_inputs(inputs))
+        if harness.broken_at is None:
             return output
         step = self.h / len(output.setpoints)
         if any(event.name == "stopping" for event in output.events):
-            # From here on their motion is the run's own.
-            stage.stopped_at = min(now - step, stage.stopped_at)
+            # After the stop the motion is the run's own.
+            harness.stopped_at = min(now - step, harness.stopped_at)
         setpoints = tuple(
-            stage.change_setpoint(
-                tuple(q), min(now + place * step, stage.stopped_at) - stage.broken_at
+            harness.change_setpoint(
+                tuple(q), min(now + place * step, harness.stopped_at) - harness.broken_at
             )
             for place, q in enumerate(output.setpoints)
         )
@@ -320,7 +323,7 @@ class FaultyTickHandler:
 
 @contextmanager
 def instead(owner: Any, name: str, value: Any) -> Generator[None]:
-    """Let an attribute be another one for a while."""
+    """Replace an attribute for the duration of a block."""
     before = getattr(owner, name)
     setattr(owner, name, value)
     try:
@@ -329,6 +332,6 @@ def instead(owner: Any, name: str, value: Any) -> Generator[None]:
         setattr(owner, name, before)
 
 
-def on(scene: Scenario, **changes: Any) -> Scenario:
-    """Return a scene with some of it changed."""
-    return replace(scene, **changes)
+def on(scenario: Scenario, **changes: Any) -> Scenario:
+    """Return a scenario with some of it changed."""
+    return replace(scenario, **changes)

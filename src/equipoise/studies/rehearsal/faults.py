@@ -1,7 +1,7 @@
-"""The fault list: what goes wrong, when, and how it has to end.
+"""Table of the rehearsed faults: injection, trigger, and the required end of the run.
 
-A fault that lives in a socket, a port, a process or the machine's clock cannot be shown where time
-is virtual; those stand in `equipoise.studies.rehearsal.real_time`.
+Faults of sockets, ports, processes and the machine's clock need real time: see
+`equipoise.studies.rehearsal.real_time`.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,52 +24,52 @@ from equipoise.studies.rehearsal.fault_harness import (
 )
 
 BALANCING: Final = Trigger("balancing", 0.5)
-"""In the middle of a balance."""
+"""Half a second into the balance."""
 AT_START: Final = Trigger(START)
 
 Inject = Callable[[FaultHarness], None]
 
 
-def nothing(stage: FaultHarness) -> None:
-    """Break nothing: it was broken before the run began."""
+def nothing(harness: FaultHarness) -> None:
+    """Inject nothing; the scenario itself is faulty."""
 
 
-def unchanged(scene: Scenario) -> Scenario:
-    """Return a scene as it is."""
-    return scene
+def unchanged(scenario: Scenario) -> Scenario:
+    """Return a scenario as it is."""
+    return scenario
 
 
 class Fault(NamedTuple):
-    """A line of the list."""
+    """A fault, and the required end of its run."""
 
     name: str
-    """As the list calls it."""
+    """Name of the fault."""
     kind: str
-    """What it is a fault of."""
+    """Subject of the fault."""
     injected: str
-    """What goes wrong, and when."""
+    """Description of the fault and its time."""
     should: str
-    """What has to happen."""
+    """Description of the required end."""
     ends: frozenset[str]
-    """Causes of which the run names one; `refused` where it must not begin."""
+    """Permitted causes of the end; `refused` for a run that must not begin."""
     inject: Inject = nothing
-    """Makes it go wrong."""
-    moment: Trigger = BALANCING
-    """When."""
-    scene: Callable[[Scenario], Scenario] = unchanged
-    """What is wrong from the start."""
+    """Injects the fault."""
+    trigger: Trigger = BALANCING
+    """Time of the injection."""
+    scenario: Callable[[Scenario], Scenario] = unchanged
+    """Changes the scenario, for a fault that exists from the start."""
     within: float | None = None
-    """From the fault to the stop [s]; none where the fault shows only by what comes of it."""
+    """Maximum time from the fault to the stop [s]; None where only its effect can be seen."""
     stoppable: bool = True
-    """Whether software can stop the arm."""
+    """Whether software can still stop the arm."""
     says: str = ""
-    """What the operator reads."""
-    check: Callable[[FaultHarness], Sequence[str]] = lambda stage: ()
-    """What else has to be so; returns what is not."""
+    """Text that some message to the operator has to contain."""
+    check: Callable[[FaultHarness], Sequence[str]] = lambda harness: ()
+    """Further check; returns its problems."""
     held_at_start: bool = False
-    """Whether the policy may begin while a hand still holds the pendulum."""
+    """Whether the policy may begin while the hand still holds the pendulum."""
     play: Callable[[], list[str]] | None = None
-    """Where no run is needed: makes it happen, and returns what did not end as it should."""
+    """Plays a fault that needs no run, and returns its problems."""
 
 
 def _ends(*causes: str | Rule) -> frozenset[str]:
@@ -77,366 +77,194 @@ def _ends(*causes: str | Rule) -> frozenset[str]:
 
 
 FELL: Final = _ends(Rule.ANGLE, Rule.TRACK, Rule.SPEED)
-"""A balance that ends since nothing tells what really is; the arm is stopped on its track."""
+"""Ends of a balance without a true measurement: the arm stops on its track."""
+
+
+def _change(part: str, **values: Any) -> Inject:
+    """Set attributes of a part of the emulated rig."""
+
+    def inject(harness: FaultHarness) -> None:
+        for name, value in values.items():
+            setattr(getattr(harness.parts, part), name, value)
+
+    return inject
 
 
 # The encoder.
 
 
-def _unplug(stage: FaultHarness) -> None:
-    stage.parts.encoder_link.close()
+def _unplug(harness: FaultHarness) -> None:
+    harness.parts.encoder_link.close()
 
 
-def _silence(stage: FaultHarness) -> None:
-    stage.parts.board.silent = True
+def _referenced_twice(harness: FaultHarness) -> Sequence[str]:
+    swings = [one.name for one in harness.told].count("swing")
+    return () if swings == 2 else (f"{swings} self-tests were made, expected 2",)
 
 
-def _freeze(stage: FaultHarness) -> None:
-    stage.parts.board.frozen = True
-
-
-def _lose_counts(stage: FaultHarness) -> None:
-    stage.parts.board.loss = 0.05
-
-
-def _wrong_sign(stage: FaultHarness) -> None:
-    stage.parts.board.sign = -1
-
-
-def _half_counts(stage: FaultHarness) -> None:
-    stage.parts.board.factor = 0.5
-
-
-def _more_counts(stage: FaultHarness) -> None:
-    stage.parts.board.factor = 1.1
-
-
-def _other_board(stage: FaultHarness) -> None:
-    stage.parts.board.counts_per_rev = 4096
-
-
-def _slip_slowly(stage: FaultHarness) -> None:
+def _slip_slowly(harness: FaultHarness) -> None:
     """Turn the encoder by 1 deg on its spindle, slowly enough for any plausibility."""
-    stage.each(lambda since: stage.parts.bench.slip(radians(0.005)) if since < 0.2 else None)
+    harness.each(lambda since: harness.parts.bench.slip(radians(0.005)) if since < 0.2 else None)
 
 
-def _delay_lines(stage: FaultHarness) -> None:
-    stage.parts.encoder_link.delay = 0.06
-
-
-def _damage_lines(stage: FaultHarness) -> None:
-    stage.parts.board.malformed = 0.02
-
-
+# fmt: off
 ENCODER: Final = (
-    Fault(
-        "encoder unplugged",
-        "encoder",
-        "its port is gone, while balancing",
-        "a stop within a tick, told to look at the encoder",
-        _ends("fault"),
-        _unplug,
-        within=0.02,
-        says="encoder",
-    ),
-    Fault(
-        "encoder unplugged in the self-test",
-        "encoder",
-        "its port is gone, while the flange moves by 40 mm",
-        "a stop within a tick",
-        _ends("fault"),
-        _unplug,
-        Trigger("swing", 0.7),
-        within=0.02,
-        says="encoder",
-    ),
-    Fault(
-        "encoder silent",
-        "encoder",
-        "no line comes any more, while balancing",
-        "a stop once the newest sample is 20 ms old",
-        _ends(Rule.ENCODER_STALE),
-        _silence,
-        within=0.04,
-        says="its cable",
-    ),
-    Fault(
-        "encoder frozen",
-        "encoder",
-        "the count stands still, while balancing",
-        "the pendulum is lost; the arm stops on its track",
-        FELL | _ends(Rule.ENCODER_JUMP),
-        _freeze,
-        within=2.0,
-    ),
-    Fault(
-        "encoder frozen before the self-test",
-        "encoder",
-        "the count stands still, from the reference on",
-        "the self-test refuses",
-        _ends("self-test"),
-        _freeze,
-        Trigger("swing"),
-    ),
-    Fault(
-        "count jump",
-        "encoder",
-        "the count jumps by 5 deg, while balancing",
-        "a stop within a tick",
-        _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
-        lambda stage: stage.parts.board.jump(round(8192 * 5 / 360)),
-        within=0.02,
-    ),
-    Fault(
-        "slow count loss",
-        "encoder",
-        "one of twenty upward counts is lost, from the start of balancing",
-        "it balances while the zero can be estimated, then the arm stops on its track",
-        FELL | _ends("lasted"),
-        _lose_counts,
-        Trigger("balancing"),
-        lambda scene: on(scene, duration=8.0),
-    ),
-    Fault(
-        "wrong sign",
-        "encoder",
-        "the counts grow the wrong way, from the start",
-        "the self-test names the sign",
-        _ends("self-test"),
-        _wrong_sign,
-        AT_START,
-        says="sign",
-    ),
-    Fault(
-        "wrong counts: half",
-        "encoder",
-        "half the counts per revolution, from the start",
-        "the self-test names the counts",
-        _ends("self-test"),
-        _half_counts,
-        AT_START,
-        says="counts",
-    ),
-    Fault(
-        "wrong counts: x 1.1",
-        "encoder",
-        "a tenth more counts per revolution, from the start",
-        "the self-test names the counts",
-        _ends("self-test"),
-        _more_counts,
-        AT_START,
-        says="counts",
-    ),
-    Fault(
-        "board of another encoder",
-        "encoder",
-        "the board says 4096 counts per revolution, the rig 8192",
-        "the run is refused",
-        _ends("refused"),
-        _other_board,
-        AT_START,
-        says="4096",
-    ),
-    Fault(
-        "zeroed while swinging",
-        "encoder",
-        "the board sets its count to zero, in the self-test",
-        "a stop within a tick",
-        _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
-        lambda stage: stage.parts.board.zero(),
-        Trigger("swing", 1.4),
-        within=0.03,
-    ),
-    Fault(
-        "zero error",
-        "encoder",
-        "the encoder slips by 1 deg on its spindle, after the reference",
-        "the self-test refuses the zero, it is referenced anew, and balances",
-        _ends("lasted"),
-        _slip_slowly,
-        Trigger("swing"),
-        check=lambda stage: (
-            () if [one.name for one in stage.told].count("swing") == 2 else ("no second reference",)
-        ),
-    ),
-    Fault(
-        "zero error while balancing",
-        "encoder",
-        "the encoder slips by 1 deg on its spindle, in 0.2 s",
-        "the zero is estimated and it balances, or the arm stops on its track",
-        FELL | _ends("lasted"),
-        _slip_slowly,
-    ),
-    Fault(
-        "stale samples",
-        "encoder",
-        "lines come 60 ms late, while balancing",
-        "a stop once the newest sample is 20 ms old",
-        _ends(Rule.ENCODER_STALE),
-        _delay_lines,
-        within=0.04,
-        says="old",
-    ),
-    Fault(
-        "malformed lines",
-        "encoder",
-        "one of fifty lines is damaged, while balancing",
-        "none is believed; a stop once gaps repeat",
-        _ends(Rule.ENCODER_GAP),
-        _damage_lines,
-        within=0.5,
-        says="missing",
-    ),
-    Fault(
-        "one lost line",
-        "encoder",
-        "one line is lost, while balancing",
-        "it is told, and goes on: counts are absolute",
-        _ends("lasted"),
-        lambda stage: stage.parts.board.skip(1),
-        says="was lost",
-    ),
-    Fault(
-        "lost lines",
-        "encoder",
-        "three lines are lost, while balancing",
-        "a stop within a tick",
-        _ends(Rule.ENCODER_GAP),
-        lambda stage: stage.parts.board.skip(3),
-        within=0.03,
-    ),
-    Fault(
-        "illegal transition",
-        "encoder",
-        "both lines of the encoder change at once, while balancing",
-        "a stop within a tick",
-        _ends(Rule.ENCODER_ILLEGAL),
-        lambda stage: stage.parts.board.meet_illegal(),
-        within=0.03,
-        says="wiring",
-    ),
-    Fault(
-        "board restarts",
-        "encoder",
-        "the board loses its power for a moment, while balancing",
-        "a stop; the zero is void",
-        _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
-        lambda stage: stage.parts.board.reboot(),
-        within=0.05,
-    ),
+    Fault("encoder unplugged", "encoder", "its port is gone, while balancing",
+          "a stop within a tick, told to look at the encoder", _ends("fault"), _unplug, within=0.02,
+          says="encoder"),
+    Fault("encoder unplugged in the self-test", "encoder",
+          "its port is gone, while the flange moves by 40 mm", "a stop within a tick",
+          _ends("fault"), _unplug, Trigger("swing", 0.7), within=0.02, says="encoder"),
+    Fault("encoder silent", "encoder", "no line comes any more, while balancing",
+          "a stop once the newest sample is 20 ms old", _ends(Rule.ENCODER_STALE),
+          _change("board", silent=True), within=0.04, says="its cable"),
+    Fault("encoder frozen", "encoder", "the count stands still, while balancing",
+          "the pendulum is lost; the arm stops on its track", FELL | _ends(Rule.ENCODER_JUMP),
+          _change("board", frozen=True), within=2.0),
+    Fault("encoder frozen before the self-test", "encoder",
+          "the count stands still, from the reference on", "the self-test refuses",
+          _ends("self-test"), _change("board", frozen=True), Trigger("swing")),
+    Fault("count jump", "encoder", "the count jumps by 5 deg, while balancing",
+          "a stop within a tick", _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
+          lambda harness: harness.parts.board.jump(round(8192 * 5 / 360)), within=0.02),
+    Fault("slow count loss", "encoder",
+          "one of twenty upward counts is lost, from the start of balancing",
+          "it balances while the zero can be estimated, then the arm stops on its track",
+          FELL | _ends("lasted"), _change("board", loss=0.05), Trigger("balancing"),
+          lambda scenario: on(scenario, duration=8.0)),
+    Fault("wrong sign", "encoder", "the counts grow the wrong way, from the start",
+          "the self-test names the sign", _ends("self-test"), _change("board", sign=-1), AT_START,
+          says="sign"),
+    Fault("wrong counts: half", "encoder", "half the counts per revolution, from the start",
+          "the self-test names the counts", _ends("self-test"), _change("board", factor=0.5),
+          AT_START, says="counts"),
+    Fault("wrong counts: x 1.1", "encoder", "a tenth more counts per revolution, from the start",
+          "the self-test names the counts", _ends("self-test"), _change("board", factor=1.1),
+          AT_START, says="counts"),
+    Fault("board of another encoder", "encoder",
+          "the board says 4096 counts per revolution, the rig 8192", "the run is refused",
+          _ends("refused"), _change("board", counts_per_rev=4096), AT_START, says="4096"),
+    Fault("zeroed while swinging", "encoder", "the board sets its count to zero, in the self-test",
+          "a stop within a tick", _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
+          lambda harness: harness.parts.board.zero(), Trigger("swing", 1.4), within=0.03),
+    Fault("zero error", "encoder", "the encoder slips by 1 deg on its spindle, after the reference",
+          "the self-test refuses the zero, it is referenced anew, and balances", _ends("lasted"),
+          _slip_slowly, Trigger("swing"), check=_referenced_twice),
+    Fault("zero error while balancing", "encoder",
+          "the encoder slips by 1 deg on its spindle, in 0.2 s",
+          "the zero is estimated and it balances, or the arm stops on its track",
+          FELL | _ends("lasted"), _slip_slowly),
+    Fault("stale samples", "encoder", "lines come 60 ms late, while balancing",
+          "a stop once the newest sample is 20 ms old", _ends(Rule.ENCODER_STALE),
+          _change("encoder_link", delay=0.06), within=0.04, says="old"),
+    Fault("malformed lines", "encoder", "one of fifty lines is damaged, while balancing",
+          "it is rejected; a stop once gaps repeat", _ends(Rule.ENCODER_GAP),
+          _change("board", malformed=0.02), within=0.5, says="missing"),
+    Fault("one lost line", "encoder", "one line is lost, while balancing",
+          "a warning; the run goes on, for counts are absolute", _ends("lasted"),
+          lambda harness: harness.parts.board.skip(1), says="was lost"),
+    Fault("lost lines", "encoder", "three lines are lost, while balancing", "a stop within a tick",
+          _ends(Rule.ENCODER_GAP), lambda harness: harness.parts.board.skip(3), within=0.03),
+    Fault("illegal transition", "encoder",
+          "both lines of the encoder change at once, while balancing", "a stop within a tick",
+          _ends(Rule.ENCODER_ILLEGAL), lambda harness: harness.parts.board.meet_illegal(),
+          within=0.03, says="wiring"),
+    Fault("board restarts", "encoder", "the board loses its power for a trigger, while balancing",
+          "a stop; the zero is void", _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
+          lambda harness: harness.parts.board.reboot(), within=0.05),
 )
+# fmt: on
 
 
 # Time.
 
 
 def _hold_up(*times: float) -> Inject:
-    def inject(stage: FaultHarness) -> None:
+    def inject(harness: FaultHarness) -> None:
         # Every second wait is for a tick, the other for the setpoint in its middle.
-        stage.clock.held_up = list(times)
+        harness.clock.held_up = list(times)
 
     return inject
 
 
+# fmt: off
 TIME: Final = (
-    Fault(
-        "late tick",
-        "time",
-        "the loop is held up for 60 ms, while balancing",
-        "a stop in the next tick",
-        _ends(Rule.TICK),
-        _hold_up(0.06),
-        within=0.08,
-    ),
-    Fault(
-        "one late tick",
-        "time",
-        "the loop is held up for 8 ms, while balancing",
-        "it goes on",
-        _ends("lasted"),
-        _hold_up(0.008),
-    ),
-    Fault(
-        "late ticks",
-        "time",
-        "the loop is late by 12 ms six times in a row, while balancing",
-        "a stop at the third missed tick",
-        _ends(Rule.TICK),
-        _hold_up(*(6 * (0.012,))),
-        within=0.08,
-    ),
+    Fault("late tick", "time", "the loop is held up for 60 ms, while balancing",
+          "a stop in the next tick", _ends(Rule.TICK), _hold_up(0.06), within=0.08),
+    Fault("one late tick", "time", "the loop is held up for 8 ms, while balancing", "it goes on",
+          _ends("lasted"), _hold_up(0.008)),
+    Fault("late ticks", "time", "the loop is late by 12 ms six times in a row, while balancing",
+          "a stop at the third missed tick", _ends(Rule.TICK), _hold_up(*(6 * (0.012,))),
+          within=0.08),
 )
+# fmt: on
 
 
 # The robot and its link.
 
 
-def _drop(stage: FaultHarness) -> None:
-    stage.parts.server.faults = Faults(close=True)
-    stage.parts.robot_link.close()
+def _drop(harness: FaultHarness) -> None:
+    harness.parts.server.faults = Faults(close=True)
+    harness.parts.robot_link.close()
 
 
-def _half_open(stage: FaultHarness) -> None:
-    stage.parts.robot_link.cut = stage.parts.robot_link.other.cut = True
+def _half_open(harness: FaultHarness) -> None:
+    harness.parts.robot_link.cut = harness.parts.robot_link.other.cut = True
 
 
-def _back_up(stage: FaultHarness) -> None:
-    there = stage.parts.robot_link.other
+def _back_up(harness: FaultHarness) -> None:
+    there = harness.parts.robot_link.other
     before, there.delay = there.delay, 0.08
-    stage.after(0.1, lambda: setattr(there, "delay", before))
-
-
-def _refuse(stage: FaultHarness) -> None:
-    stage.parts.server.faults = Faults(refuse=1.0)
+    harness.after(0.1, lambda: setattr(there, "delay", before))
 
 
 def _stopped(why: str) -> Inject:
-    return lambda stage: stage.parts.bench.body.stop(why)
+    return lambda harness: harness.parts.bench.body.stop(why)
 
 
 def _touch(force: float) -> Inject:
     """Press on the flange along the track for 0.3 s [N]."""
 
-    def inject(stage: FaultHarness) -> None:
-        bench = stage.parts.bench
+    def inject(harness: FaultHarness) -> None:
+        bench = harness.parts.bench
         bench.touch((force, 0.0, 0.0))
-        stage.after(0.3, lambda: bench.touch((0.0, 0.0, 0.0)))
+        harness.after(0.3, lambda: bench.touch((0.0, 0.0, 0.0)))
 
     return inject
 
 
-def _no_bytes_after(stage: FaultHarness) -> Sequence[str]:
-    fault = stage.broken_at or 0.0
-    late = [time for time, _ in stage.robot_wire.sent if time > fault + 0.02]
-    if stage.robot_wire.opened != 1:
-        return (f"{stage.robot_wire.opened} connections were made",)
+def _no_bytes_after(harness: FaultHarness) -> Sequence[str]:
+    fault = harness.broken_at or 0.0
+    late = [time for time, _ in harness.robot_wire.sent if time > fault + 0.02]
+    if harness.robot_wire.opened != 1:
+        return (f"{harness.robot_wire.opened} connections were made",)
     return (f"{len(late)} lines were sent after the drop",) if late else ()
 
 
-def _pushing(scene: Scenario) -> Scenario:
-    """Return a scene whose policy pushes one way only."""
-    table = tuple((1.0, *[0.0] * (len(row) - 1)) for row in scene.policy.Q)
-    return on(scene, policy=scene.policy.model_copy(update={"Q": table}))
+def _pushing(scenario: Scenario) -> Scenario:
+    """Return a scenario whose policy pushes one way only."""
+    table = tuple((1.0, *[0.0] * (len(row) - 1)) for row in scenario.policy.Q)
+    return on(scenario, policy=scenario.policy.model_copy(update={"Q": table}))
 
 
-def _stretched(scene: Scenario) -> Scenario:
-    """Return a scene with an elbow that is all but stretched at home."""
-    home = [degrees(angle) for angle in scene.settings.described_arm.home]
+def _stretched(scenario: Scenario) -> Scenario:
+    """Return a scenario with an almost stretched elbow at home."""
+    home = [degrees(angle) for angle in scenario.settings.described_arm.home]
     home[3] = -3.0
-    return on(scene, settings=scene.settings.model_copy(update={"home_deg": tuple(home)}))
+    return on(scenario, settings=scenario.settings.model_copy(update={"home_deg": tuple(home)}))
 
 
 def _setpoint(change: Callable[[Setpoint, float], Setpoint]) -> Inject:
     """Change each setpoint, given the time since the fault [s]."""
 
-    def inject(stage: FaultHarness) -> None:
-        stage.change_setpoint = change
+    def inject(harness: FaultHarness) -> None:
+        harness.change_setpoint = change
 
     return inject
 
 
 def _joint(number: int, value: Callable[[float, float], float]) -> Inject:
-    """Change one joint of each setpoint, counted from one."""
+    """Change one joint of each setpoint; joints count from one."""
     return _setpoint(
         lambda q, since: tuple(
             value(angle, since) if i == number else angle for i, angle in enumerate(q, start=1)
@@ -445,7 +273,7 @@ def _joint(number: int, value: Callable[[float, float], float]) -> Inject:
 
 
 def _creep(*signs: float, rate: float = 0.02) -> Inject:
-    """Let the setpoints creep away, each joint at so many times a rate [rad/s]."""
+    """Let the setpoints drift, each joint at its multiple of a rate [rad/s]."""
     return _setpoint(
         lambda q, since: tuple(
             angle + sign * rate * since for angle, sign in zip(q, signs, strict=True)
@@ -454,236 +282,98 @@ def _creep(*signs: float, rate: float = 0.02) -> Inject:
 
 
 HELD_BACK: Final = _ends("fault")
-"""A setpoint that the guard holds back stops the run as a fault."""
+"""End of a run whose setpoint was held back by the safety rules."""
 MOVED_AWAY: Final = _ends("fault", Rule.FOLLOWING, Rule.DRIFT, Rule.TILT, Rule.TRACK)
 
+# fmt: off
 ROBOT: Final = (
-    Fault(
-        "TCP drop",
-        "robot",
-        "the server closes the connection, while balancing",
-        "told within 100 ms that software cannot stop the robot; it rests at its last target",
-        _ends("link lost"),
-        _drop,
-        stoppable=False,
-        within=0.02,
-    ),
-    Fault(
-        "half-open link",
-        "robot",
-        "nothing arrives any more, neither way, while balancing",
-        "told within 100 ms that software may be unable to stop the robot",
-        _ends("link lost"),
-        _half_open,
-        stoppable=False,
-        within=0.08,
-    ),
-    Fault(
-        "command backlog",
-        "robot",
-        "commands arrive 80 ms late, while balancing",
-        "a stop after 50 ms, and rest",
-        _ends(Rule.LINK),
-        _back_up,
-        within=0.08,
-        says="has not answered",
-    ),
-    Fault(
-        "nak",
-        "robot",
-        "the server refuses setpoints, while balancing",
-        "the link is given up; told within 100 ms that software cannot stop the robot",
-        _ends("link lost"),
-        _refuse,
-        stoppable=False,
-        within=0.03,
-    ),
-    Fault(
-        "reconnect in mid-run",
-        "robot",
-        "the connection drops, and could be made again 50 ms later",
-        "nobody connects again, and nothing is sent any more",
-        _ends("link lost"),
-        _drop,
-        stoppable=False,
-        within=0.02,
-        check=_no_bytes_after,
-    ),
-    Fault(
-        "robot not following",
-        "robot",
-        "the drives stop the arm on its way home",
-        "a latched stop; targets go on from where the arm is",
-        _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING),
-        _stopped("the drives' protection"),
-        Trigger("homing", 0.4),
-        within=0.4,
-    ),
-    Fault(
-        "E-stop",
-        "robot",
-        "the E-stop is pressed, while balancing",
-        "a latched stop; targets go on from where the arm is",
-        _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.ANGLE),
-        _stopped("emergency stop"),
-        within=0.4,
-    ),
-    Fault(
-        "E-stop before the release",
-        "robot",
-        "the E-stop is pressed, the pendulum held",
-        "a latched stop as soon as the arm should move",
-        _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.ANGLE),
-        _stopped("emergency stop"),
-        Trigger("armed"),
-    ),
-    Fault(
-        "mode change",
-        "robot",
-        "another mode is selected, in the self-test",
-        "a latched stop; targets go on from where the arm is",
-        _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING),
-        _stopped("change of the operating mode"),
-        Trigger("swing", 0.5),
-        within=0.5,
-    ),
-    Fault(
-        "contact",
-        "robot",
-        "60 N press on the flange, along the track, while balancing",
-        "a stop at the next torques",
-        _ends(Rule.TORQUE),
-        _touch(60.0),
-        within=0.1,
-        says="touches the arm",
-    ),
-    Fault(
-        "contact on the way home",
-        "robot",
-        "150 N press on the flange on the way home",
-        "a stop at the next torques",
-        _ends(Rule.TORQUE),
-        _touch(150.0),
-        Trigger("homing", 0.3),
-        within=0.1,
-    ),
-    Fault(
-        "joint limit",
-        "robot",
-        "a setpoint of A2 near its limit, while balancing",
-        "it is held back; the guard brings the arm to rest",
-        HELD_BACK,
-        _joint(2, lambda q, since: radians(118.5)),
-        within=0.03,
-        says="joint 2",
-    ),
-    Fault(
-        "velocity limit",
-        "robot",
-        "setpoints of A7 are 0.02 rad away at once, while balancing",
-        "they are held back; the guard brings the arm to rest",
-        HELD_BACK,
-        _joint(7, lambda q, since: q + 0.02),
-        within=0.03,
-        says="rad/s, expected",
-    ),
-    Fault(
-        "acceleration limit",
-        "robot",
-        "setpoints of A7 run away by 30 rad/s^2, while balancing",
-        "they are held back; the guard brings the arm to rest",
-        HELD_BACK,
-        _joint(7, lambda q, since: q + 15.0 * since**2),
-        within=0.04,
-        says="rad/s^2, expected",
-    ),
-    Fault(
-        "runaway",
-        "robot",
-        "setpoints of A7 run away by 5 rad/s^2, while balancing",
-        "a stop once the arm is 0.03 rad from where it should be for 50 ms",
-        MOVED_AWAY,
-        _joint(7, lambda q, since: q + 2.5 * since**2),
-        within=0.4,
-    ),
-    Fault(
-        "track limit",
-        "robot",
-        "a policy that pushes one way only",
-        "a stop from which the flange rests on its track",
-        _ends(Rule.TRACK, Rule.ANGLE),
-        scene=_pushing,
-        moment=Trigger("balancing"),
-        within=1.0,
-    ),
-    Fault(
-        "too fast for T1",
-        "robot",
-        "the pendulum is pushed by 1 rad/s, in T1",
-        "a stop where the flange reaches 0.23 m/s",
-        _ends(Rule.SPEED),
-        lambda stage: stage.parts.bench.push(1.0),
-        scene=lambda scene: on(scene, t1=True),
-        within=0.5,
-        says="0.23 m/s",
-    ),
-    Fault(
-        "near singularity",
-        "robot",
-        "a home with the elbow all but stretched",
-        "the run is refused",
-        _ends("refused"),
-        moment=AT_START,
-        scene=_stretched,
-        says="home",
-    ),
-    Fault(
-        "flange drift",
-        "robot",
-        "setpoints of A2 and A6 creep, so that the flange leaves its line",
-        "a stop at 15 mm",
-        _ends(Rule.DRIFT),
-        _creep(0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0),
-        within=3.0,
-        says="off its line",
-    ),
-    Fault(
-        "flange pitch error",
-        "robot",
-        "setpoints of A2, A4 and A6 creep, so that the flange tilts",
-        "a stop at 2 deg, or at 15 mm",
-        _ends(Rule.TILT, Rule.DRIFT),
-        _creep(0.0, 0.4, 0.0, -1.0, 0.0, 1.0, 0.0),
-        within=3.0,
-    ),
-    Fault(
-        "first command away from the measured pose",
-        "robot",
-        "the first setpoint is 0.02 rad from where the arm is",
-        "nothing is sent",
-        _ends("fault", "link lost"),
-        _setpoint(lambda q, since: tuple(angle + 0.02 for angle in q)),
-        AT_START,
-        says="nothing was sent",
-    ),
-    Fault(
-        "unit slip in the setpoints",
-        "robot",
-        "setpoints become degrees, while balancing",
-        "they are held back; the guard brings the arm to rest",
-        HELD_BACK,
-        _setpoint(lambda q, since: tuple(map(degrees, q))),
-        within=0.03,
-    ),
+    Fault("TCP drop", "robot", "the server closes the connection, while balancing",
+          "told within 100 ms that software cannot stop the robot; it rests at its last target",
+          _ends("link lost"), _drop, stoppable=False, within=0.02),
+    Fault("half-open link", "robot", "nothing arrives any more, neither way, while balancing",
+          "told within 100 ms that software may be unable to stop the robot", _ends("link lost"),
+          _half_open, stoppable=False, within=0.08),
+    Fault("command backlog", "robot", "commands arrive 80 ms late, while balancing",
+          "a stop after 50 ms, and rest", _ends(Rule.LINK), _back_up, within=0.08,
+          says="has not answered"),
+    Fault("nak", "robot", "the server refuses setpoints, while balancing",
+          "the link is given up; told within 100 ms that software cannot stop the robot",
+          _ends("link lost"), _change("server", faults=Faults(refuse=1.0)), stoppable=False,
+          within=0.03),
+    Fault("reconnect in mid-run", "robot",
+          "the connection drops, and could be made again 50 ms later",
+          "no connection is made again, and nothing is sent any more", _ends("link lost"), _drop,
+          stoppable=False, within=0.02, check=_no_bytes_after),
+    Fault("robot not following", "robot", "the drives stop the arm on its way home",
+          "a latched stop; targets go on from where the arm is",
+          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING), _stopped("the drives' protection"),
+          Trigger("homing", 0.4), within=0.4),
+    Fault("E-stop", "robot", "the E-stop is pressed, while balancing",
+          "a latched stop; targets go on from where the arm is",
+          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.ANGLE), _stopped("emergency stop"),
+          within=0.4),
+    Fault("E-stop before the release", "robot", "the E-stop is pressed, the pendulum held",
+          "a latched stop as soon as the arm should move",
+          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.ANGLE), _stopped("emergency stop"),
+          Trigger("armed")),
+    Fault("mode change", "robot", "another mode is selected, in the self-test",
+          "a latched stop; targets go on from where the arm is",
+          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING), _stopped("change of the operating mode"),
+          Trigger("swing", 0.5), within=0.5),
+    Fault("contact", "robot", "60 N press on the flange, along the track, while balancing",
+          "a stop at the next torques", _ends(Rule.TORQUE), _touch(60.0), within=0.1,
+          says="touches the arm"),
+    Fault("contact on the way home", "robot", "150 N press on the flange on the way home",
+          "a stop at the next torques", _ends(Rule.TORQUE), _touch(150.0), Trigger("homing", 0.3),
+          within=0.1),
+    Fault("joint limit", "robot", "a setpoint of A2 near its limit, while balancing",
+          "it is held back; the guard brings the arm to rest", HELD_BACK,
+          _joint(2, lambda q, since: radians(118.5)), within=0.03, says="joint 2"),
+    Fault("velocity limit", "robot", "setpoints of A7 are 0.02 rad away at once, while balancing",
+          "they are held back; the guard brings the arm to rest", HELD_BACK,
+          _joint(7, lambda q, since: q + 0.02), within=0.03, says="rad/s, expected"),
+    Fault("acceleration limit", "robot", "setpoints of A7 run away by 30 rad/s^2, while balancing",
+          "they are held back; the guard brings the arm to rest", HELD_BACK,
+          _joint(7, lambda q, since: q + 15.0 * since**2), within=0.04, says="rad/s^2, expected"),
+    Fault("runaway", "robot", "setpoints of A7 run away by 5 rad/s^2, while balancing",
+          "a stop once the arm is 0.03 rad from where it should be for 50 ms", MOVED_AWAY,
+          _joint(7, lambda q, since: q + 2.5 * since**2), within=0.4),
+    Fault("track limit", "robot", "a policy that pushes one way only",
+          "a stop from which the flange rests on its track", _ends(Rule.TRACK, Rule.ANGLE),
+          scenario=_pushing, trigger=Trigger("balancing"), within=1.0),
+    Fault("too fast for T1", "robot", "the pendulum is pushed by 1 rad/s, in T1",
+          "a stop where the flange reaches 0.23 m/s", _ends(Rule.SPEED),
+          lambda harness: harness.parts.bench.push(1.0),
+          scenario=lambda scenario: on(scenario, t1=True), within=0.5, says="0.23 m/s"),
+    Fault("near singularity", "robot", "a home with the elbow all but stretched",
+          "the run is refused", _ends("refused"), trigger=AT_START, scenario=_stretched,
+          says="home"),
+    Fault("flange drift", "robot",
+          "setpoints of A2 and A6 creep, so that the flange leaves its line", "a stop at 15 mm",
+          _ends(Rule.DRIFT), _creep(0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0), within=3.0,
+          says="off its line"),
+    Fault("flange pitch error", "robot",
+          "setpoints of A2, A4 and A6 creep, so that the flange tilts",
+          "a stop at 2 deg, or at 15 mm", _ends(Rule.TILT, Rule.DRIFT),
+          _creep(0.0, 0.4, 0.0, -1.0, 0.0, 1.0, 0.0), within=3.0),
+    Fault("first command away from the measured pose", "robot",
+          "the first setpoint is 0.02 rad from where the arm is", "nothing is sent",
+          _ends("fault", "link lost"),
+          _setpoint(lambda q, since: tuple(angle + 0.02 for angle in q)), AT_START,
+          says="nothing was sent"),
+    Fault("unit slip in the setpoints", "robot", "setpoints become degrees, while balancing",
+          "they are held back; the guard brings the arm to rest", HELD_BACK,
+          _setpoint(lambda q, since: tuple(map(degrees, q))), within=0.03),
 )
+# fmt: on
 
 
-# Numbers that are none.
+# Invalid numbers.
 
 
 def _inputs(change: Callable[[TickInputs], TickInputs]) -> Inject:
-    def inject(stage: FaultHarness) -> None:
-        stage.change_inputs = change
+    def inject(harness: FaultHarness) -> None:
+        harness.change_inputs = change
 
     return inject
 
@@ -708,203 +398,115 @@ def _no_torques(reply: Any) -> Any:
     return reply if reply.torque is None else reply._replace(torque=(nan,) * len(reply.torque))
 
 
-def _nan_line(stage: FaultHarness) -> None:
-    def spoil(data: bytes) -> bytes:
-        return b"_".join([b"NaN"] * 7) + b"\n" if data else data
-
-    stage.robot_wire.spoil = spoil
+def _nan_line(data: bytes) -> bytes:
+    return data and b"_".join([b"NaN"] * 7) + b"\n"
 
 
-def _nan_count(stage: FaultHarness) -> None:
-    stage.encoder_wire.spoil = lambda data: data and b"E,nan,nan,nan,0*00\n"
+def _nan_count(data: bytes) -> bytes:
+    return data and b"E,nan,nan,nan,0*00\n"
 
 
+# fmt: off
 NUMBERS: Final = (
-    Fault(
-        "NaN from the encoder's line",
-        "numbers",
-        "lines hold nan, while balancing",
-        "none is believed; a stop once the newest sample is 20 ms old",
-        _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
-        _nan_count,
-        within=0.05,
-    ),
-    Fault(
-        "NaN from the robot's line",
-        "numbers",
-        "answers hold NaN, while balancing",
-        "the link is given up; told within 100 ms that software cannot stop the robot",
-        _ends("link lost"),
-        _nan_line,
-        stoppable=False,
-        within=0.03,
-    ),
-    Fault(
-        "NaN in a sample's time",
-        "numbers",
-        "the encoder's driver gives NaN for a time, while balancing",
-        "a stop within a tick",
-        _ends(Rule.NUMBER, Rule.ENCODER_JUMP, "fault"),
-        _each_sample(time=nan),
-        within=0.02,
-    ),
-    Fault(
-        "NaN in measured joints",
-        "numbers",
-        "the robot's driver gives NaN for joints, while balancing",
-        "a stop within a tick",
-        _ends(Rule.NUMBER, "fault"),
-        _each_reply(_no_joints),
-        within=0.02,
-    ),
-    Fault(
-        "NaN in torques",
-        "numbers",
-        "the robot's driver gives NaN for torques, while balancing",
-        "a stop at the next torques",
-        _ends(Rule.NUMBER, "fault"),
-        _each_reply(_no_torques),
-        within=0.08,
-    ),
-    Fault(
-        "NaN in a setpoint",
-        "numbers",
-        "the controller gives NaN, while balancing",
-        "it is held back; the guard brings the arm to rest",
-        HELD_BACK,
-        _joint(1, lambda q, since: nan),
-        within=0.03,
-        says="finite",
-    ),
-    Fault(
-        "infinity in a setpoint",
-        "numbers",
-        "the controller gives infinity, on the way home",
-        "it is held back; the guard brings the arm to rest",
-        HELD_BACK,
-        _joint(3, lambda q, since: inf),
-        Trigger("homing", 0.3),
-        within=0.03,
-        says="finite",
-    ),
-    Fault(
-        "six numbers in a setpoint",
-        "numbers",
-        "the controller gives six joints, while balancing",
-        "it is held back; the guard brings the arm to rest",
-        HELD_BACK,
-        _setpoint(lambda q, since: q[:6]),
-        within=0.03,
-        says="7",
-    ),
-    Fault(
-        "controller fails",
-        "numbers",
-        "the controller raises an exception, while balancing",
-        "the guard brings the arm to rest",
-        _ends("fault"),
-        _inputs(lambda inputs: inputs._replace(samples=[None])),  # type: ignore[list-item]
-        within=0.03,
-        says="the controller failed",
-    ),
+    Fault("NaN from the encoder's line", "numbers", "lines hold nan, while balancing",
+          "they are rejected; a stop once the newest sample is 20 ms old",
+          _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
+          lambda harness: setattr(harness.encoder_wire, "spoil", _nan_count), within=0.05),
+    Fault("NaN from the robot's line", "numbers", "answers hold NaN, while balancing",
+          "the link is given up; told within 100 ms that software cannot stop the robot",
+          _ends("link lost"), lambda harness: setattr(harness.robot_wire, "spoil", _nan_line),
+          stoppable=False, within=0.03),
+    Fault("NaN in a sample's time", "numbers",
+          "the encoder's driver gives NaN for a time, while balancing", "a stop within a tick",
+          _ends(Rule.NUMBER, Rule.ENCODER_JUMP, "fault"), _each_sample(time=nan), within=0.02),
+    Fault("NaN in measured joints", "numbers",
+          "the robot's driver gives NaN for joints, while balancing", "a stop within a tick",
+          _ends(Rule.NUMBER, "fault"), _each_reply(_no_joints), within=0.02),
+    Fault("NaN in torques", "numbers", "the robot's driver gives NaN for torques, while balancing",
+          "a stop at the next torques", _ends(Rule.NUMBER, "fault"), _each_reply(_no_torques),
+          within=0.08),
+    Fault("NaN in a setpoint", "numbers", "the controller gives NaN, while balancing",
+          "it is held back; the guard brings the arm to rest", HELD_BACK,
+          _joint(1, lambda q, since: nan), within=0.03, says="finite"),
+    Fault("infinity in a setpoint", "numbers", "the controller gives infinity, on the way home",
+          "it is held back; the guard brings the arm to rest", HELD_BACK,
+          _joint(3, lambda q, since: inf), Trigger("homing", 0.3), within=0.03, says="finite"),
+    Fault("six numbers in a setpoint", "numbers",
+          "the controller gives six joints, while balancing",
+          "it is held back; the guard brings the arm to rest", HELD_BACK,
+          _setpoint(lambda q, since: q[:6]), within=0.03, says="7"),
+    Fault("controller fails", "numbers", "the controller raises an exception, while balancing",
+          "the guard brings the arm to rest", _ends("fault"),
+          _inputs(lambda inputs: inputs._replace(samples=[None])), within=0.03,
+          says="the controller failed"),
 )
+# fmt: on
 
 
 # The release.
 
 
-def _let_go_in_mid_lift(stage: FaultHarness) -> None:
-    stage.each(lambda since: _drop_it(stage))
-    stage.after(9.0, lambda: stage.typed.append("stop"))
+def _let_go_in_mid_lift(harness: FaultHarness) -> None:
+    harness.each(lambda since: _drop_it(harness))
+    harness.after(9.0, lambda: harness.typed.append("stop"))
 
 
-def _drop_it(stage: FaultHarness) -> None:
-    bench = stage.parts.bench
+def _drop_it(harness: FaultHarness) -> None:
+    bench = harness.parts.bench
     if bench.hand.holds and abs(abs(remainder(bench.phi, 2.0 * pi)) - radians(40.0)) < radians(2.0):
         bench.let_go()
 
 
 def _take_away(duration: float) -> Inject:
-    """Hold on for 4 s, then bring the pendulum down in so long [s]."""
+    """Hold the pendulum for 4 s, then lead it down within a duration [s]."""
 
-    def inject(stage: FaultHarness) -> None:
-        bench = stage.parts.bench
+    def inject(harness: FaultHarness) -> None:
+        bench = harness.parts.bench
 
         def down() -> None:
             manner = draw_hand_params(np.random.default_rng(0), clumsy=0.0)
             bench.hand.steady(bench.now, bench.phi, manner._replace(lifting=duration))
 
-        stage.after(4.0, down)
-        stage.after(9.0, lambda: stage.typed.append("stop"))
+        harness.after(4.0, down)
+        harness.after(9.0, lambda: harness.typed.append("stop"))
 
     return inject
 
 
-def _never_began(stage: FaultHarness) -> Sequence[str]:
-    if any(one.name == "balancing" for one in stage.told):
+def _never_began(harness: FaultHarness) -> Sequence[str]:
+    if any(one.name == "balancing" for one in harness.told):
         return ("the policy began",)
     return ()
 
 
+# fmt: off
 RELEASE: Final = (
-    Fault(
-        "release too early",
-        "release",
-        "the pendulum is let go 40 deg from upright",
-        "the policy does not begin; the arm holds still until a key is pressed",
-        _ends("operator"),
-        _let_go_in_mid_lift,
-        Trigger("lift"),
-        check=_never_began,
-    ),
-    Fault(
-        "release too late",
-        "release",
-        "armed, the pendulum is held for 4 s more, and then taken down in 0.8 s",
-        "the policy does not begin: the hand is still on",
-        _ends("operator"),
-        _take_away(0.8),
-        Trigger("armed"),
-        lambda scene: on(scene, unheard=frozenset({"armed", "disarmed", "nudge"})),
-        check=_never_began,
-        says="still on",
-    ),
-    Fault(
-        "hand that falls with the pendulum",
-        "release",
-        "armed, the pendulum is led down in 2.5 s, which begins as a fall does",
-        "it may be taken for a release; the arm then stops at the angle, on its track",
-        FELL | _ends("operator"),
-        _take_away(2.5),
-        Trigger("armed"),
-        lambda scene: on(scene, unheard=frozenset({"armed", "disarmed", "nudge"})),
-        held_at_start=True,
-    ),
-    Fault(
-        "push",
-        "release",
-        "the pendulum is pushed by 20 deg/s, while balancing",
-        "it balances, or falls and the arm stops",
-        FELL | _ends("lasted"),
-        lambda stage: stage.parts.bench.push(radians(20.0)),
-    ),
-    Fault(
-        "hard push",
-        "release",
-        "the pendulum is pushed by 250 deg/s, while balancing",
-        "it falls, and the arm stops on its track",
-        FELL | _ends(Rule.ENCODER_JUMP),
-        lambda stage: stage.parts.bench.push(radians(250.0)),
-        within=0.6,
-    ),
+    Fault("release too early", "release", "the pendulum is let go 40 deg from upright",
+          "the policy does not begin; the arm holds still until a key is pressed",
+          _ends("operator"), _let_go_in_mid_lift, Trigger("lift"), check=_never_began),
+    Fault("release too late", "release",
+          "armed, the pendulum is held for 4 s more, and then taken down in 0.8 s",
+          "the policy does not begin: the hand is still on", _ends("operator"), _take_away(0.8),
+          Trigger("armed"),
+          lambda scenario: on(scenario, unheard=frozenset({"armed", "disarmed", "nudge"})),
+          check=_never_began, says="still on"),
+    Fault("hand that falls with the pendulum", "release",
+          "armed, the pendulum is led down in 2.5 s, which begins as a fall does",
+          "it may be taken for a release; the arm then stops at the angle, on its track",
+          FELL | _ends("operator"), _take_away(2.5), Trigger("armed"),
+          lambda scenario: on(scenario, unheard=frozenset({"armed", "disarmed", "nudge"})),
+          held_at_start=True),
+    Fault("push", "release", "the pendulum is pushed by 20 deg/s, while balancing",
+          "it balances, or falls and the arm stops", FELL | _ends("lasted"),
+          lambda harness: harness.parts.bench.push(radians(20.0))),
+    Fault("hard push", "release", "the pendulum is pushed by 250 deg/s, while balancing",
+          "it falls, and the arm stops on its track", FELL | _ends(Rule.ENCODER_JUMP),
+          lambda harness: harness.parts.bench.push(radians(250.0)), within=0.6),
 )
+# fmt: on
 
 
 # The operator.
-
-
-def _key(stage: FaultHarness) -> None:
-    stage.typed.append("stop")
 
 
 def _keys(phase: str, after: float) -> Fault:
@@ -914,7 +516,7 @@ def _keys(phase: str, after: float) -> Fault:
         f"a key, {after:g} s after `{phase}`",
         "a stop within a tick",
         _ends("operator"),
-        _key,
+        lambda harness: harness.typed.append("stop"),
         Trigger(phase, after),
         within=0.02,
         says="operator",
@@ -934,40 +536,27 @@ OPERATOR: Final = tuple(
 )
 
 
-# What is given.
+# Inputs.
 
 
-def _other_arm(scene: Scenario) -> Scenario:
-    return on(scene, settings=scene.settings.model_copy(update={"arm": "iiwa14"}))
+def _other_arm(scenario: Scenario) -> Scenario:
+    return on(scenario, settings=scenario.settings.model_copy(update={"arm": "iiwa14"}))
 
 
-def _radians_for_degrees(scene: Scenario) -> Scenario:
-    home = tuple(radians(angle) for angle in scene.settings.home_deg)
-    return on(scene, settings=scene.settings.model_copy(update={"home_deg": home}))
+def _radians_for_degrees(scenario: Scenario) -> Scenario:
+    home = {"home_deg": scenario.settings.described_arm.home}
+    return on(scenario, settings=scenario.settings.model_copy(update=home))
 
 
+# fmt: off
 INPUTS: Final = (
-    Fault(
-        "policy of another rig",
-        "input",
-        "the policy was trained on an iiwa 7, the rig has an iiwa 14",
-        "the run is refused",
-        _ends("refused"),
-        moment=AT_START,
-        scene=_other_arm,
-        says="trained on",
-    ),
-    Fault(
-        "unit slip",
-        "input",
-        "home in rig.toml is given in radians",
-        "the run is refused",
-        _ends("refused"),
-        moment=AT_START,
-        scene=_radians_for_degrees,
-        says="home",
-    ),
+    Fault("policy of another rig", "input",
+          "the policy was trained on an iiwa 7, the rig has an iiwa 14", "the run is refused",
+          _ends("refused"), trigger=AT_START, scenario=_other_arm, says="trained on"),
+    Fault("unit slip", "input", "home in rig.toml is given in radians", "the run is refused",
+          _ends("refused"), trigger=AT_START, scenario=_radians_for_degrees, says="home"),
 )
+# fmt: on
 
 FAULTS: Final = (*ENCODER, *TIME, *ROBOT, *NUMBERS, *RELEASE, *OPERATOR, *INPUTS)
-"""Those that are shown on the stage, in virtual time."""
+"""Faults that are injected into a run in virtual time."""

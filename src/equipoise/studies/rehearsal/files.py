@@ -1,4 +1,4 @@
-"""Faults of files and of the machine around a run: disk, power, date, and what is read in."""
+"""Faults of files and of the machine around a run: disk, power, date, and input files."""
 
 import io
 import shutil
@@ -17,51 +17,51 @@ from equipoise.runwriter import read_rig_run
 from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario, Trigger, on
 from equipoise.studies.rehearsal.faults import BALANCING, Fault
 
-LOGGED: Final = 2.0
-"""A log may lack so much of its end [s]: a chunk that was not full, and what was not drained."""
+MAX_LOG_LOSS: Final = 2.0
+"""Maximum time missing at the end of a log [s]: an open chunk, and rows not yet drained."""
 HOUR: Final = 3600.0
 
 
-def _with_a_log(scene: Scenario) -> Scenario:
-    return on(scene, out=Path(tempfile.mkdtemp(prefix="equipoise-")) / "run.mcap")
+def _with_a_log(scenario: Scenario) -> Scenario:
+    return on(scenario, out=Path(tempfile.mkdtemp(prefix="equipoise-")) / "run.mcap")
 
 
-def _log(stage: FaultHarness) -> Path:
-    path = stage.scene.out
+def _log(harness: FaultHarness) -> Path:
+    path = harness.scenario.out
     return Path() if path is None else path
 
 
 # The disk.
 
 
-def _fill_the_disk(stage: FaultHarness) -> None:
-    """Let no file of this process grow any more: what a full disk does to a log."""
+def _fill_the_disk(harness: FaultHarness) -> None:
+    """Forbid all files of this process to grow, as a full disk does."""
     try:
         import resource
     except ImportError:
         raise OutsideError(
             f"{sys.platform} cannot limit the size of files as a full disk does; rehearse on Linux"
         ) from None
-    size = _log(stage).stat().st_size
+    size = _log(harness).stat().st_size
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    stage.undo.append(lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limits))
+    harness.undo.append(lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limits))
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
 
 
-def _cut_the_power(stage: FaultHarness) -> None:
-    shutil.copy(_log(stage), _log(stage).with_suffix(".cut"))
+def _cut_the_power(harness: FaultHarness) -> None:
+    shutil.copy(_log(harness), _log(harness).with_suffix(".cut"))
 
 
 def _readable(suffix: str) -> Callable[[FaultHarness], Sequence[str]]:
-    """Return what checks that a log reaches to just before the fault."""
+    """Return a check that a log reaches to just before the fault."""
 
-    def check(stage: FaultHarness) -> Sequence[str]:
+    def check(harness: FaultHarness) -> Sequence[str]:
         from mcap.exceptions import McapError
         from mcap.stream_reader import StreamReader
 
-        path = _log(stage).with_suffix(suffix)
+        path = _log(harness).with_suffix(suffix)
         try:
-            # MCAP's own reader forgives nothing.
+            # MCAP's own reader is strict.
             for _ in StreamReader(io.BytesIO(path.read_bytes()), validate_crcs=True).records:
                 pass
             ticks = read_rig_run(path).tables["tick"]["time"]
@@ -69,8 +69,8 @@ def _readable(suffix: str) -> Callable[[FaultHarness], Sequence[str]]:
             return (f"the log cannot be read: {error}",)
         finally:
             shutil.rmtree(path.parent)
-        last, fault = float(ticks[-1]), stage.broken_at or 0.0
-        return (f"the log ends {fault - last:.1f} s early",) if last < fault - LOGGED else ()
+        last, fault = float(ticks[-1]), harness.broken_at or 0.0
+        return (f"the log ends {fault - last:.1f} s early",) if last < fault - MAX_LOG_LOSS else ()
 
     return check
 
@@ -78,13 +78,13 @@ def _readable(suffix: str) -> Callable[[FaultHarness], Sequence[str]]:
 # The date.
 
 
-def _step_the_date(stage: FaultHarness) -> None:
+def _step_the_date(harness: FaultHarness) -> None:
     real = time.time
-    stage.undo.append(lambda: setattr(time, "time", real))
+    harness.undo.append(lambda: setattr(time, "time", real))
     time.time = lambda: real() - HOUR
 
 
-# What is read.
+# Input files.
 
 
 @contextmanager
@@ -96,7 +96,7 @@ def _file(name: str, text: str) -> Generator[Path]:
 
 
 def _refused(read: Callable[[Path], Any], name: str, text: str, says: str) -> list[str]:
-    """Return what is wrong where a file has to be refused."""
+    """Return the problems of a file that has to be refused."""
     with _file(name, text) as path:
         try:
             read(path)
@@ -189,4 +189,4 @@ FILES: Final = (
         _bad_settings,
     ),
 )
-"""Those that need a file, and the date."""
+"""Faults of files and of the date."""

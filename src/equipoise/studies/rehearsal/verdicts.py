@@ -1,7 +1,7 @@
-"""Whether a fault ended as it should, judged by what was sent and by what the twin did.
+"""Verdict on the end of a fault's run, from the bytes sent and from the motion of the twin.
 
-Nothing here asks the run how it went, but for the cause that it names: the setpoints are read from
-the bytes on the link, limits come from the arm, and rest is what the twin's joints do.
+Of the run itself only the cause that it names is used: setpoints are read from the bytes on the
+link, limits come from the arm, and rest is judged by the twin's joints.
 """
 
 import math
@@ -18,36 +18,36 @@ from equipoise.model.arms.arm import Arm
 from equipoise.studies.rehearsal.fault_harness import BrokenRunError, FaultHarness
 
 REPLY_SLACK: Final = 0.010
-"""Time between ticks [s]; a stop's first setpoint leaves within it."""
+"""Time between ticks [s]; the first setpoint of a stop is sent within it."""
 TOLD: Final = 0.100
-"""Where software cannot stop the robot, the operator knows within this [s]."""
+"""Maximum time until the operator knows that software cannot stop the robot [s]."""
 REST_TOLERANCE: Final = 0.01
-"""An arm whose joints move by no more in `WATCHED` rests [rad]: a pendulum that swings out shakes
-the twin's arm by half of this."""
+"""Maximum motion of a joint of an arm at rest, within `WATCHED` [rad]; a pendulum that swings out
+moves the twin's arm by half of this."""
 WATCHED: Final = 0.3
-"""It is watched for so long at the end [s]."""
+"""Length of the observation at the end [s]."""
 ROUNDING: Final = 1e-6
 STILL: Final = 5e-5
-"""A setpoint that differs by less from the one before holds the arm [rad]: 0.01 rad/s."""
+"""Maximum step of a setpoint that holds the arm [rad]: 0.01 rad/s."""
 GOING_ON: Final = frozenset(
     {"homing", "home", "hang", "reference", "swing", "lift", "armed", "balancing"}
 )
-"""What nobody may be told once a stop holds."""
+"""Names of messages that may not follow a stop."""
 RETURNING: Final = 0.1 + ROUNDING
-"""Share of the joints' velocities on the way back to the measured posture."""
+"""Maximum share of the joints' velocities on the way back to the measured posture."""
 
 
 class Sent(NamedTuple):
-    """A setpoint on the link."""
+    """Setpoint on the link."""
 
     time: float
-    """When it was sent [s]."""
+    """Time at which it was sent [s]."""
     q: tuple[float, ...]
-    """The numbers in it [rad]."""
+    """Joints [rad]."""
 
 
 def setpoints_of(lines: Sequence[tuple[float, bytes]]) -> list[Sent]:
-    """Return the setpoints among the lines that were sent."""
+    """Return the setpoints among the lines sent."""
     sent: list[Sent] = []
     for time, line in lines:
         command, *fields = line.decode().strip().rstrip("_").split("_")
@@ -57,7 +57,7 @@ def setpoints_of(lines: Sequence[tuple[float, bytes]]) -> list[Sent]:
 
 
 def limits_kept(arm: Arm, sent: Sequence[Sent]) -> list[str]:
-    """Return what is wrong with setpoints: number, finiteness, position, step."""
+    """Return the problems of setpoints: number, finiteness, position, step."""
     problems: list[str] = []
     before: tuple[float, ...] | None = None
     for time, q in sent:
@@ -109,7 +109,7 @@ def came_to_rest(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
 
 
 def judge(
-    stage: FaultHarness,
+    harness: FaultHarness,
     outcome: RunResult | EquipoiseError,
     *,
     ends: frozenset[str],
@@ -118,19 +118,19 @@ def judge(
     says: str,
     held_at_start: bool = False,
 ) -> list[str]:
-    """Return what did not end as it should.
+    """Return the differences between the end of a run and the required one.
 
     Args:
-        stage: What was seen.
-        outcome: What the run says.
-        ends: Causes of which one is expected; `refused` for a run that must not begin.
-        within: From the fault to the stop [s]; none where it has no bound.
-        stoppable: Whether software can stop the arm.
-        says: What the operator has to read.
-        held_at_start: Whether the policy may begin while a hand holds the pendulum.
+        harness: Record of the run.
+        outcome: Result that the run returns.
+        ends: Permitted causes; `refused` for a run that must not begin.
+        within: Maximum time from the fault to the stop [s]; None without a bound.
+        stoppable: Whether software can still stop the arm.
+        says: Text that some message has to contain.
+        held_at_start: Whether the policy may begin while the hand holds the pendulum.
     """
-    arm, told = stage.scene.settings.described_arm, stage.told
-    sent = setpoints_of(stage.robot_wire.sent)
+    arm, told = harness.scenario.settings.described_arm, harness.told
+    sent = setpoints_of(harness.robot_wire.sent)
     problems = limits_kept(arm, sent)
     if isinstance(outcome, BrokenRunError):
         return [*problems, str(outcome)]
@@ -138,59 +138,59 @@ def judge(
     if cause not in ends:
         reason = str(outcome) if isinstance(outcome, EquipoiseError) else outcome.reason
         problems.append(f"it ended with {cause} ({reason})")
-    if stage.broken_at is None:
+    if harness.broken_at is None:
         return [*problems, "it never came to the fault"]
     words = [one for one in told if one.name in ("stopping", "fault", "error")]
     if says and not any(says in one.text for one in told):
         problems.append(f"the operator did not read {says!r}")
     if "refused" in ends and cause == "refused":
-        return [*problems, *_nothing_moved(stage, sent)]
-    if stage.held_at_start and not held_at_start:
+        return [*problems, *_nothing_moved(harness, sent)]
+    if harness.held_at_start and not held_at_start:
         problems.append("the policy began while the hand held the pendulum")
-    problems += _on_track(stage)
+    problems += _on_track(harness)
     if not words:
         return [*problems, "the operator was told nothing"]
     stop = words[0].time
-    if within is not None and stop - stage.broken_at > within + 1e-9:
-        problems.append(f"it stopped {stop - stage.broken_at:.3f} s after the fault")
+    if within is not None and stop - harness.broken_at > within + 1e-9:
+        problems.append(f"it stopped {stop - harness.broken_at:.3f} s after the fault")
     if stoppable:
-        # What starts the servo holds the arm where it is.
+        # The first setpoint, which starts the servo, holds the arm where it is.
         problems += came_to_rest(arm, sent, stop) if len(sent) > 1 else []
     else:
         warned = [one for one in words if "software" in one.text and _names_the_button(one.text)]
         if not warned:
             problems.append("nobody told the operator that software cannot stop the robot")
-        elif within is not None and warned[0].time - stage.broken_at > TOLD + 1e-9:
-            late = warned[0].time - stage.broken_at
+        elif within is not None and warned[0].time - harness.broken_at > TOLD + 1e-9:
+            late = warned[0].time - harness.broken_at
             problems.append(f"the operator was told of it after {1e3 * late:.0f} ms")
     if any(one.name in GOING_ON for one in told if one.time > stop + 1e-9):
         problems.append("the run went on after its stop")
-    ended = [time for time, line in stage.robot_wire.sent if line.startswith(b"stopDirectServo")]
+    ended = [time for time, line in harness.robot_wire.sent if line.startswith(b"stopDirectServo")]
     if ended and sent and sent[-1].time > ended[0]:
         problems.append("a setpoint was sent after the servo had ended")
-    return problems + _at_rest(stage)
+    return problems + _at_rest(harness)
 
 
 def _names_the_button(text: str) -> bool:
     return "E-stop" in text or "emergency stop" in text
 
 
-def _nothing_moved(stage: FaultHarness, sent: Sequence[Sent]) -> list[str]:
+def _nothing_moved(harness: FaultHarness, sent: Sequence[Sent]) -> list[str]:
     if len(sent) > 1:
         return [f"{len(sent)} setpoints were sent"]
-    return _at_rest(stage)
+    return _at_rest(harness)
 
 
-def _on_track(stage: FaultHarness) -> list[str]:
-    home = [one.time for one in stage.told if one.name == "home"]
+def _on_track(harness: FaultHarness) -> list[str]:
+    home = [one.time for one in harness.told if one.name == "home"]
     if not home:
         return []
-    x = max((abs(look.x) for look in stage.looks if look.time >= home[0]), default=0.0)
+    x = max((abs(look.x) for look in harness.looks if look.time >= home[0]), default=0.0)
     return [f"the flange was {x:.3f} m from home"] if x >= paper.X_LIMIT else []
 
 
-def _at_rest(stage: FaultHarness) -> list[str]:
-    end = stage.looks[-1].time
-    q = np.array([look.q for look in stage.looks if look.time > end - WATCHED])
+def _at_rest(harness: FaultHarness) -> list[str]:
+    end = harness.looks[-1].time
+    q = np.array([look.q for look in harness.looks if look.time > end - WATCHED])
     moved = float(np.ptp(q, axis=0).max())
     return [f"at the end a joint moves by {moved:.3f} rad"] if moved > REST_TOLERANCE else []
