@@ -30,7 +30,7 @@ from equipoise.errors import InputError, LinkError
 PORT: Final = 30001
 """TCP port of the KST server."""
 JOINTS: Final = 7
-"""Joints of an iiwa."""
+"""Joints of an iiwa. An emulated arm may have another number, and its lines as many fields."""
 DIGITS: Final = 9
 """Significant digits of the numbers that are sent, 1 nrad in 1 rad: at 100 Hz the five digits of
 the official clients make steps of 1 rad/s^2 in the second difference."""
@@ -116,17 +116,20 @@ class KstLineSplitter:
         return [line for line in (line.removesuffix(b"\r") for line in lines) if line]
 
 
-def setpoint(q: Sequence[float] | npt.NDArray[np.float64], asked: Asked = "joints") -> bytes:
+def setpoint(
+    q: Sequence[float] | npt.NDArray[np.float64], asked: Asked = "joints", *, joints: int = JOINTS
+) -> bytes:
     """Return the line that sets the target of the joint servo.
 
     Args:
-        q: Seven joints [rad].
-        asked: What the server shall answer.
+        q: All joints [rad], shape (joints,).
+        asked: The answer that the server sends.
+        joints: Number of joints.
 
     Raises:
-        InputError: They are not seven finite numbers.
+        InputError: `q` is not one finite number for each joint.
     """
-    return _line(SETPOINTS[asked], _seven(q, "a setpoint"))
+    return _line(SETPOINTS[asked], _finite(q, joints, "a setpoint"))
 
 
 def velocity(dq: Sequence[float] | npt.NDArray[np.float64], asked: Asked = "joints") -> bytes:
@@ -143,7 +146,7 @@ def velocity(dq: Sequence[float] | npt.NDArray[np.float64], asked: Asked = "join
         raise InputError(
             f"a velocity cannot ask for {asked!r}; ask for one of {', '.join(VELOCITIES)}"
         )
-    return _line(VELOCITIES[asked], _seven(dq, "a velocity"))
+    return _line(VELOCITIES[asked], _finite(dq, JOINTS, "a velocity"))
 
 
 def speed(relative: float) -> bytes:
@@ -280,14 +283,16 @@ def _line(command: str, values: Sequence[float]) -> bytes:
     return f"{command}_{fields}\n".encode()
 
 
-def _seven(values: Sequence[float] | npt.NDArray[np.float64], what: str) -> list[float]:
+def _finite(
+    values: Sequence[float] | npt.NDArray[np.float64], count: int, what: str
+) -> list[float]:
     try:
         given = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         given = np.empty(0)
-    if given.shape != (JOINTS,) or not np.isfinite(given).all():
+    if given.shape != (count,) or not np.isfinite(given).all():
         raise InputError(
-            f"{what} is {JOINTS} finite numbers, one for each joint, not {str(values)[:120]}; "
+            f"{what} is {count} finite numbers, one for each joint, not {str(values)[:120]}; "
             "nothing was sent"
         )
     return given.tolist()

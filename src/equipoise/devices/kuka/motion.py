@@ -68,11 +68,11 @@ class ArmBody(Protocol):
 class Targets:
     """What the server's reader writes and its servo reads."""
 
-    def __init__(self) -> None:
+    def __init__(self, joints: int = JOINTS) -> None:
         """Begin with zeros and no servo, as the server does."""
-        self.q = [0.0] * JOINTS
+        self.q = [0.0] * joints
         """Target of the joint servo and of the next motion [rad]."""
-        self.dq = [0.0] * JOINTS
+        self.dq = [0.0] * joints
         """Velocity of the velocity servo [rad/s]."""
         self.servo = False
         """Whether a servo shall run."""
@@ -129,7 +129,7 @@ class ServoTask:
         self._runs = False
         self._time = 0.0
         self._q: list[float] = []
-        self._dq = [0.0] * JOINTS
+        self._dq = [0.0] * len(targets.q)
 
     def taken(self) -> None:
         """Pass a new joint target on; before the servo exists nobody takes it."""

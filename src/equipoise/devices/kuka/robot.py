@@ -109,8 +109,6 @@ def dial(host: str, port: int = PORT) -> Callable[[], Transport]:
 class KstRobot:
     """The driver; see the module."""
 
-    joints = JOINTS
-
     def __init__(
         self,
         open_transport: Callable[[], Transport],
@@ -121,6 +119,7 @@ class KstRobot:
         timeout: float = TIMEOUT,
         outstanding: int = OUTSTANDING,
         patience: float = APPLICATION,
+        joints: int = JOINTS,
     ) -> None:
         """Prepare; nothing is opened before `connect`.
 
@@ -132,7 +131,10 @@ class KstRobot:
             timeout: The answer to a setpoint is overdue after this [s].
             outstanding: So many setpoints may wait for their answer.
             patience: `connect` tries so long [s].
+            joints: Number of joints; other than seven only in front of an emulated arm.
         """
+        self.joints = joints
+        """Number of joints, the held one included."""
         self._open, self._clock = open_transport, clock
         self._tell, self._attend = tell, attend
         self._timeout, self._most, self._patience = timeout, outstanding, patience
@@ -178,7 +180,7 @@ class KstRobot:
         self._at_rest("start a servo")
         self._done(START_SERVO)
         self._wait(AFTER_START)
-        held = self._numbers(setpoint(self._numbers(GET_JOINTS)))
+        held = self._numbers(setpoint(self._numbers(GET_JOINTS), joints=self.joints))
         self._streams = True
         self._last = (self._clock.now(), held)
 
@@ -193,7 +195,7 @@ class KstRobot:
             LinkError: The link is down, no servo runs, or answers are overdue.
             InputError: The setpoint is not seven finite numbers; nothing was sent.
         """
-        line = setpoint(q, "external" if torque else "joints")
+        line = setpoint(q, "external" if torque else "joints", joints=self.joints)
         if not self._streams:
             self._link()
             raise LinkError("the servo does not run, so that no setpoint is obeyed; start it first")
@@ -245,7 +247,7 @@ class KstRobot:
             LinkError: There is no answer in time, or a wrong one; the server refuses.
             InputError: One of the arguments cannot be sent; nothing was.
         """
-        slowed, target = speed(relative_speed), setpoint(q, "done")
+        slowed, target = speed(relative_speed), setpoint(q, "done", joints=self.joints)
         self._at_rest("start a motion")
         for command in (slowed, target):
             self._done(command)
@@ -302,7 +304,7 @@ class KstRobot:
     def _numbers(self, command: bytes) -> tuple[float, ...]:
         line = self._ask(command)
         try:
-            return expect_numbers(line, JOINTS, _name(command))
+            return expect_numbers(line, self.joints, _name(command))
         except LinkError as error:
             self._fail(str(error))
 
@@ -337,7 +339,7 @@ class KstRobot:
                 self._fail(f"expected nothing, got {line[:120].decode('latin-1')!r}")
             sent, torque = self._waiting.popleft()
             try:
-                values = expect_numbers(line, JOINTS, "a setpoint")
+                values = expect_numbers(line, self.joints, "a setpoint")
             except LinkError as error:
                 self._fail(str(error))
             if not torque:

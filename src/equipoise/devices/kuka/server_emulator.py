@@ -29,7 +29,6 @@ from typing import Final
 import numpy as np
 
 from equipoise.devices.kuka.codec import (
-    JOINTS,
     SETPOINTS,
     VELOCITIES,
     Asked,
@@ -93,7 +92,8 @@ class KstServer:
 
         Args:
             body: The arm.
-            speeds: Limits of its joints' velocities, by which motions go [rad/s], shape (7,).
+            speeds: Limits of its joints' velocities, by which motions go [rad/s], shape (7,); an
+                arm with another number of joints gets lines with as many fields.
             faults: What goes wrong besides; it may be replaced at any time.
             seed: Of what is random in the faults.
         """
@@ -108,7 +108,7 @@ class KstServer:
         self._gone = False
         self._now = 0.0
         self._segments: list[tuple[float, bytes]] = []
-        self._targets = Targets()
+        self._targets = Targets(len(speeds))
         self._relative = 0.0
         self._waiting = ""
         self._cleared = 0.0
@@ -203,7 +203,7 @@ class KstServer:
                 return True
         for asked, command in VELOCITIES.items():
             if text.startswith(f"{command}_"):
-                self._take_velocity(tokens(line)[1:], JOINTS)
+                self._take_velocity(tokens(line)[1:], len(self._targets.q))
                 self._answer(asked)
                 return True
         for asked, command in _CARTESIAN.items():
@@ -290,7 +290,7 @@ class KstServer:
             elif text.startswith("stDcEEf_"):
                 self._begin("held")
             elif text.startswith("startSmartImpedneceJoints"):
-                _put([0.0] * JOINTS, fields)
+                _put([0.0] * len(self._targets.q), fields)
                 # Joint 1 keeps the target that it had: the real loop begins with joint 2.
                 self._begin("joints", first=1, last_words=DONE)
             elif text.startswith(("handGuiding", "preciseHandGuiding")):
