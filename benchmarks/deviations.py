@@ -10,11 +10,11 @@ import numpy as np
 from scipy.stats import binomtest
 
 from equipoise.evaluation import evaluate
-from equipoise.learning.trials import available_cores
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import resolve
+from equipoise.simulation import available_cores
 from equipoise.training import train
 
 TAKEN_BACK = {
@@ -75,7 +75,7 @@ def main() -> None:
                 test,
                 actuator=shipped_actuator(),
                 seed=seed,
-                with_yardsticks=False,
+                with_baselines=False,
                 workers=workers,
             )
             summaries.append(evaluation.results.summary())

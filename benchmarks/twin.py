@@ -19,11 +19,11 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.deployment import excite
 from equipoise.evaluation import Evaluation, evaluate
 from equipoise.identification.actuator import identify_run
-from equipoise.learning.trials import available_cores
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.settings import resolve
+from equipoise.simulation import available_cores
 from equipoise.training import LEARNERS, train_several
 
 
@@ -76,7 +76,7 @@ def main() -> None:
                 policy,
                 settings,
                 world=given.world,
-                with_yardsticks=False,
+                with_baselines=False,
                 workers=cores,
                 partial=file.with_suffix(".partial.json"),
             )

@@ -1,10 +1,10 @@
-"""Write a policy of your own and evaluate it on the plant of the training.
+"""Write a policy of your own and evaluate it on the digital twin.
 
 python examples/own_policy.py
 
 The same from the command line, in the folder of this file:
 
-equipoise evaluate --policy own_policy:Damped
+equipoise evaluate --policy own_policy:Damped --world twin:nominal
 """
 
 from math import sqrt
@@ -34,7 +34,7 @@ def main():
     """Evaluate it on a few trials: Python runs each in about a second."""
     policy = eq.bind_policy(Damped, pendulum=PENDULUM)
     settings = eq.resolve(overrides=["evaluation.trials=5", "evaluation.duration=10"])
-    evaluation = eq.evaluate_function(policy, "damped", PENDULUM, eq.iiwa(7), settings)
+    evaluation = eq.evaluate(policy, settings, world="twin:nominal")
     summary = evaluation.results.summary()
     print(f"{summary.survived} of {summary.trials} trials lasted {evaluation.duration:g} s")
     print("ended by:", summary.causes)

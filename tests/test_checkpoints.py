@@ -109,7 +109,7 @@ def test_a_finished_training_comes_from_its_checkpoint_alone(pendulum, tmp_path,
     monkeypatch.setattr(artefacts, "WRITING_SHARE", np.inf)
     policy = train(pendulum, ARM, SETTINGS["robust"], seed=5, partial=partial)
     monkeypatch.setattr(training, "train_episodes", None)
-    monkeypatch.setattr(training, "run_over_cores", None)
+    monkeypatch.setattr(training, "PlantSimulation", None)
     again = train(pendulum, ARM, SETTINGS["robust"], seed=5, partial=partial)
     assert again.digest == policy.digest
 

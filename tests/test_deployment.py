@@ -9,8 +9,9 @@ from equipoise.control.boxes import CAUSES
 from equipoise.control.policy import TabularPolicy
 from equipoise.deployment import DEPLOYMENT, deploy
 from equipoise.learning.closed_loop import make_loop_params
-from equipoise.learning.trials import draw_trials, run_over_cores
 from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
+from equipoise.simulation.trials import draw_trials
+from tests.simulation.recorded import on_the_plant, run_all
 
 
 @pytest.fixture(scope="module")
@@ -143,19 +144,10 @@ def test_the_pendulum_follows_the_nonlinear_equation(run):
 def test_it_is_the_trial_that_the_compiled_loop_runs(small_policy):
     settings = small_policy.settings
     long = deploy(small_policy, seed=5, duration=20.0)
-    trial = draw_trials(1, settings, 5, DEPLOYMENT, spread=1.0)
-    run_over_cores(
-        make_loop_params(
-            small_policy.arm, settings, small_policy.h, small_policy.pendulum.parameters()
-        ),
-        small_policy.kernel,
-        small_policy.pendulum.parameters(),
-        trial,
-        duration=20.0,
-        seed=5,
-        stream=DEPLOYMENT,
-        workers=1,
-    )
+    pendulum = small_policy.pendulum.parameters()
+    params = make_loop_params(small_policy.arm, settings, small_policy.h, pendulum)
+    simulation = on_the_plant(params, small_policy.arm, pendulum, settings, 5, DEPLOYMENT)
+    trial = run_all(simulation, small_policy.kernel, simulation.draw(1), 20.0)
     assert len(long.time) == trial.steps[0]
     assert long.conditions.cause == CAUSES[trial.cause[0]]
     # Small steps end runs early: x^2 before each step, against the sum after each step.

@@ -12,7 +12,7 @@ from equipoise.control.baselines import baselines
 from equipoise.control.boxes import CAUSES
 from equipoise.control.policy import act
 from equipoise.errors import ArtefactError
-from equipoise.evaluation import Evaluation, TrialResults, evaluate, evaluate_function
+from equipoise.evaluation import Evaluation, TrialResults, evaluate
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
@@ -23,6 +23,8 @@ SHORT = ["evaluation.trials=20", "evaluation.duration=1.5"]
 
 class Plain:
     """Any object with `act`: here it hands the question on."""
+
+    name = "plain"
 
     def __init__(self, policy):
         self.policy = policy
@@ -36,11 +38,11 @@ class Plain:
 class Yardstick:
     """A compiled yardstick as a plain object."""
 
-    def __init__(self, kernel):
-        self.kernel = kernel
+    def __init__(self, kernel, name):
+        self._kernel, self.name = kernel, name
 
     def act(self, state):
-        return act(self.kernel, *(float(value) for value in state), 0.0)
+        return act(self._kernel, *(float(value) for value in state), 0.0)
 
 
 class Constant:
@@ -165,7 +167,7 @@ def test_equal_seeds_give_equal_evaluations_whatever_the_workers(
 
 @pytest.mark.compiled_only
 def test_without_settings_those_of_the_policy_hold(small_policy):
-    evaluation = evaluate(small_policy, seed=3, with_yardsticks=False)
+    evaluation = evaluate(small_policy, seed=3, with_baselines=False)
     assert evaluation.settings == small_policy.settings
     assert evaluation.baselines == ()
     assert evaluation.duration == 2.0
@@ -177,7 +179,7 @@ def test_every_finished_trial_is_told_of_once(small_policy, settings):
     evaluate(small_policy, settings, done=told.append)
     assert sum(told) == 20 * 5  # the policy and four yardsticks
     told.clear()
-    evaluate(small_policy, settings, with_yardsticks=False, done=told.append)
+    evaluate(small_policy, settings, with_baselines=False, done=told.append)
     assert sum(told) == 20
 
 
@@ -193,14 +195,14 @@ def test_the_yardsticks_stand_as_they_should(evaluation):
 def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings, evaluation):
     plain = Plain(small_policy)
     told = []
-    other = evaluate_function(
+    other = evaluate(
         plain,
-        "plain",
-        small_policy.pendulum,
-        small_policy.arm,
         settings,
+        world="ideal",
+        pendulum=small_policy.pendulum,
+        arm=small_policy.arm,
         seed=3,
-        with_yardsticks=False,
+        with_baselines=False,
         done=told.append,
     )
     assert other.baselines == ()
@@ -208,28 +210,32 @@ def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings
     assert other.results.causes == evaluation.results.causes
     assert (other.policy, other.results.name) == ("plain", "plain")
     assert (other.pendulum, other.arm_digest) == (evaluation.pendulum, evaluation.arm_digest)
-    assert told == [1] * 20
+    assert told == [0] + [1] * 20
     assert len(plain.asked) == round(sum(other.results.survival) * 100)
     assert all(state.shape == (4,) for state in plain.asked)
 
 
 @pytest.mark.compiled_only
-def test_yardsticks_as_plain_objects_run_the_same_trials(small_policy):
-    settings = resolve(overrides=[*SHORT, "plant.linearised=true"])
-    compiled = {
-        results.name: results for results in evaluate(small_policy, settings, seed=3).baselines
-    }
-    kernels = baselines(small_policy.pendulum.parameters(), 0.01)
+@pytest.mark.parametrize("world", ["ideal", "model", "twin:nominal"])
+def test_yardsticks_as_plain_objects_run_the_same_trials(small_policy, world):
+    overrides = ["evaluation.trials=6", "evaluation.duration=1.5", "plant.linearised=true"]
+    settings = resolve(overrides=overrides)
+    there = {"world": world, "actuator": KST, "seed": 3}
+    evaluated = evaluate(small_policy, settings, **there)
+    compiled = {results.name: results for results in evaluated.baselines}
+    kernels = baselines(small_policy.pendulum.parameters(linearised=True), 0.01)
     for name in ("LQR", "LQR, snapped", "PD"):
-        plain = evaluate_function(
-            Yardstick(kernels[name]),
-            name,
-            small_policy.pendulum,
-            small_policy.arm,
+        plain = evaluate(
+            Yardstick(kernels[name], name),
             settings,
-            seed=3,
+            **there,
+            pendulum=small_policy.pendulum,
+            arm=small_policy.arm,
+            with_baselines=False,
         )
         assert plain.results == compiled[name]
+    ideal = evaluated.actuator == IDEAL_ACTUATOR.digest
+    assert ideal == (world == "ideal")
 
 
 def test_a_policy_in_python_cannot_change_the_plant(pendulum, settings):
@@ -242,7 +248,7 @@ def test_a_policy_in_python_cannot_change_the_plant(pendulum, settings):
         update={"evaluation": settings.evaluation.model_copy(update={"trials": 4})}
     )
     honest, meddling = (
-        evaluate_function(policy, "x", pendulum, iiwa(14), few)
+        evaluate(policy, few, world="ideal", pendulum=pendulum, arm=iiwa(14))
         for policy in (Constant(0.5), Meddles(0.5))
     )
     assert honest.results == meddling.results
@@ -252,7 +258,9 @@ def test_a_constant_push_fails_at_once(pendulum, settings):
     few = settings.model_copy(
         update={"evaluation": settings.evaluation.model_copy(update={"trials": 6})}
     )
-    evaluation = evaluate_function(Constant(max(paper.ACTIONS)), "push", pendulum, iiwa(7), few)
+    evaluation = evaluate(
+        Constant(max(paper.ACTIONS)), few, world="ideal", pendulum=pendulum, arm=iiwa(7)
+    )
     summary = evaluation.results.summary()
     assert summary.causes == {"angle": 6}
     assert summary.survived == 0
@@ -263,7 +271,7 @@ def test_a_constant_push_fails_at_once(pendulum, settings):
 def test_worse_plants_are_harder(small_policy):
     def median(*overrides):
         settings = resolve(overrides=["evaluation.trials=60", "evaluation.duration=5", *overrides])
-        return evaluate(small_policy, settings, with_yardsticks=False).results.summary().median
+        return evaluate(small_policy, settings, with_baselines=False).results.summary().median
 
     shaken = median("plant.position_error_sigma=0.005", "plant.orientation_error_sigma=0.05")
     assert shaken < median()

@@ -6,9 +6,9 @@ from scipy.stats import binomtest
 from equipoise.control.policy import shipped_policy
 from equipoise.evaluation import evaluate
 from equipoise.identification import identify
-from equipoise.learning.trials import available_cores
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
+from equipoise.simulation import available_cores
 from equipoise.training import LEARNERS, train_several
 from equipoise.trajectory import read_swing
 
@@ -22,7 +22,7 @@ def summaries(pendulum, settings, seeds, tests=TESTS, learners=LEARNERS):
         policy = train_several(
             pendulum, iiwa(7), settings, learners=learners, seed=seed, workers=workers
         )[0]
-        evaluation = evaluate(policy, tests, seed=seed, with_yardsticks=False, workers=workers)
+        evaluation = evaluate(policy, tests, seed=seed, with_baselines=False, workers=workers)
         yield evaluation.results.summary()
 
 
@@ -66,7 +66,7 @@ def test_the_policy_that_ships_stands_on_the_twin():
         settings,
         world="twin:nominal",
         seed=1,
-        with_yardsticks=False,
+        with_baselines=False,
         workers=available_cores(),
     )
     assert evaluation.results.summary().survived >= 15
@@ -84,7 +84,7 @@ def test_every_seed_stands_a_minute_on_the_twin(pendulum):
             policy,
             tests,
             world="twin:nominal",
-            with_yardsticks=False,
+            with_baselines=False,
             workers=available_cores(),
         )
         results.append(evaluation.results.summary())

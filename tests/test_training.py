@@ -11,6 +11,7 @@ from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
 from equipoise.settings import resolve
+from equipoise.simulation import plant
 from equipoise.training import train, train_several
 
 # Thousands of episodes' worth of steps: minutes without compilation.
@@ -231,13 +232,13 @@ def test_no_more_finalists_than_asked_for_and_no_more_than_candidates(pendulum):
 
 def test_all_learners_are_compared_on_the_same_selection_trials(monkeypatch, pendulum):
     seen = []
-    original = training.draw_trials
+    original = plant.draw_trials
 
-    def spy(count, settings, seed, stream, spread):
+    def spy(count, settings, seed, stream, spread, first):
         seen.append((count, seed, stream, spread))
-        return original(count, settings, seed, stream, spread)
+        return original(count, settings, seed, stream, spread, first)
 
-    monkeypatch.setattr(training, "draw_trials", spy)
+    monkeypatch.setattr(plant, "draw_trials", spy)
     train_several(pendulum, ARM, settings("selection.screening_trials=30"), learners=2, seed=5)
     # The final round has trials of its own, and neither has those of the test.
     assert set(seen) == {(30, 5, SCREENING, 2.0), (70, 5, FINAL_ROUND, 2.0)}

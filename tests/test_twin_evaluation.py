@@ -88,7 +88,7 @@ def test_trials_of_another_seed_are_not_taken_for_finished(behind_a_servo, tmp_p
         world=WORLD,
         seed=5,
         partial=partial,
-        with_yardsticks=False,
+        with_baselines=False,
         done=ran.append,
     )
     assert ran[0] == 0
@@ -144,7 +144,7 @@ def test_the_twin_has_the_friction_that_was_identified_and_files_say_whose_it_is
             policy,
             policy.settings.model_copy(update={"evaluation": few}),
             world=world,
-            with_yardsticks=False,
+            with_baselines=False,
         ).friction
         assert (told.coulomb, told.drag, told.coulomb_from) == (coulomb, drag, whose)
 
@@ -173,7 +173,7 @@ def test_a_delay_that_the_controller_cannot_remember_is_refused(behind_a_servo):
     late = Estimate(value=0.15, low=0.15, high=0.15, source="assumed")
     actuator = behind_a_servo.actuator.model_copy(update={"delay": late})
     with pytest.raises(SettingsError, match="delay"):
-        evaluate(behind_a_servo, world=WORLD, actuator=actuator, with_yardsticks=False)
+        evaluate(behind_a_servo, world=WORLD, actuator=actuator, with_baselines=False)
 
 
 def test_guards_end_trials_in_the_worlds_that_have_them(evaluation, behind_a_servo):
@@ -215,10 +215,10 @@ def test_what_a_policy_was_trained_for_limits_its_speed_on_plant_and_twin(behind
     slow = settings.model_copy(update={"plant": plant})
     policy = behind_a_servo.model_copy(update={"settings": slow})
     for world in ("model", WORLD):
-        results = evaluate(policy, world=world, seed=4, with_yardsticks=False).results
+        results = evaluate(policy, world=world, seed=4, with_baselines=False).results
         assert set(results.guards) == {"flange speed"}
         run = deploy(policy, world=world, seed=4, duration=2.0)
         assert (run.conditions.cause, run.conditions.guard) == ("guard", "flange speed")
         assert abs(run.truth.x_dot).max() < 0.1
     # A world without guards has none.
-    assert not evaluate(policy, world=UNGUARDED, seed=4, with_yardsticks=False).results.guards
+    assert not evaluate(policy, world=UNGUARDED, seed=4, with_baselines=False).results.guards

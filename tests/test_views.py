@@ -29,7 +29,7 @@ def values(small_policy, pendulum):
         "pendulum": pendulum,
         "identified": eq.shipped_pendulum(),
         "policy": small_policy,
-        "evaluation": eq.evaluate(small_policy, settings, with_yardsticks=False),
+        "evaluation": eq.evaluate(small_policy, settings, with_baselines=False),
         "run": eq.deploy(small_policy, world=MODEL, duration=1.0),
     }
 

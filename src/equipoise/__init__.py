@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from equipoise.control.policy import Policy, TabularPolicy, shipped_policy
     from equipoise.deployment import deploy, excite
     from equipoise.errors import EquipoiseError
-    from equipoise.evaluation import Evaluation, evaluate, evaluate_function
+    from equipoise.evaluation import Evaluation, evaluate
     from equipoise.identification import identify
     from equipoise.identification.actuator import identify_run
     from equipoise.model.actuator import Actuator, shipped_actuator
@@ -60,7 +60,6 @@ __all__ = [
     "certify",
     "deploy",
     "evaluate",
-    "evaluate_function",
     "excite",
     "identify",
     "identify_run",
@@ -88,7 +87,7 @@ _HOMES = {
     "control.policy": ("Policy", "TabularPolicy", "shipped_policy"),
     "deployment": ("deploy", "excite"),
     "errors": ("EquipoiseError",),
-    "evaluation": ("Evaluation", "evaluate", "evaluate_function"),
+    "evaluation": ("Evaluation", "evaluate"),
     "identification": ("identify",),
     "identification.actuator": ("identify_run",),
     "model.actuator": ("Actuator", "shipped_actuator"),

@@ -51,12 +51,12 @@ from equipoise.learning.q_learning import (
     new_training_state,
     train_episodes,
 )
-from equipoise.learning.trials import draw_trials, run_over_cores
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import FINAL_ROUND, SCREENING
 from equipoise.settings import Settings
+from equipoise.simulation.plant import PlantSimulation
 
 Array = npt.NDArray[np.float64]
 
@@ -200,7 +200,7 @@ def score_policy(
     """
     parameters = policy.pendulum.parameters(linearised=policy.settings.plant.linearised)
     plant = make_loop_params(policy.arm, policy.settings, policy.h, parameters, policy.actuator)
-    selection = _Selection(plant, parameters, policy.settings, seed, workers)
+    selection = _Selection(plant, policy.arm, parameters, policy.settings, seed, workers)
     return selection.final(policy.u_of_box, policy.episodes, done)
 
 
@@ -248,7 +248,7 @@ def _train(
     progress = new_training_state()
     if task.init_policy is not None:
         progress.Q[:], progress.visits[:] = task.init_policy.table, task.init_policy.visits
-    selection = _Selection(plant, parameters, settings, seed, workers)
+    selection = _Selection(plant, task.arm, parameters, settings, seed, workers)
     every = settings.selection.every or max(1, constants.episodes // REPORTS)
     curve: list[LearningPoint] = []
     h = plant.controller.h
@@ -388,12 +388,14 @@ class _Selection:
     def __init__(
         self,
         plant: LoopParams,
+        arm: Arm,
         pendulum: PendulumParameters,
         settings: Settings,
         seed: int,
         workers: int,
     ) -> None:
-        self._plant, self._pendulum, self._settings = plant, pendulum, settings
+        self._plant, self._arm = plant, arm
+        self._pendulum, self._settings = pendulum, settings
         self._seed, self._workers = seed, workers
         self._averaged, self._screened = new_training_state().Q, 0
         self._known: dict[str, Checkpoint] = {}
@@ -494,17 +496,23 @@ class _Selection:
         done: Callable[[int], None] = lambda _: None,
     ) -> Checkpoint:
         selection = self._settings.selection
-        trials = draw_trials(count, self._settings, self._seed, stream, selection.spread)
-        run_over_cores(
+        simulation = PlantSimulation(
             self._plant,
-            policy_kernel(TABLE, u_of_box=u_of_box),
+            self._arm,
             self._pendulum,
-            trials,
-            duration=duration,
+            self._settings,
             seed=self._seed,
             stream=stream,
+            spread=selection.spread,
+        )
+        trials = simulation.draw(count)
+        simulation.run(
+            policy_kernel(TABLE, u_of_box=u_of_box),
+            trials,
+            range(count),
+            duration=duration,
             workers=self._workers,
-            done=done,
+            done=lambda rows: done(len(rows)),
         )
         mean_duration = float(np.mean(trials.steps)) * self._plant.controller.h
         rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))

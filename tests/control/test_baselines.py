@@ -12,11 +12,10 @@ from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, act
 from equipoise.learning.closed_loop import (
     make_loop_params,
 )
-from equipoise.learning.trials import draw_trials, run_over_cores
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters, angular_acceleration
-from equipoise.model.random import TEST
 from equipoise.settings import resolve
+from tests.simulation.recorded import on_the_plant, run_all
 
 H = 0.01
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
@@ -62,17 +61,10 @@ def survived(kernel, *, trials=40, duration=10.0, noise=True):
         ]
     )
     settings = resolve(overrides=overrides)
-    drawn = draw_trials(trials, settings, 0, TEST, 1.0)
-    run_over_cores(
-        make_loop_params(iiwa(14), settings, H, PENDULUM),
-        kernel,
-        PENDULUM,
-        drawn,
-        duration=duration,
-        seed=0,
-        stream=TEST,
-        workers=1,
-    )
+    arm = iiwa(14)
+    params = make_loop_params(arm, settings, H, PENDULUM)
+    simulation = on_the_plant(params, arm, PENDULUM, settings)
+    drawn = run_all(simulation, kernel, simulation.draw(trials), duration)
     return drawn.steps * H, drawn.cause
 
 

@@ -16,7 +16,6 @@ from equipoise.control.control_step import (
     make_controller_params,
     new_controller_state,
 )
-from equipoise.control.policy import LINEAR, policy_kernel
 from equipoise.control.safety import (
     NO_VIOLATION,
     RULES,
@@ -54,7 +53,6 @@ from equipoise.settings import Settings
 
 ARM = iiwa(7)
 GUARD_7 = make_safety_params(ARM, reaction=0.03, u_max=2.0, h=0.01, counts_per_rev=8192)
-ANY_POLICY = policy_kernel(LINEAR)
 DT = 0.005
 
 
@@ -187,16 +185,14 @@ def test_rules_act_where_a_world_has_them_with_the_numbers_of_a_rig():
     actuator = shipped_actuator()
     world = read_world("twin:nominal").settings
     unguarded = world.model_copy(update={"guards": False})
-    assert trial_safety(ARM, unguarded, actuator, ANY_POLICY, 0.01) is None
-    guard = trial_safety(ARM, world, actuator, ANY_POLICY, 0.01)
+    assert trial_safety(ARM, unguarded, actuator, 0.01) is None
+    guard = trial_safety(ARM, world, actuator, 0.01)
     assert guard is not None
     assert guard.limits == GUARD_7.limits
     assert guard.u_max == 2.0
     assert actuator.delay.value < guard.reaction < 0.05
     assert guard.speed == float("inf")
-    left = trial_safety(ARM, world, actuator, ANY_POLICY._replace(actions=(-3.0, 1.0)), 0.01)
-    assert left == guard._replace(u_max=3.0)
-    t1 = trial_safety(ARM, world.model_copy(update={"t1": True}), actuator, ANY_POLICY, 0.01)
+    t1 = trial_safety(ARM, world.model_copy(update={"t1": True}), actuator, 0.01)
     assert t1 == guard._replace(speed=0.23)
 
 
@@ -205,7 +201,7 @@ def test_rules_act_where_a_world_has_them_with_the_numbers_of_a_rig():
 )
 def test_of_two_speed_limits_the_lower_acts(t1, max_speed, speed):
     world = read_world("twin:nominal").settings.model_copy(update={"t1": t1})
-    guard = trial_safety(ARM, world, shipped_actuator(), ANY_POLICY, 0.01, max_speed)
+    guard = trial_safety(ARM, world, shipped_actuator(), 0.01, max_speed)
     assert guard.speed == speed
 
 

@@ -24,7 +24,6 @@ from equipoise.learning.closed_loop import (
     scaled,
     step,
 )
-from equipoise.learning.trials import draw_trials, record_trial, run_trials
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
@@ -33,6 +32,7 @@ from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.random import TEST
 from equipoise.settings import Settings, resolve
 from tests.reference.closed_loop import Joints, Loop, runge_kutta
+from tests.simulation.recorded import on_the_plant, record, run_all
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 SETTINGS = Settings()
@@ -95,9 +95,9 @@ def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
     """Every step again: joints by hand, flange by the arm's Python kinematics, phi by SciPy."""
     arm = iiwa(size)
     plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM)
-    trials = draw_trials(1, STILL, 0, TEST, 1.0)
-    trials.start[0] = 0.01, -0.05, 0.02, 0.1
-    _, run = record_trial(plant, Table(random_table()), PENDULUM, trials, 0, 60, 1, TEST)
+    simulation = on_the_plant(plant, arm, PENDULUM, STILL, seed=1)
+    trial = simulation.draw(1).trial(0)._replace(start=(0.01, -0.05, 0.02, 0.1))
+    _, run = record(simulation, Table(random_table()), trial, 0.6)
     assert len(run.u) > 15
     for i in range(len(run.u) - 1):
         before = arm.kinematics(run.q[i], run.dq[i])
@@ -131,18 +131,13 @@ def test_a_trial_has_the_same_bits_alone_and_in_company():
     arm = iiwa(7)
     plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM)
     table = random_table(4)
-    trials = draw_trials(2 * BATCH_SIZE + 5, SETTINGS, 7, TEST, 1.0)
-    longest = 300
+    simulation = on_the_plant(plant, arm, PENDULUM, SETTINGS, seed=7)
     kernel = policy_kernel(TABLE, u_of_box=table)
-    run_trials(
-        plant, new_batch_state(), kernel, PENDULUM, trials, 0, len(trials.steps), longest, 7, TEST
-    )
+    trials = run_all(simulation, kernel, simulation.draw(2 * BATCH_SIZE + 5), 3.0)
     assert len(set(trials.steps.tolist())) > 5
     for i in (0, 3, BATCH_SIZE, 2 * BATCH_SIZE + 4):
-        cause, run = record_trial(plant, Table(table), PENDULUM, trials, i, longest, 7, TEST)
-        assert (cause, len(run.u)) == (trials.cause[i], trials.steps[i])
-        x_after = np.append(run.state[1:, 0], np.nan)
-        assert np.nansum(x_after**2) <= trials.sum_x2[i]
+        result, run = record(simulation, Table(table), trials.trial(i), 3.0)
+        assert result == (trials.steps[i], trials.cause[i], trials.sum_x2[i])
         # The state is known: what the policy saw is what there was.
         assert np.array_equal(run.observation, run.state)
 

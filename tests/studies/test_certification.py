@@ -229,8 +229,8 @@ def test_another_policy_or_claim_has_another_seed_and_the_same_has_the_same():
 def fallen(monkeypatch, small_policy):
     """Certify on made-up trials: so many fall over, so many leave the track."""
 
-    def made_up(policy, settings, *, seed, world, with_yardsticks, workers, partial, done):
-        assert not with_yardsticks
+    def made_up(policy, settings, *, seed, world, with_baselines, workers, partial, done):
+        assert not with_baselines
         worlds.append(world)
         count, duration = settings.evaluation.trials, settings.evaluation.duration
         causes = ["angle"] * counts[0] + ["track"] * counts[1]
@@ -382,7 +382,7 @@ def test_a_named_world_has_its_own_numbers_and_no_others(fallen):
 @pytest.mark.compiled_only
 def test_a_second_try_is_the_same_try_whatever_the_workers(small_policy):
     # Half of the trials last as long as the median.
-    median = evaluate(small_policy, with_yardsticks=False).results.summary().median
+    median = evaluate(small_policy, with_baselines=False).results.summary().median
     claim = make_claim(0.5, 0.95, round(median, 2), trials=150)
     certificate, evaluation = certify(small_policy, claim)
     for workers in (1, 2):
@@ -405,6 +405,6 @@ def test_its_trials_are_those_of_an_evaluation_with_that_seed(small_policy):
     )
     assert sum(told) == 70
     plain = evaluate(
-        small_policy, certificate.settings, seed=certificate.seed, with_yardsticks=False
+        small_policy, certificate.settings, seed=certificate.seed, with_baselines=False
     )
     assert plain == evaluation

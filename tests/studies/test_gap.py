@@ -343,7 +343,7 @@ def test_points_are_evaluations_whatever_the_number_of_workers(policy, monkeypat
         world=World("late", late),
         actuator=told(policy.actuator, WORLD, late),
         seed=3,
-        with_yardsticks=False,
+        with_baselines=False,
     )
     assert gap.curve("delay", NO_PREDICTION)[1].results == expected.results
 

@@ -381,7 +381,7 @@ def test_on_the_twin_the_refined_policy_is_as_good_as_the_old(factor):
     def share(table):
         table = table.model_copy(update={"pendulum": there})
         results = evaluate(
-            table, world=World("twin:steady", twin), with_yardsticks=False, workers=2
+            table, world=World("twin:steady", twin), with_baselines=False, workers=2
         ).results
         return results.summary().rate
 

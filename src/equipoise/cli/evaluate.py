@@ -30,7 +30,7 @@ from equipoise.cli.options import (
     read_policy,
 )
 from equipoise.cli.output import Output, verb
-from equipoise.cli.trial_bar import trial_bar, trials_of
+from equipoise.cli.trial_bar import trials_of
 from equipoise.errors import ArtefactError, InputError
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def evaluate(
         str,
         typer.Option(
             metavar="WORLD",
-            help="model: the plant of the training; twin:nominal, twin:harsh or twin:FILE.",
+            help="ideal: the paper's plant; model: behind the actuator; twin:NAME or twin:FILE.",
         ),
     ] = "model",
     max_speed: MaxSpeed = None,
@@ -135,8 +135,8 @@ def evaluate(
 ) -> None:
     """Evaluate a policy: how long it stands, and why it falls.
 
-    Four baselines run the same trials. Interrupted on a twin, the same command
-    goes on where it stopped. Exit code 1: the median trial ended early.
+    Four baselines run the same trials. Interrupted, the same command continues
+    where it stopped. Exit code 1: the median trial ended early.
 
     --claim grants or refuses a claim by an exact bound. Claim and policy
     determine the number of trials and their seed, so a second attempt is the
@@ -166,46 +166,36 @@ def evaluate(
         raise InputError(f"both {policy} and --policy {function} are given; give one of them")
 
     of_urdf = (held, base, tip)
+    chosen: TaskPolicy
+    of_arm = None if arm is None and not any(of_urdf) else read_arm(arm or "iiwa7", *of_urdf)
     if function is not None:
         from equipoise.control.bound_policy import load_policy
-        from equipoise.model.sim_configs import MODEL
 
-        if world != MODEL or actuator or max_speed is not None or not with_baselines:
-            raise InputError(
-                "--policy runs on the plant of the paper, beside the baselines; leave out "
-                "--world, --actuator, --max-speed and --no-baselines"
-            )
-        evaluation = _evaluate_function(
-            output,
-            load_policy(
-                function,
-                pendulum=read_pendulum(pendulum),
-                arm=read_arm(arm or "iiwa7", *of_urdf),
-            ),
-            trials,
-            duration,
-            seed,
-            workers,
+        chosen = load_policy(
+            function,
+            pendulum=read_pendulum(pendulum),
+            arm=of_arm,
+            actuator=read_actuator(actuator),
         )
     else:
-        table = read_policy(policy)
+        chosen = read_policy(policy)
         if pendulum is not None:
-            _refuse_other_pendulum(table, pendulum)
-        if arm is not None or any(of_urdf):
-            _refuse_other_arm(table, read_arm(arm or "iiwa7", *of_urdf))
-        evaluation = _evaluate_table(
-            output,
-            table,
-            world,
-            read_actuator(actuator),
-            trials,
-            duration,
-            max_speed,
-            seed,
-            workers,
-            with_baselines,
-            partial,
-        )
+            _refuse_other_pendulum(chosen, pendulum)
+        if of_arm is not None:
+            _refuse_other_arm(chosen, of_arm)
+    evaluation = _evaluate(
+        output,
+        chosen,
+        world,
+        read_actuator(actuator),
+        trials,
+        duration,
+        max_speed,
+        seed,
+        workers,
+        with_baselines,
+        partial,
+    )
     inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
     with destination.claimed() as out:
         evaluation.save(out, command="evaluate", inputs=inputs)
@@ -263,9 +253,9 @@ def _settings(settings: "Settings", trials: int | None, duration: float | None) 
     return settings.model_copy(update={"evaluation": evaluation})
 
 
-def _evaluate_table(
+def _evaluate(
     output: Output,
-    policy: "TabularPolicy",
+    policy: "TaskPolicy",
     world: str,
     actuator: "Actuator | None",
     trials: int | None,
@@ -292,38 +282,9 @@ def _evaluate_table(
             world=world,
             actuator=actuator,
             seed=seed,
-            with_yardsticks=with_baselines,
+            with_baselines=with_baselines,
             workers=available_workers(workers),
             partial=partial,
-            done=done,
-        )
-
-
-def _evaluate_function(
-    output: Output,
-    policy: "TaskPolicy",
-    trials: int | None,
-    duration: float | None,
-    seed: int,
-    workers: int | None,
-) -> "Evaluation":
-    from equipoise.evaluation import evaluate_function
-    from equipoise.settings import Settings
-    from equipoise.studies.compilation import FUNCTIONS, compile_trials_in_python
-
-    settings = _settings(Settings(), trials, duration)
-    total = _runs(policy.pendulum) * settings.evaluation.trials
-    with trial_bar(
-        output, "evaluate", total, lambda: compile_trials_in_python(policy.arm), FUNCTIONS
-    ) as done:
-        return evaluate_function(
-            policy,
-            policy.name,
-            policy.pendulum,
-            policy.arm,
-            settings,
-            seed=seed,
-            workers=available_workers(workers),
             done=done,
         )
 

@@ -260,6 +260,6 @@ def read_arm(
 
 def available_workers(workers: int | None) -> int:
     """Return how many threads to use."""
-    from equipoise.learning.trials import available_cores
+    from equipoise.simulation import available_cores
 
     return available_cores() if workers is None else workers

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from equipoise import paper
 from equipoise.compiled import kernel
 from equipoise.control.boxes import SAFETY_STOP
 from equipoise.control.control_step import (
@@ -23,7 +24,6 @@ from equipoise.control.control_step import (
     horizon,
 )
 from equipoise.control.controller import flange_pose
-from equipoise.control.policy import PolicyKernel
 from equipoise.control.safety import (
     ANGLE_CODE,
     FOLLOWING_CODE,
@@ -82,7 +82,6 @@ def trial_safety(
     arm: Arm,
     settings: TwinSettings,
     actuator: Actuator,
-    policy: PolicyKernel,
     h: float,
     max_speed: float | None = None,
 ) -> SafetyParams | None:
@@ -92,7 +91,6 @@ def trial_safety(
         arm: The arm with its home posture.
         settings: The world's numbers.
         actuator: What the controller knows of the arm's response.
-        policy: What decides.
         h: Time between ticks [s].
         max_speed: What the task limits the flange's speed to [m/s]; none where it does not.
     """
@@ -101,7 +99,7 @@ def trial_safety(
     return make_safety_params(
         arm,
         reaction=horizon(arm, actuator, 0.0),
-        u_max=max(map(abs, policy.actions)),
+        u_max=max(map(abs, paper.ACTIONS)),
         h=h,
         counts_per_rev=settings.counts_per_rev,
         speed=min(T1_SPEED if settings.t1 else inf, inf if max_speed is None else max_speed),

@@ -1,16 +1,14 @@
 """Deploy: a policy runs once, under conditions that it does not know, and is written down.
 
-It runs on the training plant (world `model`) or on a digital twin of the rig (`twin:...`): an arm
+It runs on a plant (worlds `ideal` and `model`) or on a digital twin of the rig (`twin:...`): an arm
 behind the robot's own servo, a pendulum that pulls at it, an encoder with a wrong zero. What the
 policy does not know (pendulum, noise, start, zero) is drawn as for one test trial, from a seed of
-its own. On the model any object with `act(state) -> u` would do: the file of a policy, run tick by
-tick from Python, does what the compiled trials of `equipoise.evaluation` said.
+its own. The policy runs tick by tick from Python, with the bits of a compiled trial.
 
 `excite` moves the arm instead, the pendulum hanging, and writes down how it follows: what
 `equipoise.identification.actuator` identifies the actuator from.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,19 +16,14 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.control.boxes import box_index, boxes, cause_named
-from equipoise.control.control_step import SETPOINTS_PER_TICK, make_controller_params
-from equipoise.control.policy import TabularPolicy
-from equipoise.control.trial_safety import guard_named, trial_safety
-from equipoise.learning.closed_loop import (
-    make_loop_params,
-    scaled,
-)
-from equipoise.learning.trials import draw_trials, record_trial, twin_settings
+from equipoise.control.control_step import SETPOINTS_PER_TICK
+from equipoise.control.policy import TaskPolicy
+from equipoise.control.trial_safety import guard_named
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import DEPLOYMENT
-from equipoise.model.sim_configs import MODEL, World, pivot_friction, read_world
+from equipoise.model.sim_configs import MODEL, TwinSettings, World, pivot_friction, read_world
 from equipoise.runlog import (
     IDEAL,
     EncoderSamples,
@@ -41,6 +34,7 @@ from equipoise.runlog import (
     TruthColumns,
 )
 from equipoise.settings import Settings
+from equipoise.simulation import Recorder, find_world, run_trial, setup_of, simulate
 
 Array = npt.NDArray[np.float64]
 
@@ -49,7 +43,7 @@ EXCITED = "excited"
 
 
 def deploy(
-    policy: TabularPolicy,
+    policy: TaskPolicy,
     *,
     world: str | World = MODEL,
     actuator: Actuator | None = None,
@@ -61,7 +55,7 @@ def deploy(
 
     Args:
         policy: The policy.
-        world: `model`, a name that `read_world` knows, or a twin with its numbers.
+        world: `ideal`, `model`, a name that `read_world` knows, or a twin with its numbers.
         actuator: What the controller knows of the arm's response; that of the training if not
             given.
         seed: Master seed of what the policy does not know.
@@ -76,13 +70,65 @@ def deploy(
         ArmError: Home is a singular posture, or a twin does not know the masses of the arm.
         SettingsError: There is no such world.
     """
-    settings = policy.settings if settings is None else settings
-    actuator = policy.actuator if actuator is None else actuator
+    setup = setup_of(policy, world, settings, actuator)
+    pendulum, arm, settings, actuator, h = setup
     duration = settings.evaluation.duration if duration is None else duration
-    if isinstance(world, str) and world == MODEL:
-        return _on_the_model(policy, actuator, seed, duration, settings)
-    twin = world if isinstance(world, World) else read_world(world)
-    return _on_a_twin(policy, twin, actuator, seed, duration, settings)
+    name, twin = find_world(world)
+    simulation = simulate(world, setup, seed=seed, stream=DEPLOYMENT)
+    trial, loop = simulation.draw(1).trial(0), simulation.loop()
+    recorder = Recorder(len(arm.joints), round(duration / h))
+    _, cause, _ = run_trial(loop, policy, trial, duration, recorder)
+    rows = recorder.rows
+    time = np.arange(len(rows.u), dtype=np.float64) * h
+    sent = (time[:, None] + np.arange(SETPOINTS_PER_TICK) * h / SETPOINTS_PER_TICK).ravel()
+    setpoints = rows.setpoints.reshape(-1, FREE_JOINTS)
+    friction: dict[str, Any] = {}
+    measured: dict[str, Any] = {}
+    if twin is not None:
+        friction["friction"] = pivot_friction(pendulum, twin).model_dump()
+        measured = {
+            "stream": Stream(sent, _all_joints(arm, setpoints)),
+            "replies": Replies(rows.measured[:, -1], _all_joints(arm, rows.measured[:, :-1])),
+            "encoder": EncoderSamples(rows.encoder[:, 1], rows.encoder[:, 0].astype(np.int64)),
+        }
+    partition = boxes()
+    x, x_dot, phi, phi_dot = rows.observation.T
+    return RunLog(
+        conditions=_conditions(
+            arm,
+            loop.pendulum,
+            settings,
+            policy=policy.digest,
+            world=name,
+            start=trial.start,
+            h=h,
+            duration=duration,
+            seed=seed,
+            actuator=IDEAL if actuator.kind == "ideal" else actuator.digest,
+            twin=twin,
+            zero_error=loop.zero,
+            cause=cause_named(cause),
+            guard=guard_named(cause),
+            **friction,
+        ),
+        time=time,
+        x=x,
+        x_dot=x_dot,
+        phi=phi,
+        phi_dot=phi_dot,
+        box=np.array(
+            [box_index(*row, boxes=partition) for row in rows.observation.tolist()], np.int64
+        ),
+        u=rows.u,
+        estimated_phi=rows.estimate[:, 0],
+        estimated_phi_dot=rows.estimate[:, 1],
+        bias=rows.estimate[:, 2],
+        tracked=rows.tracked,
+        q=_all_joints(arm, rows.q),
+        dq=_rates_of_all_joints(arm, rows.dq),
+        truth=TruthColumns(*rows.state.T, q=rows.joints),
+        **measured,
+    )
 
 
 def excite(
@@ -122,7 +168,7 @@ def excite(
             duration=duration,
             seed=seed,
             actuator="",
-            twin=twin,
+            twin=twin.settings,
             friction=friction.model_dump(),
             zero_error=None,
             cause=EXCITED,
@@ -132,149 +178,13 @@ def excite(
     )
 
 
-def _on_the_model(
-    policy: TabularPolicy, actuator: Actuator, seed: int, duration: float, settings: Settings
-) -> RunLog:
-    nominal = policy.pendulum.parameters(linearised=settings.plant.linearised)
-    plant = make_loop_params(policy.arm, settings, policy.h, nominal, actuator)
-    trials = draw_trials(1, settings, seed, DEPLOYMENT, spread=1.0)
-    longest = round(duration / policy.h)
-    cause, rows = record_trial(plant, policy, nominal, trials, 0, longest, seed, DEPLOYMENT)
-    real = scaled(nominal, float(trials.inertia_factor[0]), float(trials.friction_factor[0]))
-    arm, q, truth = policy.arm, _all_joints(policy.arm, rows.q), rows.state.T
-    return RunLog(
-        conditions=_conditions(
-            arm,
-            real,
-            settings,
-            policy=policy.digest,
-            world=MODEL,
-            start=trials.start[0],
-            h=policy.h,
-            duration=duration,
-            seed=seed,
-            actuator=_named(actuator),
-            twin=None,
-            zero_error=float(trials.zero[0]) if plant.controller.has_sensor else None,
-            cause=cause_named(cause),
-            guard=guard_named(cause),
-        ),
-        tracked=rows.tracked,
-        q=q,
-        dq=_rates_of_all_joints(arm, rows.dq),
-        # Each tick begins where the joints were at the end of the one before.
-        truth=TruthColumns(*truth, q=np.vstack((arm.home, _all_joints(arm, rows.arm_q)))[: len(q)]),
-        **_decisions(rows.observation, rows.u, rows.estimate, policy.h),
-    )
-
-
-def _on_a_twin(
-    policy: TabularPolicy,
-    world: World,
-    actuator: Actuator,
-    seed: int,
-    duration: float,
-    settings: Settings,
-) -> RunLog:
-    from equipoise.devices.twin.trial import record_trial as record
-
-    nominal = policy.pendulum.parameters(linearised=settings.plant.linearised)
-    there = twin_settings(settings, world.settings)
-    trials = draw_trials(1, there, seed, DEPLOYMENT, spread=1.0)
-    friction = pivot_friction(policy.pendulum, world.settings)
-    real = friction.on(
-        PendulumParameters(
-            *scaled(nominal, float(trials.inertia_factor[0]), float(trials.friction_factor[0]))
-        )
-    )
-    controller = make_controller_params(
-        policy.arm,
-        settings,
-        actuator,
-        nominal,
-        h=policy.h,
-        counts_per_rev=world.settings.counts_per_rev,
-    )
-    outcome, rows, zero = record(
-        policy.arm,
-        world.settings,
-        controller,
-        policy.kernel,
-        real,
-        phi=float(trials.start[0, 2]),
-        phi_dot=float(trials.start[0, 3]),
-        duration=duration,
-        seed=seed,
-        guard=trial_safety(
-            policy.arm,
-            world.settings,
-            actuator,
-            policy.kernel,
-            policy.h,
-            settings.plant.max_speed,
-        ),
-    )
-    arm, h, x_dot = policy.arm, policy.h, rows.truth[:, 1]
-    time = np.arange(len(rows.u)) * h
-    sent = (time[:, None] + np.arange(SETPOINTS_PER_TICK) * h / SETPOINTS_PER_TICK).ravel()
-    setpoints = rows.setpoints.reshape(-1, FREE_JOINTS)
-    return RunLog(
-        conditions=_conditions(
-            arm,
-            real,
-            settings,
-            policy=policy.digest,
-            world=world.name,
-            start=trials.start[0],
-            h=h,
-            duration=duration,
-            seed=seed,
-            actuator=_named(actuator),
-            twin=world,
-            friction=friction.model_dump(),
-            zero_error=zero,
-            cause=cause_named(outcome.cause),
-            guard=guard_named(outcome.cause),
-        ),
-        tracked=np.diff(x_dot, append=x_dot[-1:]) / h,
-        q=_all_joints(arm, rows.command[:, :FREE_JOINTS]),
-        dq=_rates_of_all_joints(arm, rows.command[:, FREE_JOINTS:]),
-        truth=TruthColumns(*rows.truth.T, q=rows.q),
-        stream=Stream(sent, _all_joints(arm, setpoints)),
-        replies=Replies(rows.measured[:, -1], _all_joints(arm, rows.measured[:, :-1])),
-        encoder=EncoderSamples(rows.counts[:, 1], rows.counts[:, 0].astype(np.int64)),
-        **_decisions(rows.observation, rows.u, rows.estimate, h),
-    )
-
-
-def _decisions(seen: Array, u: Array, estimate: Array, h: float) -> Mapping[str, Any]:
-    """Return the columns of a run log that say what was seen and decided in each tick."""
-    partition = boxes()
-    return {
-        "time": np.arange(len(u), dtype=np.float64) * h,
-        "x": seen[:, 0],
-        "x_dot": seen[:, 1],
-        "phi": seen[:, 2],
-        "phi_dot": seen[:, 3],
-        "box": np.array([box_index(*row, boxes=partition) for row in seen.tolist()], np.int64),
-        "u": u,
-        "estimated_phi": estimate[:, 0],
-        "estimated_phi_dot": estimate[:, 1],
-        "bias": estimate[:, 2],
-    }
-
-
-def _named(actuator: Actuator) -> str:
-    return IDEAL if actuator.kind == "ideal" else actuator.digest
-
-
 def _conditions(
     arm: Arm,
     pendulum: PendulumParameters,
     settings: Settings,
     *,
     start: Any,
-    twin: World | None,
+    twin: TwinSettings | None,
     **told: Any,
 ) -> RunConditions:
     x, x_dot, phi, phi_dot = (float(value) for value in start)
@@ -285,8 +195,8 @@ def _conditions(
         held_joint=arm.held_joint,
         pendulum={name: float(getattr(pendulum, name)) for name in names},
         start=(x, x_dot, phi, phi_dot),
-        counts_per_rev=None if twin is None else twin.settings.counts_per_rev,
-        world_settings=None if twin is None else twin.settings.model_dump(),
+        counts_per_rev=None if twin is None else twin.counts_per_rev,
+        world_settings=None if twin is None else twin.model_dump(),
         settings=settings,
         **told,
     )

@@ -1,6 +1,7 @@
 """Worlds: where a policy is put to the test, by name.
 
-`model` is the plant of the training. `twin:nominal`, `twin:harsh` and `twin:bare` are named, frozen
+`ideal` is the paper's plant, its arm without any delay; `model` is the plant of the training, the
+arm behind its identified actuator. `twin:nominal`, `twin:harsh` and `twin:bare` are named, frozen
 sets of the numbers of the digital twin, `twin:FILE` is a TOML file of differences to nominal. Sets
 carry a version (`nominal-1`): published results stay comparable, and a changed number makes a new
 version.
@@ -27,6 +28,8 @@ from equipoise.settings import FINEST_ENCODER, QUARTER_TURN, read_toml
 if TYPE_CHECKING:
     from equipoise.model.pendulum import Pendulum, PendulumParameters
 
+IDEAL: Final = "ideal"
+"""The paper's plant, as `--world` and files name it."""
 MODEL: Final = "model"
 """The training plant, as `--world` and files name it."""
 PREFIX: Final = "twin:"
@@ -238,7 +241,7 @@ def read_world(name: str) -> World:
     if name == MODEL:
         raise SettingsError(f"the plant of the training is no digital twin; choose {twins}")
     if not name.startswith(PREFIX):
-        raise SettingsError(f"there is no world {quoted(name)}; choose {MODEL}, {twins}")
+        raise SettingsError(f"there is no world {quoted(name)}; choose {IDEAL}, {MODEL}, {twins}")
     which = name.removeprefix(PREFIX)
     which = NEWEST.get(which, which)
     if which in SETS:

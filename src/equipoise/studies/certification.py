@@ -364,7 +364,7 @@ def _try(
         settings.model_copy(update={"evaluation": trials}),
         seed=trial_seed(policy.digest, claim),
         world=MODEL if numbers is None else World(claim.world, numbers),
-        with_yardsticks=False,
+        with_baselines=False,
         workers=workers,
         partial=partial,
         done=done,

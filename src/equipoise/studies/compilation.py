@@ -12,13 +12,14 @@ from contextlib import contextmanager, suppress
 from typing import Final
 
 from equipoise.compiled import cache_is_empty, watching_compilation
+from equipoise.control.bound_policy import bind_policy
 from equipoise.control.policy import TaskPolicy, shipped_policy
-from equipoise.evaluation import evaluate, evaluate_function
-from equipoise.learning.trials import available_cores
+from equipoise.evaluation import evaluate
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.sim_configs import MODEL, World
 from equipoise.settings import Settings
+from equipoise.simulation import available_cores
 from equipoise.studies.progress import ProgressReporter, Show
 from equipoise.training import train
 
@@ -92,14 +93,10 @@ def compile_training(arm: Arm, settings: Settings) -> None:
 
 
 def compile_trials(policy: TaskPolicy, world: str | World = MODEL) -> None:
-    """Have the kernels compiled that run a policy in a world."""
-    evaluate(policy, _moment(policy.settings), world=world, with_yardsticks=False)
-
-
-def compile_trials_in_python(arm: Arm) -> None:
-    """Have the kernels compiled that run a policy written in Python, on the model."""
-    pendulum, settings = shipped_pendulum(), _moment(Settings())
-    evaluate_function(shipped_policy(), "", pendulum, arm, settings, with_yardsticks=False)
+    """Compile the kernels that run a policy in a world; a policy without a kernel is not called."""
+    settings = _moment(policy.settings)
+    runs = policy if policy.kernel else bind_policy(lambda _: 0.0, arm=policy.arm)
+    evaluate(runs, settings, world=world, with_baselines=False)
 
 
 def compile_kernels() -> None:

@@ -218,7 +218,7 @@ def gap(
             world=MODEL if case.world is None else World(twin.name, case.world),
             actuator=known,
             seed=seed,
-            with_yardsticks=False,
+            with_baselines=False,
             done=done,
         ).results
 

@@ -24,20 +24,17 @@ from equipoise.learning.closed_loop import (
     scaled,
     step,
 )
-from equipoise.learning.trials import (
-    available_cores,
-    draw_trials,
-    record_trial,
-    run_over_cores,
-    run_trials,
-)
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
 from equipoise.settings import resolve
+from equipoise.simulation.plant import run_trials
+from equipoise.simulation.trials import available_cores, draw_trials, run_over_cores
+from tests.simulation.recorded import on_the_plant, record, run_all
 
+ARM = iiwa(14)
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 SETTINGS = resolve()
 NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
@@ -47,14 +44,14 @@ STREAMS = (SCREENING, FINAL_ROUND, TEST)
 
 @pytest.fixture(scope="module")
 def plant():
-    return make_loop_params(iiwa(14), SETTINGS, paper.STEP, PENDULUM)
+    return make_loop_params(ARM, SETTINGS, paper.STEP, PENDULUM)
 
 
 @pytest.fixture(scope="module", params=["ideal", "lag", "kst"])
 def any_plant(request):
     """One plant with each kind of actuator."""
     actuator = Actuator.assumed(request.param, delay=0.0125, lag=0.015)
-    return make_loop_params(iiwa(14), SETTINGS, paper.STEP, PENDULUM, actuator)
+    return make_loop_params(ARM, SETTINGS, paper.STEP, PENDULUM, actuator)
 
 
 @pytest.fixture(scope="module")
@@ -80,18 +77,8 @@ def outcome(trials):
 
 
 def run(plant, policy, count=100, workers=1, duration=1.0, seed=0, pendulum=PENDULUM):
-    trials = drawn(count, seed)
-    run_over_cores(
-        plant,
-        policy,
-        pendulum,
-        trials,
-        duration=duration,
-        seed=seed,
-        stream=TEST,
-        workers=workers,
-    )
-    return trials
+    simulation = on_the_plant(plant, ARM, pendulum, SETTINGS, seed)
+    return run_all(simulation, policy, simulation.draw(count), duration, workers)
 
 
 # What is drawn
@@ -99,8 +86,10 @@ def run(plant, policy, count=100, workers=1, duration=1.0, seed=0, pendulum=PEND
 
 def test_the_conditions_of_a_trial_do_not_depend_on_how_many_there_are():
     few, many = drawn(7), drawn(1000)
-    for name in CONDITIONS:
+    for name in ("number", *CONDITIONS):
         assert getattr(few, name).tobytes() == getattr(many, name)[:7].tobytes()
+        later = draw_trials(63, SETTINGS, 0, TEST, 1.0, first=937)
+        assert getattr(later, name).tobytes() == getattr(many, name)[937:].tobytes()
 
 
 def test_trials_start_as_a_release_leaves_the_pendulum():
@@ -233,21 +222,22 @@ def test_a_trial_gives_the_same_bits_alone_as_in_company(any_plant, kernels):
     together = drawn(40)
     longest = 60
     arguments = (any_plant, new_batch_state(), kernels["random"], PENDULUM)
-    run_trials(*arguments, together, 0, 40, longest, 5, TEST)
+    run_trials(*arguments, together, np.arange(40), longest, 5, TEST)
     alone = drawn(40)
     for i in range(40):
-        run_trials(*arguments, alone, i, i + 1, longest, 5, TEST)
+        run_trials(*arguments, alone, np.array([i]), longest, 5, TEST)
     assert outcome(alone) == outcome(together)
     backwards = drawn(40)
-    for first, last in ((37, 40), (3, 37), (0, 3)):
-        run_trials(*arguments, backwards, first, last, longest, 5, TEST)
+    for rows in (np.arange(39, 2, -1), np.arange(3)):
+        run_trials(*arguments, backwards, rows, longest, 5, TEST)
     assert outcome(backwards) == outcome(together)
 
 
 def test_only_the_trials_asked_for_are_written(plant, kernels):
     trials = drawn(10)
     trials.steps[:] = -1
-    run_trials(plant, new_batch_state(), kernels["table"], PENDULUM, trials, 3, 5, 20, 0, TEST)
+    rows = np.array([3, 4])
+    run_trials(plant, new_batch_state(), kernels["table"], PENDULUM, trials, rows, 20, 0, TEST)
     assert np.flatnonzero(trials.steps >= 0).tolist() == [3, 4]
 
 
@@ -257,7 +247,9 @@ def test_what_happened_in_a_block_before_does_not_matter(any_plant, kernels):
         array[:] = 7
     fresh, again = drawn(20), drawn(20)
     for block, trials in ((new_batch_state(), fresh), (used, again)):
-        run_trials(any_plant, block, kernels["linear"], PENDULUM, trials, 0, 20, 50, 0, TEST)
+        run_trials(
+            any_plant, block, kernels["linear"], PENDULUM, trials, np.arange(20), 50, 0, TEST
+        )
     assert outcome(again) == outcome(fresh)
 
 
@@ -317,18 +309,19 @@ class Obeys:
 @pytest.mark.parametrize("kind", ["table", "linear", "snapped"])
 def test_a_recorded_trial_is_the_trial_itself(any_plant, kernels, kind):
     trials = run(any_plant, kernels[kind], 12, duration=0.8)
+    simulation = on_the_plant(any_plant, ARM, PENDULUM, SETTINGS)
     for i in range(12):
-        policy = Obeys(kernels[kind])
-        cause, rows = record_trial(any_plant, policy, PENDULUM, trials, i, 80, 0, TEST)
-        assert (cause, len(rows.u)) == (trials.cause[i], trials.steps[i])
-        # x of each step but the first, and of the end, which the recording does not hold.
-        assert np.sum(rows.state[1:, 0] ** 2) <= trials.sum_x2[i]
+        result, rows = record(simulation, Obeys(kernels[kind]), trials.trial(i), 0.8)
+        assert result == (trials.steps[i], trials.cause[i], trials.sum_x2[i])
+        assert len(rows.u) == trials.steps[i]
 
 
 def test_a_recording_tells_what_was_seen_from_what_there_was(any_plant, kernels):
     trials = drawn(3)
     trials.zero[1] = 0.005
-    _, rows = record_trial(any_plant, Obeys(kernels["linear"]), PENDULUM, trials, 1, 300, 0, TEST)
+    simulation = on_the_plant(any_plant, ARM, PENDULUM, SETTINGS)
+    _, rows = record(simulation, Obeys(kernels["linear"]), trials.trial(1), 3.0)
+    arm_q = np.array([ARM.without_held(q) for q in rows.joints[1:]])  # at the end of each tick
     assert len(rows.u) == 300
     for row, u in zip(rows.observation, rows.u, strict=True):
         assert u == act(kernels["linear"], *row.tolist(), 0.0)
@@ -336,7 +329,8 @@ def test_a_recording_tells_what_was_seen_from_what_there_was(any_plant, kernels)
         assert np.array_equal(rows.observation, rows.state)
         assert np.array_equal(rows.estimate[:, :2], rows.state[:, 2:])
         assert not rows.estimate[:, 2].any()
-        assert np.array_equal(rows.arm_q, rows.q)
+        assert np.array_equal(arm_q, rows.q[:-1])
+        assert np.isnan(rows.encoder).all()
         return
     # The estimate begins with the wrong zero, which goes over to the bias.
     wrong = rows.estimate[:, 0] - rows.state[:, 2]
@@ -345,8 +339,7 @@ def test_a_recording_tells_what_was_seen_from_what_there_was(any_plant, kernels)
     assert rows.estimate[-1, 2] > 0.002
     # The arm comes some 30 ms after what it is told.
     late = [
-        np.sum((rows.arm_q[20:] - rows.q[20 - ticks : len(rows.q) - ticks]) ** 2)
-        for ticks in range(8)
+        np.sum((arm_q[20:] - rows.q[20 - ticks : len(arm_q) - ticks]) ** 2) for ticks in range(8)
     ]
     assert 1 <= int(np.argmin(late)) <= 5
 
@@ -354,20 +347,25 @@ def test_a_recording_tells_what_was_seen_from_what_there_was(any_plant, kernels)
 @pytest.mark.parametrize("count", [1, 15, 16, 17, 64, 65])
 def test_every_trial_is_run_once_and_told_of(plant, kernels, count):
     finished = []
-    trials = drawn(count)
-    run_over_cores(
-        plant,
-        kernels["table"],
-        PENDULUM,
-        trials,
-        duration=0.1,
-        seed=0,
-        stream=TEST,
-        workers=1,
-        done=finished.append,
+    simulation = on_the_plant(plant, ARM, PENDULUM, SETTINGS)
+    trials = run_all(
+        simulation, kernels["table"], simulation.draw(count), 0.1, done=finished.extend
     )
-    assert sum(finished) == count
+    assert sorted(finished) == list(range(count))
     assert np.all(trials.steps > 0)
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_an_error_ends_the_work_on_all_cores(workers):
+    begun = []
+
+    def fail(item):
+        begun.append(item)
+        raise ValueError(item)
+
+    with pytest.raises(ValueError, match=r"^[0-2]$"):
+        run_over_cores(fail, range(1000), workers)
+    assert len(begun) <= workers
 
 
 def test_a_trial_lasts_so_many_steps_and_no_more(plant, kernels):

@@ -1,0 +1,108 @@
+"""Trials in a simulated world: their conditions, one closed loop, and running any policy in it."""
+
+from typing import NamedTuple
+
+from equipoise.control.policy import TaskPolicy
+from equipoise.learning.closed_loop import make_loop_params
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
+from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.sim_configs import IDEAL, MODEL, TwinSettings, World, read_world
+from equipoise.settings import Settings
+from equipoise.simulation.interface import (
+    ClosedLoop,
+    Measurement,
+    Recorder,
+    Simulation,
+    TrialRecord,
+    predicted,
+    run_trial,
+    run_trials,
+)
+from equipoise.simulation.plant import PlantSimulation
+from equipoise.simulation.trials import Trial, Trials, available_cores
+
+__all__ = [
+    "ClosedLoop",
+    "Measurement",
+    "Recorder",
+    "Setup",
+    "Simulation",
+    "Trial",
+    "TrialRecord",
+    "Trials",
+    "available_cores",
+    "find_world",
+    "predicted",
+    "run_trial",
+    "run_trials",
+    "setup_of",
+    "simulate",
+]
+
+
+def find_world(world: str | World) -> tuple[str, TwinSettings | None]:
+    """Return the name of a world and the numbers of a digital twin; `None` for a plant.
+
+    Raises:
+        SettingsError: There is no such world.
+    """
+    if isinstance(world, str) and world in (IDEAL, MODEL):
+        return world, None
+    return world if isinstance(world, World) else read_world(world)
+
+
+class Setup(NamedTuple):
+    """What is balanced, and by which controller."""
+
+    pendulum: Pendulum
+    """The pendulum, which trials vary."""
+    arm: Arm
+    """The arm with its home posture."""
+    settings: Settings
+    """Ranges of the trials' conditions, noise of the plant, the controller."""
+    actuator: Actuator
+    """The controller's model of the arm's response."""
+    h: float
+    """Time between ticks [s]."""
+
+
+def setup_of(
+    policy: TaskPolicy,
+    world: str | World,
+    settings: Settings | None = None,
+    actuator: Actuator | None = None,
+) -> Setup:
+    """Return the setup of a policy in a world: its own task, but for what is given.
+
+    In the world `ideal` the arm has no delay, whatever is given.
+    """
+    response = IDEAL_ACTUATOR if world == IDEAL else actuator or policy.actuator
+    return Setup(policy.pendulum, policy.arm, settings or policy.settings, response, policy.h)
+
+
+def simulate(world: str | World, setup: Setup, *, seed: int, stream: int) -> Simulation:
+    """Return the simulation of a world.
+
+    Args:
+        world: `ideal`, the paper's plant; `model`, the plant behind the actuator; or a digital
+            twin, by name or with its numbers.
+        setup: What is balanced, and by which controller.
+        seed: Master seed.
+        stream: Purpose of the trials.
+
+    Raises:
+        ArmError: A twin does not know the masses of the arm, or home is a singular posture.
+        SettingsError: There is no such world, or the delay is longer than the controller remembers.
+    """
+    _, numbers = find_world(world)
+    pendulum, arm, settings, actuator, h = setup
+    if numbers is not None:
+        from equipoise.simulation.twin import TwinSimulation
+
+        return TwinSimulation(
+            numbers, pendulum, arm, settings, actuator, h, seed=seed, stream=stream
+        )
+    nominal = pendulum.parameters(linearised=settings.plant.linearised)
+    params = make_loop_params(arm, settings, h, nominal, actuator)
+    return PlantSimulation(params, arm, nominal, settings, seed=seed, stream=stream)

@@ -1,0 +1,265 @@
+"""One closed loop behind one interface: controller, arm, pendulum and sensors, a tick at a time.
+
+A `Simulation` is a world with all that decides its trials: pendulum, arm, settings, actuator and
+seed. It draws the conditions of trials, runs them for a compiled policy, and opens `ClosedLoop`s,
+which Python drives tick by tick. Both ways run the same kernels with the same random numbers, keyed
+by (seed, trial, tick): a trial has the same bits either way.
+"""
+
+from collections.abc import Callable, Sequence
+from math import nan
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.control.boxes import TRUNCATED
+from equipoise.control.control_step import ControllerParams, ControllerState
+from equipoise.control.policy import Policy, PolicyKernel, TaskPolicy
+from equipoise.model.arms.arm import FREE_JOINTS
+from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.simulation.trials import Trial, Trials
+
+Array = npt.NDArray[np.float64]
+Finished = Callable[[Sequence[int]], None]
+"""Receives the rows of trials that have just finished; called from any thread."""
+
+
+class Measurement(NamedTuple):
+    """The newest measurements at a tick."""
+
+    counts: float
+    """Encoder counts from hanging, growing with theta."""
+    counted_at: float
+    """Their time stamp, from the release [s]."""
+    q: Array
+    """Measured free joints [rad], shape (6,)."""
+    measured_at: float
+    """Their time stamp, from the release [s]."""
+
+
+class ClosedLoop(Protocol):
+    """A closed loop in simulation."""
+
+    @property
+    def params(self) -> ControllerParams:
+        """Constants of the controller, the time between ticks among them."""
+        ...
+
+    @property
+    def controller(self) -> ControllerState:
+        """State of the controller, in the first lane."""
+        ...
+
+    @property
+    def pendulum(self) -> PendulumParameters:
+        """True parameters of the pendulum in this trial."""
+        ...
+
+    @property
+    def zero(self) -> float | None:
+        """Encoder zero offset in phi in this trial [rad]; `None` without an encoder."""
+        ...
+
+    @property
+    def tracked(self) -> float:
+        """Tracked acceleration u' over the last step [m/s^2]."""
+        ...
+
+    def reset(self, trial: Trial) -> None:
+        """Release the pendulum under the conditions of a trial."""
+        ...
+
+    def step(self, u: float) -> int:
+        """Advance by one tick, and return the cause of the failure, `TRUNCATED` without one.
+
+        Args:
+            u: Acceleration of the flange along x [m/s^2].
+        """
+        ...
+
+    def state(self) -> Array:
+        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
+        ...
+
+    def joints(self) -> Array:
+        """Return the true positions of all joints [rad], shape (n,)."""
+        ...
+
+    def measurement(self) -> Measurement | None:
+        """Return the newest measurements; `None` without an encoder."""
+        ...
+
+
+class Simulation(Protocol):
+    """Trials in a simulated world."""
+
+    def draw(self, count: int, first: int = 0) -> Trials:
+        """Draw the conditions of `count` trials from number `first` on."""
+        ...
+
+    def loop(self) -> ClosedLoop:
+        """Return a closed loop for `reset`."""
+        ...
+
+    def run(
+        self,
+        policy: PolicyKernel,
+        trials: Trials,
+        rows: Sequence[int],
+        *,
+        duration: float,
+        workers: int,
+        done: Finished,
+    ) -> None:
+        """Run trials of a compiled policy over the cores.
+
+        Args:
+            policy: The policy.
+            trials: Conditions; receives the results.
+            rows: Rows of the trials to run.
+            duration: Length of a trial [s].
+            workers: Number of threads; the results do not depend on it.
+            done: Called with the rows of trials that have just finished.
+        """
+        ...
+
+
+def predicted(loop: ClosedLoop) -> Array:
+    """Return x, x_dot, phi, phi_dot at which u takes effect: the observation, shape (4,)."""
+    return loop.controller.observation[::BATCH_SIZE].copy()
+
+
+def run_trials(
+    simulation: Simulation,
+    policy: TaskPolicy | PolicyKernel,
+    trials: Trials,
+    rows: Sequence[int],
+    *,
+    duration: float,
+    workers: int = 1,
+    done: Finished = lambda _: None,
+) -> None:
+    """Run trials of any policy: compiled where it has a kernel, else from Python, one by one.
+
+    Args:
+        simulation: The world.
+        policy: The policy, or its kernel alone.
+        trials: Conditions, from `Simulation.draw`; receives the results.
+        rows: Rows of the trials to run.
+        duration: Length of a trial [s].
+        workers: Number of threads for a compiled policy; the results do not depend on it.
+        done: Called with the rows of trials that have just finished.
+    """
+    kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
+    if kernel is not None:
+        simulation.run(kernel, trials, rows, duration=duration, workers=workers, done=done)
+    elif not isinstance(policy, PolicyKernel):
+        loop = simulation.loop()
+        for row in rows:
+            ended = run_trial(loop, policy, trials.trial(row), duration)
+            trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
+            done([row])
+
+
+def run_trial(
+    loop: ClosedLoop,
+    policy: Policy,
+    trial: Trial,
+    duration: float,
+    record: "Recorder | None" = None,
+) -> tuple[int, int, float]:
+    """Run one trial of a policy from Python.
+
+    Args:
+        loop: The closed loop.
+        policy: The policy.
+        trial: Conditions.
+        duration: Length of the trial [s].
+        record: Receives what happens in each tick.
+
+    Returns:
+        Number of steps, cause of the end, and the sum of x^2 over the steps [m^2].
+    """
+    steps, cause, sum_x2 = 0, TRUNCATED, 0.0
+    max_steps = round(duration / loop.params.h)
+    loop.reset(trial)
+    policy.reset()
+    while steps < max_steps and cause == TRUNCATED:
+        u = float(policy.act(predicted(loop)))
+        if record is not None:
+            record.before(loop, steps, u)
+        cause = loop.step(u)
+        if record is not None:
+            record.after(loop, steps)
+        steps += 1
+        sum_x2 += float(loop.state()[0]) ** 2
+    return steps, cause, sum_x2
+
+
+class TrialRecord(NamedTuple):
+    """One recorded trial, a row for each tick."""
+
+    observation: Array
+    """x, x_dot, phi, phi_dot as the policy observed them, shape (n, 4)."""
+    u: Array
+    """Commanded acceleration [m/s^2], shape (n,)."""
+    estimate: Array
+    """Estimated phi [rad], phi_dot [rad/s] and bias of phi [rad] at the tick, shape (n, 3)."""
+    state: Array
+    """True x, x_dot, phi, phi_dot at the tick, shape (n, 4)."""
+    joints: Array
+    """True positions of all joints at the tick [rad], shape (n, joints)."""
+    encoder: Array
+    """Encoder counts and their time stamp [s], NaN without an encoder, shape (n, 2)."""
+    measured: Array
+    """Measured free joints [rad] and their time stamp [s], NaN without, shape (n, 7)."""
+    setpoints: Array
+    """Free joints sent at the tick and h / 2 later [rad], shape (n, 12)."""
+    q: Array
+    """Commanded free joints at the end of the tick [rad], shape (n, 6)."""
+    dq: Array
+    """Their velocities [rad/s], shape (n, 6)."""
+    tracked: Array
+    """Tracked acceleration u' over the tick [m/s^2], shape (n,)."""
+
+
+class Recorder:
+    """Writes a `TrialRecord`."""
+
+    def __init__(self, joints: int, max_steps: int) -> None:
+        """Allocate the rows of a trial.
+
+        Args:
+            joints: Number of joints of the arm.
+            max_steps: Maximum number of steps of the trial.
+        """
+        widths = (4, 0, 3, 4, joints, 2, FREE_JOINTS + 1, 2 * FREE_JOINTS, FREE_JOINTS, FREE_JOINTS)
+        shapes = [(max_steps, width) if width else max_steps for width in (*widths, 0)]
+        self._rows, self._ticks = TrialRecord(*map(np.zeros, shapes)), 0
+
+    def before(self, loop: ClosedLoop, tick: int, u: float) -> None:
+        """Write what is known at a tick, and the u that the policy commands."""
+        rows, state = self._rows, loop.state()
+        rows.observation[tick], rows.u[tick], rows.state[tick] = predicted(loop), u, state
+        rows.joints[tick] = loop.joints()
+        rows.estimate[tick, :2] = state[2:]
+        rows.encoder[tick] = rows.measured[tick] = nan
+        if (measured := loop.measurement()) is not None:
+            rows.estimate[tick] = loop.controller.estimate[: 3 * BATCH_SIZE : BATCH_SIZE]
+            rows.encoder[tick] = measured.counts, measured.counted_at
+            rows.measured[tick] = *measured.q, measured.measured_at
+
+    def after(self, loop: ClosedLoop, tick: int) -> None:
+        """Write what was commanded in a tick."""
+        rows, controller = self._rows, loop.controller
+        rows.setpoints[tick] = controller.setpoints[::BATCH_SIZE]
+        rows.q[tick], rows.dq[tick] = controller.q[::BATCH_SIZE], controller.dq[::BATCH_SIZE]
+        rows.tracked[tick] = loop.tracked
+        self._ticks = tick + 1
+
+    @property
+    def rows(self) -> TrialRecord:
+        """The record so far."""
+        return TrialRecord(*(column[: self._ticks] for column in self._rows))

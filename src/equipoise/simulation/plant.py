@@ -1,0 +1,271 @@
+"""Trials on the plant of the training: worlds `ideal` and `model`.
+
+With the actuator `ideal` this is the paper's simulation; with any other, the arm follows through
+delay, servo and drive, and the controller observes through an encoder.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from equipoise.compiled import kernel
+from equipoise.control.boxes import TRUNCATED
+from equipoise.control.control_step import (
+    OBS_PHI,
+    OBS_PHI_DOT,
+    OBS_X,
+    OBS_X_DOT,
+    ControllerParams,
+    ControllerState,
+)
+from equipoise.control.policy import RANDOM, PolicyKernel, act
+from equipoise.learning.closed_loop import (
+    TRACKED,
+    BatchState,
+    DomainRandomization,
+    LoopParams,
+    X,
+    copy_lane,
+    draw_noise,
+    measure,
+    new_batch_state,
+    reset,
+    scaled,
+    step,
+)
+from equipoise.model.arms.arm import Arm
+from equipoise.model.elementary import BATCH_SIZE, at
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.random import philox, uniform
+from equipoise.settings import Settings
+from equipoise.simulation.interface import Array, Finished, Measurement
+from equipoise.simulation.trials import Trial, Trials, Whole, draw_trials, run_over_cores
+
+PIECE = 4 * BATCH_SIZE
+"""Number of trials that a thread takes at a time."""
+
+
+class PlantSimulation:
+    """Trials on the plant of the training."""
+
+    def __init__(
+        self,
+        params: LoopParams,
+        arm: Arm,
+        pendulum: PendulumParameters,
+        settings: Settings,
+        *,
+        seed: int,
+        stream: int,
+        spread: float = 1.0,
+    ) -> None:
+        """Set up a simulation.
+
+        Args:
+            params: Constants of the closed loop.
+            arm: The arm.
+            pendulum: Nominal parameters, which the trials vary.
+            settings: Ranges of the trials' conditions.
+            seed: Master seed.
+            stream: Purpose of the trials.
+            spread: Factor on the variation of the plants.
+        """
+        self.params, self.arm, self.pendulum = params, arm, pendulum
+        self.seed, self.stream = seed, stream
+        self._settings, self._spread = settings, spread
+
+    def draw(self, count: int, first: int = 0) -> Trials:
+        """Draw the conditions of `count` trials from number `first` on."""
+        return draw_trials(count, self._settings, self.seed, self.stream, self._spread, first)
+
+    def loop(self) -> "PlantLoop":
+        """Return a closed loop for `reset`."""
+        return PlantLoop(self)
+
+    def run(
+        self,
+        policy: PolicyKernel,
+        trials: Trials,
+        rows: Sequence[int],
+        *,
+        duration: float,
+        workers: int = 1,
+        done: Finished = lambda _: None,
+    ) -> None:
+        """Run trials of a compiled policy over the cores; see `Simulation.run`."""
+        max_steps, seed, stream = round(duration / self.params.controller.h), self.seed, self.stream
+
+        def run_piece(piece: Sequence[int]) -> None:
+            batch, taken = new_batch_state(), np.array(piece, np.int64)
+            run_trials(
+                self.params, batch, policy, self.pendulum, trials, taken, max_steps, seed, stream
+            )
+            done(piece)
+
+        pieces = (rows[first : first + PIECE] for first in range(0, len(rows), PIECE))
+        run_over_cores(run_piece, pieces, workers)
+
+
+class PlantLoop:
+    """The closed loop of the training, in the first lane of a batch."""
+
+    def __init__(self, simulation: PlantSimulation) -> None:
+        """Allocate the state."""
+        self._simulation, self._plant = simulation, simulation.params
+        self._batch = new_batch_state()
+        self._number, self._tick = np.zeros(BATCH_SIZE, np.int64), np.zeros(BATCH_SIZE, np.int64)
+        self._variation = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
+
+    @property
+    def params(self) -> ControllerParams:
+        """Constants of the controller."""
+        return self._plant.controller
+
+    @property
+    def controller(self) -> ControllerState:
+        """State of the controller."""
+        return self._batch.controller
+
+    @property
+    def pendulum(self) -> PendulumParameters:
+        """True parameters of the pendulum in this trial."""
+        own = self._variation
+        return scaled(self._simulation.pendulum, own.inertia_factor, own.friction_factor)
+
+    @property
+    def zero(self) -> float | None:
+        """Encoder zero offset in phi [rad]; `None` without an encoder."""
+        return self._variation.zero if self.params.has_sensor else None
+
+    @property
+    def tracked(self) -> float:
+        """Tracked acceleration u' over the last step [m/s^2]."""
+        return float(self._batch.state[TRACKED * BATCH_SIZE])
+
+    def reset(self, trial: Trial) -> None:
+        """Release the pendulum under the conditions of a trial."""
+        self._variation, plant, batch = trial.variation, self._plant, self._batch
+        self._number[0], self._tick[0] = trial.number, 0
+        reset(plant, batch, self._simulation.pendulum, trial.variation, trial.start, 0)
+        if self.params.has_sensor:
+            measure(self.params, batch, 1)
+
+    def step(self, u: float) -> int:
+        """Advance by one tick with u [m/s^2], and return the cause of the failure."""
+        batch, simulation = self._batch, self._simulation
+        batch.controller.u[0] = u
+        seed, stream, noise = simulation.seed, simulation.stream, batch.controller.noise
+        draw_noise(noise, seed, self._tick, self._number, 0, stream, 1)
+        step(self._plant, batch, 1)
+        self._tick[0] += 1
+        return int(batch.cause[0])
+
+    def state(self) -> Array:
+        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
+        return self._batch.state[: 4 * BATCH_SIZE : BATCH_SIZE].copy()
+
+    def joints(self) -> Array:
+        """Return the true positions of all joints [rad], shape (n,)."""
+        q = self._batch.q if self.params.has_sensor else self._batch.controller.q
+        return self._simulation.arm.with_held(q[::BATCH_SIZE])
+
+    def measurement(self) -> Measurement | None:
+        """Return the measurements of this tick; `None` without an encoder."""
+        if not self.params.has_sensor:
+            return None
+        now, controller = float(self._tick[0]) * self.params.h, self.controller
+        q = controller.measured[::BATCH_SIZE].copy()
+        return Measurement(float(controller.counts[0]), now, q, now)
+
+
+@kernel
+def place_trial(
+    plant: LoopParams,
+    batch: BatchState,
+    pendulum: PendulumParameters,
+    trials: Trials,
+    row: int,
+    n: int,
+) -> None:
+    """Place the trial of a row in lane `n`."""
+    x, x_dot, phi, phi_dot = trials.start[row]
+    variation = DomainRandomization(
+        trials.inertia_factor[row],
+        trials.friction_factor[row],
+        trials.delay[row],
+        trials.lag_factor[row],
+        trials.zero[row],
+    )
+    reset(plant, batch, pendulum, variation, (x, x_dot, phi, phi_dot), n)
+
+
+@kernel
+def run_trials(
+    plant: LoopParams,
+    batch: BatchState,
+    policy: PolicyKernel,
+    pendulum: PendulumParameters,
+    trials: Trials,
+    rows: Whole,
+    max_steps: int,
+    seed: int,
+    stream: int,
+) -> None:
+    """Run trials in all lanes of a batch, and write their results.
+
+    Args:
+        plant: Constants.
+        batch: Scratch space for the states.
+        policy: The policy.
+        pendulum: Nominal parameters, which the factors of each trial scale.
+        trials: Conditions; receives the results.
+        rows: Rows of the trials to run.
+        max_steps: Number of steps after which a trial is truncated.
+        seed: Seed of the noise.
+        stream: Stream of the noise: selection or test.
+    """
+    controller, cause = batch.controller, batch.cause
+    observation, u = controller.observation, controller.u
+    row = np.zeros(BATCH_SIZE, np.int64)
+    number = np.zeros(BATCH_SIZE, np.int64)
+    tick = np.zeros(BATCH_SIZE, np.int64)
+    sum_x2 = np.zeros(BATCH_SIZE)
+    placed = 0
+    lanes = 0
+    while lanes < BATCH_SIZE and placed < len(rows):
+        row[lanes], number[lanes] = rows[placed], trials.number[rows[placed]]
+        place_trial(plant, batch, pendulum, trials, rows[placed], lanes)
+        placed += 1
+        lanes += 1
+    while lanes > 0:
+        for n in range(lanes):
+            chance = 0.0
+            if policy.kind == RANDOM:
+                chance = uniform(philox(seed, tick[n], number[n], 1, stream)[0], 0.0, 1.0)
+            u[n] = act(
+                policy,
+                at(observation, OBS_X, n),
+                at(observation, OBS_X_DOT, n),
+                at(observation, OBS_PHI, n),
+                at(observation, OBS_PHI_DOT, n),
+                chance,
+            )
+        draw_noise(controller.noise, seed, tick, number, 0, stream, lanes)
+        step(plant, batch, lanes)
+        for n in range(lanes - 1, -1, -1):
+            tick[n] += 1
+            sum_x2[n] += at(batch.state, X, n) ** 2
+            if cause[n] == TRUNCATED and tick[n] < max_steps:
+                continue
+            i = row[n]
+            trials.steps[i], trials.cause[i], trials.sum_x2[i] = tick[n], cause[n], sum_x2[n]
+            if placed < len(rows):
+                row[n], number[n] = rows[placed], trials.number[rows[placed]]
+                tick[n], sum_x2[n] = 0, 0.0
+                place_trial(plant, batch, pendulum, trials, rows[placed], n)
+                placed += 1
+            else:
+                lanes -= 1
+                copy_lane(batch, lanes, n)
+                row[n], number[n] = row[lanes], number[lanes]
+                tick[n], sum_x2[n] = tick[lanes], sum_x2[lanes]

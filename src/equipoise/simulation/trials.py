@@ -1,0 +1,146 @@
+"""Conditions of trials, drawn before the trials run, and their results.
+
+The conditions of trial i depend on the seed and i alone: not on the number of trials, of workers,
+or on the policy, so that policies are compared on the same trials.
+"""
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtri
+
+from equipoise.learning.closed_loop import DomainRandomization
+from equipoise.settings import Settings
+
+Array = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+Item = TypeVar("Item")
+
+
+class Trial(NamedTuple):
+    """Conditions of one trial."""
+
+    number: int
+    """Number of the trial; with the seed it decides all noise."""
+    start: tuple[float, float, float, float]
+    """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release."""
+    variation: DomainRandomization
+    """Difference of the plant from the nominal one."""
+
+
+class Trials(NamedTuple):
+    """Conditions and results of n trials, one row each."""
+
+    number: Whole
+    """Number of each trial, shape (n,)."""
+    start: Array
+    """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release, shape (n, 4)."""
+    inertia_factor: Array
+    """Factor on I, shape (n,)."""
+    friction_factor: Array
+    """Factor on b, shape (n,)."""
+    delay: Array
+    """Addition to the transport delay [s], shape (n,)."""
+    lag_factor: Array
+    """Factor on the lags of the joints, shape (n,)."""
+    zero: Array
+    """Encoder zero offset in phi [rad], shape (n,)."""
+    steps: Whole
+    """Result: number of steps, shape (n,)."""
+    cause: Whole
+    """Result: cause of the end, shape (n,)."""
+    sum_x2: Array
+    """Result: sum of x^2 over the steps [m^2], shape (n,)."""
+
+    def trial(self, row: int) -> Trial:
+        """Return the conditions in one row."""
+        x, x_dot, phi, phi_dot = self.start[row].tolist()
+        factors = (self.inertia_factor, self.friction_factor, self.delay, self.lag_factor)
+        variation = DomainRandomization(*(float(of[row]) for of in (*factors, self.zero)))
+        return Trial(int(self.number[row]), (x, x_dot, phi, phi_dot), variation)
+
+
+def draw_trials(
+    count: int, settings: Settings, seed: int, stream: int, spread: float, first: int = 0
+) -> Trials:
+    """Draw the conditions of trials: starts as after a release by hand, and varied plants.
+
+    Args:
+        count: Number of trials.
+        settings: Ranges of the start, standard deviations of I and b.
+        seed: Master seed.
+        stream: Purpose of the trials, such as selection or test.
+        spread: Factor on the variation of the plants.
+        first: Number of the first trial.
+    """
+
+    def uniform(columns: int, *key: int) -> Array:
+        generator = np.random.PCG64([seed, stream, *key])
+        return np.random.Generator(generator.advance(columns * first)).random((count, columns))
+
+    e, plant = settings.evaluation, settings.plant
+    draws = uniform(5)
+    rig = spread * (2.0 * uniform(3, 1) - 1.0)
+    sign = np.where(draws[:, 0] < 0.5, -1.0, 1.0)
+    start = np.zeros((count, 4))
+    start[:, 2] = sign * (e.phi_low + (e.phi_high - e.phi_low) * draws[:, 1])
+    start[:, 3] = sign * (e.phi_dot_low + (e.phi_dot_high - e.phi_dot_low) * draws[:, 2])
+    return Trials(
+        number=np.arange(first, first + count),
+        start=start,
+        inertia_factor=1.0 + spread * plant.inertia_sigma * ndtri(draws[:, 3]),
+        friction_factor=1.0 + spread * plant.friction_sigma * ndtri(draws[:, 4]),
+        delay=plant.delay_spread * rig[:, 0],
+        lag_factor=1.0 + plant.lag_spread * rig[:, 1],
+        zero=plant.zero_error * rig[:, 2],
+        steps=np.zeros(count, np.int64),
+        cause=np.zeros(count, np.int64),
+        sum_x2=np.zeros(count),
+    )
+
+
+def run_over_cores(work: Callable[[Item], object], items: Iterable[Item], workers: int) -> None:
+    """Call `work(item)` for each item, on threads; the first error ends them all.
+
+    Args:
+        work: Runs in any of the threads.
+        items: Taken one by one, when a thread is free.
+        workers: Number of threads; one runs in the caller's.
+    """
+    waiting, taking = iter(items), Lock()
+
+    def work_on() -> None:
+        nonlocal waiting
+        try:
+            while True:
+                with taking:
+                    item = next(waiting, None)
+                if item is None:
+                    return
+                work(item)
+        except BaseException:
+            waiting = iter(())
+            raise
+
+    if workers == 1:
+        return work_on()
+    with ThreadPoolExecutor(workers) as pool:
+        threads = [pool.submit(work_on) for _ in range(workers)]
+        try:
+            for thread in threads:
+                thread.result()
+        except BaseException:
+            waiting = iter(())
+            raise
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -1,0 +1,193 @@
+"""Trials on the digital twin: worlds `twin:NAME` and `twin:FILE`."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from equipoise.control.boxes import boxes
+from equipoise.control.control_step import (
+    ControllerParams,
+    ControllerState,
+    make_controller_params,
+    new_controller_state,
+)
+from equipoise.control.policy import PolicyKernel
+from equipoise.control.trial_safety import TrialSafetyMonitor, new_trial_monitor, trial_safety
+from equipoise.devices.twin.servo_model import make_servo_params
+from equipoise.devices.twin.trial import release, run_trial, step
+from equipoise.devices.twin.twin import Twin
+from equipoise.learning.closed_loop import scaled
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.sim_configs import TwinSettings, pivot_friction
+from equipoise.settings import Settings
+from equipoise.simulation.interface import Array, Finished, Measurement
+from equipoise.simulation.trials import Trial, Trials, draw_trials, run_over_cores
+
+
+class TwinSimulation:
+    """Trials on a digital twin."""
+
+    def __init__(
+        self,
+        world: TwinSettings,
+        pendulum: Pendulum,
+        arm: Arm,
+        settings: Settings,
+        actuator: Actuator,
+        h: float,
+        *,
+        seed: int,
+        stream: int,
+    ) -> None:
+        """Set up a simulation.
+
+        Args:
+            world: Numbers of the twin.
+            pendulum: The pendulum, which the trials vary.
+            arm: The arm with its home posture.
+            settings: Ranges of the trials' conditions, the controller.
+            actuator: The controller's model of the arm's response.
+            h: Time between ticks [s].
+            seed: Master seed.
+            stream: Purpose of the trials.
+
+        Raises:
+            ArmError: The masses of the arm's links are not known, or home is a singular posture.
+            SettingsError: The delay is longer than the controller remembers.
+        """
+        self._nominal = pendulum.parameters(linearised=settings.plant.linearised)
+        self._friction = pivot_friction(pendulum, world)
+        self._arm, self._world, self._settings = arm, world, settings
+        self._seed, self._stream = seed, stream
+        self._servo = make_servo_params(arm, world)
+        counts = world.counts_per_rev
+        self.params = make_controller_params(
+            arm, settings, actuator, self._nominal, h=h, counts_per_rev=counts
+        )
+        self._safety = trial_safety(arm, world, actuator, h, settings.plant.max_speed)
+
+    def draw(self, count: int, first: int = 0) -> Trials:
+        """Draw the conditions of `count` trials from number `first` on.
+
+        I and b vary as the numbers of the twin say; jitter, noise and the error of the encoder's
+        zero are the twin's own.
+        """
+        sigmas = {
+            "inertia_sigma": self._world.inertia_sigma,
+            "friction_sigma": self._world.friction_sigma,
+        }
+        plant = self._settings.plant.model_copy(update=sigmas)
+        settings = self._settings.model_copy(update={"plant": plant})
+        return draw_trials(count, settings, self._seed, self._stream, 1.0, first)
+
+    def loop(self) -> "TwinLoop":
+        """Return a closed loop for `reset`."""
+        return TwinLoop(self)
+
+    def run(
+        self,
+        policy: PolicyKernel,
+        trials: Trials,
+        rows: Sequence[int],
+        *,
+        duration: float,
+        workers: int = 1,
+        done: Finished = lambda _: None,
+    ) -> None:
+        """Run trials of a compiled policy over the cores; see `Simulation.run`."""
+        max_steps, limits = round(duration / self.params.h), boxes()
+
+        def run_one(row: int) -> None:
+            trial = trials.trial(row)
+            _, _, phi, phi_dot = trial.start
+            twin, state, monitor = self.twin(trial).kernel, new_controller_state(), self.monitor()
+            trials.steps[row], trials.cause[row], trials.sum_x2[row] = run_trial(
+                twin, self.params, state, policy, phi, phi_dot, max_steps, limits, monitor
+            )
+            done([row])
+
+        run_over_cores(run_one, rows, workers)
+
+    def pendulum(self, trial: Trial) -> PendulumParameters:
+        """Return the pendulum of a trial, with the friction that acts in the twin."""
+        own = trial.variation
+        varied = scaled(self._nominal, own.inertia_factor, own.friction_factor)
+        return self._friction.on(varied)
+
+    def twin(self, trial: Trial) -> Twin:
+        """Return the twin of a trial."""
+        return Twin(
+            self._arm,
+            self.pendulum(trial),
+            self._world,
+            seed=self._seed,
+            index=trial.number,
+            servo=self._servo,
+        )
+
+    def monitor(self) -> TrialSafetyMonitor:
+        """Return the rules of the world for one trial."""
+        return new_trial_monitor(self._arm, self._safety)
+
+
+class TwinLoop:
+    """The closed loop of one twin after the other."""
+
+    def __init__(self, simulation: TwinSimulation) -> None:
+        """Allocate the controller; the twin is made for each trial."""
+        self._simulation, self._limits = simulation, boxes()
+        self._controller, self._monitor = new_controller_state(), simulation.monitor()
+        self._h = simulation.params.h
+        self.tracked = 0.0
+        """Tracked acceleration u' over the last step [m/s^2]."""
+
+    @property
+    def params(self) -> ControllerParams:
+        """Constants of the controller."""
+        return self._simulation.params
+
+    @property
+    def controller(self) -> ControllerState:
+        """State of the controller."""
+        return self._controller
+
+    @property
+    def pendulum(self) -> PendulumParameters:
+        """True parameters of the pendulum in this trial."""
+        return self._simulation.pendulum(self._trial)
+
+    @property
+    def zero(self) -> float:
+        """Encoder zero offset in phi in this trial [rad]."""
+        return self._twin.kernel.sensors.zero
+
+    def reset(self, trial: Trial) -> None:
+        """Release the pendulum under the conditions of a trial."""
+        self._trial, self._twin = trial, self._simulation.twin(trial)
+        _, _, phi, phi_dot = trial.start
+        release(self._twin.kernel, self.params, self._controller, self._monitor, phi, phi_dot)
+        self._state, self.tracked = self._twin.truth(), 0.0
+
+    def step(self, u: float) -> int:
+        """Advance by one tick with u [m/s^2], and return the cause of the failure."""
+        self._controller.u[0] = u
+        twin, state = self._twin.kernel, self._controller
+        cause = int(step(twin, self.params, state, self._limits, self._monitor))
+        before, self._state = self._state, self._twin.truth()
+        self.tracked = (self._state.x_dot - before.x_dot) / self._h
+        return cause
+
+    def state(self) -> Array:
+        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
+        return np.array(self._state)
+
+    def joints(self) -> Array:
+        """Return the true positions of all joints [rad], shape (n,)."""
+        bodies = self._twin.kernel.bodies
+        return bodies.qpos[: len(self._twin.kernel.home)].copy()
+
+    def measurement(self) -> Measurement:
+        """Return the newest measurements."""
+        return Measurement(*self._twin.encoder(), *self._twin.measured())
