@@ -102,9 +102,10 @@ class TwinSimulation:
         def run_one(row: int) -> None:
             trial = trials.trial(row)
             _, _, phi, phi_dot = trial.start
-            twin, state, monitor = self.twin(trial).kernel, new_controller_state(), self.monitor()
+            # The twin owns the memory of the engine and has to outlive the kernel's run.
+            twin, state, monitor = self.twin(trial), new_controller_state(), self.monitor()
             trials.steps[row], trials.cause[row], trials.sum_x2[row] = run_trial(
-                twin, self.params, state, policy, phi, phi_dot, max_steps, limits, monitor
+                twin.kernel, self.params, state, policy, phi, phi_dot, max_steps, limits, monitor
             )
             done([row])
 
