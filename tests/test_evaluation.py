@@ -9,6 +9,7 @@ from scipy import stats
 
 from equipoise import paper
 from equipoise.control.baselines import baselines
+from equipoise.control.bound_policy import bind_policy
 from equipoise.control.boxes import CAUSES
 from equipoise.control.policy import act
 from equipoise.errors import ArtefactError
@@ -24,11 +25,12 @@ SHORT = ["evaluation.trials=20", "evaluation.duration=1.5"]
 class Plain:
     """Any object with `act`: here it hands the question on."""
 
-    name = "plain"
-
     def __init__(self, policy):
         self.policy = policy
         self.asked = []
+
+    def reset(self):
+        self.policy.reset()
 
     def act(self, state):
         self.asked.append(state)
@@ -38,8 +40,8 @@ class Plain:
 class Yardstick:
     """A compiled yardstick as a plain object."""
 
-    def __init__(self, kernel, name):
-        self._kernel, self.name = kernel, name
+    def __init__(self, kernel):
+        self._kernel = kernel
 
     def act(self, state):
         return act(self._kernel, *(float(value) for value in state), 0.0)
@@ -196,11 +198,9 @@ def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings
     plain = Plain(small_policy)
     told = []
     other = evaluate(
-        plain,
+        bind_policy(plain, name="plain", pendulum=small_policy.pendulum, arm=small_policy.arm),
         settings,
         world="ideal",
-        pendulum=small_policy.pendulum,
-        arm=small_policy.arm,
         seed=3,
         with_baselines=False,
         done=told.append,
@@ -208,7 +208,7 @@ def test_the_table_as_a_plain_object_runs_the_same_trials(small_policy, settings
     assert other.baselines == ()
     assert other.results.survival == evaluation.results.survival
     assert other.results.causes == evaluation.results.causes
-    assert (other.policy, other.results.name) == ("plain", "plain")
+    assert other.results.name == "plain"
     assert (other.pendulum, other.arm_digest) == (evaluation.pendulum, evaluation.arm_digest)
     assert told == [0] + [1] * 20
     assert len(plain.asked) == round(sum(other.results.survival) * 100)
@@ -226,11 +226,14 @@ def test_yardsticks_as_plain_objects_run_the_same_trials(small_policy, world):
     kernels = baselines(small_policy.pendulum.parameters(linearised=True), 0.01)
     for name in ("LQR", "LQR, snapped", "PD"):
         plain = evaluate(
-            Yardstick(kernels[name], name),
+            bind_policy(
+                Yardstick(kernels[name]),
+                name=name,
+                pendulum=small_policy.pendulum,
+                arm=small_policy.arm,
+            ),
             settings,
             **there,
-            pendulum=small_policy.pendulum,
-            arm=small_policy.arm,
             with_baselines=False,
         )
         assert plain.results == compiled[name]
@@ -248,7 +251,7 @@ def test_a_policy_in_python_cannot_change_the_plant(pendulum, settings):
         update={"evaluation": settings.evaluation.model_copy(update={"trials": 4})}
     )
     honest, meddling = (
-        evaluate(policy, few, world="ideal", pendulum=pendulum, arm=iiwa(14))
+        evaluate(bind_policy(policy, pendulum=pendulum, arm=iiwa(14)), few, world="ideal")
         for policy in (Constant(0.5), Meddles(0.5))
     )
     assert honest.results.survival == meddling.results.survival
@@ -259,7 +262,7 @@ def test_a_constant_push_fails_at_once(pendulum, settings):
         update={"evaluation": settings.evaluation.model_copy(update={"trials": 6})}
     )
     evaluation = evaluate(
-        Constant(max(paper.ACTIONS)), few, world="ideal", pendulum=pendulum, arm=iiwa(7)
+        bind_policy(Constant(max(paper.ACTIONS)), pendulum=pendulum), few, world="ideal"
     )
     summary = evaluation.results.summary()
     assert summary.causes == {"angle": 6}
