@@ -318,7 +318,8 @@ class _Kept(PartialFile):
                 self._finished.append((i, int(trials.steps[i]), int(trials.cause[i])))
         self.update()
 
-    def _partial(self) -> PartialEvaluation:
+    def _partial(self) -> PartialEvaluation | None:
         with self._changing:
-            finished = self._others | {self._key: tuple(self._finished)}
-        return PartialEvaluation(finished=finished)
+            own = {self._key: tuple(self._finished)} if self._finished else {}
+        finished = self._others | own
+        return PartialEvaluation(finished=finished) if finished else None
