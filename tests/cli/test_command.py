@@ -63,6 +63,22 @@ def test_version_is_the_packages(equipoise):
     assert equipoise("--version").out == f"equipoise {version('equipoise')}\n"
 
 
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [("rig d", ["doctor"]), ("log ex", ["explain", "export"]), ("evaluate --cl", ["--claim"])],
+)
+def test_a_shell_completes_verbs_and_options(words, completed):
+    asked = {"COMP_WORDS": f"equipoise {words}", "COMP_CWORD": "2"}
+    ran = subprocess.run(
+        [sys.executable, "-m", "equipoise"],
+        env=os.environ | asked | {"_EQUIPOISE_COMPLETE": "complete_bash"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.stdout.split() == completed, ran
+
+
 def loaded_after(program):
     """Return which heavy packages a fresh Python has loaded after `program`."""
     tail = f"\nimport sys, json; print(json.dumps([m for m in {HEAVY} if m in sys.modules]))"

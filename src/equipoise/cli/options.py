@@ -39,7 +39,7 @@ def value(metavar: str, help: str, *names: str, panel: str | None = None, **more
 
 def flag(names: str, help: str, panel: str | None = None) -> Any:
     """Return the declaration of an option without a value."""
-    return typer.Option(names, help=help, rich_help_panel=panel)
+    return typer.Option(names, help=help, rich_help_panel=panel, metavar="")
 
 
 def out(what: str, default: str | bool, metavar: str = "FILE") -> Any:
