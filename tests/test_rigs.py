@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from equipoise import rigs
 from equipoise.checks.fit import check_fit
 from equipoise.control.policy import shipped_policy
 from equipoise.deployment.rig import RunRequest
 from equipoise.devices.clocks import VirtualClock
+from equipoise.devices.kuka import plugin
 from equipoise.errors import EquipoiseError, InputError, SettingsError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
@@ -131,7 +131,7 @@ def test_an_address_that_is_none_is_refused(robot, encoder):
 def test_addresses_of_a_robot(robot, where, monkeypatch):
     check_addresses(robot, "socket://localhost:4")
     dialled = []
-    monkeypatch.setattr(rigs, "dial", lambda *to: dialled.append(to))
+    monkeypatch.setattr(plugin, "dial", lambda *to: dialled.append(to))
     robot_at(robot, VirtualClock())
     assert dialled == [where]
 

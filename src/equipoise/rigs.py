@@ -10,16 +10,16 @@ unknown ones are refused::
     encoder_sign = -1
     media_flange_mm = 35
 
-`connect` is the only place that picks a device.
+Nothing else opens a device: `connect`, `robot_at` and `encoder_at` ask the registry of plugins
+(`equipoise.devices.plugins`) for the scheme of an address.
 """
 
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cached_property, partial
+from functools import cached_property
 from math import degrees, hypot, radians
 from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple
-from urllib.parse import urlsplit
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -27,17 +27,20 @@ from pydantic import Field, ValidationError
 from equipoise.artefacts import Name, Value, first_fault, value_digest
 from equipoise.control.safety import POSITION_MARGIN, TORQUE_SHARE
 from equipoise.devices.clocks import SystemClock, VirtualClock
-from equipoise.devices.encoder.board import Board
-from equipoise.devices.encoder.sensor import LineEncoder
-from equipoise.devices.encoder.serial_port import check_serial, open_serial
-from equipoise.devices.interfaces import AngleSensor, Clock, Robot
-from equipoise.devices.kuka.codec import PORT
-from equipoise.devices.kuka.robot import KstRobot, dial
-from equipoise.devices.kuka.server_emulator import KstServer
+from equipoise.devices.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, PacedRobot, Robot
 from equipoise.devices.operator import Operator
-from equipoise.devices.transports import MemoryPipe, memory_pipe
+from equipoise.devices.paced import PacedStream
+from equipoise.devices.plugins import (
+    EmulatedRobot,
+    EmulatedSensor,
+    RobotPlugin,
+    Session,
+    ignore,
+    robot_plugin,
+    scheme_of,
+    sensor_plugin,
+)
 from equipoise.devices.twin.emulated_operator import EmulatedOperator
-from equipoise.devices.twin.robot import TwinEncoder, TwinRobot
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.errors import ArmError, InputError, LinkError, SettingsError
 from equipoise.model.arms.arm import FREE_JOINTS, MOST_JOINTS, Arm
@@ -187,7 +190,7 @@ def read_rig(path: Path | None) -> RigSettings:
 
 
 class DrainingClock:
-    """A clock for whoever waits before a run: meanwhile nothing piles up at the encoder."""
+    """Clock for waits before a run; the encoder's samples are dropped meanwhile."""
 
     def __init__(self, clock: Clock, sensor: AngleSensor) -> None:
         """Attend to a sensor."""
@@ -198,12 +201,12 @@ class DrainingClock:
         return self._clock.now()
 
     def wait_until(self, time: float) -> None:
-        """Wait, and drop what the sensor says."""
+        """Wait until a time [s], and drop the samples that come meanwhile."""
         until = self._clock.now()
         while until < time:
             until = min(time, until + ENCODER_POLL_PERIOD)
             self._clock.wait_until(until)
-            with suppress(LinkError):  # it is not connected yet; or says so again when asked
+            with suppress(LinkError):  # not connected yet; or the next reader gets the error again
                 self._sensor.samples()
 
 
@@ -215,63 +218,51 @@ class Rig(NamedTuple):
     sensor: AngleSensor
     """The encoder."""
     clock: Clock
-    """Their time."""
+    """Clock of both."""
     operator: Operator | None
-    """Who stands at an emulated rig; none where a person does."""
+    """Emulated operator; None where a person stands at the rig."""
+    plugin: RobotPlugin
+    """The kind of robot."""
 
-    @property
-    def virtual(self) -> bool:
-        """Whether time passes only where someone waits."""
-        return isinstance(self.clock, VirtualClock)
+
+def world_of(robot: str) -> str | None:
+    """Return the twin behind an address; None for hardware.
+
+    Example:
+        >>> world_of("twin:nominal"), world_of("kst://twin:harsh"), world_of("kst://172.31.1.147")
+        ('twin:nominal', 'twin:harsh', None)
+    """
+    name = robot.partition("://")[2] or robot
+    return name if name.startswith(TWIN) else None
 
 
 def is_virtual(robot: str) -> bool:
     """Return whether an address is that of a rig in this process, in virtual time."""
-    return robot.startswith(TWIN)
+    return world_of(robot) is not None
 
 
 ENCODER_MISSING: Final = "a robot alone does not balance; give --encoder serial:///dev/ttyACM0"
 
 
 def check_addresses(robot: str, encoder: str | None) -> None:
-    """Check that two addresses are those of a rig; nothing is opened.
+    """Check the two addresses of a rig; nothing is opened.
 
     Raises:
-        InputError: They are not.
+        InputError: An address is invalid, or there is one too many or too few.
         SettingsError: There is no such twin.
     """
-    if is_virtual(robot):
+    plugin, world = robot_plugin(robot), world_of(robot)
+    if world is not None:
         if encoder is not None:
             raise InputError(f"{robot} has an encoder of its own; leave --encoder out")
-        read_world(robot)
+        if plugin.emulate is None:
+            raise InputError(f"{robot}: the robot has no emulator; expected {plugin.form}")
+        read_world(world)
         return
-    _host_and_port(robot)
+    plugin.check(robot)
     if encoder is None:
         raise InputError(ENCODER_MISSING)
-    check_serial(encoder)
-
-
-def _host_and_port(robot: str) -> tuple[str, int]:
-    try:
-        parts = urlsplit(robot)
-    except ValueError:  # a bracket is open
-        parts = urlsplit("")
-    if parts.scheme != "kst" or not parts.hostname or parts.path.strip("/") or parts.query:
-        raise InputError(
-            f"{robot!r} is no address of a robot; expected kst://HOST:{PORT} or twin:nominal"
-        )
-    try:
-        parts.hostname.encode("idna")
-    except UnicodeError:
-        raise InputError(
-            f"{robot!r} has an invalid host name; give the name or the number of the cabinet, such "
-            "as 172.31.1.147"
-        ) from None
-    with suppress(ValueError):  # it is no number, or a large one
-        port = PORT if parts.port is None else parts.port
-        if port > 0:
-            return parts.hostname, port
-    raise InputError(f"{robot!r} has a port that is none; expected 1 to 65535")
+    sensor_plugin(encoder).check(encoder)
 
 
 def connect(
@@ -281,184 +272,175 @@ def connect(
     pendulum: Pendulum,
     *,
     seed: int = 0,
-    tell: Callable[[str], None] = lambda _: None,
-    attend: Callable[[], None] = lambda: None,
+    period: float = SETPOINT_PERIOD,
+    tell: Callable[[str], None] = ignore,
+    attend: Callable[[], None] = ignore,
 ) -> Rig:
     """Return the rig behind two addresses; nothing is opened before its parts are connected.
 
     Args:
-        robot: `kst://HOST` or `kst://HOST:PORT`; or `twin:NAME`, a digital twin in this process
-            whose time passes as fast as it can, with its own encoder and operator.
-        encoder: `serial:///dev/ttyACM0` or `socket://HOST:PORT`; none for a twin.
-        settings: What `rig.toml` says.
-        pendulum: That hangs on a twin.
-        seed: Of what is random on a twin.
-        tell: Takes what the operator has to know while a connection is waited for.
-        attend: Called now and then meanwhile; what this raises ends the wait.
+        robot: Address of a robot, such as `kst://HOST`; or `twin:NAME`, a digital twin in this
+            process whose time passes as fast as it can, with its own encoder and operator; or
+            `SCHEME://twin:NAME`, the same with the driver and the emulator of a kind of robot.
+        encoder: Address of an angle sensor, such as `serial:///dev/ttyACM0`; None for a twin.
+        settings: The settings of the rig.
+        pendulum: The pendulum on a twin.
+        seed: Seed of all that is random on a twin.
+        period: Time between two setpoints [s].
+        tell: Receives instructions to the operator while a connection is made.
+        attend: Called now and then meanwhile; an exception that it raises ends the wait.
 
     Raises:
-        InputError: An address is none of these.
+        InputError: An address is invalid.
         SettingsError: There is no such twin.
     """
     check_addresses(robot, encoder)
-    if is_virtual(robot):
-        world = read_world(robot)
-        return twin_rig(world, settings, pendulum_on(pendulum, world.settings), seed=seed)
+    name = world_of(robot)
+    if name is not None:
+        world = read_world(name)
+        swinging = pendulum_on(pendulum, world.settings)
+        return emulated_rig(
+            world, settings, swinging, robot=scheme_of(robot), seed=seed, period=period
+        ).rig
     if encoder is None:  # checked above
         raise InputError(ENCODER_MISSING)
     clock = SystemClock()
     sensor = encoder_at(
-        encoder,
-        clock,
-        counts_per_rev=settings.counts_per_rev,
-        sign=settings.encoder_sign,
+        encoder, clock, counts_per_rev=settings.counts_per_rev, sign=settings.encoder_sign
     )
-    waiting = DrainingClock(clock, sensor)
-    return Rig(robot_at(robot, waiting, tell=tell, attend=attend), sensor, clock, None)
+    session = Session(DrainingClock(clock, sensor), tell, attend)
+    return _rig(_opened(robot, session), sensor, clock, None, robot_plugin(robot), period)
 
 
-def robot_at(
-    robot: str,
+def _rig(
+    robot: Robot | PacedRobot,
+    sensor: AngleSensor,
     clock: Clock,
-    *,
-    tell: Callable[[str], None] = lambda _: None,
-    attend: Callable[[], None] = lambda: None,
-) -> Robot:
+    operator: Operator | None,
+    plugin: RobotPlugin,
+    period: float,
+) -> Rig:
+    """Return a rig; a robot that sets the pace is served while the loop waits."""
+    if isinstance(robot, PacedRobot):
+        stream = PacedStream(robot, clock, period)
+        return Rig(stream, sensor, stream, operator, plugin)
+    return Rig(robot, sensor, clock, operator, plugin)
+
+
+def _opened(robot: str, session: Session) -> Robot | PacedRobot:
+    plugin = robot_plugin(robot)
+    plugin.check(robot)
+    if plugin.open is None:
+        raise InputError(f"{robot} exists in virtual time only; give a robot such as kst://HOST")
+    return plugin.open(robot, session)
+
+
+def robot_at(robot: str, clock: Clock, *, tell: Callable[[str], None] = ignore) -> Robot:
     """Return the robot behind an address; nothing is opened before it is connected.
 
     Args:
-        robot: `kst://HOST` or `kst://HOST:PORT`.
-        clock: Its time.
-        tell: Takes what the operator has to know while a connection is waited for.
-        attend: Called now and then meanwhile; what this raises ends the wait.
+        robot: Address of a robot that exists.
+        clock: Clock of the robot.
+        tell: Receives instructions to the operator while a connection is made.
 
     Raises:
-        InputError: It is no such address.
+        InputError: The address is invalid.
     """
-    return KstRobot(dial(*_host_and_port(robot)), clock, tell=tell, attend=attend)
+    opened = _opened(robot, Session(clock, tell))
+    return PacedStream(opened, clock) if isinstance(opened, PacedRobot) else opened
+
+
+def restart_instruction(robot: str) -> str:
+    """Return what the operator does before the robot at an address can be connected again.
+
+    Raises:
+        InputError: The address is invalid.
+    """
+    return robot_plugin(robot).restart
 
 
 def encoder_at(
     encoder: str, clock: Clock, *, counts_per_rev: int | None = None, sign: int = 1
 ) -> AngleSensor:
-    """Return the encoder behind an address; nothing is opened before it is connected.
+    """Return the angle sensor behind an address; nothing is opened before it is connected.
 
     Args:
-        encoder: `serial:///dev/ttyACM0` or `socket://HOST:PORT`.
-        clock: Its time.
-        counts_per_rev: What is expected of its board, after x4; any number if not given.
+        encoder: Address of a sensor that exists.
+        clock: Clock of the rig.
+        counts_per_rev: Expected counts per revolution, after x4; None accepts any number.
         sign: 1 if its counts grow with theta, -1 if they fall.
 
     Raises:
-        InputError: It is no such address.
+        InputError: The address is invalid.
     """
-    check_serial(encoder)
-    return LineEncoder(
-        partial(open_serial, encoder),
-        clock,
-        counts_per_rev=counts_per_rev,
-        sign=sign,
-        name=encoder,
-    )
-
-
-def twin_rig(
-    world: World, settings: RigSettings, pendulum: PendulumParameters, *, seed: int = 0
-) -> Rig:
-    """Return a twin with its operator, robot and encoder in process, in virtual time.
-
-    Raises:
-        ArmError: The masses of the arm's links are not known.
-    """
-    clock, bench = _bench(world, settings, pendulum, seed)
-    operator = EmulatedOperator(bench, clock, seed=seed)
-    return Rig(TwinRobot(bench, clock), TwinEncoder(bench, clock), clock, operator)
+    plugin = sensor_plugin(encoder)
+    plugin.check(encoder)
+    if plugin.open is None:
+        raise InputError(f"{encoder} exists in virtual time only; give one such as /dev/ttyACM0")
+    return plugin.open(encoder, Session(clock), counts_per_rev, sign)
 
 
 class EmulatedRig(NamedTuple):
-    """A twin behind the protocols of the hardware, and what a test can do to it."""
+    """A simulated rig behind drivers, in virtual time, with access for fault injection."""
 
     rig: Rig
     """The drivers."""
     bench: SimulatedRig
     """Arm, pendulum, hand and button."""
-    server: KstServer
-    """The robot's cabinet."""
-    board: Board
-    """The encoder's board."""
-    robot_link: MemoryPipe
-    """The cabinet's end of the link to the robot."""
-    encoder_link: MemoryPipe
-    """The board's end of the link to the encoder."""
+    robot: EmulatedRobot
+    """The robot's driver, and its emulator."""
+    sensor: EmulatedSensor
+    """The encoder's driver, and its emulator."""
 
 
 def emulated_rig(
-    world: World, settings: RigSettings, pendulum: PendulumParameters, *, seed: int = 0
+    world: World,
+    settings: RigSettings,
+    pendulum: PendulumParameters,
+    *,
+    robot: str = "twin",
+    seed: int = 0,
+    period: float = SETPOINT_PERIOD,
 ) -> EmulatedRig:
-    """Return the drivers of the hardware in front of a twin that speaks its bytes, in virtual time.
+    """Return a twin behind the drivers of a kind of robot, in virtual time, with its operator.
 
-    The link to the cabinet takes half the twin's reply age each way; the rest of its transport is
-    the servo's own.
+    The link of an emulated robot takes its share of the twin's reply age each way, and the servo
+    the rest of the twin's transport.
+
+    Args:
+        world: The twin.
+        settings: The settings of the rig.
+        pendulum: The pendulum, with the friction that acts in the twin.
+        robot: Scheme of the robot; `twin` has no link, and the twin's own encoder.
+        seed: Seed of all that is random.
+        period: Time between two setpoints [s].
 
     Raises:
         ArmError: The masses of the arm's links are not known.
+        InputError: The robot has no emulator.
+        SettingsError: Twin and rig differ in the counts per revolution.
     """
-    delay = 0.5 * world.settings.reply_age
-    within = world.settings.model_copy(
-        update={"transport": max(world.settings.transport - delay, 0.0)}
-    )
-    clock, bench = _bench(World(world.name, within), settings, pendulum, seed)
-    arm = settings.described_arm
-    server = KstServer(bench.body, [joint.velocity for joint in arm.joints], seed=seed)
-    board = Board(
-        lambda: bench.theta,
-        counts_per_rev=world.settings.counts_per_rev,
-        sign=settings.encoder_sign,
-        seed=seed,
-    )
-    host, cabinet = memory_pipe(clock, delay)
-    reader, wire = memory_pipe(clock, world.settings.encoder_age)
-    down = [False]
-
-    def work(now: float) -> None:
-        with suppress(LinkError):  # who has closed it is not answered; the servo goes on
-            server.feed(cabinet.read(), now)
-        for segment in server.advance(now):
-            with suppress(LinkError):
-                cabinet.write(segment)
-        if bench.button is not down[0]:
-            down[0] = bench.button
-            board.press() if down[0] else board.let_go()
-        said = board.advance(now)
-        with suppress(LinkError):
-            board.feed(wire.read())
-            wire.write(said)
-
-    clock.attach(work)
-    operator = EmulatedOperator(bench, clock, seed=seed)
-    sensor = LineEncoder(
-        lambda: reader,
-        clock,
-        counts_per_rev=settings.counts_per_rev,
-        sign=settings.encoder_sign,
-    )
-    robot = KstRobot(lambda: host, DrainingClock(clock, sensor))
-    return EmulatedRig(Rig(robot, sensor, clock, operator), bench, server, board, cabinet, wire)
-
-
-def _bench(
-    world: World, settings: RigSettings, pendulum: PendulumParameters, seed: int
-) -> tuple[VirtualClock, SimulatedRig]:
-    if world.settings.counts_per_rev != settings.counts_per_rev:
+    plugin = robot_plugin(robot)
+    sensors = sensor_plugin(TWIN if robot == scheme_of(TWIN) else "serial")
+    if plugin.emulate is None or sensors.emulate is None:
+        raise InputError(f"the robot {robot!r} has no emulator; choose another")
+    numbers = world.settings.model_copy(update=dict(plugin.servo))
+    if numbers.counts_per_rev != settings.counts_per_rev:
         raise SettingsError(
-            f"{world.name} has {world.settings.counts_per_rev} counts per revolution, rig.toml "
+            f"{world.name} has {numbers.counts_per_rev} counts per revolution, rig.toml "
             f"{settings.counts_per_rev}; give one number"
         )
-    clock = VirtualClock()
-    arm = settings.described_arm
-    elsewhere = arm.home_free + START_OFFSET * np.random.default_rng(seed).uniform(
-        -1.0, 1.0, FREE_JOINTS
-    )
-    bench = SimulatedRig(arm, pendulum, world.settings, seed=seed, q=elsewhere)
+    delay = plugin.link_share * numbers.reply_age
+    numbers = numbers.model_copy(update={"transport": max(numbers.transport - delay, 0.0)})
+    clock, arm = VirtualClock(), settings.described_arm
+    offset = START_OFFSET * np.random.default_rng(seed).uniform(-1.0, 1.0, FREE_JOINTS)
+    bench = SimulatedRig(arm, pendulum, numbers, seed=seed, q=arm.home_free + offset)
     clock.attach(bench.advance)
-    return clock, bench
+    sensor = sensors.emulate(bench, clock, settings.counts_per_rev, settings.encoder_sign, seed)
+    session = Session(DrainingClock(clock, sensor.sensor))
+    emulated = plugin.emulate(bench, arm, session, delay, seed)
+    clock.attach(emulated.advance)
+    clock.attach(sensor.advance)
+    operator = EmulatedOperator(bench, clock, seed=seed)
+    rig = _rig(emulated.robot, sensor.sensor, clock, operator, plugin, period)
+    return EmulatedRig(rig, bench, emulated, sensor)

@@ -108,7 +108,7 @@ def tables(joints: int) -> dict[str, np.dtype[Any]]:
             ("q", *posture),
             ("dq", *posture),
         ],
-        "stream": [("time", SCALAR), ("torque", WHOLE), ("q", *posture)],
+        "stream": [("time", SCALAR), ("q", *posture)],
         "reply": [
             ("time", SCALAR),
             ("sent", SCALAR),

@@ -34,6 +34,7 @@ class Sensor:
     """An encoder whose driver gives out a hundred samples at most per call."""
 
     counts_per_rev = 8192
+    rejected = 0
 
     def __init__(self, clock, *, rate=1000.0, waiting=0.0, lost=0.0, illegal=False):
         self.clock, self.rate, self.lost, self.illegal = clock, rate, lost, illegal

@@ -168,9 +168,10 @@ def test_a_spindle_that_moves_is_noticed():
 
 
 class Mute:
-    """A sensor that gives one sample and then none, and counts no rejected lines."""
+    """A sensor that gives one sample and then none."""
 
     counts_per_rev = 2048
+    rejected = 0
 
     def __init__(self):
         self.given = [Sample(0.0, 5, False, False, 0)]
@@ -184,7 +185,6 @@ def test_without_samples_the_newest_gets_old():
     heard = listen(Mute(), VirtualClock(), 0.1)
     assert heard.delays.shape == (0,)
     assert heard.ages[-1] == pytest.approx(0.1)
-    assert heard.rejected is None
     assert heard.moved == 0
 
 

@@ -116,7 +116,7 @@ def test_a_rig_is_examined_and_does_not_move(equipoise, robot, encoder):
 def test_words_say_that_the_robots_server_has_ended(equipoise, robot):
     ran = equipoise("rig", "doctor", *QUICK, "--robot", robot[0])
     assert "Round trip to the robot" in ran.out
-    assert "start it again on the smartPAD" in ran.out
+    assert "start the server's application on the smartPAD" in ran.out
     assert "equipoise deploy times the link itself" in ran.out
     assert "Verdict on machine and rig: " in ran.out
 

@@ -98,7 +98,13 @@ def test_a_missing_device_is_named(equipoise):
 
 def test_wrong_use_is_refused(refused):
     refused("rig", "record", saying="Missing option")
-    refused("rig", "record", "--encoder", "/dev/ttyACM0", saying="no address of a serial port")
+    refused(
+        "rig",
+        "record",
+        "--encoder",
+        "/dev/ttyACM0",
+        saying="no address of an encoder; expected serial:///dev/ttyACM0 or socket:",
+    )
     refused("rig", "record", "--encoder", URI, "--out", "swing.txt", saying="ends in .csv")
     refused("rig", "record", "--encoder", URI, "--duration", 0.5, saying="a number from 1 to 600")
     refused("rig", "record", "--encoder", URI, "--duration", "nan", saying="a number from 1 to 600")

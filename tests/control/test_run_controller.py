@@ -11,7 +11,7 @@ import pytest
 
 from equipoise.control.control_step import horizon, make_controller_params
 from equipoise.control.policy import shipped_policy, tick_policy
-from equipoise.control.run_controller import TORQUE_EVERY, UNSURE, RunController
+from equipoise.control.run_controller import UNSURE, RunController
 from equipoise.control.safety import (
     ANGLE_RULE_LIMIT,
     ENCODER_STALE,
@@ -29,6 +29,7 @@ pytestmark = pytest.mark.compiled_only
 POLICY = shipped_policy()
 ARM, H = POLICY.arm, POLICY.h
 COUNTS = 8192
+TORQUE_EVERY = 5  # ticks, over a KST link
 PER_RADIAN = COUNTS / (2.0 * pi)
 TORQUES = np.array([0.1, 1.7, 0.0, -1.2, 0.1, 0.3, -0.1])
 FALLS = sqrt(POLICY.pendulum.parameters().w2)
@@ -76,7 +77,7 @@ class Course:
         self.theta = lambda time: 0.0
         self.samples_lost = frozenset()
         self.torques = TORQUES
-        self.sent = [(-1.0, tuple(q), False)]
+        self.sent = [(-1.0, tuple(q))]
         self.told = []
         self.answers, self.result = [], None
         self.link_dead = self.encoder_dead = False
@@ -85,9 +86,7 @@ class Course:
     def where(self, time):
         """Where the arm is: where it was sent before its response."""
         return next(
-            q
-            for when, q, _ in reversed(self.sent)
-            if when <= time - self.guard.reaction or when < 0
+            q for when, q in reversed(self.sent) if when <= time - self.guard.reaction or when < 0
         )
 
     def samples(self):
@@ -110,13 +109,17 @@ class Course:
     def replies(self):
         came = []
         while not self.link_dead and self.answered + 1 < len(self.sent):
-            when, _, torque = self.sent[self.answered + 1]
+            when, _ = self.sent[self.answered + 1]
             if when + 0.004 > self.now:
                 break
             self.answered += 1
             q = tuple(np.asarray(self.where(when + 0.002)) + 1e-3 * (self.answered % 2))
             came.append(
-                Reply(when, when + 0.004, *((None, tuple(self.torques)) if torque else (q, None)))
+                Reply(
+                    when,
+                    when + 0.004,
+                    *((None, tuple(self.torques)) if self.answered % 10 == 9 else (q, None)),
+                )
             )
         return came
 
@@ -130,8 +133,8 @@ class Course:
         given = TickInputs(self.samples(), self.replies(), answers, [], late, result)
         output = self.pilot.tick(self.now, given._replace(**inputs))
         first, second = output.setpoints
-        self.sent.append((self.now, first, False))
-        self.sent.append((max(self.now, due + 0.5 * H), second, output.torque))
+        self.sent.append((self.now, first))
+        self.sent.append((max(self.now, due + 0.5 * H), second))
         self.told += [event.name for event in output.events]
         if output.job is not None:
             self.result = SOUND

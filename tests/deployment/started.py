@@ -164,7 +164,7 @@ def stage(seed, *, share=1.0, clumsy=0.0, duration=BALANCED):
     friction = 1.0 + FRICTION * random.standard_normal()
     world = read_world(WORLD)
     real = scaled(pendulum_on(policy.pendulum, world.settings), inertia, friction)
-    emulated = emulated_rig(world, settings, real, seed=seed)
+    emulated = emulated_rig(world, settings, real, seed=seed, robot="kst")
     rig = emulated.rig
     hands = Hands(emulated.bench, rig.clock, clumsy=clumsy, seed=seed)
     request = RunRequest(
@@ -195,11 +195,11 @@ def start(seed, **given):
 
 
 def _attribute(name, value):
-    return lambda emulated: setattr(emulated.board, name, value)
+    return lambda emulated: setattr(emulated.sensor.board, name, value)
 
 
 def _late(emulated):
-    emulated.encoder_link.delay += LATER
+    emulated.sensor.link.delay += LATER
 
 
 def _askew(emulated):

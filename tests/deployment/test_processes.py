@@ -61,7 +61,7 @@ class Arm:
     def start(self):
         pass
 
-    def send(self, q, *, torque=False):
+    def send(self, q):
         now = time.monotonic()
         self.waiting.append(Reply(now, now, tuple(q), None))
 
@@ -96,7 +96,7 @@ class Heart:
         wanted = [self.at(2 * n - 1), self.at(2 * n)]
         self.q = [q[6] for q in wanted]
         return TickOutput(
-            setpoints=tuple(wanted), torque=False, q=ARM.home, dq=(0.0,) * 7,
+            setpoints=tuple(wanted), q=ARM.home, dq=(0.0,) * 7,
             state=MOVING if self.rest is None else STOPPING, record=TickRecord(), events=events,
             done=self.rest is not None and n > self.rest[0] + 20,
         )  # fmt: skip
@@ -331,7 +331,7 @@ def test_a_wait_for_the_robot_can_be_given_up(word):
     recorder.words.push(b"ok")
     across.attend()  # what else is typed does not end it, and is no answer to what comes
     recorder.words.push(word.encode())
-    with pytest.raises(OutsideError, match="nothing has moved. Start the server"):
+    with pytest.raises(OutsideError, match="nothing has moved. To deploy again, start the server"):
         across.attend()
     assert across.read_input() == []
 

@@ -21,7 +21,7 @@ from equipoise.deployment.rig import (
 from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import InputError
 from equipoise.model.sim_configs import pendulum_on, read_world
-from equipoise.rigs import RigSettings, emulated_rig, twin_rig
+from equipoise.rigs import RigSettings, emulated_rig
 from equipoise.runwriter import Recorder, read_rig_run, take_events
 
 pytestmark = pytest.mark.compiled_only
@@ -63,7 +63,7 @@ def request(duration=2.0, settings=None, **changes):
 
 def on_the_twin(wanted, out=None, spy=None):
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
-    rig = twin_rig(NOMINAL, wanted.settings, pendulum, seed=wanted.seed)
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=wanted.seed).rig
     return run_rig_virtually(wanted, rig, out, spy or Spy())
 
 
@@ -92,7 +92,7 @@ def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
 def test_it_stands_behind_the_protocols_of_the_hardware(sign):
     wanted = request(settings=RigSettings(encoder_sign=sign))
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
-    rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3).rig
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3, robot="kst").rig
     outcome = run_rig_virtually(wanted, rig, None, Spy())
     assert (outcome.cause, outcome.lasted) == ("lasted", 2.0)
 
@@ -102,7 +102,7 @@ def test_it_stands_behind_the_protocols_of_the_hardware(sign):
 def test_it_stands_a_minute_behind_the_protocols_of_the_hardware(seed):
     wanted = request(60.0)
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
-    rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=seed).rig
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=seed, robot="kst").rig
     outcome = run_rig_virtually(wanted, rig, None, Spy())
     assert (outcome.cause, outcome.lasted) == ("lasted", 60.0)
 
@@ -187,7 +187,7 @@ def test_words_that_come_together_answer_one_question_after_the_other():
 def test_a_mistyped_word_is_asked_again_up_to_three_times(typed, cause, asked):
     wanted = request(dry_run=True)
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
-    rig = twin_rig(NOMINAL, wanted.settings, pendulum)._replace(operator=None)
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum).rig._replace(operator=None)
     script = Script(*typed)
     outcome = run_rig_virtually(wanted, rig, None, script)
     assert outcome.cause == cause
@@ -197,7 +197,7 @@ def test_a_mistyped_word_is_asked_again_up_to_three_times(typed, cause, asked):
 def test_a_mistyped_answer_to_the_move_is_asked_again():
     wanted = request()
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
-    rig = twin_rig(NOMINAL, wanted.settings, pendulum)._replace(operator=None)
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum).rig._replace(operator=None)
     script = Script("estop", "fence", "monitoring", "t1", "yes", "n")
     outcome = run_rig_virtually(wanted, rig, None, script)
     assert outcome.reason == "the move was not allowed; nothing has moved"
@@ -215,7 +215,7 @@ def test_whoever_asks_waits_for_a_word():
 def test_a_stop_that_came_with_the_last_answer_is_heard_in_the_first_tick():
     wanted = request()
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
-    rig = twin_rig(NOMINAL, wanted.settings, pendulum)._replace(operator=None)
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum).rig._replace(operator=None)
     script = Script("estop", "fence", "monitoring", "t1", "y", "stop")
     outcome = run_rig_virtually(wanted, rig, None, script)
     assert (outcome.cause, outcome.lasted) == ("operator", 0.0)
@@ -225,8 +225,8 @@ def test_a_stop_that_came_with_the_last_answer_is_heard_in_the_first_tick():
 def test_an_encoder_that_counts_the_wrong_way_is_found_before_the_pendulum_is_lifted():
     wanted = request()
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
-    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3)
-    emulated.board.sign = -1
+    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3, robot="kst")
+    emulated.sensor.board.sign = -1
     spy = Spy()
     outcome = run_rig_virtually(wanted, emulated.rig, None, spy)
     assert outcome.cause == "self-test"
@@ -237,13 +237,13 @@ def test_an_encoder_that_counts_the_wrong_way_is_found_before_the_pendulum_is_li
 def test_a_link_that_goes_dead_is_told_at_once():
     wanted = request(5.0)
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
-    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3)
+    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3, robot="kst")
 
     class Cutter(Spy):
         def notify(self, event):
             super().notify(event)
             if event.name == "balancing":
-                emulated.robot_link.cut = True
+                emulated.robot.link.cut = True
 
     spy = Cutter()
     outcome = run_rig_virtually(wanted, emulated.rig, None, spy)
@@ -261,7 +261,7 @@ def test_a_policy_for_another_arm_is_refused():
 def test_a_push_on_the_way_home_stops_the_arm(force):
     wanted = request()
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
-    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=wanted.seed)
+    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=wanted.seed, robot="kst")
     bench, clock = emulated.bench, emulated.rig.clock
 
     class Pusher(Spy):
@@ -329,7 +329,11 @@ class Pusher(Spy):
 def test_in_t1_a_run_stops_softly_where_the_flange_is_too_fast(tmp_path, t1):
     wanted, out = request(1.5, t1=t1), tmp_path / "run.mcap"
     emulated = emulated_rig(
-        NOMINAL, wanted.settings, pendulum_on(wanted.policy.pendulum, NOMINAL.settings), seed=3
+        NOMINAL,
+        wanted.settings,
+        pendulum_on(wanted.policy.pendulum, NOMINAL.settings),
+        seed=3,
+        robot="kst",
     )
     spy = Pusher(emulated.bench, 1.0)
     outcome = run_rig_virtually(wanted, emulated.rig, out, spy)

@@ -1,13 +1,13 @@
 """Robots and encoders in process, for the conformance suites."""
 
 from equipoise.devices.clocks import VirtualClock
-from equipoise.devices.model_robot import ModelRobot
 from equipoise.devices.twin.robot import TwinEncoder, TwinRobot
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import GRAVITY
+from tests.devices.model_robot import ModelRobot
 
 ARM = iiwa(7)
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15, coulomb=0.1)

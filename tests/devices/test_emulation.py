@@ -8,9 +8,9 @@ import sys
 import pytest
 
 from equipoise.devices.clocks import VirtualClock
-from equipoise.devices.emulation import NOTICED, RESTART, Emulation
+from equipoise.devices.emulation import Emulation
 from equipoise.devices.encoder.codec import Decoder, Flags, Reading
-from equipoise.devices.kuka.server_emulator import Faults
+from equipoise.devices.kuka.listener import NOTICED, RESTART
 from tests.devices.in_process import ARM, PENDULUM, TwinSettings
 
 pytestmark = [
@@ -100,7 +100,7 @@ def test_without_an_operator_the_word_start_starts_the_server_again():
 
 
 def test_faults_are_those_of_the_answers():
-    stage, came = Stage(faults=Faults(delay=0.5)), []
+    stage, came = Stage(faults="delay=0.5"), []
     stage.at(0.1, stage.connect)
     stage.at(0.2, stage.send(ASK))
     stage.at(0.6, lambda: came.append(stage.came()))

@@ -29,7 +29,7 @@ class Tape:
     joints = 7
 
     def __init__(self, q=HOME):
-        self.q, self.calls, self.sent, self.torque = np.array(q, float), [], [], []
+        self.q, self.calls, self.sent = np.array(q, float), [], []
 
     def connect(self):
         self.calls.append("connect")
@@ -40,9 +40,8 @@ class Tape:
     def start(self):
         self.calls.append("start")
 
-    def send(self, q, *, torque=False):
+    def send(self, q):
         self.sent.append(tuple(q))
-        self.torque.append(torque)
 
     def replies(self):
         return [Reply(0.0, 0.001, tuple(self.q), None)]
@@ -131,11 +130,10 @@ def test_a_way_to_rest_that_ends_at_a_limit_is_not_taken_over():
 def test_what_may_be_sent_leaves_as_it_came():
     robot, tape = guarded()
     stream = [tuple(HOME), *along(HOME, 0.2 * VELOCITY, 50)]
-    for number, setpoint in enumerate(stream):
-        robot.send(setpoint, torque=number % 7 == 0)
+    for setpoint in stream:
+        robot.send(setpoint)
         assert robot.last == setpoint
     assert tape.sent == stream
-    assert [number for number, torque in enumerate(tape.torque) if torque] == [*range(0, 51, 7)]
     assert robot.at_rest  # of a ramp of its own there is none
 
 
@@ -185,10 +183,9 @@ def test_a_setpoint_that_may_not_be_sent_is_replaced_by_the_next_of_a_ramp(name)
     last = np.array(tape.sent[-1])
     speed = np.array(tape.sent[-1]) - np.array(tape.sent[-2])
     asked = len(tape.sent)
-    robot.send(BAD[name](tuple(last + speed)), torque=True)
+    robot.send(BAD[name](tuple(last + speed)))
     assert robot.held_back
     assert len(tape.sent) == asked + 1  # one for one: each setpoint has its reply
-    assert tape.torque[-1]
     assert robot.last == tape.sent[-1]
     step = np.array(tape.sent[-1]) - last
     moves = np.abs(speed) > 1e-9
@@ -246,7 +243,7 @@ def test_a_link_that_fails_is_not_hidden():
     robot, tape = moving()
     last, before = np.array(tape.sent[-1]), np.array(tape.sent[-2])
 
-    def gone(q, *, torque=False):
+    def gone(q):
         raise LinkError("gone")
 
     tape.send = gone

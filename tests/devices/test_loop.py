@@ -55,10 +55,10 @@ class Arm:
     def start(self):
         pass
 
-    def send(self, q, *, torque=False):
+    def send(self, q):
         self._call("send")
         now = self.clock.now()
-        self.sent.append((now, tuple(q), torque))
+        self.sent.append((now, tuple(q)))
         self.waiting.append(Reply(now, now, tuple(q), None))
 
     def replies(self):
@@ -109,7 +109,6 @@ class Heart:
         self.seen.append((now, inputs))
         output = TickOutput(
             setpoints=(self.at(2 * n), self.at(2 * n + 1)),
-            torque=n % 5 == 4,
             q=HOME,
             dq=(0.0,) * 7,
             state=3,
@@ -144,7 +143,7 @@ class Course:
 
 def came_to_rest(sent, since):
     """From a setpoint on each step is smaller, down to what one step of a ramp ends with."""
-    q = np.array([q for _, q, _ in sent])
+    q = np.array([q for _, q in sent])
     steps = np.abs(np.diff(q, axis=0)).max(axis=1)[since - 1 :]
     return len(steps) > 1 and steps[-1] <= 10.0 * (H / 2.0) ** 2 and (np.diff(steps) < 1e-12).all()
 
@@ -162,10 +161,8 @@ def test_each_tick_reads_decides_and_sends_two_setpoints_half_a_tick_apart():
     assert (ending.fault, ending.stoppable) == (None, True)
     assert [now for now, _ in course.heart.seen] == pytest.approx(H * np.arange(1, 21))
     sent = course.arm.sent[:40]
-    assert [when for when, _, _ in sent] == pytest.approx(H * (1.0 + 0.5 * np.arange(40)))
-    assert [q for _, q, _ in sent] == [course.heart.at(n) for n in range(40)]
-    # Torques are asked for with the second setpoint of a tick.
-    assert [n for n, (_, _, torque) in enumerate(sent) if torque] == [9, 19, 29, 39]
+    assert [when for when, _ in sent] == pytest.approx(H * (1.0 + 0.5 * np.arange(40)))
+    assert [q for _, q in sent] == [course.heart.at(n) for n in range(40)]
     # What came since the tick before goes in: a sample, and two replies.
     assert all(len(inputs.samples) == 1 for _, inputs in course.heart.seen)
     assert [len(inputs.replies) for _, inputs in course.heart.seen] == [0] + 19 * [2]
@@ -177,8 +174,8 @@ def test_what_was_read_decided_and_sent_is_in_the_rings():
     rings = course.recorder.rings
     assert len(rings["tick"].take()) == 20
     stream = rings["stream"].take()
-    assert [tuple(q) for q in stream["q"]] == [q for _, q, _ in course.arm.sent]
-    assert stream["time"] == pytest.approx([when for when, _, _ in course.arm.sent])
+    assert [tuple(q) for q in stream["q"]] == [q for _, q in course.arm.sent]
+    assert stream["time"] == pytest.approx([when for when, _ in course.arm.sent])
     assert len(rings["encoder"].take()) == 20
     assert len(rings["reply"].take()) == 38
     typed = [e for e in take_events(rings["event"]) if e.name == WORD_TYPED]
@@ -284,10 +281,10 @@ def test_a_heart_that_fails_leaves_the_arm_to_come_to_rest():
     assert len(course.arm.sent) > 18
     assert came_to_rest(course.arm.sent, 18)
     # The stream goes on without a gap, and what left is what the log says.
-    when = [when for when, _, _ in course.arm.sent]
+    when = [when for when, _ in course.arm.sent]
     assert np.diff(when).max() <= 0.01 + 1e-9
     stream = course.recorder.stream.take()
-    assert [tuple(q) for q in stream["q"]] == [q for _, q, _ in course.arm.sent]
+    assert [tuple(q) for q in stream["q"]] == [q for _, q in course.arm.sent]
     assert stream["time"] == pytest.approx(when)
 
 
@@ -358,8 +355,8 @@ def test_a_setpoint_that_the_guard_holds_back_is_a_fault_of_the_next_tick():
     assert "joint 7" in course.faults[0]
     # What leaves from then on is the guard's, and so says the log.
     stream = course.recorder.stream.take()
-    assert [tuple(q) for q in stream["q"]] == [q for _, q, _ in course.arm.sent]
-    assert bad not in [q for _, q, _ in course.arm.sent]
+    assert [tuple(q) for q in stream["q"]] == [q for _, q in course.arm.sent]
+    assert bad not in [q for _, q in course.arm.sent]
     assert came_to_rest(course.arm.sent, 19)
 
 

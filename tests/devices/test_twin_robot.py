@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from equipoise.devices.model_robot import ModelRobot
-from equipoise.devices.twin.robot import KEPT, TwinEncoder, TwinRobot
+from equipoise.devices.kuka import robot as kuka
+from equipoise.devices.twin.robot import KEPT, TORQUE_EVERY, TwinEncoder, TwinRobot
 from equipoise.errors import LinkError
 from tests.devices.in_process import ARM, VirtualClock, stand
+from tests.devices.model_robot import ModelRobot
 
 
 def wait(clock, seconds):
@@ -32,22 +33,25 @@ def test_a_reply_takes_its_age_and_tells_the_joints_of_half_way():
         (reply,) = robot.replies()
         assert reply.sent == sent
         assert reply.received == pytest.approx(sent + 0.006)
-        assert reply.q == at[round(1e3 * sent) + 3]
+        assert reply.q == (None if reply.torque else at[round(1e3 * sent) + 3])
 
 
 @pytest.mark.compiled_only
-def test_torques_are_told_where_they_are_asked_for():
+def test_one_reply_in_ten_has_torques_as_those_of_kst_have():
     bench, clock = stand()
     robot = TwinRobot(bench, clock)
     robot.connect()
     robot.start()
     bench.touch((0.0, 0.0, -30.0))
     wait(clock, 0.2)
-    robot.send(robot.measured(), torque=True)
+    for _ in range(TORQUE_EVERY):
+        robot.send(robot.measured())
     wait(clock, 0.005)
-    (reply,) = robot.replies()
+    *others, reply = robot.replies()
+    assert {other.torque for other in others} == {None}
     assert reply.q is None
     assert reply.torque[1] > 15.0
+    assert kuka.TORQUE_EVERY == TORQUE_EVERY
 
 
 @pytest.mark.compiled_only

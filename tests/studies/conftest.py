@@ -15,7 +15,7 @@ def rig_log(tmp_path_factory):
     settings = RigSettings()
     world = read_world("twin:nominal")
     real = pendulum_on(policy.pendulum, world.settings)
-    emulated = emulated_rig(world, settings, real, seed=3)
+    emulated = emulated_rig(world, settings, real, seed=3, robot="kst")
     request = RunRequest(
         policy=policy,
         actuator=policy.actuator,

@@ -8,7 +8,6 @@ import numpy as np
 from equipoise.artefacts import Value
 from equipoise.checks.results import Array, CheckResult, Spread, rated
 from equipoise.control.safety import ENCODER_STALE
-from equipoise.devices.encoder.sensor import LineEncoder
 from equipoise.devices.interfaces import AngleSensor, Clock
 
 READ_PERIOD: Final = 0.001
@@ -38,8 +37,8 @@ class Heard(NamedTuple):
     """Age of the newest sample at each read [s], shape (m,)."""
     missing: int
     """Samples lost on the way."""
-    rejected: int | None
-    """Lines damaged or out of sequence; None where the sensor does not count them."""
+    rejected: int
+    """Readings damaged or out of sequence."""
     illegal: int
     """Samples with an illegal transition on the board."""
     moved: int
@@ -59,7 +58,7 @@ def listen(sensor: AngleSensor, clock: Clock, seconds: float) -> Heard:
     """
     for _ in _reads(clock, DISCARD_TIME):
         sensor.samples()
-    before, begin = _rejected(sensor), clock.now()
+    before, begin = sensor.rejected, clock.now()
     newest, missing, illegal = begin, 0, 0
     delays: list[float] = []
     ages: list[float] = []
@@ -72,14 +71,13 @@ def listen(sensor: AngleSensor, clock: Clock, seconds: float) -> Heard:
             missing, illegal = missing + sample.missing, illegal + sample.illegal
             newest = sample.time
         ages.append(now - newest)
-    after = _rejected(sensor)
     return Heard(
         counts_per_rev=sensor.counts_per_rev,
         seconds=clock.now() - begin,
         delays=np.array(delays),
         ages=np.array(ages),
         missing=missing,
-        rejected=None if after is None or before is None else after - before,
+        rejected=sensor.rejected - before,
         illegal=illegal,
         moved=max(counts) - min(counts) if counts else 0,
     )
@@ -92,13 +90,6 @@ def _reads(clock: Clock, seconds: float) -> Generator[None]:
         deadline = max(deadline + READ_PERIOD, now)
         clock.wait_until(deadline)
         yield
-
-
-def _rejected(sensor: AngleSensor) -> int | None:
-    if not isinstance(sensor, LineEncoder):
-        return None
-    tally = sensor.tally
-    return tally.rejected + tally.untimely + tally.jumps
 
 
 class EncoderReading(Value):
@@ -114,8 +105,8 @@ class EncoderReading(Value):
     """Age of the newest sample at any moment."""
     missing: int
     """Samples lost on the way."""
-    rejected: int | None
-    """Lines damaged or out of sequence, where they are counted."""
+    rejected: int
+    """Readings damaged or out of sequence."""
     illegal: int
     """Samples with an illegal transition on the board."""
     moved: int
@@ -167,13 +158,12 @@ def check_encoder(
         "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
         outside=True,
     )
-    rejected = encoder.rejected
-    lost, n = encoder.missing + (rejected or 0), encoder.delay.n if encoder.delay is not None else 0
+    lost = encoder.missing + encoder.rejected
+    n = encoder.delay.n if encoder.delay is not None else 0
     yield rated(
         "encoder's line",
         "warning" if lost > MAX_LOST_SHARE * n else "good",
-        f"{encoder.missing} samples lost, "
-        + ("rejected ones are not counted here" if rejected is None else f"{rejected} rejected"),
+        f"{encoder.missing} samples lost, {encoder.rejected} rejected",
         "change the cable, keep it away from the motors', and check the baud rate",
         outside=True,
     )

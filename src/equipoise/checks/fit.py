@@ -1,6 +1,6 @@
 """Fit of a policy to its rig: arm, home, response, encoder, speed, posture and room."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from math import degrees, floor, inf
 from typing import Final
 
@@ -10,7 +10,6 @@ from equipoise.checks.link import GOOD_ROUND_TRIP
 from equipoise.checks.results import Array, CheckResult, Spread, rated
 from equipoise.control.policy import TaskPolicy
 from equipoise.control.safety import T1_SPEED
-from equipoise.control.slow_link import flange_speed
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.rigs import RigSettings
@@ -122,17 +121,21 @@ def _check_room(policy: TaskPolicy, rig: RigSettings) -> Iterator[CheckResult]:
     )
 
 
-def max_flange_speed(arm: Arm, trips: Spread, t1: bool) -> tuple[float, str]:
+def max_flange_speed(
+    arm: Arm, trips: Spread, t1: bool, rule: Callable[[Arm, float], float] | None
+) -> tuple[float, str]:
     """Return the flange's speed limit [m/s] and its reason; inf where nothing limits it.
 
     Args:
         arm: The rig's arm, with its home posture.
         trips: Round trips to the robot.
         t1: Whether the limit of T1 holds.
+        rule: Rule of the robot for a slow link, see `RobotPlugin.flange_speed`.
     """
     # In whole millimetres, so that the log names this very number.
-    slow = trips.p99 > GOOD_ROUND_TRIP
-    of_link = floor(1e3 * flange_speed(arm, trips.p99)) / 1e3 if slow else inf
+    of_link = inf
+    if rule is not None and trips.p99 > GOOD_ROUND_TRIP:
+        of_link = floor(1e3 * rule(arm, trips.p99)) / 1e3
     of_t1 = T1_SPEED if t1 else inf
     return (of_link, "a slow link") if of_link <= of_t1 else (of_t1, "T1")
 

@@ -9,13 +9,12 @@ import numpy.typing as npt
 
 from equipoise.artefacts import Value
 from equipoise.control.safety import ENCODER_STALE
+from equipoise.devices.interfaces import SETPOINT_PERIOD
 from equipoise.errors import InputError, OutsideError
 
 Array = npt.NDArray[np.float64]
 Verdict = Literal["good", "warning", "bad", "unknown"]
 
-SETPOINT_PERIOD: Final = 0.005
-"""Time between two setpoints of a run [s]: a KST server needs 200 Hz for a smooth motion."""
 REPORTED_DURATIONS: Final = (0.001, SETPOINT_PERIOD, ENCODER_STALE)
 """Durations beyond which the share is reported [s]: jitter without effect on the controller, one
 period of the stream, and the lateness that ends a run."""

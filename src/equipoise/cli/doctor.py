@@ -44,7 +44,7 @@ def doctor(
     examined = "this machine" if robot is None and encoder is None else "machine and rig"
     output.say(f"Examining {examined}; nothing moves")
 
-    from equipoise.rigs import is_virtual, read_rig
+    from equipoise.rigs import is_virtual, read_rig, restart_instruction
     from equipoise.studies.doctor import examine
 
     if robot is not None and is_virtual(robot):
@@ -63,9 +63,9 @@ def doctor(
         tell=output.say,
     )
     _say(output, diagnosis, examined)
-    if diagnosis.link is not None:
+    if robot and diagnosis.link is not None and (restart := restart_instruction(robot)):
         output.say(
-            "The robot's server has ended with this session: start it again on the smartPAD. "
+            f"This session with the robot has ended; before the next one, {restart}. "
             "equipoise deploy times the link itself, in the session of the run.",
         )
     output.result(diagnosis.model_dump(mode="json"), bad=diagnosis.verdict == "not fit")

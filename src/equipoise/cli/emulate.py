@@ -12,11 +12,9 @@ import typer
 from equipoise.cli.options import ArmName, Json, Seed, read_arm, read_pendulum
 from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.devices import realtime
-from equipoise.errors import InputError
 
 if TYPE_CHECKING:
     from equipoise.devices.emulation import Emulation
-    from equipoise.devices.kuka.server_emulator import Faults
     from equipoise.model.pendulum import Pendulum, PendulumParameters
     from equipoise.model.sim_configs import TwinSettings
 
@@ -29,6 +27,10 @@ def emulate(
         str,
         typer.Option(metavar="WORLD", help="twin:nominal, twin:harsh or twin:FILE."),
     ] = "twin:nominal",
+    robot: Annotated[
+        str,
+        typer.Option(metavar="SCHEME", help="Robot to emulate, by the scheme of its addresses."),
+    ] = "kst",
     arm: ArmName = "iiwa7",
     pendulum: Annotated[
         Path | None,
@@ -55,7 +57,7 @@ def emulate(
         str | None,
         typer.Option(
             metavar="FAULTS",
-            help="Of the robot's answers: delay=S,jitter=S,drop=SHARE,refuse=SHARE.",
+            help="Faults of the robot's answers; kst: delay=S,jitter=S,drop=SHARE,refuse=SHARE.",
         ),
     ] = None,
     seed: Seed = 0,
@@ -63,7 +65,7 @@ def emulate(
 ) -> None:
     """Emulate robot, pendulum, encoder and operator, until Ctrl-C.
 
-    A KST server answers on a port of this machine, an encoder board on a
+    The robot answers on a port of this machine, an encoder board on a
     pseudo-terminal. The arm begins beside its home. The operator cannot see
     your screen: the button is pressed when the arm rests at home and the
     pendulum hangs, the pendulum lifted some time after the arm has moved there.
@@ -71,9 +73,17 @@ def emulate(
     output = Output(as_json)
     output.say(f"Emulating the {arm}, world {world}")
     sys.stdout.flush()
-    faults = _faults(inject)
     emulation, friction = _emulation(
-        world, arm, pendulum, not no_operator, clumsy, faults, encoder_link, seed, _speaker(output)
+        world,
+        arm,
+        pendulum,
+        not no_operator,
+        clumsy,
+        robot,
+        inject,
+        encoder_link,
+        seed,
+        _speaker(output),
     )
     terminal = emulation.terminal if encoder_link is None else encoder_link.absolute()
     encoder = f"serial://{terminal}"
@@ -82,12 +92,12 @@ def emulate(
         # A cabinet is a machine of its own: nothing here may hold it up, least of all the run's
         # loop, which stays on the last core.
         realtime.prepare(core=0)
-        robot = f"kst://{HOST}:{number}"
-        output.rows({"robot": robot, "encoder": encoder, "pendulum": friction})
+        address = f"{robot}://{HOST}:{number}"
+        output.rows({"robot": address, "encoder": encoder, "pendulum": friction})
         if no_operator:
             output.say(f"type what to do: {', '.join(emulation.acts)}")
-        output.next("deploy", "--robot", robot, "--encoder", encoder)
-        output.result({"robot": robot, "encoder": encoder})
+        output.next("deploy", "--robot", address, "--encoder", encoder)
+        output.result({"robot": address, "encoder": encoder})
         sys.stdout.flush()
 
     words = _typed() if no_operator else None
@@ -108,7 +118,8 @@ def _emulation(
     pendulum: Path | None,
     operator: bool,
     clumsy: float,
-    faults: "Faults",
+    robot: str,
+    inject: str | None,
     link: Path | None,
     seed: int,
     say: Callable[[str], None],
@@ -127,7 +138,8 @@ def _emulation(
         SystemClock(),
         operator=operator,
         clumsy=clumsy,
-        faults=faults,
+        robot=robot,
+        faults=inject or "",
         link=link,
         seed=seed,
         say=say,
@@ -149,35 +161,6 @@ def _as_it_is(pendulum: "Pendulum", settings: "TwinSettings", seed: int) -> "Pen
         1.0 + settings.friction_sigma * friction,
     )
     return pivot_friction(pendulum, settings).on(own)
-
-
-def _faults(inject: str | None) -> "Faults":
-    """Return the faults that `--inject` names.
-
-    Raises:
-        InputError: One is not known, is no number, or cannot be that much.
-    """
-    from equipoise.devices.kuka.server_emulator import Faults
-
-    most = {"delay": 10.0, "jitter": 10.0, "drop": 1.0, "refuse": 1.0}
-    numbers: dict[str, float] = {}
-    for part in (inject or "").split(","):
-        name, _, text = part.strip().partition("=")
-        if not part.strip():
-            continue
-        try:
-            numbers[name] = float(text)
-        except ValueError:
-            numbers[name] = -1.0
-        if name not in most or not 0.0 <= numbers[name] <= most[name]:
-            known = ", ".join(f"{fault}=0 to {limit:g}" for fault, limit in most.items())
-            raise InputError(f"--inject says {part.strip()!r}; expected any of {known}")
-    return Faults(
-        delay=numbers.get("delay", 0.0),
-        jitter=numbers.get("jitter", 0.0),
-        drop=numbers.get("drop", 0.0),
-        refuse=numbers.get("refuse", 0.0),
-    )
 
 
 def _speaker(output: Output) -> Callable[[str], None]:

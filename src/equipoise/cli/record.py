@@ -56,23 +56,16 @@ def record(
         raise InputError(f"--duration is {duration:g} s; give a number from 1 to 600")
 
     from equipoise.devices.clocks import SystemClock
-    from equipoise.devices.encoder.sensor import LineEncoder
-    from equipoise.devices.encoder.serial_port import open_serial
     from equipoise.devices.encoder.swing import record_swing
+    from equipoise.rigs import encoder_at
     from equipoise.trajectory import write_swing
 
     clock = SystemClock()
-    sensor = LineEncoder(
-        lambda: open_serial(encoder), clock, counts_per_rev=counts_per_rev, name=encoder
-    )
+    sensor = encoder_at(encoder, clock, counts_per_rev=counts_per_rev)
     try:
         with output.busy("connecting") as rename:
             sensor.connect()
-            board = sensor.banner
-            output.say(
-                f"{board.name} {board.firmware}: {board.counts_per_rev} counts per revolution, "
-                f"{board.rate_hz} per second"
-            )
+            output.say(sensor.description)
             swing, recorder = record_swing(sensor, clock, duration, _Prompter(output, rename))
         with destination.claimed() as out:
             write_swing(out, swing)
@@ -81,7 +74,6 @@ def record(
         raise
     finally:
         sensor.close()
-    tally = sensor.tally
     lasts = float(swing.time[-1])
     output.rows(
         {
@@ -89,7 +81,7 @@ def record(
             "amplitude": f"{degrees(recorder.first_amplitude):.1f} deg at first, "
             f"{degrees(recorder.amplitude):.1f} deg at last",
             "samples": f"{len(swing.time):,}, {recorder.missing} missing; "
-            f"{tally.rejected} damaged lines",
+            f"{sensor.rejected} damaged",
         }
     )
     output.wrote(out)
@@ -102,7 +94,7 @@ def record(
             "periods": recorder.periods,
             "amplitude_deg": degrees(recorder.first_amplitude),
             "missing": recorder.missing,
-            "rejected": tally.rejected,
+            "rejected": sensor.rejected,
             "counts_per_rev": sensor.counts_per_rev,
         }
     )

@@ -69,8 +69,6 @@ REST_TIME: Final = 2.0
 """The count is to stay within one for so long before it is a reference [s]."""
 FALL_WINDOW: Final = 0.04
 """Samples of so long give angle and rate at the release [s]."""
-TORQUE_EVERY: Final = 5
-"""In every so manieth tick the second setpoint asks for external torques."""
 UNSURE: Final = 2.0
 """Before the torques at home are known, those with which the servo began stand for them, and a
 contact is one beyond so many times the limit: what hangs on the flange pulls differently there."""
@@ -178,7 +176,6 @@ class RunController:
         self._gaps, self._warned = DropoutMonitor(), False
         self._fresh_q = self._fresh_torque = False
         self._ticks = 0  # of this phase
-        self._all_ticks = 0
         self._sample: EncoderSample | None = None
         self._measured, self._measured_at = tuple(q), -inf
         self._torque: Sequence[float] | None = None
@@ -220,12 +217,10 @@ class RunController:
         self._remember(now, first)
         self._remember(now + 0.5 * self._h, second)
         self._ticks = self._ticks + 1 if self.phase is before else 1
-        self._all_ticks += 1
         events, self._events = self._events, []
         to_rest = self.phase is Phase.STOPPING  # whatever stops it has begun the ramp by now
         return TickOutput(
             setpoints=(first, second),
-            torque=self._all_ticks % TORQUE_EVERY == 0,
             q=self._q,
             dq=self._dq,
             state=PHASES.index(self.phase),

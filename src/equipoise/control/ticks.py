@@ -109,8 +109,6 @@ class TickOutput(NamedTuple):
 
     setpoints: tuple[Sequence[float], ...]
     """All joints now, and h / 2 later [rad]."""
-    torque: bool
-    """Whether the second is to ask for external torques instead of measured joints."""
     q: Sequence[float]
     """Commanded joints at the end of the tick [rad]."""
     dq: Sequence[float]

@@ -53,7 +53,7 @@ def preflight(
     """
     draining = DrainingClock(rig.clock, rig.sensor)
     trips = Spread.of(round_trips(rig.robot, draining, MEASURING_TIME))
-    max_speed, reason = max_flange_speed(settings.described_arm, trips, t1)
+    max_speed, reason = max_flange_speed(settings.described_arm, trips, t1, rig.plugin.flange_speed)
     posture = check_posture(rig.robot.measured(), settings)
     heard = EncoderReading.of(listen(rig.sensor, rig.clock, MEASURING_TIME))
     results = [

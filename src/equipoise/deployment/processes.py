@@ -36,7 +36,7 @@ from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
 from equipoise.errors import EquipoiseError, InputError, OutsideError
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.rigs import connect
+from equipoise.rigs import connect, restart_instruction
 from equipoise.runwriter import PULSE, Recorder, RunWriter, push_event, take_events
 
 SILENT: Final = 0.080
@@ -270,12 +270,19 @@ class OperatorProxy:
             words.append(ALONE)
         return words
 
-    def attend(self) -> None:
-        """Give up waiting for a robot, once that is wished; nothing else is meant to be typed."""
+    def attend(self, restart: str) -> None:
+        """End the wait for a robot once the operator stops it.
+
+        Args:
+            restart: What the operator does before the robot can be connected again.
+
+        Raises:
+            OutsideError: The wait was stopped.
+        """
         if {STOP, ALONE} & set(self.read_input()):
             raise OutsideError(
-                "stopped while the robot was waited for; nothing has moved. Start the server on "
-                "the smartPAD, and deploy again"
+                "stopped while the robot was waited for; nothing has moved. To deploy again, "
+                f"{restart or 'repeat the command'}"
             )
 
 
@@ -425,7 +432,8 @@ def _loop(request: RunRequest, memory: Any, joints: int, pipe: Any) -> None:
             request.settings,
             request.policy.pendulum,
             tell=lambda text: across.notify(OperatorMessage("waiting", text)),
-            attend=across.attend,
+            period=request.policy.h / 2.0,
+            attend=lambda: across.attend(restart_instruction(request.robot)),
         )
         result = run_on_rig(
             request,

@@ -33,7 +33,7 @@ from equipoise.errors import ArtefactError, EquipoiseError, InputError, LinkErro
 from equipoise.model.actuator import Actuator
 from equipoise.model.sim_configs import PivotFriction, pivot_friction, read_world
 from equipoise.printable import printable
-from equipoise.rigs import DrainingClock, Rig, RigSettings, check_addresses, connect, is_virtual
+from equipoise.rigs import DrainingClock, Rig, RigSettings, check_addresses, connect, world_of
 from equipoise.runwriter import CONNECTING, WORD_TYPED, Recorder, RunWriter, push_event
 
 LASTED: Final = "lasted"
@@ -60,7 +60,7 @@ DRAIN: Final = 25
 CHECKLIST: Final = (
     ("estop", "Is the E-stop in somebody's hand, and was it tried today?"),
     ("fence", "Is the fence closed, and nobody within reach of arm and pendulum?"),
-    ("monitoring", "Is KUKA's own monitoring of Cartesian and axis speed active?"),
+    ("monitoring", "Is the robot's own monitoring of Cartesian and axis speed active?"),
     ("t1", "Has this policy run in T1 before, or is T1 selected now?"),
 )
 """What is acknowledged by typing the word."""
@@ -72,10 +72,6 @@ ALONE: Final = "nobody is there to be told"
 """What the loop says to itself once its parent is gone."""
 DENIALS: Final = ("n", "no", STOP, ALONE)
 """Words that deny a question at once."""
-NO_WATCHDOG: Final = (
-    "A KST server has no watchdog: if this computer or the cable fails, the arm goes on to its "
-    "last target, which is always near, and software cannot stop it. The E-stop can."
-)
 
 
 @dataclass(frozen=True)
@@ -175,9 +171,10 @@ class RunRequest:
         Raises:
             SettingsError: There is no such twin.
         """
-        if not is_virtual(self.robot):
+        world = world_of(self.robot)
+        if world is None:
             return None
-        return pivot_friction(self.policy.pendulum, read_world(self.robot).settings)
+        return pivot_friction(self.policy.pendulum, read_world(world).settings)
 
 
 class RunResult(NamedTuple):
@@ -301,7 +298,7 @@ def run_on_rig(
         require(before.results)
         if before.max_speed < inf:
             tell(speed_limit(before.max_speed))
-        tell(OperatorMessage("notice", NO_WATCHDOG))
+        tell(OperatorMessage("notice", rig.plugin.failure))
         for word, question in CHECKLIST:
             said = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
             if said != word:
@@ -478,7 +475,14 @@ def run_virtually(
         OutsideError: The disk refuses.
     """
     pendulum = request.policy.pendulum
-    rig = connect(request.robot, request.encoder, request.settings, pendulum, seed=request.seed)
+    rig = connect(
+        request.robot,
+        request.encoder,
+        request.settings,
+        pendulum,
+        seed=request.seed,
+        period=request.policy.h / 2.0,
+    )
     return run_rig_virtually(request, rig, out, operator, replace=replace)
 
 

@@ -81,14 +81,11 @@ class GuardedRobot:
         self._last = None
         self._robot.start()
 
-    def send(
-        self, q: Sequence[float] | Array, *, torque: bool = False, to_rest: bool = False
-    ) -> None:
+    def send(self, q: Sequence[float] | Array, *, to_rest: bool = False) -> None:
         """Send a setpoint, or, where it may not be sent, the next one of a ramp to rest.
 
         Args:
             q: The joints [rad], shape (joints,).
-            torque: Ask for external torques instead of measured joints.
             to_rest: It is on a way to rest that ends inside the limits: it is not asked where the
                 arm could be stopped.
 
@@ -108,13 +105,13 @@ class GuardedRobot:
             else:
                 broken = check_setpoint(self._limits, setpoint, last, before, self._period, to_rest)
             if broken is None:
-                self._robot.send(setpoint, torque=torque)
+                self._robot.send(setpoint)
                 self._before = setpoint if last is None else last
                 self._last = setpoint
                 return
             self.held_back = broken.reason
             self._begin_ramp()
-        self._robot.send(self._next(), torque=torque)
+        self._robot.send(self._next())
 
     def replies(self) -> list[Reply]:
         """Take what came since the last call, the oldest first.

@@ -6,25 +6,41 @@ only. What fails raises `equipoise.errors.LinkError`, and stays failed: no devic
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
+SETPOINT_PERIOD: Final = 0.005
+"""Time between two setpoints [s]: half a tick of 10 ms. KST servers need 200 Hz for a smooth
+motion."""
+
 
 class Reply(NamedTuple):
-    """What a robot said to one setpoint."""
+    """Answer of a robot to one setpoint: measured joints, external torques, or both."""
 
     sent: float
-    """When that setpoint was sent [s]."""
+    """Time at which that setpoint was sent [s]."""
     received: float
-    """When the reply was read [s]."""
+    """Time at which the reply was read [s]. The joints count as measured half-way between."""
     q: tuple[float, ...] | None
-    """Measured joints [rad], all of them; none where torques were asked for instead."""
+    """Measured joints [rad], shape (joints,); None in a reply without them."""
     torque: tuple[float, ...] | None
-    """External torques [N m], where they were asked for."""
+    """External torques [N m], shape (joints,); None in a reply without them. The safety rules need
+    them a few times a second, not in each reply."""
+
+
+class Request(NamedTuple):
+    """Request for the next setpoint, by a robot that sets the pace itself."""
+
+    time: float
+    """Time of the request [s]."""
+    q: tuple[float, ...]
+    """Measured joints [rad], shape (joints,)."""
+    torque: tuple[float, ...] | None
+    """External torques [N m], shape (joints,); None in a request without them."""
 
 
 class Sample(NamedTuple):
@@ -88,12 +104,11 @@ class Robot(Protocol):
         """
         ...
 
-    def send(self, q: Sequence[float] | Array, *, torque: bool = False) -> None:
-        """Send a setpoint of all joints [rad].
+    def send(self, q: Sequence[float] | Array) -> None:
+        """Send a setpoint of all joints.
 
         Args:
-            q: The joints, shape (joints,).
-            torque: Ask for external torques instead of measured joints.
+            q: The joints [rad], shape (joints,).
 
         Raises:
             LinkError: The link is down, or replies are overdue.
@@ -123,8 +138,87 @@ class Robot(Protocol):
 
 
 @runtime_checkable
+class PacedRobot(Protocol):
+    """An arm that sets the pace: it asks for each setpoint, every few milliseconds.
+
+    `equipoise.devices.paced.PacedStream` makes a `Robot` of it: ticks stay at 10 ms, and each
+    request is answered with a point of a smooth path through the setpoints.
+    """
+
+    @property
+    def joints(self) -> int:
+        """Number of joints, the held one included."""
+        ...
+
+    def connect(self) -> None:
+        """Connect, the arm at rest. Blocks.
+
+        Raises:
+            LinkError: There is no answer, or an invalid one.
+        """
+        ...
+
+    def measured(self) -> Array:
+        """Return the measured joints [rad], shape (joints,), while the servo is off. Blocks.
+
+        Raises:
+            LinkError: There is no answer in time, or an invalid one.
+        """
+        ...
+
+    def start(self) -> None:
+        """Start the servo, which holds the arm where it is. From now on the robot sends requests.
+
+        Raises:
+            LinkError: There is no answer in time, or an invalid one.
+        """
+        ...
+
+    def request(self, until: float) -> Request | None:
+        """Block until the robot asks for a setpoint, or until a time [s].
+
+        Returns:
+            The oldest request without an answer; None if there is none at that time.
+
+        Raises:
+            LinkError: The link is down, or the robot has stopped.
+        """
+        ...
+
+    def answer(self, q: Sequence[float] | Array) -> None:
+        """Answer the last request with the joints for its next cycle [rad], shape (joints,).
+
+        Raises:
+            LinkError: The link is down.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Stop the servo, the arm at rest. Blocks.
+
+        Raises:
+            LinkError: There is no answer in time, or an invalid one.
+        """
+        ...
+
+    def close(self) -> None:
+        """Disconnect. Never raises, and may be called again."""
+        ...
+
+
+@runtime_checkable
 class AngleSensor(Protocol):
     """An incremental encoder on the pendulum's spindle, with a button."""
+
+    @property
+    def description(self) -> str:
+        """Name of the device and its properties, for the user."""
+        ...
+
+    @property
+    def rejected(self) -> int:
+        """Number of damaged or inconsistent readings that were dropped since connecting."""
+        ...
 
     @property
     def counts_per_rev(self) -> int:

@@ -163,8 +163,8 @@ def run_loop(
             for place, setpoint in enumerate(rest, start=1):
                 clock.wait_until(deadline + place * h / len(output.setpoints))
                 moment = clock.now()
-                robot.send(setpoint, torque=output.torque, to_rest=output.to_rest)
-                recorder.stream.push(moment, int(output.torque), robot.last)
+                robot.send(setpoint, to_rest=output.to_rest)
+                recorder.stream.push(moment, robot.last)
             if output.job is not None:
                 workshop.begin(output.job)
             if robot.held_back is not None and not refused:
@@ -209,7 +209,7 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
             robot.replies()
             now = clock.now()
             robot.send(setpoint)
-            recorder.stream.push(now, 0, robot.last)
+            recorder.stream.push(now, robot.last)
             recorder.pulse[_TIME] = now  # the loop still commands the arm
     except Exception:  # of a link that is gone, or of what has failed already
         return False
@@ -269,7 +269,7 @@ def _record(
         output.q,
         output.dq,
     )
-    recorder.stream.push(sent, 0, went)  # not what the heart wanted: the guard may hold it back
+    recorder.stream.push(sent, went)  # not what the heart wanted: the guard may hold it back
     pulse = recorder.pulse
     pulse[_TIME], pulse[_STATE], pulse[_PHI] = now, output.state, seen.estimated_phi
     pulse[_TICKS] += 1.0

@@ -170,7 +170,7 @@ ADVICE: Final = {
     "twin:nominal`), and train one that stays on the track there",
     CauseName.ANGLE: "identify pendulum and actuator again (`equipoise refine`)",
     CauseName.CONTACT: "find what the arm touched before it moves again",
-    CauseName.NOT_FOLLOWING: "look at the smartPAD: emergency stop, enabling switch, mode",
+    CauseName.NOT_FOLLOWING: "look at the robot's panel: emergency stop, enabling switch, mode",
     CauseName.LINK: "look at cable and network; `equipoise rig doctor` measures round trips",
     CauseName.POSTURE: "look at the mounting of base and flange, and at the actuator in use",
     CauseName.SPEED: "train with --max-speed, leave T1, or make the link to the robot faster",

@@ -35,10 +35,10 @@ class Rig(Bench):
 
     def stream(self, duration, q=HOME, period=0.005, torque_every=10**9):
         """Send one setpoint in each period, and return the replies."""
-        replies, end, count = [], self.clock.now() + duration, 0
+        self.robot.torque_every = torque_every
+        replies, end = [], self.clock.now() + duration
         while self.clock.now() < end - 1e-9:
-            count += 1
-            self.robot.send(q, torque=count % torque_every == 0)
+            self.robot.send(q)
             self.wait(period)
             replies += self.robot.replies()
         return replies
@@ -81,9 +81,10 @@ def latched(rig):
 
 
 def test_session_is_these_bytes(rig):
+    rig.robot.torque_every = 2
     rig.robot.start()
     rig.robot.send((0.005123456789, *HOME[1:]))
-    rig.robot.send(HOME, torque=True)
+    rig.robot.send(HOME)
     rig.robot.stop()
     rig.robot.close()
     home = b"0_0.4364_0_-1.3962_0_1.309_0_\n"
@@ -192,7 +193,7 @@ def test_replies_have_their_times_in_order():
     replies = []
     for i in range(100):
         sent.append(rig.clock.now())
-        rig.robot.send(off(1e-4 * i), torque=i % 10 == 9)
+        rig.robot.send(off(1e-4 * i))
         rig.wait(0.003)
         replies += rig.robot.replies()
     for _ in range(20):
@@ -257,8 +258,6 @@ def test_setpoint_of_other_than_seven_finite_numbers_is_not_sent(streaming, q):
     heard = streaming.heard
     with pytest.raises(InputError):
         streaming.robot.send(q)
-    with pytest.raises(InputError):
-        streaming.robot.send(q, torque=True)
     streaming.wait(0.05)
     assert streaming.heard == heard
     assert len(streaming.stream(0.05)) == 10, "the link goes on"
@@ -368,7 +367,8 @@ def test_too_many_setpoints_without_an_answer_end_the_link(streaming):
 def test_one_lost_answer_is_found_at_the_next_question_for_torques(streaming, torque):
     assert len(streaming.stream(1.0, torque_every=20)) == 200
     streaming.fault(drop=1.0)
-    streaming.robot.send(HOME, torque=torque)
+    streaming.robot.torque_every = 1 if torque else 20
+    streaming.robot.send(HOME)
     streaming.wait(0.005)
     streaming.fault(drop=0.0)
     began = streaming.clock.now()

@@ -150,6 +150,23 @@ class LineEncoder:
         return self._banner
 
     @property
+    def description(self) -> str:
+        """Name of the board and its properties, as it says."""
+        board = self._banner
+        if board is None:
+            return self._name
+        return (
+            f"{board.name} {board.firmware}: {board.counts_per_rev} counts per revolution, "
+            f"{board.rate_hz} per second"
+        )
+
+    @property
+    def rejected(self) -> int:
+        """Number of lines that were damaged or did not follow, since connecting."""
+        tally = self.tally
+        return tally.rejected + tally.untimely + tally.jumps
+
+    @property
     def tally(self) -> Tally:
         """What became of the lines since the connection was made."""
         return self._tally._replace(rejected=self._decoder.rejected)

@@ -1,26 +1,140 @@
 """An emulated KST server on a TCP port, in real time.
 
-`equipoise rig emulate` calls `serve` with the body's own progress as `work`::
-
-    server = KstServer(body, speeds)
-    serve(server, "127.0.0.1", 30001, SystemClock(), body.advance_until, stop.is_set)
-
 As with the real server there is one client. Another can connect, since the system accepts it, but
-it is never answered. Unlike its client the server does not switch Nagle's algorithm off.
+gets no answer. Unlike its client the server does not switch Nagle's algorithm off.
+
+The server ends with each client, as the real one does. It starts again on the smartPAD: by the
+emulated operator at once after an `end`, and some seconds after a client has vanished (until then
+the servo goes on and no other client gets an answer); otherwise by the word `start`.
 """
 
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from typing import Final
 
 from equipoise.devices.interfaces import Clock
-from equipoise.devices.kuka.server_emulator import KstServer
+from equipoise.devices.kuka.server_emulator import Faults, KstServer
+from equipoise.devices.plugins import ServerOptions
 from equipoise.devices.transports import CHUNK
-from equipoise.errors import OutsideError
+from equipoise.errors import InputError, OutsideError
 
 PERIOD: Final = 0.001
 """Time between two looks at client and arm [s]."""
+RESTART: Final = 1.0
+"""Time that the emulated operator takes to start the server again [s]."""
+NOTICED: Final = 10.0
+"""Time after which the emulated operator notices a vanished client [s]."""
+MAX_FAULTS: Final = {"delay": 10.0, "jitter": 10.0, "drop": 1.0, "refuse": 1.0}
+"""Largest values of the faults that a user may inject: times [s] and shares [-]."""
+
+
+def parse_faults(text: str) -> Faults:
+    """Return the faults that a text such as `delay=0.002,drop=0.01` names.
+
+    Raises:
+        InputError: A fault is unknown, or its number is invalid or too large.
+    """
+    numbers: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, number = part.strip().partition("=")
+        if not part.strip():
+            continue
+        try:
+            numbers[name] = float(number)
+        except ValueError:
+            numbers[name] = -1.0
+        if name not in MAX_FAULTS or not 0.0 <= numbers[name] <= MAX_FAULTS[name]:
+            known = ", ".join(f"{fault}=0 to {limit:g}" for fault, limit in MAX_FAULTS.items())
+            raise InputError(f"--inject says {part.strip()!r}; expected any of {known}")
+    return replace(Faults(), **numbers)
+
+
+class KstListener:
+    """A KST server that serves one client after the other; a `RobotServer`."""
+
+    def __init__(self, options: ServerOptions) -> None:
+        """Prepare; no client can connect before `run`.
+
+        Raises:
+            InputError: The faults are unknown or too large.
+        """
+        self._options, self._faults = options, parse_faults(options.faults)
+        self._server: KstServer | None = None
+        self._restarted = False
+        self._vanished: float | None = None
+        self.acts: Mapping[str, Callable[[], object]] = {"start": self._restart}
+
+    def run(
+        self, host: str, port: int, stop: Callable[[], bool], listening: Callable[[int], None]
+    ) -> None:
+        """Serve one client after the other until stopped.
+
+        Args:
+            host: Address to listen on.
+            port: Port to listen on; 0 lets the system choose one, which then stays.
+            stop: Returns whether to stop; asked each millisecond.
+            listening: Receives the port, once a client can connect for the first time.
+
+        Raises:
+            OutsideError: The port is not available.
+        """
+        begun = False
+
+        def heard(number: int) -> None:
+            nonlocal begun, port
+            if not begun:
+                listening(number)
+            begun, port = True, number
+
+        options = self._options
+        body, speeds = options.rig.body, [joint.velocity for joint in options.arm.joints]
+        while not stop():
+            server = KstServer(body, speeds, faults=self._faults, seed=options.seed)
+            self._server, self._restarted, self._vanished = server, False, None
+            serve(
+                server,
+                host,
+                port,
+                options.clock,
+                self._work,
+                lambda: stop() or self._restarted,
+                listening=heard,
+            )
+            self._server = None
+            body.servo(False)
+            if not stop():
+                self._wait_for_restart(stop)
+
+    def _wait_for_restart(self, stop: Callable[[], bool]) -> None:
+        """Let time pass without a server until it is started again."""
+        options = self._options
+        if not self._restarted:
+            options.say("the server's application has ended")
+        until = options.clock.now() + RESTART
+        while not stop() and not self._restarted:
+            if options.attended and options.clock.now() > until:
+                break
+            options.clock.wait_until(options.clock.now() + PERIOD)
+            self._work(options.clock.now())
+        if not stop():
+            options.say("the server's application has been started on the smartPAD")
+
+    def _restart(self) -> None:
+        self._restarted = True
+
+    def _work(self, now: float) -> None:
+        """Advance everything but the server, and notice a client that has vanished."""
+        options = self._options
+        options.work(now)
+        if self._server is None or not self._server.deserted:
+            return
+        if self._vanished is None:
+            self._vanished = now
+            options.say("the client has vanished; its servo, if any, goes on")
+        elif options.attended and now > self._vanished + NOTICED:
+            self._restart()
 
 
 def serve(

@@ -48,6 +48,9 @@ milliseconds, and a garbage collection on the cabinet tens."""
 OUTSTANDING: Final = 20
 """So many setpoints may wait for their answer: 100 ms of a stream at 200 Hz. A run that is stopped
 after 50 ms without an answer can still send its way to rest."""
+TORQUE_EVERY: Final = 10
+"""Number of setpoints of which one asks for external torques: 20 times a second. A reply of the
+server has joints or torques, never both."""
 REST_TOLERANCE: Final = 1.0
 """The answer to anything else is overdue after this [s]."""
 FASTEST: Final = 4.0
@@ -120,6 +123,7 @@ class KstRobot:
         outstanding: int = OUTSTANDING,
         patience: float = APPLICATION,
         joints: int = JOINTS,
+        torque_every: int = TORQUE_EVERY,
     ) -> None:
         """Prepare; nothing is opened before `connect`.
 
@@ -132,6 +136,7 @@ class KstRobot:
             outstanding: So many setpoints may wait for their answer.
             patience: `connect` tries so long [s].
             joints: Number of joints; other than seven only in front of an emulated arm.
+            torque_every: One setpoint in this number asks for torques.
         """
         self.joints = joints
         """Number of joints, the held one included."""
@@ -140,7 +145,9 @@ class KstRobot:
         self._timeout, self._most, self._patience = timeout, outstanding, patience
         self._transport: Transport | None = None
         self._failure = ""
-        self._streams = False
+        self._streams, self._sent = False, 0
+        self.torque_every = torque_every
+        """One setpoint in this number asks for external torques."""
         self._lines = KstLineSplitter()
         self._came: deque[bytes] = deque()
         self._waiting: deque[tuple[float, bool]] = deque()
@@ -181,20 +188,20 @@ class KstRobot:
         self._done(START_SERVO)
         self._wait(AFTER_START)
         held = self._numbers(setpoint(self._numbers(GET_JOINTS), joints=self.joints))
-        self._streams = True
+        self._streams, self._sent = True, 0
         self._last = (self._clock.now(), held)
 
-    def send(self, q: Sequence[float] | Array, *, torque: bool = False) -> None:
-        """Send a setpoint of all joints.
+    def send(self, q: Sequence[float] | Array) -> None:
+        """Send a setpoint of all joints; each `torque_every`th asks for external torques instead.
 
         Args:
             q: The joints [rad], shape (7,).
-            torque: Ask for external torques instead of measured joints.
 
         Raises:
             LinkError: The link is down, no servo runs, or answers are overdue.
             InputError: The setpoint is not seven finite numbers; nothing was sent.
         """
+        torque = (self._sent + 1) % self.torque_every == 0
         line = setpoint(q, "external" if torque else "joints", joints=self.joints)
         if not self._streams:
             self._link()
@@ -203,6 +210,7 @@ class KstRobot:
         if len(self._waiting) >= self._most:
             self._fail(f"{len(self._waiting)} setpoints wait for their answer, expected fewer")
         self._write(line)
+        self._sent += 1
         self._waiting.append((self._clock.now(), torque))
 
     def replies(self) -> list[Reply]:

@@ -24,6 +24,9 @@ from equipoise.model.encoder import counts_from_theta
 BRAKED: Final = 0.1
 """An arm rests so long after its servo has ended [s]: the twin's drives brake for less than half
 of that."""
+TORQUE_EVERY: Final = 10
+"""One reply in this number has external torques instead of measured joints: the twin is that of a
+KST server, which gives either."""
 KEPT: Final = 4096
 """Samples that wait for a reader; then the oldest are lost."""
 
@@ -44,6 +47,7 @@ class TwinRobot:
         self._asked: deque[tuple[float, bool]] = deque()
         self._replies: deque[Reply] = deque()
         self._connected = self._streams = False
+        self._sent = 0
         bench.watch(self._answer)
 
     @property
@@ -75,16 +79,15 @@ class TwinRobot:
         body = self._bench.body
         body.servo(True)
         self._check(body.running, f"was stopped ({body.stopped}); set it free")
-        self._streams = True
+        self._streams, self._sent = True, 0
         self._asked.clear()
         self._replies.clear()
 
-    def send(self, q: Sequence[float] | Array, *, torque: bool = False) -> None:
-        """Send a setpoint of all joints [rad].
+    def send(self, q: Sequence[float] | Array) -> None:
+        """Send a setpoint of all joints.
 
         Args:
-            q: The joints, shape (joints,).
-            torque: Ask for external torques instead of measured joints.
+            q: The joints [rad], shape (joints,).
 
         Raises:
             LinkError: No servo was started.
@@ -93,7 +96,8 @@ class TwinRobot:
         setpoint = checked(q, self.joints)
         self._check(self._streams, "has no servo running; call start first")
         self._bench.body.target(setpoint)
-        self._asked.append((self._clock.now(), torque))
+        self._sent += 1
+        self._asked.append((self._clock.now(), self._sent % TORQUE_EVERY == 0))
 
     def replies(self) -> list[Reply]:
         """Take what came since the last call, the oldest first.
@@ -171,6 +175,16 @@ class TwinEncoder:
         self._connected = False
         self._switched_on = self._counted()
         bench.watch(self._count)
+
+    @property
+    def description(self) -> str:
+        """Name of the device and its counts."""
+        return f"the twin's encoder: {self.counts_per_rev} counts per revolution"
+
+    @property
+    def rejected(self) -> int:
+        """Number of damaged readings: none, without a link."""
+        return 0
 
     @property
     def counts_per_rev(self) -> int:

@@ -16,15 +16,15 @@ from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
 from equipoise.deployment.rig import RunRequest, RunResult, run_rig_virtually
 from equipoise.devices.clocks import VirtualClock
-from equipoise.devices.encoder.sensor import LineEncoder
 from equipoise.devices.interfaces import Clock, Transport
-from equipoise.devices.kuka.robot import KstRobot
 from equipoise.devices.twin.emulated_operator import EmulatedOperator
-from equipoise.errors import EquipoiseError
+from equipoise.errors import EquipoiseError, InputError
 from equipoise.model.sim_configs import pendulum_on, read_world
-from equipoise.rigs import DrainingClock, EmulatedRig, Rig, RigSettings, emulated_rig
+from equipoise.rigs import DrainingClock, EmulatedRig, RigSettings, emulated_rig
 
 WORLD: Final = "twin:nominal"
+ROBOT: Final = "kst"
+"""Scheme of the robot that is rehearsed: the faults are those of its server and its bytes."""
 BALANCED: Final = 3.0
 """Time for which a rehearsed run balances if nothing stops it [s]."""
 AFTER_RUN: Final = 0.5
@@ -161,14 +161,14 @@ class FaultHarness:
         """Conditions of the run."""
         world = read_world(WORLD)
         pendulum = pendulum_on(scenario.policy.pendulum, world.settings)
-        self.parts: EmulatedRig = emulated_rig(world, scenario.settings, pendulum)
+        self.parts: EmulatedRig = emulated_rig(world, scenario.settings, pendulum, robot=ROBOT)
         """Simulated rig, server, board and links."""
         clock = self.parts.rig.clock
         self.clock = StallingClock(clock)
         """Clock of the run."""
-        self.robot_wire = TransportTap(self.parts.robot_link.other, clock)
+        self.robot_wire = TransportTap(self.parts.robot.link.other, clock)
         """Host's end of the link to the robot."""
-        self.encoder_wire = TransportTap(self.parts.encoder_link.other, clock)
+        self.encoder_wire = TransportTap(self.parts.sensor.link.other, clock)
         """Host's end of the link to the encoder."""
         self.told: list[ExpectedNotice] = []
         """Messages that the operator received."""
@@ -199,21 +199,22 @@ class FaultHarness:
     def run(self) -> RunResult | EquipoiseError:
         """Run the policy, and return the result of the run."""
         scenario, parts = self.scenario, self.parts
-        sensor = LineEncoder(
-            self.encoder_wire.open,
-            self.clock,
-            counts_per_rev=scenario.settings.counts_per_rev,
-            sign=scenario.settings.encoder_sign,
+        sensor_on, robot_on = parts.sensor.driver, parts.robot.driver
+        if sensor_on is None or robot_on is None:
+            raise InputError(f"the robot {ROBOT!r} has no bytes to damage; choose another")
+        sensor = sensor_on(self.encoder_wire.open, self.clock)
+        rig = parts.rig._replace(
+            robot=robot_on(self.robot_wire.open, DrainingClock(self.clock, sensor)),
+            sensor=sensor,
+            clock=self.clock,
         )
-        robot = KstRobot(self.robot_wire.open, DrainingClock(self.clock, sensor))
-        if isinstance(operator := parts.rig.operator, EmulatedOperator):
-            operator.ignored = scenario.unheard
-        rig = Rig(robot, sensor, self.clock, operator)
+        if isinstance(rig.operator, EmulatedOperator):
+            rig.operator.ignored = scenario.unheard
         request = RunRequest(
             policy=scenario.policy,
             actuator=scenario.policy.actuator,
             settings=scenario.settings,
-            robot="kst://emulated",
+            robot=f"{ROBOT}://emulated",
             encoder="serial://emulated",
             duration=scenario.duration,
             t1=scenario.t1,

@@ -5,14 +5,15 @@ Faults of sockets, ports, processes and the machine's clock need real time: see
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import degrees, inf, nan, pi, radians, remainder
+from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from equipoise.control.safety import Rule
 from equipoise.control.ticks import TickInputs
-from equipoise.devices.kuka.server_emulator import Faults
 from equipoise.devices.twin.hand import draw_hand_params
 from equipoise.studies.rehearsal.fault_harness import (
     START,
@@ -85,7 +86,7 @@ def _change(part: str, **values: Any) -> Inject:
 
     def inject(harness: FaultHarness) -> None:
         for name, value in values.items():
-            setattr(getattr(harness.parts, part), name, value)
+            setattr(attrgetter(part)(harness.parts), name, value)
 
     return inject
 
@@ -94,7 +95,7 @@ def _change(part: str, **values: Any) -> Inject:
 
 
 def _unplug(harness: FaultHarness) -> None:
-    harness.parts.encoder_link.close()
+    harness.parts.sensor.link.close()
 
 
 def _referenced_twice(harness: FaultHarness) -> Sequence[str]:
@@ -117,36 +118,36 @@ ENCODER: Final = (
           _ends("fault"), _unplug, Trigger("swing", 0.7), within=0.02, says="encoder"),
     Fault("encoder silent", "encoder", "no line comes any more, while balancing",
           "a stop once the newest sample is 20 ms old", _ends(Rule.ENCODER_STALE),
-          _change("board", silent=True), within=0.04, says="its cable"),
+          _change("sensor.board", silent=True), within=0.04, says="its cable"),
     Fault("encoder frozen", "encoder", "the count stands still, while balancing",
           "the pendulum is lost; the arm stops on its track", FELL | _ends(Rule.ENCODER_JUMP),
-          _change("board", frozen=True), within=2.0),
+          _change("sensor.board", frozen=True), within=2.0),
     Fault("encoder frozen before the self-test", "encoder",
           "the count stands still, from the reference on", "the self-test refuses",
-          _ends("self-test"), _change("board", frozen=True), Trigger("swing")),
+          _ends("self-test"), _change("sensor.board", frozen=True), Trigger("swing")),
     Fault("count jump", "encoder", "the count jumps by 5 deg, while balancing",
           "a stop within a tick", _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
-          lambda harness: harness.parts.board.jump(round(8192 * 5 / 360)), within=0.02),
+          lambda harness: harness.parts.sensor.board.jump(round(8192 * 5 / 360)), within=0.02),
     Fault("slow count loss", "encoder",
           "one of twenty upward counts is lost, from the start of balancing",
           "it balances while the zero can be estimated, then the arm stops on its track",
-          FELL | _ends("lasted"), _change("board", loss=0.05), Trigger("balancing"),
+          FELL | _ends("lasted"), _change("sensor.board", loss=0.05), Trigger("balancing"),
           lambda scenario: on(scenario, duration=8.0)),
     Fault("wrong sign", "encoder", "the counts grow the wrong way, from the start",
-          "the self-test names the sign", _ends("self-test"), _change("board", sign=-1), AT_START,
-          says="sign"),
+          "the self-test names the sign", _ends("self-test"),
+          _change("sensor.board", sign=-1), AT_START, says="sign"),
     Fault("wrong counts: half", "encoder", "half the counts per revolution, from the start",
-          "the self-test names the counts", _ends("self-test"), _change("board", factor=0.5),
+          "the self-test names the counts", _ends("self-test"), _change("sensor.board", factor=0.5),
           AT_START, says="counts"),
     Fault("wrong counts: x 1.1", "encoder", "a tenth more counts per revolution, from the start",
-          "the self-test names the counts", _ends("self-test"), _change("board", factor=1.1),
+          "the self-test names the counts", _ends("self-test"), _change("sensor.board", factor=1.1),
           AT_START, says="counts"),
     Fault("board of another encoder", "encoder",
           "the board says 4096 counts per revolution, the rig 8192", "the run is refused",
-          _ends("refused"), _change("board", counts_per_rev=4096), AT_START, says="4096"),
+          _ends("refused"), _change("sensor.board", counts_per_rev=4096), AT_START, says="4096"),
     Fault("zeroed while swinging", "encoder", "the board sets its count to zero, in the self-test",
           "a stop within a tick", _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
-          lambda harness: harness.parts.board.zero(), Trigger("swing", 1.4), within=0.03),
+          lambda harness: harness.parts.sensor.board.zero(), Trigger("swing", 1.4), within=0.03),
     Fault("zero error", "encoder", "the encoder slips by 1 deg on its spindle, after the reference",
           "the self-test refuses the zero, it is referenced anew, and balances", _ends("lasted"),
           _slip_slowly, Trigger("swing"), check=_referenced_twice),
@@ -156,22 +157,22 @@ ENCODER: Final = (
           FELL | _ends("lasted"), _slip_slowly),
     Fault("stale samples", "encoder", "lines come 60 ms late, while balancing",
           "a stop once the newest sample is 20 ms old", _ends(Rule.ENCODER_STALE),
-          _change("encoder_link", delay=0.06), within=0.04, says="old"),
+          _change("sensor.link", delay=0.06), within=0.04, says="old"),
     Fault("malformed lines", "encoder", "one of fifty lines is damaged, while balancing",
           "it is rejected; a stop once gaps repeat", _ends(Rule.ENCODER_GAP),
-          _change("board", malformed=0.02), within=0.5, says="missing"),
+          _change("sensor.board", malformed=0.02), within=0.5, says="missing"),
     Fault("one lost line", "encoder", "one line is lost, while balancing",
           "a warning; the run goes on, for counts are absolute", _ends("lasted"),
-          lambda harness: harness.parts.board.skip(1), says="was lost"),
+          lambda harness: harness.parts.sensor.board.skip(1), says="was lost"),
     Fault("lost lines", "encoder", "three lines are lost, while balancing", "a stop within a tick",
-          _ends(Rule.ENCODER_GAP), lambda harness: harness.parts.board.skip(3), within=0.03),
+          _ends(Rule.ENCODER_GAP), lambda harness: harness.parts.sensor.board.skip(3), within=0.03),
     Fault("illegal transition", "encoder",
           "both lines of the encoder change at once, while balancing", "a stop within a tick",
-          _ends(Rule.ENCODER_ILLEGAL), lambda harness: harness.parts.board.meet_illegal(),
+          _ends(Rule.ENCODER_ILLEGAL), lambda harness: harness.parts.sensor.board.meet_illegal(),
           within=0.03, says="wiring"),
     Fault("board restarts", "encoder", "the board loses its power for a trigger, while balancing",
           "a stop; the zero is void", _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
-          lambda harness: harness.parts.board.reboot(), within=0.05),
+          lambda harness: harness.parts.sensor.board.reboot(), within=0.05),
 )
 # fmt: on
 
@@ -203,17 +204,27 @@ TIME: Final = (
 # The robot and its link.
 
 
+def _change_server(**changes: Any) -> Inject:
+    """Change faults of the robot's emulator."""
+
+    def inject(harness: FaultHarness) -> None:
+        server = harness.parts.robot.server
+        server.faults = replace(server.faults, **changes)
+
+    return inject
+
+
 def _drop(harness: FaultHarness) -> None:
-    harness.parts.server.faults = Faults(close=True)
-    harness.parts.robot_link.close()
+    _change_server(close=True)(harness)
+    harness.parts.robot.link.close()
 
 
 def _half_open(harness: FaultHarness) -> None:
-    harness.parts.robot_link.cut = harness.parts.robot_link.other.cut = True
+    harness.parts.robot.link.cut = harness.parts.robot.link.other.cut = True
 
 
 def _back_up(harness: FaultHarness) -> None:
-    there = harness.parts.robot_link.other
+    there = harness.parts.robot.link.other
     before, there.delay = there.delay, 0.08
     harness.after(0.1, lambda: setattr(there, "delay", before))
 
@@ -298,7 +309,7 @@ ROBOT: Final = (
           says="has not answered"),
     Fault("nak", "robot", "the server refuses setpoints, while balancing",
           "the link is given up; told within 100 ms that software cannot stop the robot",
-          _ends("link lost"), _change("server", faults=Faults(refuse=1.0)), stoppable=False,
+          _ends("link lost"), _change_server(refuse=1.0), stoppable=False,
           within=0.03),
     Fault("reconnect in mid-run", "robot",
           "the connection drops, and could be made again 50 ms later",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from equipoise.control.slow_link import flange_speed
+from equipoise.devices.kuka.slow_link import flange_speed
 from equipoise.devices.twin.servo_model import (
     make_servo_params,
     new_servo_state,

@@ -46,7 +46,7 @@ class ModelRobot:
         self._transport, self._round_trip = transport, round_trip
         self._q = np.array(arm.home if q is None else q, np.float64)
         self._coming: deque[tuple[float, Array]] = deque()
-        self._asked: deque[tuple[float, bool]] = deque()
+        self._asked: deque[float] = deque()
         self._connected = self._streams = False
 
     def connect(self) -> None:
@@ -73,12 +73,11 @@ class ModelRobot:
         self._forget()
         self._streams = True
 
-    def send(self, q: Sequence[float] | Array, *, torque: bool = False) -> None:
-        """Send a setpoint of all joints [rad].
+    def send(self, q: Sequence[float] | Array) -> None:
+        """Send a setpoint of all joints.
 
         Args:
-            q: The joints, shape (joints,).
-            torque: Ask for external torques, which are zero, instead of measured joints.
+            q: The joints [rad], shape (joints,).
 
         Raises:
             LinkError: No servo was started.
@@ -88,7 +87,7 @@ class ModelRobot:
         self._check(self._streams, "has no servo running; call start first")
         now = self._clock.now()
         self._coming.append((now + self._transport, setpoint))
-        self._asked.append((now, torque))
+        self._asked.append(now)
 
     def replies(self) -> list[Reply]:
         """Take what came since the last call, the oldest first.
@@ -98,16 +97,16 @@ class ModelRobot:
         """
         self._check(self._connected, "is not connected; call connect first")
         now, came = self._clock.now(), list[Reply]()
-        while self._asked and self._asked[0][0] + self._round_trip <= now + ROUNDING:
-            sent, torque = self._asked.popleft()
+        while self._asked and self._asked[0] + self._round_trip <= now + ROUNDING:
+            sent = self._asked.popleft()
             q = tuple(self._at(sent + 0.5 * self._round_trip).tolist())
             nothing = (0.0,) * self.joints
             came.append(
                 Reply(
                     sent=sent,
                     received=sent + self._round_trip,
-                    q=None if torque else q,
-                    torque=nothing if torque else None,
+                    q=q,
+                    torque=nothing,
                 )
             )
         return came

@@ -1,0 +1,57 @@
+"""The plugin of encoder boards that send E-lines: `serial:///dev/ttyACM0`, `socket://HOST:PORT`."""
+
+from contextlib import suppress
+from functools import partial
+from typing import Final
+
+from equipoise.devices.encoder import serial_port
+from equipoise.devices.encoder.board import Board
+from equipoise.devices.encoder.sensor import LineEncoder
+from equipoise.devices.interfaces import Clock
+from equipoise.devices.plugins import EmulatedSensor, SensorPlugin, Session
+from equipoise.devices.transports import memory_pipe
+from equipoise.devices.twin.simulated_rig import SimulatedRig
+from equipoise.errors import LinkError
+
+
+def open_sensor(
+    address: str, session: Session, counts_per_rev: int | None, sign: int
+) -> LineEncoder:
+    """Return the driver for an address; nothing is opened before it is connected."""
+    return LineEncoder(
+        lambda: serial_port.open_serial(address),
+        session.clock,
+        counts_per_rev=counts_per_rev,
+        sign=sign,
+        name=address,
+    )
+
+
+def emulate(
+    rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int, seed: int
+) -> EmulatedSensor:
+    """Return the driver in front of an emulated board on a simulated spindle."""
+    board = Board(
+        lambda: rig.theta, counts_per_rev=rig.settings.counts_per_rev, sign=sign, seed=seed
+    )
+    reader, wire = memory_pipe(clock, rig.settings.encoder_age)
+    down = False
+
+    def advance(now: float) -> None:
+        nonlocal down
+        if rig.button is not down:
+            down = rig.button
+            board.press() if down else board.let_go()
+        said = board.advance(now)
+        with suppress(LinkError):
+            board.feed(wire.read())
+            wire.write(said)
+
+    driver = partial(LineEncoder, counts_per_rev=counts_per_rev, sign=sign)
+    return EmulatedSensor(driver(lambda: reader, clock), advance, board, wire, driver)
+
+
+PLUGIN: Final = SensorPlugin(
+    form=serial_port.FORMS, check=serial_port.check_serial, open=open_sensor, emulate=emulate
+)
+"""Registered as `serial` and `socket`."""

@@ -1,0 +1,182 @@
+r"""A robot that sets the pace, as a `Robot` with setpoints of half a tick.
+
+Such a robot asks for the next setpoint every 1 to 8 ms, on its own clock; ticks last 10 ms and give
+a setpoint each 5 ms. Each request is answered from a quadratic B-spline over the setpoints
+:math:`q_k`: from the middle of :math:`q_{k-1} q_k` to the middle of :math:`q_k q_{k+1}`, with
+:math:`0 \le s < 1` over one period T,
+
+.. math:: 2 q(s) = (1 - s)^2 q_{k-1} + (1 + 2 s - 2 s^2) q_k + s^2 q_{k+1}
+
+Its velocity runs linearly from :math:`(q_k - q_{k-1}) / T` to :math:`(q_{k+1} - q_k) / T`, and its
+acceleration is :math:`(q_{k+1} - 2 q_k + q_{k-1}) / T^2`. These are the differences that the guard
+checks (`equipoise.devices.guarded`). While setpoints come in time, no point between them is
+therefore further out, faster or more accelerated than what the guard let pass. The price is a
+constant delay of T / 2 + `MARGIN`, which an identification of the arm contains.
+
+Requests are answered while the loop waits for its clock: the stream is the clock of its rig, too.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from math import inf
+from typing import Final
+
+from equipoise.devices.interfaces import SETPOINT_PERIOD, Array, Clock, PacedRobot, Reply
+from equipoise.devices.setpoints import checked
+from equipoise.errors import LinkError
+
+MARGIN: Final = 0.001
+"""Time by which a setpoint may come late without a change of the path [s]: a tick computes for
+0.3 ms."""
+LATE: Final = 0.5
+"""Share of a period by which a setpoint may come later than that and still bend the part of the
+path that has begun [-]. The path then jumps by at most LATE^2 / 2 of the step to that setpoint. An
+even later one waits for the next part, before which the arm comes to rest."""
+AHEAD: Final = 8
+"""Largest number of setpoints that may wait for their part of the path: a caller that sends faster
+than it said is refused."""
+
+
+class PacedStream:
+    """A `PacedRobot` as a `Robot`, and as the clock of its rig."""
+
+    def __init__(self, robot: PacedRobot, clock: Clock, period: float = SETPOINT_PERIOD) -> None:
+        """Stand before a robot.
+
+        Args:
+            robot: The robot.
+            clock: Clock of the rig.
+            period: Time between two setpoints [s].
+        """
+        self._robot, self._clock, self._period = robot, clock, period
+        self._streams = False
+        self._held = True
+        self._begin = -inf
+        self._knots: deque[Array] = deque(maxlen=3)
+        self._ahead: deque[Array] = deque()
+        self._sent: deque[float] = deque()
+        self._replies: list[Reply] = []
+
+    @property
+    def joints(self) -> int:
+        """Number of joints, the held one included."""
+        return self._robot.joints
+
+    # The clock.
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        return self._clock.now()
+
+    def wait_until(self, time: float) -> None:
+        """Answer the robot's requests until a time [s].
+
+        Raises:
+            LinkError: The link is down, or the robot has stopped.
+        """
+        while self._streams and (request := self._robot.request(time)) is not None:
+            self._robot.answer(self._at(request.time))
+            received = self._clock.now()
+            while self._sent and self._sent[0] <= request.time:
+                sent = self._sent.popleft()
+                self._replies.append(Reply(sent, received, request.q, request.torque))
+        self._clock.wait_until(time)
+
+    # The robot.
+
+    def connect(self) -> None:
+        """Connect.
+
+        Raises:
+            LinkError: There is no answer, or an invalid one.
+        """
+        self._robot.connect()
+
+    def measured(self) -> Array:
+        """Return the measured joints [rad], shape (joints,), while the servo is off.
+
+        Raises:
+            LinkError: There is no answer in time, or an invalid one.
+        """
+        return self._robot.measured()
+
+    def start(self) -> None:
+        """Start the servo, which holds the arm where it is.
+
+        Raises:
+            LinkError: There is no answer in time, or an invalid one.
+        """
+        held = self._robot.measured()
+        self._robot.start()
+        self._knots.extend([held] * 3)
+        for queue in (self._ahead, self._sent, self._replies):
+            queue.clear()
+        self._begin, self._streams, self._held = -inf, True, True
+
+    def send(self, q: Sequence[float] | Array) -> None:
+        """Add a setpoint of all joints to the path.
+
+        Args:
+            q: The joints [rad], shape (joints,).
+
+        Raises:
+            LinkError: No servo runs, or setpoints come faster than their period.
+            InputError: The setpoint is not one finite number per joint; it was not added.
+        """
+        setpoint = checked(q, self.joints)
+        if not self._streams:
+            raise LinkError("the robot has no servo running; call start first")
+        if len(self._ahead) >= AHEAD:
+            raise LinkError(
+                f"{AHEAD} setpoints wait for the robot, expected one each "
+                f"{1e3 * self._period:g} ms; it has ceased to ask, or the caller is too fast"
+            )
+        now = self._clock.now()
+        self._advance(now)
+        since = now - self._begin
+        if self._held and since >= self._period:  # the path stands still, and begins anew
+            self._knots.extend([self._knots[2]] * 3)
+            self._begin = now + MARGIN - self._period
+        if self._held and since <= LATE * self._period:
+            self._knots[2], self._held = setpoint, False  # it bends the part that has begun
+        else:
+            self._ahead.append(setpoint)
+        self._sent.append(now)
+
+    def replies(self) -> list[Reply]:
+        """Return the replies since the last call, the oldest first.
+
+        A reply has the joints of the first request after its setpoint.
+        """
+        replies, self._replies = self._replies, []
+        return replies
+
+    def stop(self) -> None:
+        """Stop the servo, the arm at rest.
+
+        Raises:
+            LinkError: There is no answer in time, or an invalid one.
+        """
+        self._streams = False
+        self._robot.stop()
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._streams = False
+        self._robot.close()
+
+    # The path.
+
+    def _advance(self, time: float) -> None:
+        """Go on to the part of the path that holds at a time [s]."""
+        while time >= self._begin + self._period and not (self._held and not self._ahead):
+            self._held = not self._ahead
+            self._knots.append(self._knots[2] if self._held else self._ahead.popleft())
+            self._begin += self._period
+
+    def _at(self, time: float) -> Array:
+        """Return the path at a time [rad]; without new setpoints it rests at the last one."""
+        self._advance(time)
+        s = min(max((time - self._begin) / self._period, 0.0), 1.0)
+        a, b, c = self._knots
+        return 0.5 * ((1.0 - s) ** 2 * a + (1.0 + 2.0 * s - 2.0 * s * s) * b + s * s * c)

@@ -1,0 +1,70 @@
+"""The plugin of the digital twin: robot and encoder in process, `twin:nominal` or `twin:FILE`."""
+
+from typing import Final
+
+from equipoise.devices.interfaces import Clock
+from equipoise.devices.plugins import (
+    EmulatedRobot,
+    EmulatedSensor,
+    RobotPlugin,
+    SensorPlugin,
+    Session,
+    robot_plugin,
+)
+from equipoise.devices.twin.robot import TwinEncoder, TwinRobot
+from equipoise.devices.twin.simulated_rig import SimulatedRig
+from equipoise.errors import InputError
+from equipoise.model.arms.arm import Arm
+from equipoise.model.sim_configs import PREFIX, read_world
+
+FORM: Final = f"{PREFIX}nominal"
+
+
+def check_robot(address: str) -> None:
+    """Check that there is a twin of that name.
+
+    Raises:
+        SettingsError: There is none.
+    """
+    read_world(address)
+
+
+def check_sensor(address: str) -> None:
+    """Reject an address: the twin's encoder comes with its robot.
+
+    Raises:
+        InputError: Always.
+    """
+    raise InputError(f"{address!r} has no encoder for another robot; give the robot {FORM}")
+
+
+def emulate_robot(
+    rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int
+) -> EmulatedRobot:
+    """Return the arm of a simulated rig as a robot without a link."""
+    return EmulatedRobot(TwinRobot(rig, session.clock))
+
+
+def emulate_sensor(
+    rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int, seed: int
+) -> EmulatedSensor:
+    """Return the spindle of a simulated rig as a sensor without a link."""
+    return EmulatedSensor(TwinEncoder(rig, clock))
+
+
+def flange_speed(arm: Arm, period: float) -> float:
+    """Return the speed limit [m/s] of the cabinet that the twin models, KUKA's with KST."""
+    rule = robot_plugin("kst").flange_speed
+    return float("inf") if rule is None else rule(arm, period)
+
+
+ROBOT: Final = RobotPlugin(
+    form=FORM,
+    check=check_robot,
+    emulate=emulate_robot,
+    link_share=0.0,
+    flange_speed=flange_speed,
+)
+"""Registered as `twin`."""
+SENSOR: Final = SensorPlugin(form=FORM, check=check_sensor, emulate=emulate_sensor)
+"""Registered as `twin`."""

@@ -1,0 +1,325 @@
+"""Conformance suites: what every robot and every angle sensor does, for the tests of a guest.
+
+A guest's test fills in `make`; pytest collects the rest by name, and needs no import of it here::
+
+    from equipoise.testing import RobotConformance
+
+
+    class TestMyRobot(RobotConformance):
+        def make(self):
+            return my_robot, its_clock
+
+The tests of this package use the same classes. They go through the interfaces alone, so that they
+hold for hardware as well: the first joint moves by 0.02 rad.
+"""
+
+from collections.abc import Callable, Iterable
+from itertools import pairwise
+from math import inf, nan, pi
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from equipoise.devices.interfaces import SETPOINT_PERIOD, AngleSensor, Array, Clock, Reply, Robot
+from equipoise.errors import EquipoiseError, InputError, LinkError
+
+MOVE: Final = 0.02
+"""Motion of the first joint [rad]."""
+CLOSE: Final = 2e-3
+"""Error of position that a servo with a soft dead band leaves after a second [rad]."""
+
+
+def expect(condition: object, otherwise: str) -> None:
+    """Fail a test unless a condition holds.
+
+    Raises:
+        AssertionError: It does not hold.
+    """
+    if not condition:
+        raise AssertionError(otherwise)
+
+
+def expect_error(kind: type[Exception], call: Callable[..., Any], *arguments: Any) -> None:
+    """Fail a test unless a call raises an error of a kind.
+
+    Raises:
+        AssertionError: It returns.
+    """
+    try:
+        call(*arguments)
+    except kind:
+        return
+    raise AssertionError(f"{call} with {arguments} returned, expected {kind.__name__}")
+
+
+class RobotSession:
+    """A connected robot whose servo runs, and what was sent and answered; closed after use."""
+
+    def __init__(self, robot: Robot, clock: Clock) -> None:
+        """Take a robot that is not connected."""
+        self.robot, self.clock = robot, clock
+        self.sent: list[float] = []
+        self.replies: list[Reply] = []
+
+    def __enter__(self) -> "RobotSession":
+        """Connect, and start the servo."""
+        self.robot.connect()
+        self.home = self.robot.measured()
+        self.robot.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the robot."""
+        self.robot.close()
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass [s]."""
+        self.clock.wait_until(self.clock.now() + seconds)
+
+    def stream(self, setpoints: Iterable[Any]) -> None:
+        """Send setpoints [rad], one each period, and wait until each has its reply."""
+        for q in setpoints:
+            self.sent.append(self.clock.now())
+            self.robot.send(q)
+            self.wait(SETPOINT_PERIOD)
+            self.replies += self.robot.replies()
+        for _ in range(100):
+            if len(self.replies) < len(self.sent):
+                self.wait(0.001)
+                self.replies += self.robot.replies()
+        expect(
+            len(self.replies) == len(self.sent),
+            f"{len(self.sent)} setpoints had {len(self.replies)} replies, expected one each",
+        )
+
+    def path(self) -> Array:
+        """Return a smooth motion of the first joint, and a second of rest at its end [rad]."""
+        s = np.clip(np.arange(SETPOINT_PERIOD, 1.5, SETPOINT_PERIOD) / 0.5, 0.0, 1.0)
+        path = np.tile(self.home, (len(s), 1))
+        path[:, 0] += MOVE * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        return path
+
+    def joints(self) -> Array:
+        """Return the measured joints of all replies that have them [rad], shape (n, joints)."""
+        return np.array([reply.q for reply in self.replies if reply.q is not None])
+
+
+def _near(q: Any, expected: Any, tolerance: float = CLOSE) -> None:
+    error = float(np.abs(np.subtract(q, expected)).max())
+    expect(error <= tolerance, f"joints are {error:.2g} rad off, expected at most {tolerance:g}")
+
+
+class RobotConformance:
+    """Tests of a `Robot`; a robot that sets the pace is tested as a `PacedStream`."""
+
+    def make(self) -> tuple[Robot, Clock]:
+        """Return a new robot at rest, not connected, and the clock of its rig."""
+        raise NotImplementedError
+
+    def session(self) -> RobotSession:
+        """Return a session with a new robot."""
+        return RobotSession(*self.make())
+
+    def test_it_is_a_robot_with_a_clock(self) -> None:
+        made: tuple[Any, Any] = self.make()
+        for one, protocol in zip(made, (Robot, Clock), strict=True):
+            expect(isinstance(one, protocol), f"{one!r} lacks a method of {protocol.__name__}")
+        made[0].close()  # without connect it does nothing
+
+    def test_joints_are_measured_before_the_servo_runs(self) -> None:
+        robot, clock = self.make()
+        robot.connect()
+        q = robot.measured()
+        expect(q.shape == (robot.joints,), f"shape {q.shape}, expected ({robot.joints},)")
+        clock.wait_until(clock.now() + 0.5)
+        _near(robot.measured(), q, 1e-4)
+        expect_error(LinkError, robot.send, q)  # no servo runs
+        robot.stop()  # without a servo it does nothing
+        _near(robot.measured(), q, 1e-4)
+        robot.close()
+
+    def test_start_holds_the_arm_where_it_is(self) -> None:
+        with self.session() as session:
+            session.stream([session.home] * 40)
+            _near(session.joints(), session.home)
+
+    def test_setpoints_are_followed_without_a_way_back(self) -> None:
+        with self.session() as session:
+            session.stream(session.path())
+            q = session.joints()
+            _near(q[-1], session.path()[-1])
+            back = -float(np.diff(q[:, 0]).min())
+            expect(back < 5e-4, f"the joint went back by {back:.2g} rad on its way")
+
+    def test_each_setpoint_has_its_reply_in_order_with_its_times(self) -> None:
+        with self.session() as session:
+            session.stream(session.path())
+            replies = session.replies
+            expect([reply.sent for reply in replies] == session.sent, "times sent are others")
+            received = [reply.received for reply in replies]
+            expect(received == sorted(received), "replies are not in the order of their times")
+            expect(received[-1] <= session.clock.now(), "a reply comes from the future")
+            for reply in replies:
+                given = [part for part in (reply.q, reply.torque) if part is not None]
+                expect(given, "a reply has neither joints nor torques")
+                for part in given:
+                    expect(len(part) == session.robot.joints, "a reply has too few or many joints")
+                    expect(np.isfinite(part).all(), "a reply has numbers that are not finite")
+                expect(reply.sent <= reply.received, "a reply came before its setpoint")
+            expect(any(reply.torque for reply in replies), "torques never came")
+
+    def test_there_is_no_reply_without_a_setpoint(self) -> None:
+        with self.session() as session:
+            expect(session.robot.replies() == [], "a reply came before the first setpoint")
+            session.stream([session.home] * 3)
+            session.wait(0.5)
+            expect(session.robot.replies() == [], "a setpoint has two replies")
+
+    def test_stop_leaves_the_arm_where_it_is_and_another_start_holds_it_there(self) -> None:
+        with self.session() as session:
+            robot = session.robot
+            session.stream(session.path())
+            there = session.joints()[-1]
+            robot.stop()
+            _near(robot.measured(), there)
+            session.wait(1.0)
+            _near(robot.measured(), there)
+            robot.start()
+            session.wait(0.5)
+            session.stream([there] * 2)
+            _near(session.joints()[-1], there)
+
+    def test_a_wrong_setpoint_is_refused_and_not_sent(self) -> None:
+        with self.session() as session:
+            robot, n = session.robot, session.robot.joints
+            for value in (nan, inf, -inf):
+                for i in range(n):
+                    expect_error(InputError, robot.send, np.where(np.arange(n) == i, value, 0.0))
+            for count in (0, n - 1, n + 1):
+                expect_error(InputError, robot.send, [0.0] * count)
+            session.wait(0.1)
+            expect(robot.replies() == [], "a refused setpoint has a reply")
+            session.stream([session.home] * 10)
+            _near(session.joints()[-1], session.home)
+
+    def test_close_may_be_called_again_and_nothing_works_after_it(self) -> None:
+        with self.session() as session:
+            robot = session.robot
+            robot.close()
+            robot.close()
+            expect_error(LinkError, robot.send, session.home)
+            for call in (robot.measured, robot.start):
+                expect_error(EquipoiseError, call)
+
+
+class Spindle(NamedTuple):
+    """An angle sensor that is not connected, and the world on its other side."""
+
+    sensor: AngleSensor
+    """The sensor."""
+    clock: Clock
+    """Clock of its rig."""
+    turn: Callable[[Callable[[float], float]], None]
+    """Makes theta a function of the time [rad] from now on; it is zero until then."""
+    press: Callable[[], None] | None
+    """Presses the button and lets it go; None where there is none."""
+    unplug: Callable[[], None] | None
+    """Cuts the link; None where there is none."""
+    age: float
+    """Largest age of a sample when it is read, beyond the time between two reads [s]."""
+
+    def watch(self, seconds: float, every: float = 0.005) -> tuple[list[Any], list[float]]:
+        """Let time pass [s]; return the samples, and when each was read [s]."""
+        samples: list[Any] = []
+        read: list[float] = []
+        until = self.clock.now() + seconds
+        while self.clock.now() < until - 1e-9:
+            self.clock.wait_until(self.clock.now() + every)
+            new = self.sensor.samples()
+            samples += new
+            read += [self.clock.now()] * len(new)
+        return samples, read
+
+
+class SensorConformance:
+    """Tests of an `AngleSensor`."""
+
+    def make(self) -> Spindle:
+        """Return a new sensor at rest, not connected, and what moves it."""
+        raise NotImplementedError
+
+    def connected(self) -> Spindle:
+        """Return a new sensor that is connected."""
+        spindle = self.make()
+        spindle.sensor.connect()
+        return spindle
+
+    def test_it_is_an_angle_sensor_that_gives_nothing_unless_connected(self) -> None:
+        sensor: Any = self.make().sensor
+        expect(isinstance(sensor, AngleSensor), f"{sensor!r} lacks a method of AngleSensor")
+        expect_error(LinkError, sensor.samples)
+        sensor.connect()
+        expect(len(sensor.samples()) > 0, "a connected sensor has no sample at once")
+        expect(sensor.counts_per_rev > 0 and sensor.description, "it does not say what it is")
+        sensor.close()
+        sensor.close()
+        expect_error(LinkError, sensor.samples)
+
+    def test_times_are_the_clocks_and_increase(self) -> None:
+        spindle = self.connected()
+        samples, read = spindle.watch(1.0)
+        expect(len(samples) > 100, f"{len(samples)} samples in a second, expected over 100")
+        expect(all(b.time > a.time for a, b in pairwise(samples)), "times do not increase")
+        ages = [now - sample.time for sample, now in zip(samples, read, strict=True)]
+        most = spindle.age + 0.005
+        expect(min(ages) >= -0.001 and max(ages) <= most, f"ages are {min(ages)} to {max(ages)} s")
+
+    def test_no_sample_is_given_twice_and_reading_does_not_wait(self) -> None:
+        spindle = self.connected()
+        spindle.watch(0.1)
+        before = spindle.clock.now()
+        expect(spindle.sensor.samples() == [], "a sample was given twice")
+        expect(spindle.clock.now() - before < 1e-3, "reading takes time")
+
+    def test_counts_grow_with_theta_by_their_number_per_revolution(self) -> None:
+        spindle = self.connected()
+        start, quarter = spindle.watch(0.1)[0][-1].counts, spindle.sensor.counts_per_rev / 4
+        began = spindle.clock.now()
+        spindle.turn(lambda time: min(5.0 * (time - began), pi / 2.0))
+        counts = [sample.counts - start for sample in spindle.watch(0.5)[0]]
+        expect(counts == sorted(counts), "counts fall while theta grows")
+        expect(abs(counts[-1] - quarter) <= 1, f"{counts[-1]} counts for 90 deg, not {quarter}")
+        spindle.turn(lambda time: max(pi / 2.0 - 5.0 * (time - began - 0.5), -pi / 2.0))
+        counted = spindle.watch(0.8)[0][-1].counts - start
+        expect(abs(counted + quarter) <= 1, f"{counted} counts for -90 deg, not {-quarter}")
+
+    def test_each_count_is_that_of_its_time(self) -> None:
+        spindle = self.connected()
+        start = spindle.watch(0.1)[0][-1].counts
+        began = spindle.clock.now()
+        spindle.turn(lambda time: 10.0 * (time - began))
+        step = 2.0 * pi / spindle.sensor.counts_per_rev
+        for sample in spindle.watch(0.5)[0][20:]:
+            error = abs((sample.counts - start) * step - 10.0 * (sample.time - began))
+            expect(error < 10.0 * spindle.age + step, f"a count is {error:.2g} rad off its time")
+
+    def test_nothing_is_missing_illegal_or_pressed_where_nothing_happens(self) -> None:
+        spindle = self.connected()
+        samples, _ = spindle.watch(0.5)
+        expect(not any(s.missing or s.illegal or s.pressed for s in samples), "something happened")
+        expect(spindle.sensor.rejected == 0, "readings were rejected")
+
+    def test_a_press_is_told_once(self) -> None:
+        spindle = self.connected()
+        spindle.watch(0.05)
+        if spindle.press is not None:
+            spindle.press()
+            pressed = sum(sample.pressed for sample in spindle.watch(0.2)[0])
+            expect(pressed == 1, f"a press was told {pressed} times")
+
+    def test_a_cut_link_is_an_error_that_stays(self) -> None:
+        spindle = self.connected()
+        if spindle.unplug is not None:
+            spindle.unplug()
+            expect_error(LinkError, spindle.watch, 1.0)
+            expect_error(LinkError, spindle.sensor.samples)
