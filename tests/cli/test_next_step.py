@@ -60,7 +60,7 @@ def evaluated(balanced, policy=OTHER, path=MINE, **given):
         ),
         (
             next_step.after_function(True, "mine:act", 200, "--pendulum", "p.json"),
-            "evaluate|--policy|mine:act|--pendulum|p.json|--trials|1000",
+            "evaluate|mine:act|--pendulum|p.json|--trials|1000",
         ),
         (
             next_step.after_function(False, "mine:act", 200, "--arm", "iiwa14", "--pendulum", "p"),

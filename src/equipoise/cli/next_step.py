@@ -160,7 +160,7 @@ def after_function(balanced: bool, function: str, trials: int, *options: str) ->
         options: Pendulum and arm as they were given.
     """
     if balanced and trials < 1000:
-        return ("evaluate", "--policy", function, *options, *given(trials=1000))
+        return ("evaluate", function, *options, *given(trials=1000))
     return ("train", *_pendulum_first(options), *given(seeds=SEEDS))
 
 

@@ -151,7 +151,7 @@ def check_range(option: str, value: float | None, low: float, high: float, unit:
     """
     if value is not None and not low <= value <= high:
         span = f"from {low:g} to {high:.15g}" if high < inf else f"of at least {low:g}"
-        raise InputError(f"{option} is {value:g}{unit}; give a number {span}{unit}")
+        raise InputError(f"{option} is {value}{unit}; give a number {span}{unit}")
 
 
 def only(context: typer.Context, mode: str, *allowed: str, hint: str = "") -> None:
