@@ -5,6 +5,7 @@ of the files, run, then report the result, the files and the next command.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -30,10 +31,11 @@ DURATION = 60.0
 """Default duration of a run on a rig [s]."""
 EXCITATION_DURATION = 10.0
 """Default duration of an excitation [s]."""
+TASK = ("actuator", "pendulum", "arm", "settings_file")
 OPTIONS = {
-    "--robot": ("policy", "robot", "encoder", "rig", "actuator", "dry_run", "t1", "video"),
+    "--robot": ("policy", "robot", "encoder", "rig", *TASK, "dry_run", "t1", "video"),
     "--excite": ("excite", "world", "arm", "pendulum"),
-    "a simulated run": ("policy", "world", "actuator", "video"),
+    "a simulated run": ("policy", "world", *TASK, "video"),
 }
 """Options of each mode, besides those of all modes."""
 OF_ALL_MODES = ("duration", "seed", "out", "force", "as_json")
@@ -87,12 +89,9 @@ def deploy(
             panel=EXCITATION,
         ),
     ] = False,
-    arm: Annotated[
-        str, opt.value("ARM", "Arm that is excited, as of train.", panel=EXCITATION)
-    ] = "iiwa7",
-    pendulum: Annotated[
-        Path | None, opt.value("FILE", "Pendulum on the arm, with --excite.", panel=EXCITATION)
-    ] = None,
+    pendulum: opt.TaskPendulum = None,
+    arm: opt.TaskArm = None,
+    settings_file: opt.SettingsFile = None,
     out: Annotated[Path | None, opt.out("Run log to write, MCAP.", LOG)] = None,
     video: Annotated[
         Path | None, opt.value("FILE", "Film of the run, MP4.", panel=opt.IN_AND_OUT)
@@ -132,16 +131,22 @@ def deploy(
     film = None
     if video is not None:
         film = choose_film(output, video, *inputs, force=force)
-    table = opt.read_policy(policy)
     response = opt.read_actuator(actuator)
+    task = next_step.given(actuator=actuator, pendulum=pendulum, arm=arm)
+    of_run = None
     if robot is not None:
+        from equipoise.control.bound_policy import BoundPolicy
         from equipoise.deployment.rig import RunRequest
         from equipoise.rigs import read_rig
 
+        described = read_rig(rig)
+        chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
+        if arm is None and isinstance(chosen, BoundPolicy):
+            chosen = replace(chosen, arm=described.described_arm)
         request = RunRequest(
-            policy=table,
-            actuator=table.actuator if response is None else response,
-            settings=read_rig(rig),
+            policy=chosen,
+            actuator=chosen.actuator if response is None else response,
+            settings=described,
             robot=robot,
             encoder=encoder,
             duration=DURATION if duration is None else duration,
@@ -149,29 +154,30 @@ def deploy(
             dry_run=dry_run,
             seed=seed,
         )
-        out, report = _run_on_rig(output, request, policy, rig, actuator, log)
+        out, report = _run_on_rig(output, request, policy, rig, task, log)
     else:
         from equipoise import deployment
 
         with output.busy("moving the arm" if excite else "running"):
             if excite:
                 length = EXCITATION_DURATION if duration is None else duration
+                of_run = opt.read_arm(arm or "iiwa7")
                 hanging = opt.read_pendulum(pendulum)
-                run = deployment.excite(
-                    opt.read_arm(arm), world, hanging, seed=seed, duration=length
-                )
+                run = deployment.excite(of_run, world, hanging, seed=seed, duration=length)
             else:
+                chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
+                of_run = chosen.arm
                 run = deployment.deploy(
-                    table, world=world, actuator=response, seed=seed, duration=duration
+                    chosen, world=world, actuator=response, seed=seed, duration=duration
                 )
         with log.claimed() as out:
             made_from = {} if excite else {"policy": run.conditions.policy}
             run.save(out, command="deploy", inputs=made_from)
-        report = _report(run, out, policy, world, actuator)
+        report = _report(run, out, policy, world, task)
     output.rows(report.rows)
     output.wrote(out)
     if film is not None and report.code in (0, 1):
-        video = write_film(output, out, film, None if robot else table.arm)
+        video = write_film(output, out, film, of_run)
         output.wrote(video)
     output.next(*map(str, report.next))
     output.result({"run": str(out), **report.fields, "video": str(video) if video else None})
@@ -180,7 +186,7 @@ def deploy(
 
 
 def _report(
-    run: "RunLog", out: Path, policy: Path | None, world: str, actuator: str | None
+    run: "RunLog", out: Path, policy: Path | None, world: str, task: tuple[str, ...]
 ) -> _Report:
     """Return the report of a simulated run or an excitation."""
     from equipoise.model.sim_configs import PivotFriction
@@ -210,7 +216,7 @@ def _report(
     }
     if not conditions.policy:
         return _Report(rows, ("identify", out), fields, 0)
-    following = next_step.after_run(run, out, policy, world=world, actuator=actuator)
+    following = next_step.after_run(run, out, policy, *task, world=world)
     return _Report(rows, following, fields, 0 if conditions.cause == "lasted" else 1)
 
 
@@ -219,7 +225,7 @@ def _run_on_rig(
     request: "RunRequest",
     policy: Path | None,
     rig: Path | None,
-    actuator: str | None,
+    task: tuple[str, ...],
     log: Destination,
 ) -> tuple[Path, _Report]:
     """Run on an emulated or a real rig; return the log and the report."""
@@ -246,16 +252,14 @@ def _run_on_rig(
     if result.missed:
         rows["missed ticks"] = str(result.missed)
     code = exit_code(result)
-    words = {"--encoder": request.encoder, "--rig": rig, "--actuator": actuator}
-    given = [str(word) for pair in words.items() if pair[1] for word in pair]
+    given = (*next_step.given(encoder=request.encoder, rig=rig), *task)
     known = [str(policy)] if policy else []
     if code:
         following = ("log", "explain", out)
     elif request.dry_run:
         following = ("deploy", *known, "--robot", request.robot, *given)
     else:
-        response = ("--actuator", actuator) if actuator else ()
-        following = ("log", "replay", out, *known, *response)
+        following = ("log", "replay", out, *known, *task)
     fields = result._asdict()
     fields = {"world": request.robot, "lasted_s": fields.pop("lasted"), **fields}
     return out, _Report(rows, following, fields, code)

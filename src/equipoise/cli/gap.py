@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from equipoise.cli import next_step
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file
 from equipoise.cli.output import Output, verb
@@ -29,6 +30,9 @@ def gap(
         str, opt.value("WORLD", "twin:nominal, twin:harsh, or twin:FILE.")
     ] = "twin:nominal",
     actuator: opt.KnownActuator = None,
+    pendulum: opt.TaskPendulum = None,
+    arm: opt.TaskArm = None,
+    settings_file: opt.SettingsFile = None,
     trials: Annotated[
         int | None, opt.value("N", "Trials of each point; 40, or 8 with --quick.", min=2)
     ] = None,
@@ -58,29 +62,31 @@ def gap(
         "gap.json",
         policy,
         paper_policy,
+        pendulum,
         force=force,
         beside=lambda path: (*_figure(path), *(() if paper_policy else (_paper_policy(path),))),
     )
     opt.check_range("--duration", duration, 0.01, 3600.0, " s")
 
+    from equipoise.control.policy import TabularPolicy
     from equipoise.report.figures.gap import gap_figure
     from equipoise.report.style import save
     from equipoise.studies import compilation
     from equipoise.studies import gap as study
     from equipoise.studies.progress import TrainingProgress, counted
 
-    table = opt.read_policy(policy)
+    chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
     known = opt.read_actuator(actuator)
     total = study.trials_of(world, quick=quick, trials=trials)
     settings, threads = study.paper_settings(quick=quick), opt.available_workers(workers)
     with output.stages() as show:
         with compilation.compiling(show, compilation.FUNCTIONS + compilation.TWIN_FUNCTIONS):
-            compilation.compile_training(table.arm, settings)
-            compilation.compile_trials(table, world)
+            compilation.compile_training(chosen.arm, settings)
+            compilation.compile_trials(chosen, world)
         if paper_policy is None:
             progress = TrainingProgress(settings, 1, show, "paper")
             other = study.train_paper(
-                table,
+                chosen,
                 quick=quick,
                 seed=seed,
                 workers=threads,
@@ -88,9 +94,9 @@ def gap(
                 selecting=lambda done, of: progress.selecting(0, done, of),
             )
         else:
-            other = opt.read_policy(paper_policy)
+            other = TabularPolicy.load(paper_policy)
         found = study.gap(
-            table,
+            chosen,
             world=world,
             paper_policy=other,
             actuator=known,
@@ -107,10 +113,11 @@ def gap(
         wrote = [out, *save(gap_figure(found), out.with_suffix(""))]
         if paper_policy is None:
             wrote.append(_paper_policy(out))
-            other.save(wrote[-1], command="gap", inputs={"pendulum": table.pendulum.digest})
+            other.save(wrote[-1], command="gap", inputs={"pendulum": chosen.pendulum.digest})
     _say(output, found)
     output.wrote(*wrote)
-    output.next("evaluate", policy, "--world", world, "--claim", "0.99")
+    task = next_step.given(pendulum=pendulum, arm=arm)
+    output.next("evaluate", policy, "--world", world, *task, "--claim", "0.99")
     output.result(_result(found, wrote))
 
 

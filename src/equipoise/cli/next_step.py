@@ -175,7 +175,7 @@ def _pendulum_first(options: Sequence[str]) -> Command:
 
 
 def after_run(
-    run: "RunLog", out: Path, path: Path | None, *, world: str, actuator: str | None = None
+    run: "RunLog", out: Path, path: Path | None, *task: str, world: str
 ) -> Command:
     """Return what follows a run on model or twin: many such trials, or why it ended.
 
@@ -183,12 +183,12 @@ def after_run(
         run: The run.
         out: Its file.
         path: The policy's file; none: the policy that ships.
+        task: Options of the policy's task, where they were given.
         world: Where it was.
-        actuator: The actuator's file, where it was given.
     """
     if run.conditions.cause != "lasted":
         return ("log", "explain", str(out))
-    return ("evaluate", *_file(path), *given(world=world, actuator=actuator))
+    return ("evaluate", *_file(path), *given(world=world), *task)
 
 
 def after_explanation(run: Path, policy: str, moved: bool) -> Command:

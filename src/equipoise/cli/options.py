@@ -10,7 +10,7 @@ import typer
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from equipoise.control.policy import TabularPolicy
+    from equipoise.control.policy import TaskPolicy
     from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
@@ -125,9 +125,17 @@ PolicyFile = Annotated[
     Path | None,
     typer.Argument(
         metavar="POLICY",
-        help="From equipoise train; by default the shipped policy.",
+        help="Table from equipoise train, network (.onnx), MODULE:NAME in Python, lqr, lqr-snapped, "
+        "pd or random; by default the shipped table.",
         show_default=False,
     ),
+]
+TaskPendulum = Annotated[
+    Path | None,
+    value("FILE", "Pendulum; by default the table's, or the shipped one.", "--pendulum"),
+]
+TaskArm = Annotated[
+    str | None, value("ARM", "Arm; by default the table's, the rig's, or iiwa7.", "--arm")
 ]
 RunFile = Annotated[
     Path, typer.Argument(metavar="RUN", help="Log from equipoise deploy.", show_default=False)
@@ -198,15 +206,35 @@ def read_pendulum(path: Path | None) -> "Pendulum":
     return Pendulum.load(path)
 
 
-def read_policy(path: Path | None) -> "TabularPolicy":
-    """Return the policy of a file, or the one that ships with Equipoise.
+def read_policy(
+    policy: Path | None,
+    pendulum: Path | None = None,
+    arm: "str | Arm | None" = None,
+    actuator: str | None = None,
+    settings: Path | None = None,
+) -> "TaskPolicy":
+    """Return a policy, bound to its task: that of its training, or what is given or ships.
+
+    Args:
+        policy: File or name of a policy, as `equipoise.control.bound_policy.load_policy` takes it.
+        pendulum: File of the pendulum.
+        arm: Arm, or the value of `--arm`.
+        actuator: Value of `--actuator`; the caller uses it for a table.
+        settings: File of settings.
 
     Raises:
-        InputError: The file is no policy.
+        InputError: There is no such policy, or it does not fit the task.
     """
-    from equipoise.control.policy import TabularPolicy, shipped_policy
+    from equipoise.control.bound_policy import load_policy
+    from equipoise.settings import resolve
 
-    return shipped_policy() if path is None else TabularPolicy.load(path)
+    return load_policy(
+        policy,
+        pendulum=None if pendulum is None else read_pendulum(pendulum),
+        arm=read_arm(arm) if isinstance(arm, str) else arm,
+        actuator=read_actuator(actuator),
+        settings=None if settings is None else resolve(file=settings),
+    )
 
 
 def read_actuator(name: str | None) -> "Actuator | None":

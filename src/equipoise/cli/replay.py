@@ -1,10 +1,7 @@
 """`equipoise log replay`: feeds a log through the controller again, and compares."""
 
 from math import inf
-from pathlib import Path
 from typing import Annotated
-
-import typer
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, verb
@@ -13,15 +10,10 @@ from equipoise.cli.output import Output, verb
 @verb
 def replay(
     run: opt.RunFile,
-    policy: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="POLICY",
-            help="Policy of the run; by default the shipped policy.",
-            show_default=False,
-        ),
-    ] = None,
+    policy: opt.PolicyFile = None,
     actuator: opt.KnownActuator = None,
+    pendulum: opt.TaskPendulum = None,
+    arm: opt.TaskArm = None,
     tolerance: Annotated[
         float, opt.value("SI", "Tolerated difference of numbers; 0 compares every bit.")
     ] = 0.0,
@@ -43,7 +35,10 @@ def replay(
     log = read_any(run)
     with output.busy("replaying"):
         found = again(
-            log, opt.read_policy(policy), opt.read_actuator(actuator), tolerance=tolerance
+            log,
+            opt.read_policy(policy, pendulum, arm, actuator),
+            opt.read_actuator(actuator),
+            tolerance=tolerance,
         )
     if missing := missing_part(log):
         output.warn(missing)
