@@ -50,7 +50,7 @@ def evaluated(balanced, policy=OTHER, path=MINE, **given):
         (evaluated(False, LARGE), "train|PENDULUM|--arm|iiwa14|--seeds|5"),
         (evaluated(False, SLOW), "train|PENDULUM|--max-speed|0.23|--seeds|5"),
         (
-            evaluated(False, world=TOML, actuator="a.json"),
+            evaluated(False, "--actuator", "a.json", world=TOML),
             "train|PENDULUM|--actuator|a.json|--seeds|5",
         ),
         # In a world of its own the arm is identified first.
@@ -134,7 +134,7 @@ def test_a_table_that_its_own_selection_saw_fall_is_trained_again(survived, word
 )
 def test_a_run_that_failed_is_explained(cause, words):
     run = SimpleNamespace(conditions=SimpleNamespace(cause=cause))
-    command = next_step.after_run(run, Path("run-2.mcap"), MINE, world=TOML, actuator="a.json")
+    command = next_step.after_run(run, Path("run-2.mcap"), MINE, "--actuator", "a.json", world=TOML)
     assert command == tuple(words.split("|"))
     parse(command)
 

@@ -108,13 +108,13 @@ class Heart:
         return (*ARM.home[:6], ARM.home[6] + 0.05 * (1.0 - cos(4.0 * n * H / 2.0)))
 
 
-def move(request, rig, across, recorder, *, measures, workshop, supervise):
+def move(request, rig, operators, recorder, *, measures, workshop, supervise):
     """Be the course: no more than a stream."""
     robot = GuardedRobot(Arm(), limits_of(ARM), H / 2.0)
     robot.start()
     heart = Heart()
     ending = run_loop(
-        robot, Encoder(), SystemClock(), heart, recorder, across, longest=10.0, workshop=workshop
+        robot, Encoder(), SystemClock(), heart, recorder, operators[0], longest=10.0, workshop=workshop
     )
     return RunResult(
         heart.cause, heart.cause, 0.0, ending.stoppable, None, ending.timing.missed, {}, {}

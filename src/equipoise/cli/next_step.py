@@ -174,9 +174,7 @@ def _pendulum_first(options: Sequence[str]) -> Command:
     return (*pendulum, *words)
 
 
-def after_run(
-    run: "RunLog", out: Path, path: Path | None, *task: str, world: str
-) -> Command:
+def after_run(run: "RunLog", out: Path, path: Path | None, *task: str, world: str) -> Command:
     """Return what follows a run on model or twin: many such trials, or why it ended.
 
     Args:

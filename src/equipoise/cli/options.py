@@ -125,7 +125,7 @@ PolicyFile = Annotated[
     Path | None,
     typer.Argument(
         metavar="POLICY",
-        help="Table from equipoise train, network (.onnx), MODULE:NAME in Python, lqr, lqr-snapped, "
+        help="Table from equipoise train, network (.onnx), Python MODULE:NAME, lqr, lqr-snapped, "
         "pd or random; by default the shipped table.",
         show_default=False,
     ),

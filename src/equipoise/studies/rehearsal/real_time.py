@@ -21,10 +21,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from equipoise.control.policy import shipped_policy
 from equipoise.devices.clocks import SystemClock
 from equipoise.devices.emulation import Emulation
 from equipoise.errors import EquipoiseError
+from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings
 from equipoise.runwriter import read_rig_run
@@ -93,15 +93,20 @@ class LiveRun(NamedTuple):
 
 
 @contextmanager
-def course() -> Generator[LiveRun]:
-    """Run the whole course beside this process."""
-    settings, policy, world = RigSettings(), shipped_policy(), read_world(WORLD).settings
+def course(*policy: str, duration: float = BALANCED) -> Generator[LiveRun]:
+    """Run the whole course beside this process.
+
+    Args:
+        policy: Name of the policy; by default the table that ships.
+        duration: Duration of the balancing [s].
+    """
+    settings, world = RigSettings(), read_world(WORLD).settings
     over = threading.Event()
     ready: list[int] = []
     with tempfile.TemporaryDirectory(prefix="equipoise-") as folder:
         emulation = Emulation(
             settings.described_arm,
-            pendulum_on(policy.pendulum, world),
+            pendulum_on(shipped_pendulum(), world),
             world,
             SystemClock(),
         )
@@ -117,10 +122,10 @@ def course() -> Generator[LiveRun]:
             time.sleep(0.01)
         log = Path(folder) / "run.mcap"
         command = [
-            *(sys.executable, "-m", "equipoise", "deploy"),
+            *(sys.executable, "-m", "equipoise", "deploy", *policy),
             *("--robot", f"kst://{HOST}:{ready[0]}"),
             *("--encoder", f"serial://{emulation.terminal}"),
-            *("--duration", str(BALANCED), "--out", str(log)),
+            *("--duration", str(duration), "--out", str(log)),
         ]
         process = subprocess.Popen(
             command,
