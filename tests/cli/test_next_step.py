@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from equipoise.cli import next_step
+from equipoise.control.bound_policy import load_policy
 from equipoise.control.policy import shipped_policy
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
@@ -16,6 +17,7 @@ from equipoise.model.pendulum import Pendulum
 from tests.cli.conftest import parse
 
 OTHER = shipped_policy().model_copy(update={"pendulum": Pendulum.assumed(120.0, 0.2)})
+LQR = load_policy("lqr")
 LARGE = OTHER.model_copy(update={"arm": iiwa(14)})
 LIMITED = OTHER.settings.plant.model_copy(update={"max_speed": 0.23})
 SLOW = OTHER.model_copy(update={"settings": OTHER.settings.model_copy(update={"plant": LIMITED})})
@@ -50,7 +52,7 @@ def evaluated(balanced, policy=OTHER, path=MINE, **given):
         (evaluated(False, LARGE), "train|PENDULUM|--arm|iiwa14|--seeds|5"),
         (evaluated(False, SLOW), "train|PENDULUM|--max-speed|0.23|--seeds|5"),
         (
-            evaluated(False, "--actuator", "a.json", world=TOML),
+            evaluated(False, world=TOML, actuator="a.json"),
             "train|PENDULUM|--actuator|a.json|--seeds|5",
         ),
         # In a world of its own the arm is identified first.
@@ -58,13 +60,22 @@ def evaluated(balanced, policy=OTHER, path=MINE, **given):
             evaluated(False, LARGE, world=TOML),
             f"deploy|--excite|--world|{TOML}|--arm|iiwa14|--out|excitation.mcap",
         ),
+        # A policy that is no table keeps its task.
         (
-            next_step.after_function(True, "mine:act", 200, "--pendulum", "p.json"),
-            "evaluate|mine:act|--pendulum|p.json|--trials|1000",
+            next_step.after_evaluation(
+                True, LQR, Path("lqr"), "--pendulum", "p.json", world="ideal"
+            ),
+            "evaluate|lqr|--world|twin:nominal|--pendulum|p.json",
         ),
         (
-            next_step.after_function(False, "mine:act", 200, "--arm", "iiwa14", "--pendulum", "p"),
-            "train|p|--arm|iiwa14|--seeds|5",
+            next_step.after_evaluation(
+                True, LQR, Path("lqr"), "--pendulum", "p.json", world="twin:harsh"
+            ),
+            "deploy|lqr|--world|twin:harsh|--pendulum|p.json",
+        ),
+        (
+            next_step.after_evaluation(False, LQR, Path("lqr"), world="ideal"),
+            "train|--seeds|5",
         ),
         # Drift.
         (

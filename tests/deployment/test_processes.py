@@ -114,7 +114,14 @@ def move(request, rig, operators, recorder, *, measures, workshop, supervise):
     robot.start()
     heart = Heart()
     ending = run_loop(
-        robot, Encoder(), SystemClock(), heart, recorder, operators[0], longest=10.0, workshop=workshop
+        robot,
+        Encoder(),
+        SystemClock(),
+        heart,
+        recorder,
+        operators[0],
+        longest=10.0,
+        workshop=workshop,
     )
     return RunResult(
         heart.cause, heart.cause, 0.0, ending.stoppable, None, ending.timing.missed, {}, {}

@@ -11,12 +11,14 @@ from equipoise.cli.output import Output
 from equipoise.cli.trial_bar import trials_of
 
 if TYPE_CHECKING:
+    from equipoise.control.policy import TaskPolicy
     from equipoise.studies.certification import Certificate, Repetition
 
 
 def certify(
     output: Output,
     policy: Path | None,
+    chosen: "TaskPolicy",
     probability: float,
     confidence: float,
     duration: float,
@@ -41,16 +43,15 @@ def certify(
     partial = partial_path(study.evaluation_path(destination.path))
     check_output(partial)
     claim = study.make_claim(probability, confidence, duration, world=world, trials=trials)
-    table = opt.read_policy(policy)
     output.rows(
         {
             "claim": claim.words,
             "test": f"{claim.trials:,} trials, {claim.allowed:,} failures allowed",
         }
     )
-    with trials_of(output, "evaluate", table, world, claim.trials) as done:
+    with trials_of(output, "evaluate", chosen, world, claim.trials) as done:
         certificate, evaluation = study.certify(
-            table, claim, workers=opt.available_workers(workers), partial=partial, done=done
+            chosen, claim, workers=opt.available_workers(workers), partial=partial, done=done
         )
     with destination.claimed() as out:
         beside = study.evaluation_path(out)
@@ -63,7 +64,7 @@ def certify(
     if certificate.granted:
         output.next("evaluate", policy, "--verify", out)
     else:
-        output.next(*next_step.after_evaluation(False, table, policy, world=world))
+        output.next(*next_step.after_evaluation(False, chosen, policy, world=world))
     output.result(
         {
             "granted": certificate.granted,
@@ -79,7 +80,9 @@ def certify(
     )
 
 
-def repeat(output: Output, file: Path, policy: Path | None, workers: int | None) -> None:
+def repeat(
+    output: Output, file: Path, policy: Path | None, chosen: "TaskPolicy", workers: int | None
+) -> None:
     """Repeat the trials of a certificate, and compare the outcome.
 
     Raises:
@@ -89,12 +92,12 @@ def repeat(output: Output, file: Path, policy: Path | None, workers: int | None)
     from equipoise.studies.verification import verify
 
     verify(file)
-    certificate, table = study.Certificate.load(file), opt.read_policy(policy)
+    certificate = study.Certificate.load(file)
     claim = certificate.claim
     output.rows({"claim": claim.words})
-    study.check_policy(certificate, table)
-    with trials_of(output, "repeat", table, claim.world, claim.trials) as done:
-        again = study.repeat(certificate, table, workers=opt.available_workers(workers), done=done)
+    study.check_policy(certificate, chosen)
+    with trials_of(output, "repeat", chosen, claim.world, claim.trials) as done:
+        again = study.repeat(certificate, chosen, workers=opt.available_workers(workers), done=done)
     _say_repeated(output, certificate, again)
     output.next("evaluate", policy, "--world", claim.world)
     output.result(

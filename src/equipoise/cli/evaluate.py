@@ -14,8 +14,14 @@ from equipoise.cli.trial_bar import trials_of
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
+    from equipoise.control.policy import TaskPolicy
     from equipoise.evaluation import Evaluation, TrialResults
 
+TASK = (
+    *("policy", "named", "actuator", "pendulum", "arm"),
+    *("held", "base", "tip", "settings_file"),
+)
+"""Options that choose a policy and its task."""
 CLAIM = "A claim and its certificate"
 CLAIM_OPTIONS = ("claim", "confidence", "duration", "world", "trials", "workers", "out", "force")
 """Options that go with `--claim`."""
@@ -29,11 +35,8 @@ QUANTILES = ("0.05", "0.25", "0.75", "0.95")
 def evaluate(
     context: typer.Context,
     policy: opt.PolicyFile = None,
-    function: Annotated[
-        str | None,
-        opt.value(
-            "MODULE:NAME", "Policy in Python instead: a function, class or object.", "--policy"
-        ),
+    named: Annotated[
+        Path | None, opt.value("POLICY", "The same, as an option.", "--policy")
     ] = None,
     trials: Annotated[
         int | None,
@@ -68,10 +71,9 @@ def evaluate(
         Path | None,
         opt.value("CERTIFICATE", "Repeat the trials of this certificate of POLICY.", panel=CLAIM),
     ] = None,
-    pendulum: Annotated[
-        Path | None, opt.value("FILE", "Pendulum; a table must be trained for it.")
-    ] = None,
-    arm: Annotated[str | None, opt.value("ARM", "Arm; a table must be trained on it.")] = None,
+    pendulum: opt.TaskPendulum = None,
+    arm: opt.TaskArm = None,
+    settings_file: opt.SettingsFile = None,
     seed: opt.Seed = 0,
     workers: opt.Workers = None,
     held: opt.Held = None,
@@ -97,40 +99,37 @@ def evaluate(
     same. --verify repeats a certificate. Exit code 1: refused, or not repeated.
     """
     output = Output(as_json)
+    if named is not None and policy is not None:
+        raise InputError(f"both {policy} and --policy {named} are given; give one of them")
+    policy = policy or named
+    of_urdf = opt.read_arm(arm or "iiwa7", held, base, tip) if arm or held or base or tip else None
+    given = (policy, pendulum, of_urdf, actuator, settings_file)
     if verify is not None:
-        opt.only(context, "--verify", "policy", "verify", "workers", "as_json")
+        opt.only(context, "--verify", *TASK, "verify", "workers", "as_json")
         output.say(f"Repeating the trials of {verify}")
-        repeat(output, verify, policy, workers)
+        repeat(output, verify, policy, _of_claim(opt.read_policy(*given), actuator), workers)
         return
     if claim is not None:
-        opt.only(context, "--claim", "policy", *CLAIM_OPTIONS, "as_json")
+        opt.only(context, "--claim", *TASK, *CLAIM_OPTIONS, "as_json")
         output.say(f"Certifying {policy or 'the shipped policy'}")
+        task = _of_claim(opt.read_policy(*given), actuator)
         length = 60.0 if duration is None else duration
-        certify(output, policy, claim, confidence, length, world, trials, workers, out, force)
+        certify(output, policy, task, claim, confidence, length, world, trials, workers, out, force)
         return
-    output.say(f"Evaluating {function or policy or 'the shipped policy'}")
+    output.say(f"Evaluating {policy or 'the shipped policy'}")
     destination = choose_file(output, out, "evaluation.json", policy, pendulum, force=force)
 
     from equipoise.artefacts import partial_path
-    from equipoise.control.bound_policy import load_policy
     from equipoise.control.policy import TabularPolicy
     from equipoise.evaluation import evaluate
     from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
 
     partial = partial_path(destination.path)
     check_output(partial)
-    if function is not None and policy is not None:
-        raise InputError(f"both {policy} and --policy {function} are given; give one of them")
     opt.check_range("--trials", trials, 1, MOST_TRIALS)
     opt.check_range("--duration", duration, 0.01, LONGEST_TRIAL, " s")
     opt.check_range("--max-speed", max_speed, 0.01, 2.0, " m/s")
-    of_urdf, response = (held, base, tip), opt.read_actuator(actuator)
-    task = load_policy(
-        function or policy,
-        pendulum=None if pendulum is None else opt.read_pendulum(pendulum),
-        arm=opt.read_arm(arm or "iiwa7", *of_urdf) if arm or any(of_urdf) else None,
-        actuator=response,
-    )
+    task, response = opt.read_policy(*given), opt.read_actuator(actuator)
     changes = {
         "evaluation": {"trials": trials, "duration": duration},
         "plant": {"max_speed": max_speed},
@@ -161,22 +160,31 @@ def evaluate(
         evaluation.save(out, command="evaluate", inputs=inputs)
     balanced = _say(output, evaluation)
     output.wrote(out)
-    if isinstance(task, TabularPolicy):
-        following = next_step.after_evaluation(
-            balanced,
-            task,
-            policy,
-            world=world,
-            pendulum=pendulum,
-            actuator=actuator,
-            max_speed=max_speed,
-        )
-    else:
-        given = next_step.given(pendulum=pendulum, arm=arm, held=held, base=base, tip=tip)
-        count = len(evaluation.results.survival)
-        following = next_step.after_function(balanced, str(function or policy), count, *given)
+    words = next_step.given(pendulum=pendulum, arm=arm, settings=settings_file)
+    following = next_step.after_evaluation(
+        balanced,
+        task,
+        policy,
+        *(() if isinstance(task, TabularPolicy) else words),
+        world=world,
+        pendulum=pendulum,
+        actuator=actuator,
+        max_speed=max_speed,
+    )
     output.next(*following)
     output.result(_result(evaluation, out), bad=not balanced)
+
+
+def _of_claim(policy: "TaskPolicy", actuator: str | None) -> "TaskPolicy":
+    """Return the policy of a claim, which is tested with the policy's own actuator."""
+    from equipoise.control.policy import TabularPolicy
+
+    if actuator is not None and isinstance(policy, TabularPolicy):
+        raise InputError(
+            "a claim about a table is tested with the actuator of its training; leave out "
+            "--actuator"
+        )
+    return policy
 
 
 def _say(output: Output, evaluation: "Evaluation") -> bool:

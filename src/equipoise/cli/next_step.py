@@ -11,15 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from equipoise.errors import SettingsError
-from equipoise.model.sim_configs import MODEL, PREFIX, read_world
+from equipoise.model.sim_configs import IDEAL, MODEL, PREFIX, read_world
 
 if TYPE_CHECKING:
-    from equipoise.control.policy import TabularPolicy
+    from equipoise.control.policy import TabularPolicy, TaskPolicy
     from equipoise.runlog import RunLog
 
 Command = tuple[str, ...]
 
 NOMINAL: Final = f"{PREFIX}nominal"
+PLANTS: Final = (IDEAL, MODEL)
+"""Worlds without a twin's robot."""
 SEEDS: Final = 5
 """Learners of a training that shall do better than one with the default of three."""
 LOOKED_AT: Final = 200
@@ -75,7 +77,7 @@ def after_training(out: Path, policy: "TabularPolicy", again: Sequence[str]) -> 
 
 
 def train_again(
-    policy: "TabularPolicy",
+    policy: "TaskPolicy",
     path: Path | None = None,
     *,
     pendulum: Path | None = None,
@@ -104,7 +106,7 @@ def train_again(
     return ("train", *words, *options)
 
 
-def _actuator_of(policy: "TabularPolicy", path: Path | None) -> str | None:
+def _actuator_of(policy: "TaskPolicy", path: Path | None) -> str | None:
     from equipoise.model.actuator import shipped_actuator
 
     if policy.actuator.digest == shipped_actuator().digest:
@@ -114,9 +116,9 @@ def _actuator_of(policy: "TabularPolicy", path: Path | None) -> str | None:
 
 def after_evaluation(
     balanced: bool,
-    policy: "TabularPolicy",
+    policy: "TaskPolicy",
     path: Path | None,
-    *,
+    *task: str,
     world: str,
     pendulum: Path | None = None,
     actuator: str | None = None,
@@ -131,47 +133,25 @@ def after_evaluation(
     Args:
         balanced: Whether it balanced.
         policy: The policy.
-        path: Its file; none: the policy that ships.
+        path: Its file or name; none: the policy that ships.
+        task: Options of the task, where they were given; none of a table.
         world: Where it was.
         pendulum: The pendulum's file, where it was given.
         actuator: The actuator's file, where it was given.
         max_speed: Limit of the flange's speed, where it was given [m/s].
     """
-    if balanced and world == MODEL:
-        limit = given(max_speed=max_speed)
-        return ("evaluate", *_file(path), *given(world=NOMINAL, actuator=actuator), *limit)
+    there = given(world=NOMINAL if world in PLANTS else world, actuator=actuator)
+    known = (*_file(path), *there, *task)
+    if balanced and world in PLANTS:
+        return ("evaluate", *known, *given(max_speed=max_speed))
     if balanced:
-        return ("deploy", *_file(path), *given(world=world, actuator=actuator))
-    if world != MODEL and not world.startswith(NOMINAL) and actuator is None:
+        return ("deploy", *known)
+    if world not in PLANTS and not world.startswith(NOMINAL) and actuator is None:
         from equipoise.model.arms.resolve import arm_word
 
         words = given(world=world, arm=arm_word(policy.arm.name), out="excitation.mcap")
         return ("deploy", "--excite", *words)
     return train_again(policy, path, pendulum=pendulum, actuator=actuator, max_speed=max_speed)
-
-
-def after_function(balanced: bool, function: str, trials: int, *options: str) -> Command:
-    """Return what follows the evaluation of a function: more trials, or the one to compare with.
-
-    Args:
-        balanced: Whether it balanced.
-        function: `MODULE:NAME`.
-        trials: How many trials it ran.
-        options: Pendulum and arm as they were given.
-    """
-    if balanced and trials < 1000:
-        return ("evaluate", function, *options, *given(trials=1000))
-    return ("train", *_pendulum_first(options), *given(seeds=SEEDS))
-
-
-def _pendulum_first(options: Sequence[str]) -> Command:
-    """Return the options of an evaluation as those of a training: its pendulum is an argument."""
-    words, pendulum = list(options), list[str]()
-    if "--pendulum" in words:
-        at = words.index("--pendulum")
-        pendulum = [words[at + 1]]
-        del words[at : at + 2]
-    return (*pendulum, *words)
 
 
 def after_run(run: "RunLog", out: Path, path: Path | None, *task: str, world: str) -> Command:
