@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from equipoise import paper
 from equipoise.cli import next_step
 from equipoise.cli import options as opt
-from equipoise.cli.output import Output, verb
+from equipoise.cli.output import Output, gauge, verb
 
 if TYPE_CHECKING:
     from equipoise.runlog import RunLog
@@ -99,17 +99,8 @@ def _picture(log: "RunLog") -> Iterator[tuple[str, ...]]:
         yield (
             f"{log.time[i]:.2f}",
             f"{phi:+.1f}",
-            _bar(phi / paper.PHI_LIMIT_DEG),
+            f"[{gauge(phi / paper.PHI_LIMIT_DEG, WIDTH)}]",
             f"{x:+.3f}",
-            _bar(x / paper.X_LIMIT),
+            f"[{gauge(x / paper.X_LIMIT, WIDTH)}]",
             f"{log.u[i]:+.1f}",
         )
-
-
-def _bar(share: float) -> str:
-    """Return a bar with a mark: -1 at its left end, 1 at its right end."""
-    middle = WIDTH // 2
-    places = [" "] * WIDTH
-    places[middle] = "|"
-    places[middle + round(max(min(share, 1.0), -1.0) * middle)] = "o"
-    return f"[{''.join(places)}]"

@@ -395,3 +395,17 @@ def in_ms(time: "Estimate") -> str:
     """Return an estimate of a time [s] in milliseconds, with its interval."""
     ends = {name: 1e3 * getattr(time, name) for name in ("value", "low", "high")}
     return measured(time.model_copy(update=ends), "ms")
+
+
+def gauge(share: float, width: int, line: str = " ") -> str:
+    """Return a line with a mark at a share: -1 at its left end, 1 at its right end.
+
+    Example:
+        >>> gauge(0.5, 9), gauge(-2.0, 5, "-")
+        ('    | o  ', 'o-|--')
+    """
+    middle = width // 2
+    places = [line] * width
+    places[middle] = "|"
+    places[middle + round(max(min(share, 1.0), -1.0) * middle)] = "o"
+    return "".join(places)

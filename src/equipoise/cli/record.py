@@ -1,16 +1,13 @@
 """`equipoise rig record`: records a free swing from the encoder."""
 
 from collections.abc import Callable
-from math import degrees
+from math import degrees, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file
-from equipoise.cli.output import Output, verb
-from equipoise.errors import InputError
+from equipoise.cli.output import Output, gauge, verb
 
 if TYPE_CHECKING:
     from equipoise.devices.encoder.swing import SwingRecorder
@@ -22,38 +19,25 @@ GAUGE = 41
 @verb
 def record(
     encoder: Annotated[
-        str,
-        typer.Option(
-            metavar="URI", help="The board: serial:///dev/ttyACM0, or socket://HOST:PORT."
-        ),
+        str, opt.value("URI", "Encoder: serial:///dev/ttyACM0, or socket://HOST:PORT.")
     ],
     duration: Annotated[
-        float,
-        typer.Option(metavar="SECONDS", help="Longest swing, from where the hand lets go."),
+        float, opt.value("SECONDS", "Maximum duration of the swing, from the release.")
     ] = 30.0,
     counts_per_rev: opt.CountsPerRev = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="The recording, CSV.",
-            rich_help_panel=opt.IN_AND_OUT,
-            show_default="swing.csv",
-        ),
-    ] = None,
+    out: Annotated[Path | None, opt.out("Recording to write, CSV.", "swing.csv")] = None,
     force: opt.Force = False,
     as_json: opt.Json = False,
 ) -> None:
     """Record a free swing of the pendulum from its encoder.
 
-    Hold the pivot still. Let the pendulum hang, lift it, hold it, let it go; the
-    angle is shown meanwhile. Ctrl-C ends it, and nothing is written then.
+    Hold the pivot still. Let the pendulum hang, lift it, hold it, release it.
+    The angle is shown meanwhile. Ctrl-C ends the recording without a file.
     """
     output = Output(as_json)
     output.say(f"Listening to {encoder}")
     destination = choose_file(output, out, "swing.csv", force=force, suffix=".csv")
-    if not 1.0 <= duration <= 600.0:
-        raise InputError(f"--duration is {duration:g} s; give a number from 1 to 600")
+    opt.check_range("--duration", duration, 1.0, 600.0, " s")
 
     from equipoise.devices.clocks import SystemClock
     from equipoise.devices.encoder.swing import record_swing
@@ -115,16 +99,6 @@ class _Prompter:
             hint = f"{recorder.hint}; " if recorder.hint else ""
             self._output.say(f"  {hint}{recorder.stage.value}")
         self._rename(
-            f"{_gauge(recorder.theta)} {degrees(recorder.theta):+7.1f} deg, "
+            f"{gauge(recorder.theta / pi, GAUGE, '-')} {degrees(recorder.theta):+7.1f} deg, "
             f"amplitude {degrees(recorder.amplitude):5.1f} deg, {recorder.elapsed:4.1f} s"
         )
-
-
-def _gauge(theta: float) -> str:
-    """Return a line with the pendulum on it: hanging in the middle, upright at the ends."""
-    middle = GAUGE // 2
-    place = middle + round(degrees(theta) / 180.0 * middle)
-    marks = ["-"] * GAUGE
-    marks[middle] = "|"
-    marks[min(max(place, 0), GAUGE - 1)] = "o"
-    return "".join(marks)
