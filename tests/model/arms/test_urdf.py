@@ -69,6 +69,14 @@ def test_a_home_is_searched_where_none_is_given():
     assert max(condition(arm, q) for q in track) < 20.0
 
 
+def test_the_pivot_is_beside_the_flange_along_base_y_and_away_from_the_base():
+    for arm in (read_urdf(ELBOW), read_urdf(ELBOW, home=ELBOW_HOME)):
+        flange = arm.pose(arm.home_free)
+        offset = flange.rotation @ np.array(arm.pivot)
+        side = np.sign(flange.position[1])
+        assert offset == pytest.approx([0.0, side * 0.13, 0.0], abs=1e-12)
+
+
 def test_a_name_is_made_harmless(edited):
     path = edited('robot name="elbow 6"', 'robot name="a&quot;&quot;&quot;\\n; b"')
     assert read_urdf(path, home=ELBOW_HOME).name == "a____n_ b"

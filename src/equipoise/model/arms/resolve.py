@@ -56,7 +56,7 @@ def resolve_arm(
             tip=tip,
             held=held,
             home=home,
-            pivot=(0.0, 0.0, 0.0) if pivot is None else pivot,
+            pivot=pivot,
             acceleration=ACCELERATION if acceleration is None else acceleration,
         )
     registered = registered_arms()

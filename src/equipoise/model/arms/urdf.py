@@ -8,7 +8,7 @@ inertia. URDF holds no limits of accelerations, no home and no pendulum: these a
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
-from math import pi
+from math import copysign, pi
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -18,7 +18,7 @@ from equipoise.artefacts import MEBIBYTE, StrPath, quoted, read_bytes, shortened
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm, Inertial, Joint
 from equipoise.model.arms.chain import Floats, Triple, rotation_from_rpy, rpy_from_rotation
-from equipoise.model.arms.iiwa import ACCELERATION
+from equipoise.model.arms.iiwa import ACCELERATION, PIVOT_OUTWARD
 from equipoise.model.arms.inertials import inertia_entries, inertia_matrix
 from equipoise.model.arms.posture import search_home
 
@@ -45,7 +45,7 @@ def read_urdf(
     held: int | str | None = None,
     held_angle: float = 0.0,
     home: Sequence[float] | None = None,
-    pivot: Triple = (0.0, 0.0, 0.0),
+    pivot: Triple | None = None,
     acceleration: float = ACCELERATION,
 ) -> Arm:
     """Read an arm from a URDF file.
@@ -57,7 +57,8 @@ def read_urdf(
         held: Joint that does not move, by name or counted from one along the chain.
         held_angle: Its angle [rad].
         home: Posture at x = 0, all joints [rad]; by default the result of `search_home`.
-        pivot: The pendulum's pivot in the flange frame [m].
+        pivot: The pendulum's pivot in the flange frame [m]; by default beside the flange, along
+            the spindle at home and away from the base.
         acceleration: Acceleration limit of every joint [rad/s^2].
 
     Raises:
@@ -97,10 +98,18 @@ def read_urdf(
         held_angle=held_angle,
         flange_xyz=_triple(offset),
         flange_rpy=rpy_from_rotation(rotation),
-        pivot=pivot,
+        pivot=pivot or (0.0, 0.0, 0.0),
         home=tuple(middle if home is None else home),
     )
-    return search_home(arm) if home is None else arm
+    arm = search_home(arm) if home is None else arm
+    return arm if pivot else arm.model_copy(update={"pivot": _beside_flange(arm)})
+
+
+def _beside_flange(arm: Arm) -> Triple:
+    """Return the pivot along the spindle at home, away from the base [m]."""
+    flange = arm.pose(arm.home_free)
+    outward = copysign(PIVOT_OUTWARD, float(flange.position[1]))
+    return _triple(outward * flange.rotation[1])
 
 
 def _parsed(path: Path) -> Element:
