@@ -19,7 +19,7 @@ from contextlib import suppress
 from functools import cached_property
 from math import degrees, hypot, radians
 from pathlib import Path
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -113,6 +113,10 @@ class RigSettings(Value):
     def digest(self) -> str:
         """SHA-256 of all of it."""
         return value_digest(self)
+
+    def changed(self, **fields: Any) -> Self:
+        """Return a rig with some fields changed; unlike `model_copy`, it forgets the old arm."""
+        return self.model_validate(self.model_dump() | fields)
 
     @cached_property
     def described_arm(self) -> Arm:

@@ -1,5 +1,6 @@
 """`equipoise rig rehearse`: injects faults on an emulated rig, and checks how each run ends."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.text import Text
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 
 @verb
 def rehearse(
+    policy: opt.PolicyFile = None,
+    rig: Annotated[Path | None, opt.value("TOML", "Description of the rig.")] = None,
     only: Annotated[
         list[str] | None, opt.value("NAME", "A fault, or a kind of faults; repeatable.")
     ] = None,
@@ -29,13 +32,14 @@ def rehearse(
 
     Each fault has a run of its own, from the first byte to rest. The bytes on
     the link and the true motion decide whether it ended as required. Exit
-    code 1: one did not.
+    code 1: one did not. With --rig, the rig's own arm is rehearsed.
     """
     output = Output(as_json)
     if not listed:
         output.say("Rehearsing on an emulated rig; a few minutes for all faults")
 
-    from equipoise.studies.rehearsal import choose, rehearse_all
+    from equipoise.rigs import read_rig
+    from equipoise.studies.rehearsal import Scenario, choose, rehearse_all
 
     if listed:
         virtual, live = choose(only or ())
@@ -44,10 +48,15 @@ def rehearse(
             output.say(Text.assemble((fault.name, "bold"), f": {fault.injected}; {fault.should}"))
         output.result({"faults": [fault.name for fault in faults]})
         return
+    scenario = Scenario(settings=read_rig(rig), policy=opt.read_policy(policy))
     results: list[Result] = []
     with output.busy("preparing") as rename:
         for result in rehearse_all(
-            only or (), real_time=real_time, workers=opt.available_workers(workers), begin=rename
+            only or (),
+            scenario=scenario,
+            real_time=real_time,
+            workers=opt.available_workers(workers),
+            begin=rename,
         ):
             results.append(result)
             _say(output, result)

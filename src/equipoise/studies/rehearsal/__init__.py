@@ -7,6 +7,7 @@ whether the run ended as required (`verdicts`).
 
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
 from multiprocessing import get_context
 from typing import Final, NamedTuple
 
@@ -46,13 +47,18 @@ class Result(NamedTuple):
         return not self.problems
 
 
-def rehearse(fault: Fault) -> Result:
-    """Rehearse a fault in virtual time, and judge the end."""
+def rehearse(fault: Fault, scenario: Scenario | None = None) -> Result:
+    """Rehearse a fault in virtual time, and judge the end.
+
+    Args:
+        fault: The fault.
+        scenario: Policy and rig (default: the shipped policy on an iiwa 7).
+    """
     told = (fault.name, fault.kind, fault.injected, fault.should)
     if fault.play is not None:
         problems = fault.play()
         return Result(*told, "it was refused" if not problems else "", tuple(problems))
-    harness = FaultHarness(fault.scenario(Scenario()), fault.trigger, fault.inject)
+    harness = FaultHarness(fault.scenario(scenario or Scenario()), fault.trigger, fault.inject)
     outcome = harness.run()
     problems = [
         *judge(
@@ -99,6 +105,7 @@ def choose(only: Sequence[str]) -> tuple[list[Fault], list[LiveFault]]:
 def rehearse_all(
     only: Sequence[str] = (),
     *,
+    scenario: Scenario | None = None,
     real_time: bool = False,
     workers: int = 1,
     begin: Callable[[str], None] = lambda _: None,
@@ -107,6 +114,8 @@ def rehearse_all(
 
     Args:
         only: Names or kinds (default: all).
+        scenario: Policy and rig of the faults in virtual time (default: the shipped policy on an
+            iiwa 7).
         real_time: Whether to rehearse the faults that need real time.
         workers: Number of processes for the faults in virtual time.
         begin: Receives the name of the fault that begins.
@@ -119,13 +128,14 @@ def rehearse_all(
     workers = min(workers, len(names))
     if workers > 1:
         with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-            for name, result in zip(names, pool.map(_rehearse_named, names), strict=True):
+            results = pool.map(_rehearse_named, names, repeat(scenario))
+            for name, result in zip(names, results, strict=True):
                 begin(name)
                 yield result
     else:
         for fault in virtual:
             begin(fault.name)
-            yield rehearse(fault)
+            yield rehearse(fault, scenario)
     for fault in live:
         told = (fault.name, fault.kind, fault.injected, fault.should)
         if not real_time:
@@ -139,8 +149,17 @@ def rehearse_all(
         yield Result(*told, did, tuple(problems))
 
 
-def _rehearse_named(name: str) -> Result:
-    return rehearse(next(fault for fault in FAULTS if fault.name == name))
+def _rehearse_named(name: str, scenario: Scenario | None) -> Result:
+    return rehearse(next(fault for fault in FAULTS if fault.name == name), scenario)
 
 
-__all__ = ["FAULTS", "REAL_TIME", "Fault", "Result", "choose", "rehearse", "rehearse_all"]
+__all__ = [
+    "FAULTS",
+    "REAL_TIME",
+    "Fault",
+    "Result",
+    "Scenario",
+    "choose",
+    "rehearse",
+    "rehearse_all",
+]

@@ -12,9 +12,14 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from equipoise import paper
+from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.safety import Rule
 from equipoise.control.ticks import TickInputs
 from equipoise.devices.twin.hand import draw_hand_params
+from equipoise.model.arms.arm import Joint
+from equipoise.model.arms.posture import condition
+from equipoise.rigs import RigSettings
 from equipoise.studies.rehearsal.fault_harness import (
     START,
     FaultHarness,
@@ -27,6 +32,9 @@ from equipoise.studies.rehearsal.fault_harness import (
 BALANCING: Final = Trigger("balancing", 0.5)
 """Half a second into the balance."""
 AT_START: Final = Trigger(START)
+
+PERIOD: Final = paper.STEP / SETPOINTS_PER_TICK
+"""Time between two setpoints [s]."""
 
 Inject = Callable[[FaultHarness], None]
 
@@ -258,11 +266,15 @@ def _pushing(scenario: Scenario) -> Scenario:
     return on(scenario, policy=scenario.policy.model_copy(update={"Q": table}))
 
 
-def _stretched(scenario: Scenario) -> Scenario:
-    """Return a scenario with an almost stretched elbow at home."""
-    home = [degrees(angle) for angle in scenario.settings.described_arm.home]
-    home[3] = -3.0
-    return on(scenario, settings=scenario.settings.model_copy(update={"home_deg": tuple(home)}))
+def _singular(scenario: Scenario) -> Scenario:
+    """Return a scenario with an almost singular home: the worst of some random postures."""
+    arm = scenario.settings.described_arm
+    ranges = np.array([(joint.lower, joint.upper) for joint in arm.free_joints])
+    lower, upper = np.clip(ranges, -pi, pi).T
+    postures = np.random.default_rng(0).uniform(lower, upper, (300, len(ranges)))
+    worst = arm.with_held(max(list(postures), key=lambda q: condition(arm, q)))
+    home = tuple(np.degrees(worst).tolist())
+    return on(scenario, settings=scenario.settings.changed(home_deg=home))
 
 
 def _setpoint(change: Callable[[Setpoint, float], Setpoint]) -> Inject:
@@ -274,22 +286,42 @@ def _setpoint(change: Callable[[Setpoint, float], Setpoint]) -> Inject:
     return inject
 
 
-def _joint(number: int, value: Callable[[float, float], float]) -> Inject:
-    """Change one joint of each setpoint; joints count from one."""
-    return _setpoint(
-        lambda q, since: tuple(
-            value(angle, since) if i == number else angle for i, angle in enumerate(q, start=1)
-        )
-    )
+def _joint(place: int, value: Callable[[Joint, float, float], float]) -> Inject:
+    """Change one joint of each setpoint, given its limits, its angle and the time since the fault.
+
+    Args:
+        place: Index of the joint; the last is -1.
+        value: Returns the new angle [rad].
+    """
+
+    def inject(harness: FaultHarness) -> None:
+        joint = harness.scenario.settings.described_arm.joints[place]
+
+        def change(q: Setpoint, since: float) -> Setpoint:
+            changed = list(q)
+            changed[place] = value(joint, q[place], since)
+            return tuple(changed)
+
+        harness.change_setpoint = change
+
+    return inject
 
 
-def _creep(*signs: float, rate: float = 0.02) -> Inject:
-    """Let the setpoints drift, each joint at its multiple of a rate [rad/s]."""
-    return _setpoint(
-        lambda q, since: tuple(
-            angle + sign * rate * since for angle, sign in zip(q, signs, strict=True)
-        )
-    )
+def _creep(row: int) -> Inject:
+    """Let the setpoints creep by 0.02 rad/s, each joint the way that adds to a part of the twist.
+
+    Args:
+        row: Row of the Jacobian.
+    """
+
+    def inject(harness: FaultHarness) -> None:
+        arm = harness.scenario.settings.described_arm
+        part = arm.kinematics(arm.home_free).jacobian[row]
+        rates = np.zeros(len(arm.joints))
+        rates[list(arm.free)] = np.where(np.abs(part) > 0.1, 0.02 * np.sign(part), 0.0)
+        harness.change_setpoint = lambda q, since: tuple((q + rates * since).tolist())
+
+    return inject
 
 
 HELD_BACK: Final = _ends("fault")
@@ -337,18 +369,21 @@ ROBOT: Final = (
     Fault("contact on the way home", "robot", "150 N press on the flange on the way home",
           "a stop at the next torques", _ends(Rule.TORQUE), _touch(150.0), Trigger("homing", 0.3),
           within=0.1),
-    Fault("joint limit", "robot", "a setpoint of A2 near its limit, while balancing",
+    Fault("joint limit", "robot", "a setpoint of the second joint near its limit, while balancing",
           "it is held back; the guard brings the arm to rest", HELD_BACK,
-          _joint(2, lambda q, since: radians(118.5)), within=0.03, says="joint 2"),
-    Fault("velocity limit", "robot", "setpoints of A7 are 0.02 rad away at once, while balancing",
+          _joint(1, lambda joint, q, since: joint.upper - radians(1.5)), within=0.03,
+          says="joint 2"),
+    Fault("velocity limit", "robot", "setpoints of the last joint jump at 1.3 times its top speed",
           "they are held back; the guard brings the arm to rest", HELD_BACK,
-          _joint(7, lambda q, since: q + 0.02), within=0.03, says="rad/s, expected"),
-    Fault("acceleration limit", "robot", "setpoints of A7 run away by 30 rad/s^2, while balancing",
+          _joint(-1, lambda joint, q, since: q + 1.3 * joint.velocity * PERIOD), within=0.03,
+          says="rad/s, expected"),
+    Fault("acceleration limit", "robot", "setpoints of the last joint run away at 3 x its limit",
           "they are held back; the guard brings the arm to rest", HELD_BACK,
-          _joint(7, lambda q, since: q + 15.0 * since**2), within=0.04, says="rad/s^2, expected"),
-    Fault("runaway", "robot", "setpoints of A7 run away by 5 rad/s^2, while balancing",
+          _joint(-1, lambda joint, q, since: q + 1.5 * joint.acceleration * since**2), within=0.04,
+          says="rad/s^2, expected"),
+    Fault("runaway", "robot", "setpoints of the last joint run away by 5 rad/s^2, while balancing",
           "a stop once the arm is 0.03 rad from where it should be for 50 ms", MOVED_AWAY,
-          _joint(7, lambda q, since: q + 2.5 * since**2), within=0.4),
+          _joint(-1, lambda joint, q, since: q + 2.5 * since**2), within=0.4),
     Fault("track limit", "robot", "a policy that pushes one way only",
           "a stop from which the flange rests on its track", _ends(Rule.TRACK, Rule.ANGLE),
           scenario=_pushing, trigger=Trigger("balancing"), within=1.0),
@@ -356,17 +391,17 @@ ROBOT: Final = (
           "a stop where the flange reaches 0.23 m/s", _ends(Rule.SPEED),
           lambda harness: harness.parts.bench.push(1.0),
           scenario=lambda scenario: on(scenario, t1=True), within=0.5, says="0.23 m/s"),
-    Fault("near singularity", "robot", "a home with the elbow all but stretched",
-          "the run is refused", _ends("refused"), trigger=AT_START, scenario=_stretched,
+    Fault("near singularity", "robot", "a home that is almost singular",
+          "the run is refused", _ends("refused"), trigger=AT_START, scenario=_singular,
           says="home"),
     Fault("flange drift", "robot",
-          "setpoints of A2 and A6 creep, so that the flange leaves its line", "a stop at 15 mm",
-          _ends(Rule.DRIFT), _creep(0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0), within=3.0,
+          "setpoints creep, so that the flange leaves its line upwards", "a stop at 15 mm",
+          _ends(Rule.DRIFT), _creep(2), within=3.0,
           says="off its line"),
     Fault("flange pitch error", "robot",
-          "setpoints of A2, A4 and A6 creep, so that the flange tilts",
+          "setpoints creep, so that the flange tilts",
           "a stop at 2 deg, or at 15 mm", _ends(Rule.TILT, Rule.DRIFT),
-          _creep(0.0, 0.4, 0.0, -1.0, 0.0, 1.0, 0.0), within=3.0),
+          _creep(3), within=3.0),
     Fault("first command away from the measured pose", "robot",
           "the first setpoint is 0.02 rad from where the arm is", "nothing is sent",
           _ends("fault", "link lost"),
@@ -438,10 +473,11 @@ NUMBERS: Final = (
           within=0.08),
     Fault("NaN in a setpoint", "numbers", "the controller gives NaN, while balancing",
           "it is held back; the guard brings the arm to rest", HELD_BACK,
-          _joint(1, lambda q, since: nan), within=0.03, says="finite"),
+          _joint(0, lambda joint, q, since: nan), within=0.03, says="finite"),
     Fault("infinity in a setpoint", "numbers", "the controller gives infinity, on the way home",
           "it is held back; the guard brings the arm to rest", HELD_BACK,
-          _joint(3, lambda q, since: inf), Trigger("homing", 0.3), within=0.03, says="finite"),
+          _joint(2, lambda joint, q, since: inf), Trigger("homing", 0.3), within=0.03,
+          says="finite"),
     Fault("six numbers in a setpoint", "numbers",
           "the controller gives six joints, while balancing",
           "it is held back; the guard brings the arm to rest", HELD_BACK,
@@ -551,18 +587,19 @@ OPERATOR: Final = tuple(
 
 
 def _other_arm(scenario: Scenario) -> Scenario:
-    return on(scenario, settings=scenario.settings.model_copy(update={"arm": "iiwa14"}))
+    name = scenario.settings.described_arm.name
+    return on(scenario, settings=RigSettings(arm="iiwa7" if name == "iiwa14" else "iiwa14"))
 
 
 def _radians_for_degrees(scenario: Scenario) -> Scenario:
-    home = {"home_deg": scenario.settings.described_arm.home}
-    return on(scenario, settings=scenario.settings.model_copy(update=home))
+    home = scenario.settings.described_arm.home
+    return on(scenario, settings=scenario.settings.changed(home_deg=home))
 
 
 # fmt: off
 INPUTS: Final = (
     Fault("policy of another rig", "input",
-          "the policy was trained on an iiwa 7, the rig has an iiwa 14", "the run is refused",
+          "the policy was trained on one arm, the rig has another", "the run is refused",
           _ends("refused"), trigger=AT_START, scenario=_other_arm, says="trained on"),
     Fault("unit slip", "input", "home in rig.toml is given in radians", "the run is refused",
           _ends("refused"), trigger=AT_START, scenario=_radians_for_degrees, says="home"),
