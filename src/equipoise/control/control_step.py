@@ -90,6 +90,7 @@ EST_PHI: Final = 0
 EST_PHI_DOT: Final = 1
 EST_BIAS: Final = 2
 EST_PIVOT_V: Final = 3
+EST_X: Final = 4
 # Rows of what the policy sees.
 OBS_X: Final = 0
 OBS_X_DOT: Final = 1
@@ -181,7 +182,8 @@ class ControllerState(NamedTuple):
     newest: npt.NDArray[np.int64]
     """Which of them is the newest, shape (1,)."""
     estimate: Array
-    """phi [rad], phi_dot [rad/s], bias of phi [rad], pivot velocity [m/s] at the tick, 4 rows."""
+    """phi [rad], phi_dot [rad/s], bias of phi [rad], velocity of the pivot [m/s], flange x [m] at
+    the tick, 5 rows."""
     observation: Array
     """x, x_dot, phi, phi_dot as the policy sees them, 4 rows."""
 
@@ -310,7 +312,7 @@ def new_controller_state() -> ControllerState:
         scratch=rows(6),
         history=rows(HISTORY_TICKS * HISTORY_ROWS),
         newest=whole(1),
-        estimate=rows(4),
+        estimate=rows(5),
         observation=rows(4),
     )
 
@@ -405,6 +407,7 @@ def start_controller(
     put(memory.estimate, EST_PHI_DOT, n, phi_dot)
     put(memory.estimate, EST_BIAS, n, 0.0)
     put(memory.estimate, EST_PIVOT_V, n, x_dot)
+    put(memory.estimate, EST_X, n, x)
     # The arm moves steadily: over the horizon the pendulum falls by itself.
     phi, phi_dot = runge_kutta(phi, phi_dot, 0.0, controller.horizon, 0.0, controller.pendulum)
     put(memory.observation, OBS_X, n, x)
@@ -494,7 +497,9 @@ def observe(
         put(seen, OBS_PHI_DOT, n, phi_dot)
         put(seen, OBS_X_DOT, n, v)
         x = at(past, near + FLANGE_X, n)
-        put(seen, OBS_X, n, x + f * (at(past, far + FLANGE_X, n) - x))
+        x += f * (at(past, far + FLANGE_X, n) - x)
+        put(estimate, EST_X, n, x)
+        put(seen, OBS_X, n, x)
     if controller.horizon == 0.0:
         return
     part = delay - whole * h

@@ -61,6 +61,8 @@ class StateEstimate(NamedTuple):
     """What the encoder reads too much of phi [rad]."""
     v: float
     """Velocity of the pivot along x [m/s]."""
+    x: float
+    """Displacement of the flange from home [m]."""
 
 
 class Controller:

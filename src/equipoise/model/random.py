@@ -29,6 +29,7 @@ TRAINING_ACTUATOR: Final = 6
 SCREENING: Final = 8
 FINAL_ROUND: Final = 10
 TEST: Final = 12
+ENVIRONMENT: Final = 14
 DEPLOYMENT: Final = 16
 TWIN: Final = 20
 """The twin: this stream and the three after it."""

@@ -14,7 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.control.boxes import TRUNCATED
-from equipoise.control.control_step import ControllerParams, ControllerState
+from equipoise.control.control_step import (
+    EST_PHI,
+    EST_PHI_DOT,
+    EST_PIVOT_V,
+    EST_X,
+    ControllerParams,
+    ControllerState,
+)
 from equipoise.control.policy import Policy, PolicyKernel, TaskPolicy
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE
@@ -63,6 +70,11 @@ class ClosedLoop(Protocol):
         ...
 
     @property
+    def now(self) -> float:
+        """Time since the release [s]."""
+        ...
+
+    @property
     def tracked(self) -> float:
         """Tracked acceleration u' over the last step [m/s^2]."""
         ...
@@ -94,6 +106,11 @@ class ClosedLoop(Protocol):
 
 class Simulation(Protocol):
     """Trials in a simulated world."""
+
+    seed: int
+    """Master seed of the trials."""
+    stream: int
+    """Purpose of the trials: each has random numbers of its own."""
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""
@@ -129,6 +146,14 @@ class Simulation(Protocol):
 def predicted(loop: ClosedLoop) -> Array:
     """Return x, x_dot, phi, phi_dot at which u takes effect: the observation, shape (4,)."""
     return loop.controller.observation[::BATCH_SIZE].copy()
+
+
+def estimated(loop: ClosedLoop) -> Array:
+    """Return the estimate of x, x_dot, phi, phi_dot at the tick, shape (4,)."""
+    if not loop.params.has_sensor:
+        return predicted(loop)
+    rows = loop.controller.estimate[::BATCH_SIZE]
+    return rows[[EST_X, EST_PIVOT_V, EST_PHI, EST_PHI_DOT]]
 
 
 def run_trials(

@@ -138,6 +138,11 @@ class PlantLoop:
         return self._variation.zero if self.params.has_sensor else None
 
     @property
+    def now(self) -> float:
+        """Time since the release [s]."""
+        return float(self._tick[0]) * self.params.h
+
+    @property
     def tracked(self) -> float:
         """Tracked acceleration u' over the last step [m/s^2]."""
         return float(self._batch.state[TRACKED * BATCH_SIZE])
@@ -173,7 +178,7 @@ class PlantLoop:
         """Return the measurements of this tick; `None` without an encoder."""
         if not self.params.has_sensor:
             return None
-        now, controller = float(self._tick[0]) * self.params.h, self.controller
+        now, controller = self.now, self.controller
         q = controller.measured[::BATCH_SIZE].copy()
         return Measurement(float(controller.counts[0]), now, q, now)
 

@@ -60,7 +60,7 @@ class TwinSimulation:
         self._nominal = pendulum.parameters(linearised=settings.plant.linearised)
         self._friction = pivot_friction(pendulum, world)
         self._arm, self._world, self._settings = arm, world, settings
-        self._seed, self._stream = seed, stream
+        self.seed, self.stream = seed, stream
         self._servo = make_servo_params(arm, world)
         counts = world.counts_per_rev
         self.params = make_controller_params(
@@ -80,7 +80,7 @@ class TwinSimulation:
         }
         plant = self._settings.plant.model_copy(update=sigmas)
         settings = self._settings.model_copy(update={"plant": plant})
-        return draw_trials(count, settings, self._seed, self._stream, 1.0, first)
+        return draw_trials(count, settings, self.seed, self.stream, 1.0, first)
 
     def loop(self) -> "TwinLoop":
         """Return a closed loop for `reset`."""
@@ -123,7 +123,7 @@ class TwinSimulation:
             self._arm,
             self.pendulum(trial),
             self._world,
-            seed=self._seed,
+            seed=self.seed,
             index=trial.number,
             servo=self._servo,
         )
@@ -158,6 +158,11 @@ class TwinLoop:
     def pendulum(self) -> PendulumParameters:
         """True parameters of the pendulum in this trial."""
         return self._simulation.pendulum(self._trial)
+
+    @property
+    def now(self) -> float:
+        """Time since the release [s]."""
+        return self._twin.now
 
     @property
     def zero(self) -> float:

@@ -7,10 +7,11 @@ MuJoCo draws through OpenGL, which EGL gives without a screen, and OSMesa where 
 import os
 import sys
 import warnings
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from ctypes.util import find_library
 from importlib import import_module
+from itertools import repeat
 from typing import Any, Final
 
 import numpy as np
@@ -66,7 +67,12 @@ def frames(
     return draw(stage(arm, size), q, phi, u)
 
 
-def draw(scene: PictureScene, q: Floats, phi: Floats, u: Floats | None = None) -> Iterator[Picture]:
+def draw(
+    scene: PictureScene,
+    q: Iterable[Floats],
+    phi: Iterable[float],
+    u: Iterable[float] | None = None,
+) -> Iterator[Picture]:
     """Draw a stage, one moment after another; `frames` makes the stage and checks the shapes.
 
     Raises:
@@ -79,8 +85,8 @@ def draw(scene: PictureScene, q: Floats, phi: Floats, u: Floats | None = None) -
     camera.type, camera.fixedcamid = mj.mjtCamera.mjCAMERA_FIXED, model.camera(CAMERA).id
     whole, picture = mj.MjrRect(0, 0, width, height), np.empty((height, width, 3), np.uint8)
     with _canvas(model, scene.camera.size) as (make_current, canvas):
-        pushes = np.zeros(len(phi)) if u is None else u
-        for joints, angle, push in zip(q, phi, pushes, strict=True):
+        pushes = repeat(0.0) if u is None else u
+        for joints, angle, push in zip(q, phi, pushes, strict=False):
             data.qpos[:] = [*joints, angle]
             mj.mj_kinematics(model, data)
             mj.mj_camlight(model, data)

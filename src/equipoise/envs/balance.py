@@ -1,0 +1,294 @@
+"""The environments `equipoise/Balance-v0` and `equipoise/BalanceDiscrete-v0`."""
+
+from collections.abc import Callable
+from math import inf, isfinite
+from typing import Any, ClassVar, Final, Literal
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from equipoise import paper
+from equipoise.artefacts import StrPath
+from equipoise.control.boxes import COUNT, TRUNCATED, box_index, boxes, cause_named
+from equipoise.control.controller import Observation
+from equipoise.control.trial_safety import guard_named
+from equipoise.envs.pictures import Screen
+from equipoise.errors import InputError
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
+from equipoise.model.arms.arm import Arm
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import Pendulum, shipped_pendulum
+from equipoise.model.random import ENVIRONMENT, TEST
+from equipoise.model.sim_configs import IDEAL, MODEL, World
+from equipoise.settings import Settings
+from equipoise.simulation import Setup, Trial, estimated, predicted, simulate
+
+Array = npt.NDArray[np.float64]
+Observe = Literal["predicted", "estimated", "raw"]
+Reward = Callable[[Observation, float, Observation, bool], float]
+"""Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
+
+U_MAX: Final = max(map(abs, paper.ACTIONS))
+WINDOW: Final = 256
+"""Number of trials whose conditions are drawn at a time."""
+ONCE: Final = "the environment has not been reset; call env.reset() first"
+
+
+def paper_reward(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
+    """Return the paper's reward: -1 for a failure, otherwise 0."""
+    return -1.0 if failed else 0.0
+
+
+class BalanceEnv(gym.Env[Array, Any]):
+    r"""Balance an inverted pendulum on the flange of a robot arm.
+
+    ## Description
+
+    The task of Safeea and Neto, *A Q-learning approach to the continuous control problem of robot
+    inverted pendulum balancing*: a pendulum stands on the flange of an arm, which accelerates along
+    a track of 0.44 m. A step is one control tick of 0.01 s. Every world runs the kernels of
+    `equipoise.evaluate`; an episode has the bits of the trial with the same conditions.
+
+    ## Action Space
+
+    `Box(-2, 2, (1,), float64)`: acceleration u of the flange along x [m/s^2].
+    `equipoise/BalanceDiscrete-v0` has `Discrete(8)`: -2, -1.5, -1, -0.5, 0.5, 1, 1.5, 2 m/s^2.
+
+    ## Observation Space
+
+    `Box(-inf, inf, (4,), float64)`: x [m], x_dot [m/s], phi from upright [rad], phi_dot [rad/s].
+
+    | `observe=` | meaning |
+    | --- | --- |
+    | `"predicted"` | state at which the action takes effect, past delay and lag (the default) |
+    | `"estimated"` | estimate of the state at the tick |
+    | `"raw"` | encoder counts, their age [s], measured joints [rad], their age [s] |
+
+    With `"raw"` the shape is (10,) for an arm of seven joints. The world `ideal` has no encoder:
+    the observation is the state itself. `BoxIndexObservation` maps it to the paper's 270 boxes.
+
+    ## Rewards
+
+    -1 for a failure, 0 for any other step. `reward=` takes any function
+    `reward(state, u, next_state, failed) -> float` of predicted observations.
+
+    ## Starting State
+
+    As after a release by hand: the arm at rest at home, phi of 1.5 to 2.5 degrees and phi_dot of 8
+    to 18 deg/s to the same side. Inertia, friction, delay, lags and the encoder's zero vary.
+    `reset(seed=s)` begins with episode 0 of seed s, each further `reset()` is the next episode.
+    `reset(options={"trial": i, "seed": s})` replays trial i of `evaluate(..., seed=s)`.
+
+    ## Episode End
+
+    1. Termination: abs(phi) reaches 11 degrees, abs(x) reaches 0.22 m, a command exceeds a limit of
+       a joint, or in a world with guards a rule of the rig stops the run.
+    2. Truncation: the episode is `duration` seconds long.
+
+    `info` has `time` since the release [s], `cause` and `guard` of the end (empty before it), and
+    in simulation the true `state`.
+
+    ## Arguments
+
+    | argument | default | meaning |
+    | --- | --- | --- |
+    | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, or `rig` |
+    | `observe` | `"predicted"` | see above |
+    | `duration` | 60.0 | length of an episode [s] |
+    | `reward` | the paper's | see above |
+    | `pendulum`, `arm`, `actuator`, `settings` | those that ship | the task |
+    | `render_mode` | `None` | `rgb_array` or `human` |
+    | `robot`, `encoder`, `rig`, `log` | `None` | for `rig`: addresses, `rig.toml`, log file |
+
+    With `world="rig"`, `reset` runs the course of a run from the pre-flight to the release, `step`
+    is one tick under guards and state machine, and `close` brings the arm to rest; `seed` acts on
+    an emulated rig (`robot="twin:nominal"`) alone.
+
+    ## Version History
+
+    * v0: Initial version.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 100}  # noqa: RUF012  (the type of Gymnasium)
+
+    def __init__(
+        self,
+        world: str | World = MODEL,
+        *,
+        observe: Observe = "predicted",
+        duration: float = 60.0,
+        reward: Reward = paper_reward,
+        pendulum: Pendulum | None = None,
+        arm: Arm | None = None,
+        actuator: Actuator | None = None,
+        settings: Settings | None = None,
+        render_mode: str | None = None,
+        robot: str | None = None,
+        encoder: str | None = None,
+        rig: StrPath | None = None,
+        log: StrPath | None = None,
+    ) -> None:
+        """Set up the task; the arguments are in the description of the class.
+
+        Raises:
+            InputError: An argument cannot be used.
+            SettingsError: There is no such world.
+            ArmError: The twin does not know the masses of the arm.
+        """
+        if observe not in ("predicted", "estimated", "raw"):
+            raise InputError(f"observe is {observe!r}; expected 'predicted', 'estimated' or 'raw'")
+        if observe == "raw" and world == IDEAL:
+            raise InputError(
+                "the world ideal has no encoder: there are no raw measurements; choose model or a "
+                "twin, or observe='predicted'"
+            )
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise InputError(f"render_mode is {render_mode!r}; expected 'human' or 'rgb_array'")
+        self._setup = Setup(
+            pendulum or shipped_pendulum(),
+            arm or iiwa(7),
+            settings or Settings(),
+            IDEAL_ACTUATOR if world == IDEAL else actuator or shipped_actuator(),
+            paper.STEP,
+        )
+        self._observe, self._duration, self._reward = observe, duration, reward
+        self.render_mode = render_mode
+        self._screen = None if render_mode is None else Screen(self._setup.arm, render_mode)
+        size = 3 + len(self._setup.arm.joints) if observe == "raw" else 4
+        self.observation_space = spaces.Box(-inf, inf, (size,), np.float64)
+        self.action_space = spaces.Box(-U_MAX, U_MAX, (1,), np.float64)
+        self._seed, self._number, self._steps, self._u = -1, 0, 0, 0.0
+        self._simulation = simulate(world, self._setup, seed=0, stream=ENVIRONMENT)
+        self._loop, self._window = self._simulation.loop(), None
+        self._state: Observation | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Release the pendulum, and return the first observation and its info.
+
+        Args:
+            seed: Master seed of this episode and of those that follow.
+            options: `{"trial": i, "seed": s}` replays trial i of `evaluate(..., seed=s)`.
+        """
+        super().reset(seed=seed)
+        if seed is not None or self._seed < 0:
+            self._seed = seed if seed is not None else int(self.np_random.integers(2**31))
+            self._number, self._window = -1, None
+        self._number += 1
+        self._loop.reset(self._trial(options or {}))
+        self._steps, self._u, self._state = 0, 0.0, Observation(*predicted(self._loop).tolist())
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(), self._info("")
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Advance by one tick with the acceleration u [m/s^2].
+
+        Raises:
+            InputError: The action is not a finite number, or the environment was not reset.
+        """
+        if self._state is None:
+            raise InputError(ONCE)
+        u = float(self._acceleration(action))
+        if not isfinite(u):
+            raise InputError(f"the action is {action!r}; expected an acceleration [m/s^2]")
+        cause = self._loop.step(u)
+        self._steps, self._u = self._steps + 1, u
+        before, self._state = self._state, Observation(*predicted(self._loop).tolist())
+        failed = cause != TRUNCATED
+        truncated = not failed and self._steps >= round(self._duration / self._setup.h)
+        reward = float(self._reward(before, u, self._state, failed))
+        if self.render_mode == "human":
+            self.render()
+        info = self._info(cause_named(cause) if failed or truncated else "", guard_named(cause))
+        return self._observation(), reward, failed, truncated, info
+
+    def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]  # Gymnasium's type is wider
+        """Return a picture of the rig (`rgb_array`), or show it in a window (`human`).
+
+        Raises:
+            OutsideError: There is nothing to draw with, or no display.
+        """
+        if self._screen is None:
+            gym.logger.warn("render() draws nothing without render_mode='rgb_array' or 'human'")
+            return None
+        if self._state is None:
+            raise InputError(ONCE)
+        phi = float(self._loop.state()[2])
+        return self._screen.show(self._loop.joints(), phi, self._u, self._loop.now)
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._screen is not None:
+            self._screen.close()
+
+    def _acceleration(self, action: Any) -> float:
+        return np.asarray(action, np.float64).item()
+
+    def _trial(self, options: dict[str, Any]) -> Trial:
+        """Return the conditions of the next episode."""
+        if unknown := set(options) - {"trial", "seed"}:
+            raise InputError(f"options has {sorted(unknown)}; expected 'trial' and 'seed'")
+        simulation, number = self._simulation, self._number
+        if "trial" in options:
+            number = int(options["trial"])
+            simulation.seed, simulation.stream = int(options.get("seed", self._seed)), TEST
+            return simulation.draw(1, first=number).trial(0)
+        first = WINDOW * (number // WINDOW)
+        simulation.seed, simulation.stream = self._seed, ENVIRONMENT
+        if self._window is None or self._window.number[0] != first:
+            self._window = simulation.draw(WINDOW, first=first)
+        return self._window.trial(number - first)
+
+    def _observation(self) -> Array:
+        if self._observe == "estimated":
+            return estimated(self._loop)
+        if self._observe == "predicted" or (measured := self._loop.measurement()) is None:
+            return predicted(self._loop)
+        now, q = self._loop.now, self._setup.arm.with_held(measured.q)
+        ages = now - measured.counted_at, now - measured.measured_at
+        return np.array([measured.counts, ages[0], *q, ages[1]])
+
+    def _info(self, cause: str, guard: str = "") -> dict[str, Any]:
+        state = self._loop.state()
+        return {"time": self._loop.now, "cause": cause, "guard": guard, "state": state}
+
+
+class BalanceDiscreteEnv(BalanceEnv):
+    """Balance an inverted pendulum with the paper's eight accelerations: `Discrete(8)`.
+
+    Everything but the action space is that of `BalanceEnv`.
+    """
+
+    ACCELERATIONS: ClassVar[tuple[float, ...]] = paper.ACTIONS
+    """Acceleration of each action [m/s^2]."""
+
+    def __init__(self, world: str | World = MODEL, **arguments: Any) -> None:
+        """Set up the task; the arguments are those of `BalanceEnv`."""
+        super().__init__(world, **arguments)
+        self.action_space = spaces.Discrete(len(self.ACCELERATIONS))
+
+    def _acceleration(self, action: Any) -> float:
+        return self.ACCELERATIONS[int(action)]
+
+
+class BoxIndexObservation(gym.ObservationWrapper[np.int64, Any, Array]):
+    """Observes the number of the paper's box, `Discrete(270)`; 270 boxes cover the track.
+
+    A state outside all boxes, as at a failure, has the number 0; the episode ends there.
+    """
+
+    def __init__(self, env: gym.Env[Array, Any]) -> None:
+        """Wrap an environment that observes x, x_dot, phi and phi_dot."""
+        super().__init__(env)
+        if env.observation_space.shape != (4,):
+            raise InputError("the boxes need x, x_dot, phi and phi_dot; leave out observe='raw'")
+        self.observation_space = spaces.Discrete(COUNT)
+        self._boxes = boxes()
+
+    def observation(self, observation: Array) -> np.int64:
+        """Return the number of the box."""
+        return np.int64(max(int(box_index(*observation.tolist(), boxes=self._boxes)), 0))

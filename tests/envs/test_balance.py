@@ -1,0 +1,198 @@
+"""The Gymnasium environments: Gymnasium's own checks, and the bits of the trials of `evaluate`."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import equipoise.envs
+from equipoise.control.policy import shipped_policy
+from equipoise.errors import InputError, OutsideError
+from equipoise.evaluation import evaluate
+from equipoise.model.random import TEST
+from equipoise.settings import resolve
+from equipoise.simulation import Recorder, run_trial, setup_of, simulate
+
+WORLDS = ("ideal", "model", "twin:nominal")
+SEED = 3
+
+pytestmark = pytest.mark.compiled_only
+
+
+def make(world, kind="Balance", **arguments):
+    return gym.make(f"equipoise/{kind}-v0", world=world, **arguments)
+
+
+def of(policy):
+    """Return the arguments that give an environment the task of a policy."""
+    return {
+        "pendulum": policy.pendulum,
+        "arm": policy.arm,
+        "actuator": policy.actuator,
+        "settings": policy.settings,
+    }
+
+
+@pytest.mark.parametrize("kind", ["Balance", "BalanceDiscrete"])
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.filterwarnings("ignore::UserWarning:gymnasium")  # velocities have no bounds
+def test_gymnasium_finds_nothing_to_complain_of(world, kind):
+    check_env(make(world, kind).unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("observe", ["estimated", "raw"])
+@pytest.mark.filterwarnings("ignore::UserWarning:gymnasium")
+def test_the_other_observations_pass_as_well(observe):
+    for world in ("model", "twin:nominal"):
+        check_env(make(world, observe=observe).unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_table_in_the_environment_gives_the_trial_of_evaluate_bit_for_bit(world):
+    policy = shipped_policy()
+    settings = resolve(overrides=["evaluation.trials=3", "evaluation.duration=1.5"])
+    results = evaluate(policy, settings, world=world, seed=SEED, with_baselines=False).results
+    setup = setup_of(policy, world, settings)
+    simulation = simulate(world, setup, seed=SEED, stream=TEST)
+    env = make(world, duration=1.5, **of(policy) | {"settings": settings})
+    for i in range(3):
+        recorder = Recorder(7, 150)
+        run_trial(simulation.loop(), policy, simulation.draw(3).trial(i), 1.5, recorder)
+        observation, info = env.reset(options={"trial": i, "seed": SEED})
+        steps, ended = 0, False
+        while not ended:
+            assert observation.tobytes() == recorder.rows.observation[steps].tobytes()
+            assert info["state"].tobytes() == recorder.rows.state[steps].tobytes()
+            u = policy.act(observation)
+            observation, _, terminated, truncated, info = env.step(np.array([u]))
+            steps, ended = steps + 1, terminated or truncated
+        assert info["time"] == pytest.approx(results.survival[i])
+        assert info["cause"] == results.causes[i]
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_equal_seeds_give_equal_bits_and_episodes_differ(world):
+    def episodes(seed):
+        env = make(world)
+        bits = []
+        for k in range(2):
+            observation, _ = env.reset(seed=seed if k == 0 else None)
+            bits.append(observation.tobytes())
+            for _ in range(5):
+                bits.append(env.step(np.array([0.5]))[0].tobytes())
+        return bits
+
+    first = episodes(7)
+    assert episodes(7) == first
+    assert not set(first) & set(episodes(8))
+    assert len(set(first)) == len(first)
+
+
+def test_a_time_limit_truncates_and_a_failure_terminates():
+    env = make("ideal", duration=0.05)
+    env.reset(seed=0)
+    ends = [env.step(np.array([0.0]))[2:] for _ in range(5)]
+    assert [truncated for _, truncated, _ in ends] == [False] * 4 + [True]
+    assert not any(terminated for terminated, _, _ in ends)
+    assert ends[-1][2]["cause"] == "lasted"
+
+    env = make("ideal")
+    env.reset(seed=0)
+    terminated, rewards = False, []
+    while not terminated:
+        _, reward, terminated, truncated, info = env.step(np.array([2.0]))
+        assert not truncated
+        rewards.append(reward)
+    assert info["cause"] == "angle"
+    assert rewards == [0.0] * (len(rewards) - 1) + [-1.0]
+
+
+def test_a_reward_of_ones_own_sees_the_step():
+    seen = []
+
+    def reward(state, u, next_state, failed):
+        seen.append((state, u, next_state, failed))
+        return -abs(next_state.phi)
+
+    env = make("ideal", reward=reward)
+    before, _ = env.reset(seed=1)
+    after, value, *_ = env.step(np.array([1.5]))
+    ((state, u, next_state, failed),) = seen
+    assert (state, next_state) == (tuple(before), tuple(after))
+    assert (u, failed) == (1.5, False)
+    assert value == -abs(after[2])
+
+
+def test_eight_actions_are_the_accelerations_of_the_paper():
+    one, eight = make("model"), make("model", "BalanceDiscrete")
+    for action, u in enumerate((-2, -1.5, -1, -0.5, 0.5, 1, 1.5, 2)):
+        one.reset(seed=2), eight.reset(seed=2)
+        assert np.array_equal(one.step(np.array([float(u)]))[0], eight.step(action)[0])
+
+
+def test_the_boxes_are_those_of_the_table():
+    policy = shipped_policy()
+    env = equipoise.envs.BoxIndexObservation(make("model", duration=1.0, **of(policy)))
+    assert env.observation_space == gym.spaces.Discrete(270)
+    box, _ = env.reset(seed=0)
+    for _ in range(99):
+        box, _, terminated, _, _ = env.step(np.array([policy.u_of_box[box]]))
+        assert not terminated
+
+
+def test_raw_measurements_are_counts_and_joints_with_their_ages():
+    env = make("twin:nominal", observe="raw")
+    observation, info = env.reset(seed=0)
+    for _ in range(10):
+        counts, age, *joints, joints_age = observation
+        phi = np.pi - counts * 2.0 * np.pi / 8192
+        assert abs(phi - info["state"][2]) < np.radians(1.0)
+        assert 0.0 <= age < 0.01
+        assert 0.0 <= joints_age < 0.02
+        assert joints == pytest.approx(env.unwrapped._setup.arm.home, abs=0.02)
+        observation, *_, info = env.step(np.array([0.5]))
+
+
+@pytest.mark.parametrize("world", ["ideal", "twin:nominal"])
+def test_a_picture_shows_the_rig_and_changes(world):
+    env = make(world, render_mode="rgb_array")
+    env.reset(seed=0)
+    try:
+        before = env.render()
+    except OutsideError as error:
+        pytest.skip(str(error))
+    assert (before.shape, before.dtype) == ((480, 640, 3), np.uint8)
+    assert before.std() > 10.0
+    for _ in range(10):
+        env.step(np.array([2.0]))
+    assert not np.array_equal(env.render(), before)
+    env.close()
+
+
+def test_a_window_needs_a_display(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(OutsideError, match="no display"):
+        make("ideal", render_mode="human").reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"observe": "everything"}, "expected 'predicted'"),
+        ({"observe": "raw", "world": "ideal"}, "no encoder"),
+        ({"world": "moon"}, "there is no world"),
+    ],
+)
+def test_arguments_that_cannot_be_used_are_refused(arguments, message):
+    with pytest.raises(InputError, match=message):
+        gym.make("equipoise/Balance-v0", **arguments)
+
+
+def test_an_action_that_is_no_number_is_refused():
+    env = make("ideal").unwrapped
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="expected an acceleration"):
+        env.step(np.array([np.nan]))
+    with pytest.raises(InputError, match="'trial' and 'seed'"):
+        env.reset(options={"phi": 0.0})
