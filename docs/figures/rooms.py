@@ -9,18 +9,18 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 CAPTIONS = {
-    "cli": "the command: parses, calls, prints",
+    "cli": "the command: parses, calls, prints; conformance tests for guests",
     "report": "figures, film and HTML page, from saved results",
-    "testing": "conformance tests for devices of guests",
     "envs": "Gymnasium environments",
     "studies": "certificates, gap, refinement, explanation, rehearsal",
     "training": "the story: one stage each, connected only by values",
-    "checks": "fitness of machine, rig and policy for a run",
+    "simulation": "trials in any simulated world; fitness of machine, rig and policy",
     "rigs": "addresses become devices",
     "devices": "robot, encoder, emulators, twin; closed loop and learning",
     "control": "a measurement becomes a command",
     "model": "a command becomes a measurement",
     "trajectory": "recordings and run logs",
+    "logs": "recordings and run logs",
     "settings": "every choice, with its unit and its reason",
     "artefacts": "files, compiled kernels, log files, objects of guests",
     "paper": "the published numbers",
