@@ -4,7 +4,7 @@ python examples/own_policy.py
 
 The same from the command line, in the folder of this file:
 
-equipoise evaluate --policy own_policy:Damped --world twin:nominal
+equipoise evaluate own_policy:Damped --world twin:nominal
 """
 
 from math import sqrt
@@ -22,9 +22,9 @@ class Damped:
         self.angle = 2.0 * p.w2 / p.k
         self.rate = 2.0 * sqrt(p.w2) / p.k
 
-    def act(self, state):
+    def act(self, observation):
         """Return the acceleration of the flange [m/s^2]."""
-        x, x_dot, phi, phi_dot = state  # [m], [m/s], [rad], [rad/s]
+        x, x_dot, phi, phi_dot = observation  # [m], [m/s], [rad], [rad/s]
         # A lean of phi moves the flange; this target brings it back.
         lean = -0.1 * x - 0.12 * x_dot
         return self.angle * (phi - lean) + self.rate * phi_dot
