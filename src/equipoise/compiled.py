@@ -12,6 +12,9 @@ can be written, the kernels compile anew in each process, after one warning.
 
 `@compilable` leaves a function to Python and lets kernels call it.
 
+`handle` makes a type that holds many arrays and numbers behind one reference: a kernel that Python
+calls once in each step takes it in a microsecond, and its parts in a hundred.
+
 `function_pointer` compiles a function of fixed signature that kernels take as an *argument*: this
 is how one training loop serves every arm (a dispatcher passed as an argument would never be found
 in the cache).
@@ -21,11 +24,12 @@ import functools
 import hashlib
 import logging
 import os
+import sys
 import tempfile
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numba
 import platformdirs
@@ -39,7 +43,7 @@ logger = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 
 PACKAGE = Path(__file__).parent
-KERNEL_ROOMS = ("model", "control", "learning", "devices/twin")
+KERNEL_ROOMS = ("model", "control", "learning", "devices/twin", "simulation")
 """Folders of the package whose files hold kernels."""
 
 
@@ -244,3 +248,29 @@ def function_pointer(function: F, signature: Any) -> F:
     _cached(pointer)
     pointer.compile()
     return pointer
+
+
+def handle(name: str, module: str, fields: Sequence[str]) -> Any:
+    """Return a type of values that kernels take by reference, with fields of any types.
+
+    Make its values in a kernel (`return NAME(...)`): what makes them is then cached, too.
+
+    Args:
+        name: Name of the type; assign it to a variable of this name.
+        module: `__name__` of the module that defines it.
+        fields: Names of the fields.
+
+    Returns:
+        A type that is made from its fields, in their order; with `NUMBA_DISABLE_JIT=1`, a named
+        tuple.
+    """
+    if _disabled():
+        # The fields are known at run time only.
+        return NamedTuple(name, [(field, Any) for field in fields])  # pyright: ignore
+    from numba.experimental import structref
+
+    kind = type(f"{name}Type", (numba.types.StructRef,), {"__module__": module})
+    proxy = type(name, (structref.StructRefProxy,), {"__module__": module})
+    structref.define_proxy(proxy, structref.register(kind), list(fields))
+    vars(sys.modules[module])[kind.__name__] = kind  # Numba's cache finds the type by its name
+    return proxy

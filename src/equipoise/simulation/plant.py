@@ -5,10 +5,11 @@ delay, servo and drive, and the controller observes through an encoder.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from equipoise.compiled import kernel
+from equipoise.compiled import handle, kernel
 from equipoise.control.boxes import TRUNCATED
 from equipoise.control.control_step import (
     OBS_PHI,
@@ -43,6 +44,41 @@ from equipoise.simulation.trials import Trial, Trials, Whole, draw_trials, run_o
 
 PIECE = 4 * BATCH_SIZE
 """Number of trials that a thread takes at a time."""
+
+
+Lanes: Any = handle("Lanes", __name__, ("plant", "pendulum", "batch", "number", "tick", "key"))
+
+
+@kernel
+def new_lanes(
+    plant: LoopParams,
+    pendulum: PendulumParameters,
+    batch: BatchState,
+    number: Whole,
+    tick: Whole,
+    key: Whole,
+) -> Any:
+    """Return a batch of closed loops that kernels take by reference.
+
+    Args:
+        plant: Constants.
+        pendulum: Nominal parameters, which the factors of each trial scale.
+        batch: States.
+        number: Number of the trial in each lane, shape (BATCH_SIZE,).
+        tick: Number of steps of each lane, shape (BATCH_SIZE,).
+        key: Seed and stream of the noise, shape (2,).
+    """
+    return Lanes(plant, pendulum, batch, number, tick, key)
+
+
+@kernel
+def advance_lanes(lanes: Any, count: int) -> None:
+    """Advance the first lanes by one tick; u of each stands in the controllers."""
+    batch, key = lanes.batch, lanes.key
+    draw_noise(batch.controller.noise, key[0], lanes.tick, lanes.number, 0, key[1], count)
+    step(lanes.plant, batch, count)
+    for n in range(count):
+        lanes.tick[n] += 1
 
 
 class PlantSimulation:
@@ -113,7 +149,11 @@ class PlantLoop:
         """Allocate the state."""
         self._simulation, self._plant = simulation, simulation.params
         self._batch = new_batch_state()
-        self._number, self._tick = np.zeros(BATCH_SIZE, np.int64), np.zeros(BATCH_SIZE, np.int64)
+        self._number, self._tick = np.zeros((2, BATCH_SIZE), np.int64)
+        self._key = np.zeros(2, np.int64)
+        self._lanes = new_lanes(
+            self._plant, simulation.pendulum, self._batch, self._number, self._tick, self._key
+        )
         self._variation = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 
     @property
@@ -151,19 +191,16 @@ class PlantLoop:
         """Release the pendulum under the conditions of a trial."""
         self._variation, plant, batch = trial.variation, self._plant, self._batch
         self._number[0], self._tick[0] = trial.number, 0
+        self._key[:] = self._simulation.seed, self._simulation.stream
         reset(plant, batch, self._simulation.pendulum, trial.variation, trial.start, 0)
         if self.params.has_sensor:
             measure(self.params, batch, 1)
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
-        batch, simulation = self._batch, self._simulation
-        batch.controller.u[0] = u
-        seed, stream, noise = simulation.seed, simulation.stream, batch.controller.noise
-        draw_noise(noise, seed, self._tick, self._number, 0, stream, 1)
-        step(self._plant, batch, 1)
-        self._tick[0] += 1
-        return int(batch.cause[0])
+        self._batch.controller.u[0] = u
+        advance_lanes(self._lanes, 1)
+        return int(self._batch.cause[0])
 
     def state(self) -> Array:
         """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""

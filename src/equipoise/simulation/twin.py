@@ -1,10 +1,12 @@
 """Trials on the digital twin: worlds `twin:NAME` and `twin:FILE`."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from equipoise.control.boxes import boxes
+from equipoise.compiled import handle, kernel
+from equipoise.control.boxes import Boxes, boxes
 from equipoise.control.control_step import (
     ControllerParams,
     ControllerState,
@@ -15,7 +17,7 @@ from equipoise.control.policy import PolicyKernel
 from equipoise.control.trial_safety import TrialSafetyMonitor, new_trial_monitor, trial_safety
 from equipoise.devices.twin.servo_model import make_servo_params
 from equipoise.devices.twin.trial import release, run_trial, step
-from equipoise.devices.twin.twin import Twin
+from equipoise.devices.twin.twin import Twin, TwinKernel, truth
 from equipoise.learning.closed_loop import scaled
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
@@ -24,6 +26,35 @@ from equipoise.model.sim_configs import TwinSettings, pivot_friction
 from equipoise.settings import Settings
 from equipoise.simulation.interface import Array, Finished, Measurement
 from equipoise.simulation.trials import Trial, Trials, draw_trials, run_over_cores
+
+TwinHandle: Any = handle("TwinHandle", __name__, ("twin", "params", "state", "limits", "monitor"))
+
+
+@kernel
+def new_twin_handle(
+    twin: TwinKernel,
+    params: ControllerParams,
+    state: ControllerState,
+    limits: Boxes,
+    monitor: TrialSafetyMonitor,
+) -> Any:
+    """Return a closed loop on a twin that kernels take by reference; see `trial.step`."""
+    return TwinHandle(twin, params, state, limits, monitor)
+
+
+@kernel
+def advance_twin(loop: Any, true_state: Array) -> int:
+    """Advance a closed loop by one tick, and return the cause of the failure.
+
+    Args:
+        loop: The closed loop.
+        true_state: Receives x, x_dot, phi, phi_dot in SI units, shape (4,).
+    """
+    cause = step(loop.twin, loop.params, loop.state, loop.limits, loop.monitor)
+    state = truth(loop.twin)
+    for i in range(4):
+        true_state[i] = state[i]
+    return cause
 
 
 class TwinSimulation:
@@ -173,21 +204,22 @@ class TwinLoop:
         """Release the pendulum under the conditions of a trial."""
         self._trial, self._twin = trial, self._simulation.twin(trial)
         _, _, phi, phi_dot = trial.start
-        release(self._twin.kernel, self.params, self._controller, self._monitor, phi, phi_dot)
-        self._state, self.tracked = self._twin.truth(), 0.0
+        twin, state = self._twin.kernel, self._controller
+        release(twin, self.params, state, self._monitor, phi, phi_dot)
+        self._handle = new_twin_handle(twin, self.params, state, self._limits, self._monitor)
+        self._state, self.tracked = np.array(self._twin.truth()), 0.0
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
         self._controller.u[0] = u
-        twin, state = self._twin.kernel, self._controller
-        cause = int(step(twin, self.params, state, self._limits, self._monitor))
-        before, self._state = self._state, self._twin.truth()
-        self.tracked = (self._state.x_dot - before.x_dot) / self._h
+        x_dot = self._state[1]
+        cause = int(advance_twin(self._handle, self._state))
+        self.tracked = float(self._state[1] - x_dot) / self._h
         return cause
 
     def state(self) -> Array:
         """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
-        return np.array(self._state)
+        return self._state.copy()
 
     def joints(self) -> Array:
         """Return the true positions of all joints [rad], shape (n,)."""
