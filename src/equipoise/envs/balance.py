@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from math import inf, isfinite
-from typing import Any, ClassVar, Final, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -25,11 +26,16 @@ from equipoise.model.sim_configs import IDEAL, MODEL, World
 from equipoise.settings import Settings
 from equipoise.simulation import Setup, Trial, estimated, predicted, simulate
 
+if TYPE_CHECKING:
+    from equipoise.envs.rig import RigEpisode
+
 Array = npt.NDArray[np.float64]
 Observe = Literal["predicted", "estimated", "raw"]
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
 
+RIG: Final = "rig"
+"""World of an episode on a rig."""
 U_MAX: Final = max(map(abs, paper.ACTIONS))
 WINDOW: Final = 256
 """Number of trials whose conditions are drawn at a time."""
@@ -102,9 +108,10 @@ class BalanceEnv(gym.Env[Array, Any]):
     | `render_mode` | `None` | `rgb_array` or `human` |
     | `robot`, `encoder`, `rig`, `log` | `None` | for `rig`: addresses, `rig.toml`, log file |
 
-    With `world="rig"`, `reset` runs the course of a run from the pre-flight to the release, `step`
-    is one tick under guards and state machine, and `close` brings the arm to rest; `seed` acts on
-    an emulated rig (`robot="twin:nominal"`) alone.
+    With `world="rig"` and `robot="twin:nominal"`, an emulated rig in virtual time, `reset` runs the
+    course of a run from the pre-flight to the release, `step` is one tick under guards and state
+    machine, and `close` brings the arm to rest. A stop of any kind is termination, and `info` has
+    its `cause` and `reason`; the last observation is then that of the tick before.
 
     ## Version History
 
@@ -139,6 +146,14 @@ class BalanceEnv(gym.Env[Array, Any]):
         """
         if observe not in ("predicted", "estimated", "raw"):
             raise InputError(f"observe is {observe!r}; expected 'predicted', 'estimated' or 'raw'")
+        on_a_rig = world == RIG
+        if on_a_rig and (robot is None or observe != "predicted" or render_mode is not None):
+            raise InputError(
+                "world='rig' needs robot=, such as 'twin:nominal', and observes 'predicted', "
+                "without pictures; leave out observe and render_mode"
+            )
+        if not on_a_rig and (robot or encoder or rig or log):
+            raise InputError("robot, encoder, rig and log belong to world='rig'")
         if observe == "raw" and world == IDEAL:
             raise InputError(
                 "the world ideal has no encoder: there are no raw measurements; choose model or a "
@@ -160,9 +175,19 @@ class BalanceEnv(gym.Env[Array, Any]):
         self.observation_space = spaces.Box(-inf, inf, (size,), np.float64)
         self.action_space = spaces.Box(-U_MAX, U_MAX, (1,), np.float64)
         self._seed, self._number, self._steps, self._u = -1, 0, 0, 0.0
+        self._state: Observation | None = None
+        self._rig: RigEpisode | None = None
+        if on_a_rig:
+            from equipoise.envs.rig import RigEpisode as Episode
+            from equipoise.rigs import read_rig
+
+            described = read_rig(None if rig is None else Path(rig))
+            self._setup = self._setup._replace(arm=described.described_arm)
+            path = None if log is None else Path(log)
+            self._rig = Episode(self._setup, described, robot or "", encoder, duration, path)
+            return
         self._simulation = simulate(world, self._setup, seed=0, stream=ENVIRONMENT)
         self._loop, self._window = self._simulation.loop(), None
-        self._state: Observation | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -178,6 +203,8 @@ class BalanceEnv(gym.Env[Array, Any]):
             self._seed = seed if seed is not None else int(self.np_random.integers(2**31))
             self._number, self._window = -1, None
         self._number += 1
+        if self._rig is not None:
+            return self._reset_rig(self._rig, options or {})
         self._loop.reset(self._trial(options or {}))
         self._steps, self._u, self._state = 0, 0.0, Observation(*predicted(self._loop).tolist())
         if self.render_mode == "human":
@@ -195,6 +222,8 @@ class BalanceEnv(gym.Env[Array, Any]):
         u = float(self._acceleration(action))
         if not isfinite(u):
             raise InputError(f"the action is {action!r}; expected an acceleration [m/s^2]")
+        if self._rig is not None:
+            return self._step_rig(self._rig, u)
         cause = self._loop.step(u)
         self._steps, self._u = self._steps + 1, u
         before, self._state = self._state, Observation(*predicted(self._loop).tolist())
@@ -221,7 +250,10 @@ class BalanceEnv(gym.Env[Array, Any]):
         return self._screen.show(self._loop.joints(), phi, self._u, self._loop.now)
 
     def close(self) -> None:
-        """Close the window."""
+        """Close the window; on a rig, bring the arm to rest."""
+        if self._rig is not None:
+            self._rig.end()
+            self._state = None
         if self._screen is not None:
             self._screen.close()
 
@@ -242,6 +274,32 @@ class BalanceEnv(gym.Env[Array, Any]):
         if self._window is None or self._window.number[0] != first:
             self._window = simulation.draw(WINDOW, first=first)
         return self._window.trial(number - first)
+
+    def _reset_rig(
+        self, rig: "RigEpisode", options: dict[str, Any]
+    ) -> tuple[Array, dict[str, Any]]:
+        if options:
+            raise InputError(f"a rig has no options, got {sorted(options)}; leave them out")
+        first = rig.begin(self._seed + self._number)
+        self._steps, self._state = 0, Observation(*first.tolist())
+        return first, {"time": 0.0, "cause": "", "reason": ""}
+
+    def _step_rig(
+        self, rig: "RigEpisode", u: float
+    ) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        if self._state is None:
+            raise InputError(ONCE)
+        got, before, self._steps = rig.step(u), self._state, self._steps + 1
+        info = {"time": self._steps * self._setup.h, "cause": "", "reason": ""}
+        failed = truncated = False
+        if isinstance(got, np.ndarray):
+            after = Observation(*got.tolist())
+        else:  # a run that ends observes no further state
+            after, failed, truncated = before, got.failed, not got.failed
+            info["cause"], info["reason"] = got.cause, got.reason
+        self._state = None if failed or truncated else after
+        reward = float(self._reward(before, u, after, failed))
+        return np.array(after), reward, failed, truncated, info
 
     def _observation(self) -> Array:
         if self._observe == "estimated":

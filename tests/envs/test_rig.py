@@ -1,0 +1,63 @@
+"""The environment on an emulated rig: the course of a run, its guards, and rest at its end."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import equipoise.envs  # noqa: F401  (registers the environments)
+from equipoise.control.policy import shipped_policy
+from equipoise.errors import InputError
+
+pytestmark = pytest.mark.compiled_only
+
+
+def make(**arguments):
+    return gym.make("equipoise/Balance-v0", world="rig", robot="twin:nominal", **arguments)
+
+
+def test_a_table_balances_until_the_time_limit_and_equal_seeds_give_equal_bits():
+    policy, runs = shipped_policy(), []
+    env = make(duration=2.0)
+    for _ in range(2):
+        observation, info = env.reset(seed=1)
+        assert info["cause"] == ""
+        bits, ended = [observation.tobytes()], False
+        while not ended:
+            observation, _, terminated, truncated, info = env.step([policy.act(observation)])
+            bits.append(observation.tobytes())
+            ended = terminated or truncated
+        assert (terminated, truncated, info["cause"]) == (False, True, "lasted")
+        assert info["time"] == pytest.approx(2.0)
+        runs.append(bits)
+    assert runs[0] == runs[1]
+    env.close()
+
+
+def test_a_guard_ends_the_episode_with_its_cause_and_close_brings_the_arm_to_rest(tmp_path):
+    env = make(log=tmp_path / "run.mcap")
+    env.reset(seed=2)
+    terminated = False
+    while not terminated:
+        _, reward, terminated, truncated, info = env.step(np.array([2.0]))
+        assert not truncated
+    assert info["cause"] == "angle"
+    assert reward == -1.0
+    env.reset(seed=3)
+    for _ in range(10):
+        env.step(np.array([0.0]))
+    episode = env.unwrapped._rig
+    assert episode._thread.is_alive()
+    end = episode.end()
+    assert (end.cause, episode._thread) == ("operator", None)
+    env.close()
+    assert (tmp_path / "run.mcap").stat().st_size > 1000
+
+
+def test_what_does_not_belong_to_a_rig_is_refused():
+    for arguments in ({"observe": "raw"}, {"render_mode": "rgb_array"}):
+        with pytest.raises(InputError, match="needs robot="):
+            make(**arguments)
+    with pytest.raises(InputError, match="emulated rig only"):
+        gym.make("equipoise/Balance-v0", world="rig", robot="kst://host", encoder="socket://h:1")
+    with pytest.raises(InputError, match="belong to world='rig'"):
+        gym.make("equipoise/Balance-v0", world="model", robot="twin:nominal")
