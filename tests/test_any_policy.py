@@ -1,0 +1,71 @@
+"""Policies of every kind run wherever a table runs, with results that name them by digest."""
+
+import numpy as np
+import pytest
+
+from equipoise.control.bound_policy import load_policy
+from equipoise.control.policy import shipped_policy
+from equipoise.deployment import deploy
+from equipoise.evaluation import evaluate
+from equipoise.runlog import RunLog
+from equipoise.settings import resolve
+from equipoise.studies.certification import certify, check_policy, make_claim, repeat
+from equipoise.studies.gap import gap, trials_of
+from equipoise.studies.replay import replay
+from equipoise.training import train
+from tests.control.test_bound_policy import KINDS, folder
+
+__all__ = ["folder"]
+
+pytestmark = pytest.mark.compiled_only
+FEW = resolve(overrides=["evaluation.trials=2", "evaluation.duration=0.5"])
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_every_kind_is_evaluated_certified_deployed_and_replayed(folder, name):
+    policy = load_policy(name)
+    for world in ("ideal", "model", "twin:nominal"):
+        evaluation = evaluate(policy, FEW, world=world, with_baselines=False)
+        assert (evaluation.policy, evaluation.results.name) == (policy.digest, policy.name)
+        assert len(evaluation.results.survival) == 2
+        again = evaluate(load_policy(name), FEW, world=world, with_baselines=False)
+        assert again.digest == evaluation.digest
+    claim = make_claim(0.5, 0.6, 0.2, world="twin:nominal", trials=3)
+    certificate, _ = certify(policy, claim)
+    check_policy(certificate, policy)
+    assert repeat(certificate, load_policy(name)).same_trials
+    deploy(policy, world="twin:nominal", duration=0.5).save(folder / "run.mcap", command="test")
+    run = RunLog.load(folder / "run.mcap")
+    assert run.conditions.policy == policy.digest
+    found = replay(run, load_policy(name))
+    assert found.difference is None
+    assert found.ticks == len(run.time)
+
+
+@pytest.mark.parametrize("world", ["ideal", "model", "twin:nominal"])
+def test_lqr_as_a_function_gives_the_trials_of_the_built_in_lqr(folder, world):
+    settings = resolve(overrides=["evaluation.trials=6", "evaluation.duration=5"])
+    own = evaluate(load_policy("guest:lqr"), settings, world=world)
+    built_in = evaluate(load_policy("lqr"), settings, world=world, with_baselines=False)
+    beside = next(results for results in own.baselines if results.name == "LQR")
+    for other in (built_in.results, beside):
+        assert own.results.survival == other.survival
+        assert own.results.causes == other.causes
+    runs = [deploy(load_policy(n), world=world, duration=2.0) for n in ("guest:lqr", "lqr")]
+    assert np.array_equal(runs[0].u, runs[1].u)
+
+
+@pytest.mark.parametrize("name", ["guest:lqr", "lqr"])
+def test_the_gap_of_any_policy_is_measured(folder, name):
+    table = shipped_policy()
+    quick = resolve("paper", overrides=["learning.episodes=20", "learning.episode_duration=1"])
+    paper = train(table.pendulum, table.arm, quick, recipe="paper")
+    policy, counted = load_policy(name), []
+    found = gap(
+        policy, paper_policy=paper, quick=True, trials=2, duration=0.1, workers=2,
+        done=counted.append,
+    )  # fmt: skip
+    assert found.policy == policy.digest
+    assert sum(counted) == trials_of(quick=True, trials=2)
+    cured = [p for p in found.points if p.controller == "cured" and p.part == "delay"]
+    assert cured[0].results.survival == (0.1, 0.1)
