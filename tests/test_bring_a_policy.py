@@ -11,7 +11,7 @@ import pytest
 from equipoise.cli import main
 from equipoise.control.bound_policy import BUILT_IN, load_policy
 from equipoise.evaluation import Evaluation
-from equipoise.runwriter import read_rig_run
+from equipoise.logs.run_log import RunLog
 from equipoise.studies.certification import Certificate
 from tests.reference.onnx_network import FLOAT, linear_network
 
@@ -44,7 +44,7 @@ def test_the_page_runs_as_it_is_printed(tmp_path, monkeypatch):
     evaluation = Evaluation.load(tmp_path / "evaluation.json")
     assert (evaluation.policy, evaluation.results.name) == (policy.digest, policy.name)
     assert Certificate.load(tmp_path / "certificate.json").policy == policy.digest
-    assert read_rig_run(tmp_path / "run.mcap").conditions["policy"] == policy.digest
+    assert RunLog.load(tmp_path / "run.mcap").conditions.policy == policy.digest
     sys.modules.pop("own_policy")
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from equipoise.control.policy import shipped_policy
+from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
-from equipoise.runlog import RunLog
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SAY = {

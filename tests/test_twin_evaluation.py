@@ -8,12 +8,12 @@ from equipoise.control.boxes import CAUSES
 from equipoise.deployment import EXCITED, deploy, excite
 from equipoise.errors import ArmError, SettingsError
 from equipoise.evaluation import PartialEvaluation, evaluate
+from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import TwinSettings, World
-from equipoise.runlog import RunLog
 from equipoise.training import train
 
 pytestmark = pytest.mark.compiled_only
@@ -97,7 +97,7 @@ def test_trials_of_another_seed_are_not_taken_for_finished(behind_a_servo, tmp_p
 def test_a_run_on_the_twin_holds_what_was_sent_measured_and_true(behind_a_servo, tmp_path):
     run = deploy(behind_a_servo, world=WORLD, seed=1, duration=1.0)
     n = len(run.time)
-    assert run.conditions.cause in CAUSES
+    assert run.cause in CAUSES
     assert len(run.stream.time) == 2 * n
     assert len(run.replies.time) == len(run.encoder.time) == len(run.truth.x) == n
     assert np.allclose(np.diff(run.stream.time), 0.005)
@@ -114,7 +114,7 @@ def test_a_run_on_the_twin_holds_what_was_sent_measured_and_true(behind_a_servo,
 
 def test_an_excitation_moves_every_free_joint_and_none_that_is_held(pendulum):
     run = excite(iiwa(7), WORLD, pendulum, duration=4.0)
-    assert (len(run.time), run.conditions.cause) == (0, EXCITED)
+    assert (len(run.time), run.cause) == (0, EXCITED)
     speed = np.abs(np.diff(run.stream.q, axis=0) / 0.005).max(axis=0)
     assert speed[2] == 0.0
     assert np.all(np.delete(speed, 2) > 0.2)
@@ -199,10 +199,10 @@ def test_guards_end_trials_in_the_worlds_that_have_them(evaluation, behind_a_ser
 def test_a_run_that_a_guard_ends_says_which(behind_a_servo, tmp_path):
     for seed in range(20):
         run = deploy(behind_a_servo, world=WORLD, seed=seed, duration=20.0)
-        if run.conditions.cause == "guard":
+        if run.cause == "guard":
             break
-    assert run.conditions.cause == "guard"
-    assert run.conditions.guard in {"track", "angle"}
+    assert run.cause == "guard"
+    assert run.guard in {"track", "angle"}
     run.save(tmp_path / "run.mcap", command="deploy")
     again = RunLog.load(tmp_path / "run.mcap")
     assert again.conditions == run.conditions
@@ -218,7 +218,7 @@ def test_what_a_policy_was_trained_for_limits_its_speed_on_plant_and_twin(behind
         results = evaluate(policy, world=world, seed=4, with_baselines=False).results
         assert set(results.guards) == {"flange speed"}
         run = deploy(policy, world=world, seed=4, duration=2.0)
-        assert (run.conditions.cause, run.conditions.guard) == ("guard", "flange speed")
+        assert (run.cause, run.guard) == ("guard", "flange speed")
         assert abs(run.truth.x_dot).max() < 0.1
     # A world without guards has none.
     assert not evaluate(policy, world=UNGUARDED, seed=4, with_baselines=False).results.guards

@@ -65,7 +65,7 @@ def test_a_value_draws_itself_and_shows_its_figure_in_a_notebook(values, name):
 
 def test_a_run_without_a_policy_has_its_line_and_says_why_it_has_no_figure(values):
     run = values["run"]
-    excited = eq.RunLog.of_excitation(run.conditions, run.stream, run.replies)
+    excited = eq.RunLog.simulated(run.conditions, run.end, {}, stream=run.stream._asdict())
     with pytest.raises(RecordingError, match="no policy acted in this run"):
         excited.plot()
     assert "RunLog of" in excited._repr_html_()

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from equipoise.evaluation import Evaluation, evaluate
     from equipoise.identification import identify
     from equipoise.identification.actuator import identify_run
+    from equipoise.logs.run_log import RunLog
     from equipoise.model.actuator import Actuator, shipped_actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.arms.iiwa import iiwa
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from equipoise.model.encoder import simulate_swing
     from equipoise.model.pendulum import Pendulum, PendulumParameters, shipped_pendulum
     from equipoise.model.sim_configs import read_world
-    from equipoise.runlog import RunLog
     from equipoise.settings import Settings, resolve
     from equipoise.studies.certification import Certificate, certify, make_claim
     from equipoise.studies.reproduction import reproduce
@@ -97,7 +97,7 @@ _HOMES = {
     "model.encoder": ("simulate_swing",),
     "model.pendulum": ("Pendulum", "PendulumParameters", "shipped_pendulum"),
     "model.sim_configs": ("read_world",),
-    "runlog": ("RunLog",),
+    "logs.run_log": ("RunLog",),
     "settings": ("Settings", "resolve"),
     "studies.certification": ("Certificate", "certify", "make_claim"),
     "studies.reproduction": ("reproduce",),

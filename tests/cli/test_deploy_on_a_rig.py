@@ -3,7 +3,7 @@
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.runwriter import read_rig_run
+from equipoise.logs.run_log import RunLog
 from tests.cli.conftest import contents
 
 pytestmark = pytest.mark.compiled_only
@@ -17,7 +17,7 @@ def test_a_run_on_a_twin_is_told_and_written(equipoise, tmp_path):
     # Whoever stands there is told, though a program reads the result.
     assert "no watchdog" in ran.err
     assert "Moving to home" in ran.err
-    assert read_rig_run(tmp_path / "run.mcap").end["cause"] == "lasted"
+    assert RunLog.load(tmp_path / "run.mcap", damaged=True).end.cause == "lasted"
 
 
 def test_a_run_on_a_twin_is_filmed(equipoise, tmp_path, monkeypatch):
@@ -29,7 +29,7 @@ def test_a_run_on_a_twin_is_filmed(equipoise, tmp_path, monkeypatch):
     options = ("--robot", "twin:nominal", "--duration", 1, "--video", "run.mp4")
     assert equipoise("deploy", *options, "--json").json["video"] == "run.mp4"
     (log, arm, path) = filmed[0]
-    assert (log.end["cause"], arm.name, str(path)) == ("lasted", "iiwa7", "run.mp4")
+    assert (log.end.cause, arm.name, str(path)) == ("lasted", "iiwa7", "run.mp4")
 
 
 def test_a_dry_run_ends_before_the_arm_moves(equipoise):
@@ -109,14 +109,14 @@ def test_a_run_on_a_twin_keeps_the_log_of_an_earlier_run(equipoise, tmp_path):
     assert ran.code == 0, ran
     assert "run.mcap exists and is kept; the result goes to run-2.mcap" in ran.out
     assert "wrote run-2.mcap" in ran.out
-    assert read_rig_run(tmp_path / "run-2.mcap").end["cause"] == "dry run"
+    assert RunLog.load(tmp_path / "run-2.mcap", damaged=True).end.cause == "dry run"
     assert (tmp_path / "run.mcap").read_bytes() == b"the log of an earlier run"
     refused = equipoise("deploy", "--robot", "twin:nominal", "--dry-run", "--out", "run.mcap")
     assert refused.code == 2
     assert "run.mcap exists; give another --out, or --force" in refused.err
     forced = equipoise("deploy", "--robot", "twin:nominal", "--dry-run", "--force", "--json")
     assert forced.json["run"] == "run.mcap"
-    assert read_rig_run(tmp_path / "run.mcap").end["cause"] == "dry run"
+    assert RunLog.load(tmp_path / "run.mcap", damaged=True).end.cause == "dry run"
     assert sorted(contents(tmp_path)) == ["run-2.mcap", "run.mcap"]
 
 

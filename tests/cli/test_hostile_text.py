@@ -13,15 +13,14 @@ from rich.text import Text
 from equipoise.artefacts import read_document
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator, key_names
-from equipoise.control.run_controller import PHASES
 from equipoise.control.ticks import OperatorMessage
-from equipoise.model.pendulum import PendulumParameters
+from equipoise.logs.conditions import RunEnd
+from equipoise.logs.recorder import Recorder, push_event
+from equipoise.logs.writer import RunWriter
+from equipoise.model.arms.iiwa import iiwa
 from equipoise.report import markup
-from equipoise.rigs import RigSettings
-from equipoise.runwriter import Recorder, RunWriter, push_event
-from equipoise.settings import resolve
 from tests.cli.damage import rebuilt
-from tests.test_runlog import made_up
+from tests.logs.made_up import made_up, rig_conditions
 
 ESCAPES = "\x1b[2J\x1b]0;owned\x07\x9b31m\x7f\u202e"
 """Clears the screen, sets the title, colours, deletes, and reverses what follows."""
@@ -78,37 +77,32 @@ def test_a_live_display_escapes_its_words(capsys, monkeypatch):
     assert "\x1b]0;" not in said
 
 
+HOSTILE_ARM = iiwa(7).model_copy(
+    update={
+        "joints": (iiwa(7).joints[0].model_copy(update={"name": HOSTILE}), *iiwa(7).joints[1:]),
+    }
+)
+
+
 @pytest.fixture
 def twin_log(tmp_path):
     made = made_up()
-    words = {"cause": HOSTILE, "world": HOSTILE, "arm": HOSTILE, "guard": HOSTILE}
-    conditions = made.conditions.model_copy(update={**words, "joints": (HOSTILE, "A2")})
-    path = tmp_path / "twin.mcap"
-    dataclasses.replace(made, conditions=conditions).save(path, command=HOSTILE)
+    texts = {"world": HOSTILE, "arm": HOSTILE_ARM, "policy_name": HOSTILE}
+    conditions = made.conditions.model_copy(update=texts)
+    path, end = tmp_path / "twin.mcap", RunEnd(cause=HOSTILE, guard=HOSTILE, reason=HOSTILE)
+    dataclasses.replace(made, conditions=conditions, end=end).save(path, command=HOSTILE)
     return path
 
 
 @pytest.fixture
 def rig_log(tmp_path):
     """The log of a run that stopped before it balanced."""
-    path, recorder = tmp_path / "rig.mcap", Recorder(2)
-    conditions = {
-        "joints": 2,
-        "joint_names": [HOSTILE, "A2"],
-        "phases": [phase.value for phase in PHASES],
-        **dict.fromkeys(("arm", "robot", "encoder", "policy", "actuator"), HOSTILE),
-        **dict.fromkeys(("held_joint", "u_max", "seed"), 1),
-        "rig": RigSettings().model_dump(mode="json"),
-        "settings": resolve().model_dump(mode="json"),
-        "believed": PendulumParameters(70.2, 7.15, 0.15)._asdict(),
-        "h": 0.01,
-        "duration": 5.0,
-        "t1": False,
-    }
-    writer = RunWriter(path, 2, conditions, 0.0)
+    path, recorder = tmp_path / "rig.mcap", Recorder(7)
+    texts = dict.fromkeys(("world", "encoder", "policy", "actuator"), HOSTILE)
+    writer = RunWriter(path, rig_conditions(arm=HOSTILE_ARM, **texts), 0.0)
     push_event(recorder.event, 0.5, "stopping", (), HOSTILE)
     writer.drain(recorder)
-    writer.finish(1.0, {"cause": HOSTILE, "reason": HOSTILE})
+    writer.finish(1.0, RunEnd(cause=HOSTILE, reason=HOSTILE))
     return path
 
 

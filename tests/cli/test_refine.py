@@ -9,10 +9,10 @@ from equipoise.artefacts import Estimate
 from equipoise.cli.output import measured
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.deployment import deploy
+from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import TwinSettings, World
-from equipoise.runlog import RunLog
 from tests.cli.conftest import contents
 
 # Runs of twelve seconds are 12,000 steps of the physics engine.

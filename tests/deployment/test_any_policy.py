@@ -13,9 +13,9 @@ from equipoise.control.states import Phase
 from equipoise.deployment.processes import InterruptedPolicy, PolicyTimeout
 from equipoise.deployment.rig import RunRequest, exit_code, run_rig_virtually, warm_up
 from equipoise.errors import ArtefactError, InputError
+from equipoise.logs.run_log import RunLog
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings, twin_rig
-from equipoise.runwriter import read_rig_run
 from equipoise.studies.explanation import CauseName, explain
 from equipoise.studies.replay import replay
 from tests.control.test_bound_policy import KINDS, folder
@@ -53,7 +53,7 @@ def run(policy, out, duration=1.0, failing=None):
     if failing is not None:
         failing.clock = rig.clock
     result = run_rig_virtually(request, rig, out, Silent())
-    return result, read_rig_run(out)
+    return result, RunLog.load(out, damaged=True)
 
 
 class Failing:
@@ -95,8 +95,8 @@ FAILURES = {
 def test_a_policy_of_any_kind_runs_on_a_virtual_rig_and_its_run_replays(folder, name):
     policy = load_policy(name)
     _, log = run(policy, folder / "run.mcap")
-    assert log.conditions["policy"] == policy.digest
-    assert log.conditions["policy_name"] == policy.name
+    assert log.conditions.policy == policy.digest
+    assert log.conditions.policy_name == policy.name
     found = replay(log, load_policy(name))
     assert found.difference is None
     assert found.whole

@@ -31,9 +31,10 @@ from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Reply, Sample
 from equipoise.devices.loop import CANNOT_STOP, run_loop
 from equipoise.errors import InputError, LinkError, OutsideError
+from equipoise.logs.recorder import PULSE, Recorder, push_event
+from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.rigs import RigSettings
-from equipoise.runwriter import PULSE, Recorder, push_event, read_rig_run
 
 pytestmark = [
     pytest.mark.compiled_only,
@@ -234,9 +235,9 @@ def test_a_run_ends_by_itself_and_its_log_is_whole(run, tmp_path):
     assert (outcome.cause, outcome.stoppable) == ("lasted", True)
     assert person.texts("stopping") == ["lasted"]
     assert person.texts("fault") == person.texts("warning") == []
-    log = read_rig_run(tmp_path / "run.mcap")
-    assert log.end["cause"] == "lasted"
-    assert log.end["lost_rows"] == 0
+    log = RunLog.load(tmp_path / "run.mcap", damaged=True)
+    assert log.end.cause == "lasted"
+    assert log.end.lost_rows == 0
     assert len(log.tables["stream"]) == 2 * len(log.tables["tick"])
     assert len(log.tables["tick"]) + outcome.missed == pytest.approx(222, abs=2)
     assert came_to_rest(log)
@@ -256,8 +257,8 @@ def test_a_signal_is_a_word_to_the_loop_and_the_log_is_complete(run, tmp_path, n
     outcome = run(Person(signal_here(number)))
     assert outcome.cause == processes.STOP
     assert outcome.stoppable
-    log = read_rig_run(tmp_path / "run.mcap")
-    assert log.end["cause"] == processes.STOP
+    log = RunLog.load(tmp_path / "run.mcap", damaged=True)
+    assert log.end.cause == processes.STOP
     assert came_to_rest(log)
     assert len(log.tables["tick"]) < 150
     assert signal.getsignal(number) == handler
@@ -269,11 +270,11 @@ def test_a_loop_that_is_killed_is_told_at_once_and_its_log_is_readable(run, tmp_
         run(person)
     assert person.texts("fault") == [f"the loop does not answer: {CANNOT_STOP}"]
     assert person.told_after("does not answer") < TOLD
-    log = read_rig_run(tmp_path / "run.mcap")
+    log = RunLog.load(tmp_path / "run.mcap", damaged=True)
     # All that it had recorded; a tick may have been under way.
     assert len(log.tables["tick"]) > 100
     assert log.tables["tick"]["time"][-1] > person.acted - 2.0 * H - 0.01
-    assert "has ended with -9" in log.end["fault"]
+    assert "has ended with -9" in log.end.fault
 
 
 def test_a_loop_that_stands_still_is_told_within_100_ms(run, tmp_path):
@@ -300,7 +301,7 @@ def test_a_loop_that_stands_still_is_told_within_100_ms(run, tmp_path):
     person.acted = person.held
     late = person.told_after("does not answer")
     assert SILENT - 2.0 * H < late < TOLD
-    assert came_to_rest(read_rig_run(tmp_path / "run.mcap"))
+    assert came_to_rest(RunLog.load(tmp_path / "run.mcap", damaged=True))
 
 
 def test_a_writer_that_is_killed_does_not_disturb_the_run_and_is_told_at_once(run, tmp_path):
@@ -312,7 +313,7 @@ def test_a_writer_that_is_killed_does_not_disturb_the_run_and_is_told_at_once(ru
     ]
     assert person.told_after("incomplete") < TOLD
     assert person.texts("fault") == []
-    log = read_rig_run(tmp_path / "run.mcap")
+    log = RunLog.load(tmp_path / "run.mcap", damaged=True)
     assert log.end is None
     assert 0 < len(log.tables["tick"]) < 200
 
@@ -325,7 +326,7 @@ def test_where_the_operator_cannot_be_told_anything_the_arm_comes_to_rest(run, t
 
     with pytest.raises(BrokenPipeError):
         run(Mute())
-    log = read_rig_run(tmp_path / "run.mcap")
+    log = RunLog.load(tmp_path / "run.mcap", damaged=True)
     assert [event.text for event in log.events if event.name == "stopping"] == [processes.STOP]
     assert len(log.tables["tick"]) < 150
     assert came_to_rest(log)
@@ -371,7 +372,7 @@ def test_a_loop_whose_parent_is_gone_comes_to_rest_and_nobody_is_left(request_of
     while any(map(lives, left)) and time.monotonic() < until:
         time.sleep(0.05)
     assert not any(map(lives, left))
-    log = read_rig_run(out)
+    log = RunLog.load(out, damaged=True)
     assert [event.text for event in log.events if event.name == "stopping"] == [processes.ALONE]
     assert came_to_rest(log)
     assert log.end == {"lost_rows": 0}  # how it ended nobody could say

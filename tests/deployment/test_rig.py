@@ -5,7 +5,6 @@ import os
 import numpy as np
 import pytest
 
-from equipoise import runwriter
 from equipoise.control.policy import shipped_policy
 from equipoise.control.run_controller import PHASES
 from equipoise.control.safety import Rule
@@ -20,9 +19,11 @@ from equipoise.deployment.rig import (
 )
 from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import InputError
+from equipoise.logs import writer as log_writer
+from equipoise.logs.recorder import Recorder, take_events
+from equipoise.logs.run_log import RunLog
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig
-from equipoise.runwriter import Recorder, read_rig_run, take_events
 
 pytestmark = pytest.mark.compiled_only
 
@@ -73,7 +74,7 @@ def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
     assert (outcome.cause, outcome.lasted, exit_code(outcome)) == ("lasted", 2.0, 0)
     order = ["homing", "home", "reference", "swing", "self-test", "lift", "armed", "balancing"]
     assert [name for name in spy.names if name in order] == order
-    run = read_rig_run(out)
+    run = RunLog.load(out, damaged=True)
     tick, stream = run.tables["tick"], run.tables["stream"]
     balancing = tick["state"] == PHASES.index(Phase.BALANCING)
     assert balancing.sum() == 200
@@ -85,7 +86,7 @@ def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
     assert (np.abs(steps) <= limits[0] * 1.001).all()
     assert (np.abs(np.diff(steps, axis=0)) / 0.005 <= limits[1] * 1.001).all()
     assert run.end is not None
-    assert run.end["cause"] == "lasted"
+    assert run.end.cause == "lasted"
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -112,7 +113,7 @@ def test_any_word_stops_it_in_the_same_tick_and_the_arm_comes_to_rest(tmp_path, 
     out = tmp_path / "run.mcap"
     outcome = on_the_twin(request(), out, Spy(after=when))
     assert (outcome.cause, exit_code(outcome)) == ("operator", 130)
-    run = read_rig_run(out)
+    run = RunLog.load(out, damaged=True)
     tick = run.tables["tick"]
     stopping = tick["state"] == PHASES.index(Phase.STOPPING)
     stopped_at = next(event.time for event in run.events if event.name == "stopping")
@@ -127,7 +128,7 @@ def test_a_dry_run_moves_nothing(tmp_path):
     outcome = on_the_twin(request(dry_run=True), out, spy)
     assert (outcome.cause, exit_code(outcome)) == ("dry run", 0)
     assert "checklist" in spy.names
-    assert len(read_rig_run(out).tables["stream"]) == 0
+    assert len(RunLog.load(out, damaged=True).tables["stream"]) == 0
 
 
 def test_a_log_that_a_full_disk_cut_is_not_passed_over_in_silence(tmp_path, monkeypatch):
@@ -135,7 +136,7 @@ def test_a_log_that_a_full_disk_cut_is_not_passed_over_in_silence(tmp_path, monk
     on_the_twin(request(dry_run=True), whole)
     room, real = whole.stat().st_size - 50, os.pwrite
     monkeypatch.setattr(
-        runwriter.os, "pwrite", lambda f, data, at: real(f, data[: max(room - at, 0)], at)
+        log_writer.os, "pwrite", lambda f, data, at: real(f, data[: max(room - at, 0)], at)
     )
     spy = Spy()
     on_the_twin(request(dry_run=True), tmp_path / "run.mcap", spy)
@@ -337,7 +338,7 @@ def test_in_t1_a_run_stops_softly_where_the_flange_is_too_fast(tmp_path, t1):
     )
     spy = Pusher(emulated.bench, 1.0)
     outcome = run_rig_virtually(wanted, emulated.rig, out, spy)
-    run = read_rig_run(out)
+    run = RunLog.load(out, damaged=True)
     tick = run.tables["tick"]
     fast = np.abs(tick["x_dot"][tick["state"] == PHASES.index(Phase.BALANCING)]).max()
     if not t1:

@@ -12,8 +12,8 @@ from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Reply, Sample
 from equipoise.devices.loop import CANNOT_STOP, InlineExecutor, Timing, run_loop
 from equipoise.errors import LinkError
+from equipoise.logs.recorder import FAILED, PULSE, WORD_TYPED, Recorder, take_events
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.runwriter import FAILED, PULSE, WORD_TYPED, Recorder, take_events
 
 ARM = iiwa(7)
 HOME = ARM.home

@@ -7,11 +7,12 @@ from equipoise.artefacts import Estimate, Provenance
 from equipoise.control.boxes import describe
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
 from equipoise.evaluation import Evaluation, TrialResults
+from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd
+from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.model.sim_configs import MODEL, read_world
-from equipoise.runlog import IDEAL, RunConditions, RunLog, TruthColumns
 from equipoise.settings import resolve
 from equipoise.studies.results import PipelineStage, Results, StageRecord, digests
 from equipoise.studies.synthetic_swing import SyntheticSwing
@@ -161,14 +162,13 @@ def run(of, lasted=60.0, cause="lasted", world=MODEL):
         }
 
     was = state(time - AHEAD if twin else time)
-    known = {"truth": TruthColumns(**was, q=q - 0.001)} if twin else {}
-    return RunLog(
-        conditions=RunConditions(
+    u = np.array(paper.ACTIONS)[np.arange(n) // 3 % 8]
+    known = {**was, "tracked": u + 0.03, "q": q - 0.001} if twin else None
+    return RunLog.simulated(
+        RunConditions(
             policy=of.digest,
             world=twin.name if twin else world,
-            arm=of.arm.name,
-            joints=tuple(joint.name for joint in of.arm.joints),
-            held_joint=of.arm.held_joint,
+            arm=of.arm,
             pendulum={"w2": 68.0, "k": 6.93, "c": 0.17, "coulomb": 0.1, "drag": 0.0},
             start=(0.0, 0.0, 0.03, 0.2),
             h=0.01,
@@ -179,19 +179,20 @@ def run(of, lasted=60.0, cause="lasted", world=MODEL):
             world_settings=twin.settings.model_dump() if twin else None,
             zero_error=ZERO if twin else None,
             settings=of.settings,
-            cause=cause,
         ),
-        time=time,
-        **state(time),
-        box=np.arange(n) % 12 + 120,
-        u=np.array(paper.ACTIONS)[np.arange(n) // 3 % 8],
-        tracked=np.array(paper.ACTIONS)[np.arange(n) // 3 % 8] + 0.03,
-        q=q,
-        dq=np.zeros_like(q),
-        estimated_phi=was["phi"],
-        estimated_phi_dot=was["phi_dot"],
-        bias=ZERO * (1.0 - np.exp(-time)) if twin else np.zeros(n),
-        **known,
+        RunEnd(cause=cause, lasted=lasted),
+        {
+            "time": time,
+            **state(time),
+            "box": np.arange(n) % 12 + 120,
+            "u": u,
+            "q": q,
+            "dq": np.zeros_like(q),
+            "estimated_phi": was["phi"],
+            "estimated_phi_dot": was["phi_dot"],
+            "bias": ZERO * (1.0 - np.exp(-time)) if twin else np.zeros(n),
+        },
+        truth=known,
     )
 
 

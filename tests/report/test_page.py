@@ -3,10 +3,8 @@
 import re
 import sys
 from base64 import b64encode
-from contextlib import nullcontext
 from functools import partial
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
 
@@ -19,7 +17,6 @@ from equipoise.report.markup import Missing, paragraph
 from equipoise.report.page import DRAWINGS, PAGE, build, drawings, page
 from equipoise.report.page import FILM as FILM_FILE
 from equipoise.report.pictures import Animation, animation, strip
-from equipoise.runlog import read_header
 from equipoise.settings import RECIPES, Settings, resolve
 from equipoise.studies import results as files
 from equipoise.studies.gap_results import words as gap_words
@@ -401,17 +398,3 @@ def test_a_file_of_another_reproduction_is_refused(folder, tmp_path):
     (tmp_path / files.RUN).unlink()
     with pytest.raises(ArtefactError, match=r"there is no file .*run\.mcap"):
         build(tmp_path)
-
-
-def test_a_run_of_an_older_version_is_known_by_the_digest_that_it_states(folder, tmp_path):
-    copied(folder, tmp_path)
-    old = Path(__file__).parents[1] / "data" / "run-v1.mcap"
-    (tmp_path / files.RUN).write_bytes(old.read_bytes())
-    record = files.StageRecord.load(tmp_path / files.RECORD)
-    stated = read_header(old).digest
-    assert files.RunLog.load(old).digest != stated
-    for digest, belongs in ((stated, True), ("sha256:" + 64 * "0", False)):
-        changed = record.model_copy(update={"files": record.files | {files.RUN: digest}})
-        changed.save(tmp_path / files.RECORD, command="test")
-        with nullcontext() if belongs else pytest.raises(ArtefactError, match=r"run\.mcap"):
-            assert len(files.load(tmp_path).run.truth.phi) == 0

@@ -1,6 +1,5 @@
 """Pictures: everything is where the arm and the angle say, in the frame, and in the file."""
 
-import dataclasses
 import io
 import itertools
 import sys
@@ -12,6 +11,7 @@ from PIL import Image
 
 from equipoise import paper
 from equipoise.errors import ArmError, ArtefactError, MissingExtraError, OutsideError
+from equipoise.logs.run_log import RunLog, Stream
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
 from equipoise.model.arms.scene import SIZES
@@ -20,7 +20,7 @@ from equipoise.report.pictures.film import BAR, FPS
 from equipoise.report.pictures.moments import moments
 from equipoise.report.pictures.scene import stage
 from equipoise.report.pictures.strip import key_moments
-from equipoise.runlog import RunLog, Stream, TruthColumns
+from tests.logs.made_up import changed_table
 from tests.report import made_up
 
 ARM = iiwa(7)
@@ -193,24 +193,22 @@ def test_moments_lie_on_straight_lines_between_the_ticks(run):
 
 
 def test_the_truth_is_shown_where_it_is_known(run):
-    truth = TruthColumns(run.x - 0.01, run.x_dot, run.phi + 0.1, run.phi_dot, run.q + 0.2)
-    shown = moments(dataclasses.replace(run, truth=truth), ARM, [0.5])
+    real = changed_table(run, "truth", x=run.x - 0.01, phi=run.phi + 0.1, q=run.q + 0.2)
+    shown = moments(real, ARM, [0.5])
     assert shown.x[0] == pytest.approx(run.x[50] - 0.01)
     assert shown.phi[0] == pytest.approx(run.phi[50] + 0.1)
     np.testing.assert_allclose(shown.q[0], run.q[50] + 0.2)
 
 
 def test_captions_are_signed_and_in_degrees(run):
-    truth = TruthColumns(
-        *(np.full_like(run.x, v) for v in (-0.0301, 0.0, np.radians(1.26), 0.0)), run.q
-    )
-    shown = moments(dataclasses.replace(run, truth=truth), ARM, [0.5])
+    x, phi = np.full_like(run.x, -0.0301), np.full_like(run.x, np.radians(1.26))
+    shown = moments(changed_table(run, "truth", x=x, phi=phi, q=run.q), ARM, [0.5])
     assert shown.captions() == [("t = 0.50 s", "x = −0.030 m", "φ = +1.3°", U_AT_50)]
 
 
 def test_a_zero_has_no_sign(run):
-    truth = TruthColumns(*np.full((4, len(run.x)), -1e-5), run.q)
-    shown = moments(dataclasses.replace(run, truth=truth), ARM, [0.5])
+    nearly = np.full(len(run.x), -1e-5)
+    shown = moments(changed_table(run, "truth", x=nearly, phi=nearly, q=run.q), ARM, [0.5])
     assert shown.captions() == [("t = 0.50 s", "x = 0.000 m", "φ = 0.0°", U_AT_50)]
 
 

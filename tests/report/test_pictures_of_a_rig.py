@@ -1,19 +1,20 @@
 """What is shown of a run on a rig: what it measured, from before the release to rest."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from equipoise.control.run_controller import PHASES
 from equipoise.control.states import Phase
 from equipoise.errors import ArmError, RecordingError
+from equipoise.logs.conditions import RunEnd
+from equipoise.logs.layout import tables
+from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
 from equipoise.report.pictures import write_video
 from equipoise.report.pictures.moments import moments, span
 from equipoise.report.pictures.strip import key_moments
-from equipoise.runwriter import RigRun, tables
+from tests.logs.made_up import changed_table, rig_conditions
 
 ARM = iiwa(7)
 RELEASE, END = 7.0, 10.0
@@ -50,17 +51,10 @@ def run():
     theta = np.pi - phi_at(encoder["time"])
     counts = RESTING + (theta + 4.0 * np.pi) * COUNTS_PER_REV / (2.0 * np.pi)
     encoder["counts"] = np.round(counts)
-    return RigRun(
-        conditions={
-            "arm": ARM.name,
-            "joint_names": [joint.name for joint in ARM.joints],
-            "phases": [phase.value for phase in PHASES],
-            "rig": {"counts_per_rev": COUNTS_PER_REV},
-            "robot": "kst://rig",
-        },
-        tables={"tick": tick, "reply": reply, "encoder": encoder},
-        events=(),
-        end={"cause": "lasted", "reason": "", "zero": RESTING},
+    return RunLog(
+        rig_conditions(),
+        {"tick": tick, "reply": reply, "encoder": encoder},
+        RunEnd(cause="lasted", zero=RESTING),
     )
 
 
@@ -91,11 +85,12 @@ def test_it_begins_before_the_release_and_ends_at_rest(run):
 
 
 def test_a_run_that_did_not_get_so_far_and_another_arm_are_refused(run):
-    run.tables["tick"]["state"] = PHASES.index(Phase.LIFTING)
+    lifting = np.full(901, PHASES.index(Phase.LIFTING))
+    run = changed_table(run, "tick", state=lifting)
     with pytest.raises(RecordingError, match="ended while lifting"):
         span(run)
     with pytest.raises(ArmError, match="give the arm that ran"):
-        moments(dataclasses.replace(run), iiwa(14), [0.0])
+        moments(run, iiwa(14), [0.0])
 
 
 @pytest.mark.usefixtures("canvas")

@@ -24,10 +24,12 @@ from equipoise.devices.transports import memory_pipe
 from equipoise.devices.twin.robot import TwinRobot
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.learning.closed_loop import scaled
+from equipoise.logs.conditions import RunEnd
+from equipoise.logs.recorder import Recorder
+from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings
-from equipoise.runwriter import Recorder, RunWriter
 from equipoise.studies.explanation import CauseName
 
 WORLD = "twin:nominal"
@@ -145,8 +147,8 @@ def run_with(fault, seed, path):
     recorder = Recorder(7)
     conditions = request.conditions()
     if fault.u_max is not None:
-        conditions["u_max"] = fault.u_max
-    writer = RunWriter(path, 7, conditions, clock.now())
+        conditions = conditions.model_copy(update={"u_max": fault.u_max})
+    writer = RunWriter(path, conditions, clock.now())
     began, struck = clock.now(), []
 
     def go_wrong(now):
@@ -165,7 +167,7 @@ def run_with(fault, seed, path):
     )  # fmt: skip
     writer.drain(recorder)
     outcome = _outcome(pilot, ending)
-    writer.finish(clock.now(), outcome._asdict())
+    writer.finish(clock.now(), RunEnd(**outcome._asdict()))
     return outcome
 
 

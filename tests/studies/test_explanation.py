@@ -14,9 +14,12 @@ from equipoise.control.safety import Rule
 from equipoise.control.states import UNKNOWN as UNTOLD
 from equipoise.control.trial_safety import guard_named
 from equipoise.deployment import deploy, excite, rig
+from equipoise.logs.conditions import RunEnd
+from equipoise.logs.recorder import Recorder, push_event
+from equipoise.logs.run_log import BROKEN_OFF, RunLog
+from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.sim_configs import World, read_world
-from equipoise.runwriter import Recorder, RunWriter, push_event, read_rig_run
 from equipoise.studies.explanation import (
     ADVICE,
     IN_SIMULATION,
@@ -25,7 +28,7 @@ from equipoise.studies.explanation import (
     _course,
     explain,
 )
-from equipoise.studies.runs import BROKEN_OFF, balancing, load_run
+from equipoise.studies.runs import load_run
 from tests.studies.faulted import KINDS, Fault, draw_fault, run_with
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
@@ -41,7 +44,7 @@ def why(kind, seed, folder):
     fault, path = draw_fault(kind, seed), folder / f"{kind}-{seed}.mcap"
     outcome = run_with(fault, seed, path)
     assert outcome.cause != "lasted", f"{kind} {seed} did not end the run"
-    found = explain(read_rig_run(path))
+    found = explain(RunLog.load(path, damaged=True))
     path.unlink()
     return found, fault.name
 
@@ -72,10 +75,10 @@ def test_a_run_that_lasts_raises_no_suspicion(seed, tmp_path):
     fault = Fault(CauseName.LASTED, start=draw_fault("push", seed).start)
     path = tmp_path / "run.mcap"
     assert run_with(fault, seed, path).cause == "lasted"
-    run = read_rig_run(path)
+    run = RunLog.load(path, damaged=True)
     assert [cause.name for cause in explain(run).causes] == [CauseName.LASTED]
     # Nor would it if it had ended: no look finds anything.
-    course = _course(run, balancing(run))
+    course = _course(run)
     assert [found for look in LOOKS if (found := look(course))] == []
     # The unexplained rate stays where it is: to 1 deg/s over 80 ms.
     steps = course.rate[16:] - course.rate[:-16]
@@ -86,8 +89,8 @@ def test_a_push_is_measured(tmp_path):
     rate, at = 2.6, 1.2
     fault = draw_fault("push", 0)._replace(at=at, once=lambda stage: stage.bench.push(rate))
     run_with(fault, 0, tmp_path / "run.mcap")
-    run = read_rig_run(tmp_path / "run.mcap")
-    course = _course(run, balancing(run))
+    run = RunLog.load(tmp_path / "run.mcap", damaged=True)
+    course = _course(run)
     i = int(np.searchsorted(course.time, at))
     assert course.rate[i + 10] - course.rate[i - 10] == pytest.approx(rate, rel=0.15)
     push = explain(run).causes[0]
@@ -98,31 +101,32 @@ def test_a_wrong_zero_is_measured(tmp_path):
     error = np.deg2rad(3.0)
     fault = draw_fault("zero", 0)._replace(zero=error)
     run_with(fault, 0, tmp_path / "run.mcap")
-    run = read_rig_run(tmp_path / "run.mcap")
-    course = _course(run, balancing(run))
+    run = RunLog.load(tmp_path / "run.mcap", damaged=True)
+    course = _course(run)
     slope = np.polyfit(course.time, course.rate, 1)[0]
     assert -slope / course.pendulum.w2 == pytest.approx(error, rel=0.15)
 
 
 def test_a_log_that_breaks_off_is_explained_as_far_as_it_goes(tmp_path, rig_log, broken_off):
-    found = explain(read_rig_run(broken_off))
+    found = explain(RunLog.load(broken_off, damaged=True))
     assert (found.causes[0].name, found.ending.whole) == (CauseName.BROKEN_OFF, False)
     # A push is seen in what is there, whether or not the log says how the run ended.
     path = tmp_path / "run.mcap"
     run_with(draw_fault("push", 5), 5, path)
-    whole = read_rig_run(path)
-    cut = dataclasses.replace(whole, end=whole.end | {"cause": "error", "reason": ""})
+    whole = RunLog.load(path, damaged=True)
+    cut = dataclasses.replace(whole, end=RunEnd(cause="error"))
     assert explain(cut).causes[0].name is CauseName.PUSH
 
 
 def test_a_run_that_never_balanced_is_explained_by_its_reason(tmp_path, rig_log):
     path = tmp_path / "run.mcap"
-    writer = RunWriter(path, 7, read_rig_run(rig_log).conditions, 0.0)
+    writer = RunWriter(path, RunLog.load(rig_log, damaged=True).conditions, 0.0)
     recorder = Recorder(7)
     push_event(recorder.event, 0.5, "homing", (), "Moving to home.")
     writer.drain(recorder)
-    writer.finish(1.0, {"cause": "self-test", "reason": "the encoder turns the wrong way round"})
-    found = explain(read_rig_run(path))
+    reason = "the encoder turns the wrong way round"
+    writer.finish(1.0, RunEnd(cause="self-test", reason=reason))
+    found = explain(RunLog.load(path, damaged=True))
     assert found.log is None
     assert found.causes[0].name is CauseName.SELF_TEST
     assert found.causes[0].evidence == "the encoder turns the wrong way round"
@@ -138,7 +142,7 @@ def on_twin(seed=0, **numbers):
 def test_a_zero_error_is_named_in_a_log_of_a_twin(seed):
     sign = (-1.0) ** seed
     log = on_twin(seed, zero_offset=sign * np.deg2rad(5.0), zero_error=0.0)
-    assert log.conditions.cause != "lasted"
+    assert log.cause != "lasted"
     assert explain(log).causes[0].name is CauseName.ZERO
 
 
@@ -149,15 +153,15 @@ def test_a_release_outside_the_recoverable_set_is_named_in_a_log_of_a_twin():
     )
     settings = policy.settings.model_copy(update={"evaluation": wide})
     log = deploy(policy, world="twin:nominal", settings=settings, duration=3.0)
-    assert log.conditions.cause != "lasted"
+    assert log.cause != "lasted"
     assert explain(log).causes[0].name is CauseName.OUTSIDE
 
 
 def test_a_run_on_a_twin_that_lasts_has_nothing_to_explain():
     log = on_twin()
-    assert log.conditions.cause == CAUSES[0] == "lasted"
+    assert log.cause == CAUSES[0] == "lasted"
     assert [cause.name for cause in explain(log).causes] == [CauseName.LASTED]
-    course = _course(log, log)
+    course = _course(log)
     assert [found for look in LOOKS if (found := look(course))] == []
 
 
@@ -192,8 +196,8 @@ def test_the_causes_of_a_rig_are_all_that_the_sources_name():
 
 @pytest.mark.parametrize("cause", sorted(RIG_CAUSES))
 def test_every_cause_of_a_log_of_a_rig_is_explained(cause, tmp_path, rig_log):
-    whole = read_rig_run(rig_log)
-    end = None if cause == BROKEN_OFF else {"cause": cause, "reason": f"because of {cause}"}
+    whole = RunLog.load(rig_log, damaged=True)
+    end = None if cause == BROKEN_OFF else RunEnd(cause=cause, reason=f"because of {cause}")
     found = explain(dataclasses.replace(whole, end=end))
     assert found.causes[0].name is not CauseName.UNKNOWN
     assert found.causes[0].advice

@@ -17,11 +17,11 @@ from equipoise.devices.twin.twin import Twin
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.evaluation import evaluate
 from equipoise.identification.closed_loop import compare, regress
+from equipoise.logs.run_log import EncoderSamples, Replies
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import TwinSettings, World
-from equipoise.runlog import EncoderSamples, Replies
 from equipoise.settings import GRAVITY, PlantSettings
 from equipoise.studies import refinement
 from equipoise.studies.refinement import (
@@ -160,7 +160,7 @@ def test_a_run_that_is_too_short_is_named():
 @pytest.mark.parametrize("factor", [0.9, 1.0, 1.1])
 def test_w2_of_a_run_is_that_of_its_pendulum(factor):
     log = run(1, factor)
-    assert log.conditions.cause == "lasted"
+    assert log.cause == "lasted"
     fit = regressed(log)
     assert fit.w2.value == pytest.approx(log.conditions.pendulum["w2"], rel=0.01)
     assert fit.k.value == pytest.approx(fit.w2.value / GRAVITY)

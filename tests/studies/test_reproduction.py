@@ -298,7 +298,7 @@ def test_quick_and_the_page_work_as_they_come(tmp_path):
     assert summary.trials == QUICK["evaluation.trials"]
     # Worse than half is worse than any of 20 seeds showed.
     assert summary.rate > 0.5
-    assert made.results.run.conditions.cause == LASTED
+    assert made.results.run.cause == LASTED
     gap = made.results.gap
     assert (gap.trials, gap.duration) == QUICK_GAP
     # Most of the trials on the twin stand, and without the cures fewer do.

@@ -1,7 +1,5 @@
 """The verdict: five lines that say what happened, no more and no less."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -9,6 +7,7 @@ from equipoise.model.sim_configs import MODEL
 from equipoise.studies.formatting import percent, plus_minus
 from equipoise.studies.gap_results import CURED, NO_BIAS, NO_PREDICTION, PAPER
 from equipoise.studies.results import estimates_zero, seen_otherwise, truth, verdict
+from tests.logs.made_up import changed_table
 from tests.report import made_up
 
 
@@ -53,8 +52,8 @@ def test_a_run_that_fell_is_said_to_have_fallen():
 def test_the_room_that_the_run_really_used_is_told():
     found = made_up.results()
     assert "|x| up to 0.12 of 0.22 m and |phi| up to 2.9 of 11 deg" in verdict(found)[1]
-    wide = found.run.truth._replace(x=np.full_like(found.run.x, 0.19))
-    found = found._replace(run=dataclasses.replace(found.run, truth=wide))
+    wide = np.full_like(found.run.x, 0.19)
+    found = found._replace(run=changed_table(found.run, "truth", x=wide))
     assert "|x| up to 0.19 of 0.22 m" in verdict(found)[1]
 
 

@@ -9,11 +9,14 @@ import pytest
 from equipoise.control.policy import shipped_policy
 from equipoise.deployment import deploy
 from equipoise.errors import ArtefactError, RecordingError
+from equipoise.logs.conditions import RunEnd
+from equipoise.logs.recorder import Recorder, push_event
+from equipoise.logs.run_log import RunLog
+from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.runlog import RunLog
-from equipoise.runwriter import Recorder, RunWriter, push_event, read_rig_run
+from equipoise.rigs import RigSettings
 from equipoise.studies.refinement import read_motion, thinned
-from equipoise.studies.runs import arm_of, ending, export, load_run, pendulum_of, read_any
+from equipoise.studies.runs import ending, export, load_run, pendulum_of, summarise
 from equipoise.studies.verification import verify
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
@@ -33,9 +36,9 @@ def table(path):
 
 
 def test_the_balancing_of_a_rig_is_a_run_log(rig_log):
-    log, whole = load_run(rig_log), read_rig_run(rig_log)
+    log, whole = load_run(rig_log), RunLog.load(rig_log, damaged=True)
     assert log.lasted == pytest.approx(1.5)
-    assert log.conditions.cause == "lasted"
+    assert log.cause == "lasted"
     assert log.conditions.policy == shipped_policy().digest
     assert log.time == pytest.approx(0.01 * np.arange(150))
     # 1000 samples, 200 setpoints and (but for torques) 180 replies a second.
@@ -44,7 +47,7 @@ def test_the_balancing_of_a_rig_is_a_run_log(rig_log):
     assert len(log.replies.time) == pytest.approx(274, abs=3)
     assert len(whole.tables["tick"]) > 10 * len(log.time)
     assert pendulum_of(whole) == shipped_policy().pendulum.parameters()
-    assert arm_of(whole) == iiwa(7)
+    assert whole.conditions.arm == RigSettings().described_arm
 
 
 def test_counts_and_joints_of_a_rig_tell_what_the_observer_believed(rig_log):
@@ -59,7 +62,7 @@ def test_counts_and_joints_of_a_rig_tell_what_the_observer_believed(rig_log):
 
 def test_a_log_that_breaks_off_is_read_to_its_last_chunk(broken_off, rig_log):
     log, whole = load_run(broken_off), load_run(rig_log)
-    assert ending(read_rig_run(broken_off))[::3] == ("log broken off", False)
+    assert ending(RunLog.load(broken_off, damaged=True))[::3] == ("log broken off", False)
     assert 10 < len(log.time) < len(whole.time)
     assert log.phi.tolist() == whole.phi[: len(log.time)].tolist()
     # Nobody said where the zero is: the last angle in the hand does.
@@ -78,17 +81,32 @@ def test_samples_closer_than_a_tick_are_averaged_before_a_fit(rig_log):
     assert thinned(few).x.tolist() == few.x.tolist()
 
 
-def test_a_log_of_a_twin_is_read_as_it_is(twin_log):
-    assert load_run(twin_log).digest == RunLog.load(twin_log).digest
+def test_both_logs_are_summarised_on_a_screen(rig_log, twin_log, broken_off):
+    policy = shipped_policy()
+    rig, twin = (summarise(RunLog.load(path)) for path in (rig_log, twin_log))
+    for said in (rig, twin):
+        assert said["policy"].startswith(policy.digest[:19])
+        assert said["pendulum"].startswith(policy.pendulum.digest[:19])
+        assert said["actuator"].startswith(policy.actuator.digest[:19])
+        assert said["ended"].startswith("lasted")
+        assert said["damage"] == "none"
+        assert len(said) < 14
+    assert rig["run"] == "run on a rig, robot kst://emulated, encoder serial:///emulated"
+    assert rig["lateness"].endswith("0 ticks left out, 0 rows lost")
+    assert twin["run"] == "simulation, world twin:nominal-1"
+    assert twin["rows"] == "tick 50, truth 50, stream 100, reply 50, encoder 50"
+    cut = summarise(RunLog.load(broken_off, damaged=True))
+    assert "cut short" in cut["damage"]
+    assert cut["ended"].startswith("log broken off")
 
 
 def test_a_run_that_did_not_balance_is_refused_with_its_reason(tmp_path, rig_log):
-    path, conditions = tmp_path / "run.mcap", read_rig_run(rig_log).conditions
-    writer = RunWriter(path, 7, conditions, 0.0)
+    path, conditions = tmp_path / "run.mcap", RunLog.load(rig_log, damaged=True).conditions
+    writer = RunWriter(path, conditions, 0.0)
     recorder = Recorder(7)
     push_event(recorder.event, 0.5, "move", ("y", "n"), "Move? y or n")
     writer.drain(recorder)
-    writer.finish(1.0, {"cause": "operator", "reason": "the move was not allowed"})
+    writer.finish(1.0, RunEnd(cause="operator", reason="the move was not allowed"))
     with pytest.raises(RecordingError, match=r"while connecting \(the move was not allowed\)"):
         load_run(path)
 
@@ -96,13 +114,13 @@ def test_a_run_that_did_not_balance_is_refused_with_its_reason(tmp_path, rig_log
 def test_what_is_no_log_is_refused(tmp_path):
     (tmp_path / "x.mcap").write_bytes(b"hello")
     with pytest.raises(ArtefactError, match="is not an MCAP file"):
-        read_any(tmp_path / "x.mcap")
+        RunLog.load(tmp_path / "x.mcap")
     with pytest.raises(ArtefactError, match="there is no file"):
-        read_any(tmp_path / "y.mcap")
+        RunLog.load(tmp_path / "y.mcap")
 
 
 def test_every_table_is_exported_with_units(rig_log, tmp_path):
-    run = read_any(rig_log)
+    run = RunLog.load(rig_log)
     made = export(run, tmp_path / "csv")
     assert [path.name for path in made] == [
         "tick.csv",
@@ -123,7 +141,7 @@ def test_every_table_is_exported_with_units(rig_log, tmp_path):
 
 
 def test_a_log_of_a_twin_is_exported(twin_log, tmp_path):
-    run = read_any(twin_log)
+    run = RunLog.load(twin_log)
     made = {path.stem: table(path) for path in export(run, tmp_path)}
     assert set(made) == {"tick", "truth", "stream", "reply", "encoder"}
     header, rows = made["truth"]
@@ -133,16 +151,16 @@ def test_a_log_of_a_twin_is_exported(twin_log, tmp_path):
 
 def test_verify_knows_the_log_of_a_rig(rig_log, broken_off):
     found = verify(rig_log)
-    assert (found.what, found.format) == ("log of a run on a rig", "equipoise-rig-run")
-    assert "1.5 s of 1.5 s balanced by the iiwa7 at kst://emulated" in found.content
+    assert (found.what, found.format) == ("run log", "equipoise-run")
+    assert "1.5 s of 1.5 s on the iiwa7, robot kst://emulated" in found.content
     assert found.content.endswith("ended: lasted")
     with pytest.raises(ArtefactError, match="is cut short.* sound before that: .* ticks"):
         verify(broken_off)
 
 
-@pytest.mark.parametrize("end", [{}, {"lost_rows": 0}, {"fault": "no device", "lost_rows": 0}])
+@pytest.mark.parametrize("end", [RunEnd(), RunEnd(lost_rows=2), RunEnd(fault="no device")])
 def test_a_run_that_ended_with_an_error_says_so(rig_log, end):
-    whole = read_rig_run(rig_log)
+    whole = RunLog.load(rig_log, damaged=True)
     how = ending(dataclasses.replace(whole, end=end))
     assert (how.cause, how.whole) == ("error", True)
-    assert how.reason == end.get("fault", "an error ended the run; deploy has said which")
+    assert how.reason == (end.fault or "an error ended the run; deploy has said which")

@@ -22,7 +22,7 @@ from equipoise.errors import EquipoiseError, InputError
 if TYPE_CHECKING:
     from equipoise.cli.terminal_operator import TerminalOperator
     from equipoise.deployment.rig import RunRequest, RunResult
-    from equipoise.runlog import RunLog
+    from equipoise.logs.run_log import RunLog
 
 EXCITATION = "To identify the arm"
 LOG = "run.mcap"
@@ -177,7 +177,7 @@ def deploy(
     output.rows(report.rows)
     output.wrote(out)
     if film is not None and report.code in (0, 1):
-        video = write_film(output, out, film, of_run)
+        video = write_film(output, out, film)
         output.wrote(video)
     output.next(*map(str, report.next))
     output.result({"run": str(out), **report.fields, "video": str(video) if video else None})
@@ -192,7 +192,7 @@ def _report(
     from equipoise.model.sim_configs import PivotFriction
 
     conditions, truth = run.conditions, run.truth
-    cause = conditions.cause + (f" ({conditions.guard})" if conditions.guard else "")
+    cause = run.cause + (f" ({run.guard})" if run.guard else "")
     rows = {"lasted": f"{run.lasted:g} s of {conditions.duration:g} s, ended: {cause}"}
     if len(truth.x):
         rows["flange"] = f"within {1e3 * float(abs(truth.x).max()):.0f} mm of home"
@@ -209,15 +209,15 @@ def _report(
     fields = {
         "world": conditions.world,
         "lasted_s": run.lasted,
-        "cause": conditions.cause,
-        "guard": conditions.guard or None,
+        "cause": run.cause,
+        "guard": run.guard or None,
         "ticks": len(run.time),
         "setpoints": len(run.stream.time),
     }
     if not conditions.policy:
         return _Report(rows, ("identify", out), fields, 0)
     following = next_step.after_run(run, out, policy, *task, world=world)
-    return _Report(rows, following, fields, 0 if conditions.cause == "lasted" else 1)
+    return _Report(rows, following, fields, 0 if run.cause == "lasted" else 1)
 
 
 def _run_on_rig(

@@ -10,7 +10,7 @@ from equipoise.cli import options as opt
 from equipoise.cli.output import Output, gauge, verb
 
 if TYPE_CHECKING:
-    from equipoise.runlog import RunLog
+    from equipoise.logs.run_log import RunLog
 
 ROWS = 12
 """Number of rows of the picture of the end."""
@@ -42,12 +42,11 @@ def explain(
     output = Output(as_json)
     output.say(f"Explaining {run}")
 
-    from equipoise.runlog import RunLog
+    from equipoise.logs.run_log import RunLog
     from equipoise.studies.explanation import explain as why
-    from equipoise.studies.runs import missing_part, read_any
 
-    read = read_any(run)
-    found, missing = why(read), missing_part(read)
+    read = RunLog.load(run, damaged=True)
+    found, missing = why(read), read.missing_part
     first, *others = found.causes
     how, log = found.ending, found.log
     rows = {"ended": f"{how.cause}{f': {how.reason}' if how.reason else ''}"}
@@ -68,11 +67,8 @@ def explain(
     if log is not None and len(log.time) > 1:
         output.say()
         output.table(COLUMNS, _picture(log))
-    if isinstance(read, RunLog):
-        who, ticks = read.conditions.policy, len(read.time)
-    else:
-        who, ticks = str(read.conditions["policy"]), len(read.tables["tick"])
-    output.next(*next_step.after_explanation(run, who, moved=ticks > 0))
+    moved = len(read.tables["tick"]) > 0
+    output.next(*next_step.after_explanation(run, read.conditions.policy, moved=moved))
     output.result(
         {
             "run": str(run),

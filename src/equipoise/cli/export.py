@@ -1,15 +1,11 @@
 """`equipoise log export`: writes a run log as tables for other programs, or as a film."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import Destination, choose_file
 from equipoise.cli.output import Output, verb
-from equipoise.errors import InputError
-
-if TYPE_CHECKING:
-    from equipoise.model.arms.arm import Arm
 
 
 @verb
@@ -37,11 +33,11 @@ def export(
     what = " and ".join((["the tables"] if tables else []) + (["a film"] if video else []))
     output.say(f"Writing {what} of {run}")
 
+    from equipoise.logs.run_log import RunLog
     from equipoise.studies.runs import export as write
-    from equipoise.studies.runs import missing_part, read_any
 
-    log = read_any(run)
-    if missing := missing_part(log):
+    log = RunLog.load(run, damaged=True)
+    if missing := log.missing_part:
         output.warn(missing)
     film = folder = None
     if video is not None:
@@ -80,28 +76,18 @@ def choose_film(output: Output, video: Path, *inputs: Path | None, force: bool) 
     return film
 
 
-def write_film(output: Output, run: Path, film: Destination, arm: "Arm | None" = None) -> Path:
+def write_film(output: Output, run: Path, film: Destination) -> Path:
     """Film the run of a log, and return the name of the film.
 
     Args:
         output: Shows that the film is drawn.
         run: The log.
         film: Name that was chosen for the film.
-        arm: Arm of the run; by default that of the log.
-
-    Raises:
-        InputError: Neither the caller nor the log describes the arm.
     """
+    from equipoise.logs.run_log import RunLog
     from equipoise.report.pictures import write_video
-    from equipoise.studies.runs import arm_of, read_any
 
-    log = read_any(run)
-    arm = arm or arm_of(log)
-    if arm is None:
-        raise InputError(
-            f"{run} does not describe its arm, which does not ship; repeat the run with equipoise "
-            "deploy --video"
-        )
+    log = RunLog.load(run, damaged=True)
     with film.claimed() as path, output.busy("drawing the film"):
-        write_video(log, arm, path)
+        write_video(log, log.conditions.arm, path)
     return path

@@ -121,10 +121,10 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     destination = choose_file(output, given, "actuator.json", log, force=force)
 
     from equipoise.identification.actuator import identify_run
-    from equipoise.studies.runs import load_run, missing_part
+    from equipoise.studies.runs import load_run
 
     run = load_run(log)
-    if missing := missing_part(run):
+    if missing := run.missing_part:
         output.warn(missing)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
@@ -148,7 +148,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     output.wrote(out)
     from equipoise.model.arms.resolve import arm_word
 
-    arm = arm_word(run.conditions.arm)
+    arm = arm_word(run.conditions.arm.name)
     output.next("train", "--actuator", out, *(("--arm", arm) if arm else ()))
     output.result(
         {

@@ -15,7 +15,7 @@ from equipoise.model.sim_configs import IDEAL, MODEL, PREFIX, read_world
 
 if TYPE_CHECKING:
     from equipoise.control.policy import TabularPolicy, TaskPolicy
-    from equipoise.runlog import RunLog
+    from equipoise.logs.run_log import RunLog
 
 Command = tuple[str, ...]
 
@@ -164,7 +164,7 @@ def after_run(run: "RunLog", out: Path, path: Path | None, *task: str, world: st
         task: Options of the policy's task, where they were given.
         world: Where it was.
     """
-    if run.conditions.cause != "lasted":
+    if run.cause != "lasted":
         return ("log", "explain", str(out))
     return ("evaluate", *_file(path), *given(world=world), *task)
 

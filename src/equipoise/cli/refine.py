@@ -68,12 +68,12 @@ def refine(
 
     from equipoise.control.policy import TabularPolicy
     from equipoise.studies.refinement import inspect
-    from equipoise.studies.runs import load_run, missing_part
+    from equipoise.studies.runs import load_run
 
     table = TabularPolicy.load(policy)
     logs = {str(path): load_run(path) for path in runs}
     for path, log in logs.items():
-        if missing := missing_part(log):
+        if missing := log.missing_part:
             output.warn(f"{path}: {missing}")
     with output.busy("identifying again"):
         findings = inspect(table, logs)

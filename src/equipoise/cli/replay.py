@@ -29,10 +29,10 @@ def replay(
     opt.check_range("--tolerance", tolerance, 0.0, inf)
     output.say(f"Replaying {run}")
 
+    from equipoise.logs.run_log import RunLog
     from equipoise.studies.replay import replay as again
-    from equipoise.studies.runs import missing_part, read_any
 
-    log = read_any(run)
+    log = RunLog.load(run, damaged=True)
     with output.busy("replaying"):
         found = again(
             log,
@@ -40,7 +40,7 @@ def replay(
             opt.read_actuator(actuator),
             tolerance=tolerance,
         )
-    if missing := missing_part(log):
+    if missing := log.missing_part:
         output.warn(missing)
     first = found.difference
     if first is None:

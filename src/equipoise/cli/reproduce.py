@@ -131,7 +131,7 @@ def reproduce(
             "causes": summary.causes,
             "world": run.conditions.world,
             "lasted_s": run.lasted,
-            "cause": run.conditions.cause,
+            "cause": run.cause,
             "wall_s": time.perf_counter() - begin,
         },
         bad=summary.median < found.results.evaluation.duration,

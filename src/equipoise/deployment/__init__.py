@@ -19,20 +19,13 @@ from equipoise.control.boxes import box_index, boxes, cause_named
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TaskPolicy
 from equipoise.control.trial_safety import guard_named
+from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd, named
+from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.sim_configs import MODEL, TwinSettings, World, pivot_friction, read_world
-from equipoise.runlog import (
-    IDEAL,
-    EncoderSamples,
-    Replies,
-    RunConditions,
-    RunLog,
-    Stream,
-    TruthColumns,
-)
 from equipoise.settings import Settings
 from equipoise.simulation import Recorder, find_world, run_trial, setup_of, simulate
 
@@ -87,18 +80,23 @@ def deploy(
     if twin is not None:
         friction["friction"] = pivot_friction(pendulum, twin).model_dump()
         measured = {
-            "stream": Stream(sent, _all_joints(arm, setpoints)),
-            "replies": Replies(rows.measured[:, -1], _all_joints(arm, rows.measured[:, :-1])),
-            "encoder": EncoderSamples(rows.encoder[:, 1], rows.encoder[:, 0].astype(np.int64)),
+            "stream": {"time": sent, "q": _all_joints(arm, setpoints)},
+            "replies": {
+                "time": rows.measured[:, -1],
+                "q": _all_joints(arm, rows.measured[:, :-1]),
+            },
+            "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
         }
-    partition = boxes()
-    x, x_dot, phi, phi_dot = rows.observation.T
-    return RunLog(
-        conditions=_conditions(
+    partition, state = boxes(), ("x", "x_dot", "phi", "phi_dot")
+    seen = rows.observation
+    return RunLog.simulated(
+        _conditions(
             arm,
             loop.pendulum,
             settings,
             policy=policy.digest,
+            policy_name=policy.name,
+            pendulum_digest=pendulum.digest,
             world=name,
             start=trial.start,
             h=h,
@@ -107,26 +105,25 @@ def deploy(
             actuator=IDEAL if actuator.kind == "ideal" else actuator.digest,
             twin=twin,
             zero_error=loop.zero,
-            cause=cause_named(cause),
-            guard=guard_named(cause),
             **friction,
         ),
-        time=time,
-        x=x,
-        x_dot=x_dot,
-        phi=phi,
-        phi_dot=phi_dot,
-        box=np.array(
-            [box_index(*row, boxes=partition) for row in rows.observation.tolist()], np.int64
-        ),
-        u=rows.u,
-        estimated_phi=rows.estimate[:, 0],
-        estimated_phi_dot=rows.estimate[:, 1],
-        bias=rows.estimate[:, 2],
-        tracked=rows.tracked,
-        q=_all_joints(arm, rows.q),
-        dq=_rates_of_all_joints(arm, rows.dq),
-        truth=TruthColumns(*rows.state.T, q=rows.joints),
+        RunEnd(cause=cause_named(cause), guard=guard_named(cause), lasted=round(len(time) * h, 9)),
+        {
+            "time": time,
+            **dict(zip(state, seen.T, strict=True)),
+            "box": np.array([box_index(*row, boxes=partition) for row in seen.tolist()], np.int64),
+            "u": rows.u,
+            "estimated_phi": rows.estimate[:, 0],
+            "estimated_phi_dot": rows.estimate[:, 1],
+            "bias": rows.estimate[:, 2],
+            "q": _all_joints(arm, rows.q),
+            "dq": _rates_of_all_joints(arm, rows.dq),
+        },
+        truth={
+            **dict(zip(state, rows.state.T, strict=True)),
+            "tracked": rows.tracked,
+            "q": rows.joints,
+        },
         **measured,
     )
 
@@ -156,7 +153,7 @@ def excite(
     friction = pivot_friction(pendulum, twin.settings)
     parameters = friction.on(pendulum.parameters())
     record = excitation.excite(arm, twin.settings, parameters, seed, duration)
-    return RunLog.of_excitation(
+    return RunLog.simulated(
         _conditions(
             arm,
             parameters,
@@ -171,10 +168,12 @@ def excite(
             twin=twin.settings,
             friction=friction.model_dump(),
             zero_error=None,
-            cause=EXCITED,
+            pendulum_digest=pendulum.digest,
         ),
-        Stream(record.stream_time, _all_joints(arm, record.stream_q)),
-        Replies(record.reply_time, _all_joints(arm, record.reply_q)),
+        RunEnd(cause=EXCITED),
+        {},
+        stream={"time": record.stream_time, "q": _all_joints(arm, record.stream_q)},
+        replies={"time": record.reply_time, "q": _all_joints(arm, record.reply_q)},
     )
 
 
@@ -188,12 +187,9 @@ def _conditions(
     **told: Any,
 ) -> RunConditions:
     x, x_dot, phi, phi_dot = (float(value) for value in start)
-    names = ("w2", "k", "c", "coulomb", "drag")
     return RunConditions(
-        arm=arm.name,
-        joints=tuple(joint.name for joint in arm.joints),
-        held_joint=arm.held_joint,
-        pendulum={name: float(getattr(pendulum, name)) for name in names},
+        arm=arm,
+        pendulum=named(pendulum),
         start=(x, x_dot, phi, phi_dot),
         counts_per_rev=None if twin is None else twin.counts_per_rev,
         world_settings=None if twin is None else twin.model_dump(),

@@ -35,9 +35,11 @@ from equipoise.devices import realtime
 from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
 from equipoise.errors import EquipoiseError, InputError, OutsideError
+from equipoise.logs.conditions import RunConditions, RunEnd
+from equipoise.logs.recorder import PULSE, Recorder, push_event, take_events
+from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.rigs import connect, restart_instruction
-from equipoise.runwriter import PULSE, Recorder, RunWriter, push_event, take_events
 
 SILENT: Final = 0.080
 """A loop that has not ticked for so long does not tick any more [s]; with the parent's own look
@@ -111,7 +113,11 @@ def run_in_processes(
         except BaseException:
             recorder.words.push(STOP.encode())  # nobody is left who could
             raise
-        log.end(result._asdict() if isinstance(result, RunResult) else {"fault": str(result)})
+        log.end(
+            RunEnd(**result._asdict())
+            if isinstance(result, RunResult)
+            else RunEnd(fault=str(result))
+        )
     finally:
         if loop.pid is not None:
             loop.join(FAREWELL)
@@ -177,7 +183,7 @@ class LogProcess:
             self._minded = True
             person.notify(OperatorMessage("warning", f"the log is incomplete: {problem}"))
 
-    def end(self, outcome: dict[str, Any]) -> None:
+    def end(self, outcome: RunEnd) -> None:
         """Say how the run ended."""
         with suppress(OSError):  # nobody writes any more; it was told
             self._told.send(outcome)
@@ -459,7 +465,7 @@ def _write(
     joints: int,
     out: Path,
     replace: bool,
-    conditions: dict[str, Any],
+    conditions: RunConditions,
     done: Any,
     told: Any,
 ) -> None:
@@ -468,7 +474,7 @@ def _write(
     parent = os.getppid()
     recorder = Recorder(joints, memoryview(memory).cast("B"))
     try:
-        writer = RunWriter(out, joints, conditions, time.monotonic(), replace=replace)
+        writer = RunWriter(out, conditions, time.monotonic(), replace=replace)
     except OutsideError as error:
         told.send(str(error))
         return
@@ -488,8 +494,8 @@ def _write(
             rests = recorder.pulse[_TICKS] == 0.0
             until = min(until, time.monotonic() + (0.0 if rests else FAREWELL))
         time.sleep(WRITE)
-    outcome = _received(told) or {}
-    writer.finish(time.monotonic(), {**outcome, "lost_rows": recorder.lost})
+    end: RunEnd = _received(told) or RunEnd()
+    writer.finish(time.monotonic(), end.model_copy(update={"lost_rows": recorder.lost}))
     if writer.problem is not None and not said:
         _report(told, writer.problem)
 

@@ -11,7 +11,7 @@ from math import ceil, inf, nan, radians
 from pathlib import Path
 from statistics import median
 from time import perf_counter
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from equipoise.checks.fit import check_fit
 from equipoise.checks.results import require
@@ -30,11 +30,13 @@ from equipoise.devices.loop import Executor, LoopResult, run_loop
 from equipoise.devices.operator import Operator
 from equipoise.devices.realtime import RealtimeSetting
 from equipoise.errors import ArtefactError, EquipoiseError, InputError, LinkError
+from equipoise.logs.conditions import RunConditions, RunEnd, named
+from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
+from equipoise.logs.writer import RunWriter
 from equipoise.model.actuator import Actuator
 from equipoise.model.sim_configs import PivotFriction, pivot_friction, read_world
 from equipoise.printable import printable
 from equipoise.rigs import DrainingClock, Rig, RigSettings, check_addresses, connect, world_of
-from equipoise.runwriter import CONNECTING, WORD_TYPED, Recorder, RunWriter, push_event
 
 LASTED: Final = "lasted"
 OPERATOR: Final = "operator"
@@ -134,35 +136,35 @@ class RunRequest:
             torque_share=self.settings.torque_share,
         )
 
-    def conditions(self) -> dict[str, Any]:
-        """Return what its log says first."""
-        arm, plant = self.settings.described_arm, self.policy.settings.plant
-        conditions = {
-            "joints": len(arm.joints),
-            "joint_names": [joint.name for joint in arm.joints],
-            "arm": arm.name,
-            "held_joint": arm.held_joint,
-            "policy": self.policy.digest,
-            "policy_name": self.policy.name,
-            "pendulum": self.policy.pendulum.digest,
-            "actuator": self.actuator.digest,
-            "rig": self.settings.model_dump(mode="json"),
-            "rig_digest": self.settings.digest,
-            "robot": self.robot,
-            "encoder": self.encoder,
-            "settings": self.policy.settings.model_dump(mode="json"),
-            "believed": self.policy.pendulum.parameters(linearised=plant.linearised)._asdict(),
-            "u_max": self.policy.u_max,
-            "h": self.policy.h,
-            "duration": self.duration,
-            "t1": self.t1,
-            "dry_run": self.dry_run,
-            "seed": self.seed,
-            "phases": [phase.value for phase in PHASES],
-        }
-        if (friction := self.friction) is not None:
-            conditions["friction"] = friction.model_dump(mode="json")
-        return conditions
+    def conditions(self) -> RunConditions:
+        """Return the conditions at the beginning of its log.
+
+        Raises:
+            SettingsError: There is no such twin.
+        """
+        policy, friction = self.policy, self.friction
+        plant = policy.settings.plant
+        return RunConditions(
+            policy=policy.digest,
+            policy_name=policy.name,
+            world=self.robot,
+            arm=self.settings.described_arm,
+            pendulum=named(policy.pendulum.parameters(linearised=plant.linearised)),
+            pendulum_digest=policy.pendulum.digest,
+            friction=friction and friction.model_dump(mode="json"),
+            h=policy.h,
+            duration=self.duration,
+            seed=self.seed,
+            actuator=self.actuator.digest,
+            counts_per_rev=self.settings.counts_per_rev,
+            settings=policy.settings,
+            u_max=policy.u_max,
+            rig=self.settings.model_dump(mode="json"),
+            encoder=self.encoder,
+            t1=self.t1,
+            dry_run=self.dry_run,
+            phases=PHASES,
+        )
 
     @property
     def friction(self) -> PivotFriction | None:
@@ -499,7 +501,7 @@ def run_rig_virtually(
     recorder = Recorder(rig.robot.joints)
     writer = None
     if out is not None:
-        writer = RunWriter(out, recorder.joints, request.conditions(), rig.clock.now(), replace)
+        writer = RunWriter(out, request.conditions(), rig.clock.now(), replace)
     ticks = 0
 
     def idle() -> None:
@@ -512,13 +514,13 @@ def run_rig_virtually(
                 recorder.forget()
 
     operators = [one for one in (rig.operator, operator) if one is not None]
-    end: dict[str, Any] = {}
+    end = RunEnd()
     try:
         outcome = run_on_rig(request, rig, operators, recorder, idle=idle, around=around)
-        end = outcome._asdict()
+        end = RunEnd(**outcome._asdict())
         return outcome
     except EquipoiseError as error:
-        end = {"fault": str(error)}
+        end = RunEnd(fault=str(error))
         raise
     finally:
         if writer is not None:
@@ -555,7 +557,7 @@ def rehearse_t1(
             actuator=request.actuator,
             seed=seed,
             duration=duration,
-        ).conditions
+        )
         ended[run.guard or run.cause] += 1
     least = ceil(T1_SHARE * trials)
     if ended[LASTED] < least:

@@ -3,7 +3,7 @@
 One thread does it all. Deadlines are absolute times of the rig's clock, so that nothing drifts. A
 tick that begins more than a tick too late is not made up for: the ones that were missed are left
 out, and counted. Within a tick there is no lock, no print and nothing that grows; what is to be
-kept goes into rings that were laid out before (`equipoise.runwriter`).
+kept goes into rings that were laid out before (`equipoise.logs.recorder`).
 
 What cannot be handled ends in one of two ways. While the robot takes setpoints, the arm is brought
 to rest inside the stream, by the heart or, where the heart itself fails, by the guard around the
@@ -24,7 +24,7 @@ from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import AngleSensor, Clock, Reply, Sample
 from equipoise.devices.operator import Operator
 from equipoise.errors import LinkError
-from equipoise.runwriter import FAILED, PULSE, WORD_TYPED, Recorder, push_event
+from equipoise.logs.recorder import FAILED, PULSE, WORD_TYPED, Recorder, push_event
 
 Array = npt.NDArray[np.float64]
 

@@ -27,6 +27,7 @@ import numpy.typing as npt
 from equipoise.artefacts import Estimate
 from equipoise.errors import RecordingError
 from equipoise.identification.jackknife import blocks_of_time, jackknife
+from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import (
     CYCLE,
     KINDS,
@@ -37,7 +38,6 @@ from equipoise.model.actuator import (
     track,
 )
 from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.runlog import RunLog
 
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.intp]

@@ -8,8 +8,8 @@ import numpy as np
 from equipoise import paper
 from equipoise.control.boxes import COUNT
 from equipoise.evaluation import Summary
+from equipoise.logs.run_log import RunLog
 from equipoise.model.sim_configs import MODEL, TwinSettings
-from equipoise.runlog import RunLog
 from equipoise.studies.formatting import LASTED, falls, how_it_ended, percent
 from equipoise.studies.results import Results, truth
 
@@ -127,6 +127,6 @@ def _share_above(results: Results, seconds: float) -> float:
 def _ends(summary: Summary, run: RunLog) -> str:
     shown = truth(run)
     state = f"x = {shown.x[-1]:.3f} m, φ = {np.rad2deg(shown.phi[-1]):.2f}°"
-    last = "" if run.conditions.cause == LASTED else "; a step before"
-    end = f"{how_it_ended(run.conditions.cause)}, {run.lasted:g} s{last}, {state}"
+    last = "" if run.cause == LASTED else "; a step before"
+    end = f"{how_it_ended(run.cause)}, {run.lasted:g} s{last}, {state}"
     return f"trials: {falls(summary.causes)}; the recorded run {end}"

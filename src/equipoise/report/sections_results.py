@@ -184,9 +184,10 @@ def _stand_in(results: Results) -> str:
             f"differs from the one that the policy was trained for. {no_gap(results)}"
         )
     return (
-        f"a digital twin of the rig stands in for it, `{conditions.world}`: the {conditions.arm} "
-        "in a physics engine that is not ours (MuJoCo), behind a model of the robot's own server "
-        "and drives, with a pendulum that differs from the one that the policy was trained for. "
+        f"a digital twin of the rig stands in for it, `{conditions.world}`: the "
+        f"{conditions.arm.name} in a physics engine that is not ours (MuJoCo), behind a model of "
+        "the robot's own server and drives, with a pendulum that differs from the one that the "
+        "policy was trained for. "
         "The policy has never been there."
     )
 
@@ -227,7 +228,7 @@ def _the_twin(twin: TwinSettings, results: Results) -> str:
 def _conditions(results: Results) -> Iterator[tuple[str, str, str]]:
     conditions, trained = results.run.conditions, results.pendulum.parameters()
     real = conditions.pendulum
-    x, x_dot, phi, phi_dot = conditions.start
+    x, x_dot, phi, phi_dot = results.run.start
     yield "w2 [1/s²]", f"{trained.w2:.2f}", f"{real['w2']:.2f}"
     yield "k [1/m]", f"{trained.k:.3f}", f"{real['k']:.3f}"
     yield "c [1/s]", f"{trained.c:.4f}", f"{real['c']:.4f}"
@@ -241,7 +242,7 @@ def _conditions(results: Results) -> Iterator[tuple[str, str, str]]:
         f"x = {x:g} m, dx/dt = {x_dot:g} m/s, φ = {np.rad2deg(phi):.2f}°, "
         f"dφ/dt = {np.rad2deg(phi_dot):.1f}°/s",
     )
-    yield "end", "", f"{how_it_ended(conditions.cause)}, {results.run.lasted:g} s"
+    yield "end", "", f"{how_it_ended(results.run.cause)}, {results.run.lasted:g} s"
 
 
 def _what_the_flange_did(results: Results) -> str:

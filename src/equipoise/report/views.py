@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import InputError, RecordingError
 from equipoise.evaluation import Evaluation
+from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.report import figures
 from equipoise.report.markup import escape
 from equipoise.report.style import to_svg
-from equipoise.runlog import RunLog
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -39,19 +39,10 @@ from equipoise.control.safety import (
 )
 from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, RecordingError
+from equipoise.logs.run_log import BROKEN_OFF, RunLog
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.runlog import RunLog
-from equipoise.runwriter import RigRun
 from equipoise.studies.refinement import read_motion
-from equipoise.studies.runs import (
-    BROKEN_OFF,
-    LoggedEnding,
-    arm_of,
-    balancing,
-    ending,
-    pendulum_of,
-    phase_ticks,
-)
+from equipoise.studies.runs import LoggedEnding, ending, pendulum_of
 
 Array = npt.NDArray[np.float64]
 
@@ -329,46 +320,48 @@ class RunTimeline(NamedTuple):
         return self.pendulum.k * self.u_max / self.pendulum.w2
 
 
-def explain(run: RunLog | RigRun) -> Explanation:
+def explain(run: RunLog) -> Explanation:
     """Return why a run ended.
 
     Args:
-        run: Its log, of either format.
+        run: Its log.
     """
-    if isinstance(run, RunLog):
-        cause = run.conditions.guard or run.conditions.cause
-        how, log = LoggedEnding(cause, _reason(run), None, not run.damage), run
+    simulated = run.conditions.simulated
+    if simulated and run.end is not None:
+        how = LoggedEnding(run.guard or run.cause, _reason(run), None, True)
     else:
         how = ending(run)
-        try:
-            log = balancing(run)
-        except (ArtefactError, RecordingError):
-            log = None
+    log = run if simulated or _has_balancing(run) else None
     found = [_told(how, 0.0 if log is None else log.lasted)]
     if log is not None and len(log.time) > 0 and found[0].name not in NO_SUSPICION:
-        course = _course(run, log)
+        course = _course(run)
         found += [finding for look in LOOKS if (finding := look(course)) is not None]
     best: dict[CauseName, Evidence] = {}
     for finding in sorted(found, key=lambda finding: -finding.score):
-        best.setdefault(finding.name, finding._replace(simulated=isinstance(run, RunLog)))
+        best.setdefault(finding.name, finding._replace(simulated=simulated))
     return Explanation(tuple(best.values()), how, log)
+
+
+def _has_balancing(run: RunLog) -> bool:
+    """Tell whether a run on a rig reached the balancing, and its counts have a zero."""
+    try:
+        return len(run.ticks) > 0 and len(run.encoder.time) >= 0
+    except ArtefactError:
+        return False
 
 
 def _reason(run: RunLog) -> str:
     """Return how a simulated run ended, with the numbers of its last tick."""
-    told = run.conditions
-    if told.cause == "lasted" or run.damage or len(run.time) == 0:
+    if run.cause == "lasted" or len(run.time) == 0:
         return ""
-    who = f"the guard {told.guard!r} ended the run" if told.guard else f"it ended by {told.cause!r}"
+    who = f"the guard {run.guard!r} ended the run" if run.guard else f"it ended by {run.cause!r}"
     state = (
         f"at {run.lasted:.2f} s: x {run.x[-1]:+.3f} m (limit {paper.X_LIMIT:g}), x_dot "
         f"{run.x_dot[-1]:+.2f} m/s, phi {degrees(run.estimated_phi[-1]):+.1f} deg (limit "
         f"{paper.PHI_LIMIT_DEG:g})"
     )
-    arm = arm_of(run)
-    if arm is None:
-        return f"{who} {state}"
-    shares = np.abs(run.dq[-1]) / np.array([joint.velocity for joint in arm.joints])
+    limits = np.array([joint.velocity for joint in run.conditions.arm.joints])
+    shares = np.abs(run.dq[-1]) / limits
     joint = int(np.argmax(shares))
     return f"{who} {state}; joint {joint + 1} moved at {shares[joint]:.0%} of its velocity limit"
 
@@ -384,48 +377,41 @@ def _told(how: LoggedEnding, lasted: float) -> Evidence:
     return Evidence(ENDINGS.get(how.cause, CauseName.UNKNOWN), 0.2, lasted, reason)
 
 
-def _course(run: RunLog | RigRun, log: RunLog) -> RunTimeline:
-    if isinstance(run, RigRun):
-        ticks = phase_ticks(run, Phase.BALANCING)
+def _course(run: RunLog) -> RunTimeline:
+    u_max = run.conditions.u_max or float(np.abs(run.u).max())
+    late, torques = np.zeros(0), (np.zeros(0), np.zeros((0, 1)), np.ones(1))
+    if not run.conditions.simulated:
+        ticks = run.phase_ticks(Phase.BALANCING)
         # The tick that stops the run counts: its lateness may be why.
         late = run.tables["tick"]["late"][ticks[0] : ticks[-1] + 2]
-        u_max = float(run.conditions["u_max"])
         torques = _torques(run)
-    else:
-        late, u_max = np.zeros(0), float(np.abs(log.u).max())
-        torques = np.zeros(0), np.zeros((0, 1)), np.ones(1)
     pendulum = pendulum_of(run)
     nothing = np.zeros(0)
     try:
-        time, rate = _unexplained_rate(run, log, pendulum)
+        time, rate = _unexplained_rate(run, pendulum)
     except (ArtefactError, RecordingError, ValueError):  # too short, or of an unknown arm
         time, rate = nothing, nothing
-    return RunTimeline(log, pendulum, u_max, late, time, rate, *torques)
+    return RunTimeline(run, pendulum, u_max, late, time, rate, *torques)
 
 
-def _torques(run: RigRun) -> tuple[Array, Array, Array]:
+def _torques(run: RunLog) -> tuple[Array, Array, Array]:
     """Return times [s], external torques beyond the usual [N m], and what the guard allows."""
-    arm, reply, tick = arm_of(run), run.tables["reply"], run.tables["tick"]["time"]
-    ticks = phase_ticks(run, Phase.BALANCING)
+    reply, tick = run.tables["reply"], run.tables["tick"]["time"]
+    ticks = run.phase_ticks(Phase.BALANCING)
     began, last = tick[ticks[0]], tick[ticks[-1]] + AFTER
     reply = reply[np.isfinite(reply["torque"]).all(axis=1)]
     reply = reply[(reply["time"] >= began) & (reply["time"] <= last)]
-    limit = [] if arm is None else [TORQUE_SHARE * joint.torque for joint in arm.joints]
+    limit = [TORQUE_SHARE * joint.torque for joint in run.conditions.arm.joints]
     if len(reply) == 0:
         return np.zeros(0), np.zeros((0, len(limit))), np.array(limit)
     usual = np.median(reply["torque"], axis=0)
     return reply["time"] - began, reply["torque"] - usual, np.array(limit)
 
 
-def _unexplained_rate(
-    run: RunLog | RigRun, log: RunLog, pendulum: PendulumParameters
-) -> tuple[Array, Array]:
+def _unexplained_rate(run: RunLog, pendulum: PendulumParameters) -> tuple[Array, Array]:
     """Return M(t) of the module's docstring: times [s] and rates [rad/s], shape (n,) each."""
-    arm = arm_of(run)
-    if arm is None:
-        raise RecordingError("the log does not hold the arm")
-    moved = read_motion(log, arm)
-    if moved.time[-1] - moved.time[0] > 2.0 * log.lasted + 1.0:
+    moved = read_motion(run, run.conditions.arm)
+    if moved.time[-1] - moved.time[0] > 2.0 * run.lasted + 1.0:
         raise RecordingError("its samples reach far beyond its ticks")
     half = max(WINDOW, 1.5 * float(np.median(np.diff(moved.time))))
     time = np.arange(moved.time[0] + half, moved.time[-1] - half, GRID)

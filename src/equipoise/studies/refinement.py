@@ -26,11 +26,11 @@ from equipoise.control.policy import Checkpoint, TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
 from equipoise.identification.closed_loop import ClosedLoopFit, ParameterChange, compare, regress
+from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import Pendulum
-from equipoise.runlog import RunLog
 from equipoise.settings import PlantSettings, Settings
 from equipoise.training import Report, Selecting, score_policy, train
 
@@ -256,9 +256,10 @@ def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
     conditions = log.conditions
     # The iiwa 7 and the iiwa 14 have joints of the same names.
     of_policy = (arm.name, tuple(joint.name for joint in arm.joints), arm.held_joint)
-    if (conditions.arm, conditions.joints, conditions.held_joint) != of_policy:
+    ran = conditions.arm
+    if (ran.name, conditions.joints, ran.held_joint) != of_policy:
         raise ArtefactError(
-            f"the run was on an {conditions.arm} with joint {conditions.held_joint} held, and the "
+            f"the run was on an {ran.name} with joint {ran.held_joint} held, and the "
             f"policy is for an {arm.name} with joint {arm.held_joint} held; give a run on that arm"
         )
     # A sample that nothing newer came after is read again in the next tick.

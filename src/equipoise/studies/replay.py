@@ -17,7 +17,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import ValidationError
 
+from equipoise.artefacts import first_fault
 from equipoise.control.bound_policy import BoundPolicy
 from equipoise.control.control_step import make_controller_params
 from equipoise.control.controller import Controller
@@ -27,12 +29,12 @@ from equipoise.control.ticks import TickInputs, TickOutput
 from equipoise.deployment.rig import RunRequest, logged_speed_limit
 from equipoise.devices.interfaces import Reply, Sample
 from equipoise.errors import ArtefactError
+from equipoise.logs.conditions import IDEAL
+from equipoise.logs.recorder import FAILED as DEVICE_FAILED
+from equipoise.logs.recorder import WORD_TYPED
+from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.rigs import RigSettings
-from equipoise.runlog import IDEAL, RunLog
-from equipoise.runwriter import FAILED as DEVICE_FAILED
-from equipoise.runwriter import WORD_TYPED, RigRun
-from equipoise.settings import Settings
 
 Array = npt.NDArray[np.float64]
 
@@ -81,7 +83,7 @@ class Replayed(NamedTuple):
 
 
 def replay(
-    run: RunLog | RigRun,
+    run: RunLog,
     policy: TaskPolicy,
     actuator: Actuator | None = None,
     *,
@@ -103,25 +105,18 @@ def replay(
             controller was told, as that of a run on the ideal model.
     """
     actuator = policy.actuator if actuator is None else actuator
-    if isinstance(run, RigRun):
-        rows = _of_rig(run, policy, actuator)
-    else:
-        rows = _of_twin(run, policy, actuator)
+    rows = (_of_twin if run.conditions.simulated else _of_rig)(run, policy, actuator)
     ticks, largest = 0, 0.0
     for time, pairs in rows:
         for what, (logged, replayed) in pairs.items():
             away = _apart(logged, replayed)
             if away > tolerance:
                 return Replayed(
-                    ticks, _whole(run), largest, Difference(ticks, time, what, logged, replayed)
+                    ticks, not run.damage, largest, Difference(ticks, time, what, logged, replayed)
                 )
             largest = max(largest, away)
         ticks += 1
-    return Replayed(ticks, _whole(run), largest, None)
-
-
-def _whole(run: RunLog | RigRun) -> bool:
-    return not run.damage if isinstance(run, RunLog) else run.end is not None
+    return Replayed(ticks, not run.damage, largest, None)
 
 
 def _apart(a: float, b: float) -> float:
@@ -147,23 +142,23 @@ Rows = Iterator[tuple[float, Pairs]]
 # A run on a rig.
 
 
-def _of_rig(run: RigRun, policy: TaskPolicy, actuator: Actuator) -> Rows:
+def _of_rig(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
     told, tables = run.conditions, run.tables
-    _check(policy.digest, told["policy"], "policy")
-    _check(policy.pendulum.digest, told["pendulum"], "pendulum")
-    _check(actuator.digest, told["actuator"], "actuator")
+    _check(policy.digest, told.policy, "policy")
+    _check(policy.pendulum.digest, told.pendulum_digest, "pendulum")
+    _check(actuator.digest, told.actuator, "actuator")
     if isinstance(policy, BoundPolicy):
-        policy = replace(policy, settings=Settings.model_validate(told["settings"]))
+        policy = replace(policy, settings=told.settings)
     request = RunRequest(
         policy=policy,
         actuator=actuator,
-        settings=RigSettings.model_validate(told["rig"]),
-        robot=told["robot"],
-        encoder=told["encoder"],
-        duration=float(told["duration"]),
-        t1=bool(told["t1"]),
+        settings=_rig_settings(run),
+        robot=told.world,
+        encoder=told.encoder,
+        duration=told.duration,
+        t1=told.t1,
         dry_run=False,
-        seed=int(told["seed"]),
+        seed=told.seed,
     )
     counts_per_rev = request.settings.counts_per_rev
     tick, reply = tables["tick"], tables["reply"]
@@ -196,16 +191,23 @@ class _PolicyClock:
         return self._now
 
 
-def _through(run: RigRun, pilot: RunController, clock: _PolicyClock) -> Rows:
+def _rig_settings(run: RunLog) -> RigSettings:
+    try:
+        return RigSettings.model_validate(run.conditions.rig)
+    except ValidationError as error:
+        raise ArtefactError(
+            f"the log has invalid settings of the rig: {first_fault(error).what}; run it again"
+        ) from None
+
+
+def _through(run: RunLog, pilot: RunController, clock: _PolicyClock) -> Rows:
     """Yield the logged and the replayed values of each tick."""
     tables = run.tables
     tick, stream, encoder, reply = (tables[n] for n in ("tick", "stream", "encoder", "reply"))
     reply = reply[np.isfinite(reply["sent"])]
-    # Where a log breaks off, some tables reach further than others: the last tick is in doubt.
-    ticks = tick if run.end is not None else tick[:-1]
     result: Any = None
     working = None
-    for row in ticks:
+    for row in tick:
         now = float(row["time"])
         told = {event.name: event.text for event in run.events if event.time == now}
         if working is not None and _judged(told):
@@ -296,7 +298,7 @@ def _of_twin(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
 
 def _control_steps(run: RunLog, policy: TaskPolicy, lane: Controller, resolution: float) -> Rows:
     """Yield what the log says of each tick and what the control step makes of its measurements."""
-    phi_dot = run.conditions.start[3]
+    phi_dot = run.start[3]
     stamp, counts = run.encoder
     lane.begin(pi - counts[0] * resolution - stamp[0] * phi_dot, phi_dot)
     acting = tick_policy(policy)

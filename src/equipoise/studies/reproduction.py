@@ -22,12 +22,12 @@ from equipoise.deployment import deploy
 from equipoise.errors import ArmError, ArtefactError
 from equipoise.evaluation import Evaluation, evaluate
 from equipoise.identification import identify
+from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.inertials import link_inertials
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import MODEL
-from equipoise.runlog import RunLog
 from equipoise.settings import Settings, resolve
 from equipoise.simulation import available_cores
 from equipoise.studies.compilation import (

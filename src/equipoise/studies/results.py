@@ -20,9 +20,9 @@ from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Value, read
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation
+from equipoise.logs.run_log import RunLog, TruthColumns
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import MODEL
-from equipoise.runlog import RunLog, TruthColumns, read_header
 from equipoise.studies.formatting import LASTED, falls, how_it_ended, percent, plus_minus
 from equipoise.studies.gap_results import Controller, Gap
 from equipoise.studies.synthetic_swing import SyntheticSwing
@@ -121,7 +121,7 @@ def _stated_digest(path: Path, results: Results) -> str:
     """Return the digest that a file states: of what was written, whatever was upgraded since."""
     if path.suffix == ".json":
         return read_document(path)["digest"]
-    return read_header(path).digest if path.suffix == ".mcap" else results.swing.sha256
+    return results.run.digest if path.suffix == ".mcap" else results.swing.sha256
 
 
 def digests(results: Results) -> Mapping[str, str]:
@@ -202,9 +202,8 @@ def _run(run: RunLog) -> str:
     )
     end = (
         f"stood all {run.lasted:g} s"
-        if conditions.cause == LASTED
-        else f"{how_it_ended(conditions.cause)} after {run.lasted:.3g} s of "
-        f"{conditions.duration:g} s"
+        if run.cause == LASTED
+        else f"{how_it_ended(run.cause)} after {run.lasted:.3g} s of {conditions.duration:g} s"
     )
     return (
         f"{where}, with a pendulum and a start that it did not know, it {end}, with |x| up to "

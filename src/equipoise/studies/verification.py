@@ -11,21 +11,16 @@ from typing import Any, NamedTuple
 
 from equipoise.artefacts import Artefact, Provenance, StrPath, read_document
 from equipoise.control.policy import TabularPolicy
-from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError
 from equipoise.evaluation import Evaluation
+from equipoise.logs.run_log import RunLog
+from equipoise.logs.writer import FORMAT, VERSION
 from equipoise.model.actuator import Actuator
 from equipoise.model.pendulum import Pendulum
-from equipoise.runlog import FORMAT as RUN_FORMAT
-from equipoise.runlog import RunLog, read_header
-from equipoise.runwriter import FORMAT as RIG_FORMAT
-from equipoise.runwriter import VERSION as RIG_VERSION
-from equipoise.runwriter import RigRun, is_rig_run
 from equipoise.studies.certification import Certificate, check_evaluation, evaluation_path
 from equipoise.studies.formatting import falls
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.results import StageRecord
-from equipoise.studies.runs import ending, missing_part, phase_ticks, read_rig
 
 MCAP = b"\x89MCAP"
 """What an MCAP file begins with."""
@@ -59,29 +54,15 @@ def verify(path: StrPath) -> Verified:
             or a certificate is not that of the trials beside it.
     """
     path = Path(path)
-    if is_rig_run(path):
-        rig_run = read_rig(path)
-        if rig_run.damage:
-            raise ArtefactError(
-                f"{path}: {missing_part(rig_run)}; explain, replay and export read the sound part"
-            )
-        return Verified(
-            what="log of a run on a rig",
-            format=RIG_FORMAT,
-            version=RIG_VERSION,
-            digest=None,
-            content=_rig_run(rig_run),
-            provenance=None,
-        )
     if _begins_with(path, MCAP):
-        run, header = RunLog.load(path), read_header(path)
+        run = RunLog.load(path)
         return Verified(
             what="run log",
-            format=RUN_FORMAT,
-            version=header.version,
-            digest=header.digest,
+            format=FORMAT,
+            version=VERSION,
+            digest=run.digest,
             content=_run(run),
-            provenance=header.provenance,
+            provenance=run.provenance,
         )
     document = read_document(path)
     kind = document["format"]
@@ -183,20 +164,10 @@ def _reproduction(record: StageRecord) -> str:
 
 def _run(run: RunLog) -> str:
     conditions = run.conditions
+    where = "world" if conditions.simulated else "robot"
     return (
-        f"{run.lasted:g} s of {conditions.duration:g} s on the {conditions.arm}, world "
-        f"{conditions.world}, {len(run.time):,} ticks, ended: {conditions.cause}"
-    )
-
-
-def _rig_run(run: RigRun) -> str:
-    told, how, tick = run.conditions, ending(run), run.tables["tick"]["time"]
-    lasted = len(phase_ticks(run, Phase.BALANCING)) * float(told["h"])
-    reach = "" if how.whole else f"; the log breaks off, {len(tick):,} ticks are whole"
-    return (
-        f"{lasted:g} s of {told['duration']:g} s balanced by the {told['arm']} at "
-        f"{told['robot']}, policy {told['policy'][:19]}..., {len(tick):,} ticks, ended: "
-        f"{how.cause}{reach}"
+        f"{run.lasted:g} s of {conditions.duration:g} s on the {conditions.arm.name}, {where} "
+        f"{conditions.world}, {len(run.tables['tick']):,} ticks, ended: {run.cause}"
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
+from equipoise.logs.run_log import RunLog
 from equipoise.report.style import (
     BLUE,
     GREEN,
@@ -29,7 +30,6 @@ from equipoise.report.style import (
     limit_lines,
     new_figure,
 )
-from equipoise.runlog import RunLog
 from equipoise.studies.formatting import LASTED, how_it_ended
 from equipoise.studies.results import seen_otherwise
 
@@ -179,7 +179,7 @@ def joints(run: RunLog) -> "Figure":
 
 
 def _lines(panel: Any, run: RunLog, values: Array, until: float) -> None:
-    held, shown = run.conditions.held_joint, run.time < until
+    held, shown = run.conditions.arm.held_joint, run.time < until
     for j, name in enumerate(run.conditions.joints):
         label = f"{name}{' (held)' if j + 1 == held else ''}"
         line = JOINT_LINES[j % len(JOINT_LINES)]
@@ -320,7 +320,7 @@ def _series(run: RunLog, title: str, *rows: _Row) -> "Figure":
 
 def _spans(run: RunLog) -> list[tuple[float, str]]:
     """Return the spans to draw, from the start until when, with their titles."""
-    short, cause = paper.SECONDS_BALANCED, run.conditions.cause
+    short, cause = paper.SECONDS_BALANCED, run.cause
     end = f"all {run.lasted:g} s" + (f", then it {how_it_ended(cause)}" if cause != LASTED else "")
     if run.lasted <= 1.5 * short:
         return [(max(run.lasted, run.conditions.h), end)]

@@ -8,8 +8,8 @@ import numpy as np
 from equipoise import paper
 from equipoise.control.boxes import SHAPE
 from equipoise.control.policy import TabularPolicy
+from equipoise.logs.run_log import RunLog
 from equipoise.report.style import INK, drawn, new_figure
-from equipoise.runlog import RunLog
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

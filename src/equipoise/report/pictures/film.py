@@ -11,14 +11,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.report.pictures.camera import Size
 from equipoise.report.pictures.moments import Floats, moments, span
 from equipoise.report.pictures.rendering import Picture, draw
 from equipoise.report.pictures.scene import stage
 from equipoise.report.style import GREY, INK
-from equipoise.runlog import RunLog
-from equipoise.runwriter import RigRun
 
 FRAME: Final[Size] = (480, 480)
 """Size of an animation."""
@@ -46,7 +45,7 @@ class Animation(NamedTuple):
 
 
 def animation(
-    run: RunLog | RigRun,
+    run: RunLog,
     arm: Arm,
     *,
     size: Size = FRAME,
@@ -92,7 +91,7 @@ def animation(
     return Animation(moving.getvalue(), still.getvalue())
 
 
-def film(run: RunLog | RigRun, arm: Arm, times: Floats, size: Size) -> Iterator[Picture]:
+def film(run: RunLog, arm: Arm, times: Floats, size: Size) -> Iterator[Picture]:
     """Draw a run at `times` since the release [s], with its numbers below each picture.
 
     Raises:
@@ -112,7 +111,7 @@ def film(run: RunLog | RigRun, arm: Arm, times: Floats, size: Size) -> Iterator[
         ImageFont.truetype(fonts / name, round(share * unit))
         for name, share in (("DejaVuSans-Bold.ttf", 0.3), ("DejaVuSans.ttf", 0.27))
     )
-    where = run.conditions["robot"] if isinstance(run, RigRun) else run.conditions.world
+    where = run.conditions.world
     captions = shown.captions()
     phases = shown.phase or ("",) * len(captions)
     pictures = draw(scene, shown.q, shown.phi, shown.u)

@@ -6,14 +6,13 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.control.states import Phase
+from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.report.pictures.camera import Size
 from equipoise.report.pictures.moments import moments, span
 from equipoise.report.pictures.rendering import ARROW_PER_U, draw
 from equipoise.report.pictures.scene import stage
 from equipoise.report.style import drawn, new_figure
-from equipoise.runlog import RunLog
-from equipoise.runwriter import RigRun
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,7 +28,7 @@ APART: Final = 0.15
 
 
 @drawn
-def strip(run: RunLog | RigRun, arm: Arm) -> "Figure":
+def strip(run: RunLog, arm: Arm) -> "Figure":
     """Draw the moments at which a run differs most from standing still, in the order of time.
 
     They are the release, the largest displacement and lean to either side, and the end. Each is
@@ -74,7 +73,7 @@ def strip(run: RunLog | RigRun, arm: Arm) -> "Figure":
     return figure
 
 
-def key_moments(run: RunLog | RigRun, arm: Arm) -> dict[float, str]:
+def key_moments(run: RunLog, arm: Arm) -> dict[float, str]:
     """Return times since the release [s] at which a run differs most from standing still.
 
     Returns:

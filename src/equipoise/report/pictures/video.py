@@ -12,12 +12,11 @@ import numpy as np
 
 from equipoise.artefacts import write_whole
 from equipoise.errors import MissingExtraError, OutsideError
+from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.report.pictures.camera import Size
 from equipoise.report.pictures.film import film
 from equipoise.report.pictures.moments import span
-from equipoise.runlog import RunLog
-from equipoise.runwriter import RigRun
 
 FRAME: Final[Size] = (960, 720)
 """Of each frame; multiples of 16, as encoders want them."""
@@ -40,7 +39,7 @@ def find_encoder() -> Any:  # the package has no types
 
 
 def write_video(
-    run: RunLog | RigRun,
+    run: RunLog,
     arm: Arm,
     path: Path,
     *,

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import EquipoiseError, OutsideError
+from equipoise.logs.run_log import RunLog
 from equipoise.rigs import read_rig
-from equipoise.runwriter import read_rig_run
 from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario, Trigger, on
 from equipoise.studies.rehearsal.faults import BALANCING, Fault
 
@@ -64,7 +64,7 @@ def _readable(suffix: str) -> Callable[[FaultHarness], Sequence[str]]:
             # MCAP's own reader is strict.
             for _ in StreamReader(io.BytesIO(path.read_bytes()), validate_crcs=True).records:
                 pass
-            ticks = read_rig_run(path).tables["tick"]["time"]
+            ticks = RunLog.load(path, damaged=True).tables["tick"]["time"]
         except (EquipoiseError, McapError) as error:
             return (f"the log cannot be read: {error}",)
         finally:

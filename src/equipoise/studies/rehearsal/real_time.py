@@ -24,10 +24,10 @@ import numpy as np
 from equipoise.devices.clocks import SystemClock
 from equipoise.devices.emulation import Emulation
 from equipoise.errors import EquipoiseError
+from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings
-from equipoise.runwriter import read_rig_run
 from equipoise.studies.rehearsal.fault_harness import WORLD
 from equipoise.studies.rehearsal.verdicts import (
     REST_TOLERANCE,
@@ -199,7 +199,7 @@ def _judged(run: LiveRun, codes: Sequence[int]) -> list[str]:
     problems = [] if code in codes else [f"exit code {code}: {run.lines[-8:]}"]
     problems += _rests(run.emulation)
     try:
-        log = read_rig_run(run.log)
+        log = RunLog.load(run.log, damaged=True)
     except EquipoiseError as error:
         return [*problems, str(error)]
     stream = log.tables["stream"]

@@ -1,0 +1,179 @@
+"""Rings of shared memory between the tick loop and the writer of the log.
+
+The loop pushes rows, another process (or the same one, between two ticks) takes them. One end
+writes and one end reads, so that no ring needs a lock. A full ring drops its newest rows and counts
+them.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.logs.layout import tables, text_size
+
+BUFFERED: Final = 10.0
+"""Time span of the rows that a ring holds [s]."""
+OPERATOR_BUFFER: Final = 256
+"""Number of events and words between operator and loop that a ring holds."""
+RATES: Final[Mapping[str, float]] = {
+    "tick": 100.0,
+    "stream": 200.0,
+    "reply": 250.0,
+    "encoder": 2000.0,
+    "event": 50.0,
+}
+"""Maximum rate of the rows of each recorded table [1/s]."""
+WORD: Final = np.dtype([("word", "S64")])
+"""Rows of the words that an operator types."""
+PULSE: Final = ("time", "state", "phi", "ticks")
+"""Entries of `Recorder.pulse`: time of the last tick [s], its state, phi [rad], number of ticks."""
+CONNECTING: Final = "connecting"
+"""Name of the event before a connection; a log with nothing else is not kept."""
+WORD_TYPED: Final = "word"
+"""Name of the event with a word that an operator typed."""
+FAILED: Final = "failed"
+"""Name of the event with a failure that the loop reported to the tick handler."""
+
+
+class LoggedEvent(NamedTuple):
+    """A change of the phase, a prompt or a fault, as text."""
+
+    time: float
+    """Time on the run's clock [s]."""
+    name: str
+    """Phase that began, or kind of message, in a word."""
+    answers: tuple[str, ...]
+    """Words of which one is expected from the operator."""
+    text: str
+    """Sentence for the operator."""
+
+
+class Ring:
+    """Rows of one table between the loop and the log; one end writes, one end reads."""
+
+    def __init__(self, rows: npt.NDArray[Any], counters: npt.NDArray[np.int64]) -> None:
+        """Use existing memory.
+
+        Args:
+            rows: Memory of the rows.
+            counters: Numbers of rows written, read and lost, shape (3,).
+        """
+        self._rows, self._counters, self._capacity = rows, counters, len(rows)
+
+    def push(self, *row: Any) -> None:
+        """Write a row; drop and count it where the ring is full."""
+        counters = self._counters
+        written = int(counters[0])
+        if written - int(counters[1]) >= self._capacity:
+            counters[2] += 1
+            return
+        self._rows[written % self._capacity] = row
+        counters[0] = written + 1  # after the row: the reader takes complete rows only
+
+    def take(self) -> npt.NDArray[Any]:
+        """Return the rows written since the last call."""
+        written, read = int(self._counters[0]), int(self._counters[1])
+        rows = self._rows[np.arange(read, written) % self._capacity]  # a copy
+        self._counters[1] = written
+        return rows
+
+    @property
+    def lost(self) -> int:
+        """Number of rows that were dropped."""
+        return int(self._counters[2])
+
+
+class Recorder:
+    """A ring for each recorded table, the pulse of the loop, and the talk with the operator."""
+
+    def __init__(self, joints: int, buffer: memoryview | bytearray | None = None) -> None:
+        """Lay out the rings.
+
+        Args:
+            joints: Number of joints of the arm.
+            buffer: Zeroed memory of the length that `room` returns; allocated if not given.
+        """
+        buffer = bytearray(self.room(joints)) if buffer is None else buffer
+        place = 0
+
+        def laid_out(kind: Any, length: int) -> npt.NDArray[Any]:
+            nonlocal place
+            rows = np.frombuffer(buffer, kind, length, place)
+            place += rows.nbytes
+            return rows
+
+        layout = _recorded(joints)
+        counters = laid_out(np.int64, 3 * (len(layout) + 2)).reshape(-1, 3)
+        self.pulse: npt.NDArray[np.float64] = laid_out(np.float64, len(PULSE))
+        """State of the loop at its last tick, by the places in `PULSE`."""
+        self.joints = joints
+        self.unknown = (math.nan,) * joints
+        """Placeholder of a posture that was not measured."""
+        self.rings: dict[str, Ring] = {
+            name: Ring(laid_out(kind, _length(name)), counters[number])
+            for number, (name, kind) in enumerate(layout.items())
+        }
+        self.tick, self.stream, self.reply, self.encoder, self.event = self.rings.values()
+        self.told = Ring(laid_out(layout["event"], OPERATOR_BUFFER), counters[-2])
+        """Events for the operator, in another process."""
+        self.words = Ring(laid_out(WORD, OPERATOR_BUFFER), counters[-1])
+        """Words of the operator, from another process."""
+
+    @staticmethod
+    def room(joints: int) -> int:
+        """Return the size of the rings for an arm with `joints` joints [B]."""
+        layout = _recorded(joints)
+        rows = sum(_length(name) * kind.itemsize for name, kind in layout.items())
+        talk = OPERATOR_BUFFER * (layout["event"].itemsize + WORD.itemsize)
+        return 3 * 8 * (len(layout) + 2) + 8 * len(PULSE) + rows + talk
+
+    def forget(self) -> None:
+        """Empty the rings of a run without a log."""
+        for ring in self.rings.values():
+            ring.take()
+
+    @property
+    def lost(self) -> int:
+        """Number of rows that were dropped."""
+        return sum(ring.lost for ring in self.rings.values())
+
+
+def _recorded(joints: int) -> dict[str, np.dtype[Any]]:
+    layout = tables(joints)
+    return {name: layout[name] for name in RATES}
+
+
+def _length(name: str) -> int:
+    return round(RATES[name] * BUFFERED)
+
+
+def push_event(ring: Ring, time: float, name: str, answers: Sequence[str], text: str) -> None:
+    """Write an event into a ring, cut where it is too long."""
+    texts = {"name": name, "answers": "|".join(answers), "text": text}
+    ring.push(time, *(_cut(value, text_size(column)) for column, value in texts.items()))
+
+
+def _cut(text: str, size: int) -> bytes:
+    """Return the longest beginning of a text that has at most `size` bytes of UTF-8."""
+    return text.encode(errors="backslashreplace")[:size].decode(errors="ignore").encode()
+
+
+def take_events(ring: Ring) -> list[LoggedEvent]:
+    """Return the events written into a ring since the last call."""
+    return read_events(ring.take())
+
+
+def read_events(rows: npt.NDArray[Any]) -> list[LoggedEvent]:
+    """Return the events in rows of the table `event`."""
+    return [
+        LoggedEvent(
+            float(row["time"]),
+            row["name"].decode("utf-8", "replace"),
+            tuple(word for word in row["answers"].decode("utf-8", "replace").split("|") if word),
+            row["text"].decode("utf-8", "replace"),
+        )
+        for row in rows
+    ]

@@ -1,0 +1,572 @@
+"""A run as its log holds it: the whole course by tables, the balancing by columns.
+
+`tables`, `events` and `end` hold everything as written: of a run on a rig from the connection to
+rest, of a simulated run from the release on. The other attributes give the balancing, in which the
+policy decided: a value for each tick, with the time since the release. On a rig the counts of the
+encoder then count from where the pendulum hangs, and the truth is unknown.
+
+A log that was cut or damaged is read up to the first damage, on request. One whose rows do not fit
+the digest at its end was edited, and is refused.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ValidationError
+
+from equipoise.artefacts import Provenance, StrPath, write_whole
+from equipoise.control.states import Phase
+from equipoise.errors import ArtefactError, RecordingError
+from equipoise.logs.conditions import RunConditions, RunEnd
+from equipoise.logs.container import LARGEST_NUMBER, read_mcap
+from equipoise.logs.layout import TABLES, Rows, canonical, from_messages, tables
+from equipoise.logs.recorder import LoggedEvent, read_events
+from equipoise.logs.writer import FORMAT, VERSION, Digest, LogEncoder
+from equipoise.views import Viewable
+
+Array = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+
+BROKEN_OFF: Final = "log broken off"
+"""Cause of the end of a run whose log lacks its end."""
+
+
+class TruthColumns(NamedTuple):
+    """Real state at each tick; no rows on a rig."""
+
+    x: Array
+    """Displacement of the flange from home along base x [m], shape (n,)."""
+    x_dot: Array
+    """Velocity of the flange [m/s], shape (n,)."""
+    phi: Array
+    """Angle of the pendulum from upright [rad], shape (n,)."""
+    phi_dot: Array
+    """Angular velocity of the pendulum [rad/s], shape (n,)."""
+    tracked: Array
+    """Acceleration of the flange over the tick [m/s^2], shape (n,)."""
+    q: Array
+    """Joint positions [rad], shape (n, joints)."""
+
+
+class Stream(NamedTuple):
+    """Setpoints as sent; no rows on the ideal model."""
+
+    time: Array
+    """Time of sending since the release [s], shape (m,)."""
+    q: Array
+    """Joint positions [rad], shape (m, joints)."""
+
+
+class Replies(NamedTuple):
+    """Joint positions as measured; no rows on the ideal model."""
+
+    time: Array
+    """Time of measuring since the release [s], shape (p,): on a rig half-way between request and
+    reply."""
+    q: Array
+    """Joint positions [rad], shape (p, joints)."""
+
+
+class EncoderSamples(NamedTuple):
+    """Counts of the pendulum's encoder; no rows on the ideal model."""
+
+    time: Array
+    """Time stamp since the release [s], shape (r,)."""
+    counts: Whole
+    """Counts from the zero, shape (r,)."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RunLog(Viewable):
+    """One run; its arrays are read-only."""
+
+    conditions: RunConditions
+    """Where it took place, and everything that determined it."""
+    tables: Mapping[str, Rows]
+    """Rows of each table of `equipoise.logs.layout`, as structured arrays."""
+    end: RunEnd | None
+    """How it ended; none where the log breaks off."""
+    damage: str = ""
+    """Place and kind of the damage that cut the log short, as a clause; empty of a whole log."""
+    provenance: Provenance | None = field(default=None)
+    """Origin of the file; none of a run that was not read from one."""
+
+    @classmethod
+    def simulated(
+        cls,
+        conditions: RunConditions,
+        end: RunEnd,
+        ticks: Mapping[str, Any],
+        *,
+        truth: Mapping[str, Any] | None = None,
+        stream: Mapping[str, Any] | None = None,
+        replies: Mapping[str, Any] | None = None,
+        encoder: Mapping[str, Any] | None = None,
+    ) -> Self:
+        """Return a simulated run from columns, by the names of `equipoise.logs.layout`.
+
+        Args:
+            conditions: Conditions of the run.
+            end: How it ended.
+            ticks: Columns of the ticks; empty where no policy ran.
+            truth: Columns of the real state, without the time; none where it is not recorded.
+            stream: Columns `time` and `q` of the setpoints.
+            replies: Columns `time` and `q` of the measured joints.
+            encoder: Columns `time` and `counts` of the samples.
+
+        Raises:
+            ArtefactError: Columns that differ in length, or values that are not finite.
+        """
+        time = {"time": ticks.get("time", ())}
+        sent = {"sent": replies["time"]} if replies else {}
+        given = {
+            "tick": {"late": 0.0, "compute": 0.0, **ticks},
+            "truth": {**time, **truth} if truth else {},
+            "stream": stream or {},
+            "reply": {**(replies or {}), **sent},
+            "encoder": encoder or {},
+        }
+        kinds = tables(len(conditions.joints))
+        made = {name: _filled(name, kinds[name], given.get(name, {})) for name in TABLES}
+        return cls(conditions, made, end)
+
+    def __post_init__(self) -> None:
+        """Freeze the tables."""
+        kinds = tables(len(self.conditions.joints))
+        whole = {name: self.tables.get(name, np.zeros(0, kind)) for name, kind in kinds.items()}
+        for name, rows in whole.items():
+            whole[name] = canonical(rows)
+            whole[name].flags.writeable = False
+        object.__setattr__(self, "tables", whole)
+
+    def __repr__(self) -> str:
+        """Return one line: where it ran, how long, and how it ended."""
+        told = self.conditions
+        return (
+            f"<RunLog of {told.arm.name!r} in {told.world!r}: lasted {self.lasted:g} of "
+            f"{told.duration:g} s, ended {self.cause!r}>"
+        )
+
+    @property
+    def cause(self) -> str:
+        """Cause of the end in a word or two."""
+        return BROKEN_OFF if self.end is None else self.end.cause or "error"
+
+    @property
+    def guard(self) -> str:
+        """Safety rule that ended a simulated run; empty where none did."""
+        return self.end.guard if self.end else ""
+
+    @cached_property
+    def events(self) -> tuple[LoggedEvent, ...]:
+        """Changes of the phase, prompts and faults, in order."""
+        return tuple(read_events(self.tables["event"]))
+
+    @property
+    def lasted(self) -> float:
+        """Duration of the balancing [s]; without ticks, of the stream of setpoints."""
+        if len(self.time) or not self.conditions.simulated:
+            return round(len(self.time) * self.conditions.h, 9)
+        return float(np.max(self.stream.time, initial=0.0))
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of conditions, rows and end."""
+        digest = Digest(self.conditions)
+        for name, rows in self.tables.items():
+            digest.update(name, rows)
+        return digest.finish(self.end)
+
+    @property
+    def start(self) -> tuple[float, float, float, float]:
+        """State at the release: x [m], x_dot [m/s], phi [rad], phi_dot [rad/s]; on a rig predicted."""
+        first = self.ticks[:1]
+        return self.conditions.start or tuple(
+            float(first[name].sum()) for name in ("x", "x_dot", "phi", "phi_dot")
+        )  # pyright: ignore[reportReturnType]
+
+    # The course by phases.
+
+    def phase_ticks(self, *phases: Phase) -> Whole:
+        """Return the places of the ticks that were in one of some phases, shape (n,)."""
+        states = [i for i, phase in enumerate(self.conditions.phases) if phase in phases]
+        return np.flatnonzero(np.isin(self.tables["tick"]["state"], states))
+
+    @cached_property
+    def ticks(self) -> Rows:
+        """Rows of the balancing, in which everything about the motion is known, shape (n,)."""
+        rows = self.tables["tick"][self.phase_ticks(Phase.BALANCING)]
+        known = np.ones(len(rows), bool)
+        for column in TABLES["tick"]:
+            values = np.isfinite(rows[column.name])
+            known &= values.all(axis=1) if values.ndim == 2 else values
+        return _frozen(rows[known])
+
+    @property
+    def release(self) -> float:
+        """Time of the release on the run's clock [s].
+
+        Raises:
+            RecordingError: The run did not reach the balancing.
+        """
+        if self.conditions.simulated:
+            return 0.0
+        self.require_balancing()
+        return float(self.ticks["time"][0])
+
+    def require_balancing(self) -> None:
+        """Refuse a run without balancing.
+
+        Raises:
+            RecordingError: The run did not reach it.
+        """
+        if len(self.ticks):
+            return
+        if self.conditions.simulated:
+            raise RecordingError("no policy ran; give a run in which one did")
+        phase, end = self.last_phase, self.end
+        reason = f" ({end.reason})" if end and end.reason else ""
+        raise RecordingError(
+            f"the run did not get as far as balancing, it ended while "
+            f"{phase.value if phase else 'connecting'}{reason}; give one that did"
+        )
+
+    @property
+    def last_phase(self) -> Phase | None:
+        """Phase in which a run on a rig stopped; none before the first tick."""
+        phases = self.conditions.phases
+        for state in reversed(self.tables["tick"]["state"].tolist()):
+            if phases[state] is not Phase.STOPPING:
+                return phases[state]
+        return None
+
+    # The balancing by columns.
+
+    @cached_property
+    def time(self) -> Array:
+        """Start of each tick since the release [s], shape (n,)."""
+        return _frozen(self.ticks["time"] - self._begin)
+
+    @property
+    def x(self) -> Array:
+        """Displacement of the flange from home along base x, as the policy saw it [m], shape (n,).
+
+        With an encoder, this and the next three columns are predicted for the time at which the
+        command takes effect.
+        """
+        return self.ticks["x"]
+
+    @property
+    def x_dot(self) -> Array:
+        """Velocity of the flange, as the policy saw it [m/s], shape (n,)."""
+        return self.ticks["x_dot"]
+
+    @property
+    def phi(self) -> Array:
+        """Angle of the pendulum from upright, as the policy saw it [rad], shape (n,)."""
+        return self.ticks["phi"]
+
+    @property
+    def phi_dot(self) -> Array:
+        """Angular velocity of the pendulum, as the policy saw it [rad/s], shape (n,)."""
+        return self.ticks["phi_dot"]
+
+    @property
+    def box(self) -> Whole:
+        """Box of the table that held the state, shape (n,)."""
+        return self.ticks["box"]
+
+    @property
+    def u(self) -> Array:
+        """Commanded acceleration of the flange along x [m/s^2], shape (n,)."""
+        return self.ticks["u"]
+
+    @property
+    def tracked(self) -> Array:
+        """Acceleration u' of the flange over the tick, on a rig of its reference [m/s^2]."""
+        if len(self.truth.tracked):
+            return self.truth.tracked
+        return np.diff(self.x_dot, append=self.x_dot[-1:]) / self.conditions.h
+
+    @property
+    def q(self) -> Array:
+        """Joint positions commanded for the end of the tick [rad], shape (n, joints)."""
+        return self.ticks["q"]
+
+    @property
+    def dq(self) -> Array:
+        """Joint velocities commanded for the end of the tick [rad/s], shape (n, joints)."""
+        return self.ticks["dq"]
+
+    @property
+    def estimated_phi(self) -> Array:
+        """Estimate of phi at the tick, not predicted [rad], shape (n,)."""
+        return self.ticks["estimated_phi"]
+
+    @property
+    def estimated_phi_dot(self) -> Array:
+        """Estimate of phi_dot at the tick [rad/s], shape (n,)."""
+        return self.ticks["estimated_phi_dot"]
+
+    @property
+    def bias(self) -> Array:
+        """Estimate of the encoder's zero error [rad], shape (n,)."""
+        return self.ticks["bias"]
+
+    @property
+    def truth(self) -> TruthColumns:
+        """Real state, where a simulation knows it."""
+        return TruthColumns(*(self.tables["truth"][name] for name in TruthColumns._fields))
+
+    @cached_property
+    def stream(self) -> Stream:
+        """Setpoints as sent."""
+        rows = self._while_balancing("stream")
+        return Stream(_frozen(rows["time"] - self._begin), rows["q"])
+
+    @cached_property
+    def replies(self) -> Replies:
+        """Joint positions as measured."""
+        rows = self._while_balancing("reply")
+        rows = _frozen(rows[np.isfinite(rows["q"]).all(axis=1) & np.isfinite(rows["sent"])])
+        measured = 0.5 * (rows["sent"] + rows["time"])
+        return Replies(_frozen(measured - self._begin), rows["q"])
+
+    @cached_property
+    def encoder(self) -> EncoderSamples:
+        """Counts of the encoder, from the zero.
+
+        Raises:
+            ArtefactError: The log of a run on a rig does not contain the zero.
+        """
+        rows = self._while_balancing("encoder")
+        zero = 0 if self.conditions.simulated or not len(rows) else round(self.encoder_zero)
+        return EncoderSamples(_frozen(rows["time"] - self._begin), _frozen(rows["counts"] - zero))
+
+    @property
+    def _begin(self) -> float:
+        return self.release if len(self.ticks) else 0.0
+
+    def _while_balancing(self, table: str) -> Rows:
+        """Return the rows of a table from a tick before the release to a tick after the last."""
+        rows = self.tables[table]
+        if self.conditions.simulated:
+            return rows
+        if not len(self.ticks):
+            return rows[:0]
+        h, time = self.conditions.h, rows["time"]
+        first, last = self.ticks["time"][[0, -1]]
+        return _frozen(rows[(time >= first - h) & (time <= last + h)])
+
+    @property
+    def encoder_zero(self) -> float:
+        """Counts of the encoder where the pendulum hangs, up to whole turns.
+
+        The end of the log contains the zero. In a log without an end, the last angle in the
+        operator's hand and the newest count of that tick give it.
+
+        Raises:
+            ArtefactError: The log has neither.
+        """
+        if self.end is not None and self.end.zero is not None:
+            return self.end.zero
+        armed, per_rev = self.phase_ticks(Phase.ARMED), self.conditions.counts_per_rev
+        if len(armed) == 0 or per_rev is None:
+            raise ArtefactError(
+                "the log does not contain the encoder's zero; give one that is whole"
+            )
+        tick, encoder = self.tables["tick"][armed[-1]], self.tables["encoder"]
+        known = encoder["counts"][encoder["received"] <= tick["time"]]
+        if len(known) == 0:
+            raise ArtefactError("the log holds no count before the release; give one that is whole")
+        return float(known[-1] - (np.pi - tick["estimated_phi"]) * per_rev / (2.0 * np.pi))
+
+    # The file.
+
+    def save(self, path: StrPath, *, command: str, inputs: Mapping[str, str] | None = None) -> None:
+        """Write the run to `path`, whole or not at all.
+
+        Args:
+            path: The file; its folder is made if it is missing.
+            command: Verb or function that made the run.
+            inputs: Digests of the values it was made from, by name.
+
+        Raises:
+            ArtefactError: The log breaks off.
+            OutsideError: The disk refuses.
+        """
+        if self.end is None:
+            raise ArtefactError("a log that breaks off cannot be written; copy its file")
+        times = np.concatenate([rows["time"] for rows in self.tables.values()])
+        first = float(times.min(initial=0.0))
+        last = float(times.max(initial=self.lasted))
+        encoder = LogEncoder(self.conditions, Provenance.now(command, inputs), first)
+        for _ in encoder.write(self.tables):
+            pass
+        encoder.finish(last, self.end)
+        write_whole(Path(path), encoder.take())
+
+    @classmethod
+    def load(cls, path: StrPath, *, damaged: bool = False) -> Self:
+        """Read a run from `path`.
+
+        Args:
+            path: The file.
+            damaged: Whether a damaged log is read up to the damage, which `damage` then describes;
+                else it is refused.
+
+        Raises:
+            ArtefactError: The file is missing, corrupt, edited, not a run log, or of another
+                version.
+        """
+        path = Path(path)
+        content = read_mcap(path)
+        entries = content.metadata.get(FORMAT, {})
+        if not entries and content.damage:
+            raise ArtefactError(f"{path} {content.damage}, in its header; record the run again")
+        _check_version(path, entries.get("version", ""))
+        damage = content.damage
+        try:
+            conditions = RunConditions.model_validate_json(entries["conditions"], strict=True)
+            provenance = Provenance.model_validate_json(entries["provenance"], strict=True)
+            origin = float(entries["origin"])
+            rows = {
+                name: from_messages(
+                    [json.loads(text) for text in content.messages.get(f"/{name}", ())], kind
+                )
+                for name, kind in tables(len(conditions.joints)).items()
+            }
+            state = rows["tick"]["state"]
+            if not (abs(origin) <= LARGEST_NUMBER and np.isin(state, _states(conditions)).all()):
+                raise ValueError(origin)
+            end, digest = None, None
+            if written := content.messages.get("/end"):
+                given = json.loads(written[-1])
+                digest = given.pop("digest")
+                end, damage = RunEnd.model_validate_json(json.dumps(given), strict=True), ""
+        except (
+            AttributeError,
+            LookupError,
+            TypeError,
+            ValueError,
+            ArithmeticError,
+            RecursionError,
+        ) as error:
+            raise _refusal(path, damage, error) from None
+        if end is None:
+            damage = damage or "breaks off"
+            rows = _without_partial_ticks(rows, conditions.h, origin + content.last)
+        run = cls(conditions, rows, end, damage, provenance)
+        if end is not None and run.digest != digest:
+            raise ArtefactError(
+                f"{path} does not match its digest: it was edited or damaged after it was "
+                "written; record the run again"
+            )
+        if damage and not damaged:
+            raise ArtefactError(
+                f"{path}: {run.missing_part}; log explain, log replay and log export read the "
+                "sound part, or record the run again"
+            )
+        return run
+
+    @property
+    def missing_part(self) -> str:
+        """Sentence on what the log lacks and what is sound; empty of a whole log."""
+        if not self.damage:
+            return ""
+        time = self.tables["tick"]["time"]
+        lasted = float(np.ptp(time)) + self.conditions.h if len(time) else 0.0
+        return (
+            f"the log {self.damage}; sound before that: {len(time):,} ticks, {lasted:.2f} s; what "
+            "came after is not known"
+        )
+
+
+def _filled(name: str, kind: np.dtype[Any], columns: Mapping[str, Any]) -> Rows:
+    """Return a table from its columns; without time it is empty.
+
+    Raises:
+        ArtefactError: Columns that differ in length, or values that are not finite.
+    """
+    rows = np.zeros(len(columns.get("time", ())), kind)
+    for column in TABLES[name]:
+        if column.name not in columns:
+            if column.kind in ("number", "joints"):
+                rows[column.name] = np.nan
+            continue
+        given = np.asarray(columns[column.name])
+        shape = rows[column.name].shape
+        if given.shape not in ((), shape) and rows.size + given.size:
+            raise ArtefactError(
+                f"{column.name} of table {name} has shape {given.shape}, expected {shape}: give "
+                "all columns of a table the same length, and postures one number per joint"
+            )
+        if not np.all(np.abs(given) <= LARGEST_NUMBER):
+            raise ArtefactError(
+                f"{column.name} of table {name} holds values that are not finite, or beyond "
+                f"{LARGEST_NUMBER:g}; record the run again"
+            )
+        if column.kind == "whole" and np.any(np.round(given) != given):
+            raise ArtefactError(
+                f"{column.name} of table {name} holds values that are not whole numbers; round them"
+            )
+        rows[column.name] = given if given.size else 0
+    return rows
+
+
+def _frozen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    values.flags.writeable = False
+    return values
+
+
+def _states(conditions: RunConditions) -> list[int]:
+    return list(range(len(conditions.phases)))
+
+
+def _check_version(path: Path, version: str) -> None:
+    if not (version.isascii() and version.isdecimal() and len(version) < 9 and int(version)):
+        raise ArtefactError(f"{path} is no run log of Equipoise; give a file that it wrote")
+    if int(version) != VERSION:
+        newer = int(version) > VERSION
+        raise ArtefactError(
+            f"{path} has version {version} of {FORMAT!r}, expected {VERSION}; "
+            f"{'upgrade Equipoise' if newer else 'record the run again'}"
+        )
+
+
+def _refusal(path: Path, damage: str, error: Exception) -> ArtefactError:
+    """Return the error for a file whose content is not that of a run."""
+    first = error.errors()[0] if isinstance(error, ValidationError) else None
+    where = ".".join(map(str, first["loc"])) if first else ""
+    if first is not None and first["type"] == "extra_forbidden":
+        return ArtefactError(
+            f"{path} is not a valid {FORMAT!r} file: this Equipoise does not know the field "
+            f"{where}; upgrade it, or record the run again"
+        )
+    if damage:
+        return ArtefactError(f"{path} {damage}, before the first tick; record the run again")
+    what = f"{where}: {first['msg']}" if first else "its messages are incomplete"
+    return ArtefactError(f"{path} is not a valid {FORMAT!r} file: {what}; record the run again")
+
+
+def _without_partial_ticks(rows: Mapping[str, Rows], h: float, last: float) -> dict[str, Rows]:
+    """Return tables without the ticks of which another table may lack rows.
+
+    Messages stand in the order of time: with a message one period after a tick, all rows of the
+    tick are there.
+
+    Args:
+        rows: Rows of each table.
+        h: Time between ticks [s].
+        last: Time of the last message on the run's clock [s].
+    """
+    whole = int(np.sum(rows["tick"]["time"] + h <= last + 1e-9))
+    if len(rows["truth"]):
+        whole = min(whole, len(rows["truth"]))
+    return dict(rows) | {name: rows[name][:whole] for name in ("tick", "truth")}

@@ -1,0 +1,284 @@
+"""Writer of run logs: rows become MCAP, in memory or in a file that grows with the run.
+
+A metadata record opens the log with everything known before the run: conditions, provenance and the
+time of the clock at log time zero. Rows follow as JSON, compressed with zstd, in the order of time.
+The last message states how the run ended, with a digest of conditions, rows and end.
+
+`RunWriter` puts each finished chunk on the disk, and behind it the end of a valid MCAP file, which
+the next chunk overwrites. A process that is killed leaves a file that every reader takes, up to its
+last chunk. A full disk ends the log in that same order and does not reach the tick loop.
+"""
+
+import hashlib
+import heapq
+import json
+import os
+import struct
+from collections.abc import Iterator, Mapping
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Final
+
+from equipoise.artefacts import DIGEST_PREFIX, Provenance, temporary_name
+from equipoise.errors import OutsideError
+from equipoise.logs.conditions import RunConditions, RunEnd
+from equipoise.logs.container import CHUNK, MAGIC, sealed
+from equipoise.logs.foxglove import SCHEMAS, ArmDisplay, urdf_attachment
+from equipoise.logs.layout import TABLES, Rows, canonical, schema, to_messages
+from equipoise.logs.recorder import CONNECTING, Recorder
+
+FORMAT: Final = "equipoise-run"
+VERSION: Final = 3
+
+TAIL: Final = (
+    struct.pack("<BQI", 0x0F, 4, 0)  # end of the data, without a checksum
+    + struct.pack("<BQQQI", 0x02, 20, 0, 0, 0)  # footer, without a summary
+    + MAGIC
+)
+"""Bytes that complete an MCAP file without a summary."""
+
+
+class Digest:
+    """SHA-256 of conditions, rows and end; the rows are hashed table by table."""
+
+    def __init__(self, conditions: RunConditions) -> None:
+        """Begin with the conditions."""
+        self._head = canonical_json(conditions.model_dump(mode="json"))
+        self._tables = {name: hashlib.sha256() for name in TABLES}
+
+    def update(self, table: str, rows: Rows) -> None:
+        """Add canonical rows of a table."""
+        self._tables[table].update(rows.tobytes())
+
+    def finish(self, end: RunEnd | None) -> str:
+        """Return the digest of everything added, and of the end."""
+        whole = hashlib.sha256(self._head)
+        for name, rows in self._tables.items():
+            whole.update(name.encode() + rows.digest())
+        whole.update(canonical_json(end and end.model_dump(mode="json")))
+        return DIGEST_PREFIX + whole.hexdigest()
+
+
+def canonical_json(content: Any) -> bytes:
+    """Return content as JSON without blanks, keys in order."""
+    return json.dumps(content, separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
+
+
+class LogEncoder:
+    """Encoder of a run as the bytes of an MCAP file."""
+
+    def __init__(self, conditions: RunConditions, provenance: Provenance, origin: float) -> None:
+        """Begin the log.
+
+        Args:
+            conditions: Conditions of the run.
+            provenance: Origin of the file.
+            origin: Time on the run's clock of log time zero [s].
+        """
+        from mcap.writer import CompressionType, Writer
+
+        self._buffer, self._origin, self._sequence = _Buffer(), origin, 0
+        self._digest = Digest(conditions)
+        self._display = ArmDisplay(conditions.arm)
+        # The library would wrap a raw stream of `io` into a buffer of its own.
+        self._writer = Writer(
+            self._buffer,  # pyright: ignore[reportArgumentType]
+            chunk_size=CHUNK,
+            compression=CompressionType.ZSTD,
+        )
+        self._writer.start(profile="", library=FORMAT)
+        entries = {
+            "version": str(VERSION),
+            "conditions": conditions.model_dump_json(),
+            "provenance": provenance.model_dump_json(),
+            "origin": repr(float(origin)),
+        }
+        self._writer.add_metadata(FORMAT, sealed(entries))
+        self._writer.add_attachment(0, 0, **urdf_attachment(self._display.urdf))
+        self._channels = {
+            topic: self._writer.register_channel(
+                topic,
+                "json",
+                self._writer.register_schema(name, "jsonschema", json.dumps(content).encode()),
+            )
+            for topic, name, content in _topics()
+        }
+
+    def write(self, rows_of: Mapping[str, Rows]) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Encode rows in the order of time; yield topic and content of each message.
+
+        Rows of one table keep their order even where their times do not increase.
+        """
+        parts: list[list[tuple[float, str, dict[str, Any]]]] = []
+        for name, given in rows_of.items():
+            rows = canonical(given)
+            self._digest.update(name, rows)
+            parts.append([(row["time"], name, row) for row in to_messages(rows)])
+        for time, name, row in heapq.merge(*parts, key=itemgetter(0)):
+            self._add(f"/{name}", time, row)
+            stamp = self._stamp(time)
+            for topic, message in self._display.messages(name, row, stamp):
+                self._add(topic, time, message)
+            yield name, row
+
+    def finish(self, time: float, end: RunEnd) -> None:
+        """Encode the end of the run at `time` [s], and complete the file."""
+        content = end.model_dump(mode="json", exclude_defaults=True)
+        self._add("/end", time, content | {"digest": self._digest.finish(end)})
+        self._writer.finish()
+
+    def take(self) -> bytes:
+        """Return the bytes completed since the last call."""
+        return self._buffer.take()
+
+    def _stamp(self, time: float) -> int:
+        return max(round((time - self._origin) * 1e9), 0)
+
+    def _add(self, topic: str, time: float, content: Mapping[str, Any]) -> None:
+        stamp = self._stamp(time)
+        data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+        self._writer.add_message(self._channels[topic], stamp, data, stamp, self._sequence)
+        self._sequence += 1
+
+
+def _topics() -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield topic, name of the schema, and schema of each channel."""
+    for table in TABLES:
+        yield f"/{table}", f"equipoise.{table}", schema(table)
+    yield "/end", "equipoise.end", {"type": "object", "properties": {}}
+    for topic, (name, content) in SCHEMAS.items():
+        yield topic, name, content
+
+
+class _Buffer:
+    """The stream that MCAP's writer writes to: completed bytes, and the place in the file."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._place = 0
+
+    def write(self, data: Any, /) -> int:
+        self._parts.append(bytes(data))
+        self._place += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._place
+
+    def flush(self) -> None:
+        """Do nothing: bytes are taken as soon as they are complete."""
+
+    def take(self) -> bytes:
+        data = b"".join(self._parts)
+        self._parts.clear()
+        return data
+
+
+class RunWriter:
+    """File that grows with a run; it is a valid MCAP file after each chunk."""
+
+    def __init__(
+        self,
+        path: Path,
+        conditions: RunConditions,
+        origin: float,
+        replace: bool = False,
+        command: str = "deploy",
+    ) -> None:
+        """Begin the file.
+
+        Args:
+            path: The file.
+            conditions: Conditions of the run.
+            origin: Time on the rig's clock of log time zero [s].
+            replace: Whether an existing file is replaced, by the first row after a connection.
+            command: Verb or function that makes the run.
+
+        Raises:
+            OutsideError: The file exists, or the disk refuses.
+        """
+        self._path, self._place = path, 0
+        self._at = temporary_name(path) if replace else path
+        self._connected = False
+        self.problem: str | None = None
+        """Reason why the log ended early; none while everything is written."""
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(self._at, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        except FileExistsError:
+            raise OutsideError(
+                f"cannot write {path}: it was made a moment ago; give the same command again"
+            ) from None
+        except OSError as error:
+            raise OutsideError(
+                f"cannot write {path}: {error.strerror}; give another place for the log"
+            ) from None
+        inputs = {"policy": conditions.policy, "actuator": conditions.actuator}
+        self._encoder = LogEncoder(conditions, Provenance.now(command, inputs), origin)
+        self._write(self._encoder.take())
+        if self.problem is not None:
+            self._discard()
+            raise OutsideError(f"cannot write {path}: {self.problem}; make room on the disk")
+
+    def drain(self, recorder: Recorder) -> None:
+        """Write the rows recorded since the last call; never raise for the disk."""
+        taken = {name: ring.take() for name, ring in recorder.rings.items()}
+        if self.problem is not None:
+            return
+        for name, row in self._encoder.write(taken):
+            if not self._connected and (name != "event" or row["name"] != CONNECTING):
+                self._keep()
+            self._write(self._encoder.take())
+
+    def finish(self, time: float, end: RunEnd) -> None:
+        """Write the end of the run and close the file; never raise for the disk.
+
+        A file without a row from after the connection is removed.
+        """
+        if not self._connected:
+            self._discard()
+            return
+        if self.problem is None:
+            self._encoder.finish(time, end)
+            self._write(self._encoder.take(), tail=b"")
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def _keep(self) -> None:
+        """Give the file its name: the rig is connected."""
+        self._connected = True
+        if self._at != self._path:
+            try:
+                self._at.replace(self._path)
+            except OSError as error:
+                self.problem = f"{self._path} cannot be replaced ({error.strerror})"
+
+    def _discard(self) -> None:
+        """Close and remove the file."""
+        os.close(self._file)
+        self._file = -1
+        self._at.unlink(missing_ok=True)
+
+    def _write(self, data: bytes, tail: bytes = TAIL) -> None:
+        """Write complete records over the file's tail, with a tail behind them."""
+        if not data or self.problem is not None:
+            return
+        try:
+            whole = data + tail
+            if os.pwrite(self._file, whole, self._place) != len(whole):
+                raise OSError(0, "no space left on device")
+            if not tail:
+                os.ftruncate(self._file, self._place + len(whole))
+            self._place += len(data)
+        except OSError as error:
+            self.problem = f"the disk takes no more ({error.strerror})"
+            self._restore()
+
+    def _restore(self) -> None:
+        """Put the tail behind the last complete chunk again; its place is on the disk already."""
+        try:
+            os.pwrite(self._file, TAIL, self._place)
+            os.ftruncate(self._file, self._place + len(TAIL))
+        except OSError:  # the problem is reported already
+            return

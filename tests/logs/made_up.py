@@ -1,0 +1,102 @@
+"""Runs that nobody ran: random numbers in the tables of a log."""
+
+import dataclasses
+
+import numpy as np
+
+from equipoise.control.run_controller import PHASES
+from equipoise.logs.conditions import RunConditions, RunEnd
+from equipoise.logs.run_log import RunLog
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.settings import resolve
+
+JOINTS = 7
+COLUMNS = (
+    *("time", "x", "x_dot", "phi", "phi_dot", "box", "u", "q", "dq"),
+    *("estimated_phi", "estimated_phi_dot", "bias"),
+)
+"""Attributes of a run that are columns of its ticks."""
+PARTS = ("truth", "stream", "replies", "encoder")
+"""Attributes of a run with other columns."""
+
+
+def conditions(**changes):
+    """Conditions of a run on a twin."""
+    given = {
+        "policy": "sha256:0123",
+        "world": "twin:nominal-1",
+        "arm": iiwa(7),
+        "pendulum": {"w2": 70.2, "k": 7.15, "c": 0.15, "coulomb": 0.0, "drag": 0.0},
+        "start": (0.0, 0.0, 0.03, 0.2),
+        "h": 0.01,
+        "duration": 60.0,
+        "seed": 4,
+        "actuator": "sha256:4567",
+        "counts_per_rev": 8192,
+        "world_settings": {"transport": 0.01, "cycle": 1, "inner": "velocity", "lag": 1.0},
+        "zero_error": 0.002,
+        "settings": resolve("paper"),
+    }
+    return RunConditions(**(given | changes))
+
+
+def rig_conditions(**changes):
+    """Conditions of a run on a rig."""
+    rig = {
+        "world": "kst://rig",
+        "start": None,
+        "world_settings": None,
+        "zero_error": None,
+        "rig": {"counts_per_rev": 8192},
+        "phases": PHASES,
+    }
+    return conditions(**(rig | changes))
+
+
+def columns(ticks=40, rig=True):
+    """Arguments of `RunLog.simulated`, random: nothing depends on what they mean."""
+    rng = np.random.default_rng(3)
+    names = [name for name in COLUMNS if name not in ("q", "dq")]
+    tick = {name: rng.standard_normal(ticks) for name in names}
+    tick |= {"time": 0.01 * np.arange(ticks), "box": rng.integers(0, 270, ticks)}
+    tick |= {name: rng.standard_normal((ticks, JOINTS)) for name in ("q", "dq")}
+    made = {"ticks": tick}
+    if rig:
+        state = ("x", "x_dot", "phi", "phi_dot", "tracked")
+        made["truth"] = {name: rng.standard_normal(ticks) for name in state}
+        made["truth"]["q"] = rng.standard_normal((ticks, JOINTS))
+        sent = 0.005 * np.arange(2 * ticks)
+        made["stream"] = {"time": sent, "q": rng.standard_normal((2 * ticks, JOINTS))}
+        # The first reply and the first count were measured before the release.
+        measured = 0.005 * np.arange(ticks) - 0.004
+        made["replies"] = {"time": measured, "q": rng.standard_normal((ticks, JOINTS))}
+        counts = rng.integers(-4096, 4096, ticks)
+        made["encoder"] = {"time": 0.01 * np.arange(ticks) - 0.001, "counts": counts}
+    return made
+
+
+def made_up(count=40, rig=True, **changes):
+    """A run of random numbers, with other tables where they are given."""
+    given = columns(count, rig) | changes
+    end = RunEnd(cause="track", lasted=0.01 * count)
+    return RunLog.simulated(conditions(), end, given.pop("ticks"), **given)
+
+
+def arrays(run):
+    """All arrays of a run by name."""
+    ticks = {name: getattr(run, name) for name in COLUMNS}
+    return ticks | {
+        f"{part}.{name}": values
+        for part in PARTS
+        for name, values in getattr(run, part)._asdict().items()
+    }
+
+
+def changed_table(run, table, **new):
+    """The same run with other columns in one of its tables; rows are made where it has none."""
+    length = len(next(iter(new.values())))
+    rows = run.tables[table]
+    rows = np.zeros(length, rows.dtype) if len(rows) != length else rows.copy()
+    for name, values in new.items():
+        rows[name] = values
+    return dataclasses.replace(run, tables=dict(run.tables) | {table: rows})
