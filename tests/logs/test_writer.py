@@ -181,5 +181,5 @@ def test_what_is_no_log_is_refused(tmp_path, content):
     with pytest.raises(ArtefactError, match="is not an MCAP file"):
         RunLog.load(path, damaged=True)
     path.write_bytes(MAGIC + content)
-    with pytest.raises(ArtefactError, match="no run log of Equipoise"):
+    with pytest.raises(ArtefactError, match="no run log of Equipoise|in its header"):
         RunLog.load(path, damaged=True)

@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from equipoise import paper
-from equipoise.errors import ArmError, ArtefactError, MissingExtraError, OutsideError
-from equipoise.logs.run_log import RunLog, Stream
+from equipoise.errors import ArmError, MissingExtraError, OutsideError, RecordingError
+from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
 from equipoise.model.arms.scene import SIZES
@@ -218,9 +218,9 @@ def test_a_run_of_another_arm_is_refused(run):
 
 
 def test_a_run_in_which_no_policy_ran_is_refused(run):
-    excited = Stream(np.zeros(1), np.array([ARM.home]))
-    with pytest.raises(ArtefactError, match="no ticks"):
-        strip(RunLog.of_excitation(run.conditions, excited, run.replies), ARM)
+    excited = {"time": np.zeros(1), "q": np.array([ARM.home])}
+    with pytest.raises(RecordingError, match="no policy ran"):
+        strip(RunLog.simulated(run.conditions, run.end, {}, stream=excited), ARM)
 
 
 def test_the_strip_shows_the_moments_that_differ(canvas, run, monkeypatch):

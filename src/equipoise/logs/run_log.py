@@ -185,7 +185,10 @@ class RunLog(Viewable):
 
     @property
     def start(self) -> tuple[float, float, float, float]:
-        """State at the release: x [m], x_dot [m/s], phi [rad], phi_dot [rad/s]; on a rig predicted."""
+        """State at the release, on a rig as predicted.
+
+        That is x [m], x_dot [m/s], phi [rad], phi_dot [rad/s].
+        """
         first = self.ticks[:1]
         return self.conditions.start or tuple(
             float(first[name].sum()) for name in ("x", "x_dot", "phi", "phi_dot")
@@ -319,7 +322,7 @@ class RunLog(Viewable):
         """Estimate of the encoder's zero error [rad], shape (n,)."""
         return self.ticks["bias"]
 
-    @property
+    @cached_property
     def truth(self) -> TruthColumns:
         """Real state, where a simulation knows it."""
         return TruthColumns(*(self.tables["truth"][name] for name in TruthColumns._fields))

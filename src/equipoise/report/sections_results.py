@@ -254,7 +254,7 @@ def _what_the_flange_did(results: Results) -> str:
 def _which_joints(results: Results) -> str:
     conditions = results.run.conditions
     first = "The joint that is held stays where it is; of the others, those"
-    if conditions.held_joint is None:
+    if conditions.arm.held_joint is None:
         first = "Those"
     text = f"{first} that turn about a vertical axis at home do most of the work."
     if seen_otherwise(results.run):

@@ -278,7 +278,7 @@ def _of_twin(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
     told = run.conditions
     ticks = len(run.time)
     rows = len(run.encoder.time)
-    if told.counts_per_rev is None or (rows < ticks if run.damage else rows != ticks):
+    if not ticks or told.counts_per_rev is None or (rows < ticks if run.damage else rows != ticks):
         raise ArtefactError(
             f"the log of a run in the world {told.world} does not hold what its controller was "
             "told, since there it knows the state; replay a run on a twin or a rig"

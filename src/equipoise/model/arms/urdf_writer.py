@@ -83,8 +83,8 @@ def write_urdf(arm: Arm, *, pendulum: bool = False) -> str:
         element = ElementTree.SubElement(robot, "link", name=link.name)
         following = next((other.xyz for other in links if other.parent == link.name), None)
         moving = joints.get(link.joint)
-        if moving is not None and moving.inertial is not None:
-            _inertial(element, moving.inertial)
+        if moving is not None and moving.link is not None:
+            _inertial(element, moving.link)
         if link.name == PENDULUM:
             _rod(element, (0.0, 0.0, SIZES.rod_length), SIZES.rod, BLUE)
         elif following is not None and hypot(*following) > 0.0:
@@ -114,7 +114,7 @@ def _inertial(link: ElementTree.Element, of: Inertial) -> None:
     element = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(element, "origin", xyz=_text(of.com), rpy="0 0 0")
     ElementTree.SubElement(element, "mass", value=repr(of.mass))
-    moments = dict(zip(MOMENTS, map(repr, of.inertia), strict=True))
+    moments = {name: repr(moment) for name, moment in zip(MOMENTS, of.inertia, strict=True)}
     ElementTree.SubElement(element, "inertia", moments)
 
 
