@@ -133,7 +133,6 @@ def deploy(
         film = choose_film(output, video, *inputs, force=force)
     response = opt.read_actuator(actuator)
     task = next_step.given(actuator=actuator, pendulum=pendulum, arm=arm)
-    of_run = None
     if robot is not None:
         from equipoise.control.bound_policy import BoundPolicy
         from equipoise.deployment.rig import RunRequest
@@ -161,12 +160,11 @@ def deploy(
         with output.busy("moving the arm" if excite else "running"):
             if excite:
                 length = EXCITATION_DURATION if duration is None else duration
-                of_run = opt.read_arm(arm or "iiwa7")
+                excited = opt.read_arm(arm or "iiwa7")
                 hanging = opt.read_pendulum(pendulum)
-                run = deployment.excite(of_run, world, hanging, seed=seed, duration=length)
+                run = deployment.excite(excited, world, hanging, seed=seed, duration=length)
             else:
                 chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
-                of_run = chosen.arm
                 run = deployment.deploy(
                     chosen, world=world, actuator=response, seed=seed, duration=duration
                 )
