@@ -11,7 +11,8 @@ import pytest
 
 from equipoise.devices.twin.excitation import excite
 from equipoise.errors import RecordingError
-from equipoise.identification.actuator import identify_actuator, one_step_errors
+from equipoise.identification import actuator as fitting
+from equipoise.identification.actuator import identify_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import read_world
@@ -22,6 +23,22 @@ LAGS = np.array([6.0, 9.0, 4.0, 12.0, 16.0, 8.0]) * 1e-3
 NOISE = 5e-5
 WAITING = 0.5e-3
 """From its arrival a setpoint waits for the next cycle, half a cycle on average."""
+
+
+def one_step_errors(actuator, stream_time, stream_q, reply_time, reply_q):
+    """Return how well an actuator predicts each next position of a log, and the log's noise [rad].
+
+    An observer that runs on the model and is corrected by each position predicts the next. The
+    pushes of the load, which change with the posture, are fitted to the log.
+    """
+    joints = stream_q.shape[1]
+    log = fitting._read(stream_time, stream_q, reply_time, reply_q)
+    lags = [lag.value for lag in actuator.lags]
+    unknowns = np.array([actuator.delay.value, actuator.cycle.value, *lags, *[0.0] * joints])
+    pushes = list(range(fitting.PUSH, fitting.PUSH + joints))
+    unknowns = fitting._least_squares(log, actuator.kind, unknowns, pushes, np.ones(joints))
+    residual = log.residual(actuator.kind, unknowns)
+    return fitting._one_step(log, actuator.kind, unknowns), fitting._noise(residual)
 
 
 def setpoints(rng, duration=10.0, scale=1.0, period=0.005):

@@ -13,8 +13,9 @@ from equipoise.learning.closed_loop import (
     make_loop_params,
 )
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.pendulum import PendulumParameters, angular_acceleration
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import resolve
+from tests.reference.pendulum import angular_acceleration
 from tests.simulation.recorded import on_the_plant, run_all
 
 H = 0.01

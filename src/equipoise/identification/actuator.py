@@ -255,37 +255,6 @@ def identify_run(run: RunLog) -> Actuator:
     )
 
 
-def one_step_errors(
-    actuator: Actuator, stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array
-) -> tuple[Array, Array]:
-    """Return how well an actuator predicts each next position of a log, and the log's noise.
-
-    An observer that runs on the model and is corrected by each position predicts the next. The
-    pushes of the load, which change with the posture, are fitted to the log.
-
-    Args:
-        actuator: The model.
-        stream_time: As in `identify_actuator`.
-        stream_q: As there.
-        reply_time: As there.
-        reply_q: As there.
-
-    Returns:
-        Root mean square error of each joint [rad], shape (6,); what the simulation leaves that
-        changes from one sample to the next [rad], shape (6,).
-
-    Raises:
-        RecordingError: The log cannot be used.
-    """
-    log = _read(stream_time, stream_q, reply_time, reply_q)
-    lags = [lag.value for lag in actuator.lags]
-    unknowns = np.array([actuator.delay.value, actuator.cycle.value, *lags, *[0.0] * FREE_JOINTS])
-    pushes = list(range(PUSH, PUSH + FREE_JOINTS))
-    unknowns = _least_squares(log, actuator.kind, unknowns, pushes, np.ones(FREE_JOINTS))
-    residual = log.residual(actuator.kind, unknowns)
-    return _one_step(log, actuator.kind, unknowns), _noise(residual)
-
-
 def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array) -> Log:
     """Return the log as it is fitted; what came before the first setpoints is left out."""
     for name, time, q in (("setpoints", stream_time, stream_q), ("replies", reply_time, reply_q)):

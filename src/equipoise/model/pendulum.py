@@ -69,37 +69,6 @@ def _acceleration(
     return pendulum.w2 * sine - friction - pendulum.k * u * cosine
 
 
-@kernel
-def angular_acceleration(
-    phi: float, phi_dot: float, u: float, pendulum: PendulumParameters
-) -> float:
-    r"""Return the angular acceleration of the pendulum.
-
-    .. math:: \ddot\varphi = w_2 \sin\varphi - c\,\dot\varphi - k\,u \cos\varphi
-              - f \,\mathrm{sign}\,\dot\varphi - d\,|\dot\varphi|\dot\varphi
-
-    Args:
-        phi: Angle from upright [rad].
-        phi_dot: Angular velocity [rad/s].
-        u: Acceleration of the pivot along x [m/s^2].
-        pendulum: Physical parameters.
-
-    Returns:
-        Angular acceleration [rad/s^2].
-
-    Example:
-        >>> pendulum = PendulumParameters(w2=70.2, k=7.15, c=0.15)
-        >>> float(angular_acceleration(0.0, 0.0, 1.0, pendulum))
-        -7.15
-    """
-    dry = 0.0
-    if phi_dot > 0.0:
-        dry = pendulum.coulomb
-    elif phi_dot < 0.0:
-        dry = -pendulum.coulomb
-    return _acceleration(phi, phi_dot, u, dry, pendulum)
-
-
 @inlined
 def runge_kutta(
     phi: float, phi_dot: float, u: float, h: float, dry: float, pendulum: PendulumParameters

@@ -5,7 +5,7 @@ import pytest
 
 from equipoise.errors import ArmError
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.arms.posture import along_x, condition, limit_margin, x_speed_limit
+from equipoise.model.arms.posture import along_x, condition, limit_margin
 from equipoise.paper import HELD_JOINT, X_LIMIT
 
 # Radians as others print them, to the third decimal.
@@ -19,6 +19,16 @@ TORQUES = {7: (176, 176, 110, 110, 110, 40, 40), 14: (320, 320, 176, 176, 110, 4
 UPRIGHT = {7: 1.266, 14: 1.306}
 
 TRACK = np.linspace(-X_LIMIT, X_LIMIT, 23)
+
+
+def x_speed_limit(arm, q):
+    r"""Return the largest speed of the flange along x at the free joints `q` [rad], in m/s.
+
+    .. math:: \min_i \dot q_{i,\max} / |J^{-1} e_x|_i
+    """
+    rates = np.linalg.solve(arm.kinematics(q).jacobian, np.eye(6)[0])
+    limits = [joint.velocity for joint in arm.free_joints]
+    return float(1.0 / np.max(np.abs(rates) / limits))
 
 
 @pytest.mark.parametrize("size", [7, 14])

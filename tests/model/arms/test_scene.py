@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from equipoise.model.arms.iiwa import MEDIA_FLANGES, iiwa
-from equipoise.model.arms.scene import clearance, scene
+from equipoise.model.arms.scene import scene
+from tests.model.arms.clearance import clearance
 from tests.model.arms.witnesses import ARMS
 
 

@@ -144,17 +144,6 @@ class SimulatedArm:
         """Let the arm be moved again; the next servo does."""
         self.stopped = ""
 
-    def misalign(self, joint: int, angle: float) -> None:
-        """Let a joint stand by so much further than it shows and was asked to [rad].
-
-        Args:
-            joint: Counted from one.
-            angle: The error; the arm moves to it as to a new target.
-        """
-        change = angle - self._error[joint - 1]
-        self._error[joint - 1] = angle
-        self._twin.kernel.cabinet.target[joint - 1] += change
-
     def tick(self) -> None:
         """Do what a millisecond asks for before it begins."""
         if self._braking:

@@ -5,12 +5,11 @@ On it an emulated cabinet and an emulated encoder board run, or robot and encode
 by calling `advance` with the time as often as one likes: it catches up in whole milliseconds. Equal
 seeds and equal acts at equal times give equal motion.
 
-What can go wrong with the bodies is a method each: see `Bench.push`, `touch`, `slip`, `tilt`, and
-`stop` and `misalign` of its `body`.
+Each fault of the bodies is a method: `push`, `touch`, `slip`, and `stop` of the arm.
 """
 
 from collections.abc import Callable, Sequence
-from math import cos, pi, radians, sin
+from math import pi, radians
 from typing import Final
 
 import numpy as np
@@ -172,13 +171,6 @@ class SimulatedRig:
     def slip(self, angle: float) -> None:
         """Let the encoder slip on its spindle: from now on it shows so much more [rad]."""
         self._slip += angle
-
-    def tilt(self, angle: float) -> None:
-        """Tilt the base about its y axis, from level by so much [rad].
-
-        What hangs then stands elsewhere relative to the flange, whose joints show nothing of it.
-        """
-        self.twin.model.opt.gravity[:] = [GRAVITY * sin(angle), 0.0, -GRAVITY * cos(angle)]
 
     def _grasp(self) -> None:
         """Let the hand pull at the middle of the rod, across it."""

@@ -47,16 +47,6 @@ def condition(arm: Arm, q: Floats) -> float:
     return float(np.linalg.cond(arm.kinematics(q).jacobian))
 
 
-def x_speed_limit(arm: Arm, q: Floats) -> float:
-    r"""Return the largest speed of the flange along x at the free joints `q` [rad], in m/s.
-
-    .. math:: \min_i \dot q_{i,\max} / |J^{-1} e_x|_i
-    """
-    rates = np.linalg.solve(arm.kinematics(q).jacobian, np.eye(6)[0])
-    limits = [joint.velocity for joint in arm.free_joints]
-    return float(1.0 / np.max(np.abs(rates) / limits))
-
-
 def limit_margin(arm: Arm, q: Floats) -> float:
     """Return the distance to the nearest limit of a joint [rad] at the free joints `q` [rad]."""
     joints = arm.free_joints
@@ -72,7 +62,7 @@ def search_home(arm: Arm, *, lowest: float = 0.3, candidates: int = 2000) -> Arm
 
     Random postures (seed 0) in the middle of the joints' ranges, the flange at least `lowest`
     [m] above the base plane. Of the twenty best conditioned, the one with the best condition at
-    its worst place on the track. The surroundings are not considered: see `scene.clearance`.
+    its worst place on the track. The surroundings are not considered.
 
     Raises:
         ArmError: No candidate can carry the flange along the track.

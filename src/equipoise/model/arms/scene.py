@@ -14,9 +14,7 @@ import numpy as np
 
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import Floats, rotation_from_rpy
-from equipoise.model.arms.posture import along_x
 from equipoise.model.physics_engine import mujoco
-from equipoise.paper import X_LIMIT
 
 
 class Sizes(NamedTuple):
@@ -44,15 +42,6 @@ SIZES: Final = Sizes()
 """Thickness of the parts of an iiwa, on the thick side."""
 FULL_LENGTH: Final = 1.2
 """Length from which a stretched arm has the sizes of an iiwa [m]; the iiwa 7 has 1.27 m."""
-
-
-class Clearance(NamedTuple):
-    """Smallest distances over the track and a full turn of the pendulum; negative is overlap."""
-
-    arm: float
-    """Between parts of the arm, the bracket and the pendulum that are not joined [m]."""
-    table: float
-    """Between the table and all that moves [m]."""
 
 
 class _Part(NamedTuple):
@@ -96,53 +85,6 @@ def scene(arm: Arm, *, table_height: float = 0.0, sizes: Sizes = SIZES) -> Any:
         A `mujoco.MjSpec`.
     """
     return _drawn(arm, table_height, sizes)[0]
-
-
-def clearance(
-    arm: Arm, *, table_height: float = 0.0, sizes: Sizes = SIZES, track: float = X_LIMIT
-) -> Clearance:
-    """Return the smallest distances, flange anywhere within `track`, pendulum at any angle.
-
-    Steps of 20 mm and 5 degrees.
-
-    Args:
-        arm: The arm.
-        table_height: Top of the table above the arm's base plane [m].
-        sizes: Thickness of the parts.
-        track: Largest |x| [m].
-
-    Raises:
-        ArmError: The arm cannot reach the ends of the track.
-    """
-    mj = mujoco()
-    spec, parts = _drawn(arm, table_height, sizes)
-    model = spec.compile()
-    data = mj.MjData(model)
-    nowhere = np.zeros(6)
-
-    def distance(some: _Part, others: list[_Part]) -> float:
-        return min(
-            mj.mj_geomDistance(model, data, model.geom(a).id, model.geom(b).id, 10.0, nowhere)
-            for other in others
-            for a in some.geoms
-            for b in other.geoms
-        )
-
-    *body, rod = parts
-    apart = [(part, _not_joined(i, body, sizes)) for i, part in enumerate(body)]
-    table = _Part(["table"], 0.0, 0.0)
-    closest, lowest = np.inf, np.inf
-    for q in along_x(arm, np.linspace(-track, track, round(track / 0.01) + 1)):
-        data.qpos[: len(arm.joints)] = arm.with_held(q)
-        mj.mj_kinematics(model, data)
-        closest = min([closest, *(distance(part, others) for part, others in apart if others)])
-        lowest = min(lowest, distance(table, body[1:]))
-        for phi in np.arange(0.0, 2.0 * np.pi, np.radians(5.0)):
-            data.qpos[-1] = phi
-            mj.mj_kinematics(model, data)
-            closest = min(closest, distance(rod, body[:-1]))
-            lowest = min(lowest, distance(table, [rod]))
-    return Clearance(float(closest), float(lowest))
 
 
 def _drawn(arm: Arm, table_height: float, sizes: Sizes) -> tuple[Any, list[_Part]]:
@@ -225,14 +167,3 @@ def _across(arm: Arm, steps: list[Floats]) -> list[bool]:
         after = [direction for place, direction in links if place > number][:1]
         result.append(all(abs(axis @ direction) < 0.9 for direction in before + after))
     return result
-
-
-def _not_joined(i: int, parts: list[_Part], sizes: Sizes) -> list[_Part]:
-    """Return the later parts that are kept from part `i` by more than their own thickness."""
-    others: list[_Part] = []
-    between = sizes.pulled_in
-    for nearer, other in zip(parts[i + 1 :], parts[i + 2 :], strict=False):
-        between += nearer.length
-        if between > parts[i].radius + other.radius:
-            others.append(other)
-    return others
