@@ -65,9 +65,9 @@ def test_each_number_of_the_page_is_that_of_the_code():
     assert f"({safety.STOP_DECELERATION:g} m/s² at the flange" in PAGE
     assert f"{100 * safety.TORQUE_SHARE:.0f} % of the joint's torque" in PAGE
     assert f"a following error of {safety.FOLLOWING_LIMIT:g} rad" in PAGE
-    share = 100 * run_controller.UNSURE * safety.TORQUE_SHARE
+    share = 100 * run_controller.UNCERTAIN_TORQUE_FACTOR * safety.TORQUE_SHARE
     assert f"on the way there {share:.0f} % beyond what the start shows" in PAGE
-    assert (dropouts.OFTEN, dropouts.WINDOW) == (3, 1.0)
+    assert (dropouts.MAX_DROPOUTS, dropouts.DROPOUT_WINDOW) == (3, 1.0)
     assert "a third gap within a second" in PAGE
     assert run_controller.HOMING_SHARE == 0.1
     assert "a tenth of the joints' speed" in PAGE

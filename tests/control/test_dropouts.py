@@ -4,7 +4,7 @@ from math import nan
 
 import pytest
 
-from equipoise.control.dropouts import OFTEN, WINDOW, DropoutMonitor
+from equipoise.control.dropouts import DROPOUT_WINDOW, MAX_DROPOUTS, DropoutMonitor
 
 
 @pytest.mark.parametrize(("missing", "serious"), [(0, 0), (1, 0), (2, 2), (3, 3), (500, 500)])
@@ -33,9 +33,9 @@ def test_gaps_are_counted_in_any_window_of_a_second():
     assert gaps.serious(0.0, 0) == 0
     assert gaps.serious(0.0, 1) == 0
     assert gaps.serious(0.6, 1) == 0
-    assert gaps.serious(0.5 + WINDOW, 1) == 0  # two in this second
-    assert gaps.serious(0.59 + WINDOW, 1) == 1  # three
-    assert gaps.bridged == OFTEN
+    assert gaps.serious(0.5 + DROPOUT_WINDOW, 1) == 0  # two in this second
+    assert gaps.serious(0.59 + DROPOUT_WINDOW, 1) == 1  # three
+    assert gaps.bridged == MAX_DROPOUTS
     assert gaps.serious(9.0, 2) == 2
     # One of several samples counts towards what comes often.
     assert gaps.serious(9.1, 1) == 0
@@ -44,6 +44,6 @@ def test_gaps_are_counted_in_any_window_of_a_second():
 
 def test_a_gap_at_no_time_is_not_bridged():
     gaps = DropoutMonitor()
-    for _ in range(OFTEN):
+    for _ in range(MAX_DROPOUTS):
         serious = gaps.serious(nan, 1)
     assert serious == 1

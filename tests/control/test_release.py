@@ -61,8 +61,12 @@ def fall(start_deg, rate_deg, begin, rate=RATE, until_deg=20.0):
 def test_the_numbers_are_those_that_were_asked_for_and_those_of_the_decision():
     in_degrees = release.ARM_ANGLE, release.ARM_RATE, release.RELEASE_ANGLE, release.HELD_ANGLE
     assert np.degrees(in_degrees) == pytest.approx([1.0, 5.0, 1.5, 4.0])
-    assert (release.ARM_MEAN, release.ARM_TIME, release.WINDOW) == (0.2, 0.5, 0.04)
-    assert (release.AGREEMENT, release.RATIO, release.FALL_TIME) == (0.3, (0.6, 3.0), 0.01)
+    assert (release.ARM_AVERAGING_TIME, release.ARM_TIME, release.FIT_WINDOW) == (0.2, 0.5, 0.04)
+    assert (release.ACCELERATION_TOLERANCE, release.RATE_RATIO, release.FALL_TIME) == (
+        0.3,
+        (0.6, 3.0),
+        0.01,
+    )
     assert (np.degrees(release.FALL_GROWTH_ANGLE), release.MAX_FALL_TIME) == (
         pytest.approx(4.0),
         0.2,

@@ -11,7 +11,7 @@ import pytest
 
 from equipoise.control.control_step import horizon, make_controller_params
 from equipoise.control.policy import shipped_policy, tick_policy
-from equipoise.control.run_controller import UNSURE, RunController
+from equipoise.control.run_controller import UNCERTAIN_TORQUE_FACTOR, RunController
 from equipoise.control.safety import (
     ANGLE_RULE_LIMIT,
     ENCODER_STALE,
@@ -347,7 +347,7 @@ def test_a_contact_on_the_way_home_stops_it(joint, sign):
     course = Course(away())
     for _ in range(2 * TORQUE_EVERY):
         course.tick()
-    push(course, joint, 1.02 * UNSURE * sign)
+    push(course, joint, 1.02 * UNCERTAIN_TORQUE_FACTOR * sign)
     began = course.now
     while course.pilot.phase is Phase.HOMING:
         course.tick()
@@ -360,7 +360,7 @@ def test_what_hangs_on_the_flange_pulls_differently_on_the_way_home():
     course = Course(away())
     for _ in range(2 * TORQUE_EVERY):
         course.tick()
-    push(course, 1, 0.98 * UNSURE)
+    push(course, 1, 0.98 * UNCERTAIN_TORQUE_FACTOR)
     course.until(Phase.AT_HOME)
 
 
@@ -377,7 +377,7 @@ def test_the_torques_at_home_are_what_others_are_compared_with_there():
     course = Course(away())
     for _ in range(2 * TORQUE_EVERY):
         course.tick()
-    push(course, 1, 0.9 * UNSURE)
+    push(course, 1, 0.9 * UNCERTAIN_TORQUE_FACTOR)
     course.until(Phase.SELF_TEST)
     for _ in range(20):
         course.tick()

@@ -9,7 +9,7 @@ import pytest
 
 from equipoise.control.minimum_jerk import Path
 from equipoise.control.self_test import (
-    MOVE,
+    MOVE_DISTANCE,
     MOVE_TIME,
     SWING_TIME,
     ZERO_INTERVAL,
@@ -142,7 +142,7 @@ def test_the_answer_is_far_above_the_encoder_steps():
     answer = float(np.std(counts)) * 2 * pi / COUNTS
     assert radians(1.5) < answer < radians(5.0)
     assert isinstance(excitation(0.1), Path)
-    assert excitation(0.1, -1.0).end == pytest.approx((0.1 - MOVE,))
+    assert excitation(0.1, -1.0).end == pytest.approx((0.1 - MOVE_DISTANCE,))
 
 
 def test_a_pendulum_that_still_swings_may_be_tested_again():

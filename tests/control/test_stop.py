@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise.control.safety import STOP_DECELERATION, check_setpoint, limits_of
-from equipoise.control.stop import RETURN_SHARE, SPARE, ramp, stoppable_speeds, way_back
+from equipoise.control.stop import RETURN_SHARE, ROUNDING_RESERVE, ramp, stoppable_speeds, way_back
 from equipoise.errors import InputError
 from equipoise.model.arms.iiwa import iiwa
 
@@ -98,8 +98,8 @@ def test_a_ramp_leaves_room_for_rounding_before_a_limit():
     q = (*HOME[:6], LIMITS.upper[6] - room)
     way = ramp(q, (*(0.0,) * 6, 0.2), 1.0, LIMITS)
     left = LIMITS.upper[6] - way.at(way.duration)[6]
-    assert left == pytest.approx(room * SPARE, abs=2e-15)
-    assert 0.0 < SPARE < 1e-6
+    assert left == pytest.approx(room * ROUNDING_RESERVE, abs=2e-15)
+    assert 0.0 < ROUNDING_RESERVE < 1e-6
 
 
 def test_the_flange_slows_down_as_it_shall():

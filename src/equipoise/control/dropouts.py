@@ -1,40 +1,39 @@
-"""Encoder samples that are missing: one now and then is bridged, more stop a run.
+"""Dropouts of encoder samples: a rare single one is bridged, more stop a run.
 
-Counts are absolute: what a board counts while a line is lost on its way is in the line after it.
-A single sample that is missing therefore hides a millisecond of motion and nothing else. The one
-after it still has to be fresh, and where a pendulum can have come to meanwhile
-(`equipoise.control.safety`). A link that loses more is not to be relied on.
+Counts are absolute: the line after a lost one contains its motion. A single missing sample
+therefore hides a millisecond of motion and nothing else. The sample after it still has to be fresh
+and plausible (`equipoise.control.safety`). A link that loses more is not reliable.
 """
 
 from math import inf
 from typing import Final
 
-OFTEN: Final = 3
-"""So many gaps ..."""
-WINDOW: Final = 1.0
-"""... within this time stop a run [s]."""
+MAX_DROPOUTS: Final = 3
+"""Number of dropouts within `DROPOUT_WINDOW` that stops a run."""
+DROPOUT_WINDOW: Final = 1.0
+"""Window for counting dropouts [s]."""
 
 
 class DropoutMonitor:
-    """What becomes of the gaps of a run."""
+    """Monitor of the dropouts of a run."""
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Start without dropouts."""
         self.bridged = 0
-        """How many gaps were let pass."""
-        self._times = [-inf] * (OFTEN - 1)
-        """When the last ones were, the oldest first [s]."""
+        """Number of dropouts bridged."""
+        self._times = [-inf] * (MAX_DROPOUTS - 1)
+        """Times of the last dropouts, the oldest first [s]."""
 
     def serious(self, time: float, missing: int) -> int:
-        """Return how many missing samples forbid to go on: none where the gap is bridged.
+        """Return the number of missing samples that stops the run; 0 for a bridged dropout.
 
         Args:
-            time: When the sample after the gap was counted [s].
-            missing: Samples lost before it.
+            time: Time of the sample after the dropout [s].
+            missing: Number of samples lost before it.
         """
         if missing == 0:
             return 0
-        often = not time - self._times[0] > WINDOW
+        often = not time - self._times[0] > DROPOUT_WINDOW
         self._times = [*self._times[1:], time]
         if missing > 1 or often:
             return missing

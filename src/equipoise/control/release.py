@@ -27,73 +27,73 @@ import numpy as np
 from equipoise.model.pendulum import PendulumParameters
 
 ARM_ANGLE: Final = radians(1.0)
-"""Armed only where |phi| stays below this [rad]: the innermost boxes of the paper's table."""
+"""Maximum |phi| for arming [rad]: the innermost boxes of the paper's table."""
 ARM_RATE: Final = radians(5.0)
-"""... and |mean phi_dot| below this [rad/s]: half the paper's innermost interval."""
-ARM_MEAN: Final = 0.2
-"""That mean is over so long [s]: a period and more of a hand's tremor."""
+"""Maximum |mean phi_dot| for arming [rad/s]: half the paper's innermost interval."""
+ARM_AVERAGING_TIME: Final = 0.2
+"""Averaging window of phi_dot [s]; longer than one period of a hand's tremor."""
 ARM_TIME: Final = 0.5
-"""Both have to last so long [s]."""
+"""Time for which both conditions have to hold before arming [s]."""
 RELEASE_ANGLE: Final = radians(1.5)
-"""A release is looked for beyond this |phi| [rad], or where it has `FALL_GROWTH_ANGLE`."""
+"""Minimum |phi| of a release [rad], unless the fall has reached `FALL_GROWTH_ANGLE`."""
 HELD_ANGLE: Final = radians(4.0)
-"""Whoever is beyond this |phi| [rad] without having been seen to fall is held."""
-WINDOW: Final = 0.04
-"""A cubic is fitted to the samples of so long [s]."""
-AGREEMENT: Final = 0.3
-"""phi_ddot may differ from that of a free fall by this share of it ..."""
-NOISE: Final = 1.0
-"""... or, where it has `FALL_GROWTH_ANGLE`, by this [rad/s^2]: 8192 counts at 1 kHz show it to 0.6
-(one standard deviation)."""
-JERK: Final = 300.0
-"""Its derivative may differ by this [rad/s^3]: counts show it to 170. A tremor of 4 Hz with the
-rate of a fall that is still near 0 differs by as much, one of 10 Hz by 1700."""
-RATIO: Final = (0.6, 3.0)
-"""Where phi_dot / (w phi) may lie."""
+"""|phi| beyond which a pendulum that was not detected as falling is held [rad]."""
+FIT_WINDOW: Final = 0.04
+"""Window of the cubic fit [s]."""
+ACCELERATION_TOLERANCE: Final = 0.3
+"""Maximum relative difference of phi_ddot from that of a free fall [-]."""
+ACCELERATION_NOISE: Final = 1.0
+"""Maximum difference of phi_ddot from `FALL_GROWTH_ANGLE` on [rad/s^2]: 8192 counts at 1 kHz give
+it to 0.6 (one standard deviation)."""
+JERK_TOLERANCE: Final = 300.0
+"""Maximum difference of the derivative of phi_ddot [rad/s^3]: counts give it to 170. A tremor of 4
+Hz with the rate of a fall near 0 differs by as much, one of 10 Hz by 1700."""
+RATE_RATIO: Final = (0.6, 3.0)
+"""Minimum and maximum of phi_dot / (w phi) in a fall [-]."""
 FALL_TIME: Final = 0.01
-"""A fall has to be seen for so long [s]: the acceleration of a tremor passes through that of a
+"""Minimum duration of a fall before it counts [s]: a tremor's acceleration passes through that of a
 fall in a third of this."""
 FALL_GROWTH_ANGLE: Final = radians(4.0)
-"""... unless |phi + phi_dot / w| has reached this [rad]; at 11.7 deg no command can catch it.
-What falls across 0 reaches it before 1.5 deg."""
+"""|phi + phi_dot / w| from which `FAST_FALL_TIME` applies [rad]; at 11.7 deg no command can catch
+the pendulum. A fall across 0 reaches it before 1.5 deg."""
 FAST_FALL_TIME: Final = 5e-4
-"""Then it has to be seen for so long only [s]: by two samples in a row at 1 kHz."""
+"""Minimum duration of a fast fall [s]: two successive samples at 1 kHz."""
 MAX_FALL_TIME: Final = 0.2
-"""A fall takes less than this from 1.5 to 4 deg [s]: 0.12 s where it began near 0, 0.13 s at 1 deg,
-0.15 s at 1.3 deg."""
+"""Maximum duration of a fall from 1.5 to 4 deg [s]: 0.12 s from near 0, 0.13 s from 1 deg, 0.15 s
+from 1.3 deg."""
 MAX_SAMPLE_GAP: Final = 0.02
-"""After a gap of so long [s] all is forgotten, and the hand is on."""
+"""Maximum gap between samples [s]; after a longer one the pendulum counts as held."""
 MIN_SAMPLE_SPACING: Final = 4e-4
-"""Samples that follow closer than this [s] are passed over, so that the memory has a size."""
+"""Minimum spacing of samples [s]; closer ones are skipped, which bounds the memory."""
 BUFFER_SIZE: Final = 512
-"""Samples in the memory: those of 0.2 s."""
+"""Number of samples in memory: those of 0.2 s."""
 MIN_FIT_SAMPLES: Final = 12
-"""Fewer samples in the window give no cubic."""
-NEWEST_SAMPLES: Final = np.arange(int(WINDOW / MIN_SAMPLE_SPACING) + 1)
-"""So many samples, counted back from the newest, lie in the window at most."""
-POWERS: Final = np.arange(4)
-"""Of a cubic."""
+"""Minimum number of samples in the window for the cubic fit."""
+NEWEST_SAMPLES: Final = np.arange(int(FIT_WINDOW / MIN_SAMPLE_SPACING) + 1)
+"""Offsets, back from the newest, of the samples that may lie in the window."""
+CUBIC_POWERS: Final = np.arange(4)
+"""Powers of the cubic."""
 
 
 class ReleaseState(Enum):
-    """Whose the pendulum is."""
+    """Holder of the pendulum."""
 
     HELD = "held"
-    """A hand's, or nobody can tell."""
+    """Held by a hand, or unknown."""
     ARMED = "armed"
-    """A hand's that holds it still: it may let go."""
+    """Held still by a hand, which may let go."""
     RELEASED = "released"
-    """Its own: it falls, and has to be balanced now."""
+    """Released: it falls, and has to be balanced now."""
 
 
 class ReleaseDetector:
-    """Tells from one encoder sample after the other whether a hand has let go.
+    """Detector of a release, from successive encoder samples.
 
     Its memory has a fixed size. `RELEASED` stays until `reset`.
     """
 
     def __init__(self, pendulum: PendulumParameters) -> None:
-        """Begin with the hand on.
+        """Start with the pendulum held.
 
         Args:
             pendulum: The pendulum in use; w2 and c are needed.
@@ -103,22 +103,22 @@ class ReleaseDetector:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything: the hand is on."""
+        """Forget all samples; the pendulum counts as held."""
         self.grip = ReleaseState.HELD
-        """Whose the pendulum is."""
+        """Holder of the pendulum."""
         self.denied = False
-        """Whether it was armed before, and the hand turned out to be still on."""
+        """Whether an armed pendulum turned out to be still held."""
         self._forget()
 
     def feed(self, time: float, phi: float) -> ReleaseState:
-        """Take a sample.
+        """Process a sample.
 
         Args:
-            time: When it was taken [s].
+            time: Time of the sample [s].
             phi: Angle from upright, in [-pi, pi) [rad].
 
         Returns:
-            Whose the pendulum is now.
+            The holder of the pendulum now.
         """
         if self.grip is ReleaseState.RELEASED:
             return self.grip
@@ -152,7 +152,10 @@ class ReleaseDetector:
         self._count += 1
         self._last = time
         # The newest sample that is at least 0.2 s old.
-        while self._oldest + 1 < self._count and time - self._of(self._oldest + 1)[0] >= ARM_MEAN:
+        while (
+            self._oldest + 1 < self._count
+            and time - self._of(self._oldest + 1)[0] >= ARM_AVERAGING_TIME
+        ):
             self._oldest += 1
 
     def _of(self, number: int) -> tuple[float, float]:
@@ -160,9 +163,9 @@ class ReleaseDetector:
         return float(self._time[number % BUFFER_SIZE]), float(self._phi[number % BUFFER_SIZE])
 
     def _wait(self, time: float, phi: float) -> None:
-        """Arm where it has been still for long enough."""
+        """Arm a pendulum that has been still for long enough."""
         before, phi_before = self._of(self._oldest)
-        long_enough = time - before >= ARM_MEAN
+        long_enough = time - before >= ARM_AVERAGING_TIME
         if not (
             long_enough
             and abs(phi) < ARM_ANGLE
@@ -175,7 +178,7 @@ class ReleaseDetector:
             self.grip, self.denied = ReleaseState.ARMED, False
 
     def _watch(self, time: float, phi: float) -> None:
-        """See whether it falls or is held."""
+        """Decide whether an armed pendulum falls or is held."""
         beyond = abs(phi) > RELEASE_ANGLE
         if not beyond and self._beyond_since < inf:
             self._deny()
@@ -195,28 +198,29 @@ class ReleaseDetector:
     def _falls(self, now: float) -> tuple[bool, float]:
         """Return whether the last 40 ms look like a fall, and |phi + phi_dot / w| [rad]."""
         places = (self._count - 1 - NEWEST_SAMPLES[: self._count]) % BUFFER_SIZE
-        # In half windows from the middle, so that all is of one size.
-        half = 0.5 * WINDOW
+        # In half windows from the middle, for the condition of the fit.
+        half = 0.5 * FIT_WINDOW
         t = (self._time[places] - now) / half + 1.0
         within = t >= -1.0
         if within.sum() < MIN_FIT_SAMPLES:
             return False, 0.0
-        powers = t[within, None] ** POWERS
+        powers = t[within, None] ** CUBIC_POWERS
         a, b, d, e = np.linalg.solve(powers.T @ powers, powers.T @ self._phi[places[within]])
         phi, phi_dot = float(a), float(b) / half
         phi_ddot, jerk = 2.0 * float(d) / half**2, 6.0 * float(e) / half**3
         free = self._w2 * sin(phi) - self._c * phi_dot
         off, off_jerk = abs(phi_ddot - free), abs(jerk - self._w2 * phi_dot)
-        # Now: from the middle on it falls freely, if it does; a cubic's ends are less sure.
+        # Propagate from the middle as a free fall: the ends of a cubic are less certain.
         w = self._w
         c, s = cosh(w * half), sinh(w * half)
         phi, phi_dot = phi * c + phi_dot * s / w, phi * w * s + phi_dot * c
         grown = abs(phi + phi_dot / w)
-        share = AGREEMENT * abs(free)
+        share = ACCELERATION_TOLERANCE * abs(free)
         agrees = (
-            off <= (share if grown < FALL_GROWTH_ANGLE else max(share, NOISE)) and off_jerk <= JERK
+            off <= (share if grown < FALL_GROWTH_ANGLE else max(share, ACCELERATION_NOISE))
+            and off_jerk <= JERK_TOLERANCE
         )
         # The ratio's bounds, without a division by phi.
         along = phi_dot if phi > 0.0 else -phi_dot
-        fast = RATIO[0] * w * abs(phi) <= along <= RATIO[1] * w * abs(phi)
+        fast = RATE_RATIO[0] * w * abs(phi) <= along <= RATE_RATIO[1] * w * abs(phi)
         return agrees and fast, grown

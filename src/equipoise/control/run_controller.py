@@ -63,25 +63,25 @@ Array = npt.NDArray[np.float64]
 Setpoints = tuple[tuple[float, ...], tuple[float, ...]]
 
 HOMING_SHARE: Final = 0.1
-"""Of the joints' velocity and acceleration limits, on the way home."""
-YES: Final = ("y", "n")
+"""Share of the joints' velocity and acceleration limits on the way home [-]."""
+YES_OR_NO: Final = ("y", "n")
 REST_TIME: Final = 2.0
-"""The count is to stay within one for so long before it is a reference [s]."""
+"""Time for which the count has to stay within one before it is a reference [s]."""
 FALL_WINDOW: Final = 0.04
-"""Samples of so long give angle and rate at the release [s]."""
-UNSURE: Final = 2.0
-"""Before the torques at home are known, those with which the servo began stand for them, and a
-contact is one beyond so many times the limit: what hangs on the flange pulls differently there."""
-SETTLING: Final = 0.5
-"""After a ramp the arm is held for so long before the servo ends [s]."""
+"""Window for estimating the state at release [s]."""
+UNCERTAIN_TORQUE_FACTOR: Final = 2.0
+"""Factor on the torque limits before the torques at home are known [-]; those at the start of the
+servo replace them, and the load on the flange pulls differently there."""
+SETTLING_TIME: Final = 0.5
+"""Time for which the arm is held after a ramp before the servo ends [s]."""
 REST_BEFORE: Final = 0.3
-"""The pendulum is watched for so long before it is moved [s]."""
-BACK_TIME: Final = 1.6
-"""The way back from the self-test takes so long [s]: twice the way out."""
-SWINGS: Final = 4
-"""A self-test whose zero is not sharp enough is repeated up to so often."""
-NUDGE: Final = 5.0
-"""A pendulum that is armed for so long and not let go is spoken of again [s]."""
+"""Observation of the pendulum before it is moved [s]."""
+RETURN_TIME: Final = 1.6
+"""Duration of the way back from the self-test [s]: twice that of the way out."""
+MAX_SWINGS: Final = 4
+"""Maximum number of swings of a self-test whose zero is not sharp enough."""
+NUDGE_INTERVAL: Final = 5.0
+"""Time after which the operator is reminded of an armed pendulum that is not let go [s]."""
 POLICY: Final = "policy"
 """Name of the cause of a stop where the policy raises, is late, or returns no finite number."""
 FAILED: Final = "the policy failed"
@@ -91,21 +91,21 @@ POLICY_TIME_SHARE: Final = 0.5
 """Longest computing time of the policy, as a share of a tick: later, the second setpoint, due after
 half a tick, would be late too."""
 EXPECTED_HISTORY: Final = 64
-"""Samples that are remembered for the fit at the release: 64 ms at 1 kHz."""
+"""Number of samples in memory for the fit at the release: 64 ms at 1 kHz."""
 
 
 MOVING: Final = frozenset({Phase.HOMING, Phase.SELF_TEST, Phase.BALANCING})
-"""Where even a stray Enter stops."""
+"""Phases in which even a stray Enter stops."""
 ON_TRACK: Final = frozenset(
     {Phase.SELF_TEST, Phase.LIFTING, Phase.ARMED, Phase.BALANCING, Phase.REFERENCING, Phase.AT_HOME}
 )
-"""Where the flange has to be on its line."""
+"""Phases in which the flange has to be on its line."""
 PHASES: Final = tuple(Phase)
-"""Logs name a phase by its place here."""
+"""Phases by the index that logs use."""
 
 
 class RunController:
-    """The heart of a run."""
+    """Controller of a run: phases, safety rules, policy."""
 
     def __init__(
         self,
@@ -139,13 +139,13 @@ class RunController:
         self._answers: tuple[str, ...] = ()
         self._answer: str | None = None
         self.state = states.step(RunState(), states.RunEvent.START)
-        """Where in the run it is, and why it stopped."""
+        """State of the run, with the cause of a stop."""
         self.began: float | None = None
-        """When the policy began to act [s]."""
+        """Time at which the policy began to act [s]."""
         self.ended: float | None = None
-        """When it ceased to [s]."""
+        """Time at which it ended [s]."""
         self.zero: float | None = None
-        """What the encoder counts where the pendulum hangs [counts]."""
+        """Count of the hanging pendulum."""
 
         self._q, self._dq = tuple(q), (0.0,) * len(q)
         limits = [(joint.velocity, joint.acceleration) for joint in arm.joints]
@@ -168,8 +168,8 @@ class RunController:
         self._torque_sum, self._torques = np.zeros(len(q)), 0
         self._at_home: Array | None = None
         self._at_start: Array | None = None
-        # The cabinet knows the arm's own weight, but not what hangs on it.
-        unsure = tuple(UNSURE * torque for torque in guard.torque)
+        # The cabinet knows the arm's weight, but not the load on its flange.
+        unsure = tuple(UNCERTAIN_TORQUE_FACTOR * torque for torque in guard.torque)
         self._guard_unsure = guard._replace(torque=unsure)
         self._place: FlangePose | None = None
         self._missing, self._illegal, self._jump = 0, False, 0.0
@@ -198,7 +198,7 @@ class RunController:
         return self._h
 
     def tick(self, now: float, inputs: TickInputs) -> TickOutput:
-        """Take what happened since the last tick, and return what is to be done now.
+        """Process the inputs since the last tick, and return the setpoints of this one.
 
         Args:
             now: The time [s].
@@ -233,17 +233,17 @@ class RunController:
 
     @property
     def lasted(self) -> float:
-        """How long the policy has acted [s]."""
+        """Time for which the policy has acted [s]."""
         if self.began is None:
             return 0.0
         return self._ticks * self._h if self.ended is None else self.ended - self.began
 
     @property
     def phase(self) -> Phase:
-        """Where in the run it is."""
+        """Phase of the run."""
         return self.state.phase
 
-    # What comes in.
+    # Inputs.
 
     def _take_samples(self, samples: Sequence[EncoderSample]) -> None:
         watching = self.phase in (Phase.LIFTING, Phase.ARMED)
@@ -265,7 +265,7 @@ class RunController:
                 self._release.feed(sample.time, self._phi())
 
     def _unexplained(self) -> float:
-        """Return what of the newest sample no pendulum can do [rad]."""
+        """Return the unexplained motion of the newest sample [rad]."""
         if self._remembered < 3:
             return 0.0
         i, j, k = ((self._remembered - back) % EXPECTED_HISTORY for back in (3, 2, 1))
@@ -294,16 +294,16 @@ class RunController:
                     self._torque_sum += reply.torque
                     self._torques += 1
 
-    # Whether it may go on.
+    # Safety.
 
     def _watch_over(self, now: float, lateness: float) -> None:
-        """Ask the rules, and stop where one is broken."""
+        """Check the rules, and stop where one is broken."""
         guard = self._guard if self._at_home is not None else self._guard_unsure
         warned, bridged = self._warned, self._gaps.bridged
         view = self._view(now, lateness)
         self._missing, self._illegal, self._jump = 0, False, 0.0
         self._watch = update_monitor(guard, self._watch, view)
-        # The observer is given nothing that a rule forbids; then it is asked what it believes now.
+        # The observer receives nothing that a rule forbids; its estimate is then checked, too.
         measured_well = view._replace(on_track=False, balancing=False)
         if view.balancing and check(guard, self._watch, measured_well) is None:
             self._observe(now)
@@ -317,7 +317,7 @@ class RunController:
             self._tell("warning", "An encoder sample was lost on its way. Look at its cable later.")
 
     def _view(self, now: float, lateness: float) -> SafetyInputs:
-        """Return what is known, with the estimate of the tick before."""
+        """Return the inputs of the safety rules, with the estimate of the tick before."""
         phase = self.phase
         on_track = phase in ON_TRACK
         moves = phase in MOVING or phase in (Phase.ARMED, Phase.STOPPING)
@@ -329,9 +329,9 @@ class RunController:
         x_dot = self._lane.x_dot if not balancing else estimate.v
         self._answered = now if isnan(self._answered) else self._answered
         return SafetyInputs(
-            # While nothing moves a late tick is no danger; the fit of a swing takes some.
+            # A late tick is no danger while nothing moves; the fit of a swing causes some.
             lateness=lateness if moves else 0.0,
-            # What the loop itself was late is no delay of the robot's.
+            # The lateness of the loop itself is not the robot's delay.
             overdue=max(now - lateness - self._answered - self._h, 0.0),
             measured=self._measured if self._fresh_q else None,
             expected=self._expected(self._measured_at) if self._fresh_q else None,
@@ -351,7 +351,7 @@ class RunController:
         )
 
     def _observe(self, now: float) -> None:
-        """Let the observer take the measurements of this tick."""
+        """Feed the measurements of this tick to the observer."""
         if self._sample is None or self.zero is None:
             return
         self._lane.observe(
@@ -362,7 +362,7 @@ class RunController:
         )
 
     def _pushed(self) -> tuple[float, ...] | None:
-        """Return the external torques less those at rest [N m]; none before those are known."""
+        """Return the external torques less those at rest [N m]; None before those are known."""
         at_rest = self._at_start if self._at_home is None else self._at_home
         if at_rest is None or self._torque is None:
             return None
@@ -374,13 +374,13 @@ class RunController:
         self._setpoints += 1
 
     def _expected(self, time: float) -> tuple[float, ...]:
-        """Return where the arm should have been at a time [rad]: where it was sent, T before."""
+        """Return the expected joints at a time [rad]: the setpoint sent T before."""
         since = time - self._guard.reaction
         place = newest_before(self._sent_at, self._setpoints, since)
         return tuple(self._commanded[place].tolist())
 
     def _hear(self, words: Sequence[str]) -> None:
-        """Take an expected answer; anything else stops, but a late Enter while nothing moves."""
+        """Accept an expected answer; other input stops, except Enter while nothing moves."""
         self._answer = None
         for word in words:
             said = word.strip().lower() or OK
@@ -401,7 +401,7 @@ class RunController:
         zero = 0.0 if self.zero is None else self.zero
         return (2.0 * pi - (counts - zero) * self._resolution) % (2.0 * pi) - pi
 
-    # What goes out.
+    # Outputs.
 
     def _tell(self, name: str, text: str) -> None:
         self._events.append(OperatorMessage(name, text))
@@ -431,7 +431,7 @@ class RunController:
         return self._q, self._q
 
     def _along(self) -> Setpoints:
-        """Go on along the path."""
+        """Return the next setpoints on the path."""
         begin = self._ticks * self._h
         first, second = self._path.at(begin + 0.5 * self._h), self._path.at(begin + self._h)
         self._q, self._dq = second.q, second.dq
@@ -445,7 +445,9 @@ class RunController:
         self._go(states.RunEvent.ARRIVED)
         self._lane.begin(0.0, 0.0)
         self._q = self._lane.q
-        self._ask("home", "Is this home, flange down, the track free on both sides? y or n", YES)
+        self._ask(
+            "home", "Is this home, flange down, the track free on both sides? y or n", YES_OR_NO
+        )
         return self._still()
 
     def _confirm(self, now: float) -> Setpoints:
@@ -478,7 +480,7 @@ class RunController:
         return self._still()
 
     def _test(self, now: float) -> Setpoints:
-        """Move, listen, judge; then go back to home, and on."""
+        """Move, record and judge the swing; then return home, and go on."""
         swing, h = self._swing, self._h
         if swing.judged is not None:
             return self._after_test(swing.judged)
@@ -495,12 +497,12 @@ class RunController:
         if swing.asked and self._result is not None:
             result: SelfTest = self._result
             self._tell("self-test", f"Self-test: {result.reason}.")
-            if result.verdict is SelfTestVerdict.REPEAT and swing.number < SWINGS:
+            if result.verdict is SelfTestVerdict.REPEAT and swing.number < MAX_SWINGS:
                 begin = self._ticks * h + REST_BEFORE
                 self._swing = _Swing(self._lane.x, begin, -swing.direction, swing.number + 1)
             elif result.verdict in (SelfTestVerdict.PASSED, SelfTestVerdict.ZERO):
                 swing.judged = result
-                swing.path = Path((self._lane.x,), (0.0,), BACK_TIME)
+                swing.path = Path((self._lane.x,), (0.0,), RETURN_TIME)
                 swing.begin = self._ticks * h + h
             else:
                 self._stop(Cause("self-test", result.reason))
@@ -509,7 +511,7 @@ class RunController:
 
     def _after_test(self, result: SelfTest) -> Setpoints:
         t = self._ticks * self._h - self._swing.begin
-        if t < BACK_TIME + REST_BEFORE:
+        if t < RETURN_TIME + REST_BEFORE:
             return self._glide(self._swing.path, t)
         if result.verdict is SelfTestVerdict.ZERO:
             self._go(states.RunEvent.REFUSED)
@@ -538,7 +540,7 @@ class RunController:
 
     def _hold(self, now: float) -> Setpoints:
         grip = self._release.grip
-        if self._ticks % round(NUDGE / self._h) == round(NUDGE / self._h) - 1:
+        if self._ticks % round(NUDGE_INTERVAL / self._h) == round(NUDGE_INTERVAL / self._h) - 1:
             self._tell("nudge", "Let go. If it stands by itself, nudge it.")
         if grip is ReleaseState.HELD:
             self._go(states.RunEvent.DENIED)
@@ -613,7 +615,7 @@ class RunController:
             first, second = self._back.at(since + 0.5 * h), self._back.at(since + h)
             self._q, self._dq = second.q, second.dq
             return first.q, second.q
-        self._rested = since > SETTLING + (self._back.duration if self._back else 0.0)
+        self._rested = since > SETTLING_TIME + (self._back.duration if self._back else 0.0)
         return self._still()
 
     _STEPS: Final[dict[Phase, Callable[["RunController", float], Setpoints]]] = {
@@ -649,7 +651,7 @@ class RunController:
 
 
 class _Swing:
-    """What is recorded of one swing, in room that was laid out before."""
+    """Record of one swing, in memory allocated before."""
 
     def __init__(self, x: float, begin: float, direction: float, number: int) -> None:
         self.path, self.begin = excitation(x, direction), begin
@@ -660,19 +662,19 @@ class _Swing:
         self._samples = self._moves = 0
 
     def swung(self, time: float, counts: int) -> None:
-        """Take a sample of the encoder."""
+        """Record a sample of the encoder."""
         if self._samples < self._encoder.shape[1] and not self.asked:
             self._encoder[:, self._samples] = time, counts
             self._samples += 1
 
     def moved(self, time: float, x: float) -> None:
-        """Take a place of the flange, which the pivot shares."""
+        """Record a position of the flange, and so of the pivot."""
         if self._moves < self._pivot.shape[1] and not self.asked:
             self._pivot[:, self._moves] = time, x
             self._moves += 1
 
     def job(self, controller: ControllerParams, counts_per_rev: int, resting: float) -> Job:
-        """Return what judges it."""
+        """Return the job that judges it."""
         time, counts = self._encoder[:, : self._samples].copy()
         pivot_time, pivot_x = self._pivot[:, : self._moves].copy()
         return partial(
@@ -689,7 +691,7 @@ class _Swing:
 
 
 class _Rest:
-    """How long the count has stayed within one."""
+    """Time for which the count has stayed within one."""
 
     def __init__(self) -> None:
         self.lasted = 0.0

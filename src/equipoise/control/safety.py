@@ -1,26 +1,26 @@
-r"""When a run on a rig has to stop: pure rules, each with its name, its words and its evidence.
+r"""Safety rules of a run on a rig: pure functions that return the first broken rule.
 
-Two questions are asked, both without a clock and without I/O:
+Two checks, both without a clock and without I/O:
 
 `check_setpoint`, `check_first`
-    May this setpoint be sent? Asked of each, just before it goes out.
+    Whether a setpoint may be sent; called for each, just before it is sent.
 `check`
-    May the run go on? Asked once per tick, of all that is known then (`SafetyInputs`), and of what
-    has been going on for a while (`MonitorState`, from `update_monitor`).
+    Whether the run may go on; called once per tick with the current state (`SafetyInputs`) and the
+    state of the checks that span several ticks (`MonitorState`, from `update_monitor`).
 
-Each returns the first rule that is broken, in the order of `Rule`, or none. What a broken rule
-leads to is the business of `equipoise.control.states` and `equipoise.control.stop`: a latched stop.
+Each returns the first broken rule in the order of `Rule`, or None. A broken rule leads to a latched
+stop (`equipoise.control.states`, `equipoise.control.stop`).
 
-What decides is `@compilable`: the same functions run in the trials of the digital twin
+The deciding functions are `@compilable`: the same ones run in the trials of the digital twin
 (`equipoise.control.trial_safety`), where a broken rule ends the trial. They return codes and
-numbers; the words are made here, for those who read them.
+numbers; the messages are written here.
 
-Guards never clip. A setpoint that may not be sent is not made smaller, and a speed that is too high
-is not cut: the controller would go on with a motion that does not happen.
+Rules never clip. Neither a forbidden setpoint nor a speed is reduced: the controller would go on
+with a motion that does not happen.
 
-The limits of the joints are those of the rig's own arm; all other numbers stand here, each with its
-reason. Software guards are no safety functions: they run on a PC that may die, and a KST server
-goes on to its last target when it does. That target is always near, because of these rules.
+The joints' limits are those of the rig's arm; all other limits stand here with their reasons. These
+rules are no safety functions in the sense of a standard: they run on a PC that may fail, and a KST
+server then goes on to its last target. The rules keep that target near.
 """
 
 from collections.abc import Sequence
@@ -37,78 +37,80 @@ from equipoise.model.arms.arm import Arm
 
 Numbers = tuple[float, ...]
 Row = Sequence[float] | npt.NDArray[np.float64]
-"""One number per joint, of Python or of a kernel."""
+"""One number per joint, from Python or from a kernel."""
 
 POSITION_MARGIN: Final = radians(3.0)
-"""Setpoints stay so far inside the position limits [rad]: the controller's own supervision stops
-the arm with its brakes at the limit."""
+"""Margin of setpoints inside the position limits [rad]; at a limit the robot controller's own
+supervision stops the arm with its brakes."""
 STEP_LIMIT: Final = radians(2.0)
-"""No setpoint is further than this from the one before [rad], however long that was ago: five times
-what the slowest joint of an iiwa may go in 5 ms. Radians and degrees mixed up end here."""
+"""Maximum step between two setpoints [rad], at any interval: five times the travel of an iiwa's
+slowest joint in 5 ms. It catches degrees given for radians."""
 FIRST_LIMIT: Final = 0.005
-"""The first setpoint is no further than this from the measured posture [rad]: 5 mm at arm's
-length, a hundred times the noise of a measured joint."""
+"""Maximum distance of the first setpoint from the measured posture [rad]: 5 mm at arm's length, a
+hundred times the noise of a measured joint."""
 ROUNDING: Final = 1e-6
-"""Velocities and accelerations may pass their limits by this share: setpoints are differenced."""
+"""Relative tolerance of velocities and accelerations [-], which are differences of setpoints."""
 STOP_DECELERATION: Final = 4.0
-"""The flange's deceleration on the way to rest [m/s^2]: twice the largest command, which an arm
-that balances follows with room to spare."""
+"""Deceleration of the flange on the way to rest [m/s^2]: twice the largest command, which a
+balancing arm follows with reserve."""
 TRACK_LIMIT: Final = paper.X_LIMIT
-"""The flange stays within plus and minus this [m]."""
+"""Track limit: maximum distance of the flange from home [m]."""
 ANGLE_RULE_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
-"""A pendulum that leans so far is lost [rad]."""
+"""Failure angle of the pendulum from upright [rad]."""
 T1_SPEED: Final = 0.23
-"""In T1 the flange stays below this [m/s]: the controller stops the arm with its brakes at
-0.25 m/s, and measured speeds are noisy."""
+"""Flange speed limit in T1 [m/s]; the robot controller stops the arm with its brakes at 0.25 m/s,
+and measured speeds are noisy."""
 ENCODER_STALE: Final = 0.020
-"""An encoder sample older than this is no measurement [s]: the observer bridges two ticks."""
+"""Maximum age of an encoder sample [s]: the observer bridges two ticks."""
 MAX_PENDULUM_RATE: Final = 20.0
-"""A pendulum turns no faster [rad/s]: falling from upright it reaches 2 sqrt(w2) = 17 rad/s."""
+"""Maximum plausible rate of a pendulum [rad/s]; a fall from upright reaches 2 sqrt(w2) = 17
+rad/s."""
 MAX_COUNT_JUMP: Final = radians(0.6)
-"""Counts do not leave the straight line through the two before by more than this, beyond what a
-step of the encoder and gravity explain [rad]: time stamps are wrong by up to 0.3 ms."""
+"""Maximum unexplained deviation of a count from the straight line through the two before [rad],
+beyond the encoder's resolution and gravity; time stamps are wrong by up to 0.3 ms."""
 MAX_PENDULUM_ACCELERATION: Final = 150.0
-"""What accelerates a pendulum at most [rad/s^2]: gravity 70, its pivot 15, a hand the rest."""
+"""Maximum plausible acceleration of a pendulum [rad/s^2]: gravity 70, its pivot 15, a hand the
+rest."""
 MAX_TICK_LATENESS: Final = 0.020
-"""A tick may begin so late [s]: the observer and the last setpoints bridge two ticks."""
+"""Maximum lateness of a tick [s]: the observer and the last setpoints bridge two ticks."""
 MAX_MISSED_TICKS: Final = 3
-"""... and fewer than so many ticks in a row may be missed, each late by a tick or more."""
+"""Number of successive ticks, each late by a tick or more, that stops the run."""
 MAX_REPLY_TIME: Final = 0.050
-"""A reply of the robot may take so long [s]: a round trip takes 1 to 4 ms, and the operator has to
-know within 100 ms that software cannot stop the robot any more."""
+"""Maximum time until a reply of the robot [s]: a round trip takes 1 to 4 ms, and the operator has
+to know within 100 ms that software can no longer stop the robot."""
 TORQUE_SHARE: Final = 0.10
-"""An external torque may differ from that at rest by this share of the joint's limit: 32 N m at A1
-of an iiwa 14, a push of some 60 N at the flange."""
+"""Maximum change of an external torque from that at rest, as a share of the joint's limit [-]: 32 N
+m at A1 of an iiwa 14, a push of some 60 N at the flange."""
 FOLLOWING_LIMIT: Final = 0.03
-"""A measured joint may differ from the expected one by this [rad]: 20 mm at the flange, seven times
-the largest difference in 100 trials of 60 s on `twin:nominal`."""
+"""Maximum following error of a joint [rad]: 20 mm at the flange, seven times the largest difference
+in 100 trials of 60 s on `twin:nominal`."""
 FOLLOWING_TIME: Final = 0.05
-"""... or by more, for less than this [s]."""
+"""Time for which a larger following error is tolerated [s]."""
 STILL_ANGLE: Final = 5e-4
-"""A joint whose measured angle changes by less than this has not moved [rad]: ten times its
-noise."""
+"""Maximum change of the measured angle of a joint at rest [rad]: ten times its noise."""
 EXPECTED_MOTION: Final = 0.01
-"""An arm that has not moved while some joint was expected to go so far [rad] does not follow:
-emergency stop, enabling switch, protective stop or another mode."""
+"""Expected motion of a joint after which an arm at rest does not follow [rad]: emergency stop,
+enabling switch, protective stop or another mode."""
 SINGULAR_SHARE: Final = 0.1
-"""|det J| stays above this share of its value at home: twice that from which CLIK damps."""
+"""Minimum |det J| as a share of its value at home [-]: twice the share at which CLIK begins to
+damp."""
 DRIFT_LIMIT: Final = 0.015
-"""The flange stays so near to its line [m]; in 100 trials of 60 s on `twin:nominal` it keeps to
-0.7 mm, and the load that a drive does not know about may be heavier."""
+"""Maximum distance of the flange from its line [m]; in 100 trials of 60 s on `twin:nominal` it is
+0.7 mm, and a load unknown to the drives may be heavier."""
 TILT_LIMIT: Final = radians(2.0)
-"""The flange keeps its orientation to this [rad]: a wrong pitch is a wrong angle. In 100 trials of
-60 s on `twin:nominal` it keeps to 0.2 deg."""
+"""Maximum tilt of the flange [rad]; its pitch adds to the measured angle. In 100 trials of 60 s on
+`twin:nominal` it is 0.2 deg."""
 
 
 class Rule(Enum):
-    """What can be broken; of several the first in this order is named.
+    """Safety rules; of several broken ones the first in this order is named.
 
-    First what makes all other numbers meaningless, then what is out of reach, then what hurts, then
-    what ends the balance.
+    First the rules that make all other numbers meaningless, then limits of the robot, then harm,
+    then the end of the balance.
     """
 
     NUMBER = "not a number"
-    """Something that should be a finite number is none."""
+    """A value is not a finite number."""
     COUNT = "wrong count"
     """A setpoint has more or fewer numbers than the arm has joints."""
     LINK = "link overdue"
@@ -134,7 +136,7 @@ class Rule(Enum):
     TRACK = "track"
     """The flange could not be stopped within its track any more."""
     SPEED = "flange speed"
-    """The flange is faster than it may be, such as in T1."""
+    """The flange reaches its speed limit, such as that of T1."""
     DRIFT = "flange drift"
     """The flange has left its line."""
     TILT = "flange tilt"
@@ -154,9 +156,9 @@ class Rule(Enum):
 
 
 RULES: Final = tuple(Rule)
-"""By code, as what is compiled names them: its place in the order."""
+"""Rules by code: compiled functions name a rule by its index here."""
 NO_VIOLATION: Final = -1
-"""Code of no rule: all are kept."""
+"""Code for no broken rule."""
 TORQUE_CODE: Final = RULES.index(Rule.TORQUE)
 FOLLOWING_CODE: Final = RULES.index(Rule.FOLLOWING)
 POSITION_CODE: Final = RULES.index(Rule.POSITION)
@@ -171,31 +173,32 @@ TILT_CODE: Final = RULES.index(Rule.TILT)
 ANGLE_CODE: Final = RULES.index(Rule.ANGLE)
 
 FROM_MEASURED: Final = frozenset({Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.TORQUE, Rule.FIRST})
-"""Where these are broken the arm is not where it was sent: targets go on from measured joints."""
+"""Rules whose violation shows that the arm is not at its setpoint: targets restart from the
+measured joints."""
 
 
 class Violation(NamedTuple):
     """A broken rule."""
 
     rule: Rule
-    """Which."""
+    """The rule."""
     reason: str
-    """What the operator is told: what is, what may be."""
+    """Message for the operator: the value, and the expected one."""
     value: float
-    """The number that is out of bounds, in the rule's unit (SI)."""
+    """Value that violates the rule, in SI units."""
     limit: float
-    """The bound."""
+    """Limit of the rule."""
     joint: int | None = None
-    """Which joint, counted from one; none where it is not about one."""
+    """Number of the joint, from one; None for a rule that concerns no single joint."""
 
     @property
     def from_measured(self) -> bool:
-        """Whether the targets have to go on from the measured posture."""
+        """Whether the targets have to restart from the measured posture."""
         return self.rule in FROM_MEASURED
 
 
 class Limits(NamedTuple):
-    """What setpoints have to keep to, one entry per joint, the held one included."""
+    """Limits of setpoints, one entry per joint, the held one included."""
 
     lower: Numbers
     """Lower limits of the position, the margin taken off [rad]."""
@@ -208,12 +211,12 @@ class Limits(NamedTuple):
 
     @property
     def joints(self) -> int:
-        """How many joints there are."""
+        """Number of joints."""
         return len(self.lower)
 
 
 def limits_of(arm: Arm, *, margin: float = POSITION_MARGIN, speed_share: float = 1.0) -> Limits:
-    """Return what the setpoints for an arm have to keep to.
+    """Return the limits of an arm's setpoints.
 
     Args:
         arm: The arm.
@@ -229,24 +232,24 @@ def limits_of(arm: Arm, *, margin: float = POSITION_MARGIN, speed_share: float =
 
 
 class SafetyParams(NamedTuple):
-    """The rules with the numbers of a rig."""
+    """Safety limits of one rig."""
 
     limits: Limits
-    """Of the joints."""
+    """Limits of the joints."""
     torque: Numbers
-    """How far an external torque may be from that at rest [N m], per joint."""
+    """Maximum change of the external torque from that at rest [N m], per joint."""
     reaction: float
-    """T of the track rule: transport delay and lag of the arm [s]."""
+    """Reaction time T of the track rule: transport delay and lag of the arm [s]."""
     u_max: float
     """Largest acceleration that the policy commands [m/s^2]."""
     least_manipulability: float
-    """|det J| stays above this [m^3]."""
+    """Minimum |det J| [m^3]."""
     h: float
     """Time between ticks [s]."""
     resolution: float
     """Angle of one encoder count [rad]."""
     speed: float = inf
-    """The flange stays below this [m/s]; inf where nothing limits it."""
+    """Flange speed limit [m/s]; inf for none."""
 
 
 def make_safety_params(
@@ -261,7 +264,7 @@ def make_safety_params(
     speed_share: float = 1.0,
     torque_share: float = TORQUE_SHARE,
 ) -> SafetyParams:
-    """Return the rules for a rig.
+    """Return the safety limits of a rig.
 
     Args:
         arm: The rig's arm, with its home posture.
@@ -299,16 +302,16 @@ def check_setpoint(
     dt: float,
     to_rest: bool = False,
 ) -> Violation | None:
-    """Return what forbids to send a setpoint, or none.
+    """Return the rule that forbids a setpoint, or None.
 
     Args:
-        limits: What it has to keep to.
+        limits: Limits of setpoints.
         q: The setpoint [rad], shape (n,).
         last: The one sent before [rad], shape (n,).
         before: The one before that [rad], shape (n,); the same as `last` where the arm is at rest.
         dt: Time between setpoints in the stream [s].
-        to_rest: Whether it is on a way to rest, which is known to end inside the limits: then
-            nobody asks where the joint could be stopped.
+        to_rest: Whether it belongs to a way to rest that ends inside the limits; the stopping
+            position is not checked then.
     """
     broken = _not_numbers(limits, q)
     return broken or _worded_setpoint(
@@ -317,7 +320,7 @@ def check_setpoint(
 
 
 def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -> Violation | None:
-    """Return what forbids to send the first setpoint of a stream, or none.
+    """Return the rule that forbids the first setpoint of a stream, or None.
 
     Args:
         limits: What it has to keep to.
@@ -365,7 +368,7 @@ def _not_numbers(limits: Limits, q: Sequence[float], name: str = "a setpoint") -
 def broken_setpoint(
     limits: Limits, q: Row, last: Row, before: Row, dt: float, to_rest: bool = False
 ) -> tuple[int, int, float, float]:
-    """Return the first rule that a setpoint breaks: its code, the joint, what it asks, the bound.
+    """Return the first rule that a setpoint breaks: its code, the joint, the value, the limit.
 
     Args:
         limits: What it has to keep to.
@@ -381,7 +384,7 @@ def broken_setpoint(
     for i in range(len(q)):
         lower, upper = limits.lower[i], limits.upper[i]
         velocity = (q[i] - last[i]) / dt
-        # Where it comes to rest at the joint's largest deceleration.
+        # Position of rest at the joint's maximum deceleration.
         rest = q[i] + copysign(0.5 * velocity * velocity / limits.acceleration[i], velocity)
         for end in (q[i], q[i] if to_rest else rest):
             if not lower <= end <= upper:
@@ -431,26 +434,26 @@ def _worded_setpoint(
 
 
 class SafetyInputs(NamedTuple):
-    """What is known at a tick. The defaults are those of a run in which all is well."""
+    """State of a run at a tick; the defaults break no rule."""
 
     lateness: float = 0.0
-    """How late the tick began [s]."""
+    """Lateness of the tick [s]."""
     overdue: float = 0.0
-    """How long the oldest unanswered setpoint has been waiting for its reply [s]."""
+    """Time since the oldest setpoint without a reply [s]."""
     measured: Numbers | None = None
-    """Measured joints [rad], all of them; none where no new ones came."""
+    """Measured joints [rad], all of them; None without a new measurement."""
     expected: Numbers | None = None
-    """Where the model of the arm has them at the time of `measured` [rad]."""
+    """Joints of the arm's model at the time of `measured` [rad]."""
     torque: Numbers | None = None
-    """External torques less those at rest [N m]; none where no new ones came."""
+    """External torques less those at rest [N m]; None without a new measurement."""
     encoder_age: float = 0.0
     """Age of the newest encoder sample [s]."""
     encoder_illegal: bool = False
-    """Whether the board met an illegal transition since the tick before."""
+    """Whether the board has seen an illegal transition since the tick before."""
     encoder_missing: int = 0
     """Encoder samples lost since the tick before."""
     encoder_jump: float = 0.0
-    """Largest `unexplained` turn since the tick before [rad]."""
+    """Maximum `unexplained` turn since the tick before [rad]."""
     balancing: bool = False
     """Whether the policy commands."""
     x: float = 0.0
@@ -460,10 +463,9 @@ class SafetyInputs(NamedTuple):
     phi: float = 0.0
     """Angle of the pendulum from upright [rad]."""
     on_track: bool = False
-    """Whether the flange is on its track, where its line and orientation count; on the way home it
-    is not."""
+    """Whether the flange has to be on its track, in line and orientation; not on the way home."""
     manipulability: float = inf
-    """|det J| [m^3]; inf where it is not looked at."""
+    """|det J| [m^3]; inf where it is not checked."""
     drift: float = 0.0
     """Distance of the flange from its line [m]."""
     tilt: float = 0.0
@@ -471,27 +473,27 @@ class SafetyInputs(NamedTuple):
 
 
 class MonitorState(NamedTuple):
-    """What has been going on for some ticks."""
+    """State of the checks that span several ticks."""
 
     missed: int = 0
-    """Ticks in a row that were late by a tick or more."""
+    """Number of successive ticks late by a tick or more."""
     astray: float = 0.0
-    """For how long some joint has been far from where it was expected [s]."""
+    """Duration of a following error beyond its limit [s]."""
     rest: Numbers | None = None
-    """Measured joints when the arm was last seen to move [rad]."""
+    """Measured joints at the arm's last motion [rad]."""
     expected: Numbers | None = None
-    """Where it was expected then [rad]."""
+    """Expected joints at that time [rad]."""
     farthest: float = 0.0
-    """How far some joint was expected to move since then [rad]."""
+    """Maximum expected motion of a joint since then [rad]."""
 
 
 def update_monitor(guard: SafetyParams, before: MonitorState, view: SafetyInputs) -> MonitorState:
-    """Return what has been going on, a tick later.
+    """Return the state of the checks that span several ticks, a tick later.
 
     Args:
         guard: The rules.
-        before: The same at the tick before.
-        view: What is known now; to be looked at with `check` first, which finds what is no number.
+        before: The state at the tick before.
+        view: State of the run now; call `check` first, which finds invalid numbers.
     """
     missed = before.missed + 1 if view.lateness >= guard.h else 0
     measured, expected = view.measured, view.expected
@@ -510,12 +512,12 @@ def update_monitor(guard: SafetyParams, before: MonitorState, view: SafetyInputs
 
 
 def check(guard: SafetyParams, watched: MonitorState, view: SafetyInputs) -> Violation | None:
-    """Return why the run must not go on, or none; of several reasons the first of `Rule`.
+    """Return the broken rule that stops the run, or None; of several the first of `Rule`.
 
     Args:
         guard: The rules.
-        watched: What has been going on, this tick included.
-        view: What is known now.
+        watched: State of the checks that span several ticks, this one included.
+        view: State of the run now.
     """
     return (
         _numbers(view)
@@ -593,11 +595,11 @@ def _motion(guard: SafetyParams, watched: MonitorState, view: SafetyInputs) -> V
 
 @compilable
 def time_astray(before: float, error: float, h: float) -> float:
-    """Return for how long some joint has been far from where it was expected [s], a tick later.
+    """Return the duration of a following error beyond its limit [s], a tick later.
 
     Args:
         before: The same at the tick before [s].
-        error: How far the farthest joint is from there now [rad].
+        error: Maximum following error now [rad].
         h: Time between ticks [s].
     """
     return before + h if error > FOLLOWING_LIMIT else 0.0
@@ -605,7 +607,7 @@ def time_astray(before: float, error: float, h: float) -> float:
 
 @compilable
 def is_astray(time: float) -> bool:
-    """Return whether joints have been far from where they were expected for too long [s]."""
+    """Return whether a following error has lasted too long [s]."""
     return time > FOLLOWING_TIME
 
 
@@ -615,7 +617,7 @@ def pushed(torque: Row, limit: Row) -> int:
 
     Args:
         torque: External torques less those at rest [N m], shape (n,).
-        limit: How far they may go [N m], shape (n,).
+        limit: Their limits [N m], shape (n,).
     """
     for i in range(len(limit)):
         if abs(torque[i]) > limit[i]:
@@ -625,16 +627,16 @@ def pushed(torque: Row, limit: Row) -> int:
 
 @compilable
 def newest_before(sent: Row, count: int, since: float) -> int:
-    """Return the place of the setpoint that was in force at a time, in a ring of those sent.
+    """Return the index of the setpoint in force at a time, in a ring of those sent.
 
     Args:
-        sent: When each was sent [s], at its number modulo the ring's length, which is the shape;
-            -inf where none has been yet.
-        count: How many have been sent.
+        sent: Time of each [s], at its number modulo the ring's length, which is the shape; -inf
+            for an empty place.
+        count: Number of setpoints sent.
         since: The time [s].
 
     Returns:
-        The place; that of the oldest where all were sent later.
+        The index; that of the oldest if all were sent later.
     """
     length = len(sent)
     for back in range(1, length):
@@ -679,7 +681,7 @@ def _flange(guard: SafetyParams, view: SafetyInputs) -> Violation | None:
 def broken_flange(
     guard: SafetyParams, x: float, x_dot: float, drift: float, tilt: float, manipulability: float
 ) -> tuple[int, float, float]:
-    """Return the first rule of the flange that is broken: its code, what is, the bound.
+    """Return the first broken rule of the flange: its code, the value, the limit.
 
     Args:
         guard: The rules.
@@ -695,7 +697,7 @@ def broken_flange(
     if manipulability < guard.least_manipulability:
         return SINGULAR_CODE, manipulability, guard.least_manipulability
     reach = stopping_reach(x, x_dot, guard.reaction, guard.u_max)
-    # Written so that a number that is none breaks the rule.
+    # Written so that NaN breaks the rule.
     if not (reach < TRACK_LIMIT and abs(x) < TRACK_LIMIT):
         return TRACK_CODE, max(reach, abs(x)), TRACK_LIMIT
     if abs(x_dot) >= guard.speed:
@@ -709,7 +711,7 @@ def broken_flange(
 
 @compilable
 def stopping_reach(x: float, x_dot: float, reaction: float, u_max: float) -> float:
-    r"""Return how far out the flange comes to rest, if the stop is decided now [m].
+    r"""Return the distance from home at which the flange comes to rest after a stop now [m].
 
     .. math:: s x + |\dot x| T + \tfrac12 u_{max} T^2 + \frac{(|\dot x| + u_{max} T)^2}{2 \cdot 4},
               \qquad s = \mathrm{sign}\,\dot x
@@ -798,25 +800,25 @@ def _angle(view: SafetyInputs) -> Violation | None:
 
 @compilable
 def has_fallen(phi: float) -> bool:
-    """Return whether a pendulum at this angle from upright [rad] is lost; NaN is."""
+    """Return whether a pendulum at this angle from upright [rad] has fallen; NaN has."""
     return not abs(phi) < ANGLE_RULE_LIMIT
 
 
 def unexplained(
     times: tuple[float, float, float], counts: tuple[int, int, int], resolution: float
 ) -> float:
-    """Return how far the newest of three counts is from what a pendulum can do [rad].
+    """Return the deviation of the newest of three counts from a pendulum's motion [rad].
 
-    A pendulum goes straight on from the two counts before, but for a step of the encoder each and
-    for what accelerates it; and it turns no faster than `RATE_LIMIT`.
+    A pendulum continues the straight line of the two counts before, but for the encoder's
+    resolution and its acceleration, and turns no faster than `MAX_PENDULUM_RATE`.
 
     Args:
-        times: When they were counted [s], the oldest first.
+        times: Times of the counts [s], the oldest first.
         counts: The counts.
         resolution: Angle of one count [rad].
 
     Returns:
-        Zero where nothing has to be explained; inf where time does not go on.
+        Zero for a plausible count; inf where time does not increase.
     """
     first, dt = times[1] - times[0], times[2] - times[1]
     if not (first > 0.0 and dt > 0.0):
@@ -830,7 +832,7 @@ def unexplained(
 
 @compilable
 def largest_difference(a: Row, b: Row) -> tuple[float, int]:
-    """Return the largest difference of two postures, and at which joint, counted from one."""
+    """Return the largest difference of two postures, and its joint, counted from one."""
     largest, number = 0.0, 1
     for i in range(len(a)):
         if abs(a[i] - b[i]) > largest:

@@ -1,4 +1,4 @@
-r"""Does the hanging pendulum answer a known motion as the model says? And where is its zero?
+r"""Self-test of a rig: response of the hanging pendulum to a known motion, and the encoder's zero.
 
 The flange makes a minimum-jerk move of 40 mm in 0.8 s, which is about a period: the pendulum
 answers with a swing of several degrees, that then decays. The model is driven by the *measured*
@@ -28,72 +28,72 @@ from equipoise.model.pendulum import PendulumParameters, step
 
 Array = npt.NDArray[np.float64]
 
-MOVE: Final = 0.04
-"""How far the flange moves [m]."""
+MOVE_DISTANCE: Final = 0.04
+"""Distance of the flange's move [m]."""
 MOVE_TIME: Final = 0.8
-"""In what time [s]."""
+"""Duration of the move [s]."""
 SWING_TIME: Final = 4.0
-"""How long the pendulum is watched afterwards [s]: five periods."""
+"""Observation of the pendulum after the move [s]: five periods."""
 COUNTS_TOLERANCE: Final = 0.05
-"""G may differ from 1 or -1 by this: halfway to the smallest mistake, 10 %."""
+"""Maximum deviation of |G| from 1 [-]: half the smallest mistake, 10 %."""
 W2_TOLERANCE: Final = 0.05
-"""w2 may differ by this share: training varies it by 2 % (one standard deviation)."""
+"""Maximum relative deviation of w2 [-]: training varies it by 2 % (one standard deviation)."""
 DELAY_TOLERANCE: Final = 0.015
-"""tau may differ from what is expected by this [s]: the prediction has a margin of 5 ms, and 30 ms
-make it fail."""
+"""Maximum deviation of tau from the expected delay [s]: the prediction has a margin of 5 ms, and 30
+ms make it fail."""
 ZERO_TOLERANCE: Final = radians(0.5)
-"""The middle of the swing may be off the resting count by this [rad]: stiction explains 0.1 deg of
-a good bearing, and half of the trials survive 0.75 deg."""
+"""Maximum distance of the swing's middle from the resting count [rad]: stiction explains 0.1 deg
+with a good bearing, and half of the trials survive 0.75 deg."""
 ZERO_INTERVAL: Final = radians(0.1)
-"""The zero is good when its interval is within plus and minus this [rad]."""
-LEAST_MOVE: Final = 0.5
-"""The flange has to have moved by this share of the 40 mm, or nothing was tested."""
-LEAST_ANSWER: Final = radians(0.5)
-"""An answer whose standard deviation is below this [rad] is none: a good one has 2 deg."""
-MISFIT: Final = 0.1
-"""A residual above this share of the answer's standard deviation is not understood."""
-STEP: Final = 0.004
-"""Step of the model [s]: a 190th of a period."""
-MOST_SAMPLES: Final = 2000
-"""Of more encoder samples every second, third ... is taken: counts 2 ms apart say as much."""
-KNOTS: Final = 0.04
+"""Maximum half width of the zero's interval [rad]."""
+MIN_MOVE_SHARE: Final = 0.5
+"""Minimum share of the 40 mm that the flange has to move for a valid test [-]."""
+MIN_RESPONSE: Final = radians(0.5)
+"""Minimum standard deviation of the pendulum's response [rad]; a good one has 2 deg."""
+MAX_MISFIT: Final = 0.1
+"""Maximum residual as a share of the response's standard deviation [-]."""
+MODEL_STEP: Final = 0.004
+"""Time step of the model [s]: a 190th of a period."""
+MAX_SAMPLES: Final = 2000
+"""Maximum number of encoder samples; more are thinned out, for counts 2 ms apart suffice."""
+KNOT_SPACING: Final = 0.04
 """Spacing of the knots of the spline through the measured motion [s]: a twentieth of the move."""
-CONFIDENCE: Final = 0.975
+INTERVAL_QUANTILE: Final = 0.975
 """Quantile of the intervals: 95 % between both sides."""
-LEAST_SAMPLES: Final = 200
-"""Fewer samples of encoder or pivot are refused."""
-LONGEST_GAP: Final = 0.05
-"""A longer gap between samples is refused [s]: the pivot's motion is guessed over it."""
-LEAST_SWING: Final = 0.5
-"""The swing after the move has to be watched for this share of its time."""
-SLACK: Final = 0.15
-"""The model begins so long before the first sample, and ends so long after the last [s]: the
-delays that are looked for."""
-DELAYS: Final = (-0.06, -0.03, 0.0, 0.03, 0.06)
-"""Delays beyond the expected one from which the fit begins [s]."""
-RATES: Final = (0.6, 1.5, 181)
-"""Shares of sqrt(w2) at which the swing is looked for: from, to, how many."""
-DECAYS: Final = (0.05, 0.15, 0.3)
-"""Its decays [1/s]."""
-ITERATIONS: Final = 30
-"""Steps of the fit at most; it takes about ten."""
-DIFFERENCE: Final = 1e-4
-"""Step of the finite differences, in scales."""
+MIN_SAMPLES: Final = 200
+"""Minimum number of samples of encoder and pivot."""
+MAX_SAMPLE_GAP: Final = 0.05
+"""Maximum gap between samples [s]; the pivot's motion is interpolated over it."""
+MIN_SWING_SHARE: Final = 0.5
+"""Minimum share of the swing after the move that has to be observed [-]."""
+MODEL_MARGIN: Final = 0.15
+"""Time by which the model begins before the first sample and ends after the last [s], for the
+delays that are searched."""
+START_DELAYS: Final = (-0.06, -0.03, 0.0, 0.03, 0.06)
+"""Initial delays of the fit beyond the expected one [s]."""
+RATE_SHARES: Final = (0.6, 1.5, 181)
+"""Searched rates of the swing as shares of sqrt(w2): first, last, number."""
+DECAY_RATES: Final = (0.05, 0.15, 0.3)
+"""Searched decay rates of the swing [1/s]."""
+MAX_ITERATIONS: Final = 30
+"""Maximum number of steps of the fit; about ten are usual."""
+DIFFERENCE_STEP: Final = 1e-4
+"""Step of the finite differences, in units of `SCALES`."""
 
 UNKNOWNS: Final = 8
 GAIN, W2, TAU, ZERO, C, COULOMB, THETA, THETA_DOT = range(UNKNOWNS)
-"""Places of the unknowns."""
+"""Indices of the unknowns."""
 SCALES: Final = np.array([1.0, 70.0, 0.1, 0.1, 1.0, 1.0, 0.1, 1.0])
-"""What counts as much of each, in its unit."""
+"""Typical size of each unknown, in its unit."""
 
 
 class SelfTestVerdict(Enum):
-    """What a self-test says."""
+    """Verdict of a self-test."""
 
     PASSED = "passed"
-    """All is as the model says, and the zero is known."""
+    """The response is that of the model, and the zero is known."""
     REPEAT = "repeat"
-    """All is as the model says, but the zero's interval is too wide: let it swing once more."""
+    """The response is that of the model, but the zero's interval is too wide: repeat the swing."""
     SIGN = "encoder sign"
     """The counts grow the wrong way, or the pendulum is mounted the other way round."""
     COUNTS = "counts factor"
@@ -105,7 +105,7 @@ class SelfTestVerdict(Enum):
     ZERO = "zero"
     """The pendulum did not hang straight when it was referenced."""
     NOT_UNDERSTOOD = "not understood"
-    """No answer, or one that no such pendulum gives."""
+    """No response, or not that of such a pendulum."""
 
 
 class ParameterInterval(NamedTuple):
@@ -118,12 +118,12 @@ class ParameterInterval(NamedTuple):
 
 
 class SelfTest(NamedTuple):
-    """What the answer of the pendulum says."""
+    """Result of a self-test."""
 
     verdict: SelfTestVerdict
-    """The first that is wrong, or that nothing is."""
+    """First fault found, or none."""
     reason: str
-    """What the operator is told."""
+    """Message for the operator."""
     gain: ParameterInterval
     """G, encoder over model."""
     w2: ParameterInterval
@@ -143,7 +143,7 @@ def excitation(x: float, direction: float = 1.0) -> Path:
         x: Where it begins [m].
         direction: 1 or -1.
     """
-    return Path((x,), (x + direction * MOVE,), MOVE_TIME)
+    return Path((x,), (x + direction * MOVE_DISTANCE,), MOVE_TIME)
 
 
 @kernel
@@ -169,7 +169,7 @@ def self_test(
     resting: float,
     delay: float,
 ) -> SelfTest:
-    """Judge the pendulum's answer to the motion of its pivot.
+    """Judge the pendulum's response to the motion of its pivot.
 
     Args:
         time: Times of the encoder samples [s], from before the move until some periods after it,
@@ -188,39 +188,38 @@ def self_test(
         return _not_understood(problem)
     angle = (counts - resting) * (2.0 * pi / counts_per_rev)
     answer = float(np.std(angle))
-    if answer < LEAST_ANSWER:
+    if answer < MIN_RESPONSE:
         return _not_understood(
             f"the encoder moved by {np.degrees(answer):.2f} deg (standard deviation), expected at "
-            f"least {np.degrees(LEAST_ANSWER):g} deg: is the pendulum free, the encoder connected?"
+            f"least {np.degrees(MIN_RESPONSE):g} deg: is the pendulum free, the encoder connected?"
         )
-    every = -(-len(time) // MOST_SAMPLES)
+    every = -(-len(time) // MAX_SAMPLES)
     recorded = _Answer.of(time[::every], angle[::every], pivot_time, pivot_x, pendulum)
     guess = recorded.guess(delay, until=_rest(pivot_time, pivot_x))
     return _judged(recorded, recorded.fitted(guess), answer, delay)
 
 
 def _unusable(time: Array, counts: Array, pivot_time: Array, pivot_x: Array) -> str:
-    """Return why these cannot be judged; empty where they can."""
+    """Return why the samples cannot be judged; empty if they can."""
     for name, times, values in (("encoder", time, counts), ("pivot", pivot_time, pivot_x)):
-        if times.shape != values.shape or times.ndim != 1 or len(times) < LEAST_SAMPLES:
+        if times.shape != values.shape or times.ndim != 1 or len(times) < MIN_SAMPLES:
             return (
                 f"the {name} gave {len(values)} samples for {len(times)} times, expected "
-                f"{LEAST_SAMPLES} or more"
+                f"{MIN_SAMPLES} or more"
             )
         if not (np.all(np.isfinite(times)) and np.all(np.isfinite(values))):
-            return f"the {name} gave what is no number"
+            return f"the {name} gave values that are not finite numbers"
         if not np.all(np.diff(times) > 0.0):
             return f"the times of the {name} do not increase"
     gap = max(float(np.max(np.diff(time))), float(np.max(np.diff(pivot_time))))
-    if gap > LONGEST_GAP:
-        return f"there is a gap of {1e3 * gap:.0f} ms, expected at most {1e3 * LONGEST_GAP:g} ms"
+    if gap > MAX_SAMPLE_GAP:
+        return f"there is a gap of {1e3 * gap:.0f} ms, expected at most {1e3 * MAX_SAMPLE_GAP:g} ms"
     moved = float(np.ptp(pivot_x))
-    if not LEAST_MOVE * MOVE < moved < 2.0 * MOVE:
-        return (
-            f"the flange was measured to move by {1e3 * moved:.1f} mm, expected {1e3 * MOVE:g} mm"
-        )
+    if not MIN_MOVE_SHARE * MOVE_DISTANCE < moved < 2.0 * MOVE_DISTANCE:
+        expected = f"expected {1e3 * MOVE_DISTANCE:g} mm"
+        return f"the flange was measured to move by {1e3 * moved:.1f} mm, {expected}"
     left = float(time[-1]) - _rest(pivot_time, pivot_x)
-    if left < LEAST_SWING * SWING_TIME:
+    if left < MIN_SWING_SHARE * SWING_TIME:
         return (
             f"the pendulum was watched for {left:.1f} s after the move, expected {SWING_TIME:g} s"
         )
@@ -228,13 +227,13 @@ def _unusable(time: Array, counts: Array, pivot_time: Array, pivot_x: Array) -> 
 
 
 def _rest(pivot_time: Array, pivot_x: Array) -> float:
-    """Return when the pivot has come to rest [s]."""
+    """Return the time at which the pivot has come to rest [s]."""
     away = np.abs(pivot_x - np.median(pivot_x[-len(pivot_x) // 8 :])) > 0.02 * np.ptp(pivot_x)
     return float(pivot_time[np.flatnonzero(away)[-1]])
 
 
 class _Answer(NamedTuple):
-    """What was recorded, and the grid on which the model runs."""
+    """Recorded response, and the grid of the model."""
 
     time: Array
     """Of the encoder samples [s]."""
@@ -256,13 +255,13 @@ class _Answer(NamedTuple):
         # Twice the derivative of noise is mostly fast, and the pendulum is slow: knots that follow
         # the move are smooth enough.
         begin, end = float(pivot_time[0]), float(pivot_time[-1])
-        pieces = max(int((end - begin) / KNOTS), 1)
+        pieces = max(int((end - begin) / KNOT_SPACING), 1)
         inner = np.linspace(begin, end, pieces + 1)[1:-1]
         knots = np.concatenate(([begin] * 6, inner, [end] * 6))
         # The stub of SciPy does not know the second derivative's type.
         u_of = make_lsq_spline(pivot_time, pivot_x, knots, k=5).derivative(2)
-        grid = np.arange(time[0] - SLACK, time[-1] + SLACK, STEP)
-        middle = grid[:-1] + 0.5 * STEP
+        grid = np.arange(time[0] - MODEL_MARGIN, time[-1] + MODEL_MARGIN, MODEL_STEP)
+        middle = grid[:-1] + 0.5 * MODEL_STEP
         inside = (middle > begin) & (middle < end)
         u = np.where(inside, u_of(np.clip(middle, begin, end)), 0.0)
         return cls(time, angle, grid, u, p)
@@ -274,14 +273,14 @@ class _Answer(NamedTuple):
         thetas = np.empty_like(self.grid)
         # No friction drives: below zero the fit finds nothing better.
         parameters = PendulumParameters(w2, k, max(c, 0.0), max(coulomb, 0.0))
-        _driven_swing(theta, theta_dot, self.u, STEP, parameters, thetas)
+        _driven_swing(theta, theta_dot, self.u, MODEL_STEP, parameters, thetas)
         return gain * np.interp(self.time - tau, self.grid, thetas) + zero
 
     def guess(self, delay: float, until: float) -> Array:
         """Return where to begin: w2 from the swing after the move, G and tau from a few tries."""
         rate, decay = self._oscillation(until)
         best, least = np.zeros(UNKNOWNS), np.inf
-        for tau in delay + np.array(DELAYS):
+        for tau in delay + np.array(START_DELAYS):
             unknowns = np.array([1.0, rate**2, tau, 0.0, 2.0 * decay, 0.0, 0.0, 0.0])
             columns = np.stack([self.model(unknowns), np.ones_like(self.angle)], axis=1)
             solution = np.linalg.lstsq(columns, self.angle, rcond=None)[0]
@@ -298,8 +297,8 @@ class _Answer(NamedTuple):
         every = max(int(np.sum(chosen)) // 400, 1)
         t, y = self.time[chosen][::every] - begin, self.angle[chosen][::every]
         best, least = (0.0, 0.0), np.inf
-        for rate in sqrt(self.pendulum.w2) * np.linspace(*RATES):
-            for decay in DECAYS:
+        for rate in sqrt(self.pendulum.w2) * np.linspace(*RATE_SHARES):
+            for decay in DECAY_RATES:
                 faded = np.exp(-decay * t)
                 columns = np.stack(
                     [faded * np.cos(rate * t), faded * np.sin(rate * t), np.ones_like(t)], axis=1
@@ -316,8 +315,8 @@ class _Answer(NamedTuple):
         columns: list[Array] = []
         for i in range(UNKNOWNS):
             there = unknowns.copy()
-            there[i] += DIFFERENCE * SCALES[i]
-            columns.append((self.model(there) - here) / DIFFERENCE)
+            there[i] += DIFFERENCE_STEP * SCALES[i]
+            columns.append((self.model(there) - here) / DIFFERENCE_STEP)
         return np.stack(columns, axis=1)
 
     def fitted(self, guess: Array) -> Array:
@@ -333,7 +332,7 @@ class _Answer(NamedTuple):
             xtol=1e-5,
             ftol=1e-4,
             gtol=1e-9,
-            max_nfev=ITERATIONS,
+            max_nfev=MAX_ITERATIONS,
         )
         return np.asarray(solution.x * SCALES, dtype=np.float64)
 
@@ -350,7 +349,7 @@ class _Answer(NamedTuple):
         spread = inverse @ (pulls.T @ pulls) @ inverse * blocks / (blocks - 1)
         # Where two unknowns cannot be told apart, rounding may leave less than nothing.
         deviation = SCALES * np.sqrt(np.maximum(np.diag(spread), 0.0))
-        return float(student.ppf(CONFIDENCE, blocks - 1)) * deviation
+        return float(student.ppf(INTERVAL_QUANTILE, blocks - 1)) * deviation
 
 
 def _judged(recorded: _Answer, unknowns: Array, answer: float, delay: float) -> SelfTest:
@@ -375,9 +374,9 @@ def _verdict(
     known: float,
     delay: float,
 ) -> tuple[SelfTestVerdict, str]:
-    if not misfit < MISFIT:
+    if not misfit < MAX_MISFIT:
         return SelfTestVerdict.NOT_UNDERSTOOD, (
-            f"the model leaves {misfit:.0%} of the answer, expected less than {MISFIT:.0%}: is "
+            f"the model leaves {misfit:.0%} of the answer, expected less than {MAX_MISFIT:.0%}: is "
             "the pendulum free, and nobody near it?"
         )
     if gain.value < 0.0:

@@ -1,4 +1,4 @@
-r"""The states of a run on a rig, and what moves it from one to the next.
+r"""States of a run on a rig, and the transitions between them.
 
 ::
 
@@ -14,11 +14,11 @@ r"""The states of a run on a rig, and what moves it from one to the next.
 
 Setpoints are sent in the streaming states, HOMING to STOPPING, and in no other.
 
-A stop is latched. Out of STOPPED leads only the operator, who re-arms; the run then begins anew,
-and its first setpoint is the measured posture. The first cause stays, whatever follows. LOST is
-final: the link is gone, software commands nothing any more, and nothing reconnects.
+A stop is latched. Only the operator leads out of STOPPED, by re-arming; the run then begins anew,
+and its first setpoint is the measured posture. The first cause is kept. LOST is final: the link is
+gone, software commands nothing any more, and nothing reconnects.
 
-An event that has no place in the table changes nothing: what comes late must not move an arm.
+An event that is not in the table changes nothing: a late event must not move an arm.
 """
 
 from collections.abc import Mapping
@@ -27,14 +27,14 @@ from typing import Final, NamedTuple
 
 
 class Phase(Enum):
-    """Where a run is."""
+    """Phase of a run."""
 
     IDLE = "idle"
     """Connected, the servo not running."""
     HOMING = "homing"
     """On the way home, inside the servo stream."""
     AT_HOME = "at home"
-    """Held there, until the operator confirms."""
+    """Held at home, until the operator confirms."""
     REFERENCING = "referencing"
     """Held, the pendulum hanging, until it is still and the button is pressed."""
     SELF_TEST = "self-test"
@@ -54,20 +54,20 @@ class Phase(Enum):
 
 
 class RunEvent(Enum):
-    """What moves a run."""
+    """Event that moves a run from one phase to the next."""
 
     START = "start"
     """The servo runs, holding the measured posture."""
     ARRIVED = "arrived"
-    """The path home is at its end."""
+    """The path home has ended."""
     CONFIRMED = "confirmed"
-    """The operator says that this is home."""
+    """The operator confirms home."""
     REFERENCED = "referenced"
     """The resting count is known."""
     REFUSED = "refused"
     """The self-test refuses the resting count as the zero."""
     PASSED = "passed"
-    """The self-test found what it expected, and the zero."""
+    """The self-test passed, and gave the zero."""
     ARMED = "armed"
     """The pendulum stands still."""
     DENIED = "denied"
@@ -75,9 +75,9 @@ class RunEvent(Enum):
     RELEASED = "released"
     """The pendulum falls by itself."""
     STOP = "stop"
-    """A guard, a key, a signal, an error or the end of the run."""
+    """A safety rule, a key, a signal, an error or the end of the run."""
     AT_REST = "at rest"
-    """The ramp is at its end, the arm is measured at rest, and the servo has ended."""
+    """The ramp and the servo have ended, and the arm is measured at rest."""
     LOST = "lost"
     """Robot or link do not answer any more."""
     REARMED = "re-armed"
@@ -96,9 +96,9 @@ STREAMING: Final = frozenset(
         Phase.STOPPING,
     }
 )
-"""Where setpoints are sent."""
+"""Phases in which setpoints are sent."""
 LATCHED: Final = frozenset({Phase.STOPPING, Phase.STOPPED, Phase.LOST})
-"""Where a stop holds."""
+"""Phases in which a stop is latched."""
 TRANSITIONS: Final[Mapping[tuple[Phase, RunEvent], Phase]] = {
     (Phase.IDLE, RunEvent.START): Phase.HOMING,
     (Phase.HOMING, RunEvent.ARRIVED): Phase.AT_HOME,
@@ -115,29 +115,30 @@ TRANSITIONS: Final[Mapping[tuple[Phase, RunEvent], Phase]] = {
     **{(phase, RunEvent.STOP): Phase.STOPPING for phase in STREAMING},
     **{(phase, RunEvent.LOST): Phase.LOST for phase in Phase},
 }
-"""Every move there is."""
+"""All transitions."""
 
 
 class Cause(NamedTuple):
-    """Why a run stops."""
+    """Cause of a stop."""
 
     name: str
-    """In a word or two, such as the name of a rule."""
+    """Name, such as that of a rule."""
     reason: str
-    """What the operator is told."""
+    """Message for the operator."""
     from_measured: bool = False
-    """The arm is not where it was sent: after the ramp the targets go to the measured posture."""
+    """Whether the arm is not at its setpoint; the targets then go to the measured posture after the
+    ramp."""
 
 
 class RunState(NamedTuple):
     """The state of a run."""
 
     phase: Phase = Phase.IDLE
-    """Where it is."""
+    """Phase."""
     cause: Cause | None = None
-    """What latched the stop; none where nothing did."""
+    """Cause of the latched stop, if any."""
     from_measured: bool = False
-    """Whether any cause so far says that the arm is not where it was sent."""
+    """Whether any cause so far shows that the arm is not at its setpoint."""
 
     @property
     def streaming(self) -> bool:
@@ -146,12 +147,12 @@ class RunState(NamedTuple):
 
     @property
     def latched(self) -> bool:
-        """Whether a stop holds."""
+        """Whether a stop is latched."""
         return self.phase in LATCHED
 
 
 UNKNOWN: Final = Cause("unknown", "the run was stopped without a cause", from_measured=True)
-"""What is believed of a stop that says nothing."""
+"""Cause of a stop without a given one."""
 
 
 def step(state: RunState, event: RunEvent, cause: Cause | None = None) -> RunState:
@@ -159,8 +160,8 @@ def step(state: RunState, event: RunEvent, cause: Cause | None = None) -> RunSta
 
     Args:
         state: The state before it.
-        event: What happened.
-        cause: Why, for STOP and LOST.
+        event: The event.
+        cause: Cause of STOP and LOST.
     """
     phase = TRANSITIONS.get((state.phase, event))
     if phase is None:

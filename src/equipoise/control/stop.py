@@ -1,4 +1,4 @@
-r"""The way to rest: a ramp inside the servo stream, and the way back to where the arm is.
+r"""Stop of a moving arm: a ramp inside the servo stream, and a path back to the measured posture.
 
 From the commanded joints q0, with their velocities dq0, every joint slows down in proportion:
 
@@ -11,9 +11,9 @@ near, but no joint decelerates by more than its limit. A flange that does not mo
 about r: then the joints alone decide. A joint that would reach its position limit all the same,
 because another one cannot stop so soon, stops sooner than the rest.
 
-Where the arm was not where it was sent (`from_measured`), the ramp is followed by a minimum-jerk
-path from its end to the measured joints: then nothing pulls at the arm, and no old target is left
-for it to go to when its brakes open.
+Where the arm was not at its setpoint (`from_measured`), a minimum-jerk path follows the ramp, from
+its end to the measured joints: then nothing pulls at the arm, and no old target is left for it to
+go to when its brakes open.
 """
 
 from collections.abc import Sequence
@@ -27,36 +27,36 @@ from equipoise.errors import InputError
 Numbers = tuple[float, ...]
 
 RETURN_SHARE: Final = 0.1
-"""Share of the joints' velocities and accelerations on the way to the measured joints: as slow as
-the way home."""
-SPARE: Final = 1e-9
-"""Share of the room before a position limit that a ramp leaves for rounding."""
+"""Share of the joints' velocity and acceleration limits on the way to the measured joints [-], as
+on the way home."""
+ROUNDING_RESERVE: Final = 1e-9
+"""Share of the distance to a position limit that a ramp leaves for rounding [-]."""
 
 
 class Ramp(NamedTuple):
-    """A way to rest."""
+    """Ramp to rest."""
 
     q0: Numbers
-    """Where it begins [rad]."""
+    """Joints at its start [rad]."""
     dq0: Numbers
-    """The velocities there [rad/s]."""
+    """Their velocities there [rad/s]."""
     rates: Numbers
-    """r of each joint [1/s]; inf of one at rest."""
+    """Rate r of each joint [1/s]; inf at rest."""
 
     @property
     def duration(self) -> float:
-        """How long it takes [s]."""
+        """Duration [s]."""
         return 1.0 / min(self.rates)
 
     def at(self, time: float) -> Numbers:
-        """Return the joints at a time since its begin [rad]; the last ones for ever after."""
+        """Return the joints at a time since its start [rad]; the last ones after its end."""
         return tuple(
             q + dq * _sigma(rate, time)
             for q, dq, rate in zip(self.q0, self.dq0, self.rates, strict=True)
         )
 
     def speed_at(self, time: float) -> Numbers:
-        """Return the velocities at a time since its begin [rad/s]."""
+        """Return the velocities at a time since its start [rad/s]."""
         if time <= 0.0:
             return self.dq0
         return tuple(
@@ -77,10 +77,10 @@ def _sigma(rate: float, time: float) -> float:
 def stoppable_speeds(
     dq: Sequence[float], last: Sequence[float], before: Sequence[float], dt: float
 ) -> Numbers:
-    """Return the velocities with which a ramp begins [rad/s], shape (n,).
+    """Return the velocities at the start of a ramp [rad/s], shape (n,).
 
-    The commanded ones, or, of a joint that speeds up, the mean one on the way to the last setpoint:
-    for that the guard has asked where the joint can be stopped.
+    The commanded ones; for an accelerating joint the mean one on the way to the last setpoint, for
+    which the safety rules have checked that the joint can be stopped.
 
     Args:
         dq: The commanded velocities at the last setpoint [rad/s], shape (n,).
@@ -93,7 +93,7 @@ def stoppable_speeds(
 
 
 def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: Limits) -> Ramp:
-    """Return the way to rest.
+    """Return the ramp to rest.
 
     Args:
         q: The joints as commanded last [rad], shape (n,).
@@ -113,12 +113,12 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
     moving = [i for i, velocity in enumerate(dq) if velocity != 0.0]
     if not moving:
         return at_rest(q)
-    # The joints' limits bound r from above; flange and position limits ask for at least so much.
+    # The joints' accelerations bound r from above; flange and position limits from below.
     most = {i: limits.acceleration[i] / abs(dq[i]) for i in moving}
     least: dict[int, float] = {}
     for i in moving:
         room = limits.upper[i] - q[i] if dq[i] > 0.0 else q[i] - limits.lower[i]
-        least[i] = 0.5 * abs(dq[i]) / (room * (1.0 - SPARE)) if room > 0.0 else inf
+        least[i] = 0.5 * abs(dq[i]) / (room * (1.0 - ROUNDING_RESERVE)) if room > 0.0 else inf
     together = min(most.values())
     if flange_speed != 0.0:
         together = min(together, max(STOP_DECELERATION / abs(flange_speed), *least.values()))
@@ -129,7 +129,7 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
 
 
 def way_back(q: Sequence[float], measured: Sequence[float], limits: Limits) -> Path:
-    """Return the path from the end of a ramp to where the arm is.
+    """Return the path from the end of a ramp to the measured posture.
 
     Args:
         q: The joints at rest, as commanded last [rad], shape (n,).
