@@ -69,7 +69,7 @@ def main() -> None:
         settings = resolve(recipe, overrides=overrides)
         summaries = []
         for seed in range(arguments.seeds):
-            policy = train(pendulum, arm, settings, seed=seed, recipe=recipe, workers=workers)
+            policy = train(pendulum, arm, settings, seed=seed, workers=workers)
             evaluation = evaluate(
                 policy,
                 test,

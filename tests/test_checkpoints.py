@@ -9,7 +9,7 @@ from equipoise import artefacts, training
 from equipoise.artefacts import PartialFile
 from equipoise.errors import ArtefactError
 from equipoise.learning.checkpoint import ResumePoint, pack, unpack
-from equipoise.learning.q_learning import new_training_state
+from equipoise.learning.episodes import new_training_state
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
 from equipoise.training import train, train_several
@@ -31,6 +31,8 @@ QUICK = [
 SETTINGS = {
     "robust": resolve("robust", overrides=QUICK),
     "paper": resolve("paper", overrides=[*QUICK, "selection.every=0"]),
+    "sarsa": resolve("robust", overrides=[*QUICK, "learning.learner=sarsa"]),
+    "watkins": resolve("paper", overrides=[*QUICK, "learning.learner=watkins"]),
 }
 
 
@@ -89,7 +91,7 @@ def test_a_training_goes_on_from_any_checkpoint(pendulum, tmp_path, monkeypatch,
     def copy(*_):
         checkpoints.append(partial.read_bytes())
 
-    of_all = {"seed": 5, "recipe": recipe, "partial": partial}
+    of_all = {"seed": 5, "partial": partial}
     settings = SETTINGS[recipe]
     policy = train(pendulum, ARM, settings, **of_all, report=copy, selecting=copy)
     assert len(set(checkpoints)) >= 4
@@ -125,8 +127,13 @@ def checkpoint(pendulum, tmp_path_factory):
 
 OTHERS = {
     "seed": {"seed": 1},
-    "recipe": {"recipe": "mine"},
     "number of learners": {"learner": 1},
+    "learner and settings": {
+        "settings": resolve("robust", overrides=[*QUICK, "learning.learner=sarsa"])
+    },
+    "reward and settings": {
+        "settings": resolve("robust", overrides=[*QUICK, "learning.reward=alive"])
+    },
     "settings": {"settings": resolve("robust", overrides=[*QUICK, "learning.gamma=0.96"])},
     "arm": {"arm": iiwa(7)},
 }
@@ -157,7 +164,7 @@ def test_a_state_that_no_training_has_is_refused():
     unpack(pack(progress), progress)
     with pytest.raises(ArtefactError, match="bytes of state"):
         unpack(pack(progress)[:-1], progress)
-    for name, value in (("action", 8), ("box", 270), ("box", -1), ("totals", 17)):
+    for name, value in (("action", 8), ("place", 16), ("box", 270), ("box", -1), ("totals", 17)):
         wrong = new_training_state()
         getattr(wrong, name)[2] = value
         with pytest.raises(ArtefactError, match="out of range"):

@@ -52,7 +52,9 @@ def test_the_swing_of_the_first_example_gives_its_pendulum_back(example, tmp_pat
 
 def test_examples_take_files(example, small_policy, tmp_path):
     small_policy.save(tmp_path / "mine.json", command="test")
-    assert "iiwa14, recipe robust: 120 episodes" in example("policy_table.py", "mine.json")
+    assert "iiwa14, recipe custom: robust with learning.episodes = 120" in example(
+        "policy_table.py", "mine.json"
+    )
 
 
 @pytest.mark.compiled_only

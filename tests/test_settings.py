@@ -8,7 +8,7 @@ from equipoise import paper
 from equipoise import settings as module
 from equipoise.artefacts import Value
 from equipoise.errors import SettingsError
-from equipoise.settings import RECIPES, Settings, resolve
+from equipoise.settings import RECIPES, Settings, describe_recipe, resolve
 
 CLASSES = [
     item for item in vars(module).values() if isinstance(item, type) and issubclass(item, Value)
@@ -100,6 +100,16 @@ def test_a_recipe_names_settings_that_exist(recipe):
     assert set(RECIPES[recipe]) <= set(NAMES)
     for name, wanted in RECIPES[recipe].items():
         assert value(resolve(recipe), name) == wanted
+
+
+def test_settings_say_which_recipe_they_are():
+    assert describe_recipe(resolve("paper")) == "paper"
+    assert describe_recipe(resolve("robust")) == "robust"
+    # What a training does not use makes no other recipe.
+    assert describe_recipe(resolve("paper", overrides=["evaluation.trials=3"])) == "paper"
+    changed = resolve("paper", overrides=["learning.gamma=0.9", "selection.every=20"])
+    said = "custom: paper with learning.gamma = 0.9, selection.every = 20"
+    assert describe_recipe(changed) == said
 
 
 def test_settings_come_back_from_their_own_dump():

@@ -5,8 +5,9 @@ import pytest
 
 from equipoise import training
 from equipoise.control.policy import TabularPolicy
+from equipoise.learning.choice import compile_learner
 from equipoise.learning.closed_loop import make_loop_params
-from equipoise.learning.q_learning import new_training_state, train_episodes
+from equipoise.learning.episodes import new_training_state, train_episodes
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
@@ -76,7 +77,7 @@ def test_the_best_of_several_comes_first(pendulum):
 
 
 def test_several_without_a_selection_keep_their_order(pendulum):
-    together = train_several(pendulum, ARM, of_paper(), learners=3, recipe="paper", workers=2)
+    together = train_several(pendulum, ARM, of_paper(), learners=3, workers=2)
     assert [policy.learner for policy in together] == [0, 1, 2]
 
 
@@ -140,7 +141,6 @@ def test_a_policy_behind_an_actuator_can_be_trained_again_from_its_own_file(
         actuator=read.actuator,
         seed=read.seed,
         learner=read.learner,
-        recipe=read.recipe,
     )
     assert again.digest == behind[1].digest
 
@@ -180,7 +180,7 @@ def test_without_an_actuator_it_is_the_shipped_one_or_by_the_settings_none(pendu
     assert ideal.actuator == IDEAL_ACTUATOR
     assert ideal.Q == train(pendulum, ARM, settings(*few), actuator=IDEAL_ACTUATOR).Q
     # The paper's recipe is the paper's simulation.
-    assert train(pendulum, ARM, of_paper(), recipe="paper").actuator == IDEAL_ACTUATOR
+    assert train(pendulum, ARM, of_paper()).actuator == IDEAL_ACTUATOR
 
 
 def test_other_actuators_make_other_policies(pendulum, behind):
@@ -202,15 +202,15 @@ def test_candidates_are_sorted_by_their_score_and_the_first_is_the_policy(pendul
     assert scores == sorted(scores, reverse=True)
     # The table of the policy is the running average at the moment when the winner was taken.
     plant = make_loop_params(ARM, settings(), 0.01, pendulum.parameters(), shipped_actuator())
-    constants = training._learner(settings())
+    constants, learner = training.training_config(settings()), compile_learner(settings().learning)
     progress, averaged = new_training_state(), np.zeros((270, 8))
     selection = settings().selection
     for taken in range(1, policy.checkpoints[0].episodes // selection.every + 1):
         until = taken * selection.every
-        train_episodes(plant, pendulum.parameters(), constants, progress, until, 5, 0)
-        averaged += max(selection.averaging, 1.0 / taken) * (progress.Q - averaged)
+        train_episodes(plant, pendulum.parameters(), constants, learner, progress, until, 5, 0)
+        averaged += max(selection.averaging, 1.0 / taken) * (progress.tables.Q - averaged)
     np.testing.assert_allclose(policy.table, averaged, rtol=0.0, atol=1e-12)
-    assert policy.visits == tuple(map(tuple, progress.visits.tolist()))
+    assert policy.visits == tuple(map(tuple, progress.tables.visits.tolist()))
 
 
 def test_a_candidate_is_judged_on_all_of_its_trials(pendulum):
@@ -246,19 +246,21 @@ def test_all_learners_are_compared_on_the_same_selection_trials(monkeypatch, pen
 
 
 def test_the_recipe_paper_selects_nothing_and_keeps_the_last_table(pendulum):
-    policy = train(pendulum, ARM, of_paper(), recipe="paper")
+    policy = train(pendulum, ARM, of_paper())
+    assert policy.recipe.startswith("custom: paper with learning.episodes = 60, ")
     assert policy.checkpoints == ()
     progress = new_training_state()
     train_episodes(
         make_loop_params(ARM, of_paper(), 0.01, pendulum.parameters(linearised=True)),
         pendulum.parameters(linearised=True),
-        training._learner(of_paper()),
+        training.training_config(of_paper()),
+        compile_learner(of_paper().learning),
         progress,
         60,
         0,
         0,
     )
-    assert np.array_equal(progress.Q, policy.table)
+    assert np.array_equal(progress.tables.Q, policy.table)
     assert all(point.survival is None for point in policy.learning_curve)
 
 
@@ -301,7 +303,7 @@ def test_a_training_without_candidates_reports_its_progress_too(pendulum):
 
 def test_a_policy_says_how_it_was_made(pendulum, learners, tmp_path):
     policy = learners[2]
-    assert (policy.seed, policy.learner, policy.recipe) == (5, 2, "robust")
+    assert (policy.seed, policy.learner) == (5, 2)
     assert policy.settings == settings()
     assert policy.pendulum == pendulum
     assert policy.arm == ARM
@@ -320,13 +322,12 @@ def test_a_policy_can_be_trained_again_from_its_own_file(pendulum, learners, tmp
         read.settings,
         seed=read.seed,
         learner=read.learner,
-        recipe=read.recipe,
     )
     assert again.digest == read.digest
 
 
 def test_settings_become_the_constants_of_the_learner():
-    constants = training._learner(
+    constants = training.training_config(
         resolve(
             overrides=[
                 "learning.episodes=11",
@@ -338,6 +339,7 @@ def test_settings_become_the_constants_of_the_learner():
                 "learning.epsilon_initial=0.35",
                 "learning.epsilon_until=0.36",
                 "learning.reward_failure=-0.37",
+                "learning.trace_decay=0.38",
                 "learning.mirrored=false",
                 "learning.hold_action=false",
                 "learning.start_x=0.12",
@@ -352,18 +354,15 @@ def test_settings_become_the_constants_of_the_learner():
             ]
         )
     )
-    assert constants[:18] == (
+    assert constants == (
         11,
         29,  # 0.29 / 0.01 is 28.999999999999996: rounded, not cut
         0.31,
-        0.32,
-        0.33,
-        0.04,
         0.35,
         0.36,
         -0.37,
         False,
-        False,
+        (0.32, 0.33, 0.04, 0.38, False),
         (0.12, 0.13, 0.14, 0.15),
         0.16,
         0.17,
@@ -371,6 +370,7 @@ def test_settings_become_the_constants_of_the_learner():
         0.19,
         0.020,
         constants.boxes,
+        constants.actions,
     )
 
 

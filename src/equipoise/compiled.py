@@ -102,7 +102,7 @@ def _machine_code_directory() -> Path | None:
 
 def cache_is_empty() -> bool:
     """Return whether kernels are kept, and none is there yet."""
-    directory = None if _disabled() else _machine_code_directory()
+    directory = None if disabled() else _machine_code_directory()
     return directory is not None and not any(directory.glob("*.nbi"))
 
 
@@ -181,7 +181,8 @@ def _cached(compiled: Any) -> None:
         )
 
 
-def _disabled() -> bool:
+def disabled() -> bool:
+    """Return whether kernels stay plain Python, by `NUMBA_DISABLE_JIT=1`."""
     return bool(vars(config)["DISABLE_JIT"])  # set by Numba from NUMBA_DISABLE_JIT
 
 
@@ -205,7 +206,7 @@ def compilable(function: F) -> F:
     For rules that a rig asks in Python, where nothing may compile in the midst of a run, and trials
     in kernels: equal code for both.
     """
-    if _disabled():
+    if disabled():
         return function
     from numba.extending import register_jitable
 
@@ -213,7 +214,7 @@ def compilable(function: F) -> F:
 
 
 def _lazily_compiled(function: F, **options: Any) -> F:
-    if _disabled():
+    if disabled():
         return function
     options |= {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     dispatcher: Any = numba.njit(**options)(function)
@@ -229,23 +230,27 @@ def _lazily_compiled(function: F, **options: Any) -> F:
 
 
 @functools.cache
-def function_pointer(function: F, signature: Any) -> F:
+def function_pointer(function: F, signature: Any, cached: bool = True) -> F:
     """Compile `function` for one `signature`, as a value that kernels take as an argument.
 
     Args:
         function: A plain function of a real `.py` file.
         signature: Numba signature, e.g. `void(float64[::1], float64[::1])`.
+        cached: Whether to keep the machine code on disk; not for code from outside the package,
+            whose changes the digest of the cache does not see. Such code has its indices checked.
 
     Returns:
         The compiled function; with `NUMBA_DISABLE_JIT=1`, `function` itself.
     """
-    if _disabled():
+    if disabled():
         return function
     from numba.core.ccallback import CFunc
     from numba.core.sigutils import normalize_signature
 
-    pointer: Any = CFunc(function, normalize_signature(signature), {}, {"error_model": "numpy"})
-    _cached(pointer)
+    options = {"error_model": "numpy", "boundscheck": not cached}
+    pointer: Any = CFunc(function, normalize_signature(signature), {}, options)
+    if cached:
+        _cached(pointer)
     pointer.compile()
     return pointer
 
@@ -264,7 +269,7 @@ def handle(name: str, module: str, fields: Sequence[str]) -> Any:
         A type that is made from its fields, in their order; with `NUMBA_DISABLE_JIT=1`, a named
         tuple.
     """
-    if _disabled():
+    if disabled():
         # The fields are known at run time only.
         return NamedTuple(name, [(field, Any) for field in fields])  # pyright: ignore
     from numba.experimental import structref

@@ -8,7 +8,7 @@ settings go into every artefact.
 
 import difflib
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from math import radians
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -18,6 +18,7 @@ from pydantic import Field, ValidationError, model_validator
 from equipoise import paper
 from equipoise.artefacts import (
     LONGEST_QUOTE,
+    Name,
     StrPath,
     Value,
     first_fault,
@@ -185,8 +186,13 @@ class ControllerSettings(Value):
 
 
 class LearningSettings(Value):
-    """Q-learning, equation (1), and its episodes."""
+    """The learner and its episodes."""
 
+    learner: Name = "q_learning"
+    """Learning rule: the paper's `q_learning`, equation (1); `sarsa`, `watkins`, `double_q`, or
+    MODULE:NAME of a guest's."""
+    reward: Name = "paper"
+    """Reward of a step: `paper`, `alive`, `centred`, or MODULE:NAME of a guest's function."""
     episodes: int = Field(default=paper.EPISODES, ge=1, le=MOST_EPISODES)
     """Episodes of training; the paper's number."""
     episode_duration: float = Field(default=30.0, ge=paper.STEP, le=LONGEST_TRIAL)
@@ -207,7 +213,9 @@ class LearningSettings(Value):
     epsilon_until: float = Field(default=0.8, ge=0.0, le=1.0)
     """Share of the episodes over which that probability falls linearly to zero; 0 keeps it."""
     reward_failure: float = Field(default=-1.0, ge=-1e6, lt=0.0)
-    """Reward of a step that ends in failure; every other reward is zero."""
+    """Reward of a step that ends in failure; with reward `paper` every other reward is zero."""
+    trace_decay: float = Field(default=0.7, ge=0.0, le=1.0)
+    """lambda of the learner `watkins`: share of an error that reaches the decision before."""
     mirrored: bool = True
     """Update the mirror image with every update: the task is symmetric, experience counts twice."""
     hold_action: bool = True
@@ -390,6 +398,41 @@ def resolve(
         got = f", got {fault.got}" if "." in fault.where else ""
         where = f"setting {fault.where}" if fault.where else "settings"
         raise SettingsError(f"{where}: {fault.what}{got}") from None
+
+
+def closest_recipe(settings: Settings) -> tuple[str, tuple[str, ...]]:
+    """Return the recipe that differs least from settings of a training, and the differences.
+
+    The sections `identification` and `evaluation` have no part in a training.
+
+    Example:
+        >>> closest_recipe(resolve("paper", overrides=["learning.gamma=0.9", "clik.K_p=100"]))
+        ('paper', ('clik.K_p = 100.0', 'learning.gamma = 0.9'))
+    """
+    found = {name: tuple(_differences(settings, resolve(name))) for name in RECIPES}
+    name = min(found, key=lambda name: len(found[name]))
+    return name, found[name]
+
+
+def describe_recipe(settings: Settings) -> str:
+    """Return the name of the recipe with these settings, or `custom` with the differences.
+
+    Example:
+        >>> describe_recipe(resolve("paper"))
+        'paper'
+        >>> describe_recipe(resolve(overrides=["learning.gamma=0.9"]))
+        'custom: robust with learning.gamma = 0.9'
+    """
+    name, differences = closest_recipe(settings)
+    return f"custom: {name} with {', '.join(differences)}" if differences else name
+
+
+def _differences(settings: Settings, recipe: Settings) -> Iterator[str]:
+    for section, values in settings:
+        if section not in ("identification", "evaluation"):
+            for key, value in values:
+                if value != getattr(getattr(recipe, section), key):
+                    yield f"{section}.{key} = {value}"
 
 
 def _put(tree: dict[str, Any], name: str, value: Any) -> None:

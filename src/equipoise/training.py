@@ -1,6 +1,6 @@
 """Train: a pendulum and an arm become a policy.
 
-A training runs its episodes in one compiled loop (`equipoise.learning.q_learning`) and stops now
+A training runs its episodes in one compiled loop (`equipoise.learning.episodes`) and stops now
 and then to take the greedy policy as a candidate. Candidates are screened on selection trials, the
 best go through a round of longer trials, and the winner is kept, with the table as it was then.
 Equal seed gives equal bits, whatever the number of workers, and whether or not the training was
@@ -32,7 +32,7 @@ from equipoise.control.policy import (
     greedy_accelerations,
     policy_kernel,
 )
-from equipoise.errors import ArtefactError
+from equipoise.errors import ArtefactError, InputError
 from equipoise.learning.checkpoint import (
     Finalist,
     LearnerState,
@@ -41,21 +41,23 @@ from equipoise.learning.checkpoint import (
     table,
     unpack,
 )
+from equipoise.learning.choice import compile_learner, load_learner, with_digests
 from equipoise.learning.closed_loop import LoopParams, make_loop_params
-from equipoise.learning.q_learning import (
+from equipoise.learning.episodes import (
     ENDED,
     ENDED_STEPS,
     STEPS,
-    QLearningConfig,
+    TrainingConfig,
     TrainingState,
     new_training_state,
     train_episodes,
 )
+from equipoise.learning.learner import UpdateParams
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import FINAL_ROUND, SCREENING
-from equipoise.settings import Settings
+from equipoise.settings import LearningSettings, Settings
 from equipoise.simulation.plant import PlantSimulation
 
 Array = npt.NDArray[np.float64]
@@ -89,8 +91,7 @@ def train(
     actuator: Actuator | None = None,
     seed: int = 0,
     learner: int = 0,
-    recipe: str = "robust",
-    warm: TabularPolicy | None = None,
+    init_policy: TabularPolicy | None = None,
     workers: int = 1,
     partial: StrPath | None = None,
     report: Report = lambda _: None,
@@ -107,8 +108,7 @@ def train(
             says so, else as the shipped one, identified from the twin.
         seed: Master seed.
         learner: Which learner of that seed; each has random numbers of its own.
-        recipe: Name of the settings, for the record.
-        warm: A policy to go on from, of which table and visits are the start; zeros if not given.
+        init_policy: Policy whose table and visits are the start; by default zeros.
         workers: Threads for the selection trials; the result does not depend on it.
         partial: File for checkpoints. A training whose checkpoint is there goes on from it. The
             file stays; delete it once the policy is saved.
@@ -123,7 +123,7 @@ def train(
         ArtefactError: `partial` is the checkpoint of another training, or damaged.
         OutsideError: The disk refuses a checkpoint.
     """
-    task = _task(pendulum, arm, settings, actuator, seed, recipe, warm)
+    task = _task(pendulum, arm, settings, actuator, seed, init_policy)
     with _Checkpoints(partial, task, (learner,)) as checkpoints:
         return _train(task, learner, workers, checkpoints, report, selecting)
 
@@ -136,7 +136,6 @@ def train_several(
     learners: int = LEARNERS,
     actuator: Actuator | None = None,
     seed: int = 0,
-    recipe: str = "robust",
     workers: int = 1,
     partial: StrPath | None = None,
     report: Callable[[int, LearningPoint], None] = lambda _, __: None,
@@ -154,7 +153,6 @@ def train_several(
         learners: How many.
         actuator: How the arm follows its setpoints; as in `train`.
         seed: Master seed.
-        recipe: Name of the settings, for the record.
         workers: Threads; the results do not depend on it.
         partial: File for the checkpoints of all learners; as in `train`.
         report: Called with the learner and each new point of its learning curve.
@@ -165,7 +163,7 @@ def train_several(
         ArtefactError: `partial` is the checkpoint of another training, or damaged.
         OutsideError: The disk refuses a checkpoint.
     """
-    task = _task(pendulum, arm, settings, actuator, seed, recipe, None)
+    task = _task(pendulum, arm, settings, actuator, seed, None)
 
     def one(learner: int) -> TabularPolicy:
         return _train(
@@ -212,7 +210,6 @@ class _Task(NamedTuple):
     settings: Settings
     actuator: Actuator
     seed: int
-    recipe: str
     init_policy: TabularPolicy | None
 
 
@@ -222,12 +219,12 @@ def _task(
     settings: Settings,
     actuator: Actuator | None,
     seed: int,
-    recipe: str,
-    warm: TabularPolicy | None,
+    init_policy: TabularPolicy | None,
 ) -> _Task:
     if actuator is None:
         actuator = IDEAL_ACTUATOR if settings.plant.ideal else shipped_actuator()
-    return _Task(pendulum, arm, settings, actuator, seed, recipe, warm)
+    settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
+    return _Task(pendulum, arm, settings, actuator, seed, init_policy)
 
 
 def _train(
@@ -244,45 +241,43 @@ def _train(
     plant = make_loop_params(task.arm, settings, paper.STEP, parameters, task.actuator)
     # A table cannot see such a failure coming: it is the selection that finds those that avoid it.
     of_episodes = plant._replace(speed_limit=inf)
-    constants = _learner(settings)
-    progress = new_training_state()
+    config, kernel = training_config(settings), compile_learner(settings.learning)
+    training = new_training_state(load_learner(settings.learning).tables)
+    tables, totals = training.tables, training.totals
     if task.init_policy is not None:
-        progress.Q[:], progress.visits[:] = task.init_policy.table, task.init_policy.visits
+        tables.Q[:], tables.visits[:] = task.init_policy.table, task.init_policy.visits
     selection = _Selection(plant, task.arm, parameters, settings, seed, workers)
-    every = settings.selection.every or max(1, constants.episodes // REPORTS)
+    every = settings.selection.every or max(1, config.episodes // REPORTS)
     curve: list[LearningPoint] = []
     h = plant.controller.h
     if (before := checkpoints.of(learner)) is not None:
-        unpack(before.progress, progress)
+        unpack(before.training, training)
         selection.restore(before)
         curve += before.curve
         report(curve[-1])
 
     def keep() -> None:
-        checkpoints.keep(learner, selection.state(progress, curve))
+        checkpoints.keep(learner, selection.state(training, curve))
 
-    while progress.totals[ENDED] < constants.episodes:
-        ended, steps = int(progress.totals[ENDED]), int(progress.totals[ENDED_STEPS])
-        until = min(ended + every, constants.episodes)
-        train_episodes(of_episodes, parameters, constants, progress, until, seed, learner)
+    while totals[ENDED] < config.episodes:
+        ended, steps = int(totals[ENDED]), int(totals[ENDED_STEPS])
+        until = min(ended + every, config.episodes)
+        train_episodes(of_episodes, parameters, config, kernel, training, until, seed, learner)
+        _check_finite(training, settings.learning)
         point = LearningPoint(
-            episodes=int(progress.totals[ENDED]),
-            steps=int(progress.totals[STEPS]),
-            duration=h
-            * (int(progress.totals[ENDED_STEPS]) - steps)
-            / (int(progress.totals[ENDED]) - ended),
+            episodes=int(totals[ENDED]),
+            steps=int(totals[STEPS]),
+            duration=h * (int(totals[ENDED_STEPS]) - steps) / (int(totals[ENDED]) - ended),
         )
         if settings.selection.every > 0:
-            screened = selection.screen(progress)
+            screened = selection.screen(training)
             share = screened.survived / screened.trials
             point = point.model_copy(update={"survival": share})
         curve.append(point)
         keep()
         report(point)
     finalists = selection.final_round(keep, selecting)
-    Q, visits = (
-        (finalists[0].Q, finalists[0].visits) if finalists else (progress.Q, progress.visits)
-    )
+    Q, visits = (finalists[0].Q, finalists[0].visits) if finalists else (tables.Q, tables.visits)
     return TabularPolicy(
         boxes=boxes.describe(),
         actions=paper.ACTIONS,
@@ -292,15 +287,24 @@ def _train(
         pendulum=pendulum,
         arm=task.arm,
         actuator=task.actuator,
-        recipe=task.recipe,
         settings=settings,
         seed=seed,
         learner=learner,
-        episodes=int(progress.totals[ENDED]),
-        steps=int(progress.totals[STEPS]),
+        episodes=int(totals[ENDED]),
+        steps=int(totals[STEPS]),
         learning_curve=tuple(curve),
         checkpoints=tuple(snapshot.candidate for snapshot in finalists),
     )
+
+
+def _check_finite(training: TrainingState, settings: LearningSettings) -> None:
+    """Raise an `InputError` where a value of the table is not finite."""
+    if not np.isfinite(training.tables.Q).all():
+        raise InputError(
+            f"the table holds a value that is not finite after {training.totals[ENDED]} episodes "
+            f"with the learner {settings.learner} and the reward {settings.reward}; bound the "
+            "reward, or lower the learning rate"
+        )
 
 
 class _Checkpoints(PartialFile):
@@ -343,8 +347,9 @@ def _deciding(task: _Task, learners: Sequence[int]) -> dict[str, str]:
         "pendulum": task.pendulum.digest,
         "arm": task.arm.digest,
         "actuator": task.actuator.digest,
+        "learner": task.settings.learning.learner,
+        "reward": task.settings.learning.reward,
         "settings": value_digest(task.settings),
-        "recipe": task.recipe,
         "seed": str(task.seed),
         "number of learners": ", ".join(map(str, learners)),
         "policy to go on from": "" if task.init_policy is None else task.init_policy.digest,
@@ -357,20 +362,24 @@ def software() -> str:
     return json.dumps(Provenance.now("", None).software) + kernel_sources_digest()
 
 
-def _learner(settings: Settings) -> QLearningConfig:
+def training_config(settings: Settings) -> TrainingConfig:
+    """Return the constants of a training for the episode loop."""
     s = settings.learning
-    return QLearningConfig(
+    return TrainingConfig(
         episodes=s.episodes,
         max_steps=round(s.episode_duration / paper.STEP),
         gamma=s.gamma,
-        alpha_initial=s.alpha_initial,
-        alpha_decay=s.alpha_decay,
-        alpha_minimum=s.alpha_minimum,
         epsilon_initial=s.epsilon_initial,
         epsilon_until=s.epsilon_until,
         reward_failure=s.reward_failure,
-        mirrored=s.mirrored,
         hold_action=s.hold_action,
+        update=UpdateParams(
+            alpha_initial=s.alpha_initial,
+            alpha_decay=s.alpha_decay,
+            alpha_minimum=s.alpha_minimum,
+            trace_decay=s.trace_decay,
+            mirrored=s.mirrored,
+        ),
         start=(s.start_x, s.start_x_dot, s.start_phi, s.start_phi_dot),
         inertia_sigma=settings.plant.inertia_sigma,
         friction_sigma=settings.plant.friction_sigma,
@@ -397,29 +406,29 @@ class _Selection:
         self._plant, self._arm = plant, arm
         self._pendulum, self._settings = pendulum, settings
         self._seed, self._workers = seed, workers
-        self._averaged, self._screened = new_training_state().Q, 0
+        self._averaged, self._screened = np.zeros((boxes.COUNT, boxes.ACTIONS)), 0
         self._known: dict[str, Checkpoint] = {}
         self._best: list[_Snapshot] = []
         self._final: list[Checkpoint] = []
 
-    def screen(self, progress: TrainingState) -> Checkpoint:
+    def screen(self, training: TrainingState) -> Checkpoint:
         """Run the screening trials of the averaged table's greedy policy, once for each policy."""
         self._screened += 1
         newest = max(self._settings.selection.averaging, 1.0 / self._screened)
-        self._averaged += newest * (progress.Q - self._averaged)
+        self._averaged += newest * (training.tables.Q - self._averaged)
         u_of_box = greedy_accelerations(self._averaged)
         policy = hashlib.sha256(u_of_box.tobytes()).hexdigest()
         if policy not in self._known:
             selection = self._settings.selection
             candidate = self._run(
                 u_of_box,
-                int(progress.totals[ENDED]),
+                int(training.totals[ENDED]),
                 SCREENING,
                 selection.screening_trials,
                 selection.duration,
             )
             self._known[policy] = candidate
-            snapshot = _Snapshot(self._averaged.copy(), progress.visits.copy(), candidate)
+            snapshot = _Snapshot(self._averaged.copy(), training.tables.visits.copy(), candidate)
             self._best = _sorted([*self._best, snapshot])[: selection.finalists]
         return self._known[policy]
 
@@ -471,10 +480,10 @@ class _Selection:
             for one in state.best
         ]
 
-    def state(self, progress: TrainingState, curve: Sequence[LearningPoint]) -> LearnerState:
+    def state(self, training: TrainingState, curve: Sequence[LearningPoint]) -> LearnerState:
         """Return the state of the training and its selection."""
         return LearnerState(
-            progress=pack(progress),
+            training=pack(training),
             averaged=self._averaged.tobytes(),
             screened=self._screened,
             known=dict(self._known),

@@ -50,7 +50,7 @@ def test_a_short_study_is_left_with_its_figure_and_the_table_that_it_trained(
     gap = Gap.load(tmp_path / "gap.json")
     table = TabularPolicy.load(tmp_path / "gap-paper-policy.json")
     assert (gap.paper_policy, gap.policy) == (table.digest, TabularPolicy.load(cured_file).digest)
-    assert table.recipe == "paper"
+    assert "paper" in table.recipe
     assert (gap.trials, gap.duration, gap.quick) == (2, 0.3, True)
     assert (tmp_path / "gap.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "gap.svg").read_text(encoding="utf-8").startswith("<?xml")

@@ -119,8 +119,8 @@ def test_a_log(equipoise, twin_log, rig_log, verb):
 
 def test_a_policy_and_a_pendulum(equipoise, tmp_path, policy_file, pendulum_file):
     body = read_document(policy_file)["body"]
-    assert "recipe" in body
-    rebuilt(policy_file, lambda body: body.update(recipe=HOSTILE))
+    assert "reward" in body["settings"]["learning"]
+    rebuilt(policy_file, lambda body: body["settings"]["learning"].update(reward=HOSTILE))
     check(equipoise("log", "show", policy_file))
     rebuilt(pendulum_file, lambda body: body.update({HOSTILE: 1.0}))
     check(equipoise("log", "show", pendulum_file))

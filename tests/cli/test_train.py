@@ -31,7 +31,8 @@ def test_it_writes_a_policy_and_names_the_next_command(equipoise, pendulum_file,
     ran = equipoise("train", pendulum_file, *SHORT)
     assert ran.code == 0
     policy = TabularPolicy.load(tmp_path / "policy.json")
-    assert (policy.arm.name, policy.recipe, policy.episodes) == ("iiwa7", "robust", 40)
+    assert (policy.arm.name, policy.episodes) == ("iiwa7", 40)
+    assert policy.recipe.startswith("custom: robust with learning.episodes = 40, ")
     assert policy.learning_curve
     assert "40 episodes" in ran.out
     # The table falls in its own selection.
@@ -70,7 +71,7 @@ def test_recipe_settings_and_single_settings_are_recorded_in_their_order(
     options = ("--recipe=paper", "--settings=mine.toml", "--set=learning.gamma=0.95")
     assert equipoise("train", pendulum_file, *SHORT, *options).code == 0
     policy = TabularPolicy.load(tmp_path / "policy.json")
-    assert policy.recipe == "paper"
+    assert policy.recipe.startswith("custom: paper with ")
     assert policy.settings.learning.mirrored is False  # the recipe's
     assert policy.settings.learning.alpha_initial == 0.5  # the file's, over the recipe's
     assert policy.settings.learning.gamma == 0.95  # the single setting's, over the file's
@@ -80,6 +81,25 @@ def test_an_arm_from_a_urdf_is_trained(equipoise, pendulum_file, tmp_path):
     ran = equipoise("train", pendulum_file, *SHORT, "--arm", URDF)
     assert ran.code == 0, ran
     assert TabularPolicy.load(tmp_path / "policy.json").arm.name == "elbow 6"
+
+
+def test_a_guest_s_learner_and_reward_train_a_policy(equipoise, pendulum_file, tmp_path):
+    (tmp_path / "own_rules.py").write_text(
+        "from equipoise.learning.learner import Learner, move_towards\n"
+        "def reward(state, u, next_state, failed):\n"
+        "    return -1.0 if failed else -0.1 * abs(next_state.phi)\n"
+        "def update(tables, transition, params):\n"
+        "    move_towards(tables, transition.box, transition.action, transition.reward, params)\n"
+        "learner = Learner(update)\n"
+    )
+    guests = ("--reward=own_rules:reward", "--learner=own_rules.py:learner")
+    ran = equipoise("train", pendulum_file, *SHORT, *guests)
+    assert ran.code == 0, ran
+    policy = TabularPolicy.load(tmp_path / "policy.json")
+    assert policy.settings.learning.reward.startswith("own_rules:reward@")
+    assert "learning.reward = own_rules:reward@" in policy.recipe
+    assert equipoise("train", pendulum_file, *SHORT, "--out=ours.json").code == 0
+    assert TabularPolicy.load(tmp_path / "ours.json").Q != policy.Q
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
@@ -101,6 +121,9 @@ OPTIONS = {
     "unknown setting": (("--set", "learning.gama=0.9"), "did you mean 'gamma'"),
     "impossible setting": (("--set", "learning.gamma=1.5"), "setting learning.gamma"),
     "setting of another kind": (("--set", "learning.gamma=high"), "setting learning.gamma"),
+    "unknown learner": (("--learner", "sarza"), "did you mean 'sarsa'?"),
+    "unknown reward": (("--reward", "none"), "known: paper, alive, centred"),
+    "reward of no module": (("--reward", "nowhere:reward"), "there is no module 'nowhere'"),
     "no episodes": (("--episodes", "0"), "--episodes"),
     "half an episode": (("--episodes", "0.5"), "--episodes"),
     "no seeds": (("--seeds", "0"), "--seeds"),

@@ -42,7 +42,6 @@ def table(values=None, **changes):
         "h": 0.01,
         "arm": iiwa(7),
         "actuator": IDEAL_ACTUATOR,
-        "recipe": "robust",
         "settings": Settings(),
         "seed": 0,
         "learner": 0,

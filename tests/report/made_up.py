@@ -105,7 +105,6 @@ def policy(of, recipe="robust", unvisited=7):
         pendulum=of,
         arm=iiwa(7),
         actuator=IDEAL_ACTUATOR if recipe == "paper" else shipped_actuator(),
-        recipe=recipe,
         settings=settings,
         seed=0,
         learner=0,
@@ -214,7 +213,6 @@ def results(
     found = Results(
         record=StageRecord(
             quick=quick,
-            recipe=recipe,
             seed=0,
             workers=2,
             swing=trajectory.source,

@@ -331,7 +331,7 @@ def test_a_training_goes_on_from_table_and_visits(small_policy, quick_settings):
         small_policy.arm,
         settings,
         actuator=small_policy.actuator,
-        warm=small_policy,
+        init_policy=small_policy,
     )
     visits, before = np.array(warm.visits), np.array(small_policy.visits)
     assert np.all(visits >= before)

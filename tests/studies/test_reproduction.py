@@ -202,7 +202,7 @@ def test_an_arm_whose_masses_are_not_known_runs_on_the_model(tmp_path):
 
 def test_a_policy_of_the_paper_runs_on_the_twin_without_a_study_of_its_cures(tmp_path):
     bare = resolve("paper", overrides=["learning.episodes=40", "evaluation.trials=4"])
-    results = reproduce(tmp_path, recipe="paper", settings=bare, workers=1).results
+    results = reproduce(tmp_path, settings=bare, workers=1).results
     assert results.policy.actuator.kind == "ideal"
     assert results.run.conditions.world == "twin:nominal-1"
     assert results.gap is None

@@ -91,7 +91,7 @@ def reproduce(
     from equipoise.studies import reproduction as study
 
     request = study.make_request(
-        swing=recording, arm=machine, settings=resolved, recipe=recipe, seed=seed, quick=quick
+        swing=recording, arm=machine, settings=resolved, seed=seed, quick=quick
     )
     destination, resumed = _choose(output, out, request, force)
     with ExitStack() as stack:
@@ -105,7 +105,6 @@ def reproduce(
             swing=recording,
             arm=machine,
             settings=resolved,
-            recipe=recipe,
             seed=seed,
             quick=quick,
             workers=workers,

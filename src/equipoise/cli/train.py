@@ -30,6 +30,14 @@ def train(
     arm: opt.ArmName = "iiwa7",
     actuator: opt.ActuatorFile = None,
     recipe: opt.Recipe = "robust",
+    learner: Annotated[
+        str | None,
+        opt.value("NAME", "q_learning (the paper's), sarsa, watkins, double_q, or MODULE:NAME."),
+    ] = None,
+    reward: Annotated[
+        str | None,
+        opt.value("NAME", "paper, alive, centred, or MODULE:NAME of a function."),
+    ] = None,
     episodes: Annotated[
         int | None, opt.value("N", "Number of episodes; by default the paper's 10,000.", min=1)
     ] = None,
@@ -50,7 +58,7 @@ def train(
     settings: opt.Set = None,
     as_json: opt.Json = False,
 ) -> None:
-    """Train a policy by Q-learning.
+    """Train a policy by Q-learning, or by another learner.
 
     Writes the policy: the table of 270 boxes by 8 actions, its learning curve,
     and everything needed to train it again. After an interruption the same
@@ -63,8 +71,8 @@ def train(
     from equipoise.settings import resolve
 
     chosen = list(settings or ())
-    if episodes is not None:
-        chosen.append(f"learning.episodes={episodes}")
+    named = {"episodes": episodes, "learner": learner, "reward": reward}
+    chosen += [f"learning.{name}={given}" for name, given in named.items() if given is not None]
     resolved = resolve(recipe, settings_file, chosen, max_speed=max_speed)
     if max_speed is not None and not resolved.selection.every:
         raise InputError(
@@ -93,7 +101,6 @@ def train(
                 learners=learners,
                 actuator=response,
                 seed=seed,
-                recipe=recipe,
                 workers=opt.available_workers(workers),
                 partial=partial,
                 report=progress.report,

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Share, Value, value_digest
+from equipoise.artefacts import Artefact, Count, Number, Seed, Share, Value, value_digest
 from equipoise.compiled import kernel
 from equipoise.control import boxes
 from equipoise.control.boxes import BoxDescription, Boxes, box_index
@@ -24,7 +24,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import DEPLOYMENT, philox, uniform
-from equipoise.settings import MOST_CANDIDATES, Settings
+from equipoise.settings import MOST_CANDIDATES, Settings, describe_recipe
 from equipoise.views import Viewable
 
 Array = npt.NDArray[np.float64]
@@ -261,8 +261,6 @@ class TabularPolicy(Viewable, Artefact):
     """Arm of the training, with its home posture."""
     actuator: Actuator
     """Response of the arm to its setpoints in the training."""
-    recipe: Name
-    """Name of the training recipe."""
     settings: Settings
     """Resolved settings of the training."""
     seed: Seed
@@ -292,9 +290,10 @@ class TabularPolicy(Viewable, Artefact):
 
     def __repr__(self) -> str:
         """Return one line: arm, recipe and length of the training."""
+        recipe = self.recipe.partition(":")[0]
         return (
-            f"<TabularPolicy of {self.arm.name!r}, recipe {self.recipe!r}, {self.episodes:,} "
-            f"episodes, {len(self.Q)} boxes, {len(self.actions)} actions>"
+            f"<TabularPolicy of {self.arm.name!r}, recipe {recipe!r}, {self.episodes:,} episodes, "
+            f"{len(self.Q)} boxes, {len(self.actions)} actions>"
         )
 
     __str__ = __repr__
@@ -308,6 +307,11 @@ class TabularPolicy(Viewable, Artefact):
     def u_max(self) -> float:
         """Largest acceleration [m/s^2]."""
         return max(map(abs, self.actions))
+
+    @property
+    def recipe(self) -> str:
+        """Name of the recipe whose settings trained it, or `custom` with the differences."""
+        return describe_recipe(self.settings)
 
     @property
     def table(self) -> Array:

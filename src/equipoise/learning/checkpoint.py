@@ -15,7 +15,7 @@ from equipoise.artefacts import Artefact, Value
 from equipoise.control.boxes import ACTIONS, COUNT
 from equipoise.control.policy import Checkpoint, LearningPoint
 from equipoise.errors import ArtefactError
-from equipoise.learning.q_learning import BEGUN, ENDED, IN_USE, TrainingState
+from equipoise.learning.episodes import BEGUN, ENDED, IN_USE, TrainingState
 from equipoise.model.elementary import BATCH_SIZE
 
 
@@ -39,8 +39,8 @@ class Finalist(_Bytes):
 class LearnerState(_Bytes):
     """The state of one learner between two screenings, or between two finalists."""
 
-    progress: bytes
-    """All arrays of `q_learning.Progress`, in their order."""
+    training: bytes
+    """All arrays of `episodes.TrainingState`, in their order, base64."""
     averaged: bytes
     """Running average of the table, 270 x 8 float64."""
     screened: int = Field(ge=0)
@@ -67,22 +67,22 @@ class ResumePoint(Artefact):
     """State of each learner that has begun, by its number."""
 
 
-def pack(progress: TrainingState) -> bytes:
+def pack(training: TrainingState) -> bytes:
     """Return all arrays of a training, one after the other."""
-    return b"".join(array.tobytes() for array in _arrays(progress))
+    return b"".join(array.tobytes() for array in _arrays(training))
 
 
-def unpack(data: bytes, progress: TrainingState) -> None:
+def unpack(data: bytes, training: TrainingState) -> None:
     """Write what `pack` returned into the arrays of a training.
 
     Args:
         data: The bytes.
-        progress: A new training, changed in place.
+        training: A new training, changed in place.
 
     Raises:
         ArtefactError: No training has such a state: its size is wrong, or an index is out of range.
     """
-    arrays = list(_arrays(progress))
+    arrays = list(_arrays(training))
     if len(data) != sum(array.nbytes for array in arrays):
         raise _damaged(f"{len(data)} bytes of state")
     place = 0
@@ -90,10 +90,11 @@ def unpack(data: bytes, progress: TrainingState) -> None:
         array[...] = np.frombuffer(data, array.dtype, array.size, place).reshape(array.shape)
         place += array.nbytes
     # Compiled code does not check its indices.
-    totals = progress.totals
+    totals = training.totals
     bounds = {
-        "box": (progress.box, COUNT),
-        "action": (progress.action, ACTIONS),
+        "box": (training.box, COUNT),
+        "place": (training.place, BATCH_SIZE),
+        "action": (training.action, ACTIONS),
         "lanes in use": (totals[IN_USE], BATCH_SIZE + 1),
         "episodes ended": (totals[ENDED], int(totals[BEGUN]) + 1),
     }

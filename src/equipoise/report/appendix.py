@@ -10,7 +10,7 @@ from equipoise.model.arms.resolve import DEFAULT, arm_word
 from equipoise.model.sim_configs import TwinSettings
 from equipoise.report.choices import Chapter, Choice, chapter, chapters, departures
 from equipoise.report.markup import Part, heading, listing, numbered, paragraph, part, table
-from equipoise.settings import resolve
+from equipoise.settings import closest_recipe, resolve
 from equipoise.studies.results import (
     EVALUATION,
     GAP,
@@ -27,7 +27,8 @@ DIGITS = 12
 
 def assumptions(results: Results) -> Part:
     """Return what the paper does not say, and what we chose, with the reasons."""
-    other = "robust" if results.policy.recipe == "paper" else "paper"
+    recipe, _ = closest_recipe(results.policy.settings)
+    other = "robust" if recipe == "paper" else "paper"
     return part(
         "open",
         "What the paper leaves open",
@@ -97,7 +98,7 @@ def provenance_section(results: Results, provenance: Provenance) -> Part:
         for name, digest in record.files.items()
     ]
     seeds = (
-        f"Master seed {record.seed}, learner {policy.learner}, recipe `{record.recipe}`, arm "
+        f"Master seed {record.seed}, learner {policy.learner}, recipe `{policy.recipe}`, arm "
         f"{policy.arm.name}; training, selection, test and the recorded run draw from streams of "
         "their own. Equal seed gives equal numbers on one machine, whatever the number of threads."
     )
@@ -144,8 +145,9 @@ def _commands(results: Results) -> list[str]:
     everything = ["equipoise reproduce"]
     if not record.simulated:
         everything.append(f"--swing {record.swing}")
-    if record.recipe != "robust":
-        everything.append(f"--recipe {record.recipe}")
+    recipe, _ = closest_recipe(results.policy.settings)
+    if recipe != "robust":
+        everything.append(f"--recipe {recipe}")
     arm = arm_word(results.policy.arm.name)
     if arm is not None:
         everything.append(f"--arm {arm}")

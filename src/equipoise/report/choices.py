@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 from equipoise.artefacts import Value
 from equipoise.model.elementary import BATCH_SIZE
-from equipoise.settings import RECIPES, Settings
+from equipoise.settings import RECIPES, LearningSettings, Settings
 
 UNIT: Final = re.compile(r"\s*\[([^\]]+)\]")
 
@@ -101,6 +101,11 @@ def departures(settings: Settings) -> Iterator[str]:
         f"{BATCH_SIZE} episodes learn at once on one table, for speed (the paper, surely, had one "
         "after the other)."
     )
+    paper = LearningSettings()
+    if learning.learner != paper.learner:
+        yield f"The learner is `{learning.learner}` (section 4.2: Q-learning, equation 1)."
+    if learning.reward != paper.reward:
+        yield f"The reward is `{learning.reward}`, not that of a failure alone."
     if learning.mirrored:
         yield "Every update is made for its mirror image as well: the task is symmetric."
     if learning.hold_action:

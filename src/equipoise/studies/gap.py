@@ -279,7 +279,6 @@ def train_paper(
         policy.pendulum,
         policy.arm,
         paper_settings(quick=quick),
-        recipe="paper",
         seed=seed,
         workers=workers,
         partial=partial,

@@ -28,7 +28,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.inertials import link_inertials
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import MODEL
-from equipoise.settings import Settings, resolve
+from equipoise.settings import Settings
 from equipoise.simulation import available_cores
 from equipoise.studies.compilation import (
     FUNCTIONS,
@@ -125,8 +125,6 @@ class ReproductionRequest(NamedTuple):
     """The arm with its home posture."""
     settings: Settings
     """Resolved settings."""
-    recipe: str
-    """Name of the settings."""
     seed: int
     """Master seed."""
     quick: bool
@@ -139,7 +137,6 @@ class ReproductionRequest(NamedTuple):
             "swing": "" if self.swing is None else self.swing.sha256,
             "arm": self.arm.digest,
             "settings": value_digest(self.settings),
-            "recipe": self.recipe,
             "seed": str(self.seed),
             "--quick": str(self.quick),
             "version of Equipoise or its libraries": software(),
@@ -193,7 +190,6 @@ def reproduce(
     swing: Trajectory | None = None,
     arm: Arm | None = None,
     settings: Settings | None = None,
-    recipe: str = "robust",
     seed: int = 0,
     quick: bool = False,
     workers: int | None = None,
@@ -209,8 +205,7 @@ def reproduce(
         out: Folder for the files; it is made if it is missing.
         swing: A recorded free swing, e.g. from `read_swing`; one is simulated if not given.
         arm: The arm with its home posture; an iiwa 7 if not given.
-        settings: Resolved settings; those of the recipe if not given.
-        recipe: Name of the settings.
+        settings: Resolved settings; the defaults if not given.
         seed: Master seed.
         quick: Fewer episodes and trials (`QUICK`).
         workers: Threads; all cores if not given. The results do not depend on it.
@@ -227,9 +222,7 @@ def reproduce(
         OutsideError: The disk refuses.
     """
     out = Path(out)
-    request = make_request(
-        swing=swing, arm=arm, settings=settings, recipe=recipe, seed=seed, quick=quick
-    )
+    request = make_request(swing=swing, arm=arm, settings=settings, seed=seed, quick=quick)
     arm, settings = request.arm, request.settings
     workers = available_cores() if workers is None else workers
     if other := differences(out, request):
@@ -298,7 +291,6 @@ def reproduce(
             settings,
             learners=learners,
             seed=seed,
-            recipe=recipe,
             workers=workers,
             partial=partial_path(out / POLICY),
             report=progress.report,
@@ -342,7 +334,6 @@ def reproduce(
 
     record = StageRecord(
         quick=quick,
-        recipe=recipe,
         seed=seed,
         workers=workers,
         swing=given.source,
@@ -370,17 +361,15 @@ def make_request(
     swing: Trajectory | None,
     arm: Arm | None,
     settings: Settings | None,
-    recipe: str,
     seed: int,
     quick: bool,
 ) -> ReproductionRequest:
     """Return what decides about a reproduction, the defaults filled in; as in `reproduce`."""
-    settings = resolve(recipe) if settings is None else settings
+    settings = Settings() if settings is None else settings
     return ReproductionRequest(
         swing=swing,
         arm=iiwa(7) if arm is None else arm,
         settings=shortened(settings) if quick else settings,
-        recipe=recipe,
         seed=seed,
         quick=quick,
     )

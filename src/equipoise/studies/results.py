@@ -54,8 +54,6 @@ class StageRecord(Artefact):
 
     quick: bool
     """Fewer episodes and trials than the paper's and ours."""
-    recipe: Name
-    """Name of the settings."""
     seed: Seed
     """Master seed of everything."""
     workers: Count

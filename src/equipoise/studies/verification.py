@@ -157,7 +157,7 @@ def _reproduction(record: StageRecord) -> str:
     quick = "a quick " if record.quick else ""
     wall = sum(stage.wall for stage in record.stages)
     return (
-        f"{quick}run of the recipe {record.recipe} from {record.swing}, seed {record.seed}, "
+        f"{quick}run from {record.swing}, seed {record.seed}, "
         f"{len(record.files)} files, {wall:.0f} s"
     )
 

@@ -1,13 +1,13 @@
-"""Q-learning as one reads it: a dictionary of boxes, one episode after the other in a list.
+"""Learners as one reads them: a dictionary of boxes, one episode after the other in a list.
 
-What `equipoise.learning.q_learning.train_episodes` must equal. It shares with it the compiled
-plant (`reset`, `draw_noise`, `step`) and the random words; boxes, table, mirror, learning rate,
-exploration and the order of events are written here a second time. Every episode has a block of
-its own and is alone in it.
+`equipoise.learning.episodes.train_episodes` must equal it, with each of the four learners. Both
+share the compiled plant (`reset`, `draw_noise`, `step`) and the random words; boxes, table, mirror,
+rewards, learning rules, exploration and the order of events are written here a second time. Every
+episode has a batch of its own and is alone in it.
 
-The rules that the paper leaves open: so many episodes run side by side, in step; each acts by the
-table as it stands before the step; then they update it, the last one first. An episode that ends
-gives its place to the next, or, where none is left, to the last of those that run. With `held` an
+The rules that the paper leaves open: 16 episodes run side by side, in step; each acts by the table
+as it stands before the step; then they update it, the last one first. An episode that ends gives
+its place to the next, or, where none is left, to the last of those that run. With `hold_action` an
 action lasts as long as its box, and is updated once, over all the steps that it took.
 """
 
@@ -88,13 +88,16 @@ class Episode:
         )
         reset(plant, self.block, own, variation, start, 0)
         self.cell = self.place()
-        self.action, self.held = -1, 0
+        self.action, self.held, self.gained, self.coin = -1, 0, 0.0, 0.0
+        self.traces = {}
+
+    def observation(self):
+        """Return what the policy sees."""
+        return [float(value) for value in self.block.controller.observation[::BATCH_SIZE]]
 
     def place(self):
         """Return the intervals (i, j, k, m) that hold what the policy sees."""
-        x, x_dot, phi, phi_dot = (
-            float(value) for value in self.block.controller.observation[::BATCH_SIZE]
-        )
+        x, x_dot, phi, phi_dot = self.observation()
         # A prediction may lie beyond the limits, where no box is: it counts as just within.
         x, phi = min(max(x, -0.2199), 0.2199), min(max(phi, -0.1919), 0.1919)
         return place(x, x_dot, phi, phi_dot)
@@ -111,12 +114,23 @@ class Episode:
         return self.block.cause[0] != TRUNCATED
 
 
-def train(plant, pendulum, settings, until, seed, learner):
+REWARDS = {
+    "paper": lambda before, u, after, failed, failure: failure * failed,
+    "alive": lambda before, u, after, failed, failure: 1.0 - failed,
+    "centred": lambda before, u, after, failed, failure: (
+        failure if failed else -0.2 * after[0] ** 2 - 0.27 * after[2] ** 2
+    ),
+}
+
+
+def train(plant, pendulum, settings, until, seed, learner, reward=None):
     """Return the table after `until` episodes have ended."""
     s = settings.learning
-    Q, visits = {}, {}
+    reward = reward or REWARDS[s.reward]
+    # D: half the difference of the two tables of double Q-learning.
+    Q, D, visits = {}, {}, {}
     for cell in np.ndindex(6, 5, 3, 3):
-        Q[cell] = [0.0] * 8
+        Q[cell], D[cell] = [0.0] * 8, [0.0] * 8
         visits[cell] = [0] * 8
     begun = ended = steps = 0
     longest = round(s.episode_duration / 0.01)
@@ -127,7 +141,8 @@ def train(plant, pendulum, settings, until, seed, learner):
         return Episode(plant, pendulum, settings, seed, learner, begun - 1)
 
     def choose(episode):
-        w0, w1, _, _ = philox(seed, episode.tick, episode.number, learner, TRAINING_ACTION)
+        w0, w1, w2, _ = philox(seed, episode.tick, episode.number, learner, TRAINING_ACTION)
+        episode.coin = w2 / 2**32
         epsilon = s.epsilon_initial
         if s.epsilon_until > 0.0:
             epsilon *= max(0.0, 1.0 - episode.number / (s.epsilon_until * s.episodes))
@@ -137,40 +152,77 @@ def train(plant, pendulum, settings, until, seed, learner):
         best = [action for action in range(8) if values[action] == max(values)]
         return best[w1 * len(best) >> 32]
 
-    def learn(cell, action, target):
+    def alpha(cell, action):
         N = visits[cell][action]
-        alpha = max(s.alpha_initial / (1.0 + s.alpha_decay * N), s.alpha_minimum)
-        Q[cell][action] = (1.0 - alpha) * Q[cell][action] + alpha * target
-        visits[cell][action] += 1
+        return max(s.alpha_initial / (1.0 + s.alpha_decay * N), s.alpha_minimum)
+
+    def mirror(table, cell, action):
         if s.mirrored:
             i, j, k, m = cell
-            image = (5 - i, 4 - j, 2 - k, 2 - m)
-            Q[image][7 - action] = Q[cell][action]
-            visits[image][7 - action] = visits[cell][action]
+            table[5 - i, 4 - j, 2 - k, 2 - m][7 - action] = table[cell][action]
+
+    def learn(episode, cell, action, coin, failed, ended):
+        """Apply the learner's rule; the episode is in its next cell, with its next action."""
+        R, discount, after = episode.gained, s.gamma**episode.held, episode.cell
+        if s.learner == "watkins":
+            best = 0.0 if failed else max(Q[after])
+            delta = (R if failed else R + discount * best) - Q[cell][action]
+            episode.traces[cell, action] = 1.0
+            on = not ended and Q[after][episode.action] == best
+            for pair in sorted(episode.traces):
+                Q[pair[0]][pair[1]] += alpha(*pair) * episode.traces[pair] * delta
+                mirror(Q, *pair)
+                episode.traces[pair] *= discount * s.trace_decay
+            episode.traces = {p: e for p, e in episode.traces.items() if on and e >= 1e-3}
+        elif s.learner == "double_q":
+            sign = 1.0 if coin < 0.5 else -1.0
+            target = R
+            if not failed:
+                chooses = [q + sign * d for q, d in zip(Q[after], D[after], strict=True)]
+                values = [q - sign * d for q, d in zip(Q[after], D[after], strict=True)]
+                target += discount * values[chooses.index(max(chooses))]
+            change = alpha(cell, action) * (target - (Q[cell][action] + sign * D[cell][action]))
+            Q[cell][action] += change / 2
+            D[cell][action] += sign * change / 2
+            mirror(Q, cell, action)
+            mirror(D, cell, action)
+        else:
+            value = Q[after][episode.action] if s.learner == "sarsa" else max(Q[after])
+            target = R if failed else R + discount * value
+            a = alpha(cell, action)
+            Q[cell][action] = (1.0 - a) * Q[cell][action] + a * target
+            mirror(Q, cell, action)
+        visits[cell][action] += 1
+        mirror(visits, cell, action)
+
+    ahead = s.learner in ("sarsa", "watkins")
 
     running = [begin() for _ in range(min(SIDE_BY_SIDE, s.episodes))]
     while ended < until:
         for episode in running:
-            if episode.held == 0:
+            if episode.held == 0 and not (ahead and episode.tick > 0):
                 episode.action = int(choose(episode))
+        before = [episode.observation() for episode in running]
         failed = [episode.advance() for episode in running]
         steps += len(running)
         for n in reversed(range(len(running))):
             episode = running[n]
-            # r comes in the last of the steps that the action was held, max Q after it.
+            u, after = paper.ACTIONS[episode.action], episode.observation()
+            r = reward(before[n], u, after, failed[n], s.reward_failure)
+            episode.gained += s.gamma**episode.held * r
             episode.held += 1
-            if failed[n]:
-                target = s.gamma ** (episode.held - 1) * s.reward_failure
-                learn(episode.cell, episode.action, target)
-            else:
-                before, episode.cell = episode.cell, episode.place()
-                if s.hold_action and episode.cell == before and episode.tick < longest:
-                    continue
-                target = s.gamma**episode.held * max(Q[episode.cell])
-                learn(before, episode.action, target)
-                episode.held = 0
-                if episode.tick < longest:
-                    continue
+            over = failed[n] or episode.tick >= longest
+            cell, action, coin = episode.cell, episode.action, episode.coin
+            if not failed[n]:
+                episode.cell = episode.place()
+            if s.hold_action and episode.cell == cell and not over:
+                continue
+            if ahead and not failed[n]:
+                episode.action = int(choose(episode))
+            learn(episode, cell, action, coin, failed[n], over)
+            episode.held, episode.gained = 0, 0.0
+            if not over:
+                continue
             ended += 1
             if begun < s.episodes:
                 running[n] = begin()

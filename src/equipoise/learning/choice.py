@@ -1,0 +1,214 @@
+"""Choice of learner and reward, by name or from a guest's module, and their compilation.
+
+A name is one of the project's, or MODULE:NAME of an object outside the package. A policy records a
+guest's as MODULE:NAME@DIGEST, where DIGEST begins the SHA-256 of the source file: trained again, it
+needs the same source.
+
+A guest's functions run once in Python, on made-up numbers, so that a mistake in them shows with its
+line; then Numba compiles them, each time anew. Code that Numba cannot compile is refused: in plain
+Python a training would take hours.
+"""
+
+import inspect
+import math
+from collections.abc import Callable
+from difflib import get_close_matches
+from typing import Any, Final
+
+import numba
+from numba.core.errors import NumbaError
+
+from equipoise.compiled import disabled, function_pointer
+from equipoise.control.controller import Observation
+from equipoise.errors import InputError, SettingsError
+from equipoise.guests import format_error, load_object, source_digest
+from equipoise.learning import rewards
+from equipoise.learning.learner import (
+    Learner,
+    LearnerKernel,
+    Transition,
+    UpdateParams,
+    new_tables,
+    select_signature,
+    update_signature,
+)
+from equipoise.learning.learners import learner_names, named_learner
+from equipoise.settings import LearningSettings
+
+DIGEST_LENGTH: Final = 16
+"""Number of hexadecimal digits of a guest's digest in a name."""
+LEARNER: Final = "learning.learner"
+REWARD: Final = "learning.reward"
+STATE: Final = Observation(0.01, -0.1, 0.02, 0.3)
+"""State on which a guest's functions are tried [m], [m/s], [rad], [rad/s]."""
+
+
+def reward_names() -> list[str]:
+    """Return the names of all rewards of the project, in the order of their file."""
+    return [
+        name
+        for name, item in vars(rewards).items()
+        if inspect.isfunction(item) and item.__module__ == rewards.__name__
+    ]
+
+
+def with_digests(settings: LearningSettings) -> LearningSettings:
+    """Return settings in which the name of a guest's learner or reward carries its digest.
+
+    Raises:
+        InputError: A guest's object cannot be loaded, or its source is not the recorded one.
+        SettingsError: There is no such name.
+    """
+    learner = _with_digest(settings.learner, LEARNER, learner_names())
+    reward = _with_digest(settings.reward, REWARD, reward_names())
+    return settings.model_copy(update={"learner": learner, "reward": reward})
+
+
+def load_learner(settings: LearningSettings) -> Learner:
+    """Return the learner that settings name.
+
+    Raises:
+        InputError: A guest's learner cannot be loaded, or is none.
+        SettingsError: There is no such name.
+    """
+    name = settings.learner
+    if ":" not in name:
+        _check_known(name, LEARNER, learner_names())
+        return named_learner(name)
+    learner = _guest(name, LEARNER)
+    if inspect.isfunction(function := getattr(learner, "py_func", learner)):
+        learner = Learner(function)
+    if not isinstance(learner, Learner):
+        raise InputError(
+            f"{name} is of type {type(learner).__name__}, expected a function "
+            "update(tables, transition, params) or an equipoise.learning.learner.Learner; give one"
+        )
+    return learner
+
+
+def compile_learner(settings: LearningSettings) -> LearnerKernel:
+    """Return the learner and the reward that settings name, compiled for the episode loop.
+
+    Raises:
+        InputError: A guest's function raises, returns what is not a number, or cannot be compiled.
+        SettingsError: There is no such name.
+    """
+    learner = load_learner(settings)
+    guest = ":" in settings.learner
+    if guest:
+        _try_learner(learner, settings.learner)
+    if ":" in settings.reward:
+        reward = _guest_reward(_guest(settings.reward, REWARD), settings.reward)
+    else:
+        _check_known(settings.reward, REWARD, reward_names())
+        reward = getattr(rewards, settings.reward)
+    state, number = numba.typeof(STATE), numba.float64
+    signature = number(state, number, state, numba.boolean, number)
+    return LearnerKernel(
+        select=_compiled(learner.select, select_signature(), guest, settings.learner),
+        update=_compiled(learner.update, update_signature(), guest, settings.learner),
+        reward=_compiled(reward, signature, ":" in settings.reward, settings.reward),
+        chooses_ahead=learner.chooses_ahead,
+    )
+
+
+def _compiled(function: Any, signature: Any, guest: bool, name: str) -> Any:
+    guest = guest and not function.__module__.startswith("equipoise.")
+    try:
+        return function_pointer(function, signature, cached=not guest)
+    except NumbaError as error:
+        raise InputError(
+            f"{name} cannot be compiled: {_reason(error)}; write it with numbers, tuples, the "
+            "module math and NumPy's arrays, and mark functions that it calls with numba.njit"
+        ) from error
+
+
+def _reason(error: NumbaError) -> str:
+    """Return the cause in Numba's message: its first line that is not a heading."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    said = [line for line in lines if line and not line.startswith(("Failed in", "During", "- "))]
+    places = [line for line in lines if line.startswith('File "')]
+    return " at ".join([said[0].rstrip(":."), *(place.rstrip(":") for place in places[:1])])
+
+
+def _guest_reward(function: Any, name: str) -> Callable[..., float]:
+    """Return a guest's reward as a function of five parameters, tried once in Python."""
+    function = getattr(function, "py_func", function)
+    try:
+        count = len(inspect.signature(function).parameters)
+    except (TypeError, ValueError):
+        count = 0
+    if not inspect.isfunction(function) or count not in (4, 5):
+        raise InputError(
+            f"{name} is {function!r:.60}, expected a function "
+            "reward(state, u, next_state, failed); give one"
+        )
+    for failed in (False, True):
+        given = (STATE, 1.0, STATE, failed, -1.0)
+        try:
+            value = function(*given[:count])
+        except Exception as error:
+            raise InputError(f"{name} raised {format_error(error)}; correct it") from error
+        if not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise InputError(
+                f"{name} returned {value!r:.60} for failed = {failed}, expected a finite number; "
+                "correct it"
+            )
+    if count == 5 or disabled():
+        return (
+            function if count == 5 else lambda s, u, after, failed, _: function(s, u, after, failed)
+        )
+    inner = numba.njit(error_model="numpy")(function)
+
+    def reward(
+        state: Observation, u: float, next_state: Observation, failed: bool, _: float
+    ) -> float:
+        return inner(state, u, next_state, failed)
+
+    return reward
+
+
+def _try_learner(learner: Learner, name: str) -> None:
+    """Call the functions of a guest's learner once in Python, with a result and with a failure."""
+    tables = new_tables(learner.tables)
+    params = UpdateParams(0.5, 0.0, 0.1, 0.5, True)
+    after = Transition(0, 0, -0.1, 0.9, 269, 7, False, False, 0.1, 0.5, 0)
+    try:
+        action = learner.select(tables, 0, 0.1, 0.5, 0.5)
+        for transition in (after, after._replace(failed=True, ended=True)):
+            learner.update(tables, transition, params)
+    except Exception as error:
+        raise InputError(f"{name} raised {format_error(error)}; correct it") from error
+    if action not in range(tables.Q.shape[1]):
+        raise InputError(
+            f"{name} selected {action!r:.60}, expected the index of an action, 0 to 7; correct it"
+        )
+
+
+def _with_digest(name: str, setting: str, known: list[str]) -> str:
+    if ":" not in name:
+        _check_known(name, setting, known)
+        return name
+    bare, _, recorded = name.partition("@")
+    item = load_object(bare, setting)
+    digest = source_digest(item.update if isinstance(item, Learner) else item)[:DIGEST_LENGTH]
+    if recorded and recorded != digest:
+        raise InputError(
+            f"the source of {bare} has changed: its digest is {digest}, expected {recorded}; "
+            "restore the file, or train anew with the name alone"
+        )
+    return f"{bare}@{digest}"
+
+
+def _guest(name: str, setting: str) -> Any:
+    return load_object(name.partition("@")[0], setting)
+
+
+def _check_known(name: str, setting: str, known: list[str]) -> None:
+    if name not in known:
+        close = get_close_matches(name, known, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
+        raise SettingsError(
+            f"{setting} is {name!r:.60}, which is no name of the project; {hint} A guest's is "
+            "MODULE:NAME"
+        )

@@ -1,0 +1,313 @@
+"""Episode loop of the training: it acts, collects rewards, and lets a learner update its table.
+
+One compiled loop runs whole episodes, `BATCH_SIZE` of them at once, all learning on the one table:
+in each step every lane acts by the table as it stands, then the updates are made one after the
+other. A learner that chooses ahead chooses its next action just before its update. Episodes that
+reach the time limit end without a failure.
+
+With `hold_action` an action lasts until the state leaves its box, n steps, and is updated then:
+rewards are discounted to its first step, and the value of the next box by gamma^n. Within a box
+nothing changes that the table could see, so a greedy policy holds its action anyway.
+
+The learning rules are in `equipoise.learning.learners`, the rewards in
+`equipoise.learning.rewards`.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.compiled import inlined, kernel
+from equipoise.control.boxes import TRUNCATED, Boxes
+from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
+from equipoise.control.controller import Observation
+from equipoise.learning.closed_loop import (
+    BatchState,
+    DomainRandomization,
+    LoopParams,
+    box_of,
+    copy_lane,
+    draw_noise,
+    new_batch_state,
+    reset,
+    step,
+)
+from equipoise.learning.learner import LearnerKernel, Tables, Transition, UpdateParams, new_tables
+from equipoise.model.elementary import BATCH_SIZE, at
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.random import (
+    TRAINING_ACTION,
+    TRAINING_ACTUATOR,
+    TRAINING_EPISODE,
+    TRAINING_NOISE,
+    TRAINING_START,
+    normal_pair,
+    philox,
+    uniform,
+)
+
+Array = npt.NDArray[np.float64]
+
+
+# Entries of `TrainingState.totals`.
+BEGUN: Final = 0
+ENDED: Final = 1
+IN_USE: Final = 2
+STEPS: Final = 3
+ENDED_STEPS: Final = 4
+
+
+SMALL_POWERS: Final = 64
+"""Number of powers of gamma that are computed once; an action is seldom held for longer."""
+
+
+class TrainingConfig(NamedTuple):
+    """Constants of a training; each is described in `equipoise.settings.LearningSettings`."""
+
+    episodes: int
+    max_steps: int
+    """Number of steps after which an episode ends without a failure."""
+    gamma: float
+    epsilon_initial: float
+    epsilon_until: float
+    reward_failure: float
+    hold_action: bool
+    update: UpdateParams
+    """Constants of an update."""
+    start: tuple[float, float, float, float]
+    """Half widths of the ranges of x, x_dot, phi, phi_dot at the start, SI units."""
+    inertia_sigma: float
+    friction_sigma: float
+    delay_spread: float
+    lag_spread: float
+    zero_error: float
+    boxes: Boxes
+    actions: tuple[float, ...]
+    """Accelerations [m/s^2]."""
+
+
+@inlined
+def exploration(episode: int, config: TrainingConfig) -> float:
+    """Return the probability of a random action in an episode."""
+    if config.epsilon_until <= 0.0:
+        return config.epsilon_initial
+    done = episode / (config.epsilon_until * config.episodes)
+    return config.epsilon_initial * max(0.0, 1.0 - done)
+
+
+@inlined
+def discount(steps: int, gamma: float, powers: Array) -> float:
+    """Return gamma to the power of a number of steps; `powers` holds the first of them."""
+    # As a float: Numba's power of whole numbers rounds otherwise than Python's.
+    return powers[steps] if steps < powers.size else gamma ** float(steps)
+
+
+class TrainingState(NamedTuple):
+    """A training under way: the tables, and the episodes that run on its lanes."""
+
+    tables: Tables
+    """Tables that the learner changes."""
+    batch: BatchState
+    """States of the running episodes."""
+    episode: npt.NDArray[np.int64]
+    """Number of the episode of each lane, shape (BATCH_SIZE,)."""
+    place: npt.NDArray[np.int64]
+    """Place of that episode among those that run, constant over an episode, shape (BATCH_SIZE,)."""
+    tick: npt.NDArray[np.int64]
+    """Its step, shape (BATCH_SIZE,)."""
+    box: npt.NDArray[np.int64]
+    """Its box, shape (BATCH_SIZE,)."""
+    action: npt.NDArray[np.int64]
+    """Index of its action, shape (BATCH_SIZE,)."""
+    held_steps: npt.NDArray[np.int64]
+    """Number of steps for which the action has been held, shape (BATCH_SIZE,)."""
+    gained: Array
+    """Discounted sum of the rewards of those steps, shape (BATCH_SIZE,)."""
+    chance: Array
+    """Uniform random number in [0, 1) of the decision, for the learner, shape (BATCH_SIZE,)."""
+    epsilon: Array
+    """Probability of a random action in the episode, shape (BATCH_SIZE,)."""
+    before: Array
+    """Observation before the step; a block of 4 rows."""
+    totals: npt.NDArray[np.int64]
+    """Episodes begun, episodes ended, lanes in use, steps, steps of ended episodes; shape (5,)."""
+
+
+def new_training_state(tables: int = 0) -> TrainingState:
+    """Return a training that has not begun: tables of zeros.
+
+    Args:
+        tables: Number of tables of the learner's own.
+    """
+
+    def whole() -> npt.NDArray[np.int64]:
+        return np.zeros(BATCH_SIZE, np.int64)
+
+    return TrainingState(
+        tables=new_tables(tables),
+        batch=new_batch_state(),
+        episode=whole(),
+        place=np.arange(BATCH_SIZE),
+        tick=whole(),
+        box=whole(),
+        action=whole(),
+        held_steps=whole(),
+        gained=np.zeros(BATCH_SIZE),
+        chance=np.zeros(BATCH_SIZE),
+        epsilon=np.zeros(BATCH_SIZE),
+        before=np.zeros(4 * BATCH_SIZE),
+        totals=np.zeros(5, np.int64),
+    )
+
+
+@kernel
+def begin_episode(
+    plant: LoopParams,
+    pendulum: PendulumParameters,
+    config: TrainingConfig,
+    training: TrainingState,
+    seed: int,
+    number: int,
+    n: int,
+) -> None:
+    """Begin the next episode in lane `n`: draw its pendulum, actuator and start."""
+    episode = training.totals[BEGUN]
+    w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_EPISODE)
+    inertia_noise, friction_noise = normal_pair(w0, w1)
+    w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_ACTUATOR)
+    variation = DomainRandomization(
+        1.0 + config.inertia_sigma * inertia_noise,
+        1.0 + config.friction_sigma * friction_noise,
+        uniform(w0, -config.delay_spread, config.delay_spread),
+        uniform(w1, 1.0 - config.lag_spread, 1.0 + config.lag_spread),
+        uniform(w2, -config.zero_error, config.zero_error),
+    )
+    w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_START)
+    x, x_dot, phi, phi_dot = config.start
+    start = (
+        uniform(w0, -x, x),
+        uniform(w1, -x_dot, x_dot),
+        uniform(w2, -phi, phi),
+        uniform(w3, -phi_dot, phi_dot),
+    )
+    reset(plant, training.batch, pendulum, variation, start, n)
+    training.episode[n] = episode
+    training.tick[n] = training.held_steps[n] = 0
+    training.gained[n] = 0.0
+    training.epsilon[n] = exploration(episode, config)
+    training.box[n] = box_of(training.batch.controller.observation, config.boxes, n)
+    training.totals[BEGUN] += 1
+
+
+@inlined
+def observed(block: Array, n: int) -> Observation:
+    """Return what the policy of lane `n` sees."""
+    return Observation(
+        at(block, OBS_X, n),
+        at(block, OBS_X_DOT, n),
+        at(block, OBS_PHI, n),
+        at(block, OBS_PHI_DOT, n),
+    )
+
+
+@kernel
+def train_episodes(
+    plant: LoopParams,
+    pendulum: PendulumParameters,
+    config: TrainingConfig,
+    learner: LearnerKernel,
+    training: TrainingState,
+    until: int,
+    seed: int,
+    number: int,
+) -> None:
+    """Train until a number of episodes have ended.
+
+    Must equal `tests/reference/learning.py`.
+
+    Args:
+        plant: Constants of the closed loop.
+        pendulum: The centre that each episode varies.
+        config: Constants of the training.
+        learner: Compiled learner and reward.
+        training: Changed in place; a later call goes on where this one stopped.
+        until: Number of ended episodes at which to stop, at most `config.episodes`.
+        seed: Master seed.
+        number: Number of the learner of that seed; each has random numbers of its own.
+    """
+    tables, block, before = training.tables, training.batch, training.before
+    episode, place, tick, box = training.episode, training.place, training.tick, training.box
+    action, held, gained = training.action, training.held_steps, training.gained
+    chance, epsilon, totals, cause = training.chance, training.epsilon, training.totals, block.cause
+    memory = block.controller
+    seen, u = memory.observation, memory.u
+    powers = np.empty(SMALL_POWERS)
+    for i in range(SMALL_POWERS):
+        powers[i] = config.gamma ** float(i)
+    lanes = totals[IN_USE]
+    while lanes < BATCH_SIZE and totals[BEGUN] < config.episodes:
+        begin_episode(plant, pendulum, config, training, seed, number, lanes)
+        lanes += 1
+    while totals[ENDED] < until and lanes > 0:
+        for n in range(lanes):
+            if held[n] == 0 and not (learner.chooses_ahead and tick[n] > 0):
+                w0, w1, w2, _ = philox(seed, tick[n], episode[n], number, TRAINING_ACTION)
+                chance[n] = uniform(w2, 0.0, 1.0)
+                explore, choice = uniform(w0, 0.0, 1.0), uniform(w1, 0.0, 1.0)
+                action[n] = learner.select(tables, box[n], epsilon[n], explore, choice)
+            u[n] = config.actions[action[n]]
+        for i in range(before.size):
+            before[i] = seen[i]
+        draw_noise(memory.noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
+        step(plant, block, lanes)
+        totals[STEPS] += lanes
+        for n in range(lanes - 1, -1, -1):
+            failed = cause[n] != TRUNCATED
+            state, next_state = observed(before, n), observed(seen, n)
+            reward = learner.reward(state, u[n], next_state, failed, config.reward_failure)
+            if reward != 0.0:
+                gained[n] += discount(held[n], config.gamma, powers) * reward
+            tick[n] += 1
+            held[n] += 1
+            ended = failed or tick[n] >= config.max_steps
+            box_next = box_of(seen, config.boxes, n)
+            if config.hold_action and box_next == box[n] and not ended:
+                continue
+            of_action, action_next = chance[n], -1
+            if learner.chooses_ahead and not failed:
+                w0, w1, w2, _ = philox(seed, tick[n], episode[n], number, TRAINING_ACTION)
+                chance[n] = uniform(w2, 0.0, 1.0)
+                explore, choice = uniform(w0, 0.0, 1.0), uniform(w1, 0.0, 1.0)
+                action_next = learner.select(tables, box_next, epsilon[n], explore, choice)
+            learner.update(
+                tables,
+                Transition(
+                    box[n],
+                    action[n],
+                    gained[n],
+                    discount(held[n], config.gamma, powers),
+                    box_next,
+                    action_next,
+                    failed,
+                    ended,
+                    epsilon[n],
+                    of_action,
+                    place[n],
+                ),
+                config.update,
+            )
+            box[n], action[n], held[n], gained[n] = box_next, max(action_next, 0), 0, 0.0
+            if not ended:
+                continue
+            totals[ENDED] += 1
+            totals[ENDED_STEPS] += tick[n]
+            if totals[BEGUN] < config.episodes:
+                begin_episode(plant, pendulum, config, training, seed, number, n)
+            else:
+                lanes -= 1
+                copy_lane(block, lanes, n)
+                episode[n], place[n], tick[n] = episode[lanes], place[lanes], tick[lanes]
+                box[n], action[n], held[n] = box[lanes], action[lanes], held[lanes]
+                gained[n], chance[n], epsilon[n] = gained[lanes], chance[lanes], epsilon[lanes]
+    totals[IN_USE] = lanes

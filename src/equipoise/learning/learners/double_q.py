@@ -1,0 +1,59 @@
+r"""Double Q-learning (van Hasselt 2010): two tables A and B, each valued by the other.
+
+.. math:: A(s, a) = (1 - \alpha) A(s, a) + \alpha (r + \gamma \, B(s', \arg\max_{a'} A(s', a')))
+
+or the same with A and B exchanged, by the toss of a coin. The maximum of noisy values is too large
+on average; here the table that chooses a' is not the one that values it. The policy follows their
+mean, Q = (A + B) / 2. The learner's own table holds half of their difference, D = (A - B) / 2, so
+that A = Q + D and B = Q - D. Both tables share the count of visits, and so the learning rate.
+"""
+
+from equipoise.compiled import inlined
+from equipoise.learning.learner import (
+    Learner,
+    Tables,
+    Transition,
+    UpdateParams,
+    learning_rate,
+    write_mirrored,
+)
+
+
+@inlined
+def value_of_best(tables: Tables, box: int, sign: float) -> float:
+    """Return the value that one table gives to the best action of the other in a box.
+
+    Args:
+        tables: Mean Q and half difference D.
+        box: The box.
+        sign: 1 where A chooses and B values, -1 where B chooses and A values.
+    """
+    Q, D = tables.Q, tables.own[0]
+    best = 0
+    for i in range(1, Q.shape[1]):
+        if Q[box, i] + sign * D[box, i] > Q[box, best] + sign * D[box, best]:
+            best = i
+    return Q[box, best] - sign * D[box, best]
+
+
+def update(tables: Tables, transition: Transition, params: UpdateParams) -> None:
+    """Move A or B, by the toss of a coin; after a failure the target is the reward alone."""
+    Q, D, visits = tables.Q, tables.own[0], tables.visits
+    box, action = transition.box, transition.action
+    sign = 1.0 if transition.chance < 0.5 else -1.0
+    target = transition.reward
+    if not transition.failed:
+        target += transition.discount * value_of_best(tables, transition.box_next, sign)
+    # The moved table changes by `change`, their mean and half their difference by half of it.
+    value = Q[box, action] + sign * D[box, action]
+    change = learning_rate(visits[box, action], params) * (target - value)
+    Q[box, action] += 0.5 * change
+    D[box, action] += 0.5 * sign * change
+    visits[box, action] += 1
+    if params.mirrored:
+        write_mirrored(Q, box, action)
+        write_mirrored(D, box, action)
+        write_mirrored(visits, box, action)
+
+
+learner = Learner(update, tables=1)

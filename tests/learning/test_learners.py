@@ -1,0 +1,249 @@
+"""Learners on a small world with a closed form, by hand, and guests' learners and rewards."""
+
+import numpy as np
+import pytest
+
+from equipoise.errors import InputError, SettingsError
+from equipoise.learning import rewards
+from equipoise.learning.choice import compile_learner, load_learner, reward_names, with_digests
+from equipoise.learning.learner import Transition, UpdateParams, new_tables
+from equipoise.learning.learners import double_q, learner_names, named_learner
+from equipoise.settings import LearningSettings
+from equipoise.training import train
+from tests.reference import learning as reference
+
+GAMMA, EPSILON, STATES = 0.9, 0.5, 3
+
+
+def transition(box, action, reward, box_next, action_next=-1, **changes):
+    after = Transition(
+        box, action, reward, GAMMA, box_next, action_next, False, False, EPSILON, 0.0, 0
+    )
+    return after._replace(**changes)
+
+
+def corridor(state, action):
+    """Return the next state on a corridor: to the left, right, or held; 0 is the fall."""
+    return min(state + (-1, 1, 0, 0, 0, 0, 0, 0)[action], STATES)
+
+
+def learned(name, updates, seed=0):
+    """Return the tables after a walk on the corridor, with falling learning rates."""
+    learner, tables = named_learner(name), new_tables(named_learner(name).tables)
+    params = UpdateParams(1.0, 0.2, 0.0, 0.7, False)
+    rng = np.random.default_rng(seed)
+    state = int(rng.integers(1, STATES + 1))
+    action = learner.select(tables, state, EPSILON, *rng.random(2))
+    for _ in range(updates):
+        after = corridor(state, action)
+        failed, ended = after == 0, after == 0 or rng.random() < 0.05
+        action_next = learner.select(tables, after, EPSILON, *rng.random(2))
+        given = transition(state, action, -float(failed), after, action_next)
+        given = given._replace(failed=failed, ended=ended, chance=rng.random())
+        learner.update(tables, given, params)
+        state, action = (after, action_next)
+        if ended:
+            state = int(rng.integers(1, STATES + 1))
+            action = learner.select(tables, state, EPSILON, *rng.random(2))
+    return tables
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("name", ["q_learning", "watkins", "double_q"])
+def test_learners_of_the_best_policy_find_its_values(name):
+    # The best policy never falls: Q* is 0 but for the step into the fall, -1, and each way is seen.
+    Q = learned(name, 60_000).Q
+    exact = np.zeros((STATES + 1, 8))
+    exact[1, 0] = -1.0
+    # Actions that look bad are tried seldom, and still remember some of their first targets.
+    np.testing.assert_allclose(Q[1 : STATES + 1], exact[1:], atol=0.06)
+
+
+@pytest.mark.compiled_only
+def test_sarsa_finds_the_values_of_the_policy_that_explores():
+    # Against the closed form of its own last policy: Q = (1 - gamma P)^-1 r, with P by its greedy
+    # action and epsilon. Exploration falls off the edge in 6 % of the steps beside it.
+    Q = learned("sarsa", 200_000).Q
+    pairs = [(s, a) for s in range(1, STATES + 1) for a in range(8)]
+    index = {pair: n for n, pair in enumerate(pairs)}
+    P, r = np.zeros((len(pairs), len(pairs))), np.zeros(len(pairs))
+    for (s, a), n in index.items():
+        after = corridor(s, a)
+        if after == 0:
+            r[n] = -1.0
+            continue
+        for b in range(8):
+            P[n, index[after, b]] += EPSILON / 8
+        P[n, index[after, int(np.argmax(Q[after]))]] += 1.0 - EPSILON
+    exact = np.linalg.solve(np.eye(len(pairs)) - GAMMA * P, r).reshape(STATES, 8)
+    # Beside the edge it knows that exploring costs; there the best policy has 0 but for the fall.
+    assert exact[0, 2:].max() < -0.05
+    np.testing.assert_allclose(Q[1 : STATES + 1], exact, atol=0.05)
+
+
+@pytest.mark.parametrize(("chance", "moved"), [(0.2, 0), (0.7, 1)])
+def test_double_q_moves_one_table_towards_the_value_of_the_other(chance, moved):
+    rng = np.random.default_rng(3)
+    A, B = rng.normal(size=(2, 270, 8))
+    tables = new_tables(1)
+    tables.Q[:], tables.own[0] = (A + B) / 2, (A - B) / 2
+    given = transition(4, 5, -0.25, 9, chance=chance)
+    double_q.update(tables, given, UpdateParams(0.5, 0.0, 0.0, 0.0, False))
+    mine, other = (A, B) if moved == 0 else (B, A)
+    mine[4, 5] = 0.5 * mine[4, 5] + 0.5 * (-0.25 + GAMMA * other[9, np.argmax(mine[9])])
+    np.testing.assert_allclose(tables.Q + tables.own[0], A, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(tables.Q - tables.own[0], B, rtol=0.0, atol=1e-14)
+
+
+def test_watkins_carries_a_failure_back_until_an_action_that_was_not_the_best():
+    watkins, params = named_learner("watkins"), UpdateParams(1.0, 0.0, 0.0, 0.5, False)
+    tables = new_tables(watkins.tables)
+    watkins.update(tables, transition(1, 0, 0.0, 2, 0, lane=3), params)
+    tables.Q[4, 1] = -0.5  # so that action 1 in box 4 is not the best
+    watkins.update(tables, transition(2, 0, 0.0, 4, 1, lane=3), params)
+    watkins.update(tables, transition(4, 1, 0.5, 5, 2, lane=3), params)
+    watkins.update(tables, transition(5, 2, 0.0, 6, 0, lane=3), params)
+    failure = transition(6, 0, -1.0, 0, 0, lane=3, failed=True, ended=True)
+    watkins.update(tables, failure, params)
+    assert tables.Q[6, 0] == -1.0
+    assert tables.Q[5, 2] == pytest.approx(-GAMMA * 0.5)
+    assert tables.Q[4, 1] == pytest.approx(0.5 - (GAMMA * 0.5) ** 2)
+    assert tables.Q[2, 0] == tables.Q[1, 0] == 0.0
+    assert not tables.own.any()
+
+
+@pytest.mark.parametrize("name", reward_names())
+def test_a_reward_is_that_of_the_reference(name):
+    rng = np.random.default_rng(0)
+    for failed in (False, True):
+        before, after = rng.normal(size=(2, 4))
+        wanted = reference.REWARDS[name](before, 0.4, after, failed, -3.0)
+        states = (rewards.Observation(*before.tolist()), rewards.Observation(*after.tolist()))
+        got = getattr(rewards, name)(states[0], 0.4, states[1], failed, -3.0)
+        assert got == pytest.approx(wanted, rel=1e-15)
+    assert set(reward_names()) == set(reference.REWARDS)
+
+
+# Guests
+
+GUEST = """
+import numba
+from equipoise.learning.learner import Learner, move_towards
+
+def hanging(state, u, next_state, failed):
+    return -1.0 if failed else 0.0
+
+def scaled(state, u, next_state, failed, reward_failure):
+    return 2.0 * reward_failure if failed else 0.0
+
+def update(tables, transition, params):
+    target = transition.reward
+    if not transition.failed:
+        best = tables.Q[transition.box_next, 0]
+        for value in tables.Q[transition.box_next]:
+            best = max(best, value)
+        target += transition.discount * best
+    move_towards(tables, transition.box, transition.action, target, params)
+
+def raising(state, u, next_state, failed):
+    return 1.0 / state.theta
+
+def nothing(state, u, next_state, failed):
+    pass
+
+def inner(x):
+    return x
+
+def plain(state, u, next_state, failed):
+    return inner(u)
+
+def short(state, failed):
+    return 0.0
+
+def wild(tables, transition, params):
+    tables.Q[270, 0] = 1.0
+
+endless = Learner(lambda tables, transition, params: None, select=lambda *_: 8)
+number = 3
+"""
+
+
+@pytest.fixture
+def guest(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(__import__("sys").modules, "guest_of_tests", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    path = tmp_path / "guest_of_tests.py"
+    path.write_text(GUEST)
+    return path
+
+
+def trained(policy, settings, **changes):
+    learning = settings.learning.model_copy(update=changes)
+    settings = settings.model_copy(update={"learning": learning})
+    return train(policy.pendulum, policy.arm, settings, actuator=policy.actuator, seed=7)
+
+
+@pytest.mark.compiled_only
+def test_a_guest_that_does_what_ours_does_gives_our_bits(guest, small_policy, quick_settings):
+    made = trained(
+        small_policy,
+        quick_settings,
+        learner="guest_of_tests:update",
+        reward="guest_of_tests:hanging",
+    )
+    assert (made.Q, made.visits) == (small_policy.Q, small_policy.visits)
+    # It says whose source made it, and can be trained again from its own settings.
+    assert made.settings.learning.learner.startswith("guest_of_tests:update@")
+    again = trained(small_policy, made.settings)
+    assert again == made
+    guest.write_text(GUEST + "# changed\n")
+    with pytest.raises(InputError, match="source of guest_of_tests:update has changed"):
+        trained(small_policy, made.settings)
+
+
+@pytest.mark.compiled_only
+def test_other_learners_and_rewards_give_other_tables_and_equal_ones_equal_bits(
+    guest, small_policy, quick_settings
+):
+    changes = [{"learner": name} for name in learner_names()]
+    changes += [{"reward": name} for name in (*reward_names()[1:], "guest_of_tests:scaled")]
+    made = [trained(small_policy, quick_settings, **change) for change in changes]
+    assert len({policy.Q for policy in made}) == len(changes)
+    again = [trained(small_policy, quick_settings, **change) for change in changes[:4]]
+    assert [policy.digest for policy in again] == [policy.digest for policy in made[:4]]
+
+
+REFUSED = {
+    "sarza": ("learner", "did you mean 'sarsa'"),
+    "papers": ("reward", "did you mean 'paper'"),
+    "nowhere_at_all:update": ("learner", "there is no module 'nowhere_at_all'"),
+    "guest_of_tests:missing": ("reward", "has no 'missing'"),
+    "guest_of_tests:number": ("learner", "has no source file, expected a function"),
+    "guest_of_tests:raising": ("reward", "has no attribute 'theta' "),
+    "guest_of_tests:nothing": ("reward", "returned None for failed = False"),
+    "guest_of_tests:short": ("reward", r"expected a function reward\(state, u, next_state"),
+    "guest_of_tests:wild": ("learner", "raised IndexError"),
+    "guest_of_tests:endless": ("learner", "selected 8, expected the index of an action"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_used_is_refused_in_one_sentence(guest, name):
+    setting, saying = REFUSED[name]
+    with pytest.raises((InputError, SettingsError), match=saying) as refusal:
+        compile_learner(with_digests(LearningSettings(**{setting: name})))
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.compiled_only
+def test_what_numba_cannot_compile_is_refused_with_its_reason(guest):
+    with pytest.raises(InputError, match=r"plain cannot be compiled: .*inner.*numba.njit") as no:
+        compile_learner(LearningSettings(reward="guest_of_tests:plain"))
+    assert "\n" not in str(no.value)
+
+
+def test_every_learner_has_a_file_of_its_own_and_the_paper_s_is_the_default():
+    assert learner_names() == ["double_q", "q_learning", "sarsa", "watkins"]
+    assert (LearningSettings().learner, LearningSettings().reward) == ("q_learning", "paper")
+    assert load_learner(LearningSettings()) == named_learner("q_learning")

@@ -1,0 +1,38 @@
+"""Pages of docs/how-to run as they are printed: files are written, commands are run."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from equipoise.cli import main
+from equipoise.control.policy import TabularPolicy
+
+PAGES = Path(__file__).parents[1] / "docs" / "how-to"
+BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+WRITES = {
+    "change-the-reward.md": {"centred.json": "centred", "gentle.json": "own_reward:gentle@"},
+    "bring-a-learner.md": {"sarsa.json": "sarsa", "own.json": "own_learner:learner@"},
+}
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("name", WRITES)
+def test_a_page_runs_as_it_is_printed(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    blocks = BLOCK.findall((PAGES / name).read_text())
+    assert {language for language, _ in blocks} == {"python", "sh"}
+    for language, text in blocks:
+        if language == "python":
+            file = re.match(r"# (\w+\.py)\n", text)
+            (tmp_path / file[1]).write_text(text)
+            continue
+        for line in text.splitlines():
+            command, *words = shlex.split(line)
+            assert command == "equipoise"
+            assert main(words) == 0
+    for file, said in WRITES[name].items():
+        learning = TabularPolicy.load(tmp_path / file).settings.learning
+        assert said in learning.learner + learning.reward
