@@ -38,6 +38,7 @@ def rehearse(
     if not listed:
         output.say("Rehearsing on an emulated rig; a few minutes for all faults")
 
+    from equipoise.control.policy import TabularPolicy, shipped_policy
     from equipoise.rigs import read_rig
     from equipoise.studies.rehearsal import Scenario, choose, rehearse_all
 
@@ -48,7 +49,8 @@ def rehearse(
             output.say(Text.assemble((fault.name, "bold"), f": {fault.injected}; {fault.should}"))
         output.result({"faults": [fault.name for fault in faults]})
         return
-    scenario = Scenario(settings=read_rig(rig), policy=opt.read_policy(policy))
+    table = shipped_policy() if policy is None else TabularPolicy.load(policy)
+    scenario = Scenario(settings=read_rig(rig), policy=table)
     results: list[Result] = []
     with output.busy("preparing") as rename:
         for result in rehearse_all(

@@ -1,0 +1,90 @@
+"""An arm that is no KUKA, from its URDF to a rehearsed virtual rig: bring-an-arm.md as printed.
+
+The arm has six joints, no spherical wrist, and links with masses.
+"""
+
+import json
+import re
+import runpy
+import shlex
+import tomllib
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from equipoise.cli import main
+from equipoise.control.policy import TabularPolicy
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms import resolve
+from equipoise.model.pendulum import Pendulum
+from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
+from tests.model.arms.witnesses import ELBOW
+
+PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-an-arm.md"
+BLOCK = re.compile(r"^```(python|toml|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The files of the page, with the arm and a recorded swing."""
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "my_arm.urdf").write_text(ELBOW.read_text())
+    for language, text in BLOCK.findall(PAGE.read_text()):
+        if language != "sh":
+            (folder / re.match(r"# (\S+)\n", text)[1]).write_text(text)
+    return folder
+
+
+def test_the_page_prints_the_home_and_the_pivot_that_are_searched(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    runpy.run_path("look.py")
+    searched = tomllib.loads(capsys.readouterr().out)
+    rig = tomllib.loads((folder / "rig.toml").read_text())
+    assert rig["home_deg"] == searched["home_deg"]
+    assert rig["pivot_mm"] == searched["pivot_mm"]
+
+
+def test_a_registered_arm_is_found_by_its_name(folder, monkeypatch):
+    monkeypatch.syspath_prepend(folder)
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    points = [
+        EntryPoint(n, v, resolve.GROUP) for n, v in project["entry-points"][resolve.GROUP].items()
+    ]
+    monkeypatch.setattr(resolve, "entry_points", lambda group: EntryPoints(points))
+    arm = resolve.resolve_arm("my_arm")
+    assert [joint.name for joint in arm.joints][-1] == "spin"
+    assert np.isnan(arm.compiled().wrist).all()
+
+
+@pytest.mark.compiled_only
+def test_the_story_runs_as_it_is_printed(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    swing = synthetic_swing(SyntheticSwing(), seed=3)
+    rows = np.column_stack((swing.time, np.degrees(swing.theta)))
+    np.savetxt("swing.csv", rows, delimiter=",", header="time_s,theta_deg", comments="")
+    said = {}
+    for language, text in BLOCK.findall(PAGE.read_text()):
+        for line in text.splitlines() if language == "sh" else ():
+            command, *words = shlex.split(line)
+            assert command == "equipoise"
+            capsys.readouterr()
+            # A table of 2,000 episodes may fall before its time is over: exit code 1.
+            assert main([*words, "--json"]) in (0, 1), line
+            said[" ".join(words[:2])] = json.loads(capsys.readouterr().out)
+    pendulum, policy = Pendulum.load("pendulum.json"), TabularPolicy.load("policy.json")
+    assert pendulum.w2.value == pytest.approx(70.2, rel=0.05)
+    actuator = Actuator.load("actuator.json")
+    # The twin's transport takes 10 ms, its drives lag by 8 ms.
+    assert actuator.delay.value == pytest.approx(0.010, abs=0.001)
+    assert actuator.lags[0].value == pytest.approx(0.008, abs=0.002)
+    assert policy.arm.name == "elbow 6"
+    assert policy.arm.joints[3].link.mass == 1.0
+    evaluation = said["evaluate policy.json"]
+    assert evaluation["median_s"] > 2.0
+    assert "sensor" not in evaluation["causes"]
+    assert said["deploy policy.json"]["lasted_s"] > 1.0
+    rehearsed = said["rig rehearse"]
+    assert [fault["name"] for fault in rehearsed["faults"]] == ["TCP drop", "joint limit"]
+    assert rehearsed["failed"] == []
