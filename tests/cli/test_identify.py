@@ -210,7 +210,7 @@ def test_the_amplitudes_of_the_numbers_and_a_release_that_was_found_are_printed(
     assert "deg at first" in ran.out
     held = np.concatenate((np.full(250, COSINE[0]), COSINE))
     path = csv("time_s,theta_rad", np.arange(held.size) * (TIME[1] - TIME[0]), held)
-    assert "(the hand lets go)" in equipoise("identify", path, "--no-figure").out
+    assert "(release)" in equipoise("identify", path, "--no-figure").out
     started = equipoise("identify", path, "--no-figure", "--start", 250 * (TIME[1] - TIME[0]))
     assert "the hand lets go" not in started.out
 

@@ -214,10 +214,10 @@ def test_an_interrupted_training_is_kept_and_goes_on_to_the_same_policy(
     assert ran.code == 130
     assert signal.getsignal(number) is handler
     again = shlex.join(["equipoise", *map(str, command), "--resume"])
-    assert ran.err.splitlines()[-1] == f"interrupted; go on with: {again}"
+    assert ran.err.splitlines()[-1] == f"interrupted; continue with: {again}"
     # It is neither lost nor mixed up with another.
     assert not (tmp_path / "policy.json").exists()
-    refused(*command, saying="policy.partial.json holds an interrupted training; go on")
+    refused(*command, saying="policy.partial.json holds an interrupted training; continue")
     other = equipoise(*command, "--resume", "--seed=6")
     assert other.code == 2
     assert "with another seed;" in other.err

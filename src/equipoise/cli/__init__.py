@@ -1,8 +1,8 @@
 """The `equipoise` command: parse, call, print.
 
-Each verb has a file of its own. Nothing here computes: a verb reads its inputs, calls one stage or
-study, prints what came of it, and names the next command. What takes long to import (Numba, SciPy,
-MuJoCo, Matplotlib) is imported by the verb that needs it, after its first words.
+Each verb has a file of its own. A verb reads its inputs, calls one stage or study, prints the
+result, and names the next command. Slow imports (Numba, SciPy, MuJoCo, Matplotlib) follow the first
+words of the verb that needs them.
 """
 
 import io
@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: What follows `equipoise`; by default what the shell gave.
+        arguments: Arguments after `equipoise`; by default those of the shell.
 
     Returns:
         The exit code: 0 done, 1 the result is bad, 2 wrong use or bad input, 3 the outside world
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    # A name or a sign that the terminal cannot show shall not end a verb.
+    # Characters that the terminal cannot show must not end a verb.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -65,13 +65,13 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 
 def _cut_off(stream: TextIO | None) -> bool:
-    """Return whether a stream cannot take what was printed; the rest of it is then dropped."""
+    """Return whether a stream refuses output; the rest of the output is then dropped."""
     if not isinstance(stream, io.TextIOWrapper):
         return False
     try:
         os.write(stream.fileno(), b"\n")  # text that failed once is gone, so `flush` may succeed
     except OSError:
-        # Else the interpreter tries once more at its end, and complains.
+        # Otherwise the interpreter tries again at its end, and complains.
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
         os.close(nowhere)

@@ -55,7 +55,7 @@ class Destination:
         them after an error.
 
         Raises:
-            OutsideError: The disk refuses.
+            OutsideError: The files cannot be created.
         """
         path, made = self._claim()
         try:
@@ -74,7 +74,7 @@ class Destination:
                         file.unlink()
 
     def existing(self) -> Path | None:
-        """Return the first file that would be replaced; none where the name is free."""
+        """Return the first file that would be replaced; None for a free name."""
         files = (self.path, *self.beside(self.path))
         return next((file for file in files if self._taken(file)), None)
 
@@ -94,7 +94,7 @@ class Destination:
             raise OutsideError(f"cannot write {self.path}: {error.strerror or error}") from None
 
     def _create(self) -> list[Path] | None:
-        """Create the files exclusively; return those created, none where another file exists."""
+        """Create the files exclusively; return those created, or None if another file exists."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.folder:
             if self.existing() and not self.force:

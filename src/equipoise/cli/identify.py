@@ -211,11 +211,11 @@ def _say(output: Output, pendulum: "Pendulum") -> None:
     if fit:
         begin, end = fit.window
         unit = "deg/s" if fit.quantity == "rate" else "deg"
-        found = "" if fit.release is None else " (the hand lets go)"
+        found = "" if fit.release is None else " (release)"
         rows["window"] = f"{begin:.3f} s{found} to {end:.3f} s, {fit.periods:.1f} periods"
         first, last = np.rad2deg(amplitudes(pendulum))
         rows["amplitude"] = (
-            f"{first:.3g} deg at first, {last:.3g} deg at last: the numbers hold there"
+            f"{first:.3g} deg at first, {last:.3g} deg at last: the range of validity"
         )
         rows["residual"] = f"{fit.rms_deg:.3g} {unit} RMS over {fit.samples:,} samples"
     output.rows(rows)

@@ -1,8 +1,8 @@
-"""Which command comes next: the words of each verb's last line, from what came of it.
+"""The next command to try: the last line of each verb, chosen from its result.
 
-Each function returns the words after `equipoise`. A command keeps what the user gave: policy,
-world, actuator, arm, limits. Files that a value was made from are found beside it by their digest;
-where there is none, its name stands in capitals, as in the help.
+Each function returns the words after `equipoise`. The command keeps the given policy, world,
+actuator, arm and limits. Input files of a value are found beside it by their digest; a missing file
+is named in capitals, as in the help.
 """
 
 from collections.abc import Sequence
@@ -23,11 +23,11 @@ NOMINAL: Final = f"{PREFIX}nominal"
 PLANTS: Final = (IDEAL, MODEL)
 """Worlds without a twin's robot."""
 SEEDS: Final = 5
-"""Learners of a training that shall do better than one with the default of three."""
+"""Number of learners of a training after a failure; the default is three."""
 LOOKED_AT: Final = 200
-"""Files that are looked at for a digest, at most."""
+"""Maximum number of files that are searched for a digest."""
 HEAD: Final = 400
-"""Length of the beginning of a file that holds its digest [bytes]."""
+"""Length of the head of a file that contains its digest [bytes]."""
 
 
 def given(**options: object) -> Command:
@@ -45,11 +45,11 @@ def _file(path: Path | None) -> Command:
 
 
 def file_with(digest: str, *beside: Path | None) -> Path | None:
-    """Return a file of ours with a digest from the folders of some files, and from this one.
+    """Find a file by its digest, in the folders of other files and in the current one.
 
     Args:
-        digest: What the file holds.
-        beside: Files, in whose folders it may lie.
+        digest: Digest of the file.
+        beside: Files whose folders are searched.
     """
     folders = dict.fromkeys([*(path.parent for path in beside if path is not None), Path()])
     for folder in folders:
@@ -64,7 +64,7 @@ def file_with(digest: str, *beside: Path | None) -> Path | None:
 
 
 def after_training(out: Path, policy: "TabularPolicy", again: Sequence[str]) -> Command:
-    """Return what follows a training: the evaluation, or a training of more learners.
+    """Return the command after a training: the evaluation, or a training of more learners.
 
     Args:
         out: The policy's file.
@@ -87,7 +87,7 @@ def train_again(
     """Return a training of more learners for the pendulum and the arm of a policy.
 
     Args:
-        policy: The policy that did not do.
+        policy: The policy that failed.
         path: Its file.
         pendulum: The pendulum's file, where it was given.
         actuator: The actuator's file, where it was given.
@@ -124,18 +124,18 @@ def after_evaluation(
     actuator: str | None = None,
     max_speed: float | None = None,
 ) -> Command:
-    """Return what follows an evaluation.
+    """Return the command after an evaluation.
 
     A policy that balances goes from the plant of its training to the twin, and from there to a run;
     one that does not is trained again. On a world of its own without an actuator of that world, the
     arm is excited there first.
 
     Args:
-        balanced: Whether it balanced.
+        balanced: Whether the policy balanced.
         policy: The policy.
-        path: Its file or name; none: the policy that ships.
-        task: Options of the task, where they were given; none of a table.
-        world: Where it was.
+        path: Its file or name; None for the shipped policy.
+        task: Given options of the task; empty for a table.
+        world: The world.
         pendulum: The pendulum's file, where it was given.
         actuator: The actuator's file, where it was given.
         max_speed: Limit of the flange's speed, where it was given [m/s].
@@ -155,14 +155,14 @@ def after_evaluation(
 
 
 def after_run(run: "RunLog", out: Path, path: Path | None, *task: str, world: str) -> Command:
-    """Return what follows a run on model or twin: many such trials, or why it ended.
+    """Return the command after a simulated run: many such trials, or the explanation of its end.
 
     Args:
         run: The run.
         out: Its file.
-        path: The policy's file; none: the policy that ships.
+        path: The policy's file; None for the shipped policy.
         task: Options of the policy's task, where they were given.
-        world: Where it was.
+        world: The world.
     """
     if run.cause != "lasted":
         return ("log", "explain", str(out))
@@ -170,12 +170,12 @@ def after_run(run: "RunLog", out: Path, path: Path | None, *task: str, world: st
 
 
 def after_explanation(run: Path, policy: str, moved: bool) -> Command:
-    """Return what follows an explanation: the replay, where the log's policy is at hand.
+    """Return the command after an explanation: the replay, if the policy of the log is found.
 
     Args:
         run: The log.
-        policy: Digest of the policy that ran; empty where the arm was only excited.
-        moved: Whether the run got as far as a tick.
+        policy: Digest of the policy of the run; empty for an excitation.
+        moved: Whether the run reached its first tick.
     """
     from equipoise.control.policy import shipped_policy
 
@@ -195,14 +195,14 @@ def after_explanation(run: Path, policy: str, moved: bool) -> Command:
 def after_refinement(
     moved: bool, refined: Path | None, path: Path, runs: Sequence[Path], worlds: Sequence[str]
 ) -> Command:
-    """Return what follows a comparison with logs.
+    """Return the command after a comparison with logs.
 
     Args:
         moved: Whether the model of the policy had drifted.
-        refined: The policy that was trained on; none where it was not.
+        refined: The policy after further training; None without one.
         path: The policy that was compared.
         runs: The logs.
-        worlds: Where they were made.
+        worlds: Worlds or robots of the logs.
     """
     world = worlds[-1]
     simulated = world.startswith(PREFIX)

@@ -238,7 +238,7 @@ def read_policy(
 
 
 def read_actuator(name: str | None) -> "Actuator | None":
-    """Return the actuator that `--actuator` names; none where it is not given.
+    """Return the actuator that `--actuator` names, or None without that option.
 
     Raises:
         InputError: The file is no actuator.
@@ -278,7 +278,7 @@ def read_arm(
     if Path(name).suffix.lower() == ".toml":
         if joint or base or tip:
             raise InputError(
-                f"{name} says which joints its arm has; leave --held, --base, --tip out"
+                f"{name} describes the joints of its arm; leave out --held, --base and --tip"
             )
         from equipoise.rigs import read_rig
 
@@ -287,7 +287,7 @@ def read_arm(
 
 
 def available_workers(workers: int | None) -> int:
-    """Return how many threads to use."""
+    """Return the number of threads."""
     from equipoise.simulation import available_cores
 
     return available_cores() if workers is None else workers

@@ -1,7 +1,7 @@
-"""What a verb says, and where: results on stdout, progress and errors on stderr.
+"""Output of the verbs: results on stdout, progress and errors on stderr.
 
-With `--json` stdout carries one object and nothing else. Nothing here is markup, and text from
-files and wires goes out with its control characters escaped (`equipoise.printable`).
+With `--json` stdout carries one object and nothing else. Text is never interpreted as markup, and
+control characters in text from files and wires are escaped (`equipoise.printable`).
 """
 
 import functools
@@ -37,13 +37,13 @@ INTERRUPTED = 130
 VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red", "unknown": "dim"}
 """Styles of the verdicts of checks."""
 LEAST_ADDRESS_SPACE = 2**30
-"""Least limit on the address space with which the libraries load [bytes]; 600 MB are too few."""
+"""Minimum limit on the address space for loading the libraries [bytes]; 600 MB are too few."""
 command_line: list[str] = []
-"""What follows `equipoise` in the command that runs."""
+"""Arguments of the running command, after `equipoise`."""
 
 
 class _EscapingConsole(Console):
-    """A console that writes no control character but its own.
+    """A console that escapes all control characters except its own.
 
     Text as a string is escaped before it is measured and wrapped; all else when it is rendered, and
     may then be longer than its place in a table.
@@ -67,26 +67,26 @@ def _console(*, stderr: bool = False, quiet: bool = False) -> Console:
 
 
 class Interrupted(KeyboardInterrupt):
-    """An interruption after which the work can go on."""
+    """An interruption after which the work can continue."""
 
     def __init__(self, *options: str, without: str = "") -> None:
-        """Take down how to go on.
+        """Record how to continue.
 
         Args:
-            options: What the command line needs in addition.
-            without: Option that it must not have.
+            options: Options to add to the command line.
+            without: Option to remove from it.
         """
         kept = [word for word in command_line if word != without]
         super().__init__()
         self.again = shlex.join(["equipoise", *kept, *(o for o in options if o not in kept)])
-        """The command that goes on."""
+        """Command that continues the work."""
 
 
 class Output:
-    """The voice of one run of a verb."""
+    """Output of one run of a verb."""
 
     def __init__(self, as_json: bool) -> None:
-        """Speak in words, or in one JSON object."""
+        """Print text, or one JSON object."""
         self._as_json = as_json
         self._words = _console(quiet=as_json)
         self._progress = _console(stderr=True)
@@ -103,12 +103,12 @@ class Output:
         self._voice.print(what, style=style)
 
     def tell(self, what: Any) -> None:
-        """Print what a person has to hear also where a program reads the result."""
+        """Print a message for a person, with `--json` on stderr."""
         (self._progress if self._as_json else self._voice).print(what)
 
     @property
     def stream(self) -> TextIO:
-        """Where that goes."""
+        """Stream of messages for a person."""
         return sys.stderr if self._as_json else sys.stdout
 
     def rows(self, rows: Mapping[str, str]) -> None:
@@ -219,7 +219,7 @@ class Output:
 
     @contextmanager
     def busy(self, what: str) -> Generator[Callable[[str], None]]:
-        """Show that something is under way whose length is not known; yields how to rename it."""
+        """Show work of unknown duration; yield a function that renames it."""
         from rich.progress import Progress as Bars
         from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -249,7 +249,7 @@ class Output:
 
 
 def verb(function: Callable[P, R]) -> Callable[P, R]:
-    """Turn our errors into one message on stderr and their exit code, without a traceback."""
+    """Convert errors of Equipoise into one message on stderr and an exit code."""
 
     @functools.wraps(function)
     def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -263,7 +263,7 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
             _complain("error: ", "there is not enough memory; ask for less, or free some")
             raise typer.Exit(OutsideError.exit_code) from None
         except KeyboardInterrupt as stop:
-            how = f"; go on with: {stop.again}" if isinstance(stop, Interrupted) else ""
+            how = f"; continue with: {stop.again}" if isinstance(stop, Interrupted) else ""
             _complain("", f"interrupted{how}")
             raise typer.Exit(INTERRUPTED) from None
 
@@ -271,10 +271,10 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _check_address_space() -> None:
-    """Check that the libraries fit below the limit on the address space, if there is one.
+    """Check that the libraries fit into the address space, if it is limited.
 
     Raises:
-        OutsideError: They do not: loading them would fail anywhere.
+        OutsideError: They do not.
     """
     if sys.platform == "win32":
         return
@@ -296,7 +296,7 @@ def _complain(label: str, message: str) -> None:
 
 @contextmanager
 def stoppable() -> Generator[Callable[[], None]]:
-    """Let Ctrl-C or a signal end work that runs on threads; yields what their callbacks call.
+    """End work that runs on threads by Ctrl-C or a signal; yield the check for their callbacks.
 
     The main thread waits for the others, and an interruption reaches it alone.
     """
@@ -320,7 +320,7 @@ def stoppable() -> Generator[Callable[[], None]]:
 
 @contextmanager
 def stop_by_signal() -> Generator[Callable[[], bool]]:
-    """Let what would end the program be heard instead; yields whether such a signal came."""
+    """Catch signals that would end the program; yield whether one was received."""
     from equipoise.deployment.processes import SIGNALS
 
     came = threading.Event()
@@ -330,7 +330,7 @@ def stop_by_signal() -> Generator[Callable[[], bool]]:
 
 @contextmanager
 def _handling(signals: Iterable[signal.Signals], handler: Callable[..., object]) -> Generator[None]:
-    """Handle signals in a way of our own; only the main thread can."""
+    """Handle signals with `handler`; only the main thread can."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -140,7 +140,7 @@ def reproduce(
 def _choose(
     output: Output, given: Path | None, request: "ReproductionRequest", force: bool
 ) -> tuple[Destination, bool]:
-    """Return the folder, and whether the interrupted reproduction in it goes on."""
+    """Return the folder, and whether it holds an interrupted reproduction to continue."""
     from equipoise.studies.reproduction import differences
 
     first = Destination(Path(FOLDER) if given is None else given, folder=True, force=force)
@@ -149,19 +149,19 @@ def _choose(
     for one in () if force else candidates:
         other = differences(one.path, request)
         if other == []:
-            output.say(f"Going on with the interrupted reproduction in {one.path}")
+            output.say(f"Continuing the interrupted reproduction in {one.path}")
             return one, True
         if other and given:
             raise InputError(
                 f"{given} holds an interrupted reproduction with another {' and '.join(other)}; "
-                "give what it began with, another --out, or --force to begin anew"
+                "give the same inputs, another --out, or --force to replace it"
             )
     return choose_file(output, given, FOLDER, force=force, suffix=""), False
 
 
 @contextmanager
 def _going_on(destination: Destination) -> Generator[None]:
-    """Say after an interruption how to go on."""
+    """Print after an interruption how to continue."""
     from equipoise.studies.reproduction import unfinished_path
 
     try:

@@ -92,13 +92,13 @@ class Stages:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Take the bars away; the lines stay."""
+        """Remove the bars; the lines stay."""
         if self._bars is not None:
             self._bars.clear()
             self._bars.stop()
 
     def show(self, reported: "Reported") -> None:
-        """Show what a study reports: a new stage begins, a complete one ends."""
+        """Show the progress that a study reports: a new stage begins, a complete one ends."""
         with self._lock:
             name = reported.stage
             if name not in self._stages:

@@ -1,4 +1,4 @@
-"""The operator at a terminal: events as lines, answers as words, and any key as a stop."""
+"""Operator at a terminal: events are printed as lines, answers are typed, any key stops a run."""
 
 import os
 import re
@@ -26,9 +26,9 @@ STYLES: Final = {
 }
 DENIED: Final = "n"
 BACKSPACE: Final = "\b\x7f"
-"""Takes the last key back, on one keyboard or another."""
+"""Characters that delete the last one, on different keyboards."""
 SEQUENCE: Final = re.compile("\x1b(?:\\[[0-?]*[ -/]*[@-~]|O[ -~]|[ -~])?")
-"""What a terminal sends for a key without a character: ESC, and what follows it at once."""
+"""Escape sequence of a key without a character."""
 KEYS: Final = {
     "A": "up arrow",
     "B": "down arrow",
@@ -43,14 +43,14 @@ KEYS: Final = {
     "6~": "Page Down",
     "": "Esc",
 }
-"""Names of keys, by what follows ESC and `[` or `O`."""
+"""Names of keys, by the rest of their sequence after ESC and `[` or `O`."""
 
 
 class TerminalOperator:
     """A person at a terminal."""
 
     def __init__(self, output: Output) -> None:
-        """Speak through an output."""
+        """Print to an output."""
         self._output = output
         self._answers: tuple[str, ...] = ()
         self._typed = ""
@@ -71,10 +71,10 @@ class TerminalOperator:
         self._output.tell(Text(text, style=STYLES.get(event.name, "bold" if self._answers else "")))
 
     def read_input(self) -> list[str]:
-        """Return what was typed: lines where an answer is asked for, else any key at once.
+        """Return the typed input: whole lines for a question, otherwise any key at once.
 
-        Where nothing can be typed any more, what is asked for is denied at once; but not a press of
-        the pendulum's button, which needs no keyboard.
+        After the end of the input, questions are denied at once, except for a press of the
+        pendulum's button, which needs no keyboard.
         """
         if self._ended:
             denied = bool(self._answers) and OK not in self._answers
@@ -97,7 +97,7 @@ class TerminalOperator:
         return self._lines(SEQUENCE.sub("", came.replace("\r", "\n")))
 
     def _lines(self, came: str) -> list[str]:
-        """Return the lines that keys end; what a terminal would do with a line is done here."""
+        """Return the completed lines; edit and echo the line as a terminal would."""
         lines: list[str] = []
         shown = ""
         for key in came:
@@ -145,7 +145,7 @@ class TerminalOperator:
 
 
 def key_names(typed: str) -> str:
-    r"""Return what was typed with the names of keys in place of what a terminal sends for them.
+    r"""Return typed input with the names of keys in place of their escape sequences.
 
     Example:
         >>> key_names("\x1b[A"), key_names("\x03"), key_names("q")
@@ -164,10 +164,10 @@ def key_names(typed: str) -> str:
 
 @contextmanager
 def single_keys() -> Generator[None]:
-    """Let each key be heard at once, where there is a terminal; as before afterwards.
+    """Deliver each key at once while the context is open, on a terminal.
 
     Raises:
-        OutsideError: This system has no such terminals, on which any key could stop a run.
+        OutsideError: This system has no terminals on which any key could stop a run.
     """
     try:
         import termios

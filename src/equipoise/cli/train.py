@@ -147,7 +147,7 @@ def _say(
     if (limit := best.settings.plant.max_speed) is not None:
         rows["for a flange"] = f"below {limit:g} m/s"
     if resumed:
-        rows["resumed"] = "from a checkpoint; time and speed are those since then"
+        rows["resumed"] = "from a checkpoint; time and speed count from there"
     if speed:
         rows["speed"] = f"{speed:,.0f} steps/s, selection included"
     for policy in policies:
@@ -159,7 +159,7 @@ def _say(
 
 def _chosen(policy: "TabularPolicy") -> str:
     if not policy.checkpoints:
-        return "the last table, as the recipe says"
+        return "the last table, as the recipe requires"
     chosen, longest = policy.checkpoints[0], policy.settings.selection.final_duration
     return (
         f"after {chosen.episodes:,} episodes; {chosen.survived} of {chosen.trials} "

@@ -1,4 +1,4 @@
-"""The rule for a training that was interrupted, for all verbs that train."""
+"""The rule for interrupted trainings, for all verbs that train."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -11,20 +11,20 @@ from equipoise.errors import InputError
 
 @contextmanager
 def unfinished(destination: Destination, *, resume: bool) -> Generator[Path]:
-    """Keep to the rule for interrupted trainings while one is made and saved.
+    """Apply the rule for interrupted trainings while a policy is trained and saved.
 
-    A checkpoint is resumed where the user asks for that and replaced with `--force`; else the verb
-    is refused. It goes away when this context ends well.
+    A checkpoint is resumed with `--resume` and replaced with `--force`; otherwise the verb is
+    refused. The checkpoint is deleted when this context ends without an error.
 
     Args:
         destination: The policy that is written.
-        resume: Whether to go on from a checkpoint.
+        resume: Whether to continue from a checkpoint.
 
     Yields:
         File for the checkpoints, beside the policy.
 
     Raises:
-        InputError: There is a checkpoint and it is not asked for, or the other way round.
+        InputError: There is a checkpoint without `--resume`, or `--resume` without a checkpoint.
         Interrupted: The training was interrupted.
     """
     from equipoise.artefacts import partial_path
@@ -38,8 +38,8 @@ def unfinished(destination: Destination, *, resume: bool) -> Generator[Path]:
     if partial.exists() and not resume:
         if not destination.force:
             raise InputError(
-                f"{partial} holds an interrupted training; go on with it by --resume, give another "
-                "--out, or begin anew with --force"
+                f"{partial} holds an interrupted training; continue it with --resume, give another "
+                "--out, or replace it with --force"
             )
         partial.unlink()
     try:
