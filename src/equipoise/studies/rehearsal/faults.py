@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from equipoise import paper
+from equipoise.control.bound_policy import bind_policy
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.safety import Rule
 from equipoise.control.ticks import TickInputs
@@ -262,8 +263,19 @@ def _no_bytes_after(harness: FaultHarness) -> Sequence[str]:
 
 def _pushing(scenario: Scenario) -> Scenario:
     """Return a scenario whose policy pushes one way only."""
-    table = tuple((1.0, *[0.0] * (len(row) - 1)) for row in scenario.policy.Q)
-    return on(scenario, policy=scenario.policy.model_copy(update={"Q": table}))
+    own = scenario.policy
+    pushing = bind_policy(
+        _push,
+        pendulum=own.pendulum,
+        arm=own.arm,
+        actuator=own.actuator,
+        settings=own.settings,
+    )
+    return on(scenario, policy=pushing)
+
+
+def _push(_: object) -> float:
+    return paper.ACTIONS[0]
 
 
 def _singular(scenario: Scenario) -> Scenario:
