@@ -20,43 +20,44 @@ Array = npt.NDArray[np.float64]
 Side = Literal["front", "back"]
 
 STIFFNESS: Final = 200.0
-"""omega [rad/s]: a grip gives way by w2 / omega^2, 0.1 deg, to a pendulum held level."""
+"""Stiffness omega of a grip [rad/s]: it yields by w2 / omega^2, 0.1 deg, to a pendulum held
+level."""
 FORCE: Final = 10.0
-"""The most with which a hand pulls at the middle of the rod [N]. Assumed."""
+"""Maximum force of a hand at the middle of the rod [N]. Assumed."""
 TONES: Final = 8
-"""Sines of which a tremor is made."""
+"""Number of sines in a tremor."""
 TREMOR_HZ: Final = (4.0, 10.0)
-"""Where a tremor's frequencies lie [Hz]."""
+"""Minimum and maximum frequency of a tremor [Hz]."""
 TREMOR: Final = (radians(0.05), radians(0.3))
-"""Least and most root mean square of a tremor [rad]."""
+"""Minimum and maximum root mean square of a tremor [rad]."""
 DRIFT_HZ: Final = (0.05, 0.3)
-"""Where the frequencies of the slow drift lie [Hz]."""
+"""Minimum and maximum frequency of the slow drift [Hz]."""
 DRIFT: Final = (radians(0.1), radians(1.0))
-"""Least and most amplitude of the slow drift [rad]."""
+"""Minimum and maximum amplitude of the slow drift [rad]."""
 LIFTING: Final = (1.5, 3.0)
-"""Least and most time from hanging to upright [s]."""
+"""Minimum and maximum time from hanging to upright [s]."""
 HOLDING: Final = (2.0, 20.0)
-"""Least and most time for which the pendulum is held upright [s]."""
+"""Minimum and maximum time for which the pendulum is held upright [s]."""
 OPENING: Final = (0.005, 0.030)
-"""Least and most time in which fingers open [s]."""
+"""Minimum and maximum time in which fingers open [s]."""
 DRAG_OPENING: Final = (0.05, 0.4)
-"""The same where they drag along the rod [s]."""
+"""Minimum and maximum time in which dragging fingers open [s]."""
 PUSH: Final = (radians(5.0), radians(40.0))
-"""Least and most change of the rate by a push [rad/s]: the greatest leaves a pendulum that could
-still be caught, 40/8.4 deg ahead of where it is."""
+"""Minimum and maximum change of rate by a push [rad/s]; after the largest, 40/8.4 deg ahead, the
+pendulum could still be caught."""
 PUSH_TIME: Final = 0.05
 """Length of a push [s]."""
 
 
 class HandParams(NamedTuple):
-    """How a hand lifts, holds and lets go, once."""
+    """Parameters of one lift, hold and release."""
 
     side: Side
     """Whether the pendulum is lifted in front, through positive phi, or at the back."""
     lifting: float
-    """From hanging to upright [s]."""
+    """Time from hanging to upright [s]."""
     holding: float
-    """From there until it is let go [s]."""
+    """Time for which the pendulum is held upright [s]."""
     frequency: Array
     """Angular frequencies of tremor and drift [rad/s], shape (TONES + 2,)."""
     amplitude: Array
@@ -64,9 +65,9 @@ class HandParams(NamedTuple):
     phase: Array
     """Their phases [rad], likewise."""
     opening: float
-    """In which the fingers open [s]."""
+    """Time in which the fingers open [s]."""
     push: float
-    """Change of the rate that the pendulum is given on the way [rad/s]; zero if let go cleanly."""
+    """Change of rate at the release [rad/s]; zero for a clean one."""
 
     @property
     def clumsy(self) -> bool:
@@ -74,7 +75,7 @@ class HandParams(NamedTuple):
         return self.push != 0.0 or self.opening > OPENING[1]
 
     def tremble(self, time: float) -> tuple[float, float]:
-        """Return how far from where it is meant to be the hand is [rad], and the rate [rad/s]."""
+        """Return the tremor of the hand [rad], and its rate [rad/s]."""
         angle = self.frequency * time + self.phase
         return (
             float(self.amplitude @ np.sin(angle)),
@@ -85,12 +86,12 @@ class HandParams(NamedTuple):
 def draw_hand_params(
     random: np.random.Generator, *, side: Side | None = None, clumsy: float = 0.25
 ) -> HandParams:
-    """Return how a hand acts, drawn at random.
+    """Draw the parameters of a hand at random.
 
     Args:
         random: The generator.
         side: Where the pendulum is lifted; either if not given.
-        clumsy: Chance that it is let go with a push or a drag.
+        clumsy: Probability of a push or a drag at the release.
     """
     tremor = random.uniform(*TREMOR) * _shares(random, TONES) * sqrt(2.0)
     drift = random.uniform(*DRIFT) * np.array([0.6, 0.4])
@@ -118,10 +119,10 @@ def _shares(random: np.random.Generator, n: int) -> Array:
 
 
 class Hand:
-    """A hand at the pendulum, in time."""
+    """Hand at the pendulum, over time."""
 
     def __init__(self, inertia: float, reach: float) -> None:
-        """Stand by, not touching.
+        """Start without contact.
 
         Args:
             inertia: I of the pendulum about its spindle [kg m^2].
@@ -146,7 +147,7 @@ class Hand:
         return self._manner is None and not self._pushes
 
     def arrives(self) -> float:
-        """Return when the pendulum is where it is brought to [s]."""
+        """Return the time at which the pendulum arrives [s]."""
         return self._begin + self._duration
 
     def lift(self, now: float, phi: float, manner: HandParams) -> None:
@@ -190,7 +191,7 @@ class Hand:
         self._pushes.append((now, rate))
 
     def torque(self, now: float, phi: float, phi_dot: float) -> float:
-        """Return what the hand gives to the pendulum in the millisecond that begins [N m].
+        """Return the torque of the hand on the pendulum in the next millisecond [N m].
 
         Args:
             now: The time [s].
@@ -220,7 +221,7 @@ class Hand:
         self._from, self._to = phi, to
 
     def _place(self, now: float, manner: HandParams) -> tuple[float, float]:
-        """Return where the hand is [rad], and its rate [rad/s]: minimum jerk, then still."""
+        """Return the hand's angle [rad] and rate [rad/s]: minimum jerk, then still."""
         s = min(max((now - self._begin) / self._duration, 0.0), 1.0)
         way = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         speed = 30.0 * s**2 * (1.0 - s) ** 2 / self._duration

@@ -1,4 +1,4 @@
-"""A bench: the twin with an operator's hand at it, whose time passes as a clock's does.
+"""Simulated rig: the twin with an operator's hand and button, in time.
 
 On it an emulated cabinet and an emulated encoder board run, or robot and encoder in process
 (`equipoise.devices.twin.robot`). Virtual time drives it by `clock.attach(bench.advance)`, real time
@@ -24,9 +24,9 @@ from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import GRAVITY
 
 PRESS: Final = 0.1
-"""How long a finger keeps a button down [s]."""
-ASIDE: Final = radians(50.0)
-"""So far aside the pendulum is held for a free swing [rad]."""
+"""Time for which a button is pressed [s]."""
+DEFLECTION: Final = radians(50.0)
+"""Angle from hanging at which the pendulum is held for a free swing [rad]."""
 
 
 class SimulatedRig:
@@ -43,14 +43,14 @@ class SimulatedRig:
         q: Sequence[float] | Array | None = None,
         phi: float = pi,
     ) -> None:
-        """Set up a bench, the arm at rest.
+        """Set up a rig, the arm at rest.
 
         Args:
             arm: An iiwa with its home posture.
             pendulum: The pendulum, with the friction that acts in the twin.
             settings: The world's numbers.
             seed: Seed of all that is random.
-            start: The time at which it begins [s].
+            start: Start time [s].
             q: Free joints [rad], shape (6,); home if not given.
             phi: Angle of the pendulum from upright [rad]; it hangs if not given.
 
@@ -62,11 +62,11 @@ class SimulatedRig:
         self.seed = seed
         """Seed of all that is random."""
         self.joints = len(arm.joints)
-        """How many joints the arm has."""
+        """Number of joints of the arm."""
         self.twin = Twin(arm, pendulum, settings, seed=seed)
         self.twin.reset(q, phi)
         self.body = SimulatedArm(self.twin, arm, settings)
-        """What an emulated cabinet moves and measures."""
+        """Arm that an emulated cabinet moves and measures."""
         self._reach = 3.0 * GRAVITY / (4.0 * pendulum.w2)
         inertia = settings.pendulum_mass * GRAVITY * self._reach / pendulum.w2
         self.hand = Hand(inertia, self._reach)
@@ -111,11 +111,11 @@ class SimulatedRig:
 
     @property
     def theta(self) -> float:
-        """What an encoder sees: the angle from hanging, relative to the flange [rad]."""
+        """Angle that an encoder measures: from hanging, relative to the flange [rad]."""
         return pi - self.phi + self._slip
 
     def truth(self) -> TrueState:
-        """Return where flange and pendulum are in space."""
+        """Return the true state of flange and pendulum."""
         return self.twin.truth()
 
     @property
@@ -148,7 +148,7 @@ class SimulatedRig:
     def hold_deflected(self) -> None:
         """Grip the pendulum and hold it aside, until `let_go`: it is a free swing then."""
         self.hand.hold_deflected(
-            self.now, self.phi, ASIDE, draw_hand_params(self._random, clumsy=0.0)
+            self.now, self.phi, DEFLECTION, draw_hand_params(self._random, clumsy=0.0)
         )
 
     def let_go(self) -> None:
