@@ -39,6 +39,7 @@ def show(
     rows = {
         "is": f"an intact {found.what} ({found.format}, version {found.version})",
         "holds": found.content,
+        **dict(found.lines),
     }
     if history is not None:
         software = history.software.get("equipoise", "unknown")

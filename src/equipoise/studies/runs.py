@@ -76,7 +76,7 @@ def summarise(run: RunLog) -> dict[str, str]:
     encoder = f", encoder {conditions.encoder}" if conditions.encoder else ""
     rows = {
         "run": f"{'simulation' if conditions.simulated else 'run on a rig'}, {where}{encoder}",
-        "made": f"{made.created} by {made.command}" if made else "",
+        "made": f"by {made.command}, {made.created}" if made else "",
         "arm": f"{conditions.arm.name}, {conditions.arm.digest[:19]}...",
         "policy": _short(conditions.policy, "none: the arm was only excited"),
         "pendulum": _short(conditions.pendulum_digest, "unknown"),

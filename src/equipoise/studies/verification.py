@@ -21,6 +21,7 @@ from equipoise.studies.certification import Certificate, check_evaluation, evalu
 from equipoise.studies.formatting import falls
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.results import StageRecord
+from equipoise.studies.runs import summarise
 
 MCAP = b"\x89MCAP"
 """What an MCAP file begins with."""
@@ -36,11 +37,13 @@ class Verified(NamedTuple):
     version: int
     """Version of the format that the file has."""
     digest: str | None
-    """SHA-256 of its body; none of a log that grows with its run, whose chunks have checksums."""
+    """SHA-256 of its body."""
     content: str
     """One line on what it holds."""
     provenance: Provenance | None
-    """Where it comes from; of such a log the content says it."""
+    """Origin of the file."""
+    lines: tuple[tuple[str, str], ...] = ()
+    """Names and texts of further lines; of a run log alone."""
 
 
 def verify(path: StrPath) -> Verified:
@@ -63,6 +66,7 @@ def verify(path: StrPath) -> Verified:
             digest=run.digest,
             content=_run(run),
             provenance=run.provenance,
+            lines=(*summarise(run).items(),),
         )
     document = read_document(path)
     kind = document["format"]
