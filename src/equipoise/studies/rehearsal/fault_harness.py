@@ -12,7 +12,7 @@ from math import inf
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from equipoise.control.policy import TaskPolicy, shipped_policy
+from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
 from equipoise.deployment.rig import RunRequest, RunResult, run_rig_virtually
 from equipoise.devices.clocks import VirtualClock
@@ -76,7 +76,7 @@ class Scenario:
 
     settings: RigSettings = field(default_factory=RigSettings)
     """Contents of `rig.toml`."""
-    policy: TaskPolicy = field(default_factory=shipped_policy)
+    policy: TabularPolicy = field(default_factory=shipped_policy)
     """The policy."""
     duration: float = BALANCED
     """Time to balance [s]."""
