@@ -199,6 +199,8 @@ class DrainingClock:
     def __init__(self, clock: Clock, sensor: AngleSensor) -> None:
         """Attend to a sensor."""
         self._clock, self._sensor = clock, sensor
+        self.drains = True
+        """Whether samples are dropped; not while a robot that sets the pace waits in the stream."""
 
     def now(self) -> float:
         """Return the time [s]."""
@@ -210,6 +212,8 @@ class DrainingClock:
         while until < time:
             until = min(time, until + ENCODER_POLL_PERIOD)
             self._clock.wait_until(until)
+            if not self.drains:
+                continue
             with suppress(LinkError):  # not connected yet; or the next reader gets the error again
                 self._sensor.samples()
 
@@ -312,8 +316,9 @@ def connect(
     sensor = encoder_at(
         encoder, clock, counts_per_rev=settings.counts_per_rev, sign=settings.encoder_sign
     )
-    session = Session(DrainingClock(clock, sensor), tell, attend)
-    return _rig(_opened(robot, session), sensor, clock, None, robot_plugin(robot), period)
+    draining = DrainingClock(clock, sensor)
+    opened = _opened(robot, Session(draining, tell, attend))
+    return _rig(opened, sensor, clock, None, robot_plugin(robot), period, draining)
 
 
 def _rig(
@@ -323,10 +328,15 @@ def _rig(
     operator: Operator | None,
     plugin: RobotPlugin,
     period: float,
+    draining: DrainingClock,
 ) -> Rig:
     """Return a rig; a robot that sets the pace is served while the loop waits."""
     if isinstance(robot, PacedRobot):
-        stream = PacedStream(robot, clock, period)
+
+        def streams(running: bool) -> None:
+            draining.drains = not running
+
+        stream = PacedStream(robot, clock, period, streams)
         return Rig(stream, sensor, stream, operator, plugin)
     return Rig(robot, sensor, clock, operator, plugin)
 
@@ -441,10 +451,12 @@ def emulated_rig(
     bench = SimulatedRig(arm, pendulum, numbers, seed=seed, q=arm.home_free + offset)
     clock.attach(bench.advance)
     sensor = sensors.emulate(bench, clock, settings.counts_per_rev, settings.encoder_sign, seed)
-    session = Session(DrainingClock(clock, sensor.sensor))
+    draining = DrainingClock(clock, sensor.sensor)
+    # Without a link no wait is long enough for samples to pile up, and none is dropped.
+    session = Session(draining if plugin.link_share else clock)
     emulated = plugin.emulate(bench, arm, session, delay, seed)
     clock.attach(emulated.advance)
     clock.attach(sensor.advance)
     operator = EmulatedOperator(bench, clock, seed=seed)
-    rig = _rig(emulated.robot, sensor.sensor, clock, operator, plugin, period)
+    rig = _rig(emulated.robot, sensor.sensor, clock, operator, plugin, period, draining)
     return EmulatedRig(rig, bench, emulated, sensor)

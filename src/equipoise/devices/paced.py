@@ -17,7 +17,7 @@ Requests are answered while the loop waits for its clock: the stream is the cloc
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import inf
 from typing import Final
 
@@ -40,14 +40,22 @@ than it said is refused."""
 class PacedStream:
     """A `PacedRobot` as a `Robot`, and as the clock of its rig."""
 
-    def __init__(self, robot: PacedRobot, clock: Clock, period: float = SETPOINT_PERIOD) -> None:
+    def __init__(
+        self,
+        robot: PacedRobot,
+        clock: Clock,
+        period: float = SETPOINT_PERIOD,
+        streams: Callable[[bool], None] = lambda _: None,
+    ) -> None:
         """Stand before a robot.
 
         Args:
             robot: The robot.
             clock: Clock of the rig.
             period: Time between two setpoints [s].
+            streams: Called with True when requests begin, and with False when they end.
         """
+        self._notify = streams
         self._robot, self._clock, self._period = robot, clock, period
         self._streams = False
         self._held = True
@@ -112,6 +120,7 @@ class PacedStream:
         for queue in (self._ahead, self._sent, self._replies):
             queue.clear()
         self._begin, self._streams, self._held = -inf, True, True
+        self._notify(True)
 
     def send(self, q: Sequence[float] | Array) -> None:
         """Add a setpoint of all joints to the path.
@@ -157,13 +166,17 @@ class PacedStream:
         Raises:
             LinkError: There is no answer in time, or an invalid one.
         """
-        self._streams = False
+        self._end()
         self._robot.stop()
 
     def close(self) -> None:
         """Disconnect."""
-        self._streams = False
+        self._end()
         self._robot.close()
+
+    def _end(self) -> None:
+        self._streams = False
+        self._notify(False)
 
     # The path.
 

@@ -1,0 +1,111 @@
+"""A guest's package outside the tree: it is built, installed and used as any other package is."""
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+GUEST = Path(__file__).parent / "guest"
+
+pytestmark = pytest.mark.compiled_only
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """The folder with the guest's package, built from a copy and installed without a network."""
+    site = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps"]
+    command += ["--no-build-isolation", "--target", str(site), str(GUEST)]
+    subprocess.run(command, check=True, timeout=120)
+    assert (site / "equipoise_guest-1.0.dist-info" / "entry_points.txt").exists()
+    return site
+
+
+@pytest.fixture
+def run(installed, tmp_path):
+    """Run a program with the guest's package, in a process and a folder of its own."""
+    paths = [str(installed), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+
+    def run(*arguments, code=0):
+        ran = subprocess.run(
+            [sys.executable, *map(str, arguments)],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=600,
+        )
+        assert ran.returncode == code, ran.stdout + ran.stderr
+        return ran
+
+    return run
+
+
+def equipoise(run, *arguments, code=0):
+    return json.loads(run("-m", "equipoise", *arguments, "--json", code=code).stdout)
+
+
+CONFORMANCE = """
+from equipoise.devices.paced import PacedStream
+from equipoise.rigs import RigSettings, emulated_rig
+from equipoise.model.pendulum import shipped_pendulum
+from equipoise.model.sim_configs import pendulum_on, read_world
+from equipoise.testing import RobotConformance
+
+
+class TestGuest(RobotConformance):
+    def make(self):
+        world = read_world("twin:nominal")
+        quiet = world._replace(settings=world.settings.model_copy(update={"joint_noise": 1e-5}))
+        rig = emulated_rig(
+            quiet, RigSettings(), pendulum_on(shipped_pendulum(), world.settings), robot="guest"
+        ).rig
+        assert isinstance(rig.robot, PacedStream)
+        rig.clock.wait_until(10.0)  # the pendulum has pulled the arm down, and rests
+        return rig.robot, rig.clock
+"""
+
+
+def test_its_robot_passes_the_conformance_suite(run, tmp_path):
+    (tmp_path / "test_robot.py").write_text(CONFORMANCE)
+    assert "9 passed" in run("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_robot.py").stdout
+
+
+PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-a-robot.md"
+
+
+def plain(text):
+    """The lines without indentation and empty ones, which a formatter of pages sets as it likes."""
+    return "\n".join(line.strip() for line in text.splitlines() if line.strip())
+
+
+def test_the_page_shows_this_package_whose_robot_balances_over_its_own_wires(run):
+    blocks = re.findall(r"```(\w+)\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
+    files = [path.read_text() for path in GUEST.rglob("*.*") if path.suffix in (".py", ".toml")]
+    code = [block for kind, block in blocks if kind != "sh"]
+    assert len(code) == 4
+    for block in code:
+        assert any(plain(block) in plain(text) for text in (*files, CONFORMANCE)), block
+    (commands,) = (block for kind, block in blocks if kind == "sh")
+    deploy, replay = (shlex.split(command)[1:] for command in commands.splitlines())
+    told = equipoise(run, *deploy)
+    assert (told["cause"], told["missed"]) == ("lasted", 0)
+    assert told["lasted_s"] == pytest.approx(5.0, abs=0.02)
+    assert equipoise(run, *replay)["same"]
+
+
+def test_its_addresses_are_checked_and_its_robot_is_missed(run, tmp_path):
+    ran = run("-m", "equipoise", "deploy", "--robot", "guest://nowhere", code=2)
+    assert "expected guest://HOST:4000" in ran.stderr
+    ran = run("-m", "equipoise", "deploy", "--robot", "other://x", code=2)
+    assert "expected guest://HOST:4000 or kst://HOST:30001 or twin:nominal" in ran.stderr
+    ran = run(
+        "-m", "equipoise", "rig", "doctor", "--robot", "guest://127.0.0.1:1", "--seconds", 1, code=1
+    )
+    assert "no connection to guest://127.0.0.1:1" in ran.stdout
