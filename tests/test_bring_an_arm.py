@@ -88,3 +88,9 @@ def test_the_story_runs_as_it_is_printed(folder, monkeypatch, capsys):
     rehearsed = said["rig rehearse"]
     assert [fault["name"] for fault in rehearsed["faults"]] == ["TCP drop", "joint limit"]
     assert rehearsed["failed"] == []
+    # The log contains the arm: its rig names a file that is not there from here.
+    elsewhere = folder / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    assert main(["log", "replay", "../run.mcap", "../policy.json", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["same"]

@@ -118,6 +118,12 @@ class RigSettings(Value):
         """Return a rig with some fields changed; unlike `model_copy`, it forgets the old arm."""
         return self.model_validate(self.model_dump() | fields)
 
+    def with_arm(self, arm: Arm) -> Self:
+        """Return the rig with the arm of its log, whatever has become of the file that it names."""
+        rig = self.model_copy()
+        vars(rig)["described_arm"] = arm
+        return rig
+
     @cached_property
     def described_arm(self) -> Arm:
         """The arm as it stands there: its home, and the pendulum's pivot on its flange.

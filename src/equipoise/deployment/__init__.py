@@ -134,7 +134,7 @@ def excite(
     """Move every joint of a twin about home, the pendulum hanging, and record how it follows.
 
     Args:
-        arm: An iiwa with its home posture.
+        arm: The arm with its home posture.
         world: A name that `read_world` knows, or a twin with its numbers.
         pendulum: The pendulum that hangs on it.
         seed: Master seed of jitter and noise.

@@ -30,7 +30,7 @@ from equipoise.model.sim_configs import TwinSettings
 STALL: Final = 0.020
 """A host that is later than this has stalled [s]."""
 AWAY: Final = np.radians([-6.0, 3.0, 4.0, 0.0, -3.0, 0.0])
-"""How far from home the arm stands when it is switched on, free joints [rad]."""
+"""Offset of the free joints from home when the emulation begins [rad]."""
 PUSH: Final = radians(20.0)
 """Change of the pendulum's rate by the word `push` [rad/s]."""
 
@@ -38,8 +38,9 @@ Say = Callable[[str], None]
 
 
 def away_from_home(arm: Arm) -> Floats:
-    """Return where the arm stands when it is switched on, free joints [rad], shape (6,)."""
-    return arm.home_free + AWAY
+    """Return the first posture of the arm, within its limits, free joints [rad], shape (6,)."""
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in arm.free_joints]).T
+    return np.clip(arm.home_free + AWAY, lower, upper)
 
 
 class Emulation:
@@ -63,7 +64,7 @@ class Emulation:
         """Switch everything on; nobody can connect to the robot before `run`.
 
         Args:
-            arm: An iiwa with its home posture.
+            arm: The arm with its home posture.
             pendulum: The pendulum as it is.
             settings: The world's numbers.
             clock: The machine's clock.

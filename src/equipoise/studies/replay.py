@@ -193,7 +193,8 @@ class _PolicyClock:
 
 def _rig_settings(run: RunLog) -> RigSettings:
     try:
-        return RigSettings.model_validate(run.conditions.rig)
+        settings = RigSettings.model_validate(run.conditions.rig)
+        return settings.with_arm(run.conditions.arm)
     except ValidationError as error:
         raise ArtefactError(
             f"the log has invalid settings of the rig: {first_fault(error).what}; run it again"

@@ -29,7 +29,7 @@ def flange_speed(arm: Arm, period: float) -> float:
     """Return how fast the flange may go anywhere on its track, for each joint's shaped peak [m/s].
 
     Args:
-        arm: An iiwa with its home posture.
+        arm: The arm with its home posture.
         period: Longest time between two setpoints [s].
     """
     limits = [SHAPED_SHARE * joint.velocity for joint in arm.free_joints]

@@ -94,7 +94,7 @@ def excite(
     """Send the excitation to a twin whose pendulum hangs, and record what it shows.
 
     Args:
-        arm: An iiwa with its home posture.
+        arm: The arm with its home posture.
         settings: The world's numbers.
         pendulum: The pendulum, with the friction that acts in the twin.
         seed: Master seed of jitter and noise.

@@ -1,12 +1,12 @@
-"""The bodies of the twin in MuJoCo: an iiwa, the bracket on its flange, and the pendulum.
+"""The bodies of the twin in MuJoCo: the arm, the bracket on its flange, and the pendulum.
 
-It is the drawing of `equipoise.model.arms.scene` with the masses of the robot: the arm's own
-gravity is balanced, as its drives do, that of bracket and pendulum is not. The pendulum is a
-uniform rod; what its free swing identifies decides how long it is::
+The geometry of `equipoise.model.arms.scene` with the masses of the robot. The arm's own gravity is
+balanced, as by its drives; that of bracket and pendulum is not. The pendulum is a uniform rod, and
+its free swing decides its length::
 
     l = 3 g / (4 w2)      I = m g l / w2
 
-Nothing collides: the trial is over before anything could.
+Nothing collides: a trial ends before anything could.
 """
 
 from math import copysign
@@ -44,9 +44,9 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
     """Return the MuJoCo model of the twin: all joints of the arm, then phi of the pendulum.
 
     Args:
-        arm: An iiwa; its pivot's distance from the axis of the last joint is that of the settings.
+        arm: The arm; its pivot's distance from the axis of the last joint is that of the settings.
         pendulum: w2 and the frictions.
-        settings: Masses, pivot and steps; its frictions are not asked, see `pivot_friction`.
+        settings: Masses, pivot and steps; its frictions are not used, see `pivot_friction`.
 
     Raises:
         ArmError: The masses of the arm's links are not known.
@@ -78,10 +78,10 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
 
 
 def pivot(arm: Arm, outward: float) -> Triple:
-    """Return the pendulum's pivot in the flange frame [m], so far from the last joint's axis.
+    """Return the pendulum's pivot in the flange frame [m], at a distance from the last axis.
 
     Args:
-        arm: The arm with its own pivot, whose side and height are kept.
+        arm: The arm; the side and the height of its own pivot are kept.
         outward: Distance along the spindle, which lies along base y at home [m].
     """
     spindle = arm.pose(arm.home_free).rotation[1]
@@ -91,10 +91,10 @@ def pivot(arm: Arm, outward: float) -> Triple:
 
 
 def build_bare(arm: Arm, rotor_inertia: float) -> Any:
-    """Return the MuJoCo model of the arm alone, as its cabinet knows it.
+    """Return the MuJoCo model of the bare arm, as its controller knows it.
 
     Args:
-        arm: An iiwa.
+        arm: The arm.
         rotor_inertia: Inertia of motor and gear at each joint [kg m^2].
 
     Raises:
@@ -110,7 +110,7 @@ def mass_matrix(arm: Arm, rotor_inertia: float) -> Floats:
     """Return the mass matrix of the bare arm at home, all joints [kg m^2], shape (n, n).
 
     Args:
-        arm: An iiwa.
+        arm: The arm.
         rotor_inertia: Inertia of motor and gear at each joint [kg m^2].
     """
     mj = mujoco()

@@ -98,7 +98,7 @@ def make_servo_params(arm: Arm, settings: TwinSettings) -> ServoParams:
     """Return the constants of the cabinet of an arm.
 
     Args:
-        arm: An iiwa.
+        arm: The arm.
         settings: Times, variant and rotor inertia.
 
     Raises:

@@ -46,7 +46,7 @@ class SimulatedRig:
         """Set up a rig, the arm at rest.
 
         Args:
-            arm: An iiwa with its home posture.
+            arm: The arm with its home posture.
             pendulum: The pendulum, with the friction that acts in the twin.
             settings: The world's numbers.
             seed: Seed of all that is random.

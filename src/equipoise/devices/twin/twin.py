@@ -244,7 +244,7 @@ class Twin:
         """Build a twin, at home and with the pendulum hanging.
 
         Args:
-            arm: An iiwa with its home posture.
+            arm: The arm with its home posture.
             pendulum: The pendulum of this trial, with the friction that acts in the twin.
             settings: The world's numbers.
             seed: Master seed of jitter, noise and the error of the encoder's zero.
