@@ -59,6 +59,14 @@ def test_a_rig_describes_an_arm_from_a_urdf_beside_it(tmp_path):
         )
 
 
+def test_a_rig_of_a_log_and_a_changed_rig_have_their_own_arm():
+    gone = RigSettings(arm="gone.urdf")
+    assert gone.with_arm(iiwa(14)).described_arm == iiwa(14)
+    rig = RigSettings()
+    assert rig.described_arm == iiwa(7)
+    assert rig.changed(arm="iiwa14").described_arm == iiwa(14)
+
+
 def test_equal_rigs_have_one_digest_and_others_another(tmp_path):
     path = written(tmp_path, 'arm = "iiwa7"\n')
     assert read_rig(path).digest == RigSettings().digest
