@@ -48,6 +48,9 @@ class Table:
     def __init__(self, u_of_box):
         self.u_of_box = u_of_box
 
+    def reset(self):
+        pass
+
     def act(self, state):
         x, x_dot, phi, phi_dot = state
         return self.u_of_box[boxes.box_index(x, x_dot, phi, phi_dot, boxes.boxes())]

@@ -302,6 +302,9 @@ class Obeys:
     def __init__(self, kernel):
         self.kernel = kernel
 
+    def reset(self):
+        pass
+
     def act(self, state):
         return float(act(self.kernel, *(float(value) for value in state), 0.0))
 

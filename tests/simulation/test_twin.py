@@ -58,6 +58,9 @@ class Kernel:
     def __init__(self, kernel):
         self._kernel = kernel
 
+    def reset(self):
+        pass
+
     def act(self, observation):
         return float(act(self._kernel, *observation.tolist(), 0.0))
 

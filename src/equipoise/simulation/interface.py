@@ -47,37 +47,20 @@ class Measurement(NamedTuple):
 
 
 class ClosedLoop(Protocol):
-    """A closed loop in simulation."""
+    """A closed loop in simulation; its attributes are for reading."""
 
-    @property
-    def params(self) -> ControllerParams:
-        """Constants of the controller, the time between ticks among them."""
-        ...
-
-    @property
-    def controller(self) -> ControllerState:
-        """State of the controller, in the first lane."""
-        ...
-
-    @property
-    def pendulum(self) -> PendulumParameters:
-        """True parameters of the pendulum in this trial."""
-        ...
-
-    @property
-    def zero(self) -> float | None:
-        """Encoder zero offset in phi in this trial [rad]; `None` without an encoder."""
-        ...
-
-    @property
-    def now(self) -> float:
-        """Time since the release [s]."""
-        ...
-
-    @property
-    def tracked(self) -> float:
-        """Tracked acceleration u' over the last step [m/s^2]."""
-        ...
+    params: ControllerParams
+    """Constants of the controller, the time between ticks among them."""
+    controller: ControllerState
+    """State of the controller, in the first lane."""
+    pendulum: PendulumParameters
+    """True parameters of the pendulum in this trial."""
+    zero: float | None
+    """Encoder zero offset in phi in this trial [rad]; `None` without an encoder."""
+    now: float
+    """Time since the release [s]."""
+    tracked: float
+    """Tracked acceleration u' over the last step [m/s^2]."""
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""

@@ -11,14 +11,7 @@ import numpy as np
 
 from equipoise.compiled import handle, kernel
 from equipoise.control.boxes import TRUNCATED
-from equipoise.control.control_step import (
-    OBS_PHI,
-    OBS_PHI_DOT,
-    OBS_X,
-    OBS_X_DOT,
-    ControllerParams,
-    ControllerState,
-)
+from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
 from equipoise.control.policy import RANDOM, PolicyKernel, act
 from equipoise.learning.closed_loop import (
     TRACKED,
@@ -147,59 +140,33 @@ class PlantLoop:
 
     def __init__(self, simulation: PlantSimulation) -> None:
         """Allocate the state."""
-        self._simulation, self._plant = simulation, simulation.params
-        self._batch = new_batch_state()
+        self._simulation, self._plant, batch = simulation, simulation.params, new_batch_state()
+        self._batch, self._key = batch, np.zeros(2, np.int64)
         self._number, self._tick = np.zeros((2, BATCH_SIZE), np.int64)
-        self._key = np.zeros(2, np.int64)
         self._lanes = new_lanes(
-            self._plant, simulation.pendulum, self._batch, self._number, self._tick, self._key
+            self._plant, simulation.pendulum, batch, self._number, self._tick, self._key
         )
-        self._variation = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
-
-    @property
-    def params(self) -> ControllerParams:
-        """Constants of the controller."""
-        return self._plant.controller
-
-    @property
-    def controller(self) -> ControllerState:
-        """State of the controller."""
-        return self._batch.controller
-
-    @property
-    def pendulum(self) -> PendulumParameters:
-        """True parameters of the pendulum in this trial."""
-        own = self._variation
-        return scaled(self._simulation.pendulum, own.inertia_factor, own.friction_factor)
-
-    @property
-    def zero(self) -> float | None:
-        """Encoder zero offset in phi [rad]; `None` without an encoder."""
-        return self._variation.zero if self.params.has_sensor else None
-
-    @property
-    def now(self) -> float:
-        """Time since the release [s]."""
-        return float(self._tick[0]) * self.params.h
-
-    @property
-    def tracked(self) -> float:
-        """Tracked acceleration u' over the last step [m/s^2]."""
-        return float(self._batch.state[TRACKED * BATCH_SIZE])
+        self.params, self.controller = self._plant.controller, batch.controller
+        self.pendulum, self.now, self.tracked = simulation.pendulum, 0.0, 0.0
+        self.zero: float | None = None
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
-        self._variation, plant, batch = trial.variation, self._plant, self._batch
-        self._number[0], self._tick[0] = trial.number, 0
+        own, nominal, batch = trial.variation, self._simulation.pendulum, self._batch
+        self._number[0], self._tick[0], self.now, self.tracked = trial.number, 0, 0.0, 0.0
         self._key[:] = self._simulation.seed, self._simulation.stream
-        reset(plant, batch, self._simulation.pendulum, trial.variation, trial.start, 0)
+        self.pendulum = scaled(nominal, own.inertia_factor, own.friction_factor)
+        reset(self._plant, batch, nominal, own, trial.start, 0)
         if self.params.has_sensor:
+            self.zero = own.zero
             measure(self.params, batch, 1)
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
-        self._batch.controller.u[0] = u
+        self.controller.u[0] = u
         advance_lanes(self._lanes, 1)
+        self.now = float(self._tick[0]) * self.params.h
+        self.tracked = float(self._batch.state[TRACKED * BATCH_SIZE])
         return int(self._batch.cause[0])
 
     def state(self) -> Array:
@@ -215,9 +182,8 @@ class PlantLoop:
         """Return the measurements of this tick; `None` without an encoder."""
         if not self.params.has_sensor:
             return None
-        now, controller = self.now, self.controller
-        q = controller.measured[::BATCH_SIZE].copy()
-        return Measurement(float(controller.counts[0]), now, q, now)
+        q = self.controller.measured[::BATCH_SIZE].copy()
+        return Measurement(float(self.controller.counts[0]), self.now, q, self.now)
 
 
 @kernel

@@ -170,51 +170,27 @@ class TwinLoop:
     def __init__(self, simulation: TwinSimulation) -> None:
         """Allocate the controller; the twin is made for each trial."""
         self._simulation, self._limits = simulation, boxes()
-        self._controller, self._monitor = new_controller_state(), simulation.monitor()
-        self._h = simulation.params.h
-        self.tracked = 0.0
-        """Tracked acceleration u' over the last step [m/s^2]."""
-
-    @property
-    def params(self) -> ControllerParams:
-        """Constants of the controller."""
-        return self._simulation.params
-
-    @property
-    def controller(self) -> ControllerState:
-        """State of the controller."""
-        return self._controller
-
-    @property
-    def pendulum(self) -> PendulumParameters:
-        """True parameters of the pendulum in this trial."""
-        return self._simulation.pendulum(self._trial)
-
-    @property
-    def now(self) -> float:
-        """Time since the release [s]."""
-        return self._twin.now
-
-    @property
-    def zero(self) -> float:
-        """Encoder zero offset in phi in this trial [rad]."""
-        return self._twin.kernel.sensors.zero
+        self._monitor = simulation.monitor()
+        self.params, self.controller = simulation.params, new_controller_state()
+        self.now, self.tracked = 0.0, 0.0
+        self.zero: float | None = None
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
-        self._trial, self._twin = trial, self._simulation.twin(trial)
+        self._twin, self.pendulum = self._simulation.twin(trial), self._simulation.pendulum(trial)
         _, _, phi, phi_dot = trial.start
-        twin, state = self._twin.kernel, self._controller
-        release(twin, self.params, state, self._monitor, phi, phi_dot)
-        self._handle = new_twin_handle(twin, self.params, state, self._limits, self._monitor)
-        self._state, self.tracked = np.array(self._twin.truth()), 0.0
+        twin, params, state = self._twin.kernel, self.params, self.controller
+        release(twin, params, state, self._monitor, phi, phi_dot)
+        self._handle = new_twin_handle(twin, params, state, self._limits, self._monitor)
+        self._state, self.now, self.tracked = np.array(self._twin.truth()), 0.0, 0.0
+        self.zero = twin.sensors.zero
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""
-        self._controller.u[0] = u
+        self.controller.u[0] = u
         x_dot = self._state[1]
         cause = int(advance_twin(self._handle, self._state))
-        self.tracked = float(self._state[1] - x_dot) / self._h
+        self.tracked, self.now = float(self._state[1] - x_dot) / self.params.h, self._twin.now
         return cause
 
     def state(self) -> Array:
