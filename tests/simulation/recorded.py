@@ -21,6 +21,7 @@ def run_all(simulation, kernel, trials, duration, workers=1, done=lambda rows: N
 
 def record(simulation, policy, trial, duration, joints=7):
     """Run a trial from Python; return steps, cause and sum of x^2, and the record."""
-    recorder = Recorder(joints, round(duration / simulation.params.controller.h))
-    result = run_trial(simulation.loop(), policy, trial, duration, recorder)
+    loop = simulation.loop()
+    recorder = Recorder(joints, round(duration / loop.params.h))
+    result = run_trial(loop, policy, trial, duration, recorder)
     return result, recorder.rows
