@@ -1,7 +1,6 @@
 """Gymnasium environments: the balancing task in any world, simulated or on a rig.
 
-With Equipoise installed, `gymnasium.make("equipoise/Balance-v0")` finds them by itself; from a
-source tree, `import equipoise.envs` registers them.
+`import equipoise.envs` registers them for `gymnasium.make("equipoise/Balance-v0")`.
 """
 
 from typing import TYPE_CHECKING
