@@ -173,7 +173,7 @@ def test_every_cause_says_what_to_do(rig_log):
 
 RIG_CAUSES = {rule.value for rule in Rule} | {
     *("lasted", "operator", "dry run", "self-test", "joint limit", "fault", "link lost"),
-    *(UNTOLD.name, BROKEN_OFF, "error"),
+    *(UNTOLD.name, BROKEN_OFF, "error", run_controller.POLICY),
 }
 """Every cause of a log of a rig: the rules, and those of run controller, deployment and reader."""
 OF_A_BENCH = {
