@@ -199,7 +199,7 @@ OPTIONS = {
     "an endless duration": (("--duration", "inf"), "--duration is inf"),
     "no workers": (("--workers", "0"), "--workers"),
     "unknown arm": (("--arm", "ur5"), "there is no arm 'ur5'"),
-    "held joint of an iiwa": (("--held", "2"), "--held belong to an arm from a URDF"),
+    "held joint of an iiwa": (("--held", "2"), "held belong to an arm from a URDF"),
     "a policy and a function": (("--policy", "own:balance"), "give one of them"),
     "output is no JSON": (("--out", "evaluation.txt"), "ends in .json"),
     "output is the policy": (("--out", "policy.json"), "would be written over"),
