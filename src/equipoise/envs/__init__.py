@@ -23,7 +23,8 @@ def register() -> None:
 
     for name, entry_point in IDS.items():
         if name not in registry:
-            register(id=name, entry_point=entry_point)
+            vector = entry_point.replace("balance:", "vector:").replace("Env", "VectorEnv")
+            register(id=name, entry_point=entry_point, vector_entry_point=vector)
 
 
 def __getattr__(name: str) -> object:
