@@ -7,7 +7,7 @@ from equipoise.control.bound_policy import load_policy
 from equipoise.control.policy import shipped_policy
 from equipoise.deployment import deploy
 from equipoise.evaluation import evaluate
-from equipoise.runlog import RunLog
+from equipoise.logs.run_log import RunLog
 from equipoise.settings import resolve
 from equipoise.studies.certification import certify, check_policy, make_claim, repeat
 from equipoise.studies.gap import gap, trials_of

@@ -29,7 +29,7 @@ def test_equal_seed_gives_equal_bits_and_another_seed_another_run(run, small_pol
 def test_the_log_says_what_ran(run, small_policy):
     conditions = run.conditions
     assert conditions.policy == small_policy.digest
-    assert conditions.arm == small_policy.arm.name
+    assert conditions.arm == small_policy.arm
     assert conditions.joints == tuple(joint.name for joint in small_policy.arm.joints)
     assert conditions.settings == small_policy.settings
     assert (conditions.seed, conditions.duration, conditions.h) == (5, 0.6, small_policy.h)

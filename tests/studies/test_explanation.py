@@ -114,7 +114,7 @@ def test_a_log_that_breaks_off_is_explained_as_far_as_it_goes(tmp_path, rig_log,
     path = tmp_path / "run.mcap"
     run_with(draw_fault("push", 5), 5, path)
     whole = RunLog.load(path, damaged=True)
-    cut = dataclasses.replace(whole, end=RunEnd(cause="error"))
+    cut = dataclasses.replace(whole, end=whole.end.model_copy(update={"cause": "error"}))
     assert explain(cut).causes[0].name is CauseName.PUSH
 
 
@@ -214,9 +214,7 @@ def test_every_cause_of_a_log_of_a_rig_is_explained(cause, tmp_path, rig_log):
     ],
 )
 def test_every_cause_of_a_log_of_a_twin_is_explained_from_its_last_tick(cause, guard, short_run):
-    ended = {"cause": cause, "guard": guard}
-    conditions = short_run.conditions.model_copy(update=ended)
-    found = explain(dataclasses.replace(short_run, conditions=conditions))
+    found = explain(dataclasses.replace(short_run, end=RunEnd(cause=cause, guard=guard)))
     first = found.causes[0]
     assert first.name is not CauseName.UNKNOWN
     assert (first.name is CauseName.LASTED) is (cause == "lasted")
