@@ -4,6 +4,7 @@ import pytest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.deployment import deploy
+from equipoise.logs.run_log import RunLog
 from tests.logs.made_up import changed_table
 from tests.studies.faulted import draw_fault, run_with
 
@@ -125,4 +126,5 @@ def test_show_reads_the_log_of_a_rig(equipoise, pushed):
     assert "run on a rig" in ran.out
     assert f"next: equipoise log explain {pushed}" in ran.out
     found = equipoise("log", "show", pushed, "--json").json
-    assert (found["digest"], found["provenance"]) == (None, None)
+    assert found["digest"] == RunLog.load(pushed).digest
+    assert found["provenance"]["command"] == "deploy"
