@@ -29,14 +29,14 @@ def one_step_errors(actuator, stream_time, stream_q, reply_time, reply_q):
     """Return how well an actuator predicts each next position of a log, and the log's noise [rad].
 
     An observer that runs on the model and is corrected by each position predicts the next. The
-    pushes of the load, which change with the posture, are fitted to the log.
+    biases of the load, which change with the posture, are fitted to the log.
     """
     joints = stream_q.shape[1]
     log = fitting._read(stream_time, stream_q, reply_time, reply_q)
     lags = [lag.value for lag in actuator.lags]
     unknowns = np.array([actuator.delay.value, actuator.cycle.value, *lags, *[0.0] * joints])
-    pushes = list(range(fitting.PUSH, fitting.PUSH + joints))
-    unknowns = fitting._least_squares(log, actuator.kind, unknowns, pushes, np.ones(joints))
+    biases = list(range(fitting.LOAD_BIAS, fitting.LOAD_BIAS + joints))
+    unknowns = fitting._least_squares(log, actuator.kind, unknowns, biases, np.ones(joints))
     residual = log.residual(actuator.kind, unknowns)
     return fitting._one_step(log, actuator.kind, unknowns), fitting._noise(residual)
 

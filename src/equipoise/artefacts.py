@@ -71,8 +71,12 @@ Seed = Annotated[int, Field(ge=0, lt=2**63)]
 """Seed of random numbers, as compiled code takes it."""
 
 
+EstimateSource = Literal["identified", "given", "assumed"]
+"""Origin of a number: identified from a recording, given by the user, or assumed."""
+
+
 class Estimate(Value):
-    """A number with its uncertainty and where it comes from."""
+    """A number with its uncertainty and its origin."""
 
     value: Number
     """Best value."""
@@ -80,15 +84,23 @@ class Estimate(Value):
     """Lower end of the 95 % interval."""
     high: Number
     """Upper end of the 95 % interval."""
-    source: Literal["identified", "given", "assumed"]
-    """How the number was found."""
+    source: EstimateSource
+    """Origin of the number."""
 
     @classmethod
-    def normal(
-        cls, value: float, sigma: float, source: Literal["identified", "given", "assumed"]
-    ) -> Self:
+    def around(cls, value: float, half_width: float, source: EstimateSource) -> Self:
+        """Return an estimate with a symmetric interval."""
+        return cls(value=value, low=value - half_width, high=value + half_width, source=source)
+
+    @classmethod
+    def normal(cls, value: float, sigma: float, source: EstimateSource) -> Self:
         """Return an estimate whose error is normal with standard deviation `sigma`."""
-        return cls(value=value, low=value - 1.96 * sigma, high=value + 1.96 * sigma, source=source)
+        return cls.around(value, 1.96 * sigma, source)
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the 95 % interval."""
+        return (self.high - self.low) / 2.0
 
     @property
     def interval(self) -> tuple[float, float]:

@@ -1,18 +1,17 @@
-r"""A recorded free swing becomes a pendulum (Safeea & Neto, section 3.2, equation 8 and figure 2).
+r"""Identification of a pendulum from a free swing (Safeea & Neto, section 3.2, eq. 8 and fig. 2).
 
 .. math:: \ddot\theta = -w_2 \sin\theta - c\,\dot\theta
           - f\,\mathrm{sign}\,\dot\theta - d\,|\dot\theta|\dot\theta
 
-with theta from hanging. The frictions f and d go beyond the paper and are fitted on request. What
-was recorded is theta plus a zero offset, or from a gyro theta_dot plus a bias.
+with theta from hanging. The frictions f and d go beyond the paper and are fitted on request. The
+recording holds theta plus a zero offset, or theta_dot of a gyro plus a bias.
 
-1. Where does it swing freely? Turning points, then the acceleration that gravity and friction do
-   not explain: a hand on the pendulum is left out, and so is what goes over the top (`release`).
-2. Least squares against the nonlinear equation over a growing horizon (`fit`).
-3. Intervals from a jackknife: how far does the estimate move when one period is left out?
-   Residuals of real swings last for many samples; errors that take them for independent are up to
-   39 times too small.
-4. Where the model does not explain the recording, a warning says so, and what to try.
+1. Detect the free swing from turning points and unexplained accelerations; exclude a hand on the
+   pendulum and rotations over the top (`release`).
+2. Fit the nonlinear equation by least squares over a growing horizon (`fit`).
+3. Compute intervals with a jackknife over periods. Residuals of real swings are autocorrelated;
+   errors that assume independence are up to 39 times too small.
+4. Warn if the model does not explain the recording, with a remedy.
 """
 
 from math import pi, sqrt
@@ -21,12 +20,12 @@ import numpy as np
 
 from equipoise.artefacts import Estimate
 from equipoise.errors import RecordingError
-from equipoise.identification.averages import Averages, average
+from equipoise.identification.averages import average
 from equipoise.identification.fit import (
     COULOMB,
     DRAG,
-    EXPLAINED,
     FRICTIONS,
+    MAX_MISFIT,
     OFFSET,
     THETA,
     THETA_DOT,
@@ -54,11 +53,11 @@ from equipoise.trajectory import Trajectory
 
 __all__ = ["identify"]
 
-SMALL = np.deg2rad(10.0)
-"""Largest amplitude [rad] of a swing that is warned of: on one rig w2 was 1.4 % higher at 3.6 deg
+SMALL_AMPLITUDE = np.deg2rad(10.0)
+"""Amplitude below which a swing gives a warning [rad]: on one rig w2 was 1.4 % higher at 3.6 deg
 than at 56 deg, and differed by 0.2 % from there to 149 deg."""
-TINY = np.deg2rad(1.5)
-"""Largest amplitude [rad] at which radians are perhaps taken for degrees."""
+SUSPECT_AMPLITUDE = np.deg2rad(1.5)
+"""Amplitude below which radians may have been read as degrees [rad]."""
 
 
 def identify(
@@ -70,14 +69,15 @@ def identify(
     """Identify a pendulum from a recorded free swing.
 
     Args:
-        trajectory: The recording; a hand may still be on the pendulum at its start.
-        settings: How to fit.
-        mass: Mass m of all that rotates [kg], measured apart.
-        length: Distance l from the axis to its centre of mass [m], measured apart; with both, the
-            moment of inertia I and the friction b are given in SI units.
+        trajectory: The recording; it may start with a hand on the pendulum.
+        settings: Settings of the fit.
+        mass: Mass m of all rotating parts [kg], measured separately.
+        length: Distance l from the axis to their centre of mass [m], measured separately. With
+        both,
+            the moment of inertia I and the friction b are computed in SI units.
 
     Returns:
-        The pendulum, with 95 % intervals and warnings where the model explains it badly.
+        The pendulum, with 95 % intervals, and warnings about a poor fit.
 
     Raises:
         RecordingError: The recording holds no free swing of at least one period.
@@ -92,24 +92,18 @@ def identify(
     cleaned, notes = without_spikes(trajectory)
     rough, free = find_free_swing(cleaned, settings)
     inside = (cleaned.time >= free.begin) & (cleaned.time <= free.end)
-    samples = Averages(
-        cleaned.time[inside], cleaned.values[inside], np.zeros(int(np.count_nonzero(inside)))
+    time, values, w2 = cleaned.time[inside], cleaned.values[inside], free.starts[0][W2]
+    whole = SwingRecording(
+        free.begin,
+        time,
+        values,
+        spread=np.zeros_like(time),
+        is_rate=trajectory.theta is None,
+        h=rough.period / settings.steps_per_period,
+        w2_range=(0.25 * w2, 4.0 * w2),
     )
-    w2 = free.starts[0][W2]
-
-    def recording_of(samples: Averages) -> SwingRecording:
-        return SwingRecording(
-            free.begin,
-            *samples,
-            is_rate=trajectory.theta is None,
-            h=rough.period / settings.steps_per_period,
-            w2_range=(0.25 * w2, 4.0 * w2),
-        )
-
-    whole = recording_of(samples)
-    recording = recording_of(
-        average(samples.time, samples.values, rough.period / SAMPLES_PER_PERIOD)
-    )
+    means = average(time, values, rough.period / SAMPLES_PER_PERIOD)
+    recording = whole._replace(**means._asdict())
     fit = fit_growing(recording, free.starts, rough.period, settings)
     if settings.friction != "viscous":
         fit = _nested(recording, fit, free, rough.period, settings)
@@ -130,24 +124,15 @@ def identify(
         theta_dot=float(fit.unknowns[THETA_DOT]),
         settings=settings,
     )
-    _refuse_unexplained(recording, free, rough.period, swing_fit)
-    warnings = (
-        *notes,
-        *free.warnings,
-        *_warnings(recording, whole, fit, rough.period, swing_fit),
-    )
+    _reject_unexplained(recording, free, rough.period, swing_fit)
+    warnings = _warnings(recording, whole, fit, rough.period, swing_fit)
+    swing_fit = swing_fit.model_copy(update={"warnings": (*notes, *free.warnings, *warnings)})
     blocks = max(round(periods), settings.least_blocks)
-    return _pendulum(
-        fit.unknowns,
-        covariance(recording, fit, blocks),
-        blocks,
-        mass,
-        length,
-        swing_fit.model_copy(update={"warnings": warnings}),
-    )
+    spread = covariance(recording, fit, blocks)
+    return _pendulum(fit.unknowns, spread, blocks, mass, length, swing_fit)
 
 
-def _refuse_unexplained(
+def _reject_unexplained(
     recording: SwingRecording, free: FreeSwing, period: float, swing_fit: SwingFit
 ) -> None:
     settings, spread = swing_fit.settings, float(np.std(recording.values))
@@ -161,7 +146,7 @@ def _refuse_unexplained(
         richer = settings.model_copy(update={"friction": richest})
         fit = fit_growing(recording, free.starts[:1], period, richer)
         residual = recording.residual(fit.unknowns)
-        if misfit(rms(residual), noise_of(residual)) < EXPLAINED * spread:
+        if misfit(rms(residual), noise_of(residual)) < MAX_MISFIT * spread:
             cure = f"try --friction {richest}, which explains it"
     raise RecordingError(
         f"{swing_fit.source} is not a free swing with {settings.friction} friction: the pendulum's "
@@ -177,7 +162,7 @@ def _nested(
     period: float,
     settings: IdentificationSettings,
 ) -> FittedUnknowns:
-    """Return the better of a fit and those that begin at the optima of the simpler models."""
+    """Return the better of a fit and a fit that starts from the optima of the simpler models."""
     models = list(FRICTIONS)
     viscous = settings.model_copy(update={"friction": models[0]})
     simple = fit_growing(recording, free.starts, period, viscous)
@@ -235,7 +220,7 @@ def _warnings(
             "record ten"
         )
     largest = amplitude / (2.0 * pi / period if recording.is_rate else 1.0)
-    if largest < SMALL:
+    if largest < SMALL_AMPLITUDE:
         unit_wrong = (
             "" if recording.is_rate else ", or name the column theta_rad if it holds radians"
         )
@@ -243,7 +228,7 @@ def _warnings(
             f"the swing stays within {np.rad2deg(largest):.2g} deg, where play and dry friction "
             "count most: the intervals do not cover that w2 may be 1 or 2 % lower in larger "
             "swings; release the pendulum from 40 to 60 deg"
-            + (unit_wrong if largest < TINY else "")
+            + (unit_wrong if largest < SUSPECT_AMPLITUDE else "")
         )
     return tuple(warnings)
 
@@ -255,19 +240,19 @@ def _best_friction(
     period: float,
     swing_fit: SwingFit,
 ) -> tuple[Friction, float]:
-    """Return the simplest friction model that leaves clearly less than all simpler ones.
+    """Return the simplest friction model that is clearly better than all simpler ones.
 
     Returns:
-        The model and the root mean square that it leaves; the given model, where no richer one is
-        clearly better, with what the best of those leaves.
+        The model with its root mean square residual. If no richer model is clearly better: the
+        current model with the smallest residual of the richer ones.
     """
     settings, left = swing_fit.settings, swing_fit.rms
     best, least = settings.friction, left
-    # No friction explains noise, and what a pivot never reaches needs no better model.
+    # Friction does not explain noise, and below 10 % of the warning limit the model is good enough.
     enough = 0.1 * settings.misfit_share * float(np.std(recording.values))
     if swing_fit.noise > settings.better_share * left or left < enough:
         return best, left
-    # A quarter of the means tells models apart.
+    # A quarter of the means suffices to compare models.
     recording = recording.every(4) if np.any(recording.spread) else recording
     models = list(FRICTIONS)
     richer = fit
@@ -296,23 +281,23 @@ def _pendulum(
 
     def estimate(place: int, factor: float = 1.0) -> Estimate:
         width = quantile * sqrt(spread[place, place])
-        return _positive(
-            factor * float(unknowns[place]),
-            factor * width,
-            "identified" if place in fitted else "assumed",
-        )
+        source = "identified" if place in fitted else "assumed"
+        value = factor * float(unknowns[place])
+        return Estimate.around(value, factor * width, source).not_negative()
 
     inertia = friction = None
     if mass and length:
         # I = m g l / w2 and b = c I, with errors to first order.
         w2, c = float(unknowns[W2]), float(unknowns[C])
         I = mass.value * settings.g * length.value / w2
-        apart = np.hypot(_width(mass) / mass.value, _width(length) / length.value)
+        apart = np.hypot(mass.half_width / mass.value, length.half_width / length.value)
         of_w2 = quantile * sqrt(spread[W2, W2]) / w2
         gradient = np.array([-c / w2, 1.0])
         of_c = quantile * np.sqrt(gradient @ spread[np.ix_([W2, C], [W2, C])] @ gradient)
-        inertia = _positive(I, I * float(np.hypot(apart, of_w2)))
-        friction = _positive(c * I, I * float(np.hypot(c * apart, of_c)))
+        inertia, friction = (
+            Estimate.around(value, I * float(width), "identified").not_negative()
+            for value, width in ((I, np.hypot(apart, of_w2)), (c * I, np.hypot(c * apart, of_c)))
+        )
     return Pendulum(
         w2=estimate(W2),
         k=estimate(W2, 1.0 / settings.g),
@@ -328,14 +313,3 @@ def _pendulum(
         friction=friction,
         fit=swing_fit,
     )
-
-
-def _positive(value: float, width: float, source: str = "identified") -> Estimate:
-    """Return an estimate of what cannot be negative."""
-    return Estimate.model_validate(
-        {"value": value, "low": max(value - width, 0.0), "high": value + width, "source": source}
-    )
-
-
-def _width(estimate: Estimate) -> float:
-    return (estimate.high - estimate.low) / 2.0

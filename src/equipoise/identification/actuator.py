@@ -1,21 +1,20 @@
-r"""A log of setpoints and measured joint positions becomes an actuator.
+r"""Identification of an actuator from a log of setpoints and measured joint positions.
 
-Transport delay, shaping law and the lags of the drives are fitted together, to the simulation that
-training and controller run as well (`equipoise.model.actuator`). A linear delay and lag, fitted to
-an arm behind the shaping law, would change with the amplitude of the motion.
+Transport delay, shaping law and drive lags are fitted together to the simulation that training and
+controller use (`equipoise.model.actuator`). A linear delay and lag, fitted to an arm behind the
+shaping law, would depend on the amplitude of the motion.
 
-1. A coarse grid finds the place of the delay: where a motion repeats itself, a delay fits nearly as
-   well one period later.
-2. Least squares over the whole log: one delay and one t_c; for each joint its lag, and the steady
-   push of its load. The drives know the bare arm only: a joint that carries a tool sags, and
-   follows more slowly than its drive would alone. What shakes a joint lasts, so a joint weighs as
-   much as its blocks of time agree with each other, not as its residual is small.
-3. Intervals from a jackknife over these blocks, and from what the log does not tell: how much the
-   transports jitter.
-4. Of several kinds of actuator, the simplest that explains the log.
+1. Search a coarse grid for the delay: with a periodic motion, a delay longer by one period fits
+   nearly as well.
+2. Fit the whole log by least squares: one delay, one t_c, and for each joint a lag and the constant
+   bias of its load. The drives know only the bare arm: a joint that carries a tool sags and follows
+   more slowly than its drive alone would. Disturbances are autocorrelated, so the weight of a joint
+   depends on the agreement of its blocks of time, not on the size of its residual.
+3. Compute intervals from a jackknife over these blocks and from the unknown transport jitter.
+4. Select the simplest kind of actuator that explains the log.
 
-The delay is from sending a setpoint to its mean effect, wherever the cabinet's cycles begin. If the
-times of the replies say when a position *arrived*, it includes the way back.
+The delay runs from sending a setpoint to its mean effect, independent of the phase of the cabinet's
+cycles. It includes the return path if the reply times are times of *arrival*.
 """
 
 from math import exp, sqrt
@@ -42,90 +41,101 @@ from equipoise.model.arms.arm import FREE_JOINTS
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.intp]
 
-DELAY, T_C, LAG, PUSH = 0, 1, 2, 2 + FREE_JOINTS
-"""Places of the unknowns: the delay, t_c, a lag and a push of each joint."""
+DELAY, T_C, LAG, LOAD_BIAS = 0, 1, 2, 2 + FREE_JOINTS
+"""Indices of the unknowns: the delay, t_c, a lag and a load bias of each joint."""
 
 COMMON: Final[dict[Kind, list[int]]] = {"ideal": [DELAY], "lag": [DELAY], "kst": [DELAY, T_C]}
-"""The unknowns that all joints share, for each kind."""
-OWN: Final[dict[Kind, list[int]]] = {"ideal": [PUSH], "lag": [LAG, PUSH], "kst": [LAG, PUSH]}
-"""Those of each joint, by their place for the first joint."""
+"""Unknowns that all joints share, for each kind."""
+PER_JOINT: Final[dict[Kind, list[int]]] = {
+    "ideal": [LOAD_BIAS],
+    "lag": [LAG, LOAD_BIAS],
+    "kst": [LAG, LOAD_BIAS],
+}
+"""Unknowns of each joint, by their index for the first joint."""
 
 
-def _unknowns(delay: float, t_c: float, lag: float, push: float) -> Array:
-    return np.array([delay, t_c, *[lag] * FREE_JOINTS, *[push] * FREE_JOINTS])
+def _unknowns(delay: float, t_c: float, lag: float, bias: float) -> Array:
+    return np.array([delay, t_c, *[lag] * FREE_JOINTS, *[bias] * FREE_JOINTS])
 
 
 START: Final = _unknowns(0.0, CYCLE, 8e-3, 0.0)
 SCALES: Final = _unknowns(1e-2, 1e-3, 1e-2, 1e-1)
-"""Natural size of each unknown."""
-LOWEST: Final = _unknowns(0.0, 1e-4, 0.0, -np.inf)
-HIGHEST: Final = _unknowns(0.1, 1e-2, 0.1, np.inf)
-"""A robot with more delay or lag balances nothing."""
-GRID: Final = 5e-3
-"""Between the delays that are tried first [s]: a small part of any period."""
-SPREAD: Final = 1e-3
-"""A setpoint takes effect up to this earlier or later than the mean [s], as a server's cycle and a
-quiet network make it. The log hardly tells it; twice its square is taken as possible. Should it be
-2 ms, the delay comes out 0.2 ms too short."""
-SETTLING: Final = 0.25
-"""After so long the simulation has forgotten the state that it began with [s]."""
+"""Scale of each unknown."""
+LOWER_BOUNDS: Final = _unknowns(0.0, 1e-4, 0.0, -np.inf)
+UPPER_BOUNDS: Final = _unknowns(0.1, 1e-2, 0.1, np.inf)
+"""Upper bounds of the unknowns: a robot with more delay or lag cannot balance."""
+DELAY_GRID: Final = 5e-3
+"""Grid step of the delay search [s]: a small part of any period."""
+DELAY_JITTER: Final = 1e-3
+"""Largest deviation of a setpoint's delay from the mean [s], from the server's cycle and a quiet
+network. The log hardly shows it; the intervals allow for twice its square. With a true value of
+2 ms the estimated delay is 0.2 ms too short."""
+SETTLING_TIME: Final = 0.25
+"""Time after which the initial state of the simulation has no effect [s]."""
 BLOCKS: Final = 20
-"""Blocks of time: residuals last for some 20 ms, a block of the shortest log for 200 ms."""
-SHORTEST: Final = 4.0
-"""Shorter logs are refused [s]."""
-LONGEST_GAP: Final = 0.025
-"""Logs with a longer gap between setpoints or between replies are refused [s]."""
+"""Number of blocks of time: residuals are correlated over some 20 ms, a block of the shortest log
+lasts 200 ms."""
+MIN_DURATION: Final = 4.0
+"""Minimum duration of a log [s]."""
+MAX_GAP: Final = 0.025
+"""Largest accepted gap between setpoints or between replies [s]."""
 LEAST_SPEED: Final = 0.1
-"""The velocity of each joint must have this range [rad/s]: at one speed, a delay and the lag of the
-shaping law are the same."""
-LEAST_SHARE: Final = 0.25
-"""The range of each measured joint must be this share of its setpoints'."""
-UNEXPLAINED: Final = 0.25
-"""A log is refused where the model leaves more than this share of a joint's motion."""
-BETTER: Final = 0.95
-"""A richer kind of actuator must leave less than this share of what a simpler one leaves."""
-LOOSE: Final = 0.3
-"""t_c is kept, as the server's source has it, where the log does not tell it within this share."""
-MISFIT: Final = (3.0, 0.02)
-"""A warning is given where the model leaves so many times the noise and this share of the motion;
-the jitter of the transports leaves twice the noise."""
-MEMORIES: Final = tuple(i / 10 for i in range(10))
-"""Of the observers that are tried for the one-step prediction."""
+"""Minimum velocity range of each joint [rad/s]: at a single speed, delay and lag of the shaping law
+are indistinguishable."""
+MIN_MOTION_SHARE: Final = 0.25
+"""Minimum range of each measured joint, as a share of the range of its setpoints."""
+MAX_UNEXPLAINED: Final = 0.25
+"""Largest accepted residual, as a share of a joint's motion."""
+MAX_RESIDUAL_RATIO: Final = 0.95
+"""Residual ratio below which a richer kind of actuator replaces a simpler one."""
+MAX_T_C_UNCERTAINTY: Final = 0.3
+"""Relative half width of the interval of t_c above which t_c stays at the value of the server's
+source."""
+MISFIT_LIMITS: Final = (3.0, 0.02)
+"""Residual above which a joint gives a warning: as a multiple of the noise, and as a share of the
+motion. Transport jitter alone leaves twice the noise."""
+OBSERVER_MEMORIES: Final = tuple(i / 10 for i in range(10))
+"""Memories of the candidate observers for the one-step prediction."""
 
 
 class Log(NamedTuple):
-    """What is fitted; rows belong to joints."""
+    """Setpoints and measured positions; rows belong to joints."""
 
     stream_time: Array
-    """When setpoints were sent [s], shape (m,)."""
+    """Send times of the setpoints [s], shape (m,)."""
     stream_q: Array
-    """The setpoints [rad], shape (6, m)."""
+    """Setpoints [rad], shape (6, m)."""
     reply_time: Array
-    """When positions were measured [s], shape (p,)."""
+    """Measurement times of the positions [s], shape (p,)."""
     reply_q: Array
-    """The positions [rad], shape (6, p)."""
+    """Measured positions [rad], shape (6, p)."""
     settled: int
-    """How many of them the simulation has to forget its first state."""
+    """Number of initial positions that are not fitted, while the simulation settles."""
 
     @property
     def time(self) -> Array:
-        """Times of the positions that are fitted [s], shape (n,)."""
+        """Times of the fitted positions [s], shape (n,)."""
         return self.reply_time[self.settled :]
 
     @property
     def measured(self) -> Array:
-        """The positions that are fitted [rad], shape (6, n)."""
+        """Fitted positions [rad], shape (6, n)."""
         return self.reply_q[:, self.settled :]
 
     @property
     def blocks(self) -> Whole:
-        """The block of time of each, shape (n,)."""
+        """Index of the block of time of each fitted position, shape (n,)."""
         return blocks_of_time(self.time, BLOCKS)
 
     def predict(
-        self, kind: Kind, unknowns: Array, joint: int, memory: float = 1.0, spread: float = SPREAD
+        self,
+        kind: Kind,
+        unknowns: Array,
+        joint: int,
+        memory: float = 1.0,
+        spread: float = DELAY_JITTER,
     ) -> Array:
-        """Return the positions that a joint would have had [rad], shape (n,)."""
+        """Simulate the positions of a joint [rad], shape (n,)."""
         predicted = np.empty_like(self.reply_time)
         track(
             self.stream_time,
@@ -135,22 +145,20 @@ class Log(NamedTuple):
             float(unknowns[DELAY]),
             spread,
             float(unknowns[LAG + joint]),
-            float(unknowns[PUSH + joint]),
+            float(unknowns[LOAD_BIAS + joint]),
             memory,
             ActuatorParameters(KINDS.index(kind), float(unknowns[T_C])),
             predicted,
         )
         return predicted[self.settled :]
 
-    def residual(self, kind: Kind, unknowns: Array, spread: float = SPREAD) -> Array:
-        """Return measured minus predicted positions, shape (6, n)."""
+    def residual(self, kind: Kind, unknowns: Array, spread: float = DELAY_JITTER) -> Array:
+        """Return measured minus predicted positions [rad], shape (6, n)."""
         joints = range(FREE_JOINTS)
-        return self.measured - np.stack(
-            [self.predict(kind, unknowns, j, spread=spread) for j in joints]
-        )
+        return self.measured - [self.predict(kind, unknowns, j, spread=spread) for j in joints]
 
     def sensitivities(self, kind: Kind, unknowns: Array, fitted: list[int]) -> Array:
-        """Return what the predictions change per natural size of an unknown, shape (6, n, k)."""
+        """Return the derivatives of the predictions by the scaled unknowns, shape (6, n, k)."""
         J = np.zeros((*self.measured.shape, len(fitted)))
         base = self.measured - self.residual(kind, unknowns)
         for column, place in enumerate(fitted):
@@ -162,21 +170,21 @@ class Log(NamedTuple):
 
 
 class JointFit(NamedTuple):
-    """The unknowns that leave the least squares."""
+    """Result of a least-squares fit."""
 
     kind: Kind
     unknowns: Array
     """Values, shape (14,)."""
     fitted: list[int]
-    """Places of the unknowns that were free."""
+    """Indices of the free unknowns."""
     weights: Array
-    """Of the residuals of each joint [1/rad], shape (6,)."""
+    """Weights of the residuals of each joint [1/rad], shape (6,)."""
     residual: Array
     """Measured minus predicted positions [rad], shape (6, n)."""
 
     @property
     def rms(self) -> float:
-        """Root mean square residual of the typical joint [rad]."""
+        """Root mean square residual, geometric mean over the joints [rad]."""
         return _typical(_rms(self.residual))
 
 
@@ -189,18 +197,18 @@ def identify_actuator(
     source: str,
     kind: Literal["auto"] | Kind = "auto",
 ) -> Actuator:
-    """Identify how an arm follows its setpoints.
+    """Identify the actuator of an arm.
 
     Args:
-        stream_time: When setpoints were sent [s], shape (m,).
-        stream_q: The setpoints of the free joints [rad], shape (m, 6).
-        reply_time: When positions were measured, by the same clock [s], shape (p,).
-        reply_q: The measured free joints [rad], shape (p, 6).
+        stream_time: Send times of the setpoints [s], shape (m,).
+        stream_q: Setpoints of the free joints [rad], shape (m, 6).
+        reply_time: Measurement times of the positions, by the same clock [s], shape (p,).
+        reply_q: Measured positions of the free joints [rad], shape (p, 6).
         source: Digest of the run log.
-        kind: `auto` tries all and keeps the simplest that explains the log.
+        kind: Kind of actuator; `auto` selects the simplest one that explains the log.
 
     Returns:
-        The actuator, with 95 % intervals and warnings where the model explains the log badly.
+        The actuator, with 95 % intervals, and warnings about a poor fit.
 
     Raises:
         RecordingError: The log is too short, has gaps, moves too little, or does not show an arm
@@ -210,11 +218,14 @@ def identify_actuator(
     fits = {each: _fit(log, each) for each in (KINDS if kind == "auto" else (kind,))}
     best = next(iter(fits.values()))
     for richer in fits.values():
-        if richer.rms < BETTER * best.rms:
+        if richer.rms < MAX_RESIDUAL_RATIO * best.rms:
             best = richer
-    _refuse_unexplained(log, best)
+    _reject_unexplained(log, best)
     covariance = _covariance(log, best)
-    if T_C in best.fitted and _half_width(covariance, T_C) > LOOSE * best.unknowns[T_C]:
+    if (
+        T_C in best.fitted
+        and _half_width(covariance, T_C) > MAX_T_C_UNCERTAINTY * best.unknowns[T_C]
+    ):
         best = _fit(log, best.kind, t_c_kept=True)
         covariance = _covariance(log, best)
     estimates = _estimates(best, covariance)
@@ -231,19 +242,17 @@ def identify_actuator(
             rms=best.rms,
             noise=_typical(noise),
             one_step=_typical(_one_step(log, best.kind, best.unknowns)),
-            alternatives={
-                other.kind: other.rms for other in fits.values() if other.kind != best.kind
-            },
+            alternatives={other: fits[other].rms for other in fits if other != best.kind},
             warnings=_warnings(log, best, noise),
         ),
     )
 
 
 def identify_run(run: RunLog) -> Actuator:
-    """Identify how the arm of a run log follows its setpoints.
+    """Identify the actuator of the arm of a run log.
 
     Args:
-        run: A log with setpoints and measured joints, as `equipoise.deployment.excite` records it.
+        run: Log with setpoints and measured joints, as recorded by `equipoise.deployment.excite`.
 
     Raises:
         RecordingError: The log cannot be used, see `identify_actuator`.
@@ -256,7 +265,7 @@ def identify_run(run: RunLog) -> Actuator:
 
 
 def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array) -> Log:
-    """Return the log as it is fitted; what came before the first setpoints is left out."""
+    """Validate a log; return it without the replies that precede the first setpoints."""
     for name, time, q in (("setpoints", stream_time, stream_q), ("replies", reply_time, reply_q)):
         if q.shape != (*time.shape, FREE_JOINTS) or len(q) < 2:
             raise RecordingError(
@@ -268,20 +277,20 @@ def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array
                 f"the {name} hold NaN or infinity, or their times do not increase; give each once, "
                 "with its time by a monotonic clock"
             )
-    keep = (reply_time >= stream_time[0] + HIGHEST[DELAY]) & (reply_time <= stream_time[-1])
+    keep = (reply_time >= stream_time[0] + UPPER_BOUNDS[DELAY]) & (reply_time <= stream_time[-1])
     time, q = np.ascontiguousarray(reply_time[keep]), np.ascontiguousarray(reply_q[keep].T)
     duration = float(np.ptp(time)) if len(time) else 0.0
-    if duration < SHORTEST + SETTLING:
+    if duration < MIN_DURATION + SETTLING_TIME:
         raise RecordingError(
             f"setpoints and replies share {duration:.1f} s, expected at least "
-            f"{SHORTEST + SETTLING} s; record 10 s"
+            f"{MIN_DURATION + SETTLING_TIME} s; record 10 s"
         )
     for name, times in (("setpoints", stream_time), ("replies", time)):
         gap = int(np.argmax(np.diff(times)))
-        if (length := float(times[gap + 1] - times[gap])) > LONGEST_GAP:
+        if (length := float(times[gap + 1] - times[gap])) > MAX_GAP:
             raise RecordingError(
                 f"the {name} have a gap of {1e3 * length:.0f} ms at {times[gap]:.3f} s, expected "
-                f"at most {1e3 * LONGEST_GAP:.0f} ms; record again, or cut the log there"
+                f"at most {1e3 * MAX_GAP:.0f} ms; record again, or cut the log there"
             )
     for j, speed in enumerate(speed_ranges(stream_time, stream_q)):
         if speed < LEAST_SPEED:
@@ -291,45 +300,45 @@ def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array
             )
     shares = np.ptp(q, axis=1) / np.ptp(stream_q, axis=0)
     j = int(np.argmin(shares))
-    if shares[j] < LEAST_SHARE:
+    if shares[j] < MIN_MOTION_SHARE:
         raise RecordingError(
             f"free joint {j + 1} moves {shares[j]:.0%} of the way of its setpoints, expected at "
-            f"least {LEAST_SHARE:.0%}; check that the drives are on and the servo runs"
+            f"least {MIN_MOTION_SHARE:.0%}; check that the drives are on and the servo runs"
         )
     return Log(
         stream_time=np.ascontiguousarray(stream_time),
         stream_q=np.ascontiguousarray(stream_q.T),
         reply_time=time,
         reply_q=q,
-        settled=int(np.searchsorted(time, time[0] + SETTLING)),
+        settled=int(np.searchsorted(time, time[0] + SETTLING_TIME)),
     )
 
 
 def speed_ranges(time: Array, q: Array) -> Array:
-    """Return over what range the velocity of each joint goes, but for 2 % at each end [rad/s].
+    """Return the range of each joint's velocity between its 2 % and 98 % quantiles [rad/s].
 
     Args:
-        time: When setpoints were sent [s], shape (m,).
-        q: The setpoints [rad], shape (m, joints).
+        time: Send times of the setpoints [s], shape (m,).
+        q: Setpoints [rad], shape (m, joints).
     """
     velocity = np.diff(q, axis=0) / np.diff(time)[:, None]
     return np.ptp(np.quantile(velocity, [0.02, 0.98], axis=0), axis=0)
 
 
 def _fit(log: Log, kind: Kind, *, t_c_kept: bool = False) -> JointFit:
-    """Fit one kind of actuator: joints weigh by their residuals, then by how their blocks agree."""
+    """Fit one kind of actuator, weighted by residual first, then by the effective noise."""
     common = [DELAY] if t_c_kept else COMMON[kind]
-    fitted = [*common, *(first + j for first in OWN[kind] for j in range(FREE_JOINTS))]
-    delays = np.arange(0.0, HIGHEST[DELAY], GRID)
+    fitted = [*common, *(first + j for first in PER_JOINT[kind] for j in range(FREE_JOINTS))]
+    delays = np.arange(0.0, UPPER_BOUNDS[DELAY], DELAY_GRID)
     starts = np.tile(START, (len(delays), 1))
     starts[:, DELAY] = delays
     if kind == "ideal":
-        starts[:, LAG:PUSH] = 0.0
+        starts[:, LAG:LOAD_BIAS] = 0.0
     left = np.stack([np.std(log.residual(kind, start), axis=1) for start in starts])
     nearest = int(np.argmin(_rms(left / np.std(log.measured, axis=1))))
     weights = 1.0 / left[nearest]
     unknowns = _least_squares(log, kind, starts[nearest], fitted, weights)
-    weights = 1.0 / _agreement(log, kind, unknowns, fitted)
+    weights = 1.0 / _effective_noise(log, kind, unknowns, fitted)
     unknowns = _least_squares(log, kind, unknowns, fitted, weights)
     return JointFit(kind, unknowns, fitted, weights, log.residual(kind, unknowns))
 
@@ -338,7 +347,7 @@ def _least_squares(log: Log, kind: Kind, start: Array, fitted: list[int], weight
     from scipy.optimize import least_squares
 
     unknowns, scales = start.copy(), SCALES[fitted]
-    low, high = LOWEST[fitted], HIGHEST[fitted]
+    low, high = LOWER_BOUNDS[fitted], UPPER_BOUNDS[fitted]
 
     def at(x: Array) -> Array:
         unknowns[fitted] = x * scales
@@ -355,7 +364,7 @@ def _least_squares(log: Log, kind: Kind, start: Array, fitted: list[int], weight
     solution = least_squares(
         residual,
         inside / scales,
-        # The stub of SciPy knows a name here, but no function.
+        # SciPy's stub accepts a name here, but no function.
         jac=jacobian,  # pyright: ignore[reportArgumentType]
         bounds=(low / scales, high / scales),
         x_scale="jac",
@@ -367,37 +376,36 @@ def _least_squares(log: Log, kind: Kind, start: Array, fitted: list[int], weight
     return at(solution.x).copy()
 
 
-def _agreement(log: Log, kind: Kind, unknowns: Array, fitted: list[int]) -> Array:
-    """Return the standard deviation of independent noise that would say as much, shape (6,) [rad].
+def _effective_noise(log: Log, kind: Kind, unknowns: Array, fitted: list[int]) -> Array:
+    """Return the standard deviation of white noise with the same effect, shape (6,) [rad].
 
-    In a joint's blocks of time the residual pulls its unknowns to and fro. Of independent noise
-    the squares of these pulls, in units of what the joint's motion tells, are the variance.
+    The gradient of the squared residual over each block of time shifts the unknowns of a joint. For
+    white noise, the squared gradients over the information of the motion are the variance.
     """
     J, residual = log.sensitivities(kind, unknowns, fitted), log.residual(kind, unknowns)
     block, sizes = log.blocks, np.empty(FREE_JOINTS)
     for j in range(FREE_JOINTS):
         J_j = J[j][:, [i for i, p in enumerate(fitted) if p < LAG or (p - LAG) % FREE_JOINTS == j]]
-        pulls = np.stack([J_j[block == i].T @ residual[j, block == i] for i in range(BLOCKS)])
-        share = np.linalg.lstsq(J_j.T @ J_j, pulls.T @ pulls, rcond=None)[0]
+        gradients = np.stack([J_j[block == i].T @ residual[j, block == i] for i in range(BLOCKS)])
+        share = np.linalg.lstsq(J_j.T @ J_j, gradients.T @ gradients, rcond=None)[0]
         sizes[j] = sqrt(np.trace(share) / J_j.shape[1])
     return sizes
 
 
 def _covariance(log: Log, fit: JointFit) -> Array:
-    """Return the covariance of the unknowns, shape (14, 14); zero where one was not free.
+    """Return the covariance of the unknowns, shape (14, 14); zero for fixed unknowns.
 
-    A jackknife over blocks of time of all joints together; and how far the unknowns move when the
-    transports jitter more than was assumed.
+    The sum of a jackknife over blocks of time of all joints together, and of the shift of the
+    unknowns under a larger transport jitter.
     """
     scales, k = SCALES[fit.fitted], len(fit.fitted)
     weights = fit.weights[:, None]
     sensitivities = log.sensitivities(fit.kind, fit.unknowns, fit.fitted)
     J = (weights[:, :, None] * sensitivities).reshape(-1, k)
     residual, block = (weights * fit.residual).ravel(), np.tile(log.blocks, FREE_JOINTS)
-    jitter = weights * (
-        log.residual(fit.kind, fit.unknowns, spread=sqrt(2.0) * SPREAD) - fit.residual
-    )
-    move = np.linalg.lstsq(J.T @ J, J.T @ jitter.ravel(), rcond=None)[0]
+    jittered = log.residual(fit.kind, fit.unknowns, spread=sqrt(2.0) * DELAY_JITTER)
+    change = (weights * (jittered - fit.residual)).ravel()
+    move = np.linalg.lstsq(J.T @ J, J.T @ change, rcond=None)[0]
     covariance = np.zeros((len(fit.unknowns), len(fit.unknowns)))
     covariance[np.ix_(fit.fitted, fit.fitted)] = np.outer(scales, scales) * (
         jackknife(J, residual, block) + np.outer(move, move)
@@ -406,49 +414,42 @@ def _covariance(log: Log, fit: JointFit) -> Array:
 
 
 def _half_width(covariance: Array, place: int) -> float:
-    """Return half the width of the 95 % interval of an unknown."""
+    """Return the half width of the 95 % interval of an unknown."""
     from scipy.stats import t as student
 
     return float(student.ppf(0.975, BLOCKS - 1)) * sqrt(covariance[place, place])
 
 
 def _estimates(fit: JointFit, covariance: Array) -> list[Estimate]:
-    """Return the unknowns with their intervals, none of which reaches below zero."""
-    estimates: list[Estimate] = []
-    for place in range(PUSH):
-        value, width = float(fit.unknowns[place]), _half_width(covariance, place)
-        estimates.append(
-            Estimate(
-                value=value,
-                low=max(value - width, 0.0),
-                high=value + width,
-                source="identified" if place in fit.fitted else "assumed",
-            )
-        )
-    return estimates
+    """Return delay, t_c and lags with their intervals, limited to non-negative values."""
+    return [
+        Estimate.around(
+            float(fit.unknowns[place]),
+            _half_width(covariance, place),
+            "identified" if place in fit.fitted else "assumed",
+        ).not_negative()
+        for place in range(LOAD_BIAS)
+    ]
 
 
 def _one_step(log: Log, kind: Kind, unknowns: Array) -> Array:
-    """Return the error of each joint's one-step prediction under the best observer, shape (6,)."""
-    return np.array(
-        [
-            min(
-                float(_rms(log.measured[j] - log.predict(kind, unknowns, j, memory)))
-                for memory in MEMORIES
-            )
-            for j in range(FREE_JOINTS)
-        ]
-    )
+    """Return the one-step error of the best observer for each joint [rad], shape (6,)."""
+    errors = [
+        [_rms(log.measured[j] - log.predict(kind, unknowns, j, memory)) for j in range(FREE_JOINTS)]
+        for memory in OBSERVER_MEMORIES
+    ]
+    return np.min(errors, axis=0)
 
 
-def _refuse_unexplained(log: Log, fit: JointFit) -> None:
+def _reject_unexplained(log: Log, fit: JointFit) -> None:
     left = np.std(fit.residual, axis=1) / np.std(log.measured, axis=1)
     j = int(np.argmax(left))
-    if left[j] > UNEXPLAINED:
+    if left[j] > MAX_UNEXPLAINED:
         raise RecordingError(
             f"free joint {j + 1} does not follow its setpoints: the best actuator ({fit.kind}) "
-            f"leaves {left[j]:.0%} of its motion unexplained, expected less than {UNEXPLAINED:.0%};"
-            " check that setpoints and replies belong together and share a clock"
+            f"leaves {left[j]:.0%} of its motion unexplained, expected less than "
+            f"{MAX_UNEXPLAINED:.0%}; check that setpoints and replies belong together and share a "
+            "clock"
         )
 
 
@@ -456,10 +457,11 @@ def _warnings(log: Log, fit: JointFit, noise: Array) -> tuple[str, ...]:
     warnings: list[str] = []
     if fit.kind == "kst" and T_C not in fit.fitted:
         warnings.append(
-            f"the log does not tell the cycle of the shaping law within {LOOSE:.0%}: it is kept at "
-            f"{1e3 * CYCLE:.0f} ms; let the joints move both slowly and fast"
+            "the log does not tell the cycle of the shaping law within "
+            f"{MAX_T_C_UNCERTAINTY:.0%}: it is kept at {1e3 * CYCLE:.0f} ms; let the joints move "
+            "both slowly and fast"
         )
-    times_noise, least_share = MISFIT
+    times_noise, least_share = MISFIT_LIMITS
     for j, left in enumerate(_rms(fit.residual)):
         share = left / np.std(log.measured[j])
         if left > times_noise * noise[j] and share > least_share:
@@ -473,12 +475,12 @@ def _warnings(log: Log, fit: JointFit, noise: Array) -> tuple[str, ...]:
 
 
 def _noise(residual: Array) -> Array:
-    """Return what of each joint's residual is new in each sample [rad], shape (6,)."""
+    """Estimate the white noise in each joint's residual [rad], shape (6,)."""
     return np.std(np.diff(residual, axis=1), axis=1) / sqrt(2.0)
 
 
 def _typical(sizes: npt.NDArray[np.floating]) -> float:
-    """Return the geometric mean over the joints: the worst does not stand for all."""
+    """Return the geometric mean over the joints, which the worst joint does not dominate."""
     return exp(float(np.mean(np.log(sizes))))
 
 

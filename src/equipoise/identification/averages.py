@@ -1,7 +1,7 @@
-"""Means of samples over short times, and single samples that are wrong.
+"""Means of samples over short bins, and detection of single wrong samples.
 
-A recording of millions of samples says no more about a pendulum than the means over a fraction of
-a degree of its motion; the white noise of the samples averages out in both.
+Means over a fraction of a degree of the motion carry as much information about a pendulum as
+millions of samples; the white noise averages out in both.
 """
 
 from typing import NamedTuple
@@ -26,11 +26,11 @@ class Averages(NamedTuple):
 def average(time: Array, values: Array, width: float) -> Averages:
     """Return the means of samples over bins.
 
-    Where a bin would hold fewer than two samples, the samples stay as they are.
+    With fewer than two samples per bin, the samples are returned unchanged.
 
     Args:
         time: Time stamps [s], increasing, shape (n,).
-        values: What was recorded, shape (n,).
+        values: Recorded values, shape (n,).
         width: Length of the bins [s].
     """
     elapsed = time - time[0]
@@ -49,21 +49,21 @@ def average(time: Array, values: Array, width: float) -> Averages:
 
 
 def spikes(values: Array, noise: float, resolution: float) -> npt.NDArray[np.bool_]:
-    """Find samples that a sensor or its link got wrong: one or two, far off their neighbours.
+    """Detect one or two adjacent samples that are far off their neighbours.
 
     Args:
-        values: What was recorded, shape (n,).
-        noise: Standard deviation of its noise, in the same unit.
+        values: Recorded values, shape (n,).
+        noise: Standard deviation of their noise, in the same unit.
         resolution: Smallest step of the sensor, in the same unit.
 
     Returns:
-        Which samples are wrong, shape (n,).
+        Flags of wrong samples, shape (n,).
     """
     from scipy.ndimage import maximum_filter1d, median_filter
 
     smooth = np.asarray(median_filter(values, 5, mode="nearest"))
     off = np.abs(values - smooth)
-    # A motion of few samples moves on by as much between two of them.
+    # A sparsely sampled motion changes as much between two samples.
     steps = maximum_filter1d(np.abs(np.diff(smooth, append=smooth[-1])), 9, mode="nearest")
     least = max(10.0 * noise, 6.0 * resolution, 0.02 * float(np.ptp(smooth)))
     return off > np.maximum(least, 2.0 * steps)

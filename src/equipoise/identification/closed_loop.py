@@ -1,22 +1,22 @@
-r"""A log of balancing becomes a pendulum: regression on an equation whose pivot moves.
+r"""Regression of the pendulum's equation on a log of balancing, with a moving pivot.
 
 .. math:: \ddot\varphi = w_2 \sin\varphi - k\,\ddot x \cos\varphi - c\,\dot\varphi
           - f\,\mathrm{sign}\,\dot\varphi
 
 phi from upright and x, the *measured* pivot, positive the same way (Safeea & Neto, section 3.2).
-The equation is linear in what is looked for. Two terms more take up what a log brings along: the
-encoder's zero error, and a time by which x comes late. Where the flange tilts or rises the equation
-does not hold: the tilt is to be added to phi, and vertical motion is not modelled.
+The equation is linear in its parameters. Two additional terms model errors of the log: the zero
+error of the encoder and the latency of x. The equation does not hold for a flange that tilts or
+rises: add the tilt to phi; vertical motion is not modelled.
 
-Nobody records accelerations. Differentiated, the steps of an encoder become larger than the motion
-of a pendulum that stands; smoothed before, phi and x lose other parts of the motion than sin phi
-does, and w2 and k are wrong by some percent. So the equation is multiplied by a smooth window and
-integrated: cubic splines through the samples give every term, and integration by parts says that
-their second derivatives under a smooth window are the samples themselves under its second
-derivative (the weak form). All terms see the same window, whatever it smooths.
+The log holds no accelerations. Direct differentiation amplifies the encoder's steps beyond the
+motion of a balanced pendulum. Smoothing first removes different parts of the motion from phi and x
+than from sin phi, and biases w2 and k by some percent. The weak form avoids both: the equation is
+multiplied by a smooth window and integrated. Cubic splines through the samples give every term; by
+integration by parts, their second derivatives under the window equal the samples under its second
+derivative. All terms see the same window.
 
-While a policy balances, phi and x_ddot go together, and a fit of w2 and k apart is poor. For a
-rigid pendulum k = w2 / g; tied so, a log of a minute gives the inertia to a thousandth.
+While a policy balances, phi and x_ddot are correlated, and separate estimates of w2 and k are poor.
+A rigid pendulum has k = w2 / g; with this constraint a log of a minute gives the inertia to 0.1 %.
 """
 
 from contextlib import suppress
@@ -35,39 +35,38 @@ from equipoise.settings import GRAVITY, PlantSettings
 Array = npt.NDArray[np.float64]
 
 WINDOW: Final = 0.3
-"""Length of the smooth window [s]. Shorter ones see the encoder's steps; longer ones lose the fast
-part of the motion, and dry friction with it."""
+"""Length of the smooth window [s]. Shorter windows pass the encoder's steps; longer windows lose
+the fast part of the motion, and dry friction with it."""
 RATE_WINDOW: Final = 0.06
-"""Length of the window over which the direction of the motion is told [s]: longer ones miss short
-swings, and half of the dry friction with them; shorter ones see the encoder's steps."""
-FINENESS: Final = 4
-"""Points of the splines per sample: enough for a window to be integrated as if exactly."""
-BLOCK: Final = 2.0
-"""Length of the blocks of the jackknife [s]: the motion has forgotten itself between two."""
-LEAST_BLOCKS: Final = 8
-"""... but so many blocks at least: with fewer their spread says nothing."""
-GAP: Final = 3.5
-"""Samples that are so many usual steps apart have a gap between them, which is left out."""
-REFUSED: Final = 0.7
-"""A log is refused where more than this share of the acceleration stays unexplained: it belongs to
-another motion. A pendulum that moves by two counts of its encoder leaves 0.5."""
-TOO_LATE: Final = 0.002
-"""A warning is given where x comes later or earlier than phi by more than this [s]."""
-ROUGH: Final = 0.1
-"""Where more than this share stays unexplained, friction is not told from noise. Balancing with a
-table leaves 0.01."""
-
-MIRRORED: Final = 0.5
-"""Phi and x are in opposite directions where negating x leaves less than this share unexplained of
-what the equation leaves as they are."""
+"""Length of the window for the sign of the rate [s]. Longer windows miss short swings, and half of
+the dry friction with them; shorter windows pass the encoder's steps."""
+POINTS_PER_SAMPLE: Final = 4
+"""Points of the splines per sample: enough to integrate a window to rounding error."""
+BLOCK_DURATION: Final = 2.0
+"""Duration of a jackknife block [s]: longer than the correlation of the motion."""
+MIN_BLOCKS: Final = 8
+"""Minimum number of blocks; the scatter of fewer blocks is meaningless."""
+GAP_RATIO: Final = 3.5
+"""Ratio of a sampling step to the usual one above which the step is a gap; gaps are left out."""
+MAX_UNEXPLAINED: Final = 0.7
+"""Largest accepted unexplained share of the acceleration; more indicates another motion. A pendulum
+that moves by two counts of its encoder leaves 0.5."""
+MAX_LATENESS: Final = 0.002
+"""Time shift between x and phi above which a warning is given [s]."""
+ROUGH_FIT: Final = 0.1
+"""Unexplained share above which friction is indistinguishable from noise. Balancing with a table
+leaves 0.01."""
+MIRRORED_RATIO: Final = 0.5
+"""Ratio of the unexplained shares with x negated and as given, below which phi and x count in
+opposite directions."""
 
 Derivatives = Literal["weak", "savitzky-golay"]
-"""How a motion is differentiated: under a smooth window; or sample by sample by the polynomials of
-Savitzky & Golay (11 samples, cubic), as published regressions do, bias and all."""
+"""Differentiation: the weak form, or polynomials of Savitzky & Golay (11 samples, cubic) as in
+published regressions, with their bias."""
 
 
 class ClosedLoopFit(Value):
-    """What a closed-loop log says about its pendulum, with 95 % intervals."""
+    """Pendulum parameters from a closed-loop log, with 95 % intervals."""
 
     w2: Estimate
     """Gravity over inertia, m g l / I [1/s^2]."""
@@ -78,47 +77,47 @@ class ClosedLoopFit(Value):
     coulomb: Estimate
     """Coulomb friction over inertia [1/s^2]."""
     friction: Estimate
-    """The viscous friction that would take out as much energy as both, c + coulomb / rate [1/s]:
-    it is known better than either."""
+    """Viscous friction with the same dissipation as both, c + coulomb / rate [1/s]; its interval is
+    narrower than that of either."""
     zero: Estimate
     """Zero error of the encoder: phi as read minus true [rad]."""
     late: Estimate
-    """How much later than phi its x was taken [s]."""
+    """Latency of x relative to phi [s]."""
     rate: float
-    """Mean square of phi_dot over its mean size [rad/s]."""
+    """Mean square of phi_dot over its mean absolute value [rad/s]."""
     tied: bool
-    """k was tied to w2: k = w2 / g."""
+    """Whether k was constrained to w2 / g."""
     g: float
     """Acceleration of gravity [m/s^2]."""
     derivatives: Derivatives
-    """How the motion was differentiated."""
+    """Method of differentiation."""
     duration: float
     """Length of the log [s]."""
     samples: int
-    """Samples of the log."""
+    """Number of samples of the log."""
     blocks: int
-    """Blocks of the jackknife."""
+    """Number of jackknife blocks."""
     unexplained: float
-    """Root mean square of what the equation leaves, over that of the acceleration."""
+    """Root mean square residual over the root mean square acceleration."""
     warnings: tuple[str, ...] = ()
-    """Where the log says little, and what to do."""
+    """Warnings about a poor log, with remedies."""
 
 
 class ParameterChange(Value):
-    """A parameter that a log finds elsewhere than it was."""
+    """Significant change of a parameter between an identification and a log."""
 
     name: Literal["w2", "k", "c"]
     """Name of the parameter."""
     before: Estimate
-    """What was known."""
+    """Identified value."""
     now: Estimate
-    """What the log says."""
+    """Value from the log."""
     z: float
-    """Difference in standard deviations of both."""
+    """Difference in combined standard deviations."""
 
     @property
     def text(self) -> str:
-        """One line for a person."""
+        """One-line description of the change."""
         unit, meaning = _MEANINGS[self.name]
         physical = self.now.not_negative()
         before, now = self.before.value, physical.value
@@ -150,22 +149,22 @@ def regress(
     window: float = WINDOW,
     g: float = GRAVITY,
 ) -> ClosedLoopFit:
-    """Regress the pendulum's equation on a log in which its pivot moves.
+    """Regress the pendulum's equation on a log with a moving pivot.
 
-    A log whose phi and x are counted in opposite directions is refused by name: with one of them
-    negated it follows the equation.
+    A log that follows the equation only with x negated is rejected: its phi and x are counted in
+    opposite directions.
 
-    The intervals of w2 and k come from a jackknife over blocks of time, and reach on to the
-    regression with the roles exchanged: noise on the regressors makes the one too small and the
-    other too large (Frisch). On a log with enough motion the two are the same.
+    The intervals of w2 and k come from a jackknife over blocks of time, and extend to the
+    regression with exchanged roles: noise on the regressors biases one regression low and the other
+    high (Frisch). Both agree on a log with enough motion.
 
     Args:
         time: Time stamps [s], increasing, shape (n,).
-        phi: Angle from upright [rad], shape (n,): as read from the encoder.
-        x: Displacement of the pivot [m], shape (n,): as measured, not as commanded.
-        tied: Take k = w2 / g; free, the log must hold motion that tells them apart, such as a
+        phi: Measured angle from upright [rad], shape (n,).
+        x: Measured, not commanded, displacement of the pivot [m], shape (n,).
+        tied: Constrain k = w2 / g. Otherwise the log needs motion that separates them, such as a
             swing-up.
-        derivatives: How to differentiate.
+        derivatives: Method of differentiation.
         window: Length of the smooth window of the weak form [s].
         g: Acceleration of gravity [m/s^2].
 
@@ -177,25 +176,26 @@ def regress(
             equation, or phi and x are counted in opposite directions.
     """
     _check(time, phi, x)
-    how: dict[str, Any] = {"tied": tied, "derivatives": derivatives, "window": window, "g": g}
-    fit, refusal = None, None
+    options: dict[str, Any] = {"tied": tied, "derivatives": derivatives, "window": window, "g": g}
+    left = 1.0
     try:
-        fit = _regress(time, phi, x, **how)
+        fit = _regress(time, phi, x, **options)
+        if (left := fit.unexplained) <= ROUGH_FIT:
+            return fit
+        rejection = None
     except RecordingError as error:
-        refusal = error
-    if fit is None or fit.unexplained > ROUGH:
-        left = 1.0 if fit is None else fit.unexplained
-        with suppress(RecordingError):
-            mirrored = _regress(time, phi, -x, **how)
-            if mirrored.unexplained < MIRRORED * left:
-                refusal = RecordingError(
-                    "phi and x are counted in opposite directions: the equation holds with x "
-                    f"negated ({mirrored.unexplained:.0%} of the acceleration unexplained) and not "
-                    "as they are; correct the sign of x, or that of the encoder (encoder_sign in "
-                    "rig.toml)"
-                )
-    if fit is None or refusal is not None:
-        raise refusal or RecordingError("the log does not follow the equation")
+        fit, rejection = None, error
+    with suppress(RecordingError):
+        mirrored = _regress(time, phi, -x, **options)
+        if mirrored.unexplained < MIRRORED_RATIO * left:
+            rejection = RecordingError(
+                "phi and x are counted in opposite directions: the equation holds with x "
+                f"negated ({mirrored.unexplained:.0%} of the acceleration unexplained) and not "
+                "as they are; correct the sign of x, or that of the encoder (encoder_sign in "
+                "rig.toml)"
+            )
+    if fit is None or rejection is not None:
+        raise rejection or RecordingError("the log does not follow the equation")
     return fit
 
 
@@ -209,12 +209,12 @@ def _regress(
     window: float,
     g: float,
 ) -> ClosedLoopFit:
-    """Regress the equation with the signs as they are; see `regress`."""
+    """Regress the equation with the signs as given; see `regress`."""
     from scipy.interpolate import CubicSpline
     from scipy.stats import t as student
 
     phi, length = np.unwrap(phi), float(np.ptp(time))
-    blocks = max(round(length / BLOCK), LEAST_BLOCKS)
+    blocks = max(round(length / BLOCK_DURATION), MIN_BLOCKS)
 
     def solved(x: Array) -> _Solution:
         if derivatives == "weak":
@@ -222,19 +222,19 @@ def _regress(
         else:
             rows = _rows(_by_polynomials(time, phi, x), g, tied)
         rows = rows.without_gaps()
-        if not len(rows.time) or np.ptp(rows.time) < LEAST_BLOCKS * window:
+        if not len(rows.time) or np.ptp(rows.time) < MIN_BLOCKS * window:
             raise RecordingError(
                 f"the log holds {length:.2f} s, expected at least "
-                f"{(LEAST_BLOCKS + 2) * window:.1f} s without gaps; balance for longer"
+                f"{(MIN_BLOCKS + 2) * window:.1f} s without gaps; balance for longer"
             )
         solution = _solve(rows, blocks)
-        _refuse(float(solution.values[0]), coupling(solution), solution.unexplained)
+        _reject(float(solution.values[0]), coupling(solution), solution.unexplained)
         return solution
 
     def coupling(solution: _Solution) -> float:
         return float(solution.values[0]) / g if tied else float(solution.values[1])
 
-    # What comes late is found to first order, and again after moving x by it.
+    # The latency is linearised, so x is shifted by the first estimate and solved again.
     solution = solved(x)
     late = float(solution.values[LATE]) / coupling(solution)
     solution = solved(CubicSpline(time, x)(np.clip(time + late, time[0], time[-1])))
@@ -242,7 +242,7 @@ def _regress(
     quantile = float(student.ppf(0.975, blocks - 1))
 
     def estimate(weights: dict[int, float], offset: float = 0.0, reach: float = 0.0) -> Estimate:
-        """Return a weighted sum of the coefficients."""
+        """Return a weighted sum of the coefficients with its interval."""
         w = np.zeros(len(solution.values))
         w[list(weights)] = list(weights.values())
         value = offset + float(w @ solution.values)
@@ -275,21 +275,21 @@ def _regress(
 def compare(
     known: Pendulum, fit: ClosedLoopFit, plant: PlantSettings | None = None
 ) -> tuple[ParameterChange, ...]:
-    """Return which parameters moved since a pendulum was identified.
+    """Return the parameters that changed since a pendulum was identified.
 
-    A parameter moved where the difference is beyond both 95 % intervals, corrected for the number
-    of parameters that are looked at (with nothing moved, fewer than one log in twenty is blamed),
-    and beyond what training varies anyway. Friction is compared at the rates of the log. In a free
-    swing that was fitted with viscous friction alone, c holds a part of the dry friction, which
-    falls with the rate: anything between none and that of the log agrees.
+    A parameter has changed if the difference exceeds both 95 % intervals, corrected for the number
+    of compared parameters (fewer than one false alarm in twenty logs), and exceeds the variation in
+    training. Friction is compared at the rates of the log. After a fit with viscous friction alone,
+    c contains a part of the dry friction that decreases with the rate: every value between no dry
+    friction and that of the log agrees.
 
     Args:
-        known: The pendulum as it was identified.
-        fit: What a log says.
-        plant: How far training varies inertia and friction.
+        known: The identified pendulum.
+        fit: Fit of a log.
+        plant: Variation of inertia and friction in training.
 
     Returns:
-        What moved; empty where the log agrees.
+        The changes; empty if the log agrees.
     """
     from scipy.stats import norm
 
@@ -298,7 +298,7 @@ def compare(
     pairs = [("w2", known.w2, fit.w2, plant.inertia_sigma)]
     if not fit.tied:
         pairs.append(("k", known.k, fit.k, plant.inertia_sigma))
-    if fit.unexplained < ROUGH:
+    if fit.unexplained < ROUGH_FIT:
         pairs.append(("c", *_frictions(known, fit), plant.friction_sigma))
     limit = float(norm.isf(0.025 / len(pairs)))
     moves = [
@@ -310,14 +310,14 @@ def compare(
 
 
 def _frictions(known: Pendulum, fit: ClosedLoopFit) -> tuple[Estimate, Estimate]:
-    """Return the friction that was known and the one of the log, as they can be compared."""
+    """Return comparable values of the identified friction and that of the log."""
     if known.friction_model == "viscous":
         low, high = sorted((fit.c, fit.friction), key=lambda estimate: estimate.value)
         within = low.value <= known.c.value <= high.value
         return known.c, known.c if within else min(
             (low, high), key=lambda estimate: abs(estimate.value - known.c.value)
         )
-    # Coulomb friction falls with the rate and drag rises; the places are those of the covariance.
+    # In the order of the covariance: Coulomb friction decreases with the rate, drag increases.
     weights = np.array([0.0, 1.0, 1.0 / fit.rate, fit.rate])
     value = float(weights[1:] @ [known.c.value, known.coulomb.value, known.drag.value])
     sigma = sqrt(max(float(weights @ np.array(known.covariance) @ weights), 0.0))
@@ -325,17 +325,14 @@ def _frictions(known: Pendulum, fit: ClosedLoopFit) -> tuple[Estimate, Estimate]
 
 
 def _z(before: Estimate, now: Estimate) -> float:
-    """Return the difference in standard deviations, by the sides that face each other."""
-    difference = now.value - before.value
-    if difference > 0.0:
-        halves = before.high - before.value, now.value - now.low
-    else:
-        halves = before.value - before.low, now.high - now.value
-    return 1.96 * abs(difference) / float(np.hypot(*halves))
+    """Return the difference in standard deviations, from the facing halves of the intervals."""
+    low, high = sorted((before, now), key=lambda estimate: estimate.value)
+    halves = low.high - low.value, high.value - high.low
+    return 1.96 * (high.value - low.value) / float(np.hypot(*halves))
 
 
 class _Motion(NamedTuple):
-    """A log, differentiated; each of shape (n,)."""
+    """Differentiated log; each of shape (n,)."""
 
     time: Array
     phi: Array
@@ -344,44 +341,44 @@ class _Motion(NamedTuple):
     x_ddot: Array
     x_dddot: Array
     rate: Array
-    """phi_dot again, smooth enough to tell its sign [rad/s]."""
+    """Smoothed phi_dot, for its sign [rad/s]."""
     gap: Array
     """1 within a gap of the log, else 0."""
 
 
 class _Rows(NamedTuple):
-    """The equation at each time, or under the window around it."""
+    """Equation at each time, or averaged over a window around it."""
 
     time: Array
     """Shape (n,)."""
     terms: Array
-    """What the coefficients stand before, shape (n, p)."""
+    """Regressors of the coefficients, shape (n, p)."""
     acceleration: Array
     """phi_ddot [rad/s^2], shape (n,)."""
     gap: Array
-    """Zero where no gap is near, shape (n,)."""
+    """Zero outside the neighbourhood of gaps, shape (n,)."""
     rate: Array
-    """A smooth phi_dot [rad/s], shape (n,)."""
+    """Smoothed phi_dot [rad/s], shape (n,)."""
 
     def without_gaps(self) -> "_Rows":
-        # Convolution by FFT leaves 1e-17 where there is none.
+        # Convolution by FFT leaves 1e-17 outside gaps.
         keep = self.gap < 1e-6
         return _Rows(*(column[keep] for column in self))
 
 
 class _Solution(NamedTuple):
-    """Least squares on the equation."""
+    """Least-squares solution of the equation."""
 
     values: Array
     """Coefficients, shape (p,)."""
     spread: Array
-    """Their covariance, shape (p, p)."""
+    """Covariance of the coefficients, shape (p, p)."""
     reach: Array
-    """How much larger each is with the roles exchanged, shape (p,)."""
+    """Increase of each coefficient with exchanged roles, shape (p,)."""
     unexplained: float
-    """Root mean square of the residual over that of the acceleration."""
+    """Root mean square residual over the root mean square acceleration."""
     rate: float
-    """Mean square of phi_dot over its mean size [rad/s]."""
+    """Mean square of phi_dot over its mean absolute value [rad/s]."""
 
 
 # The last four coefficients; before them w2, or w2 and k.
@@ -408,7 +405,7 @@ def _by_splines(time: Array, phi: Array, x: Array) -> _Motion:
     from scipy.signal import oaconvolve
 
     usual = float(np.median(np.diff(time)))
-    step = usual / FINENESS
+    step = usual / POINTS_PER_SAMPLE
     fine = np.arange(time[0], time[-1], step)
     angle, pivot = CubicSpline(time, phi), CubicSpline(time, x)
     phi_dot = angle(fine, 1)
@@ -421,7 +418,7 @@ def _by_splines(time: Array, phi: Array, x: Array) -> _Motion:
         x_ddot=pivot(fine, 2),
         x_dddot=pivot(fine, 3),
         rate=oaconvolve(phi_dot, _bump(RATE_WINDOW, step), "same"),
-        gap=np.asarray(steps > GAP * usual, dtype=np.float64),
+        gap=np.asarray(steps > GAP_RATIO * usual, dtype=np.float64),
     )
 
 
@@ -457,22 +454,22 @@ def _rows(motion: _Motion, g: float, tied: bool) -> _Rows:
     sine, cosine = np.sin(motion.phi), np.cos(motion.phi)
     push = motion.x_ddot * cosine
     terms = [sine - push / g] if tied else [sine, -push]
-    # To first order: a zero error turns gravity and the pivot's acceleration, as phi feels them,
-    # and an x that is late by tau lacks tau x_dddot.
+    # To first order, a zero error rotates gravity and the pivot's acceleration relative to phi, and
+    # a latency tau of x subtracts tau x_dddot.
     turned = cosine + motion.x_ddot * sine / g
     terms += [-motion.phi_dot, -np.sign(motion.rate), -turned, -motion.x_dddot * cosine]
     return _Rows(motion.time, np.stack(terms, axis=1), motion.phi_ddot, motion.gap, motion.rate)
 
 
 def _bump(length: float, step: float) -> Array:
-    """Return a smooth window (1 - s^2)^3 of that length [s] whose sum is one."""
+    """Return a smooth window (1 - s^2)^3 of length `length` [s] and sum one."""
     n = max(round(length / step), 4)
     bump = (1.0 - np.linspace(-1.0, 1.0, n + 1)[1:-1] ** 2) ** 3
     return bump / np.sum(bump)
 
 
 def _averaged(rows: _Rows, window: float) -> _Rows:
-    """Return the equation under a window that moves on by a sample from row to row."""
+    """Return the equation averaged over a window that moves by one sample per row."""
     from scipy.signal import oaconvolve
 
     bump = _bump(window, float(rows.time[1] - rows.time[0]))
@@ -481,7 +478,9 @@ def _averaged(rows: _Rows, window: float) -> _Rows:
     shape = {1: (-1,), 2: (-1, 1)}
     return _Rows(
         *(
-            oaconvolve(column, bump.reshape(shape[column.ndim]), "valid", axes=0)[::FINENESS]
+            oaconvolve(column, bump.reshape(shape[column.ndim]), "valid", axes=0)[
+                ::POINTS_PER_SAMPLE
+            ]
             for column in rows
         )
     )
@@ -491,7 +490,7 @@ def _solve(rows: _Rows, blocks: int) -> _Solution:
     M, y = rows.terms, rows.acceleration
     values = np.linalg.lstsq(M, y, rcond=None)[0].astype(np.float64)
     residual = y - M @ values
-    # A regression of term j on all else is steeper by this.
+    # Increase of the slope in a regression of term j on all others.
     inverse = np.diag(np.linalg.pinv(M.T @ M, hermitian=True))
     reach = float(residual @ residual) * inverse / np.where(values == 0.0, np.inf, values)
     return _Solution(
@@ -505,13 +504,13 @@ def _solve(rows: _Rows, blocks: int) -> _Solution:
 
 def _warnings(fit: ClosedLoopFit, phi: Array) -> tuple[str, ...]:
     warnings: list[str] = []
-    if fit.unexplained > ROUGH:
+    if fit.unexplained > ROUGH_FIT:
         warnings.append(
             f"the equation leaves {fit.unexplained:.0%} of the acceleration unexplained, expected "
-            f"less than {ROUGH:.0%}: friction is not told from noise, and w2 is rough; phi moves "
-            f"by {np.rad2deg(np.std(phi)):.2g} deg RMS, let it move more or read it finer"
+            f"less than {ROUGH_FIT:.0%}: friction is not told from noise, and w2 is rough; phi "
+            f"moves by {np.rad2deg(np.std(phi)):.2g} deg RMS, let it move more or read it finer"
         )
-    if max(fit.late.low, -fit.late.high) > TOO_LATE:
+    if max(fit.late.low, -fit.late.high) > MAX_LATENESS:
         warnings.append(
             f"x comes {1e3 * abs(fit.late.value):.1f} ms "
             f"{'later' if fit.late.value > 0.0 else 'earlier'} than the phi of its time stamp; "
@@ -520,11 +519,11 @@ def _warnings(fit: ClosedLoopFit, phi: Array) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _refuse(w2: float, k: float, unexplained: float) -> None:
-    if w2 <= 0.0 or k <= 0.0 or unexplained > REFUSED:
+def _reject(w2: float, k: float, unexplained: float) -> None:
+    if w2 <= 0.0 or k <= 0.0 or unexplained > MAX_UNEXPLAINED:
         raise RecordingError(
             f"the pendulum's equation leaves {unexplained:.0%} of the acceleration unexplained "
-            f"(w2 = {w2:.3g} 1/s^2), expected less than {REFUSED:.0%}: the pendulum stands too "
-            "still for its encoder, or phi and x do not belong together; look at their units, "
+            f"(w2 = {w2:.3g} 1/s^2), expected less than {MAX_UNEXPLAINED:.0%}: the pendulum stands "
+            "too still for its encoder, or phi and x do not belong together; look at their units, "
             "signs and clocks, and that phi is 0 upright"
         )

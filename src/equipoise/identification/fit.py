@@ -1,7 +1,7 @@
-"""Least squares against the swing's own nonlinear equation, and how far to trust the result.
+"""Least-squares fit of the nonlinear swing equation, with the covariance of its result.
 
-Everything is integrated with fixed steps, so that the prediction depends smoothly on the unknowns
-and finite differences give its sensitivities; through an adaptive integrator they would not.
+Fixed integration steps make the prediction a smooth function of the unknowns, so that finite
+differences give its sensitivities; an adaptive integrator would not.
 """
 
 from collections.abc import Sequence
@@ -18,52 +18,51 @@ from equipoise.settings import Friction, IdentificationSettings
 Array = npt.NDArray[np.float64]
 
 W2, C, COULOMB, DRAG, THETA, THETA_DOT, OFFSET = range(7)
-"""Places of the unknowns: four of the pendulum, its first state, zero offset (or gyro bias)."""
+"""Indices of the unknowns: four of the pendulum, its initial state, zero offset (or gyro bias)."""
 
 FRICTIONS: dict[Friction, list[int]] = {
     "viscous": [C],
     "coulomb": [C, COULOMB],
     "quadratic": [C, COULOMB, DRAG],
 }
-"""The unknowns of each friction model, from the paper's to the richest."""
+"""Unknowns of each friction model, from the paper's to the richest."""
 
-
-EXPLAINED = 0.05
-"""Largest share of the motion's standard deviation that a fit in the right minimum leaves, noise
-apart; the wrong friction over 60 periods leaves that much."""
+MAX_MISFIT = 0.05
+"""Largest misfit of a fit in the global minimum, as a share of the motion's standard deviation. The
+wrong friction model over 60 periods leaves that much."""
 
 
 class SwingRecording(NamedTuple):
-    """Samples that are fitted, each the mean of those within a short time."""
+    """Samples to fit, each the mean over a short time."""
 
     begin: float
-    """Time to which the first state belongs [s]."""
+    """Time of the initial state [s]."""
     time: Array
-    """Mean time of each [s], shape (n,)."""
+    """Mean times of the samples [s], shape (n,)."""
     values: Array
     """Mean angle [rad], or rate [rad/s], as recorded; shape (n,)."""
     spread: Array
-    """Standard deviation of the times within each [s], shape (n,); zero for single samples."""
+    """Standard deviation of the times within a mean [s], shape (n,); zero for single samples."""
     is_rate: bool
-    """A gyro recorded the rate."""
+    """Whether a gyro recorded the rate."""
     h: float
     """Length of the Runge-Kutta steps [s]."""
     w2_range: tuple[float, float]
-    """Bounds of w2 [1/s^2]: upside down, with w2 < 0, every swing has a second solution."""
+    """Bounds of w2 [1/s^2]; they exclude the second, upside-down solution with w2 < 0."""
 
     def until(self, end: float) -> "SwingRecording":
-        """Return the part up to a time."""
+        """Return the samples up to a time [s]."""
         n = int(np.searchsorted(self.time, end, side="right"))
         return self._replace(time=self.time[:n], values=self.values[:n], spread=self.spread[:n])
 
     def every(self, n: int) -> "SwingRecording":
-        """Return one of `n` samples."""
+        """Return every n-th sample."""
         return self._replace(time=self.time[::n], values=self.values[::n], spread=self.spread[::n])
 
     def predict(self, unknowns: Array) -> Array:
-        """Return what the sensor would have recorded, shape (n,).
+        """Simulate the recorded values, shape (n,).
 
-        The mean of a smooth motion over a short time is that of its two values one standard
+        The mean of a smooth motion over a short time equals the mean of its two values one standard
         deviation before and after the mean time, up to the fourth order.
         """
         averaged = bool(np.any(self.spread))
@@ -77,19 +76,19 @@ class SwingRecording(NamedTuple):
         return motion.reshape(-1, len(points)).mean(axis=1) + offset
 
     def residual(self, unknowns: Array) -> Array:
-        """Return recorded minus predicted, shape (n,)."""
+        """Return recorded minus predicted values, shape (n,)."""
         return self.values - self.predict(unknowns)
 
 
 class FittedUnknowns(NamedTuple):
-    """The unknowns that leave the least squares."""
+    """Result of a least-squares fit."""
 
     unknowns: Array
     """Values, shape (7,)."""
     fitted: list[int]
-    """Places of the unknowns that were free."""
+    """Indices of the free unknowns."""
     bound: list[int]
-    """Frictions that would have come out below zero, and were kept at zero."""
+    """Indices of frictions that were fixed at zero, their lower bound."""
 
 
 def fit_growing(
@@ -100,13 +99,13 @@ def fit_growing(
 ) -> FittedUnknowns:
     """Fit the recording over a growing horizon.
 
-    Fitted at once, a long window has false minima. Where the fit is poor all the same, other first
-    states and horizons that grow more slowly are tried, until two ways end in one minimum; a fit
-    that would be refused is the best of all.
+    A long window has local minima if it is fitted at once. After a poor fit, other initial states
+    and horizons that grow more slowly are tried, until two attempts end in the same minimum. A fit
+    that would be rejected does not end the search before all attempts are made.
 
     Args:
         recording: The free swing.
-        starts: First guesses of the unknowns, the likeliest first; shape (7,) each.
+        starts: Initial guesses of the unknowns, the likeliest first; shape (7,) each.
         period: Period of the swing [s].
         settings: Friction model and horizons.
     """
@@ -115,10 +114,10 @@ def fit_growing(
     growing = [max(share * length, first) for share in settings.horizons]
     slowly = [first * 1.5**i for i in range(ceil(log(length / first, 1.5)))]
     others = starts[1:]
-    ways = [(growing, starts[0]), *((slowly, start) for start in others[:1])]
-    ways += [*((growing, start) for start in others), (slowly, starts[0])]
+    attempts = [(growing, starts[0]), *((slowly, start) for start in others[:1])]
+    attempts += [*((growing, start) for start in others), (slowly, starts[0])]
     found = list[tuple[float, FittedUnknowns]]()
-    for horizons, start in ways:
+    for horizons, start in attempts:
         fit = FittedUnknowns(start, [], [])
         for horizon in (*horizons, length):
             part = recording.until(recording.begin + horizon)
@@ -126,14 +125,14 @@ def fit_growing(
         share = _unexplained(recording, fit)
         again = any(abs(share - other) < 0.01 * other for other, _ in found)
         found.append((share, fit))
-        if share < EXPLAINED or (again and share < settings.unexplained):
+        if share < MAX_MISFIT or (again and share < settings.unexplained):
             break
     best = min(found, key=lambda one: one[0])[1]
     return fit_bounded(recording, settings.friction, best.unknowns, thorough=True)
 
 
 def _unexplained(recording: SwingRecording, fit: FittedUnknowns) -> float:
-    """Return what a fit leaves, noise apart, as a share of the motion's standard deviation."""
+    """Return the misfit as a share of the motion's standard deviation."""
     residual = recording.residual(fit.unknowns)
     return misfit(rms(residual), noise_of(residual)) / float(np.std(recording.values))
 
@@ -146,7 +145,7 @@ def fit_richer(
     settings: IdentificationSettings,
     tolerance: float = 1e-12,
 ) -> FittedUnknowns:
-    """Fit a friction model from the optimum of a simpler one; never worse than that.
+    """Fit a friction model from the optimum of a simpler one; return the better of both.
 
     Args:
         recording: The free swing.
@@ -154,10 +153,10 @@ def fit_richer(
         simple: Best fit of a simpler model.
         period: Period of the swing [s].
         settings: Horizons.
-        tolerance: Relative change of the squares at which to stop.
+        tolerance: Relative change of the sum of squares at which the fit stops.
     """
     known = simple.unknowns
-    # Friction that takes half the power of the viscous one at the amplitude of the first period.
+    # The other frictions start at half the power of the viscous one in the first period.
     rate = max(float(np.ptp(recording.predict(known))) / 2.0, 1e-9)
     rate *= 1.0 if recording.is_rate else sqrt(known[W2])
     starts = [known]
@@ -171,8 +170,8 @@ def fit_richer(
     optima = [_least_squares(recording, start, fitted, 1e-6) for start in starts]
     best = min(optima, key=lambda unknowns: rms(recording.residual(unknowns)))
     fits = [fit_bounded(recording, friction, best, thorough=True, tolerance=tolerance)]
-    if _unexplained(recording, fits[0]) > EXPLAINED:
-        # Perhaps the simple model's fit lost count of the periods.
+    if _unexplained(recording, fits[0]) > MAX_MISFIT:
+        # The fit of the simpler model may be off by a period.
         richer = settings.model_copy(update={"friction": friction})
         fits.append(fit_growing(recording, starts[1:], period, richer))
     least = min(fits, key=lambda fit: rms(recording.residual(fit.unknowns)))
@@ -190,15 +189,15 @@ def fit_bounded(
     thorough: bool = False,
     tolerance: float = 1e-12,
 ) -> FittedUnknowns:
-    """Fit with all frictions of a model at zero or above.
+    """Fit a friction model whose frictions are not negative.
 
     Args:
         recording: The free swing.
         friction: The friction model.
-        start: First guess of the unknowns, shape (7,).
-        thorough: Where a friction comes out below zero, keep each in turn at zero, and take the
-            best; otherwise only the most negative one.
-        tolerance: Relative change of the squares at which to stop.
+        start: Initial guess of the unknowns, shape (7,).
+        thorough: If a friction is negative, fix each in turn at zero and return the best fit;
+            otherwise fix the most negative one.
+        tolerance: Relative change of the sum of squares at which the fit stops.
     """
     found: dict[tuple[int, ...], Array] = {}
 
@@ -228,9 +227,9 @@ def fit_bounded(
 def _without(
     recording: SwingRecording, unknowns: Array, fitted: list[int], place: int, start: Array
 ) -> Array:
-    """Return a first guess of the others for when one friction is zero.
+    """Return the initial guess of the other unknowns after one friction is fixed at zero.
 
-    They move to first order: started elsewhere, the next fit would creep along a narrow valley.
+    They move to first order; from another start the next fit would creep along a narrow valley.
     """
     scales = _scales(unknowns)
     others = [i for i in fitted if i != place]
@@ -261,7 +260,7 @@ def _least_squares(
     guess[0] = np.clip(guess[0], 1.001 * low[0], 0.999 * high[0])
     unknowns[fitted] = guess
     if not np.all(np.isfinite(recording.predict(unknowns))):
-        # Friction that is stiff for the steps: this way of fitting has failed.
+        # The friction is too stiff for the integration steps.
         return start.copy()
 
     def at(x: Array) -> Array:
@@ -271,7 +270,7 @@ def _least_squares(
     solution = least_squares(
         lambda x: -recording.residual(at(x)),
         guess / scales,
-        # The stub of SciPy knows a name here, but no function.
+        # SciPy's stub accepts a name here, but no function.
         jac=lambda x: sensitivities(recording, at(x), fitted) * scales,  # pyright: ignore[reportArgumentType]
         bounds=(low / scales, high / scales),
         x_scale="jac",
@@ -283,14 +282,14 @@ def _least_squares(
 
 
 def _scales(unknowns: Array) -> Array:
-    """Return the natural size of each unknown, shape (7,)."""
+    """Return the scale of each unknown, shape (7,)."""
     w2 = abs(unknowns[W2])
     root = np.sqrt(w2)
     return np.array([w2, root, w2, 1.0, 1.0, root, 1.0])
 
 
 def sensitivities(recording: SwingRecording, unknowns: Array, places: list[int]) -> Array:
-    """Return the derivatives of the prediction by the unknowns at `places`, shape (n, p)."""
+    """Return the derivatives of the prediction by the unknowns `places`, shape (n, p)."""
     sizes = 1e-6 * _scales(unknowns)
     columns: list[Array] = []
     for i in places:
@@ -302,51 +301,45 @@ def sensitivities(recording: SwingRecording, unknowns: Array, places: list[int])
 
 
 def covariance(recording: SwingRecording, fit: FittedUnknowns, blocks: int) -> Array:
-    """Return the covariance of the unknowns from a jackknife over blocks of time.
+    """Estimate the covariance of the unknowns with a jackknife over blocks of time.
 
-    How far the estimate moves when one block is left out says how far it can be trusted, also
-    where the residuals within a block hang together. A friction that was kept at zero gets the
-    spread that it would have had; the others do not pay for it.
+    The jackknife stays valid for autocorrelated residuals. A friction that was fixed at zero gets
+    the variance of a free one and does not widen the other intervals.
 
     Args:
         recording: The free swing.
         fit: Its fit.
-        blocks: Number of blocks, of equal length in time.
+        blocks: Number of blocks of equal duration.
 
     Returns:
-        Shape (7, 7); zero where an unknown does not belong to the model.
+        Shape (7, 7); zero for unknowns outside the model.
     """
+    residual, block = recording.residual(fit.unknowns), blocks_of_time(recording.time, blocks)
+    scales = _scales(fit.unknowns)
+
+    def of(places: list[int]) -> Array:
+        J = sensitivities(recording, fit.unknowns, places) * scales[places]
+        return jackknife(J, residual, block) * np.outer(scales[places], scales[places])
+
     spread = np.zeros((7, 7))
-    spread[np.ix_(fit.fitted, fit.fitted)] = _jackknife(recording, fit, fit.fitted, blocks)
+    spread[np.ix_(fit.fitted, fit.fitted)] = of(fit.fitted)
     for place in fit.bound:
-        spread[place, place] = _jackknife(recording, fit, [*fit.fitted, place], blocks)[-1, -1]
+        spread[place, place] = of([*fit.fitted, place])[-1, -1]
     return spread
 
 
-def _jackknife(
-    recording: SwingRecording, fit: FittedUnknowns, places: list[int], blocks: int
-) -> Array:
-    """Return the covariance at `places`."""
-    scales = _scales(fit.unknowns)[places]
-    J = sensitivities(recording, fit.unknowns, places) * scales
-    residual = recording.residual(fit.unknowns)
-    block = blocks_of_time(recording.time, blocks)
-    return jackknife(J, residual, block) * np.outer(scales, scales)
-
-
 def rms(residual: Array) -> float:
-    """Return the root mean square; infinite where the prediction diverged."""
-    mean = float(np.mean(residual**2)) if np.all(np.isfinite(residual)) else inf
-    return sqrt(mean)
+    """Return the root mean square; infinity for a prediction that diverged."""
+    return sqrt(float(np.mean(residual**2))) if np.all(np.isfinite(residual)) else inf
 
 
 def noise_of(residual: Array, resolution: float = 0.0) -> float:
-    """Return the part of a residual that is new in each sample; at least the sensor's step."""
+    """Estimate the white noise in a residual, at least the quantization noise of the sensor."""
     if not np.all(np.isfinite(residual)):
         return 0.0
     return max(float(np.std(np.diff(residual))) / sqrt(2.0), resolution / sqrt(12.0))
 
 
 def misfit(residual: float, noise: float) -> float:
-    """Return the part of a residual's root mean square that is not noise."""
+    """Return the part of a residual's root mean square that noise does not explain."""
     return sqrt(max(residual**2 - noise**2, 0.0))

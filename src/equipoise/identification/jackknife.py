@@ -1,4 +1,4 @@
-"""How far a fit can be trusted where its residuals hang together: leave blocks of time out."""
+"""Block jackknife: covariance of a least-squares fit with autocorrelated residuals."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,21 +8,21 @@ Whole = npt.NDArray[np.intp]
 
 
 def blocks_of_time(time: Array, blocks: int) -> Whole:
-    """Return which of so many blocks, of equal length in time, holds each sample, shape (n,)."""
+    """Return the index of the block of equal duration that holds each sample, shape (n,)."""
     elapsed = time - time[0]
     return np.minimum(elapsed / elapsed[-1] * blocks, blocks - 1).astype(np.intp)
 
 
 def jackknife(J: Array, residual: Array, block: Whole) -> Array:
-    """Return the covariance of unknowns that leave the least squares.
+    """Estimate the covariance of least-squares unknowns.
 
-    How far they move when one block is left out, taken to first order, says how far they can be
-    trusted, also where the residuals within a block hang together.
+    The estimate is the scatter of the unknowns, to first order, when one block at a time is left
+    out. It stays valid for residuals that are correlated within a block.
 
     Args:
         J: Derivatives of the prediction by the unknowns, shape (n, k).
         residual: Measured minus predicted, shape (n,).
-        block: The block of each, shape (n,).
+        block: Index of the block of each sample, shape (n,).
     """
     information = J.T @ J
     moves: list[npt.NDArray[np.floating]] = []

@@ -1,13 +1,13 @@
-"""Where a recording swings freely, before anything is fitted to it.
+"""Detection of the free swing in a recording, before the fit.
 
 The turning points give a period and an amplitude. Polynomials over short windows give angle, rate
-and acceleration; where gravity and friction do not explain the acceleration, a hand is on the
-pendulum. What goes over the top is left out, and the search goes on behind it.
+and acceleration. An acceleration that gravity and friction do not explain indicates a hand on the
+pendulum. Rotations over the top are left out; the search continues after them.
 """
 
 from dataclasses import replace
 from math import pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,41 +22,43 @@ Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 SAMPLES_PER_PERIOD = 200
-"""Number of means in a period that stand for a recording with more samples. A mean differs from
-the motion in its middle by up to 1e-4 of the amplitude, which the fit takes into account."""
-PERIODS = (0.05, 20.0)
-"""Shortest and longest accepted period of a small swing [s]: point pendulums of 0.6 mm and 100 m.
-Outside, a unit is wrong, mostly milliseconds taken for seconds."""
-HIGHEST = np.deg2rad(170.0)
-"""Largest amplitude of a swing that is used after going over the top [rad]: nearer to the top the
-time that the pendulum lingers there decides on w2 and friction, and a small error counts much."""
-NOISIEST = 0.1
-"""Largest plausible noise of a sensor [rad], or [rad/s] of a gyro; more is a motion sampled too
-slowly."""
-LEAST_MOTION = 1e-6
-"""Smallest motion that is analysed [rad], or [rad/s] of a gyro: no sensor resolves less."""
-LEAST_TURN = 0.1
-"""Smallest return that ends a rotation [rad]: well above an encoder's steps, well below a swing."""
-SAME_SWING = 0.05
-"""Largest change of a swing across a disturbance that is no touch, as a share of the amplitude: the
-rough law is off by 2 % of the phase at most, and a hand changes a swing by more."""
+"""Number of means per period that replace a denser recording. A mean differs from the motion at its
+centre by up to 1e-4 of the amplitude; the fit accounts for that."""
+PERIOD_RANGE = (0.05, 20.0)
+"""Accepted range of the period of a small swing [s]: point pendulums of 0.6 mm and 100 m. Periods
+outside indicate a wrong unit, mostly milliseconds taken for seconds."""
+MAX_AMPLITUDE = np.deg2rad(170.0)
+"""Amplitude limit of a swing after a rotation over the top [rad]. Nearer to the top, w2 and
+friction depend on the time that the pendulum lingers there, and a small error has a large
+effect."""
+MAX_NOISE = 0.1
+"""Largest plausible noise of an encoder [rad] or of a gyro [rad/s]; more noise indicates a motion
+that is sampled too slowly."""
+MIN_MOTION = 1e-6
+"""Smallest analysed motion [rad], of a gyro [rad/s]: no sensor resolves less."""
+MIN_REVERSAL = 0.1
+"""Smallest reversal that ends a rotation [rad]: well above an encoder's steps, well below a
+swing."""
+MAX_SWING_CHANGE = 0.05
+"""Largest change of a swing across a disturbance that does not count as a touch, as a share of the
+amplitude. The rough model is off by at most 2 % of the phase; a hand changes a swing by more."""
 STATE_WINDOWS = (1 / 8, 1 / 4, 1 / 16)
-"""Lengths of the window for the first state, in periods of a small swing, the likeliest first. Half
-a quarter of a period is short enough for a cubic; coarse encoders need more, the fastest part of a
-large swing less."""
+"""Windows for estimating the first state, in periods of a small swing, the likeliest first. An
+eighth of a period is short enough for a cubic. Coarse encoders need a longer window, the fastest
+part of a large swing needs a shorter one."""
 
 
 class Oscillation(NamedTuple):
-    """What the turning points tell."""
+    """Period and amplitude of a swing, from its turning points."""
 
     period: float
     """Period of the swing at its own amplitude [s]."""
     middle: float
-    """Middle between turning points, in the recording's unit."""
+    """Centre between turning points, in the recording's unit."""
     amplitude: float
     """Half the median distance between turning points, in the recording's unit."""
     steady: tuple[float, float]
-    """From when to when the turning points follow each other as those of a swing do [s]."""
+    """Begin and end of the interval with regularly spaced turning points [s]."""
     w2: float
     """Gravity over inertia, from period and amplitude [1/s^2]."""
 
@@ -67,29 +69,30 @@ class Oscillation(NamedTuple):
 
 
 class FreeSwing(NamedTuple):
-    """The part of a recording that swings freely, and a first guess at its law."""
+    """The freely swinging part of a recording, with initial guesses for its fit."""
 
     begin: float
     """Time of its first sample [s]."""
     end: float
     """Time of its last sample [s]."""
     release: float | None
-    """Time at which a hand lets go [s]; none where that is not known."""
+    """Time of the release by a hand [s]; None if unknown."""
     starts: list[Array]
-    """First guesses of w2, c, Coulomb friction and drag, the angle and its rate at `begin`, and
-    the offset, the likeliest first; shape (7,) each."""
+    """Initial guesses of w2, c, Coulomb friction, drag, angle and rate at `begin`, and offset;
+    shape (7,) each, the likeliest first."""
     warnings: list[str]
-    """What was left out, and why."""
+    """Warnings about excluded parts of the recording, with the reasons."""
 
 
 # Turning points.
 
 
 def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -> Oscillation:
-    """Find period and amplitude from the turning points.
+    """Estimate period and amplitude from the turning points.
 
     Raises:
-        RecordingError: Too few samples, no oscillation above the noise, or less than a period.
+        RecordingError: There are too few samples, no oscillation above the noise, or less than one
+            period.
     """
     time, values, name = trajectory.time, trajectory.values, trajectory.source
     unit = "rad/s" if trajectory.theta is None else "rad"
@@ -101,7 +104,7 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
     lasts = float(np.ptp(time))
     sampled = f"{(len(time) - 1) / lasts:.3g} samples per second"
     spread, noise = float(np.ptp(values)), _white_noise(values)
-    quiet = max(1.5 * settings.noise_multiple * noise, 4.0 * trajectory.resolution, LEAST_MOTION)
+    quiet = max(1.5 * settings.noise_multiple * noise, 4.0 * trajectory.resolution, MIN_MOTION)
     least = max(settings.noise_multiple * noise, settings.turn_share * spread)
     turns = _turning_points(values, max(least, 2.0 * trajectory.resolution))
     if spread <= quiet or len(turns) < 2:
@@ -111,7 +114,7 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
                 f"{name} is sampled too slowly: {sampled}, about {in_a_period:.1f} in a period, "
                 f"expected {settings.samples_per_period:g} or more; sample faster"
             )
-    if spread <= quiet and noise > NOISIEST:
+    if spread <= quiet and noise > MAX_NOISE:
         jump = float(np.median(np.abs(np.diff(values))))
         raise RecordingError(
             f"{name} is sampled too slowly, or holds nothing but noise: at {sampled} it moves by "
@@ -148,11 +151,11 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
     ends = values[turns]
     amplitude = float(np.median(np.abs(np.diff(ends)))) / 2.0
     w2 = _w2_from_period(period, amplitude, trajectory.theta is None)
-    if not PERIODS[0] <= (small := 2.0 * pi / float(np.sqrt(w2))) <= PERIODS[1]:
+    if not PERIOD_RANGE[0] <= (small := 2.0 * pi / float(np.sqrt(w2))) <= PERIOD_RANGE[1]:
         raise RecordingError(
             f"{name}: a small swing would have a period of {small:.3g} s, expected "
-            f"{PERIODS[0]:g} to {PERIODS[1]:g} s; is the time in seconds? Name its column time_ms "
-            "or time_us where it is not"
+            f"{PERIOD_RANGE[0]:g} to {PERIOD_RANGE[1]:g} s; is the time in seconds? Name its "
+            "column time_ms or time_us where it is not"
         )
     return Oscillation(
         period=period,
@@ -164,7 +167,7 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
 
 
 def _samples_per_period(values: Array) -> float:
-    """Return how many samples a period has, where one frequency stands out; else infinity."""
+    """Return the number of samples per period at the dominant frequency, infinity without one."""
     n = len(values)
     power = np.abs(np.fft.rfft(values - np.mean(values))) ** 2
     peak = int(np.argmax(power))
@@ -176,13 +179,13 @@ def _samples_per_period(values: Array) -> float:
 
 
 def _white_noise(values: Array) -> float:
-    """Return the standard deviation of white noise on a smooth motion, from third differences."""
+    """Estimate the standard deviation of white noise on a smooth motion from third differences."""
     third = np.diff(values, 3)
     return float(1.4826 * np.median(np.abs(third - np.median(third))) / np.sqrt(20.0))
 
 
 def _turning_points(values: Array, least: float) -> npt.NDArray[np.intp]:
-    """Return where the motion turns round, coming back by more than `least`."""
+    """Return the indices of turning points that a reversal of more than `least` follows."""
     turns: list[int] = []
     low = high = direction = 0
     places = _extremes(values)
@@ -198,12 +201,12 @@ def _turning_points(values: Array, least: float) -> npt.NDArray[np.intp]:
         elif direction <= 0 and value - series[low] > least:
             turns.append(low)
             direction, low, high = 1, i, i
-    # A recording that begins on its way turns nowhere near its first sample.
+    # The first sample of a recording is no turning point.
     return places[[turn for turn in turns if turn > 0]]
 
 
 def _extremes(values: Array) -> npt.NDArray[np.intp]:
-    """Return the places among which the turning points are: of many samples only the extremes."""
+    """Return the indices of candidate turning points: the extremes of blocks in long recordings."""
     n = len(values)
     size = n // 50_000
     if size < 4:
@@ -216,18 +219,23 @@ def _extremes(values: Array) -> npt.NDArray[np.intp]:
 
 
 def _steady_run(spacing: Array) -> slice:
-    """Return the longest run of turning points whose spacing is about the usual one."""
-    steady = np.concatenate(([False], (spacing > 0.6) & (spacing < 1.6), [False]))
-    edges = np.flatnonzero(~steady)
+    """Return the longest run of turning points with regular spacing, in half periods."""
+    run = _longest_run((spacing > 0.6) & (spacing < 1.6))
+    return slice(run.start, run.stop + 1)
+
+
+def _longest_run(flags: Flags) -> slice:
+    """Return the longest run of set flags; empty if no flag is set."""
+    edges = np.flatnonzero(np.concatenate(([True], ~flags, [True])))
     longest = int(np.argmax(np.diff(edges)))
-    return slice(int(edges[longest]), int(edges[longest + 1]))
+    return slice(int(edges[longest]), int(edges[longest + 1]) - 1)
 
 
 # The free swing.
 
 
 class _Motion(NamedTuple):
-    """Angle, rate and acceleration at the centres of short windows, shape (m,) each."""
+    """Motion at the centres of short windows, shape (m,) each."""
 
     time: Array
     """Time stamps [s]."""
@@ -236,25 +244,22 @@ class _Motion(NamedTuple):
     angle: Array
     """Recorded angle, or the integral of the recorded rate [rad]."""
     rate: Array
-    """Its rate, or the recorded rate [rad/s]."""
+    """Derivative of the angle, or the recorded rate [rad/s]."""
     acceleration: Array
-    """The rate of that [rad/s^2]."""
-
-    def where(self, chosen: npt.NDArray[np.bool_]) -> "_Motion":
-        return _Motion(*(series[chosen] for series in self))
+    """Derivative of the rate [rad/s^2]."""
 
 
-class _Law(NamedTuple):
-    """The swing's equation with rough numbers."""
+class _RoughModel(NamedTuple):
+    """Equation of the swing with rough parameters."""
 
     w2: float
     offset: float
     c: float
     coulomb: float
     anchor: float
-    """Angle at the first sample, which the integral of a rate lacks [rad]."""
+    """Angle at the first sample [rad], the integration constant of a recorded rate."""
     slow: float
-    """Rate below which dry friction changes its sign smoothly [rad/s]."""
+    """Rate below which dry friction changes sign smoothly [rad/s]."""
     is_rate: bool
 
     def theta(self, angle: Array, elapsed: Array) -> Array:
@@ -262,7 +267,7 @@ class _Law(NamedTuple):
         return angle - self.offset * elapsed + self.anchor if self.is_rate else angle - self.offset
 
     def theta_dot(self, rate: Array) -> Array:
-        """Return its rate [rad/s]."""
+        """Return the true rate [rad/s]."""
         return rate - self.offset if self.is_rate else rate
 
     def unexplained(self, motion: _Motion) -> Array:
@@ -274,10 +279,10 @@ class _Law(NamedTuple):
 
 
 def without_spikes(trajectory: Trajectory) -> tuple[Trajectory, list[str]]:
-    """Leave out samples that the sensor or its link got wrong, and say so."""
-    if len(trajectory.time) < 20:
-        return trajectory, []
+    """Remove single wrong samples; return the trajectory with warnings."""
     values, unit = trajectory.values, "deg/s" if trajectory.theta is None else "deg"
+    if len(values) < 20:
+        return trajectory, []
     wrong = spikes(values, _white_noise(values), trajectory.resolution)
     if not (n := int(np.count_nonzero(wrong))):
         return trajectory, []
@@ -293,23 +298,18 @@ def without_spikes(trajectory: Trajectory) -> tuple[Trajectory, list[str]]:
 
 
 def _part(trajectory: Trajectory, kept: Flags) -> Trajectory:
-    theta, theta_dot = trajectory.theta, trajectory.theta_dot
-    return replace(
-        trajectory,
-        time=trajectory.time[kept],
-        theta=None if theta is None else theta[kept],
-        theta_dot=None if theta_dot is None else theta_dot[kept],
-        x_ddot=None,
-    )
+    quantity = "theta" if trajectory.theta is not None else "theta_dot"
+    kept_values: dict[str, Any] = {quantity: trajectory.values[kept]}
+    return replace(trajectory, time=trajectory.time[kept], x_ddot=None, **kept_values)
 
 
 def find_free_swing(
     trajectory: Trajectory, settings: IdentificationSettings
 ) -> tuple[Oscillation, FreeSwing]:
-    """Find the part that swings freely.
+    """Find the freely swinging part of a recording.
 
     Raises:
-        RecordingError: There is none of at least a period, or a unit is wrong.
+        RecordingError: No free swing lasts a period, or a unit is wrong.
     """
     until = _end_of_rotation(trajectory)
     over: float | None = None
@@ -340,18 +340,18 @@ def find_free_swing(
 
 
 def _end_of_rotation(trajectory: Trajectory) -> float | None:
-    """Return until when the pendulum goes round by a turn or more [s], or none.
+    """Return the end of the last rotation by a full turn [s], or None.
 
     Raises:
-        RecordingError: It goes round to and fro, which no free pendulum does.
+        RecordingError: The rotations alternate in direction, which no free pendulum does.
     """
     time, angle, slack = trajectory.time, trajectory.theta, 0.0
     if len(time) < 20:
         return None
     if angle is None:
-        # The bias of a gyro adds to the way of half a swing.
+        # The bias of a gyro adds to the travel of half a swing.
         angle, slack = _trapezoids(time, trajectory.values), 0.5
-    least = max(LEAST_TURN, 8.0 * _white_noise(angle), 2.0 * trajectory.resolution)
+    least = max(MIN_REVERSAL, 8.0 * _white_noise(angle), 2.0 * trajectory.resolution)
     turns = np.concatenate(([0], _turning_points(angle, least), [len(time) - 1]))
     travel = np.abs(np.diff(angle[turns]))
     rotations = np.flatnonzero(travel >= 2.0 * pi + slack)
@@ -376,24 +376,25 @@ def _trapezoids(time: Array, rate: Array) -> Array:
 
 
 def _after_the_top(trajectory: Trajectory, until: float) -> Trajectory:
-    """Return what follows the last time over the top, from where the top is far enough.
+    """Return the recording after the last rotation, from an amplitude below `MAX_AMPLITUDE` on.
 
     Raises:
-        RecordingError: Less than a swing to and fro follows.
+        RecordingError: Less than one period follows.
     """
     kept = trajectory.time > until
-    time, values = trajectory.time[kept], trajectory.values[kept]
-    angle = values if trajectory.theta is not None else _trapezoids(time, values)
+    time, angle = trajectory.time[kept], trajectory.values[kept]
+    if trajectory.theta is None:
+        angle = _trapezoids(time, angle)
     noise = _white_noise(angle) if len(angle) > 20 else 0.0
-    turns = _turning_points(angle, max(LEAST_TURN, 8.0 * noise, 2.0 * trajectory.resolution))
+    turns = _turning_points(angle, max(MIN_REVERSAL, 8.0 * noise, 2.0 * trajectory.resolution))
     if len(turns) < 2:
         raise RecordingError(f"{trajectory.source}: less than a period is left; record longer")
     amplitude = np.abs(np.diff(angle[turns])) / 2.0
-    low = np.flatnonzero(amplitude < HIGHEST)
+    low = np.flatnonzero(amplitude < MAX_AMPLITUDE)
     if low.size and len(turns) - low[0] > 7:
         begin = time[turns[low[0] + 1]]
     else:
-        # Hanging lies in the middle between two turning points.
+        # The hanging position lies in the middle between two turning points.
         middle = 0.5 * (angle[turns[0]] + angle[turns[1]])
         side = np.sign(angle[turns[0]] - middle)
         passed = np.flatnonzero(side * (angle[: turns[0]] - middle) < 0.0)
@@ -404,15 +405,15 @@ def _after_the_top(trajectory: Trajectory, until: float) -> Trajectory:
 def _find_free(
     trajectory: Trajectory, rough: Oscillation, settings: IdentificationSettings
 ) -> FreeSwing | float:
-    """Return the part that swings freely, or until when it goes over the top [s].
+    """Return the free swing, or the end of a rotation over the top within it [s].
 
     Raises:
-        RecordingError: It is shorter than a period.
+        RecordingError: The free swing is shorter than a period.
     """
     name, is_rate, warnings = trajectory.source, trajectory.theta is None, list[str]()
     time, values, _ = average(trajectory.time, trajectory.values, rough.period / SAMPLES_PER_PERIOD)
-    # At least seven samples in a window, where sampling is slow. At a large amplitude the period
-    # is long, but the way down as fast as that of a small swing.
+    # A window holds at least seven samples. A large swing has a long period, but passes the bottom
+    # as fast as a small one.
     step = float(np.median(np.diff(time)))
     half = max(settings.local_periods * min(rough.period, rough.small_period), 3.2 * step)
     angle = _angle(time, values) if is_rate else values
@@ -425,12 +426,12 @@ def _find_free(
     steady = (motion.time >= rough.steady[0]) & (motion.time <= rough.steady[1])
     if np.count_nonzero(steady) < 8:
         steady[:] = True
-    law = _rough_law(motion.where(steady), rough, is_rate)
+    law = _fit_rough_model(_Motion(*(series[steady] for series in motion)), rough, is_rate)
     theta = law.theta(angle, time - time[0])
     first, last, release = 0, len(time) - 1, None
     if not trajectory.released:
         share = _unexplained_share(motion, law, steady, rough.period, settings)
-        touched = _bridged(share > 1.0, motion, law, rough)
+        touched = _remove_false_touches(share > 1.0, motion, law, rough)
         moved = np.abs(law.theta_dot(motion.rate))
         begin, end = _longest_stretch(touched, moved)
         if begin > 0:
@@ -438,13 +439,13 @@ def _find_free(
             swung = _swings(~touched[:begin], moved[:begin], rough, half)
             clear = float(np.max(share[:begin])) > 2.0
             if swung:
-                warnings.append(_touch(motion.time[begin - 1], time[first], "from"))
+                warnings.append(_touch_warning(motion.time[begin - 1], time[first], "from"))
             elif clear:
                 release = float(time[first])
         if end < len(touched):
             last = int(np.searchsorted(time, motion.time[end] - half)) - 1
             if float(np.max(share[end:])) > 2.0:
-                warnings.append(_touch(motion.time[end], time[max(last, 0)], "up to"))
+                warnings.append(_touch_warning(motion.time[end], time[max(last, 0)], "up to"))
     if (over := _last_over_the_top(time, values, law, theta, slice(first, last + 1))) is not None:
         return over
     last = _last_before_rest(time, np.abs(theta), first, last, rough.period, settings.rest_share)
@@ -463,7 +464,7 @@ def _find_free(
     )
 
 
-def _touch(at: float, used: float, side: str) -> str:
+def _touch_warning(at: float, used: float, side: str) -> str:
     return (
         f"something touched the pendulum at about {at:.2f} s: the recording is used {side} "
         f"{used:.2f} s; choose another window with --start and --end"
@@ -471,16 +472,12 @@ def _touch(at: float, used: float, side: str) -> str:
 
 
 def _swings(free: Flags, moved: Array, rough: Oscillation, half: float) -> bool:
-    """Tell whether the pendulum swings freely for half a period somewhere, at a fair rate."""
-    # Windows follow each other by a sixth of `half`.
-    least = 3.0 * rough.period / half
-    fair = 0.2 * float(np.sqrt(rough.w2)) * rough.amplitude
-    if len(free) == 0:
+    """Return whether the pendulum swings freely for half a period at more than 20 % of its rate."""
+    run = _longest_run(free)
+    # Windows follow each other at a sixth of `half`.
+    if run.stop - run.start < 3.0 * rough.period / half:
         return False
-    edges = np.flatnonzero(np.concatenate(([True], ~free, [True])))
-    begin = int(np.argmax(np.diff(edges)))
-    run = slice(int(edges[begin]), int(edges[begin + 1]) - 1)
-    return run.stop - run.start >= least and float(np.max(moved[run])) > fair
+    return float(np.max(moved[run])) > 0.2 * float(np.sqrt(rough.w2)) * rough.amplitude
 
 
 def _first_guesses(
@@ -489,10 +486,10 @@ def _first_guesses(
     theta: Array,
     first: int,
     last: int,
-    law: "_Law",
+    law: "_RoughModel",
     rough: Oscillation,
 ) -> list[Array]:
-    """Return first guesses of the unknowns, the likeliest first; shape (7,) each."""
+    """Return initial guesses of the unknowns, the likeliest first; shape (7,) each."""
     starts: list[Array] = []
     for w2, share in [*((law.w2, share) for share in STATE_WINDOWS), (rough.w2, STATE_WINDOWS[0])]:
         window = share * 2.0 * pi / float(np.sqrt(w2))
@@ -503,7 +500,7 @@ def _first_guesses(
         value, slope = np.linalg.lstsq(powers, values[near], rcond=None)[0][:2]
         angle = float(theta[first] if law.is_rate else value - law.offset)
         rate = float(value - law.offset if law.is_rate else slope / elapsed[-1])
-        # Below the top: beyond it the fit would begin with a rotation.
+        # A faster pendulum would go over the top, and the fit would begin with a rotation.
         fastest = 0.99 * 2.0 * float(np.sqrt(w2)) * abs(float(np.cos(0.5 * angle)))
         rate = min(max(rate, -fastest), fastest)
         starts.append(np.array([w2, law.c, 0.0, 0.0, angle, rate, law.offset]))
@@ -519,11 +516,11 @@ def _angle(time: Array, rate: Array) -> Array:
 
 
 def _local_motion(time: Array, values: Array, angle: Array, half: float, is_rate: bool) -> _Motion:
-    """Take angle, rate and acceleration over windows of half width `half` [s]."""
+    """Compute angle, rate and acceleration in windows of half width `half` [s]."""
     centres = np.arange(time[0] + half, time[-1] - half, half / 6.0)
     low = np.searchsorted(time, centres - half)
     high = np.searchsorted(time, centres + half, side="right")
-    # Windows of many samples go by the hundred, so that their arrays stay small.
+    # Batches of windows limit the size of the arrays.
     parts = [np.arange(i, min(i + 512, len(centres))) for i in range(0, len(centres), 512)]
     rows = [_polynomials(time, values, centres[i], low[i], high[i], half) for i in parts]
     found = np.concatenate(rows) if rows else np.empty((0, 3))
@@ -546,8 +543,8 @@ def _polynomials(
 ) -> Array:
     """Return value, slope and curvature at the centres of windows, shape (m, 3).
 
-    Least squares of polynomials of fourth order, of third order for fewer than seven samples; NaN
-    where samples are few or have a gap.
+    Fits polynomials of fourth order, of third order to fewer than seven samples; returns NaN for
+    windows with fewer than five samples or with a gap.
     """
     count = high - low
     places = low[:, np.newaxis] + np.arange(int(np.max(count, initial=0)))
@@ -574,15 +571,15 @@ def _polynomials(
     return found
 
 
-def _rough_law(motion: _Motion, rough: Oscillation, is_rate: bool) -> _Law:
-    """Fit the equation to the accelerations; what does not follow it weighs little."""
+def _fit_rough_model(motion: _Motion, rough: Oscillation, is_rate: bool) -> _RoughModel:
+    """Fit the equation to the accelerations with a loss that is robust against outliers."""
     from scipy.optimize import least_squares
 
     w2 = rough.w2
     theta_dot = motion.rate - rough.middle if is_rate else motion.rate
     slow = 0.05 * float(np.quantile(np.abs(theta_dot), 0.9))
     size = float(np.quantile(np.abs(motion.acceleration), 0.9))
-    # A recorded angle needs no anchor: its place is not fitted.
+    # A recorded angle needs no integration constant.
     n = 5 if is_rate else 4
     anchor = -float(np.median(motion.angle - rough.middle * motion.elapsed)) if is_rate else 0.0
     guess = np.array([w2, rough.middle, 0.01 * np.sqrt(w2), 1e-3 * size, anchor])
@@ -590,8 +587,8 @@ def _rough_law(motion: _Motion, rough: Oscillation, is_rate: bool) -> _Law:
     high = np.array([4.0 * w2, np.inf, np.inf, np.inf, np.inf])
     scales = np.array([w2, rough.amplitude, np.sqrt(w2), size, 1.0])
 
-    def law(x: Array) -> _Law:
-        return _Law(*np.append(x, anchor)[:5].tolist(), slow=slow, is_rate=is_rate)
+    def law(x: Array) -> _RoughModel:
+        return _RoughModel(*np.append(x, anchor)[:5].tolist(), slow=slow, is_rate=is_rate)
 
     solution = least_squares(
         lambda x: law(x).unexplained(motion) / size,
@@ -617,9 +614,13 @@ def _w2_from_period(period: float, amplitude: float, is_rate: bool) -> float:
 
 
 def _unexplained_share(
-    motion: _Motion, law: _Law, steady: Flags, period: float, settings: IdentificationSettings
+    motion: _Motion,
+    law: _RoughModel,
+    steady: Flags,
+    period: float,
+    settings: IdentificationSettings,
 ) -> Array:
-    """Return the unexplained acceleration over the threshold above which a hand is assumed."""
+    """Return the ratio of the unexplained acceleration to the threshold of a touch."""
     unexplained = np.abs(law.unexplained(motion))
     # 0.6745 is the median of |N(0, 1)|.
     noise = float(np.median(unexplained[steady])) / 0.6745
@@ -631,14 +632,16 @@ def _unexplained_share(
     return unexplained / np.maximum(limit, 1e-300)
 
 
-def _bridged(touched: Flags, motion: _Motion, law: _Law, rough: Oscillation) -> Flags:
-    """Return what is touched, without what leaves the swing as it was.
+def _remove_false_touches(
+    touched: Flags, motion: _Motion, law: _RoughModel, rough: Oscillation
+) -> Flags:
+    """Return the touched windows without those that leave the swing unchanged.
 
-    A hand changes the swing. Where the law takes the motion before a touch to the one behind it,
-    there was none: a sample was wrong, or a window just above the threshold.
+    A hand changes the swing. If the model maps the motion before a suspected touch to the motion
+    after it, a sample was wrong or a window barely exceeded the threshold.
     """
     places = np.flatnonzero(touched)
-    # Windows that overlap a wrong sample are wrong, too, but not all: a width of one is twelve.
+    # A wrong sample affects some of the windows that overlap it; a window spans twelve.
     breaks = np.flatnonzero(np.diff(places) > 12)
     begins = places[np.concatenate(([0], breaks + 1))] if places.size else places
     ends = places[np.concatenate((breaks, [-1]))] + 1 if places.size else places
@@ -660,13 +663,13 @@ def _bridged(touched: Flags, motion: _Motion, law: _Law, rough: Oscillation) -> 
         )
         off = np.hypot(thetas[1] - theta[after], (theta_dots[1] - theta_dot[after]) / w)
         size = np.hypot(2.0 * np.sin(0.5 * theta[after]), theta_dot[after] / w)
-        if off < SAME_SWING * size:
+        if off < MAX_SWING_CHANGE * size:
             result[begin:end] = False
     return result
 
 
 def _longest_stretch(touched: Flags, moved: Array) -> tuple[int, int]:
-    """Return the untouched stretch that moves the most: its first and past-the-last window."""
+    """Return first and past-the-last window of the untouched stretch with the most motion."""
     edges = np.flatnonzero(touched)
     begins = np.concatenate(([0], edges + 1))
     ends = np.concatenate((edges, [len(touched)]))
@@ -676,9 +679,9 @@ def _longest_stretch(touched: Flags, moved: Array) -> tuple[int, int]:
 
 
 def _last_over_the_top(
-    time: Array, values: Array, law: _Law, theta: Array, part: slice
+    time: Array, values: Array, law: _RoughModel, theta: Array, part: slice
 ) -> float | None:
-    """Return when the pendulum last goes over the top [s], or none."""
+    """Return the last time at which the pendulum goes over the top [s], or None."""
     time, theta = time[part], theta[part]
     if not law.is_rate:
         over = np.flatnonzero(np.abs(theta) >= pi)
@@ -693,7 +696,7 @@ def _last_over_the_top(
 def _last_before_rest(
     time: Array, size: Array, first: int, last: int, period: float, share: float
 ) -> int:
-    """Return the last sample before the amplitude has fallen to `share` of its largest."""
+    """Return the last sample before the amplitude falls to `share` of its maximum."""
     if last <= first:
         return last
     part = size[first : last + 1]
