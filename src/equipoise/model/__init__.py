@@ -1,1 +1,1 @@
-"""A command becomes a measurement: pendulum, arms, encoder."""
+"""Models of the plant: pendulum, arms, actuator, encoder."""

@@ -1,19 +1,20 @@
-r"""How the arm follows the setpoints that it is sent: the actuator, as a model and as a file.
+r"""Actuator: model and file format of an arm's response to setpoints.
 
-A setpoint takes effect a transport delay after it was sent. Then, once each millisecond:
+A setpoint takes effect a transport delay after it was sent. Then the servo moves each joint once
+per millisecond, by one of three laws.
 
-``kst``, the position servo of the KUKA Sunrise Toolbox's server, joint by joint, with the error
-e = setpoint - q and the drive's own response behind it as a first-order lag T:
+``kst`` is the position servo of the KUKA Sunrise Toolbox's server, with the error e = setpoint - q,
+followed by the response of the drive as a first-order lag T:
 
 .. math:: \dot q_c = \frac{a}{t_c} \,\mathrm{sign}(e)\,(1 - e^{-(e/b)^2}), \qquad
           T \ddot q = \dot q_c - \dot q
 
-a = 0.07 rad, b = 0.0525 rad, t_c = 1 ms. It is quadratic near zero: a soft dead band, whose lag
-falls with speed (28 ms at 0.05 rad/s, 6 ms at 1 rad/s).
+a = 0.07 rad, b = 0.0525 rad, t_c = 1 ms. The law is quadratic near zero: a soft dead band, whose
+lag decreases with speed (28 ms at 0.05 rad/s, 6 ms at 1 rad/s).
 
-``lag``: T q_dot = e. ``ideal``: q is the setpoint, at once; this is the paper's.
+``lag``: T q_dot = e. ``ideal``: q equals the setpoint immediately, as in the paper.
 
-The training plant, the controller's observer and the identification run the kernels below.
+The training plant, the controller's observer and the identification use the kernels below.
 """
 
 import functools
@@ -39,22 +40,22 @@ KST: Final = 2
 KINDS: Final[tuple[Kind, ...]] = ("ideal", "lag", "kst")
 
 CYCLE: Final = 1e-3
-"""Time between two steps of the joint servo [s]."""
+"""Period of the joint servo [s]."""
 AMPLITUDE: Final = 0.07
-"""a of the shaping law [rad], as the server's source has it."""
+"""a of the shaping law [rad], from the server's source."""
 INTERVAL_WIDTH: Final = 0.0525
-"""b of the shaping law [rad], as the server's source has it."""
-LONGEST_RESPONSE: Final = 10.0
+"""b of the shaping law [rad], from the server's source."""
+MAX_RESPONSE_TIME: Final = 10.0
 """Limit on delay, lag and cycle [s]: a pendulum of a metre falls within one."""
-SHORTEST_CYCLE: Final = 1e-6
-"""Limit on the cycle of the shaping law [s]: its rate stays finite."""
+MIN_CYCLE: Final = 1e-6
+"""Lower limit on the cycle of the shaping law [s], which keeps its rate finite."""
 TYPICAL_SPEED: Final = 0.1
-"""Joint speed at which `response_time` speaks of the shaping law's lag [rad/s]: balancing moves
-the joints at 0.05 to 0.3 rad/s."""
+"""Default joint speed of `response_time` [rad/s]: balancing moves the joints at 0.05 to 0.3
+rad/s."""
 
 
 class ActuatorParameters(NamedTuple):
-    """An actuator as kernels take it."""
+    """Actuator parameters for kernels."""
 
     kind: int
     """IDEAL, LAG or KST."""
@@ -85,7 +86,7 @@ def _saturation(z: float) -> float:
 
 @inlined
 def shaped_step(e: float, amplitude: float, width: float) -> float:
-    """Return how far from the measured position the server sets its destination [rad].
+    """Return the step from the measured position to the server's destination [rad].
 
     Args:
         e: Setpoint minus measured position [rad].
@@ -101,15 +102,15 @@ def shaped_step(e: float, amplitude: float, width: float) -> float:
 def follow(
     q: Array, dq: Array, target: Array, share: Array, actuator: ActuatorParameters, lanes: int
 ) -> None:
-    """Advance the free joints of the first lanes by one servo cycle, towards their targets.
+    """Advance the free joints of the first lanes by one servo cycle towards their targets.
 
     Args:
         q: Joint positions [rad], a block of 6 rows, changed in place.
-        dq: Their velocities [rad/s], a block of 6 rows, changed in place.
-        target: The setpoints that are in force [rad], a block of 6 rows.
-        share: What a lag takes up of a change within a cycle, from `lag_share`, 6 rows.
+        dq: Joint velocities [rad/s], a block of 6 rows, changed in place.
+        target: Active setpoints [rad], a block of 6 rows.
+        share: Gain of the lag per cycle, from `lag_share`, a block of 6 rows.
         actuator: Constants.
-        lanes: How many lanes.
+        lanes: Number of lanes.
     """
     if actuator.kind == KST:
         rate, width = 1.0 / actuator.cycle, actuator.width
@@ -136,7 +137,7 @@ def follow(
 
 @inlined
 def _in_force(t: float, effect: float, spread: float) -> float:
-    """Return for how long a setpoint was in force by t [s], on average over its times of effect."""
+    """Return the mean active time of a setpoint until `t` over its possible delays [s]."""
     since = t - effect
     if since >= spread:
         return since
@@ -159,28 +160,28 @@ def track(
 ) -> None:
     """Simulate one joint from its first measured position to its last.
 
-    It moves as under `follow`. When the cabinet's cycles begin nobody knows, and transports
-    jitter. So cycles begin at the first measurement here, and in each cycle a setpoint has the
-    share of the time that it is in force on average: positions depend smoothly on the delay.
+    The joint moves as under `follow`. The phase of the cabinet's cycles is unknown, and transports
+    jitter. Therefore cycles begin at the first measurement, and within a cycle each setpoint is
+    weighted by its mean active time, so that positions depend smoothly on the delay.
 
-    After each measurement an observer may correct position and velocity by what it did not expect
-    (a critically damped filter of second order, as radars have it).
+    After each measurement an observer may correct position and velocity by the innovation (a
+    critically damped alpha-beta filter).
 
     Args:
-        stream_time: When setpoints were sent [s], increasing, shape (m,); the first takes effect
+        stream_time: Send times of the setpoints [s], increasing, shape (m,); the first takes effect
             before the first measurement.
-        stream_q: The setpoints [rad], shape (m,); each is held until the next takes effect.
-        reply_time: When positions were measured [s], increasing, shape (p,), p > 1.
-        reply_q: The measured positions [rad], shape (p,).
-        delay: From sending a setpoint to its effect [s].
-        spread: It takes effect up to this earlier or later, evenly [s].
+        stream_q: Setpoints [rad], shape (m,); each is held until the next takes effect.
+        reply_time: Measurement times [s], increasing, shape (p,), p > 1.
+        reply_q: Measured positions [rad], shape (p,).
+        delay: Time from sending a setpoint to its effect [s].
+        spread: Half width of the uniform distribution of the delay [s].
         lag: T [s].
-        push: What the load adds, steadily: to the velocity wanted for `kst` [rad/s], else to the
+        push: Constant bias of the load, on the desired velocity for `kst` [rad/s], else on the
             setpoint [rad].
-        memory: What the observer keeps of its own position and velocity, 0 to 1: with 1 it
-            simulates on, with 0 it starts anew at each measurement.
+        memory: Share of its own position and velocity that the observer keeps, 0 to 1: 1 is an
+            open-loop simulation, 0 restarts at each measurement.
         actuator: Constants.
-        predicted: Receives the positions, before their correction [rad], shape (p,).
+        predicted: Receives the positions before their correction [rad], shape (p,).
     """
     rate, amplitude, width = 1.0 / actuator.cycle, actuator.amplitude, actuator.width
     shaped = actuator.kind == KST
@@ -239,19 +240,19 @@ def steady_error(dq: float, lag: float, actuator: ActuatorParameters) -> float:
 
 
 def shaped_peak(speed: float, period: float) -> float:
-    r"""Return the peak of the velocity that the shaping law asks a joint for [rad/s].
+    r"""Return the peak velocity command of the shaping law for constant-speed setpoints [rad/s].
 
-    Setpoints that are a period P apart are v P apart. Each makes the error e_0, from which it falls
-    by v P until the next. While it is small the law is quadratic, k = a / (b^2 t_c), and
+    Setpoints at intervals of P differ by v P. Each raises the error to e_0, from which it falls by
+    v P until the next. For small errors the law is quadratic, k = a / (b^2 t_c), and
 
     .. math:: e_0 = \frac{v P}{2} + \sqrt{\left(\frac{v P}{2}\right)^2 + \frac{v}{k}}, \qquad
               \dot q_c = \frac{a}{t_c} \left(1 - e^{-(e_0 / b)^2}\right)
 
-    A drive that lags evens the steps out, so that the peak is lower there.
+    The lag of a drive smooths the steps and lowers the peak.
 
     Args:
         speed: Velocity v of the setpoints [rad/s].
-        period: Time P between two of them [s].
+        period: Period P of the setpoints [s].
     """
     half, k = 0.5 * speed * period, AMPLITUDE / (INTERVAL_WIDTH**2 * CYCLE)
     e = half + sqrt(half**2 + speed / k)
@@ -259,13 +260,13 @@ def shaped_peak(speed: float, period: float) -> float:
 
 
 def speed_of_peak(peak: float, period: float) -> float:
-    """Return the velocity of setpoints at which the shaping law asks for a peak [rad/s].
+    """Return the setpoint velocity that gives a peak velocity command [rad/s].
 
     The inverse of `shaped_peak`: v = k e_0^2 / (1 + k e_0 P).
 
     Args:
-        peak: Of the velocity that the law asks for, below a / t_c = 70 [rad/s].
-        period: Time between two setpoints [s].
+        peak: Peak velocity command of the law, below a / t_c = 70 [rad/s].
+        period: Period P of the setpoints [s].
     """
     k = AMPLITUDE / (INTERVAL_WIDTH**2 * CYCLE)
     e = INTERVAL_WIDTH * sqrt(-log1p(-peak * CYCLE / AMPLITUDE))
@@ -274,41 +275,41 @@ def speed_of_peak(peak: float, period: float) -> float:
 
 @kernel
 def lag_share(lag: float) -> float:
-    """Return what a first-order lag takes up of a change within one servo cycle.
+    """Return the share of a change that a first-order lag follows within one servo cycle.
 
     Args:
-        lag: Time constant [s]; zero takes up all of it.
+        lag: Time constant [s]; zero gives 1.
     """
     return 1.0 - exp(-CYCLE / lag) if lag > 0.0 else 1.0
 
 
 class ActuatorFit(Value):
-    """How a log explained the actuator.
+    """Fit of an actuator to a run log.
 
-    Sizes are those of the typical joint, the geometric mean over the joints: a load that shakes the
-    last one does not stand for all.
+    Residuals are geometric means over the joints, which a load that shakes the last joint does not
+    dominate.
     """
 
     source: Name
     """Digest of the run log."""
     samples: Count
-    """Measured positions of a joint that were fitted."""
+    """Number of fitted positions per joint."""
     duration: Number
     """Length of the log [s]."""
     rms: Number
     """Root mean square of measured minus simulated position [rad]."""
     noise: Number
-    """What of it changes from one sample to the next, as noise does [rad]."""
+    """White noise in the residual [rad]."""
     one_step: Number
     """Root mean square error of the prediction of the next measured position [rad]."""
     alternatives: dict[Name, Number]
-    """Root mean square that each other kind of actuator leaves [rad]."""
+    """Root mean square residual of each other kind of actuator [rad]."""
     warnings: Annotated[tuple[Sentence, ...], Field(max_length=100)] = ()
-    """Where the model does not explain the log, and what to try."""
+    """Warnings about a poor fit, with remedies."""
 
 
 class Actuator(Artefact):
-    """An actuator as a run log identifies it, with its uncertainty."""
+    """Actuator that was identified from a run log, with its uncertainty."""
 
     FORMAT: ClassVar[str] = "equipoise-actuator"
     VERSION: ClassVar[int] = 1
@@ -316,7 +317,7 @@ class Actuator(Artefact):
     kind: Kind
     """`kst`: the server's shaping law; `lag`: a first-order lag; `ideal`: none."""
     delay: Estimate
-    """From sending a setpoint to its effect [s]."""
+    """Transport delay from sending a setpoint to its effect [s]."""
     lags: Annotated[tuple[Estimate, ...], Field(min_length=FREE_JOINTS, max_length=FREE_JOINTS)]
     """Time constant T of each free joint [s]."""
     cycle: Estimate
@@ -326,45 +327,37 @@ class Actuator(Artefact):
     width: float = Field(default=INTERVAL_WIDTH, ge=1e-6, le=10.0)
     """b of the shaping law [rad]."""
     fit: ActuatorFit | None = None
-    """The log that it was identified from, if any."""
+    """Fit to the run log; None for an assumed actuator."""
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
         times = (self.delay, *self.lags)
-        if any(not 0.0 <= time.value <= LONGEST_RESPONSE for time in times):
-            raise ValueError(f"a delay or lag is not from 0 to {LONGEST_RESPONSE:g} s")
-        if abs(self.delay.high) > LONGEST_RESPONSE:
-            raise ValueError(f"the delay's interval reaches beyond {LONGEST_RESPONSE:g} s")
-        if not SHORTEST_CYCLE <= self.cycle.value <= LONGEST_RESPONSE:
-            raise ValueError(f"the cycle is not from {SHORTEST_CYCLE:g} to {LONGEST_RESPONSE:g} s")
+        if any(not 0.0 <= time.value <= MAX_RESPONSE_TIME for time in times):
+            raise ValueError(f"a delay or lag is not from 0 to {MAX_RESPONSE_TIME:g} s")
+        if abs(self.delay.high) > MAX_RESPONSE_TIME:
+            raise ValueError(f"the delay's interval reaches beyond {MAX_RESPONSE_TIME:g} s")
+        if not MIN_CYCLE <= self.cycle.value <= MAX_RESPONSE_TIME:
+            raise ValueError(f"the cycle is not from {MIN_CYCLE:g} to {MAX_RESPONSE_TIME:g} s")
         return self
 
     @classmethod
     def assumed(
         cls, kind: Kind, *, delay: float = 0.0, lag: float = 0.0, cycle: float = CYCLE
     ) -> Self:
-        """Return an actuator that nobody measured: its intervals have no width.
+        """Return an assumed actuator, with intervals of zero width.
 
         Args:
             kind: `ideal`, `lag` or `kst`.
-            delay: From sending a setpoint to its effect [s].
+            delay: Time from sending a setpoint to its effect [s].
             lag: Time constant of every joint [s].
             cycle: t_c of the shaping law [s].
         """
-
-        def exactly(value: float) -> Estimate:
-            return Estimate(value=value, low=value, high=value, source="assumed")
-
-        return cls(
-            kind=kind,
-            delay=exactly(delay),
-            lags=(exactly(lag),) * FREE_JOINTS,
-            cycle=exactly(cycle),
-        )
+        delay_, lag_, cycle_ = (Estimate.around(v, 0.0, "assumed") for v in (delay, lag, cycle))
+        return cls(kind=kind, delay=delay_, lags=(lag_,) * FREE_JOINTS, cycle=cycle_)
 
     @property
     def parameters(self) -> ActuatorParameters:
-        """The best values, as kernels take them."""
+        """Best values as parameters for kernels."""
         return ActuatorParameters(
             kind=KINDS.index(self.kind),
             cycle=self.cycle.value,
@@ -373,13 +366,13 @@ class Actuator(Artefact):
         )
 
     def response_time(self, joint: int, speed: float = TYPICAL_SPEED) -> float:
-        """Return how long a joint takes to follow a small change, transport apart [s].
+        """Return the response time of a joint to a small change, without transport [s].
 
-        The drive's lag, and for `kst` the reciprocal slope of the shaping law at the error that
-        a speed keeps up.
+        The sum of the drive's lag and, for `kst`, the reciprocal slope of the shaping law at the
+        steady error of a speed.
 
         Args:
-            joint: Which free joint, counted from zero.
+            joint: Index of the free joint, from zero.
             speed: Joint speed [rad/s].
         """
         lag = self.lags[joint].value
@@ -391,11 +384,11 @@ class Actuator(Artefact):
 
 
 IDEAL_ACTUATOR: Final = Actuator.assumed("ideal")
-"""The paper's: the arm is where it is sent, at once."""
+"""Actuator of the paper: the arm reaches a setpoint immediately."""
 
 
 @functools.cache
 def shipped_actuator() -> Actuator:
-    """Return the actuator that ships with Equipoise, identified from the twin `nominal`."""
+    """Load the actuator that ships with Equipoise, identified from the twin `nominal`."""
     with resources.as_file(resources.files("equipoise") / "data" / "actuator.json") as path:
         return Actuator.load(path)

@@ -1,11 +1,11 @@
-"""Sine and cosine as polynomials, and blocks of lanes: what lets kernels run many states at once.
+"""Vectorised kernels: blocks of lanes, and sine and cosine as polynomials.
 
-A processor computes several numbers with one instruction, if the same straight-line code runs over
-neighbouring numbers. So kernels advance a *block* of `BATCH_SIZE` independent states (episodes,
-trials) together: row i of a block is `BATCH_SIZE` neighbouring numbers, entry (i, n) lies at
-i * BATCH_SIZE + n, and each formula stands in a loop over n. A call into a mathematics library
-would break that loop; the polynomials below do not. They are also what makes results the same bits
-in any lane of a block, alone or in company.
+A processor computes several numbers with one instruction if straight-line code runs over adjacent
+numbers. Therefore kernels advance a *block* of `BATCH_SIZE` independent states (episodes, trials)
+together: row i of a block holds `BATCH_SIZE` adjacent numbers, entry (i, n) lies at
+i * BATCH_SIZE + n, and each formula is the body of a loop over n. A call into a mathematics library
+prevents vectorisation; the polynomials below do not. They also give identical bits in every lane of
+a block, whatever the other lanes hold.
 """
 
 from typing import Final
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from equipoise.compiled import inlined
 
 BATCH_SIZE: Final = 16
-"""States in a block: enough for the widest registers and to hide the time of a division."""
+"""Number of states in a block: fills the widest registers and hides the latency of a division."""
 
 TWO_OVER_PI: Final = 0.6366197723675814
 # pi/2 in three parts; k * HALF_PI_1 is exact for |k| < 2^20.
@@ -41,9 +41,8 @@ def put(block: npt.NDArray[np.float64], row: int, n: int, value: float) -> None:
 def sincos(x: float) -> tuple[float, float]:
     """Return sine and cosine of an angle below 1e6 rad, to two units in the last place.
 
-    The angle is brought to within pi/4 of a multiple of pi/2 (Cody and Waite), and what rounding
-    takes from the rest is kept; two polynomials (of degree 13 and 14, near minimax) give sine and
-    cosine.
+    The angle is reduced by a multiple of pi/2 to within pi/4 (Cody and Waite), with its rounding
+    error; two polynomials (of degree 13 and 14, near minimax) give sine and cosine.
     """
     k = np.floor(x * TWO_OVER_PI + 0.5)
     t = x - k * HALF_PI_1

@@ -1,10 +1,10 @@
-r"""Dynamics of a pendulum whose pivot accelerates along x, and the file that describes one.
+r"""Dynamics of a pendulum whose pivot accelerates along x, and its file format.
 
 Symbols follow Safeea & Neto, section 3.2. phi is measured from upright, positive towards +x;
-theta is measured from hanging; theta + phi = pi. A free swing identifies ratios only:
-w2 = m g l / I, k = m l / I = w2 / g, c = b / I; control needs nothing else. The moment of inertia
-I and the friction b in SI units need m and l measured apart, where l reaches from the axis to the
-centre of mass of all that rotates.
+theta is measured from hanging; theta + phi = pi. A free swing identifies only the ratios
+w2 = m g l / I, k = m l / I = w2 / g, c = b / I, which are sufficient for control. The moment of
+inertia I and the friction b in SI units require separate measurements of m and l, the distance from
+the axis to the centre of mass of all rotating parts.
 
 Equation (8) is the special case u = 0 written in theta; equation (7) is the linearisation at
 phi = 0. Coulomb friction and quadratic drag go beyond the paper; they are zero by default.
@@ -27,20 +27,21 @@ from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 from equipoise.trajectory import Trajectory
 from equipoise.views import Viewable
 
-SHORTEST_PERIOD: Final = 1e-5
-LONGEST_PERIOD: Final = 1e5
-"""Limits on the period of a small swing [s], from 25 pm to 2,500,000 km of string: a unit of time
-that was mistaken by a factor of a thousand stays within them, and can be named."""
-STRONGEST_FRICTION: Final = 1e4
-"""Limit on c [1/s], dry friction [1/s^2] and drag [1/rad]: none that swings has a hundredth."""
+MIN_PERIOD: Final = 1e-5
+MAX_PERIOD: Final = 1e5
+"""Limits on the period of a small swing [s], from 25 pm to 2,500,000 km of string. A unit of time
+that is wrong by a factor of 1000 stays within them, so that a later check can name it."""
+MAX_FRICTION: Final = 1e4
+"""Limit on c [1/s], dry friction [1/s^2] and drag [1/rad]: 100 times those of any pendulum that
+swings."""
 Variance = Annotated[float, Field(ge=-1e24, le=1e24)]
-"""Product of two deviations, each below 1e12."""
+"""Covariance of two quantities below 1e12."""
 
 
 class PendulumParameters(NamedTuple):
-    """What a free swing identifies of a rigid pendulum on a frictional pivot.
+    """Parameters of a rigid pendulum on a frictional pivot, as identified from a free swing.
 
-    A `NamedTuple` so that compiled kernels can take it as an argument.
+    A `NamedTuple`, because compiled kernels take it as an argument.
     """
 
     w2: float
@@ -92,14 +93,14 @@ def runge_kutta(
 def _step_with_dry_friction(
     phi: float, phi_dot: float, u: float, h: float, pendulum: PendulumParameters
 ) -> tuple[float, float]:
-    """Advance by `h`, turning round (or coming to rest) exactly where the rate is zero.
+    """Advance by `h`, with the reversal (or rest) exactly at zero rate.
 
     A Runge-Kutta step across the jump of the dry friction would lose its order, and chatter at
     rest.
     """
     f = pendulum.coulomb
     left = h
-    # A step turns round at most once; the third pass only ends what the second began.
+    # A step reverses at most once; the third pass only completes the second.
     for _ in range(3):
         direction = 1.0 if phi_dot > 0.0 else -1.0
         if phi_dot == 0.0:
@@ -110,7 +111,7 @@ def _step_with_dry_friction(
         end, end_dot = runge_kutta(phi, phi_dot, u, left, f * direction, pendulum)
         if end_dot * direction >= 0.0 or phi_dot == 0.0:
             return end, end_dot
-        # Newton's iteration for the moment of the turn: the rate is almost a straight line.
+        # Newton's iteration for the time of the reversal: the rate is almost linear in time.
         until = left * phi_dot / (phi_dot - end_dot)
         turn = phi
         for _ in range(4):
@@ -127,8 +128,8 @@ def step(
 ) -> tuple[float, float]:
     """Advance the pendulum by one Runge-Kutta step of fourth order, u held.
 
-    With Coulomb friction the step is split where the pendulum turns round; there it stays at rest
-    while dry friction holds it.
+    With Coulomb friction the step is split at the reversal, where the pendulum stays at rest while
+    dry friction holds it.
 
     Args:
         phi: Angle from upright [rad].
@@ -155,20 +156,20 @@ def swing(
     thetas: npt.NDArray[np.float64],
     theta_dots: npt.NDArray[np.float64],
 ) -> None:
-    """Swing freely from hanging's side, and write the motion at any increasing times.
+    """Simulate a free swing at any increasing times.
 
-    Steps of fixed length `h` from `time[0]` on; between them a cubic through angle and rate at
-    both ends, so that uneven time stamps and gaps cost nothing and the result depends smoothly on
-    the parameters (which finite differences for a fit need).
+    Integrates in fixed steps of `h` from `time[0]` on, with a cubic through angle and rate at both
+    ends of a step. Uneven time stamps and gaps add no cost, and the result depends smoothly on the
+    parameters, as finite differences in a fit require.
 
     Args:
-        time: When to write [s], increasing, shape (n,).
+        time: Output times [s], increasing, shape (n,).
         theta: Angle from hanging at `time[0]` [rad].
-        theta_dot: Its rate [rad/s].
+        theta_dot: Rate at `time[0]` [rad/s].
         h: Length of the steps [s].
         pendulum: Physical parameters.
         thetas: Receives the angle from hanging [rad], shape (n,).
-        theta_dots: Receives its rate [rad/s], shape (n,).
+        theta_dots: Receives the rate [rad/s], shape (n,).
     """
     phi, phi_dot = pi - theta, -theta_dot
     before, before_dot = phi, phi_dot
@@ -181,10 +182,10 @@ def swing(
         if node == 0:
             thetas[i], theta_dots[i] = theta, theta_dot
             continue
-        # The share of the last step that has gone by.
+        # Elapsed share of the last step.
         s = 1.0 + (time[i] - time[0] - node * h) / h
         if pendulum.coulomb != 0.0 and before_dot * phi_dot <= 0.0:
-            # Dry friction bends the motion where it turns round: no cubic fits there.
+            # Dry friction causes a kink at the reversal, which no cubic fits.
             phi_now, phi_dot_now = step(before, before_dot, 0.0, s * h, pendulum)
             thetas[i], theta_dots[i] = pi - phi_now, -phi_dot_now
             continue
@@ -195,37 +196,37 @@ def swing(
 
 
 class SwingFit(Value):
-    """How a free swing was explained: what, from where to where, and how well."""
+    """Fit of a free swing."""
 
     source: Name
     """Name of the recording."""
     sha256: Name
     """Digest of the recording."""
     quantity: Literal["angle", "rate"]
-    """What was recorded: theta [rad], or theta_dot [rad/s] from a gyro."""
+    """Recorded quantity: theta [rad], or theta_dot [rad/s] of a gyro."""
     window: tuple[Number, Number]
-    """First and last time of the swing that was fitted [s]."""
+    """First and last time of the fitted swing [s]."""
     release: Number | None
-    """Time at which a hand lets go [s]; none where that is not known: the recording is free from
-    its first sample, its start was given, or something touched a swing."""
+    """Time of the release by a hand [s]; None if unknown: the recording swings freely from its
+    first sample, its start was given, or something touched the pendulum."""
     samples: Count
-    """Samples in the window."""
+    """Number of samples in the window."""
     periods: float = Field(gt=0.0, le=1e6)
-    """Length of the window in periods of the swing; friction ends any within a million."""
+    """Length of the window in periods of the swing; friction ends every swing within a million."""
     rms: Number
     """Root mean square of recording minus fit [rad], or [rad/s] for a rate."""
     noise: Number
-    """The part of it that changes from one sample to the next, as noise does; same unit."""
+    """White noise in the residual; same unit."""
     offset: Number
     """Recorded minus true: zero offset of the encoder [rad], or bias of the gyro [rad/s]."""
     theta: Number
     """Angle from hanging at the first time of the window [rad]."""
     theta_dot: Number
-    """Its rate [rad/s]."""
+    """Rate at the first time of the window [rad/s]."""
     settings: IdentificationSettings
-    """How it was fitted."""
+    """Settings of the fit."""
     warnings: Annotated[tuple[Sentence, ...], Field(max_length=100)] = ()
-    """Where the model does not explain the recording, and what to try."""
+    """Warnings about a poor fit, with remedies."""
 
     @property
     def rms_deg(self) -> float:
@@ -234,7 +235,7 @@ class SwingFit(Value):
 
 
 class Pendulum(Viewable, Artefact):
-    """A pendulum as a free swing identifies it, with its uncertainty."""
+    """Pendulum that was identified from a free swing, with its uncertainty."""
 
     FORMAT: ClassVar[str] = "equipoise-pendulum"
     VERSION: ClassVar[int] = 1
@@ -253,70 +254,66 @@ class Pendulum(Viewable, Artefact):
         tuple[tuple[Variance, Variance, Variance, Variance], ...],
         Field(min_length=4, max_length=4),
     ]
-    """Covariance of w2, c, coulomb and drag, in their units; zero where one was not fitted."""
+    """Covariance of w2, c, coulomb and drag in their units; zero for a parameter that was not
+    fitted."""
     friction_model: Friction
-    """Which of the three frictions were fitted."""
+    """Friction model of the fit."""
     g: float = Field(default=GRAVITY, ge=0.1, le=100.0)
     """Acceleration of gravity [m/s^2]."""
     mass: Estimate | None = None
-    """Mass m of all that rotates, measured apart [kg]."""
+    """Mass m of all rotating parts, measured separately [kg]."""
     length: Estimate | None = None
-    """Distance l from the axis to the centre of mass of all that rotates, measured apart [m]."""
+    """Distance l from the axis to the centre of mass of all rotating parts, measured separately
+    [m]."""
     inertia: Estimate | None = None
     """Moment of inertia I = m g l / w2 about the axis [kg m^2]."""
     friction: Estimate | None = None
     """Viscous friction b = c I [N m s]."""
     fit: SwingFit | None = None
-    """The swing it was identified from, if any."""
+    """Fit of the free swing; None for an assumed pendulum."""
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
         w2 = self.w2.value
-        if not w2 > 0.0 or not SHORTEST_PERIOD <= self.period <= LONGEST_PERIOD:
+        if not w2 > 0.0 or not MIN_PERIOD <= self.period <= MAX_PERIOD:
             raise ValueError(
-                f"w2 is {w2:.3g} 1/s^2, expected that of a period from {SHORTEST_PERIOD:g} s to "
-                f"{LONGEST_PERIOD:g} s"
+                f"w2 is {w2:.3g} 1/s^2, expected that of a period from {MIN_PERIOD:g} s to "
+                f"{MAX_PERIOD:g} s"
             )
         if not 0.01 * w2 <= self.g * self.k.value <= 100.0 * w2:
             raise ValueError(
                 f"k is {self.k.value:.3g} 1/m, expected about w2 / g = {w2 / self.g:.3g}"
             )
-        for name in ("coulomb", "drag"):
-            if not 0.0 <= getattr(self, name).value <= STRONGEST_FRICTION:
-                raise ValueError(
-                    f"{name} is {getattr(self, name).value:.3g}, expected 0 to "
-                    f"{STRONGEST_FRICTION:g}"
-                )
-        if abs(self.c.value) > STRONGEST_FRICTION:
-            raise ValueError(f"c is {self.c.value:.3g} 1/s, expected 0 to {STRONGEST_FRICTION:g}")
+        for name, value in (("coulomb", self.coulomb.value), ("drag", self.drag.value)):
+            if not 0.0 <= value <= MAX_FRICTION:
+                raise ValueError(f"{name} is {value:.3g}, expected 0 to {MAX_FRICTION:g}")
+        if abs(self.c.value) > MAX_FRICTION:
+            raise ValueError(f"c is {self.c.value:.3g} 1/s, expected 0 to {MAX_FRICTION:g}")
         return self
 
     @classmethod
     def assumed(cls, w2: float, c: float, *, g: float = GRAVITY) -> Self:
-        """Return a pendulum that nobody measured: its intervals have no width.
+        """Return an assumed pendulum, with intervals of zero width.
 
         Args:
             w2: Gravity over inertia [1/s^2].
             c: Viscous friction over inertia [1/s].
             g: Acceleration of gravity [m/s^2].
         """
-
-        def exactly(value: float) -> Estimate:
-            return Estimate(value=value, low=value, high=value, source="assumed")
-
+        w2_, k_, c_, zero = (Estimate.around(v, 0.0, "assumed") for v in (w2, w2 / g, c, 0.0))
         return cls(
-            w2=exactly(w2),
-            k=exactly(w2 / g),
-            c=exactly(c),
-            coulomb=exactly(0.0),
-            drag=exactly(0.0),
+            w2=w2_,
+            k=k_,
+            c=c_,
+            coulomb=zero,
+            drag=zero,
             covariance=((0.0, 0.0, 0.0, 0.0),) * 4,
             friction_model="viscous",
             g=g,
         )
 
     def __repr__(self) -> str:
-        """Return one line: the best values, and the recording they are from."""
+        """Return one line with the best values and their recording."""
         names = ("w2", "k", "c", "coulomb", "drag")
         numbers = ", ".join(f"{name}={getattr(self, name).value:.4g}" for name in names)
         source = "assumed" if self.fit is None else f"from {self.fit.source!r}"
@@ -330,7 +327,7 @@ class Pendulum(Viewable, Artefact):
         return 2.0 * pi / float(np.sqrt(self.w2.value))
 
     def parameters(self, *, linearised: bool = False) -> PendulumParameters:
-        """Return the best values, as kernels take them.
+        """Return the best values as parameters for kernels.
 
         Args:
             linearised: Use sin(phi) = phi, cos(phi) = 1, as equation (7) is printed.
@@ -347,7 +344,7 @@ class Pendulum(Viewable, Artefact):
 
 @functools.cache
 def shipped_pendulum() -> Pendulum:
-    """Return the pendulum that ships with Equipoise, for whoever has none yet."""
+    """Load the pendulum that ships with Equipoise."""
     with resources.as_file(resources.files("equipoise") / "data" / "pendulum.json") as path:
         return Pendulum.load(path)
 
@@ -368,7 +365,7 @@ def fit_of(trajectory: Trajectory, pendulum: Pendulum) -> SwingFit:
 
 
 def amplitudes(pendulum: Pendulum) -> tuple[float, float]:
-    """Return the amplitude at the beginning and at the end of the swing that was fitted [rad].
+    """Return the amplitude at the begin and at the end of the fitted swing [rad].
 
     Args:
         pendulum: A pendulum with a fit.
@@ -391,15 +388,15 @@ def amplitudes(pendulum: Pendulum) -> tuple[float, float]:
 
 
 def fitted_curve(trajectory: Trajectory, pendulum: Pendulum) -> npt.NDArray[np.float64]:
-    """Return the fit at the times of the recording, as the sensor would give it.
+    """Return the fitted sensor values at the times of a recording.
 
     Args:
         trajectory: The recording that `pendulum` was identified from.
         pendulum: The pendulum, with its fit.
 
     Returns:
-        Angle [rad] or rate [rad/s], zero offset or bias included, shape (n,); NaN outside the
-        window that was fitted.
+        Angle [rad] or rate [rad/s] with zero offset or bias, shape (n,); NaN outside the fitted
+        window.
 
     Raises:
         RecordingError: The pendulum was not identified from this recording.

@@ -1,4 +1,4 @@
-"""The module `mujoco`, whose physics does not depend on the environment's settings for drawing."""
+"""Import of `mujoco` that does not depend on the OpenGL settings of the environment."""
 
 import functools
 import os
@@ -8,14 +8,14 @@ from typing import Any
 
 @functools.cache
 def mujoco() -> Any:
-    """Return the module `mujoco`, which has no types.
+    """Import the module `mujoco`, which has no types.
 
-    MuJoCo loads the OpenGL that `MUJOCO_GL` names while it is imported, and fails where the name or
-    the library is wrong. Physics needs no OpenGL: MuJoCo is then imported without, and only drawing
-    fails (`equipoise.report.pictures.rendering` says why).
+    MuJoCo loads the OpenGL library of `MUJOCO_GL` on import, and fails if the name or the library
+    is wrong. Physics needs no OpenGL: MuJoCo is then imported without, and only rendering fails
+    (`equipoise.report.pictures.rendering` gives the reason).
 
     Raises:
-        ImportError: It is not installed.
+        ImportError: MuJoCo is not installed.
     """
     try:
         return import_module("mujoco")

@@ -1,8 +1,8 @@
 """Counter-based random numbers for kernels: equal key and counter give equal bits.
 
-Philox 4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011). Nothing is
-carried from call to call: any episode of any learner can be replayed alone, and results do not
-depend on how many workers share the work. Who draws is said by the key and the counter::
+Philox 4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011). The generator
+has no state: every episode of every learner can be replayed alone, and results do not depend on the
+number of workers. Key and counter identify each draw::
 
     key      seed (64 bits)
     counter  step, index (episode or trial), learner, stream
@@ -19,8 +19,8 @@ Words = tuple[int, int, int, int]
 MASK: Final = 0xFFFFFFFF
 TO_UNIT: Final = 1.0 / 4294967296.0
 
-# Streams: no two purposes share a counter, and training, selection and test never share numbers.
-# Noise takes a stream and the one after it.
+# Streams: each purpose has its own counter, and training, selection and test never share numbers.
+# Noise uses its stream and the next one.
 TRAINING_EPISODE: Final = 1
 TRAINING_START: Final = 2
 TRAINING_ACTION: Final = 3
@@ -32,13 +32,13 @@ TEST: Final = 12
 ENVIRONMENT: Final = 14
 DEPLOYMENT: Final = 16
 TWIN: Final = 20
-"""The twin: this stream and the three after it."""
+"""First of the four streams of the twin."""
 
 
 @inlined
 def philox(seed: int, step: int, index: int, learner: int, stream: int) -> Words:
     """Return four random words of 32 bits."""
-    # Written so that 64-bit wrap-around in compiled code and Python's long integers agree.
+    # Compiled code with 64-bit wrap-around and Python's long integers give the same result.
     c0, c1 = int(step) & MASK, int(index) & MASK
     c2, c3 = int(learner) & MASK, int(stream) & MASK
     k0, k1 = int(seed) & MASK, (int(seed) >> 32) & MASK

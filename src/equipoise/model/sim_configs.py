@@ -1,16 +1,15 @@
-"""Worlds: where a policy is put to the test, by name.
+"""Worlds for testing a policy, by name.
 
-`ideal` is the paper's plant, its arm without any delay; `model` is the plant of the training, the
-arm behind its identified actuator. `twin:nominal`, `twin:harsh` and `twin:bare` are named, frozen
-sets of the numbers of the digital twin, `twin:FILE` is a TOML file of differences to nominal. Sets
-carry a version (`nominal-1`): published results stay comparable, and a changed number makes a new
-version.
+`ideal` is the paper's plant, whose arm has no delay; `model` is the training plant, with the
+identified actuator. `twin:nominal`, `twin:harsh` and `twin:bare` are named, frozen parameter sets
+of the digital twin; `twin:FILE` is a TOML file of differences to nominal. Sets carry a version
+(`nominal-1`), which a changed number increments, so that published results stay comparable.
 
-A twin's pendulum has the friction that was identified: viscous, dry and drag. A world may set dry
-friction and drag itself; `pivot_friction` says which friction acts and who set it.
+A twin's pendulum has the identified friction: viscous, dry and drag. A world may override dry
+friction and drag; `pivot_friction` returns the effective friction and its origin.
 
-Each number says where it comes from: the source of the KUKA Sunrise Toolbox and the arm's data are
-facts; what is marked *assumed* is ours, chosen on the unforgiving side of what is plausible.
+Each docstring gives the source of its number. The source of the KUKA Sunrise Toolbox and the arm's
+data are facts; numbers marked *assumed* are pessimistic choices within the plausible range.
 """
 
 import os.path
@@ -29,117 +28,118 @@ if TYPE_CHECKING:
     from equipoise.model.pendulum import Pendulum, PendulumParameters
 
 IDEAL: Final = "ideal"
-"""The paper's plant, as `--world` and files name it."""
+"""Name of the paper's plant in `--world` and in files."""
 MODEL: Final = "model"
-"""The training plant, as `--world` and files name it."""
+"""Name of the training plant in `--world` and in files."""
 PREFIX: Final = "twin:"
+"""Prefix of the names of digital twins."""
 
 Inner = Literal["velocity", "pd", "trajectory40"]
 FrictionSource = Literal["pendulum", "world", "assumed"]
-"""Who set a friction: the pendulum's identification, the world, or the world because it was not
-identified."""
+"""Origin of a friction: the pendulum's identification, an override of the world, or the world's
+assumption for a pendulum without an identified value."""
 
 
 class TwinSettings(Value):
-    """Numbers of the digital twin; the defaults are those of `nominal-1`."""
+    """Parameters of the digital twin; the defaults are `nominal-1`."""
 
     transport: float = Field(default=0.010, ge=0.0, le=0.2)
-    """From sending a setpoint to the servo's use of it [s]. Assumed: one request and reply through
-    Java takes 3 to 4 ms at the rates that the toolbox's author reports; the rest is margin."""
+    """Delay from sending a setpoint to its use by the servo [s]. Assumed: a request and its reply
+    through Java take 3 to 4 ms at the rates that the toolbox's author reports; the rest is
+    margin."""
     transport_jitter: float = Field(default=0.001, ge=0.0, le=0.05)
-    """Each transport differs from that by up to this, evenly [s]; order is kept. Assumed."""
+    """Half width of the uniform jitter of that delay [s]; the order is kept. Assumed."""
     cycle: int = Field(default=1, ge=1, le=10)
     """Cycle of the server's shaping law [ms]: `Thread.sleep(1)` in its source."""
     shaped: bool = True
-    """Whether the server shapes its steps, as its source does. Without, the destination is the
-    setpoint itself: no robot has that; it shows what the law costs."""
+    """Whether the server applies its shaping law, as in its source. Otherwise the destination is
+    the setpoint; no robot works so, but the comparison shows the cost of the law."""
     inner: Inner = "velocity"
-    """What the cabinet does with the shaped destination; it is not published. `velocity`: a joint
+    """Servo model of the cabinet behind the shaping law; it is not published. `velocity`: a joint
     velocity of (destination - q) over the cycle, through a first-order lag. `pd`: a PD controller
     on the destination. `trajectory40`: as velocity, but over the minimum trajectory time of 40 ms
-    that the server's source asks for."""
+    that the server's source requests."""
     lag: float = Field(default=0.008, ge=0.001, le=0.1)
     """Time constant of the joint drives [s]. Assumed: 4 to 16 ms are plausible."""
     pd_frequency: float = Field(default=125.0, ge=1.0, le=2000.0)
     """Natural frequency of `pd`, critically damped [rad/s]. Assumed: 1 / lag of `velocity`. A cycle
-    of 1 ms can hold no more than 2000."""
+    of 1 ms limits it to 2000."""
     rotor_inertia: float = Field(default=0.02, ge=0.0, le=100.0)
-    """Inertia of motor and gear at each joint [kg m^2], which the drive knows. KUKA publishes none;
-    a small motor (1e-5 kg m^2) behind a gear of 1:100 has 0.1. Assumed: a fifth of that, in every
-    joint. Without it (`bare`) the drive of A7 would have to hold bracket and pendulum with the
-    0.0003 kg m^2 of its link alone."""
+    """Inertia of motor and gear at each joint [kg m^2], known to the drive. KUKA publishes no
+    value; a small motor (1e-5 kg m^2) behind a gear of 1:100 has 0.1. Assumed: a fifth of that, for
+    every joint. With 0 (`bare`) the drive of A7 would hold bracket and pendulum with the 0.0003 kg
+    m^2 of its link alone."""
     bracket_mass: float = Field(default=0.1, ge=0.0, le=14.0)
-    """Mass of what carries the pendulum, unknown to the drive [kg]. Assumed. No iiwa
-    carries more than 14 kg."""
+    """Mass of the bracket of the pendulum, unknown to the drive [kg]. Assumed. The payload of every
+    iiwa is at most 14 kg."""
     pendulum_mass: float = Field(default=0.15, ge=1e-9, le=14.0)
-    """Mass of the pendulum, unknown to the drive [kg]; a uniform rod. Assumed."""
+    """Mass of the pendulum, a uniform rod, unknown to the drive [kg]. Assumed."""
     pivot_outward: float = Field(default=0.13, ge=0.0, le=1.0)
-    """From the axis of A7 to the plane in which the pendulum turns [m]: room for the wrist."""
+    """Distance from the axis of A7 to the pendulum's plane [m]: clearance for the wrist."""
     coulomb: float | None = Field(default=None, ge=0.0, le=1e3)
-    """Dry friction of the pendulum over its inertia, in place of the pendulum's own [1/s^2]; none:
-    the pendulum's own."""
+    """Override of the pendulum's dry friction over inertia [1/s^2]; None keeps the identified
+    value."""
     drag: float | None = Field(default=None, ge=0.0, le=1e3)
-    """Quadratic drag of the pendulum over its inertia, in place of the pendulum's own [1/rad];
-    none: the pendulum's own."""
+    """Override of the pendulum's quadratic drag over inertia [1/rad]; None keeps the identified
+    value."""
     assumed_coulomb: float = Field(default=0.1, ge=0.0, le=1e3)
-    """Dry friction over inertia of a pendulum whose own was not identified [1/s^2]; used where
-    `coulomb` is none. Assumed: recorded pivots show 0.05 to 2."""
+    """Dry friction over inertia of a pendulum without an identified value [1/s^2], if `coulomb` is
+    None. Assumed: recorded pivots show 0.05 to 2."""
     inertia_sigma: float = Field(default=0.02, ge=0.0, lt=0.25)
-    """Standard deviation of the factor on I, once per trial."""
+    """Standard deviation of the factor on I, drawn per trial."""
     friction_sigma: float = Field(default=0.2, ge=0.0, lt=1.0)
-    """Standard deviation of the factor on b, once per trial."""
+    """Standard deviation of the factor on b, drawn per trial."""
     counts_per_rev: int = Field(default=8192, ge=64, le=FINEST_ENCODER)
     """Encoder counts per revolution, after x4: 2048 lines."""
     zero_error: float = Field(default=radians(0.2), ge=0.0, le=QUARTER_TURN)
-    """Error of the encoder's zero, evenly within plus and minus this, once per trial [rad].
-    Assumed: stiction leaves a hanging pendulum coulomb / w2 beside the vertical, 0.1 deg on a
-    recorded arm."""
+    """Half width of the uniform zero error of the encoder, drawn per trial [rad]. Assumed: stiction
+    leaves a hanging pendulum coulomb / w2 beside the vertical, 0.1 deg on a recorded arm."""
     zero_offset: float = Field(default=0.0, ge=-QUARTER_TURN, le=QUARTER_TURN)
-    """A constant part of that error [rad]."""
+    """Constant part of the zero error [rad]."""
     encoder_age: float = Field(default=0.001, ge=0.0, le=0.05)
     """Age of the newest count at a tick [s]: an encoder board sends at 1 kHz."""
     encoder_jitter: float = Field(default=0.0003, ge=0.0, le=0.01)
-    """Error of a count's time stamp, evenly within plus and minus this [s]. Assumed: USB frames."""
+    """Half width of the uniform error of a count's time stamp [s]. Assumed: USB frames."""
     reply_age: float = Field(default=0.005, ge=0.0, le=0.1)
-    """Age of the newest measured q at a tick [s]: the reply to the setpoint before. Assumed."""
+    """Age of the newest measured q at a tick [s]: the reply to the previous setpoint. Assumed."""
     joint_noise: float = Field(default=5e-5, ge=0.0, le=0.1)
-    """Standard deviation of the noise on a measured joint position [rad]. Assumed: half the
-    arm's repeatability of 0.1 mm at 0.8 m is 6e-5 rad."""
+    """Standard deviation of the noise on a measured joint position [rad]. Assumed: half of the
+    arm's repeatability of 0.1 mm at 0.8 m, 6e-5 rad."""
     substeps: int = Field(default=1, ge=1, le=16)
-    """Steps of the physics engine in a millisecond."""
+    """Number of physics engine steps per millisecond."""
     guards: bool = True
-    """Whether the rules that would stop a run on a rig end a trial (cause `guard`)."""
+    """Whether the safety rules of a rig end a trial (cause `guard`)."""
     t1: bool = False
-    """Whether the speed limit of T1 is one of them."""
+    """Whether these rules include the speed limit of T1."""
 
 
 class PivotFriction(Value):
-    """Dry friction and drag of a twin's pendulum, and who set them."""
+    """Dry friction and drag of a twin's pendulum, with their origins."""
 
     coulomb: Number
     """Dry friction over inertia [1/s^2]."""
     drag: Number
     """Quadratic drag over inertia [1/rad]."""
     coulomb_from: FrictionSource
-    """Who set the dry friction."""
+    """Origin of the dry friction."""
     drag_from: FrictionSource
-    """Who set the drag."""
+    """Origin of the drag."""
     own_coulomb: Number
-    """The pendulum's own dry friction over inertia [1/s^2]; zero where it was not identified."""
+    """Identified dry friction of the pendulum over inertia [1/s^2]; zero if not identified."""
     own_drag: Number
-    """The pendulum's own quadratic drag over inertia [1/rad]."""
+    """Identified quadratic drag of the pendulum over inertia [1/rad]."""
 
     def on(self, pendulum: "PendulumParameters") -> "PendulumParameters":
-        """Return a pendulum with this friction; what is the pendulum's own stays as it is there."""
-        set_here = {
+        """Return a pendulum with the overridden frictions."""
+        overrides = {
             name: float(getattr(self, name))
             for name in ("coulomb", "drag")
             if getattr(self, f"{name}_from") != "pendulum"
         }
-        return pendulum._replace(**set_here)
+        return pendulum._replace(**overrides)
 
     def words(self, world: str) -> str:
-        """Return the frictions with their units, and who set each.
+        """Return the frictions as text, with their units and origins.
 
         Args:
             world: Name of the world.
@@ -160,11 +160,11 @@ class PivotFriction(Value):
 
 
 def pivot_friction(pendulum: "Pendulum", settings: TwinSettings) -> PivotFriction:
-    """Return the dry friction and the drag that act on a pendulum in a twin.
+    """Return the effective dry friction and drag of a pendulum in a twin.
 
     Args:
         pendulum: The pendulum, with the sources of its numbers.
-        settings: The world's numbers.
+        settings: Parameters of the twin.
     """
     coulomb, drag = pendulum.coulomb.value, pendulum.drag.value
     coulomb_from: FrictionSource = "pendulum"
@@ -186,22 +186,22 @@ def pivot_friction(pendulum: "Pendulum", settings: TwinSettings) -> PivotFrictio
 
 
 def pendulum_on(pendulum: "Pendulum", settings: TwinSettings) -> "PendulumParameters":
-    """Return a pendulum as it swings in a twin, its best values with the friction that acts there.
+    """Return the best values of a pendulum with its effective friction in a twin.
 
     Args:
         pendulum: The pendulum, with the sources of its numbers.
-        settings: The world's numbers.
+        settings: Parameters of the twin.
     """
     return pivot_friction(pendulum, settings).on(pendulum.parameters())
 
 
 class World(NamedTuple):
-    """A digital twin with the name of its set."""
+    """Digital twin with the name of its parameter set."""
 
     name: str
-    """With its version, e.g. `twin:nominal-1`."""
+    """Name with version, e.g. `twin:nominal-1`."""
     settings: TwinSettings
-    """Its numbers."""
+    """Parameters of the twin."""
 
 
 SETS: Final[Mapping[str, Mapping[str, Any]]] = {
@@ -216,21 +216,21 @@ SETS: Final[Mapping[str, Mapping[str, Any]]] = {
     },
     "bare-1": {"rotor_inertia": 0.0},
 }
-"""Frozen sets by name and version, as differences from the defaults of `TwinSettings`."""
+"""Frozen parameter sets by name and version, as differences to the defaults of `TwinSettings`."""
 
 NEWEST: Final[Mapping[str, str]] = {name.partition("-")[0]: name for name in SETS}
 """Newest version of each set, by its name without version."""
 
 
 def read_world(name: str) -> World:
-    """Return the twin that a name stands for.
+    """Return the twin of a name.
 
     Args:
         name: `twin:nominal`, `twin:harsh`, either with a version (`twin:harsh-1`), or
             `twin:FILE`, where the file is TOML with differences to nominal.
 
     Raises:
-        SettingsError: There is no such world, or its file cannot be used.
+        SettingsError: The world does not exist, or its file is invalid.
 
     Example:
         >>> world = read_world("twin:harsh")
