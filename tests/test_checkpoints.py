@@ -84,8 +84,8 @@ def test_learners_that_are_interrupted_again_and_again_give_the_same_bits(
 
 @pytest.mark.parametrize("recipe", SETTINGS)
 def test_a_training_goes_on_from_any_checkpoint(pendulum, tmp_path, monkeypatch, recipe):
-    monkeypatch.setattr(artefacts, "KEEP_EVERY", 0.0)
-    monkeypatch.setattr(artefacts, "WRITING_SHARE", np.inf)
+    monkeypatch.setattr(artefacts, "WRITE_INTERVAL", 0.0)
+    monkeypatch.setattr(artefacts, "MAX_WRITING_SHARE", np.inf)
     partial, checkpoints = tmp_path / "policy.partial.json", []
 
     def copy(*_):
@@ -107,8 +107,8 @@ def test_a_training_goes_on_from_any_checkpoint(pendulum, tmp_path, monkeypatch,
 
 def test_a_finished_training_comes_from_its_checkpoint_alone(pendulum, tmp_path, monkeypatch):
     partial = tmp_path / "policy.partial.json"
-    monkeypatch.setattr(artefacts, "KEEP_EVERY", 0.0)
-    monkeypatch.setattr(artefacts, "WRITING_SHARE", np.inf)
+    monkeypatch.setattr(artefacts, "WRITE_INTERVAL", 0.0)
+    monkeypatch.setattr(artefacts, "MAX_WRITING_SHARE", np.inf)
     policy = train(pendulum, ARM, SETTINGS["robust"], seed=5, partial=partial)
     monkeypatch.setattr(training, "train_episodes", None)
     monkeypatch.setattr(training, "PlantSimulation", None)
@@ -187,7 +187,7 @@ def test_a_file_of_unfinished_work_takes_a_bounded_share_of_the_time(
     while now[0] < 1000.0:
         file.update()
         now[0] += 0.5
-    assert written[0] == artefacts.KEEP_EVERY
-    assert np.min(np.diff(written)) >= 2.0 + 2.0 / artefacts.WRITING_SHARE
+    assert written[0] == artefacts.WRITE_INTERVAL
+    assert np.min(np.diff(written)) >= 2.0 + 2.0 / artefacts.MAX_WRITING_SHARE
     assert len(written) > 5
     assert json.loads((tmp_path / "work.partial.json").read_text())["format"] == ResumePoint.FORMAT

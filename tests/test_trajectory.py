@@ -126,14 +126,14 @@ def test_a_large_recording_is_read_in_little_time_and_memory(tmp_path):
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_a_recording_that_is_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch, packed):
-    monkeypatch.setattr("equipoise.trajectory.LARGEST_RECORDING", 1024 * 1024)
+    monkeypatch.setattr("equipoise.trajectory.MAX_RECORDING_SIZE", 1024 * 1024)
     text = b"time_s,theta_rad\n" + b"0,1\n" * 300_000
     path = tmp_path / "swing.csv"
     path.write_bytes(gzip.compress(text) if packed else text)
     with pytest.raises(RecordingError, match="1 MiB, the limit for a recording"):
         read_swing(path)
-    monkeypatch.setattr("equipoise.trajectory.LARGEST_RECORDING", 10**8)
-    monkeypatch.setattr("equipoise.trajectory.MOST_SAMPLES", 1000)
+    monkeypatch.setattr("equipoise.trajectory.MAX_RECORDING_SIZE", 10**8)
+    monkeypatch.setattr("equipoise.trajectory.MAX_SAMPLES", 1000)
     with pytest.raises(RecordingError, match="300,001 lines, expected at most 1,000"):
         read_swing(path)
 

@@ -1,10 +1,9 @@
-"""Files that Equipoise writes: readable JSON with a format, a version, a digest and a history.
+"""Files of Equipoise: readable JSON with format, version, digest and provenance.
 
-A file is `{format, version, digest, provenance, body}`. The body is a frozen pydantic model; the
-digest is the SHA-256 of its canonical JSON, so that a body that was cut, damaged or edited is
-refused with one sentence (it finds corruption, not forgery; the provenance is a note beside it).
-NaN and infinity are not allowed. Files of another version are refused. A file is written whole or
-not at all.
+A file is `{format, version, digest, provenance, body}`. The body is a frozen pydantic model. The
+digest is the SHA-256 of its canonical JSON, so that a truncated, damaged or edited body is rejected
+(it detects corruption, not forgery, and does not cover the provenance). NaN, infinity and files of
+another version are rejected. Files are written atomically.
 """
 
 import hashlib
@@ -22,12 +21,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-)
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from equipoise.errors import ArtefactError, InputError, OutsideError
 
@@ -35,22 +29,22 @@ StrPath = str | os.PathLike[str]
 """Path of a file or folder, as public functions take it."""
 
 DIGEST_PREFIX = "sha256:"
-KEEP_EVERY = 5.0
-"""Minimum time between two writings of unfinished work [s]."""
-WRITING_SHARE = 0.02
-"""Maximum share of the time that goes into writing unfinished work: what takes long to write is
-written less often."""
+"""Prefix of a digest, which names its algorithm."""
+WRITE_INTERVAL = 5.0
+"""Minimum interval between two writes of unfinished work [s]."""
+MAX_WRITING_SHARE = 0.02
+"""Maximum share of the time for writing unfinished work: slow writes are less frequent."""
 MEBIBYTE: Final = 2**20
-"""Number of bytes in a mebibyte."""
-LARGEST_FILE: Final = 128 * MEBIBYTE
-"""Size limit of a file of ours [bytes]: an evaluation of a million trials with its yardsticks needs
-about 100 MB."""
+"""Bytes per mebibyte."""
+MAX_FILE_SIZE: Final = 128 * MEBIBYTE
+"""Size limit of a file of Equipoise [bytes]: an evaluation of a million trials with its baselines
+takes about 100 MB."""
 LONGEST_QUOTE: Final = 60
-"""Number of characters that a message quotes of a value from a file: a line of a terminal."""
+"""Length limit of a quoted value in a message [characters]: a line of a terminal."""
 
 
 class Value(BaseModel):
-    """A frozen value that files hold: unknown fields, NaN and infinity are refused."""
+    """Frozen model of a value in a file; unknown fields, NaN and infinity are rejected."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
@@ -58,17 +52,17 @@ class Value(BaseModel):
 
 
 Name = Annotated[str, Field(max_length=1024)]
-"""Name, digest or address; no file system has longer names of files."""
+"""Name, digest or address; no file system allows longer file names."""
 Sentence = Annotated[str, Field(max_length=4096)]
-"""Words of a warning: a few lines of a terminal."""
+"""Text of a warning: a few lines of a terminal."""
 Number = Annotated[float, Field(ge=-1e12, le=1e12)]
 """Quantity in SI units without a tighter bound: its square and its products stay finite."""
 Count = Annotated[int, Field(ge=0, le=2**53)]
-"""Number of things; up to here a float holds every integer."""
+"""Count; a float represents every integer up to the limit."""
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 """Share or probability."""
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
-"""Seed of random numbers, as compiled code takes it."""
+"""Seed of random numbers for compiled code."""
 
 
 EstimateSource = Literal["identified", "given", "assumed"]
@@ -108,26 +102,26 @@ class Estimate(Value):
         return self.low, self.high
 
     def not_negative(self) -> "Estimate":
-        """Return the estimate of a quantity that cannot be negative, cut at 0."""
+        """Return the estimate with value and interval limited to non-negative numbers."""
         ends = {name: max(getattr(self, name), 0.0) for name in ("value", "low", "high")}
         return self.model_copy(update=ends)
 
 
 class Provenance(Value):
-    """Where a file comes from."""
+    """Provenance of a file."""
 
     created: str
-    """When it was written, UTC, ISO 8601."""
+    """Time of writing, UTC, ISO 8601."""
     command: str
-    """The verb or function that made it."""
+    """Command or function that created the value."""
     software: dict[str, str]
-    """Versions of Equipoise, Python and the libraries that decide about the bits."""
+    """Versions of Equipoise, Python and the libraries that affect the bits."""
     inputs: dict[str, str] = {}
-    """Digest of each value it was made from, by name."""
+    """Digests of the inputs, by name."""
 
     @classmethod
     def now(cls, command: str, inputs: Mapping[str, str] | None) -> Self:
-        """Return the provenance of a value that is made now, by this installation."""
+        """Return the provenance of a value that this installation creates now."""
         return cls(
             created=datetime.now(UTC).isoformat(timespec="seconds"),
             command=command,
@@ -137,12 +131,12 @@ class Provenance(Value):
 
 
 class Artefact(Value):
-    """A value with a file of its own."""
+    """Value with its own file format."""
 
     FORMAT: ClassVar[str]
-    """Name of the format, written in the file."""
+    """Name of the format in the file."""
     VERSION: ClassVar[int]
-    """Version of the format; raised with a change of the fields."""
+    """Version of the format; incremented with a change of the fields."""
 
     @property
     def digest(self) -> str:
@@ -150,23 +144,22 @@ class Artefact(Value):
         return _digest(self.model_dump(mode="json"))
 
     def save(self, path: StrPath, *, command: str, inputs: Mapping[str, str] | None = None) -> None:
-        """Write the value to `path`, whole or not at all.
+        """Write the value to `path` atomically.
 
         Args:
-            path: The file; its folder is made if it is missing.
-            command: The verb or function that made the value.
-            inputs: Digests of the values it was made from, by name.
+            path: The file; a missing folder is created.
+            command: Command or function that created the value.
+            inputs: Digests of the inputs, by name.
 
         Raises:
-            OutsideError: The disk refuses.
+            OutsideError: The disk rejects the file.
         """
-        provenance = Provenance.now(command, inputs)
         body = self.model_dump(mode="json")
         document = {
             "format": self.FORMAT,
             "version": self.VERSION,
             "digest": _digest(body),
-            "provenance": provenance.model_dump(mode="json"),
+            "provenance": Provenance.now(command, inputs).model_dump(mode="json"),
             "body": body,
         }
         write_whole(Path(path), _readable(document) + "\n")
@@ -176,7 +169,7 @@ class Artefact(Value):
         """Read a value from `path`.
 
         Raises:
-            ArtefactError: The file is missing, corrupt, edited, of another format or newer.
+            ArtefactError: The file is missing, corrupt, edited, or of another format or version.
         """
         document = read_document(Path(path))
         if document["format"] != cls.FORMAT:
@@ -200,7 +193,7 @@ class Artefact(Value):
         except ValidationError as error:
             fault, cure = first_fault(error), "make the file again"
             what = fault.what
-            if fault.unknown:  # and the digest says that it was written so
+            if fault.unknown:  # the digest excludes a damaged file
                 what, cure = "this Equipoise does not know that field", f"upgrade it, or {cure}"
             raise ArtefactError(
                 f"{path} is not a valid {cls.FORMAT!r} file: {fault.where or 'body'}: {what}; "
@@ -209,15 +202,15 @@ class Artefact(Value):
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """Read a file of ours without knowing its kind, and check that it is what was written.
+    """Read a file of Equipoise of any format and verify its digest.
 
     Returns:
         The keys format, version, digest, provenance and body.
 
     Raises:
-        ArtefactError: The file is missing, not ours, or does not match its digest.
+        ArtefactError: The file is missing, not of Equipoise, or does not match its digest.
     """
-    data = read_bytes(path, LARGEST_FILE, "a file of Equipoise", ArtefactError)
+    data = read_bytes(path, MAX_FILE_SIZE, "a file of Equipoise", ArtefactError)
     try:
         document: Any = json.loads(
             data.decode("utf-8"), parse_constant=_refuse, parse_float=_finite
@@ -247,16 +240,16 @@ def read_document(path: Path) -> dict[str, Any]:
 
 
 def read_bytes(path: Path, limit: int, kind: str, error: type[InputError]) -> bytes:
-    """Return the content of a file, and take no more memory than the limit.
+    """Read a file of limited size.
 
     Args:
-        path: The file; a pipe will do.
-        limit: Largest size that is read [bytes].
-        kind: Name of what is expected, with its article, for messages.
+        path: The file, or a pipe.
+        limit: Size limit [bytes], also of the memory use.
+        kind: Expected kind of file, with its article, for messages.
         error: Class of the errors.
 
     Raises:
-        InputError: The file is missing, cannot be read or is larger; it is of the class `error`.
+        InputError: The file is missing, unreadable or too large; an instance of `error`.
     """
     pieces: list[bytes] = []
     left = limit + 1
@@ -277,20 +270,20 @@ def read_bytes(path: Path, limit: int, kind: str, error: type[InputError]) -> by
 
 
 class FieldError(NamedTuple):
-    """First fault of a value that does not fit its model, in words of bounded length."""
+    """First fault of a value that violates its model, as text of bounded length."""
 
     where: str
     """Path of the field, with dots; empty for the value as a whole."""
     what: str
-    """What was expected there."""
+    """Expected value."""
     got: str
-    """The value that came, quoted."""
+    """Actual value, quoted."""
     unknown: bool
     """Whether the model has no such field."""
 
 
 def first_fault(error: ValidationError) -> FieldError:
-    """Return the first fault that a validation found."""
+    """Return the first fault of a validation."""
     first = error.errors(include_url=False, include_context=False)[0]
     return FieldError(
         where=".".join(shortened(str(part)) for part in first["loc"]),
@@ -326,10 +319,10 @@ _QUOTES.maxlevel = 2
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file under a temporary name, then rename it: it is there whole or not at all.
+    """Write a file atomically, under a temporary name that is then replaced.
 
     Raises:
-        OutsideError: The disk refuses.
+        OutsideError: The disk rejects the file.
     """
     if not path.name:
         raise OutsideError(f"cannot write {path}: it names a folder; give the name of a file")
@@ -350,23 +343,23 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 class PartialFile:
-    """A file of unfinished work, written from time to time, each time whole or not at all.
+    """File of unfinished work, written periodically and atomically.
 
-    As a context it writes once more where the work inside is interrupted.
+    As a context manager it writes once more if the work is interrupted.
     """
 
     def __init__(
         self, path: StrPath | None, command: str, state: Callable[[], Artefact | None]
     ) -> None:
-        """Name the file, nothing if none is to be written.
+        """Create the writer.
 
         Args:
-            path: The file.
-            command: The verb or function that does the work.
-            state: Returns the work so far, none if there is nothing to keep.
+            path: The file; None writes nothing.
+            command: Command or function that does the work.
+            state: Returns the unfinished work, or None if there is nothing to write.
         """
         self._path, self._command, self._state = path, command, state
-        self._writing, self._due = threading.Lock(), time.monotonic() + KEEP_EVERY
+        self._writing, self._due = threading.Lock(), time.monotonic() + WRITE_INTERVAL
 
     def __enter__(self) -> Self:
         return self
@@ -377,10 +370,10 @@ class PartialFile:
                 self._write()
 
     def update(self) -> None:
-        """Write the work so far where the last writing is long enough ago; for any thread.
+        """Write the unfinished work if a write is due; thread-safe.
 
         Raises:
-            OutsideError: The disk refuses.
+            OutsideError: The disk rejects the file.
         """
         if time.monotonic() < self._due or not self._writing.acquire(blocking=False):
             return
@@ -388,7 +381,7 @@ class PartialFile:
             begin = time.monotonic()
             self._write()
             end = time.monotonic()
-            self._due = end + max(KEEP_EVERY, (end - begin) / WRITING_SHARE)
+            self._due = end + max(WRITE_INTERVAL, (end - begin) / MAX_WRITING_SHARE)
         finally:
             self._writing.release()
 
@@ -398,25 +391,25 @@ class PartialFile:
 
 
 def partial_path(out: Path) -> Path:
-    """Return the path of the file that keeps the unfinished work on `out`, beside it."""
+    """Return the path of the unfinished work on `out`, in the same folder."""
     return out.with_suffix(".partial.json")
 
 
 def temporary_name(path: Path) -> Path:
-    """Return a hidden name beside a file, of this process and thread alone.
+    """Return a hidden path in the folder of a file, unique to this process and thread.
 
-    File systems take names of up to 255 bytes, so a long name is cut.
+    File systems limit names to 255 bytes, so a long name is truncated.
     """
     name = os.fsdecode(os.fsencode(path.name)[:150])
     return path.with_name(f".{name}.{os.getpid()}.{threading.get_ident()}.tmp")
 
 
 def value_digest(value: BaseModel, *, exclude: dict[str, Any] | None = None) -> str:
-    """Return the SHA-256 of the canonical JSON of any frozen value.
+    """Return the SHA-256 of the canonical JSON of a frozen value.
 
     Args:
         value: The value.
-        exclude: Fields that the digest leaves out, as `model_dump` takes them.
+        exclude: Excluded fields, in the form of `model_dump`.
     """
     return _digest(value.model_dump(mode="json", exclude=exclude))
 
@@ -436,9 +429,8 @@ def _finite(text: str) -> float:
 
 
 def _software() -> dict[str, str]:
-    packages = ("equipoise", "numpy", "numba", "scipy", "mujoco")
     versions = {"python": platform.python_version(), "machine": platform.machine()}
-    for package in packages:
+    for package in ("equipoise", "numpy", "numba", "scipy", "mujoco"):
         try:
             versions[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

@@ -1,23 +1,22 @@
-"""One way to compile a kernel, and one place where the machine code is kept.
+"""Compilation of kernels with Numba, and the cache of their machine code.
 
-`@kernel` is `numba.njit` with the project's choices: lazily typed, so that importing a module
-compiles nothing; `nogil`, so that threads run side by side; never `fastmath`, so that equal input
-gives equal bits; and cached on disk.
+`@kernel` is `numba.njit` with fixed options: lazy typing, so that importing a module compiles
+nothing; `nogil`, so that threads run in parallel; no `fastmath`, so that equal input gives equal
+bits; and a cache on disk.
 
-Numba's own cache looks at the file of a kernel only, while a kernel also contains the code of the
-kernels that it calls. Ours is keyed by a digest of *all* files that hold kernels, lies in the
-user's cache directory (`EQUIPOISE_CACHE_DIR` moves it). Cached code is run when it is loaded: a
-folder in which others may write is not used (`equipoise.private_folder`). There, and where nothing
-can be written, the kernels compile anew in each process, after one warning.
+Numba's own cache depends only on the file of a kernel, but a kernel also contains the code of the
+kernels that it calls. This cache depends on a digest of *all* files with kernels, in the user's
+cache directory (`EQUIPOISE_CACHE_DIR` moves it). Loading cached code runs it, so a folder that
+others can write to is not used (`equipoise.private_folder`). Without a usable folder, kernels
+compile in each process, after one warning.
 
-`@compilable` leaves a function to Python and lets kernels call it.
+`@compilable` keeps a function in Python and lets kernels call it.
 
-`handle` makes a type that holds many arrays and numbers behind one reference: a kernel that Python
-calls once in each step takes it in a microsecond, and its parts in a hundred.
+`handle` creates a type that holds many arrays and numbers behind one reference: passing it from
+Python to a kernel takes a microsecond, passing its parts takes a hundred.
 
-`function_pointer` compiles a function of fixed signature that kernels take as an *argument*: this
-is how one training loop serves every arm (a dispatcher passed as an argument would never be found
-in the cache).
+`function_pointer` compiles a function of fixed signature that kernels take as an *argument*, so
+that one training loop serves every arm (a dispatcher as an argument would always miss the cache).
 """
 
 import functools
@@ -48,14 +47,14 @@ KERNEL_ROOMS = ("model", "control", "learning", "devices/twin", "simulation")
 
 
 def cache_directory() -> Path:
-    """Return the directory for what can be made again: machine code, generated arms."""
+    """Return the directory of reproducible files: machine code and generated arms."""
     moved = os.environ.get("EQUIPOISE_CACHE_DIR")
     return Path(moved) if moved else Path(platformdirs.user_cache_dir("equipoise", appauthor=False))
 
 
 @functools.cache
 def kernel_sources_digest() -> str:
-    """Return a digest of every file that holds kernels, and of this one."""
+    """Return a digest of every file with kernels and of this module."""
     files = [Path(__file__), *(f for room in KERNEL_ROOMS for f in (PACKAGE / room).rglob("*.py"))]
     digest = hashlib.sha256()
     for file in sorted(files):
@@ -65,7 +64,7 @@ def kernel_sources_digest() -> str:
 
 @functools.cache
 def _usable(folder: Path, contents: bool) -> bool:
-    """Return whether a cache folder can be written, by this user alone; it is made if missing."""
+    """Create a cache folder; return whether this user alone can write to it."""
     try:
         make_private_folder(folder)
         tempfile.TemporaryFile(dir=folder).close()
@@ -89,7 +88,7 @@ def warn_of_cache(cache: Path, problem: str) -> None:
 
 
 def cache_folder(*names: str) -> Path | None:
-    """Return a folder of the cache; none where it cannot be used, after a warning."""
+    """Return a folder of the cache; warn and return None if it cannot be used."""
     top = cache_directory()
     folder = top.joinpath(*names)
     return folder if _usable(top, False) and _usable(folder, True) else None
@@ -101,7 +100,7 @@ def _machine_code_directory() -> Path | None:
 
 
 def cache_is_empty() -> bool:
-    """Return whether kernels are kept, and none is there yet."""
+    """Return whether the cache is in use and holds no kernels yet."""
     directory = None if disabled() else _machine_code_directory()
     return directory is not None and not any(directory.glob("*.nbi"))
 
@@ -122,14 +121,14 @@ def watching_compilation(compiled: Callable[[], None]) -> Generator[None]:
 
 
 class _Locator(caching._CacheLocator):
-    """Tells Numba where the machine code of one function lies and when it is stale.
+    """Location and stamp of the machine code of one function, for Numba.
 
-    Numba's own methods only raise: that they return anything is not in their types.
+    The types of Numba's base methods, which only raise, lack the return values.
     """
 
     def __init__(self, py_func: Callable[..., Any], py_file: str, directory: Path) -> None:
         self._directory = directory
-        # Files of one name in two folders share the directory: the path tells them apart.
+        # Files of equal name share the directory: the path distinguishes them.
         place = hashlib.sha256(py_file.encode()).hexdigest()[:8]
         self._place = f"{py_func.__code__.co_firstlineno}-{place}"
         self._stamp = hashlib.sha256(Path(py_file).read_bytes()).hexdigest()
@@ -157,7 +156,7 @@ class _KernelCache(caching.FunctionCache):
     _impl_class = _CacheImpl
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return machine code from the cache; none where its file is damaged."""
+        """Load machine code from the cache; return None if its file is damaged."""
         try:
             return super().load_overload(sig, target_context)
         except Exception as error:  # a damaged pickle fails in any way there is
@@ -167,7 +166,7 @@ class _KernelCache(caching.FunctionCache):
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Write machine code to the cache; go on without, where the disk is full."""
+        """Write machine code to the cache; continue without it if the disk is full."""
         try:
             super().save_overload(sig, data)
         except OSError as error:
@@ -182,29 +181,28 @@ def _cached(compiled: Any) -> None:
 
 
 def disabled() -> bool:
-    """Return whether kernels stay plain Python, by `NUMBA_DISABLE_JIT=1`."""
+    """Return whether `NUMBA_DISABLE_JIT=1` keeps kernels as plain Python."""
     return bool(vars(config)["DISABLE_JIT"])  # set by Numba from NUMBA_DISABLE_JIT
 
 
 def kernel(function: F) -> F:
-    """Compile `function` on its first call; with `NUMBA_DISABLE_JIT=1` leave it as it is."""
+    """Compile `function` on its first call; with `NUMBA_DISABLE_JIT=1` return it unchanged."""
     return _lazily_compiled(function)
 
 
 def inlined(function: F) -> F:
     """Compile `function` into each kernel that calls it.
 
-    For the formulas inside loops over lanes: a processor runs such a loop many numbers at a time
-    only if nothing is called in it.
+    Formulas inside loops over lanes need it: a processor vectorises a loop only without calls.
     """
     return _lazily_compiled(function, forceinline=True)
 
 
 def compilable(function: F) -> F:
-    """Leave `function` to Python as it is, and compile it into each kernel that calls it.
+    """Keep `function` in Python, and compile it into each kernel that calls it.
 
-    For rules that a rig asks in Python, where nothing may compile in the midst of a run, and trials
-    in kernels: equal code for both.
+    Rigs evaluate rules in Python, because nothing may compile during a run; trials evaluate the
+    same code in kernels.
     """
     if disabled():
         return function
@@ -219,8 +217,7 @@ def _lazily_compiled(function: F, **options: Any) -> F:
     options |= {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     dispatcher: Any = numba.njit(**options)(function)
     _cached(dispatcher)
-    # A whole number that is written out has a type of its own for Numba, and the kernel that takes
-    # it would be compiled once more for it.
+    # Numba gives an integer literal a type of its own, for which it would compile the kernel again.
     resolve = dispatcher.get_call_template
     dispatcher.get_call_template = lambda args, kws: resolve(
         tuple(map(numba.types.unliteral, args)),
@@ -231,13 +228,13 @@ def _lazily_compiled(function: F, **options: Any) -> F:
 
 @functools.cache
 def function_pointer(function: F, signature: Any, cached: bool = True) -> F:
-    """Compile `function` for one `signature`, as a value that kernels take as an argument.
+    """Compile `function` for one `signature`, as an argument of kernels.
 
     Args:
         function: A plain function of a real `.py` file.
         signature: Numba signature, e.g. `void(float64[::1], float64[::1])`.
-        cached: Whether to keep the machine code on disk; not for code from outside the package,
-            whose changes the digest of the cache does not see. Such code has its indices checked.
+        cached: Whether to cache the machine code on disk. The digest of the cache does not cover
+            code from outside the package, which is not cached and has its indices checked.
 
     Returns:
         The compiled function; with `NUMBA_DISABLE_JIT=1`, `function` itself.
@@ -256,9 +253,9 @@ def function_pointer(function: F, signature: Any, cached: bool = True) -> F:
 
 
 def handle(name: str, module: str, fields: Sequence[str]) -> Any:
-    """Return a type of values that kernels take by reference, with fields of any types.
+    """Create a type whose values kernels take by reference, with fields of any types.
 
-    Make its values in a kernel (`return NAME(...)`): what makes them is then cached, too.
+    Construct its values in a kernel (`return NAME(...)`), which caches the constructor, too.
 
     Args:
         name: Name of the type; assign it to a variable of this name.
@@ -266,16 +263,16 @@ def handle(name: str, module: str, fields: Sequence[str]) -> Any:
         fields: Names of the fields.
 
     Returns:
-        A type that is made from its fields, in their order; with `NUMBA_DISABLE_JIT=1`, a named
-        tuple.
+        A type with a constructor of its fields, in their order; with `NUMBA_DISABLE_JIT=1`, a
+        named tuple.
     """
     if disabled():
-        # The fields are known at run time only.
+        # The fields are dynamic.
         return NamedTuple(name, [(field, Any) for field in fields])  # pyright: ignore
     from numba.experimental import structref
 
     kind = type(f"{name}Type", (numba.types.StructRef,), {"__module__": module})
     proxy = type(name, (structref.StructRefProxy,), {"__module__": module})
     structref.define_proxy(proxy, structref.register(kind), list(fields))
-    vars(sys.modules[module])[kind.__name__] = kind  # Numba's cache finds the type by its name
+    vars(sys.modules[module])[kind.__name__] = kind  # Numba's cache looks up the type by name
     return proxy

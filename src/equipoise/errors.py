@@ -1,52 +1,52 @@
-"""Every error that Equipoise raises on purpose.
+"""Exceptions of Equipoise.
 
 The tree, with the exit code of the command line in brackets::
 
     EquipoiseError
-    ├── InputError (ValueError)              [2] what was given cannot be used
-    │   ├── SettingsError                        an unknown or impossible setting
-    │   ├── RecordingError                       a recording that identifies nothing
-    │   ├── ArtefactError                        a corrupt, foreign or mismatched file
-    │   ├── ArmError                             an arm description or posture that cannot work
-    │   └── MissingExtraError (ImportError)      an optional dependency is not installed
-    └── OutsideError (OSError)               [3] disk, link or device failed
-        └── LinkError (ConnectionError)          robot or sensor does not answer as it should
+    ├── InputError (ValueError)              [2] invalid input
+    │   ├── SettingsError                        unknown or invalid setting
+    │   ├── RecordingError                       recording unsuitable for identification
+    │   ├── ArtefactError                        corrupt, foreign or mismatched file
+    │   ├── ArmError                             invalid arm description or posture
+    │   └── MissingExtraError (ImportError)      optional dependency is not installed
+    └── OutsideError (OSError)               [3] failure of disk, link or device
+        └── LinkError (ConnectionError)          no valid answer from robot or sensor
 
-A message says what was expected, what came, and what to do about it.
+A message gives the fault with its value, the expected value, and a remedy.
 """
 
 
 class EquipoiseError(Exception):
-    """Root of the tree: catch this to catch all of ours."""
+    """Base class of all exceptions of Equipoise."""
 
     exit_code = 2
 
 
 class InputError(EquipoiseError, ValueError):
-    """What was given cannot be used; another input will."""
+    """Invalid input; a corrected input works."""
 
 
 class SettingsError(InputError):
-    """A setting is unknown, of the wrong type or out of range."""
+    """Unknown setting, or a value of the wrong type or out of range."""
 
 
 class RecordingError(InputError):
-    """A recording does not hold what its identification needs."""
+    """Recording that is unsuitable for identification."""
 
 
 class ArtefactError(InputError):
-    """A file of ours is corrupt, of another format or version, or does not match another."""
+    """File that is corrupt, of another format or version, or inconsistent with another file."""
 
 
 class ArmError(InputError):
-    """An arm description is incomplete, or a posture is out of its limits."""
+    """Incomplete arm description, or a posture outside its limits."""
 
 
 class MissingExtraError(InputError, ImportError):
-    """An optional dependency is not installed."""
+    """Missing optional dependency."""
 
     def __init__(self, package: str, extra: str) -> None:
-        """Name the missing `package` and the `extra` that installs it."""
+        """Create an error for a missing `package`, installed by the extra `extra`."""
         super().__init__(
             f"this needs the package {package}, which is not installed; install it with: "
             f"python -m pip install {package} (or '.[{extra}]' in the sources of Equipoise)"
@@ -54,10 +54,10 @@ class MissingExtraError(InputError, ImportError):
 
 
 class OutsideError(EquipoiseError, OSError):
-    """The world outside failed: disk full, link lost, device gone."""
+    """Failure outside the program: disk full, link lost, device disconnected."""
 
     exit_code = 3
 
 
 class LinkError(OutsideError, ConnectionError):
-    """A robot or a sensor is gone, is silent, or says what it should not."""
+    """Robot or sensor that is disconnected, silent, or sends invalid data."""

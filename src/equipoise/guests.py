@@ -1,7 +1,7 @@
-"""Import of objects from outside the package, named as MODULE:NAME.
+"""Import of plug-in objects from outside the package, named as MODULE:NAME.
 
-A guest's policy, reward or learner is an object in a Python module of the current folder or of an
-installed package. Results name it by the digest of the file that defines it.
+A custom policy, reward or learner is an object in a Python module of the current folder or of an
+installed package. Results identify it by the digest of its source file.
 """
 
 import hashlib
@@ -16,11 +16,11 @@ from equipoise.errors import InputError
 
 
 def load_object(name: str, option: str) -> Any:
-    """Import the object that `MODULE:NAME` names, from the current folder or what is installed.
+    """Import the object `MODULE:NAME` from the current folder or an installed package.
 
     Args:
-        name: Module and attribute, e.g. `own_policy:balance`; the suffix `.py` may stand.
-        option: Option or setting that was given, for messages, e.g. `--policy`.
+        name: Module and attribute, e.g. `own_policy:balance`; the module may end in `.py`.
+        option: Name of the option or setting for messages, e.g. `--policy`.
 
     Raises:
         InputError: The name is malformed, the module cannot be imported, or the object is missing.
@@ -72,11 +72,11 @@ def source_digest(function: Any) -> str:
 
 
 def format_error(error: BaseException, hidden: str = __file__) -> str:
-    """Return the type of an error, its text, and the line of code where it arose.
+    """Return the type of an error, its text, and the line of code that raised it.
 
     Args:
         error: The error.
-        hidden: File of which no line is named, that of the caller.
+        hidden: File whose lines are skipped, that of the caller.
     """
     frames = [
         frame

@@ -1,9 +1,9 @@
-"""The numbers that the paper publishes, and nothing else.
+"""Published numbers of the paper.
 
 Safeea & Neto, "A Q-learning approach to the continuous control problem of robot inverted pendulum
-balancing", Intelligent Systems with Applications. Each number carries its section. Units are the
-paper's own (degrees, where a name ends in `_DEG`); the rest of the project converts them once.
-What the paper leaves open is a choice of ours, with its reason, in `equipoise.settings`.
+balancing", Intelligent Systems with Applications. Each number carries its section. Units are those
+of the paper (degrees for names that end in `_DEG`); the rest of the project converts them once.
+Unpublished parameters are settings with a reason in `equipoise.settings`.
 """
 
 from numbers import Real
@@ -19,7 +19,7 @@ class Interval(NamedTuple):
     high_closed: bool
 
     def __contains__(self, value: object) -> bool:
-        """Tell whether `value` lies in the interval."""
+        """Return whether `value` lies in the interval."""
         if not isinstance(value, Real):
             return False
         number = float(value)
@@ -35,14 +35,14 @@ class Interval(NamedTuple):
 
 
 def _interval(text: str) -> Interval:
-    """Read the paper's notation: `_interval("]-5, -1]")`."""
+    """Parse the paper's notation: `_interval("]-5, -1]")`."""
     low, high = text[1:-1].split(",")
     return Interval(float(low), float(high), low_closed=text[0] == "[", high_closed=text[-1] == "]")
 
 
 # Section 3.1: acceleration tracking.
 HELD_JOINT: Final = 3
-"""The redundant joint that is held, counted from one."""
+"""Index of the fixed redundant joint, from one."""
 
 # Section 3.2: the pendulum.
 FREE_SWING_PERIOD: Final = 0.75
@@ -50,7 +50,7 @@ FREE_SWING_PERIOD: Final = 0.75
 
 # Section 4.1: discretization.
 ACTIONS: Final = (-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0)
-"""Accelerations of the flange along x [m/s^2]; there is no zero."""
+"""Accelerations of the flange along x [m/s^2], without zero."""
 
 PHI_INTERVALS_DEG: Final = tuple(
     _interval(text) for text in ("]-11,-5[", "[-5,-1[", "[-1,0[", "[0,1[", "[1,5[", "[5,11[")
@@ -73,21 +73,21 @@ X_DOT_INTERVALS: Final = tuple(
 """Velocity of the flange along x [m/s]."""
 
 PHI_LIMIT_DEG: Final = 11.0
-"""A failure is declared when |phi| reaches this angle [deg]."""
+"""Failure angle |phi| [deg]."""
 
 X_LIMIT: Final = 0.22
-"""A failure is declared when |x| reaches this displacement [m]."""
+"""Failure displacement |x| [m]."""
 
 # Section 4.2: simulation.
 EPISODES: Final = 10_000
-"""Episodes of training."""
+"""Number of training episodes."""
 
 STEP: Final = 0.01
 """Time step h [s]."""
 
 # Section 4.3: the real robot.
 SECONDS_BALANCED: Final = 5.0
-"""How long the pendulum stood on the real robot [s]."""
+"""Balancing time on the real robot [s]."""
 
 X_AT_FAILURE: Final = -0.22
 """Displacement of the flange at the failure [m]."""

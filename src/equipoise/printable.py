@@ -1,16 +1,16 @@
-r"""Text from files and wires, made safe to show.
+r"""Escaping of untrusted text from files and networks for display.
 
-An escape sequence moves a terminal's cursor or changes its title, a bidirectional override shows a
-name in another order, a line break forges a line. Each such character is replaced by its escape as
-Python writes it, `\x1b`; the result contains none, so that escaping twice changes nothing.
+An escape sequence moves a terminal's cursor or changes its title, a bidirectional override reorders
+a name, a line break forges a line. Each such character is replaced by its Python escape, `\x1b`.
+Escaping is idempotent.
 """
 
 from typing import Final
 
 SPACES: Final = "\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}\N{THIN SPACE}"
-"""Spaces of our own texts, which `str.isprintable` rejects."""
+"""Spaces in texts of Equipoise, which `str.isprintable` rejects."""
 LAYOUT: Final = "\n\t"
-"""Line breaks and tabs, which a text of several lines keeps."""
+"""Line breaks and tabs, which are kept in multi-line text."""
 
 
 def printable(text: str, *, layout: bool = False) -> str:

@@ -1,9 +1,8 @@
-"""Folders that nobody else may write in, for files that are run as code when they are read.
+"""Validation of cache folders that only this user can write to.
 
-Machine code is cached in pickles, and a pickle runs code. A cache folder is used only if it and all
-that leads to it, links included, belong to this user or to the system, and nobody else may write
-there: then nobody else can have put a file into it. Windows has no such bits; nothing is checked
-there.
+Machine code is cached in pickles, and loading a pickle runs code. A cache folder is used only if
+its whole path, links included, belongs to this user or to the system and is not writable by others,
+so that no other user can add a file. Windows has no such permission bits; nothing is checked there.
 """
 
 import os
@@ -13,16 +12,16 @@ from pathlib import Path
 from typing import Final
 
 MOST_LINKS: Final = 40
-"""Limit on the symbolic links in a path, as Linux has it."""
+"""Limit on the symbolic links in a path, as in Linux."""
 OTHERS: Final = stat.S_IWGRP | stat.S_IWOTH
-"""Permission of others to write."""
+"""Permission bits for writing by others."""
 
 
 def make_private_folder(path: Path) -> None:
-    """Make a folder, and those above it, for this user alone; leave one that exists as it is.
+    """Create a folder and its missing parents with access for this user alone.
 
     Raises:
-        OSError: It cannot be made.
+        OSError: A folder cannot be created.
     """
     for folder in (*reversed(path.parents), path):
         try:
@@ -33,14 +32,14 @@ def make_private_folder(path: Path) -> None:
 
 
 def writable_by_others(folder: Path, *, contents: bool = True) -> str:
-    """Return why somebody else might have written in a folder; empty if nobody else can.
+    """Return the reason why others can write to a folder; empty if they cannot.
 
     Args:
-        folder: A folder that exists.
-        contents: Look at what is in it as well.
+        folder: An existing folder.
+        contents: Check the contents as well.
 
     Raises:
-        OSError: It cannot be looked at.
+        OSError: The folder cannot be read.
     """
     if os.name != "posix":
         return ""
@@ -60,14 +59,14 @@ def writable_by_others(folder: Path, *, contents: bool = True) -> str:
         if stat.S_ISLNK(status.st_mode):
             return f"{place} is a symbolic link"
         if shut and status.st_uid in (0, os.geteuid()):
-            continue  # nobody else gets as far as its permissions
+            continue  # the folder is closed to others, whatever the permissions of its files
         if fault := _fault(place, status, sticky=False):
             return fault
     return ""
 
 
 def _steps(path: Path) -> Iterator[Path]:
-    """Yield every folder and every link that a path leads through, and last where it ends."""
+    """Yield every folder and link on a path, and finally its target."""
     here, links = Path(path.anchor), 0
     left = list(reversed(path.parts[1:]))
     yield here
@@ -90,13 +89,12 @@ def _steps(path: Path) -> Iterator[Path]:
 
 
 def _fault(place: Path, status: os.stat_result, *, sticky: bool) -> str:
-    """Return why others might replace or change a file, link or folder.
+    """Return the reason why others can replace or change a file, link or folder.
 
     Args:
-        place: Where it is.
-        status: Its own, not that of what it links to.
-        sticky: Others may write in a folder whose sticky bit keeps them from replacing what is
-            there.
+        place: Path of the file, link or folder.
+        status: Status of `place`, not of the target of a link.
+        sticky: Accept a folder that is writable by others if its sticky bit protects the contents.
     """
     if status.st_uid not in (0, os.geteuid()):
         return f"{place} belongs to another user"
@@ -109,7 +107,7 @@ def _fault(place: Path, status: os.stat_result, *, sticky: bool) -> str:
 
 
 def _is_own_group(group: int) -> bool:
-    """Return whether a group has no member but this user, as many systems give each user one."""
+    """Return whether this user is the only member of a group, as in many default configurations."""
     import grp
     import pwd
 

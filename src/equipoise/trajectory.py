@@ -1,14 +1,15 @@
-"""A recorded motion of the pendulum, and the CSV file that carries one.
+"""Recorded motions of the pendulum, and their CSV files.
 
-theta is measured from hanging, in radians, and grows with the encoder's counts; theta + phi = pi.
-A recording gives theta, or its rate from a gyro. The file has a header and one sample per line::
+theta is measured from hanging, in radians, and increases with the encoder's counts; theta + phi =
+pi. A recording holds theta, or its rate from a gyro. The file has a header and one sample per
+line::
 
     time_s,theta_rad        or time_ms, time_us; theta_deg, counts, rate_rad_s
     0.000,-1.618429
 
-Semicolons and tabs separate as well, then with a decimal point or a decimal comma. Text is UTF-8,
-Latin-1 or UTF-16, and may be compressed by gzip. Further columns are ignored. An angle that jumps
-by more than half a turn from one sample to the next was wrapped by its recorder, and is unwrapped.
+Semicolons and tabs are accepted separators, also with decimal commas. Text is UTF-8, Latin-1 or
+UTF-16, optionally compressed by gzip. Other columns are ignored. Angles are unwrapped: a jump by
+more than half a turn between two samples comes from a recorder that wraps the angle.
 """
 
 import codecs
@@ -44,52 +45,52 @@ from equipoise.printable import printable
 TIME: Final = "time_s"
 """Name of the column of time stamps [s]."""
 TIMES: Final = {TIME: 1.0, "time_ms": 1e-3, "time_us": 1e-6}
-"""Names of the columns that time stamps can come in, with their units [s]; a file has one."""
+"""Accepted columns of time stamps, with their units [s]; a file has one."""
 QUANTITIES: Final = ("theta_rad", "theta_deg", "counts", "rate_rad_s")
-"""Names of the columns that a motion can come in; a file has one of them."""
+"""Accepted columns of the motion; a file has one."""
 
-LARGEST_RECORDING: Final = 128 * MEBIBYTE
+MAX_RECORDING_SIZE: Final = 128 * MEBIBYTE
 """Size limit of a recording, after decompression [bytes]: an hour at 1 kHz with six columns."""
-MOST_SAMPLES: Final = 5_000_000
-"""Limit on the number of samples: more than an hour at 1 kHz. A swing lasts minutes."""
-LARGEST_NUMBER: Final = 1e18
+MAX_SAMPLES: Final = 5_000_000
+"""Limit on the number of samples: more than an hour at 1 kHz; a swing lasts minutes."""
+MAX_NUMBER: Final = 1e18
 """Limit on a number in a recording: nanoseconds since 1970 have 19 digits."""
-LARGEST_TIME: Final = 1e10
-"""Limit on a time stamp [s]: three hundred years; seconds since 1970 are below it, milliseconds
-are above."""
-LARGEST_VALUE: Final = 1e9
-"""Limit on an angle [rad] or a rate [rad/s]: no encoder counts as many turns."""
+MAX_TIME: Final = 1e10
+"""Limit on a time stamp [s]: 300 years; seconds since 1970 are below, milliseconds above."""
+MAX_VALUE: Final = 1e9
+"""Limit on an angle [rad] or a rate [rad/s], beyond the range of any encoder."""
 SEPARATORS: Final = (",", ";", "\t")
 """Separators between columns."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A motion of the pendulum against time; its arrays cannot be written to."""
+    """Motion of the pendulum over time, with read-only arrays."""
 
     time: npt.NDArray[np.float64]
     """Time stamps [s], increasing, shape (n,)."""
     theta: npt.NDArray[np.float64] | None = None
-    """Angle from hanging [rad], shape (n,); none where a gyro recorded the rate."""
+    """Angle from hanging [rad], shape (n,); None if a gyro recorded the rate."""
     theta_dot: npt.NDArray[np.float64] | None = None
-    """Rate of the angle [rad/s], shape (n,); none where the angle was recorded."""
+    """Rate of the angle [rad/s], shape (n,); None if the angle was recorded."""
     x_ddot: npt.NDArray[np.float64] | None = None
-    """Acceleration of the pivot along x [m/s^2], shape (n,); none where the pivot is at rest."""
+    """Acceleration of the pivot along x [m/s^2], shape (n,); None for a pivot at rest."""
     resolution: float = 0.0
-    """Smallest step of the recorded values [rad], or [rad/s] for a rate; 0 where unknown."""
+    """Smallest step of the recorded values [rad], or [rad/s] for a rate; 0 if unknown."""
     source: str = "unnamed"
-    """Where it comes from: the name of the file."""
+    """Name of the file."""
     sha256: str = ""
-    """SHA-256 of what it was read from; of the samples themselves if nothing is given."""
+    """SHA-256 of the file; by default that of the samples."""
     released: bool = False
-    """The first sample is known to swing freely, so that nobody looks for the release."""
+    """Whether the pendulum swings freely from the first sample, without a search for the
+    release."""
 
     def __post_init__(self) -> None:
-        """Check the shapes, and freeze the arrays.
+        """Validate the arrays and make them read-only.
 
         Raises:
-            RecordingError: Not exactly one of angle and rate, shapes that differ, values that are
-                no numbers, or time that does not increase.
+            RecordingError: Angle and rate are both given or both missing, shapes differ, values are
+                not finite, or time does not increase.
         """
         if (self.theta is None) == (self.theta_dot is None):
             raise RecordingError(
@@ -123,7 +124,7 @@ class Trajectory:
 
     @property
     def values(self) -> npt.NDArray[np.float64]:
-        """What was recorded: the angle [rad], or the rate [rad/s]; shape (n,)."""
+        """Recorded values: the angle [rad], or the rate [rad/s]; shape (n,)."""
         recorded = self.theta if self.theta is not None else self.theta_dot
         return np.empty(0) if recorded is None else recorded
 
@@ -141,23 +142,23 @@ def read_swing(
 
     Args:
         path: The file.
-        counts_per_rev: Encoder counts per revolution (after x4); needed for a column `counts`.
-        from_upright: The file's angle is phi, zero when upright, instead of theta.
-        start: Take the recording from this time on [s], and take its word that the pendulum swings
-            freely from there.
-        end: Take the recording up to this time [s].
-        columns: Names of the columns in their order, with commas, for a file without a header or
-            with another one; e.g. "time_s,theta_deg".
+        counts_per_rev: Encoder counts per revolution (after x4); required for a column `counts`.
+        from_upright: The angle in the file is phi, zero when upright, instead of theta.
+        start: Begin of the used part [s]; the pendulum is assumed to swing freely from there.
+        end: End of the used part [s].
+        columns: Names of the columns in their order, separated by commas, for a file with no header
+            or another one; e.g. "time_s,theta_deg".
 
     Returns:
         The swing, as an angle from hanging or its rate.
 
     Raises:
-        RecordingError: The file is missing or too large, has other columns, holds something that
-            is not a finite number, its time does not increase, or nothing is left of it.
+        RecordingError: The file is missing or too large, has other columns, holds a value that is
+        not
+            a finite number, its time does not increase, or no samples are left.
     """
     path = Path(path)
-    data = read_bytes(path, LARGEST_RECORDING, "a recording", RecordingError)
+    data = read_bytes(path, MAX_RECORDING_SIZE, "a recording", RecordingError)
     table = _table(path, data, columns)
     stamps, recorded = _samples(path, table)
     quantity, second = table.quantity, TIMES[table.time]
@@ -167,39 +168,33 @@ def read_swing(
             f"{'not given' if counts_per_rev is None else counts_per_rev}; "
             "give them (after x4) with --counts-per-rev"
         )
-    late = np.flatnonzero(np.diff(stamps) <= 0.0)
-    if late.size:
-        i = int(late[0]) + 1
+    if np.any(late := np.diff(stamps) <= 0.0):
+        i = _first(late) + 1
         line = next(islice(_rows(path, table), i, None))[0]
         raise RecordingError(
             f"{path}, line {line}: time does not increase, {table.time} is {stamps[i]:.10g} after "
             f"{stamps[i - 1]:.10g}; remove repeated samples or sort the recording"
         )
-    stamps = second * stamps
-    values, unit = recorded, 1.0
-    if quantity == "theta_deg":
-        unit = math.pi / 180.0
-    elif quantity == "counts" and counts_per_rev:
-        unit = 2.0 * math.pi / counts_per_rev
+    turn = 2.0 * math.pi
+    units = {"theta_deg": math.pi / 180.0, "counts": turn / (counts_per_rev or 1)}
+    unit = units.get(quantity, 1.0)
     resolution = unit if quantity == "counts" else unit * _step(recorded)
-    values = unit * recorded
-    if (latest := float(np.max(np.abs(stamps)))) > LARGEST_TIME:
+    stamps, values = second * stamps, unit * recorded
+    if (latest := float(np.max(np.abs(stamps)))) > MAX_TIME:
         raise RecordingError(
             f"{path}: {table.time} reaches {latest / second:.4g}, three hundred years and more; is "
             "it in another unit? Name its column time_ms or time_us where it is"
         )
-    if (largest := float(np.max(np.abs(values)))) > LARGEST_VALUE:
+    if (largest := float(np.max(np.abs(values)))) > MAX_VALUE:
         raise RecordingError(
             f"{path}: {quantity} reaches {largest / unit:.4g}, expected an angle or a rate below "
-            f"{LARGEST_VALUE / unit:.4g}; correct or remove such lines"
+            f"{MAX_VALUE / unit:.4g}; correct or remove such lines"
         )
     is_rate = quantity == "rate_rad_s"
     if from_upright:
         values = -values if is_rate else math.pi - values
-    keep = slice(
-        0 if start is None else int(np.searchsorted(stamps, start - 1e-9)),
-        len(stamps) if end is None else int(np.searchsorted(stamps, end + 1e-9)),
-    )
+    keep = stamps >= (-math.inf if start is None else start - 1e-9)
+    keep &= stamps < (math.inf if end is None else end + 1e-9)
     time, values = stamps[keep], values[keep]
     if time.size < 2:
         if start is None and end is None:
@@ -215,7 +210,7 @@ def read_swing(
         )
     if not is_rate:
         values = np.unwrap(values)
-        values = values - 2.0 * math.pi * np.round(np.median(values) / (2.0 * math.pi))
+        values = values - turn * np.round(np.median(values) / turn)
     return Trajectory(
         time=time,
         theta=None if is_rate else values,
@@ -228,10 +223,10 @@ def read_swing(
 
 
 def write_swing(path: StrPath, trajectory: Trajectory) -> None:
-    """Write a swing as a CSV file that `read_swing` reads back to the last bit.
+    """Write a swing as a CSV file, without loss of precision.
 
     Raises:
-        OutsideError: The disk refuses.
+        OutsideError: The disk rejects the file.
     """
     path = Path(path)
     quantity = "theta_rad" if trajectory.theta is not None else "rate_rad_s"
@@ -240,10 +235,10 @@ def write_swing(path: StrPath, trajectory: Trajectory) -> None:
 
 
 class _Table(NamedTuple):
-    """Text of a recording, and where its two columns are."""
+    """Text of a recording, and its two columns."""
 
     text: bytes
-    """UTF-8 with points for decimals; what is no UTF-8 stands outside the two columns."""
+    """Text in UTF-8 with decimal points; other columns may hold invalid UTF-8."""
     separator: str
     """One of `SEPARATORS`."""
     skip: int
@@ -257,11 +252,11 @@ class _Table(NamedTuple):
 
 
 def _table(path: Path, data: bytes, columns: str | None) -> _Table:
-    """Find separator, header and columns of a recording."""
+    """Detect separator, header and columns of a recording."""
     text = _as_utf8(path, _decompressed(path, data))
-    if (count := text.count(b"\n")) > MOST_SAMPLES:
+    if (count := text.count(b"\n")) > MAX_SAMPLES:
         raise RecordingError(
-            f"{path} has {count:,} lines, expected at most {MOST_SAMPLES:,}; cut it, or keep every "
+            f"{path} has {count:,} lines, expected at most {MAX_SAMPLES:,}; cut it, or keep every "
             "tenth sample"
         )
     first = text.split(b"\n", 1)[0].decode("utf-8", "replace").strip()
@@ -311,30 +306,24 @@ def _decompressed(path: Path, data: bytes) -> bytes:
         return data
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
-            text = file.read(LARGEST_RECORDING + 1)
+            text = file.read(MAX_RECORDING_SIZE + 1)
     except (OSError, EOFError, zlib.error):
         raise RecordingError(f"{path} is damaged: gzip cannot decompress it; copy it again") from (
             None
         )
-    if len(text) > LARGEST_RECORDING:
+    if len(text) > MAX_RECORDING_SIZE:
         raise RecordingError(
-            f"{path} holds more than {LARGEST_RECORDING // MEBIBYTE} MiB, the limit for a "
+            f"{path} holds more than {MAX_RECORDING_SIZE // MEBIBYTE} MiB, the limit for a "
             "recording; cut it, or keep every tenth sample"
         )
     return text
 
 
 def _as_utf8(path: Path, data: bytes) -> bytes:
-    encoding = None
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        encoding = "utf-16"
-    elif data[1:2] == b"\0":
-        encoding = "utf-16-le"
-    elif data[:1] == b"\0":
-        encoding = "utf-16-be"
-    if encoding is not None:
+    if b"\0" in data[:2] or data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        big = data.startswith((b"\0", codecs.BOM_UTF16_BE))
         try:
-            data = data.decode(encoding).removeprefix("\ufeff").encode()
+            data = data.decode("utf-16-be" if big else "utf-16-le").removeprefix("\ufeff").encode()
         except UnicodeError:
             raise RecordingError(
                 f"{path} is not text in UTF-8, nor in UTF-16; save it as CSV in UTF-8"
@@ -368,11 +357,11 @@ def _samples(path: Path, table: _Table) -> tuple[npt.NDArray[np.float64], npt.ND
                 encoding="latin-1",
                 ndmin=2,
             )
-        sound = bool((np.abs(columns) <= LARGEST_NUMBER).all())
+        sound = bool((np.abs(columns) <= MAX_NUMBER).all())
     except ValueError:
         sound = False
     if not sound:
-        # The lines one by one: the first bad one is named, and lines of blanks are left out.
+        # The slow path names the first invalid line and skips blank lines.
         rows = array("d")
         for line, row in _rows(path, table):
             for name, place in zip((table.time, table.quantity), at, strict=True):
@@ -400,7 +389,7 @@ def _rows(path: Path, table: _Table) -> Iterator[tuple[int, list[str]]]:
 def _number(path: Path, line: int, name: str, row: list[str], at: int) -> float:
     cell = row[at].strip() if at < len(row) else ""
     value = float(cell) if _is_number(cell) else math.nan
-    if not abs(value) <= LARGEST_NUMBER:
+    if not abs(value) <= MAX_NUMBER:
         raise RecordingError(
             f"{path}, line {line}: {name} is {shortened(cell, 40)!r}, expected a finite number; "
             "correct or remove the line"
@@ -409,7 +398,7 @@ def _number(path: Path, line: int, name: str, row: list[str], at: int) -> float:
 
 
 def _step(values: npt.NDArray[np.float64]) -> float:
-    """Return the smallest step between values that occur, ignoring rounding."""
+    """Return the smallest step between distinct values, ignoring rounding."""
     steps = np.diff(np.unique(values))
     scale = float(np.max(np.abs(values)))
     real = steps[steps > 1e-12 * scale]
