@@ -1,7 +1,7 @@
-"""Pictures of values, by `plot()` and in notebooks.
+"""Plots of values, by `plot()` and in notebooks.
 
-Values stand below the report, which draws them, and import nothing from it. The package registers
-the module that draws when it is imported; that module is loaded with the first picture.
+Values must not import the report, which draws them. So `import equipoise` registers a loader of the
+drawing module here, and the first plot loads that module.
 """
 
 from collections.abc import Callable
@@ -25,11 +25,11 @@ class Views(Protocol):
         ...
 
 
-def _nothing() -> Views:
-    raise InputError("nothing draws values; import equipoise, which registers what does")
+def _unregistered() -> Views:
+    raise InputError("no drawing module is registered; import equipoise, which registers it")
 
 
-_load: Callable[[], Views] = _nothing
+_load: Callable[[], Views] = _unregistered
 
 
 def register(load: Callable[[], Views]) -> None:
@@ -39,13 +39,13 @@ def register(load: Callable[[], Views]) -> None:
 
 
 class Viewable:
-    """Value that can be drawn, and that notebooks show with its figure."""
+    """Base of values with a figure; notebooks show the figure below the value."""
 
     def plot(self) -> "Figure":
         """Return a matplotlib figure of the value.
 
         Raises:
-            RecordingError: There is nothing to draw, such as in a run without a policy.
+            RecordingError: The value holds no data to draw, such as a run without a policy.
         """
         return _load().plot(self)
 

@@ -66,7 +66,7 @@ def test_it_says_what_it_shows_in_which_unit(gap):
         f"{gap.trials} trials of {gap.duration:g} s at each point, 95 % intervals",
         "twin:nominal-1",
         "switched on alone; clean twin: ",
-        "taken away alone; twin as it is: ",
+        "removed alone; full twin: ",
         *LABELS.values(),
         *gap.names("alone"),
         *gap.names("variant"),

@@ -30,16 +30,16 @@ PICTURES = dict.fromkeys(drawings(made_up.results()), SVG)
 EMPTY = {"meta", "img", "source", "br", "path", "rect", "circle", "link", "input"}
 SECTIONS = (
     "Verdict",
-    "What this is",
-    "Paper and here",
-    "The free swing and what it tells",
+    "Task and method",
+    "Comparison with the paper",
+    "Identification from a free swing",
     "Training",
-    "What was learned",
-    "How long it stands",
-    "One run, as the paper shows it",
-    "What the training did not know, and what that costs",
-    "What the paper leaves open",
-    "Where it comes from, and how to repeat it",
+    "The learned policy",
+    "Survival on the training plant",
+    "Recorded run",
+    "Gap between training plant and twin",
+    "Assumptions beyond the paper",
+    "Provenance and reproduction",
 )
 
 
@@ -127,9 +127,9 @@ def test_a_figure_that_could_not_be_drawn_says_why_in_its_place():
     why = Missing("cannot draw <pictures>; install EGL")
     reader = Reader(made(PICTURES | {"figure-3-frames": why}, why))
     assert reader.tags.count("img") == len(PICTURES) - 1
-    assert "Here should be: moving pictures of the arm" in reader.text
-    assert "Here should be: frames of the run" in reader.text
-    assert "It is missing: cannot draw <pictures>; install EGL." in reader.text
+    assert "Missing figure: animation of the arm" in reader.text
+    assert "Missing figure: frames of the run" in reader.text
+    assert "Reason: cannot draw <pictures>; install EGL." in reader.text
 
 
 def test_what_comes_from_outside_is_escaped():
@@ -152,26 +152,26 @@ def test_the_verdict_has_five_lines_and_says_that_it_is_simulation(plain):
     assert "18 of 20" in words
     # Clopper-Pearson for 18 of 20, from any table: 68.3 to 98.8 %.
     assert "68.3 % to 98.8 %" in words
-    assert "5 s the paper's run stood, on the real arm" in words
+    assert "5 s balancing time of the paper's one run on the real arm" in words
     assert "it is not the authors' robot" in words
 
 
 def test_the_twin_is_described_with_what_it_has_and_has_not(plain):
     words = Reader(plain).text
     for claim in (
-        "stands in for it, twin:nominal-1",
-        "a setpoint is used 10 ms after it was sent",
+        "replaces it, twin:nominal-1",
+        "a setpoint takes effect 10 ms after it was sent",
         "servo law of the KUKA Sunrise Toolbox's server",
         "drives with a lag of 8 ms",
-        "tool and pendulum (250 g) are unknown to them",
+        "not the load of tool and pendulum (250 g)",
         "dry friction of 0.1 1/s²",
-        "An encoder of 8,192 counts a turn, read 1 ms late, whose zero is wrong by up to 0.2°",
-        "What it has not: elastic joints, friction and play in them",
+        "An encoder with 8,192 counts per turn, read 1 ms late, whose zero is wrong by up to 0.2°",
+        "The twin does not model: elasticity, friction and backlash",
         "not published",
         "not the authors' robot",
         "error of the encoder's zero unknown −0.11°",
         "Mass of the pendulum, unknown to the drive",  # from the docstrings of its numbers
-        "The world that ran: twin:nominal-1",
+        "World of the recorded run: twin:nominal-1",
     ):
         assert claim in words, claim
 
@@ -186,20 +186,20 @@ def test_an_arm_without_a_twin_runs_on_the_model_and_the_page_says_so():
     words = Reader(made(world=MODEL)).text
     assert "There is no digital twin of the iiwa7" in words
     assert "the gap to a robot was not studied" in words
-    for claim in ("a setpoint is used", "the drives do not know", "equipoise gap", "ms ahead"):
+    for claim in ("a setpoint takes effect", "the drives do not", "equipoise gap", "ms ahead"):
         assert claim not in words
 
 
 def test_a_policy_of_the_paper_has_no_cures_and_the_page_says_so():
     words = Reader(made(recipe="paper")).text
-    assert "The arm is where it is sent, at once" in words
+    assert "The arm follows its commands at once" in words
     assert "has none" in words
-    assert "estimates angle, rate" not in words
+    assert "estimates angle, angular" not in words
 
 
 def test_the_gap_is_told_as_a_short_form_in_its_own_words(plain):
     words = Reader(plain).text
-    assert "a short form of that study, 8 trials of 20 s at each point" in words
+    assert "the short form of that study, 8 trials of 20 s at each point" in words
     conclusion, *_ = lines = gap_words(made_up.results().gap)
     assert conclusion.startswith("In short: on twin:nominal-1")
     assert plain.count(f'<p class="conclusion">{conclusion}</p>') == 1
@@ -224,7 +224,7 @@ def test_departures_are_those_of_the_settings(plain):
     for departure in ("nonlinear", "mirror", "held", "learning rate", "sensor", "prediction"):
         assert departure in robust
         assert departure not in paper_
-    assert "limits is a failure" in paper_
+    assert "limit is a failure" in paper_
     without = resolve(overrides=["controller.predict=false", "selection.every=0"])
     shorter = " ".join(departures(without))
     assert "prediction" not in shorter
@@ -232,8 +232,8 @@ def test_departures_are_those_of_the_settings(plain):
 
 
 def test_a_quick_look_says_so():
-    assert "A quick look, with fewer episodes and trials." in Reader(made(quick=True)).text
-    assert "quick look" not in Reader(made()).text
+    assert "Quick run, with fewer episodes and trials." in Reader(made(quick=True)).text
+    assert "Quick run" not in Reader(made()).text
 
 
 def test_the_paper_is_quoted_with_its_own_numbers(plain):
@@ -258,7 +258,7 @@ def test_a_recording_that_was_given_is_named_and_has_no_truth_beside_it():
     words = Reader(made(given="mine.csv")).text
     assert "mine.csv" in words
     assert "equipoise reproduce --swing mine.csv" in words
-    assert "one was simulated" not in words
+    assert "one is simulated" not in words
 
 
 def test_warnings_of_the_identification_are_shown():
@@ -269,7 +269,7 @@ def test_warnings_of_the_identification_are_shown():
 
 
 def test_a_policy_that_nobody_selected_is_told_as_one():
-    assert "nothing was selected" in Reader(made(recipe="paper")).text
+    assert "no selection took place" in Reader(made(recipe="paper")).text
 
 
 def test_every_setting_is_there_with_value_and_reason(plain):
@@ -378,7 +378,7 @@ def test_a_machine_without_opengl_gets_the_rest(folder, tmp_path, monkeypatch):
     monkeypatch.setattr("equipoise.report.page.save", sketched)
     copied(folder, tmp_path)
     text = build(tmp_path).read_text(encoding="utf-8")
-    assert "It is missing: cannot draw pictures; install EGL." in Reader(text).text
+    assert "Reason: cannot draw pictures; install EGL." in Reader(text).text
     assert not list((tmp_path / "figures").glob("figure-3*"))
     assert len(list((tmp_path / "figures").iterdir())) == 2 * (len(PICTURES) - 1)
 

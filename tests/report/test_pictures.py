@@ -173,7 +173,9 @@ def test_a_machine_without_opengl_is_told_what_to_install(monkeypatch):
     monkeypatch.setattr(rendering, "find_library", lambda _: None)
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    with pytest.raises(OutsideError, match="neither a library EGL nor OSMesa; install EGL"):
+    with pytest.raises(
+        OutsideError, match="neither library EGL nor OSMesa is installed; install EGL"
+    ):
         next(frames(ARM, at([0.0]), np.zeros(1), size=SIZE))
 
 
@@ -230,8 +232,8 @@ def test_the_strip_shows_the_moments_that_differ(canvas, run, monkeypatch):
     titles = [panel.get_title(loc="left") for panel in figure.axes if panel.images]
     assert [title.split(",")[0] for title in titles] == [
         "release",
-        "leans right most",
-        "leans left most",
+        "largest lean right",
+        "largest lean left",
         "furthest right",
         "end",
     ]

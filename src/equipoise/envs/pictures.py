@@ -1,4 +1,4 @@
-"""Pictures of an environment: as arrays, or in a window of MuJoCo's viewer."""
+"""Rendering of an environment: to arrays, or in a window of MuJoCo's viewer."""
 
 import os
 import sys
@@ -25,7 +25,7 @@ SIZE: Final[Size] = 640, 480
 
 
 class Screen:
-    """Draws one moment after another."""
+    """Renderer of one environment."""
 
     def __init__(self, arm: Arm, mode: str) -> None:
         """Prepare the scene of an arm; `mode` is `rgb_array` or `human`."""
@@ -46,20 +46,20 @@ class Screen:
             now: Time since the release [s]; a window waits until that time has passed.
 
         Raises:
-            OutsideError: There is nothing to draw with, or no display.
+            OutsideError: OpenGL or a display is not available.
         """
         self._q, self._phi, self._u = q, phi, u
         if self._human:
             self._show_in_window(now)
             return None
         if self._pictures is None:
-            # The generators give the moment at which a picture is asked for.
+            # The generators return the current state at each request for a picture.
             q_now, phi_now = (self._q for _ in count()), (self._phi for _ in count())
             self._pictures = draw(self._scene, q_now, phi_now, (self._u for _ in count()))
         return next(self._pictures)
 
     def close(self) -> None:
-        """Close the window, or free what pictures are drawn on."""
+        """Close the window, or free the OpenGL context."""
         if self._viewer is not None:
             self._viewer.close()
         if self._pictures is not None:

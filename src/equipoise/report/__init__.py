@@ -1,8 +1,8 @@
-"""Figures and the page: drawn from saved artefacts and values, by nobody else's help.
+"""Figures and the HTML report, drawn from saved artefacts and values.
 
 Figures are made without pyplot, so the backend that `MPLBACKEND` names has no effect on them. But
-matplotlib cannot be imported where there is no such backend: it is imported without, and takes the
-backend afterwards where it knows it.
+importing matplotlib fails if that backend does not exist. Therefore matplotlib is imported with
+`MPLBACKEND` unset, and the backend is set afterwards if matplotlib accepts it.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The end of the report: what the paper leaves open, where it all comes from, how to repeat it."""
+"""Appendix of the report: assumptions beyond the paper, provenance, commands to repeat it."""
 
 from collections.abc import Iterator
 
@@ -8,44 +8,44 @@ from equipoise.artefacts import Provenance
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import DEFAULT, arm_word
 from equipoise.model.sim_configs import TwinSettings
+from equipoise.report import markup as html
 from equipoise.report.choices import Chapter, Choice, chapter, chapters, departures
-from equipoise.report.markup import Part, heading, listing, numbered, paragraph, part, table
 from equipoise.settings import closest_recipe, resolve
-from equipoise.studies.results import (
-    EVALUATION,
-    GAP,
-    PENDULUM,
-    POLICY,
-    RUN,
-    SWING,
-    Results,
-)
+from equipoise.studies import results as files
+from equipoise.studies.results import Results
 
 DIGITS = 12
-"""Digits of a digest that the page shows; the file has all of them."""
+"""Number of hexadecimal digits of a digest on the page; the files hold all of them."""
+CONTENTS = {
+    files.SWING: "the free swing",
+    files.PENDULUM: "the identified pendulum",
+    files.POLICY: "the table, with its settings and learning curve",
+    files.EVALUATION: "every trial of the policy and of the baselines",
+    files.RUN: "the recorded run; Foxglove opens it",
+    files.GAP: "every trial of the gap study",
+}
 
 
-def assumptions(results: Results) -> Part:
-    """Return what the paper does not say, and what we chose, with the reasons."""
+def assumptions(results: Results) -> html.Part:
+    """Return our choices where the paper gives no value, with their reasons."""
     recipe, _ = closest_recipe(results.policy.settings)
     other = "robust" if recipe == "paper" else "paper"
-    return part(
+    return html.part(
         "open",
-        "What the paper leaves open",
-        paragraph(
+        "Assumptions beyond the paper",
+        html.paragraph(
             "The paper gives the boxes, the accelerations, the time step and the number of "
-            "episodes. It does not give learning rate, discount, exploration, reward, sizes of "
-            "noise, gains, the pendulum's numbers, the posture, or which arm. These are our "
-            "choices, read from where they are defined; those with a dot in their name can be "
-            "changed with `--set name=value`. It says nothing about sensor, servo and delay of the "
-            "robot either: of these, what is not a fact of its server is listed as our assumption. "
-            "The recipe `robust` is our default, `paper` the "
-            "barest reading of the text; where the one that was not used differs, it has a column "
-            "of its own."
+            "episodes. It does not give learning rate, discount, exploration, reward, noise "
+            "amplitudes, gains, the pendulum's parameters, the posture, or the type of arm. These "
+            "are our choices, read from their definitions; `--set name=value` changes those with a "
+            "dot in their name. The paper does not describe sensor, servo and delay of the robot "
+            "either: all that is not a fact of its server is listed as our assumption. "
+            "The recipe `robust` is our default, `paper` the most literal reading of the text; the "
+            "other recipe's value has its own column where it differs."
         ),
         *(_choices(chapter, other) for chapter in _chapters(results, other)),
-        heading("Where we depart from the paper"),
-        numbered(departures(results.policy.settings)),
+        html.heading("Deviations from the paper"),
+        html.bullets(departures(results.policy.settings), "ol"),
     )
 
 
@@ -56,62 +56,61 @@ def _chapters(results: Results, other: str) -> Iterator[Chapter]:
     yield from chapters(results.policy.settings, resolve(other))
     if world := results.run.conditions.world_settings:
         ran = chapter(TwinSettings.model_validate(world))
-        yield ran._replace(title=f"The world that ran: `{results.run.conditions.world}`")
+        yield ran._replace(title=f"World of the recorded run: `{results.run.conditions.world}`")
 
 
 def _arm(arm: Arm) -> Chapter:
     home = ", ".join(f"{angle:.4g}" for angle in np.rad2deg(arm.home))
     held = f"joint {arm.held_joint}" if arm.held_joint else "none"
-    reach = ", ".join(f"{value:g}" for value in arm.pivot)
+    pivot = ", ".join(f"{value:g}" for value in arm.pivot)
+    rows = (
+        ("arm", arm.name, "The paper does not name its seven-joint arm."),
+        ("held joint", held, "As in the paper, for arms with seven joints."),
+        (
+            "home",
+            f"{home}°",
+            "Far from joint limits and singularities, with x perpendicular to the direction of "
+            "reach: the first joint does most of the motion.",
+        ),
+        ("pivot", f"{pivot} m", "Pivot of the pendulum in the flange frame."),
+    )
     return Chapter(
         "The arm and its posture.",
-        (
-            Choice("arm", arm.name, "", "The paper does not say which arm of seven joints."),
-            Choice("held joint", held, "", "The paper's, where the arm has seven joints."),
-            Choice(
-                "home",
-                f"{home}°",
-                "",
-                "Far from every joint limit and from singular postures, with x across the "
-                "direction in which the arm reaches out: the first joint does most of the motion.",
-            ),
-            Choice("pivot", f"{reach} m", "", "Where the pendulum turns, in the flange frame."),
-        ),
+        tuple(Choice(name, value, "", reason) for name, value, reason in rows),
     )
 
 
 def _choices(chapter: Chapter, other: str) -> str:
     differs = any(choice.otherwise for choice in chapter.choices)
-    head = ["setting", "here", *([f"recipe `{other}`"] if differs else []), "why"]
+    head = ["setting", "value", *([f"recipe `{other}`"] if differs else []), "reason"]
     rows = [
         [f"`{c.name}`", c.value, *([c.otherwise] if differs else []), c.reason]
         for c in chapter.choices
     ]
-    return heading(chapter.title.rstrip(".")) + table(head, rows, name="choices")
+    return html.heading(chapter.title.rstrip(".")) + html.table(head, rows, name="choices")
 
 
-def provenance_section(results: Results, provenance: Provenance) -> Part:
-    """Return where the numbers come from, and the commands that make them again."""
+def provenance_section(results: Results, provenance: Provenance) -> html.Part:
+    """Return files, seeds, times and versions, and the commands that repeat the reproduction."""
     record, policy = results.record, results.policy
-    files = [
-        (f"`{name}`", f"`{digest.partition(':')[2][:DIGITS]}`", _content(name))
+    rows = [
+        (f"`{name}`", f"`{_short(digest)}`", CONTENTS[name])
         for name, digest in record.files.items()
     ]
     seeds = (
         f"Master seed {record.seed}, learner {policy.learner}, recipe `{policy.recipe}`, arm "
-        f"{policy.arm.name}; training, selection, test and the recorded run draw from streams of "
-        "their own. Equal seed gives equal numbers on one machine, whatever the number of threads."
+        f"{policy.arm.name}. Training, selection, test and the recorded run use separate random "
+        "streams. On one machine an equal seed gives equal numbers, for any number of threads."
     )
     if not record.simulated:
-        digest = record.swing_sha256.partition(":")[2][:DIGITS]
-        seeds += f" The swing is {record.swing} (SHA-256 {digest})."
+        seeds += f" The swing is {record.swing} (SHA-256 {_short(record.swing_sha256)})."
     total = sum(stage.wall for stage in record.stages)
-    return part(
+    return html.part(
         "origins",
-        "Where it comes from, and how to repeat it",
-        paragraph(seeds),
-        table(("file", "SHA-256", "holds"), files),
-        table(
+        "Provenance and reproduction",
+        html.paragraph(seeds),
+        html.table(("file", "SHA-256", "content"), rows),
+        html.table(
             ("stage", "time [s]"),
             [
                 *((stage.name, f"{stage.wall:.2f}") for stage in record.stages),
@@ -120,49 +119,37 @@ def provenance_section(results: Results, provenance: Provenance) -> Part:
             caption=f"With {record.workers} threads; a first run also compiles the kernels.",
             numbers=1,
         ),
-        table(
+        html.table(
             ("software", "version"),
-            [*sorted(provenance.software.items()), ("made", provenance.created)],
+            [*sorted(provenance.software.items()), ("created", provenance.created)],
         ),
-        paragraph("All of it again, or stage by stage from the files in this folder:"),
-        listing(_commands(results)),
+        html.paragraph("Commands to repeat all of it, or one stage from the files in this folder:"),
+        html.listing(_commands(results)),
     )
 
 
-def _content(name: str) -> str:
-    return {
-        SWING: "the free swing",
-        PENDULUM: "what it identified",
-        POLICY: "the table, with its settings and learning curve",
-        EVALUATION: "every trial of the policy and of the yardsticks",
-        RUN: "the recorded run; Foxglove opens it",
-        GAP: "every trial of the study of the gap",
-    }[name]
+def _short(digest: str) -> str:
+    return digest.partition(":")[2][:DIGITS]
 
 
 def _commands(results: Results) -> list[str]:
-    record = results.record
-    everything = ["equipoise reproduce"]
-    if not record.simulated:
-        everything.append(f"--swing {record.swing}")
+    record, world = results.record, results.run.conditions.world
     recipe, _ = closest_recipe(results.policy.settings)
-    if recipe != "robust":
-        everything.append(f"--recipe {recipe}")
     arm = arm_word(results.policy.arm.name)
-    if arm is not None:
-        everything.append(f"--arm {arm}")
-    if record.seed:
-        everything.append(f"--seed {record.seed}")
-    if record.quick:
-        everything.append("--quick")
-    world = results.run.conditions.world
+    options = {
+        f"--swing {record.swing}": not record.simulated,
+        f"--recipe {recipe}": recipe != "robust",
+        f"--arm {arm}": arm is not None,
+        f"--seed {record.seed}": bool(record.seed),
+        "--quick": record.quick,
+    }
     return [
-        " ".join(everything),
+        " ".join(["equipoise reproduce", *(text for text, given in options.items() if given)]),
         "",
-        f"equipoise identify {SWING} --out {PENDULUM}",
-        f"equipoise train {PENDULUM} --arm {arm or DEFAULT} --out {POLICY}",
-        f"equipoise evaluate {POLICY} --world {world}",
-        f"equipoise deploy {POLICY} --world {world}",
-        *([f"equipoise gap {POLICY} --world {world}"] if results.gap else []),
-        f"equipoise log show {RUN}",
+        f"equipoise identify {files.SWING} --out {files.PENDULUM}",
+        f"equipoise train {files.PENDULUM} --arm {arm or DEFAULT} --out {files.POLICY}",
+        f"equipoise evaluate {files.POLICY} --world {world}",
+        f"equipoise deploy {files.POLICY} --world {world}",
+        *([f"equipoise gap {files.POLICY} --world {world}"] if results.gap else []),
+        f"equipoise log show {files.RUN}",
     ]

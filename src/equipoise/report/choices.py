@@ -1,8 +1,8 @@
-"""What the paper leaves open and what we chose, read from where the choices live.
+"""Settings with their values and reasons, and deviations from the paper.
 
-`equipoise.settings` is their one home: the docstring of each field holds its unit, in brackets, and
-its reason. Nothing is repeated here. Where a choice departs from what the paper says or surely did,
-`departures` names it.
+The docstring of each field in `equipoise.settings` holds its unit, in brackets, and its reason.
+They are read from there and not repeated here. `departures` lists the settings that contradict the
+paper.
 """
 
 import re
@@ -15,40 +15,38 @@ from equipoise.model.elementary import BATCH_SIZE
 from equipoise.settings import RECIPES, LearningSettings, Settings
 
 UNIT: Final = re.compile(r"\s*\[([^\]]+)\]")
-
-
 DIFFERENT: Final = frozenset(name for recipe in RECIPES.values() for name in recipe)
-"""The settings in which the recipes differ."""
+"""Names of the settings in which the recipes differ."""
 
 
 class Choice(NamedTuple):
     """One setting."""
 
     name: str
-    """As one types it: `learning.gamma`."""
+    """Name on the command line: `learning.gamma`."""
     value: str
-    """With its unit."""
+    """Value with its unit."""
     otherwise: str
-    """The value in another recipe, where that differs."""
+    """Value in the other recipe; empty if equal."""
     reason: str
-    """Why."""
+    """Reason for the value."""
 
 
 class Chapter(NamedTuple):
     """A section of the settings."""
 
     title: str
-    """What it is about."""
+    """Heading."""
     choices: tuple[Choice, ...]
-    """Its settings."""
+    """Settings of the section."""
 
 
 def chapters(settings: Settings, other: Settings) -> Iterator[Chapter]:
     """Return all settings, section by section, with their reasons.
 
     Args:
-        settings: What was used.
-        other: Another recipe's settings, shown where recipes differ.
+        settings: Settings of the reproduction.
+        other: Settings of the other recipe, shown where the recipes differ.
     """
     for section in Settings.model_fields:
         yield chapter(getattr(settings, section), section, getattr(other, section))
@@ -59,80 +57,70 @@ def chapter(values: Value, section: str = "", other: Value | None = None) -> Cha
 
     Args:
         values: The section, with a docstring under each field.
-        section: Its name in the settings, if it is one of them.
-        other: The same section in another recipe.
+        section: Name of the section in the settings; empty for other values.
+        other: The same section in the other recipe.
     """
     found: list[Choice] = []
     for key, field in type(values).model_fields.items():
         name = f"{section}.{key}" if section else key
         reason = " ".join((field.description or "").split())
         unit = match[1] if (match := UNIT.search(reason)) else ""
-        value = _written(getattr(values, key), unit)
-        otherwise = _written(getattr(other, key), unit) if name in DIFFERENT else ""
-        found.append(
-            Choice(
-                name=name,
-                value=value,
-                otherwise="" if otherwise == value else otherwise,
-                reason=UNIT.sub("", reason, count=1),
-            )
-        )
+        value = _format_value(getattr(values, key), unit)
+        otherwise = _format_value(getattr(other, key), unit) if name in DIFFERENT else ""
+        otherwise = "" if otherwise == value else otherwise
+        found.append(Choice(name, value, otherwise, UNIT.sub("", reason, count=1)))
     title = (type(values).__doc__ or "").strip().splitlines()[0]
     return Chapter(title=title, choices=tuple(found))
 
 
 def departures(settings: Settings) -> Iterator[str]:
-    """Return where settings depart from the paper, in words."""
+    """Return the deviations of settings from the paper, one sentence each."""
     plant, learning, selection = settings.plant, settings.learning, settings.selection
-    controller = settings.controller
+    controller, paper = settings.controller, LearningSettings()
     if not plant.linearised:
         yield "The pendulum is nonlinear, in training and test (equation 7 is linear)."
-    yield "A joint beyond its limits is a failure too (section 4.1: angle and track)."
+    yield "Exceeding a joint limit is a failure too (section 4.1: angle and track)."
     if not plant.ideal:
         yield (
-            "The policy is trained behind a sensor and on an arm that follows late, as identified "
+            "The training plant has a sensor, and an arm with delay and lag, as identified "
             "(section 4.2: the state is known, and the arm follows at once)."
         )
         if controller.predict:
-            yield "It sees a prediction: the state at the moment when its command takes effect."
+            yield "The table receives a prediction of the state at which its command takes effect."
         if controller.estimate_bias:
-            yield "The error of the encoder's zero is estimated while balancing, and taken off."
+            yield "The error of the encoder's zero is estimated while balancing, and subtracted."
     yield (
-        f"{BATCH_SIZE} episodes learn at once on one table, for speed (the paper, surely, had one "
+        f"{BATCH_SIZE} episodes learn at once on one table, for speed (the paper: presumably one "
         "after the other)."
     )
-    paper = LearningSettings()
     if learning.learner != paper.learner:
         yield f"The learner is `{learning.learner}` (section 4.2: Q-learning, equation 1)."
     if learning.reward != paper.reward:
         yield f"The reward is `{learning.reward}`, not that of a failure alone."
     if learning.mirrored:
-        yield "Every update is made for its mirror image as well: the task is symmetric."
+        yield "Every update is also made for its mirror image: the task is symmetric."
     if learning.hold_action:
-        yield (
-            "An action is held until the state leaves its box, and updated then; equation 1 does "
-            "so in each step."
-        )
+        yield "An action is held until the state leaves its box; equation 1 updates in each step."
     if learning.start_x > 0.0:
-        yield "Episodes start in many states, also off the middle and moving."
+        yield "Episodes start in many states, also away from the middle and moving."
     if learning.alpha_decay > 0.0:
         yield "The learning rate falls with the visits of a pair."
     if learning.epsilon_until > 0.0:
-        yield "Exploration fades out in the course of the training."
+        yield "Exploration decays in the course of the training."
     if selection.every > 0:
         average = " a running average of" if selection.averaging < 1.0 else ""
         yield (
             f"The policy is not the last table: of{average} the tables of the training, the one "
-            "that did best in trials of its own is kept."
+            "with the best result in separate trials is kept."
         )
     yield "The simulator is ours (the paper: V-REP with MATLAB)."
 
 
-def _written(value: Any, unit: str) -> str:
+def _format_value(value: Any, unit: str) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, tuple):
-        return ", ".join(_written(item, unit) for item in value)
+        return ", ".join(_format_value(item, unit) for item in value)
     if not isinstance(value, float):
         return f"{value:,} {unit}".strip() if isinstance(value, int) else str(value)
     text = f"{value:.4g} {unit}".strip()

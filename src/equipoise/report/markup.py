@@ -1,4 +1,4 @@
-"""The few pieces of HTML that the page is made of; every text from outside is escaped."""
+"""HTML fragments of the report page; all text from outside is escaped."""
 
 import base64
 import re
@@ -12,24 +12,25 @@ if TYPE_CHECKING:
     from equipoise.report.pictures import Animation
 
 CODE: Final = re.compile(r"`([^`]+)`")
-SIGN: Final = re.compile(r"(?<![\w.\]])-(?=[\d∞])")
-PERCENT: Final = re.compile(r"(?<=\d) (?=%)")
 BREAK: Final = re.compile(r"(?<=[._])")
-SYMBOLS: Final = (
+TYPESET: Final = (
     (re.compile(r"(?<=\d) deg(?:rees?)?\b"), "°"),
     (re.compile(r"\bphi\b"), "φ"),
     (re.compile(r"\btheta\b"), "θ"),
+    (re.compile(r"(?<![\w.\]])-(?=[\d∞])"), "−"),
+    (re.compile(r"(?<=\d) (?=%)"), "&nbsp;"),
+    (re.compile(r"\^2"), "²"),
 )
-"""What prose sets as a symbol: the terminal writes it out."""
+"""Patterns of terminal text and the symbols that replace them in prose."""
 STACKED: Final = 3
-"""Tables of so many columns are stacked on narrow screens, each cell below its column's name."""
+"""Minimum number of columns of a table that is stacked on narrow screens, with labelled cells."""
 
 
 class Missing(NamedTuple):
     """A figure that could not be drawn."""
 
     why: str
-    """What is to be done about it."""
+    """Reason, and the remedy."""
 
 
 Pictures = Mapping[str, str | Missing]
@@ -44,16 +45,16 @@ class Part(NamedTuple):
     title: str
     """Its heading."""
     html: str
-    """All of it."""
+    """The section as HTML."""
 
 
 def escape(text: str) -> str:
-    """Return a text that is shown as it is: neither markup nor control characters work in it."""
+    """Escape markup and control characters, so that a text is shown literally."""
     return html_escape(printable(text, layout=True))
 
 
 def part(name: str, title: str, *html: str) -> Part:
-    """Return a section made of pieces."""
+    """Return a section that consists of HTML fragments."""
     inside = f"<h2>{prose(title)}</h2>\n{''.join(html)}"
     return Part(name, title, f'<section id="{escape(name)}">\n{inside}</section>\n')
 
@@ -61,25 +62,29 @@ def part(name: str, title: str, *html: str) -> Part:
 def prose(text: str) -> str:
     """Return a text as HTML.
 
-    What stands between backticks becomes code, which breaks after dots and underscores only. In the
-    rest numbers are set as in print: a minus for a hyphen, ² for ^2, ° for deg, no break before %.
+    Text between backticks becomes code, which breaks after dots and underscores only. Elsewhere
+    numbers are typeset: a minus for a hyphen, ² for ^2, ° for deg, no break before %.
     """
     parts = CODE.split(text)
-    # Every other part was between backticks.
+    # Odd parts were between backticks.
     parts[0::2] = (_typeset(escape(part)) for part in parts[0::2])
     parts[1::2] = (f"<code>{BREAK.sub('<wbr>', escape(part))}</code>" for part in parts[1::2])
     return "".join(parts)
 
 
 def _typeset(text: str) -> str:
-    for pattern, symbol in SYMBOLS:
+    for pattern, symbol in TYPESET:
         text = pattern.sub(symbol, text)
-    return PERCENT.sub("&nbsp;", SIGN.sub("−", text)).replace("^2", "²")
+    return text
 
 
-def paragraph(text: str) -> str:
-    """Return a paragraph."""
-    return f"<p>{prose(text)}</p>\n"
+def _class(name: str) -> str:
+    return f' class="{escape(name)}"' if name else ""
+
+
+def paragraph(text: str, name: str = "") -> str:
+    """Return a paragraph; `name` is its class for the style sheet: `note` or `conclusion`."""
+    return f"<p{_class(name)}>{prose(text)}</p>\n"
 
 
 def heading(text: str) -> str:
@@ -87,33 +92,14 @@ def heading(text: str) -> str:
     return f"<h3>{prose(text)}</h3>\n"
 
 
-def note(text: str) -> str:
-    """Return a remark that must not be missed."""
-    return f'<p class="note">{prose(text)}</p>\n'
-
-
-def conclusion(text: str) -> str:
-    """Return what numbers come to, to be read before them."""
-    return f'<p class="conclusion">{prose(text)}</p>\n'
-
-
-def bullets(lines: Iterable[str]) -> str:
-    """Return remarks that stand side by side."""
-    return f"<ul>{''.join(f'<li>{prose(line)}</li>' for line in lines)}</ul>\n"
-
-
-def numbered(lines: Iterable[str]) -> str:
-    """Return remarks with numbers."""
-    return f"<ol>{''.join(f'<li>{prose(line)}</li>' for line in lines)}</ol>\n"
-
-
-def verdict_list(lines: Iterable[str]) -> str:
-    """Return the lines of a verdict."""
-    return f'<ol class="verdict">{"".join(f"<li>{prose(line)}</li>" for line in lines)}</ol>\n'
+def bullets(lines: Iterable[str], tag: str = "ul", name: str = "") -> str:
+    """Return a list; `tag` is `ul` or `ol`, `name` the class for the style sheet."""
+    items = "".join(f"<li>{prose(line)}</li>" for line in lines)
+    return f"<{tag}{_class(name)}>{items}</{tag}>\n"
 
 
 def tiles(*pairs: tuple[str, str]) -> str:
-    """Return a few numbers, large, each with what it is."""
+    """Return large numbers, each with its description."""
     each = (
         f'<div class="tile"><b>{prose(number)}</b><span>{prose(text)}</span></div>'
         for number, text in pairs
@@ -133,24 +119,23 @@ def table(
 
     Args:
         head: Names of the columns.
-        rows: Texts, one row after the other; the first of each names the row.
-        caption: What stands above it.
-        numbers: How many of the last columns hold numbers, set flush right.
+        rows: Texts of each row; the first is the row's name.
+        caption: Text above the table.
+        numbers: Number of trailing columns that hold numbers, set flush right.
         name: Class of the table, for the style sheet.
     """
-    first = len(head) - numbers
+    first, stacked = len(head) - numbers, len(head) >= STACKED
     names = "".join(_cell("th", text, i >= first) for i, text in enumerate(head))
-    labels = head if len(head) >= STACKED else [""] * len(head)
-    kind = " ".join(filter(None, ("table", "stacked" if len(head) >= STACKED else "", name)))
+    kind = " ".join(filter(None, ("table", "stacked" if stacked else "", name)))
     lines = [
-        f'<div class="{escape(kind)}"><table>',
+        f"<div{_class(kind)}><table>",
         f"<caption>{prose(caption)}</caption>" if caption else "",
         f"<thead><tr>{names}</tr></thead>",
         "<tbody>",
     ]
     for row in rows:
         cells = "".join(
-            _cell("th" if i == 0 else "td", cell, i >= first, labels[i] if i else "")
+            _cell("td" if i else "th", cell, i >= first, head[i] if stacked and i else "")
             for i, cell in enumerate(row)
         )
         lines.append(f"<tr>{cells}</tr>")
@@ -158,22 +143,22 @@ def table(
 
 
 def _cell(tag: str, text: str, number: bool, label: str = "") -> str:
-    kind = ' class="number"' if number else ""
+    kind = _class("number" if number else "")
     kind += f' data-label="{escape(label.replace("`", ""))}"' if label else ""
     return f"<{tag}{kind}>{prose(text)}</{tag}>"
 
 
 def picture(pictures: Pictures, name: str, caption: str, alt: str) -> str:
-    """Return a figure that carries its picture inside and opens large, without a script.
+    """Return a figure with an embedded SVG that opens large, without a script.
 
-    An image of its own, because the names that one SVG gives its parts may occur in another. The
-    large view is the link's target, so that the way back is the browser's own, too.
+    The SVG is an `img`, because the ids inside two inline SVGs may collide. The large view is the
+    target of the link, so that the browser's back button closes it.
 
     Args:
-        pictures: All pictures; a missing one leaves its place with the reason.
-        name: Its name among them.
-        caption: What the reader should see in it.
-        alt: What is to be seen, for those who cannot.
+        pictures: All pictures; a missing one is replaced by its reason.
+        name: Name of the picture in `pictures`.
+        caption: Caption of the figure.
+        alt: Alternative text.
     """
     svg = pictures[name]
     if isinstance(svg, Missing):
@@ -189,12 +174,12 @@ def picture(pictures: Pictures, name: str, caption: str, alt: str) -> str:
 
 
 def film(animation: "Animation | Missing", caption: str, alt: str) -> str:
-    """Return a figure with moving pictures; who asked for less motion sees the first of them.
+    """Return a figure with an animation; browsers set to reduced motion show its first frame.
 
     Args:
-        animation: The pictures; missing ones leave their place with the reason.
-        caption: What the reader should see in them.
-        alt: What is to be seen, for those who cannot.
+        animation: The animation, or the reason why there is no animation.
+        caption: Caption of the figure.
+        alt: Alternative text.
     """
     if isinstance(animation, Missing):
         return _missing(animation, alt)
@@ -207,7 +192,7 @@ def film(animation: "Animation | Missing", caption: str, alt: str) -> str:
 
 
 def _missing(lost: Missing, alt: str) -> str:
-    return note(f"Here should be: {alt[0].lower()}{alt[1:]}. It is missing: {lost.why}.")
+    return paragraph(f"Missing figure: {alt[0].lower()}{alt[1:]}. Reason: {lost.why}.", "note")
 
 
 def _data(kind: str, content: bytes) -> str:
@@ -215,5 +200,5 @@ def _data(kind: str, content: bytes) -> str:
 
 
 def listing(lines: Iterable[str]) -> str:
-    """Return lines to be typed."""
+    """Return lines of a shell session."""
     return f"<pre>{escape(chr(10).join(lines))}</pre>\n"

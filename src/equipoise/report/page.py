@@ -1,7 +1,7 @@
-"""The report: one HTML file that needs nothing else, drawn from what a reproduction left.
+"""The report: one self-contained HTML file, drawn from the files of a reproduction.
 
-`build` draws every figure into `figures/` beside the values, and puts all of it into `report.html`.
-No file is fetched, no script runs; the page can be printed, mailed and read in ten years.
+`build` draws every figure into `figures/` and embeds all of them in `report.html`. The page fetches
+no file and runs no script; it can be printed, mailed and archived.
 """
 
 from collections.abc import Callable, Mapping
@@ -28,7 +28,7 @@ FIGURES: Final = "figures"
 FILM: Final = "figure-3-film.webp"
 """The animation among the figures."""
 FILM_WEIGHT: Final = 4
-"""Time that the animation takes, in figures."""
+"""Time to draw the animation, in units of the mean time per figure; for the progress display."""
 
 Draw = Callable[[Results], "Figure"]
 
@@ -43,13 +43,13 @@ DRAWINGS: Final[Mapping[str, Draw]] = {
     "figure-6-pendulum": lambda r: figures.pendulum(r.run),
     "figure-7-flange": lambda r: figures.flange(r.run),
 }
-"""The figures of every report, by the names of their files."""
+"""Drawing functions of every report, by the names of their files."""
 
 
 def drawings(results: Results) -> Mapping[str, Draw]:
-    """Return what is drawn of a reproduction, by the names of the files."""
-    draw: dict[str, Draw] = dict(DRAWINGS)
+    """Return the drawing functions for a reproduction, by the names of their files."""
     gap = results.gap
+    draw: dict[str, Draw] = dict(DRAWINGS)
     if estimates_zero(results.run):
         draw["encoder-zero"] = lambda r: figures.encoder_zero(r.run)
     if gap is not None:
@@ -61,15 +61,15 @@ def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) 
     """Draw the figures of a reproduction and write its report.
 
     Args:
-        out: The folder that `reproduce` left.
-        report: Called with the name of each figure and the share of the work that is done.
+        out: Output folder of `reproduce`.
+        report: Progress callback; receives the name of each figure and the fraction done.
 
     Returns:
-        The page.
+        The path of the page.
 
     Raises:
         ArtefactError: A file is missing, corrupt, or belongs to another reproduction.
-        OutsideError: The disk refuses.
+        OutsideError: Writing fails.
     """
     results = load(out)
     pictures: dict[str, str | Missing] = {}
@@ -79,25 +79,25 @@ def build(out: Path, report: Callable[[str, float], None] = lambda _, __: None) 
         report(name, done / total)
         try:
             figure = draw(results)
-        except OutsideError as error:  # frames need OpenGL, which a machine may not have
+        except OutsideError as error:  # frames need OpenGL, which may be missing
             pictures[name] = Missing(str(error))
             continue
         svg, _ = save(figure, out / FIGURES / name)
         pictures[name] = svg.read_text(encoding="utf-8")
-    film = _film(results, lambda share: report(FILM, (len(wanted) + FILM_WEIGHT * share) / total))
-    if not isinstance(film, Missing):
+    try:
+        film = animation(
+            results.run,
+            results.policy.arm,
+            report=lambda share: report(FILM, (len(wanted) + FILM_WEIGHT * share) / total),
+        )
+    except OutsideError as error:
+        film = Missing(str(error))
+    else:
         write_whole(out / FIGURES / FILM, film.webp)
     provenance = Provenance.model_validate(read_document(out / RECORD)["provenance"])
     write_whole(out / PAGE, page(results, pictures, film, provenance))
     report(PAGE, 1.0)
     return out / PAGE
-
-
-def _film(results: Results, report: Callable[[float], None]) -> Animation | Missing:
-    try:
-        return animation(results.run, results.policy.arm, report=report)
-    except OutsideError as error:
-        return Missing(str(error))
 
 
 def page(
@@ -106,10 +106,10 @@ def page(
     """Return the report as HTML.
 
     Args:
-        results: What the reproduction found.
+        results: Results of the reproduction.
         pictures: Each figure of `drawings` as SVG, by its name.
-        film: The beginning of the run.
-        provenance: When and with what it was made.
+        film: Animation of the first seconds of the run.
+        provenance: Time and software versions of the reproduction.
     """
     css = resources.files("equipoise.report").joinpath("page.css").read_text(encoding="utf-8")
     parts: list[Part] = [
@@ -119,7 +119,7 @@ def page(
         provenance_section(results, provenance),
     ]
     links = "".join(f'<a href="#{part.name}">{escape(part.title)}</a> ' for part in parts)
-    quick = " A quick look, with fewer episodes and trials." if results.record.quick else ""
+    quick = " Quick run, with fewer episodes and trials." if results.record.quick else ""
     return f"""<!doctype html>
 <html lang="en">
 <head>
@@ -133,14 +133,14 @@ def page(
 <header>
 <h1>A robot arm learns to balance a pendulum</h1>
 <p class="subtitle">Safeea &amp; Neto, <cite>A Q-learning approach to the continuous control problem
-of robot inverted pendulum balancing</cite> (Intelligent Systems with Applications), repeated in
-simulation by Equipoise {escape(provenance.software.get("equipoise", ""))}.{quick}</p>
+of robot inverted pendulum balancing</cite> (Intelligent Systems with Applications), reproduced in
+simulation with Equipoise {escape(provenance.software.get("equipoise", ""))}.{quick}</p>
 <nav aria-label="Contents">{links}</nav>
 </header>
 <main>
 {"".join(part.html for part in parts)}</main>
-<footer>Made by Equipoise on {escape(provenance.created[:10])} from the files beside it, which hold
-every number that was measured here.</footer>
+<footer>Generated by Equipoise on {escape(provenance.created[:10])} from the files in its folder,
+which hold all measured numbers.</footer>
 </body>
 </html>
 """

@@ -1,4 +1,4 @@
-"""The report from the trained policy on: the table, its trials, one run, the gap to a robot."""
+"""Sections of the report on the policy: the table, its trials, the recorded run, the gap."""
 
 from collections.abc import Iterator
 
@@ -6,23 +6,15 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.control.control_step import horizon
-from equipoise.evaluation import Evaluation, TrialResults
+from equipoise.evaluation import Evaluation
 from equipoise.model.sim_configs import MODEL, PivotFriction, TwinSettings
-from equipoise.report.markup import (
-    Part,
-    Pictures,
-    bullets,
-    conclusion,
-    paragraph,
-    part,
-    picture,
-    table,
-)
+from equipoise.report import markup as html
 from equipoise.studies.formatting import falls, how_it_ended, percent
+from equipoise.studies.gap_results import words
 from equipoise.studies.results import Results, estimates_zero, no_gap, seen_otherwise
 
 
-def sections_results(results: Results, pictures: Pictures) -> Iterator[Part]:
+def sections_results(results: Results, pictures: html.Pictures) -> Iterator[html.Part]:
     """Return the sections from the trained policy on."""
     yield _policy(pictures)
     yield _evaluation(results, pictures)
@@ -30,143 +22,137 @@ def sections_results(results: Results, pictures: Pictures) -> Iterator[Part]:
     yield _gap(results, pictures)
 
 
-def _policy(pictures: Pictures) -> Part:
-    return part(
+def _policy(pictures: html.Pictures) -> html.Part:
+    return html.part(
         "policy",
-        "What was learned",
-        paragraph(
-            "This is all there is to the policy: a number for each box. In each panel the lean of "
-            "the pendulum runs from left to right, its rate of fall from bottom to top. Where it "
-            "leans right and falls right, in the upper right corner, the flange has to hurry to "
-            "the right to get below it: red. The lower left corner is its mirror image."
+        "The learned policy",
+        html.paragraph(
+            "The policy is one acceleration for each box. Each panel shows the lean of the "
+            "pendulum from left to right, and its angular velocity from bottom to top. In the "
+            "upper right corner the pendulum leans right and falls right, and the flange must "
+            "accelerate to the right to get below it: red. The lower left corner is the mirror "
+            "image."
         ),
-        paragraph(
-            "The columns are the track. Coming back from its right end takes a detour: first "
-            "further to the right, until the pendulum leans left, then follow it home. So near "
-            "upright the right column should push right, where the left column pushes left. The "
-            "middle row is where a good policy lives; it seldom gets to the outer rows, and what "
-            "the table says there is rough."
+        html.paragraph(
+            "The columns are positions on the track. The return from the right end starts with a "
+            "motion further to the right, until the pendulum leans left; then the flange follows "
+            "it to the middle. So near upright the right column pushes right and the left column "
+            "pushes left. A good policy stays in the middle row; the outer rows are rarely visited "
+            "and their entries are rough."
         ),
-        picture(
+        html.picture(
             pictures,
             "policy",
-            "The 270 boxes: blue pushes left, red right. Hatched boxes were never visited in "
-            "training, and their entry means nothing. Framed boxes are those that the recorded run "
-            "below went through.",
+            "The 270 boxes: blue accelerates left, red right. Hatched boxes were never visited in "
+            "training, and their entries have no meaning. Framed boxes were visited by the "
+            "recorded run below.",
             "Commanded acceleration in each of the 270 boxes, as a grid of coloured numbers",
         ),
     )
 
 
-def _evaluation(results: Results, pictures: Pictures) -> Part:
+def _evaluation(results: Results, pictures: html.Pictures) -> html.Part:
     evaluation = results.evaluation
     e, plant = evaluation.settings.evaluation, evaluation.settings.plant
     phi, phi_dot = (
         f"{np.rad2deg(low):.3g}° to {np.rad2deg(high):.3g}°"
         for low, high in ((e.phi_low, e.phi_high), (e.phi_dot_low, e.phi_dot_high))
     )
-    return part(
+    arm = (
+        f"; the arm's delay differs by up to {1e3 * plant.delay_spread:g} ms from the controller's "
+        f"value, its lag by up to {percent(plant.lag_spread)}, and the encoder's zero is wrong by "
+        f"up to {np.rad2deg(plant.zero_error):.2g}°"
+    )
+    return html.part(
         "evaluation",
-        "How long it stands",
-        paragraph(
-            "First on the plant of the training, which is quick to compute. Each trial starts as "
-            "a hand leaves the pendulum: the flange at rest in the middle, "
-            f"the pendulum leaning {phi} and falling outwards at {phi_dot} a second. Its I varies "
-            f"by {percent(plant.inertia_sigma)} around the value that the policy was trained for "
-            f"and its b by {percent(plant.friction_sigma)} (standard deviations), with noise in "
-            f"every step{_and_the_arm(evaluation)}. Starts and seeds appear nowhere else."
+        "Survival on the training plant",
+        html.paragraph(
+            "The training plant is fast to simulate, so it comes first. Each trial starts as after "
+            "a release by hand: the flange at rest in the middle, the pendulum leaning "
+            f"{phi} and falling outwards at {phi_dot} per second. I varies by "
+            f"{percent(plant.inertia_sigma)} around the value of the training and b by "
+            f"{percent(plant.friction_sigma)} (standard deviations), with noise in every step"
+            f"{'' if plant.ideal else arm}. No other stage uses these starts and seeds."
         ),
-        picture(
+        html.picture(
             pictures,
             "survival",
-            "On the left, time is logarithmic. LQR knows the model and commands any acceleration "
-            "within the range; snapped, it has to take one of the table's eight. PD keeps the "
-            "pendulum up but does not know where the track ends. Random picks any of the eight.",
-            "Share of the trials still standing against time, for the policy and the yardsticks",
+            "The time axis on the left is logarithmic. LQR knows the model and commands any "
+            "acceleration within the range; snapped LQR uses the nearest of the table's eight. PD "
+            "keeps the pendulum upright but ignores the ends of the track. Random picks any of the "
+            "eight.",
+            "Share of the trials still standing against time, for the policy and the baselines",
         ),
-        _outcomes(evaluation),
+        _survival_table(evaluation),
     )
 
 
-def _and_the_arm(evaluation: Evaluation) -> str:
-    plant = evaluation.settings.plant
-    if plant.ideal:
-        return ""
-    return (
-        f"; the arm's delay differs by up to {1e3 * plant.delay_spread:g} ms from what the "
-        f"controller knows, its lag by up to {percent(plant.lag_spread)}, and the encoder's zero "
-        f"is wrong by up to {np.rad2deg(plant.zero_error):.2g}°"
-    )
-
-
-def _outcomes(evaluation: Evaluation) -> str:
-    def row(results: TrialResults) -> list[str]:
+def _survival_table(evaluation: Evaluation) -> str:
+    rows: list[list[str]] = []
+    for results in (evaluation.results, *evaluation.baselines):
         s = results.summary()
         low, high = s.interval
-        return [
-            results.name,
-            f"{s.survived} of {s.trials}",
-            f"{percent(low)} to {percent(high)}",
-            f"{s.median:.3g} s",
-            f"{s.quantiles[0]:.3g} s",
-            falls(s.causes),
-        ]
-
-    return table(
-        (
-            "",
-            f"stood {evaluation.duration:g} s",
-            "95 % interval",
-            "median",
-            "19 of 20 stood",
-            "what failed",
-        ),
-        [row(results) for results in (evaluation.results, *evaluation.baselines)],
+        rows.append(
+            [
+                results.name,
+                f"{s.survived} of {s.trials}",
+                f"{percent(low)} to {percent(high)}",
+                f"{s.median:.3g} s",
+                f"{s.quantiles[0]:.3g} s",
+                falls(s.causes),
+            ]
+        )
+    stood = f"stood {evaluation.duration:g} s"
+    return html.table(
+        ("", stood, "95 % interval", "median", "19 of 20 stood", "failures"),
+        rows,
         caption="Intervals are exact (Clopper-Pearson).",
     )
 
 
-def _deployment(results: Results, pictures: Pictures) -> Part:
+def _deployment(results: Results, pictures: html.Pictures) -> html.Part:
     run = results.run
+    real = seen_otherwise(run)
     world = run.conditions.world_settings
-    return part(
+    return html.part(
         "deployment",
-        "One run, as the paper shows it",
-        paragraph(
+        "Recorded run",
+        html.paragraph(
             f"The paper shows {paper.SECONDS_BALANCED:g} s on the real arm in its figures 3 to 7. "
-            f"Here {_stand_in(results)}"
+            f"{_stand_in(results)}"
         ),
-        "" if world is None else _the_twin(TwinSettings.model_validate(world), results),
-        table(("", "what the policy was trained for", "the run"), _conditions(results)),
-        picture(
+        "" if world is None else _twin(TwinSettings.model_validate(world), results),
+        html.table(("", "training", "the run"), _conditions(results)),
+        html.picture(
             pictures,
             "figure-3-frames",
-            "The paper's figure 3, drawn from what the run went through, at moments that differ."
-            " A pendulum that is kept upright hardly leans; it is the arm that moves.",
+            "The paper's figure 3, drawn from the recorded motion at moments that differ most. A "
+            "balanced pendulum hardly leans; the arm moves.",
             "Frames of the run: arm, table, pendulum and the ends of the track",
         ),
-        picture(
+        html.picture(
             pictures,
             "figure-4-commands",
-            f"The paper's figure 4. There is no zero among the eight accelerations, so standing "
-            f"still means switching to and fro{_what_the_flange_did(results)}.",
+            "The paper's figure 4. The eight accelerations do not include zero, so the policy "
+            "holds a position by switching between both signs"
+            f"{'; the close-up shows the response of the flange' if real else ''}.",
             "Commanded acceleration of the flange against time",
         ),
-        picture(
+        html.picture(
             pictures,
             "figure-5-joints",
-            f"The paper's figure 5, as commanded. {_which_joints(results)}",
+            f"The paper's figure 5, as commanded. {_joints(results)}",
             "Positions of the joints against time",
         ),
-        picture(
+        html.picture(
             pictures,
             "figure-6-pendulum",
-            "The paper's figure 6. Dotted lines are the edges of the boxes: between them the table "
-            f"sees no difference.{_what_was_seen(results)}",
+            "The paper's figure 6. Dotted lines are the edges of the boxes; the table does not "
+            f"distinguish values between them.{_observation(results)}",
             "Angle and angular velocity of the pendulum against time",
         ),
         _zero(pictures) if estimates_zero(run) else "",
-        picture(
+        html.picture(
             pictures,
             "figure-7-flange",
             f"The paper's figure 7. There, x passed {paper.X_AT_FAILURE:g} m after "
@@ -180,19 +166,18 @@ def _stand_in(results: Results) -> str:
     conditions = results.run.conditions
     if conditions.world == MODEL:
         return (
-            "the simulated plant of the training stands in for the robot, with a pendulum that "
-            f"differs from the one that the policy was trained for. {no_gap(results)}"
+            "Here the simulated training plant replaces the robot, with a pendulum that differs "
+            f"from that of the training. {no_gap(results)}"
         )
     return (
-        f"a digital twin of the rig stands in for it, `{conditions.world}`: the "
-        f"{conditions.arm.name} in a physics engine that is not ours (MuJoCo), behind a model of "
-        "the robot's own server and drives, with a pendulum that differs from the one that the "
-        "policy was trained for. "
-        "The policy has never been there."
+        f"Here a digital twin of the rig replaces it, `{conditions.world}`: the "
+        f"{conditions.arm.name} in an independent physics engine (MuJoCo), with a model of the "
+        "robot's server and drives, and a pendulum that differs from that of the training. The "
+        "policy was not trained on the twin."
     )
 
 
-def _the_twin(twin: TwinSettings, results: Results) -> str:
+def _twin(twin: TwinSettings, results: Results) -> str:
     conditions = results.run.conditions
     dry = conditions.friction
     friction = (
@@ -200,29 +185,32 @@ def _the_twin(twin: TwinSettings, results: Results) -> str:
         if dry is None
         else f"{PivotFriction.model_validate(dry).words(conditions.world)}, besides the viscous one"
     )
-    has = (
-        f"A transport delay: a setpoint is used {1e3 * twin.transport:g} ms after it was sent, "
-        f"give or take {1e3 * twin.transport_jitter:g} ms.",
+    modelled = (
+        f"A transport delay: a setpoint takes effect {1e3 * twin.transport:g} ms after it was "
+        f"sent, ± {1e3 * twin.transport_jitter:g} ms.",
         "The servo law of the KUKA Sunrise Toolbox's server, from its source, every "
-        f"{twin.cycle:g} ms: a soft dead band, which follows slow motions late.",
+        f"{twin.cycle:g} ms: a soft dead band, which delays slow motions.",
         f"Joint drives with a lag of {1e3 * twin.lag:g} ms and the torques of the real joints. "
-        "They balance the arm's own weight and know its inertia at home; tool and pendulum "
-        f"({1e3 * (twin.bracket_mass + twin.pendulum_mass):g} g) are unknown to them, and pull.",
-        f"A pendulum that turns {1e3 * twin.pivot_outward:g} mm beside the last joint's axis, with "
-        f"{friction}.",
-        f"An encoder of {twin.counts_per_rev:,} counts a turn, read "
+        "They compensate the arm's own weight and its inertia at home, but not the load of tool "
+        f"and pendulum ({1e3 * (twin.bracket_mass + twin.pendulum_mass):g} g).",
+        f"A pendulum whose pivot is {1e3 * twin.pivot_outward:g} mm beside the last joint's axis, "
+        f"with {friction}.",
+        f"An encoder with {twin.counts_per_rev:,} counts per turn, read "
         f"{1e3 * twin.encoder_age:g} ms late, whose zero is wrong by up to "
-        f"{np.rad2deg(twin.zero_error):.2g}°; and measured joints that are "
-        f"{1e3 * twin.reply_age:g} ms old.",
+        f"{np.rad2deg(twin.zero_error):.2g}°; and joint measurements with an age of "
+        f"{1e3 * twin.reply_age:g} ms.",
     )
-    has_not = (
-        "elastic joints, friction and play in them, an arm and a table that bend, or an operating "
-        "system that comes late; and what KUKA's cabinet really does with a setpoint is not "
-        "published. Masses and torques are those of public models, other numbers are "
-        "assumptions, each listed below with its source. It is a simulation, and not the authors' "
-        "robot."
+    missing = (
+        "elasticity, friction and backlash of the joints, a flexible arm or table, and delays of "
+        "the operating system. KUKA has not published how its cabinet processes a setpoint. Masses "
+        "and torques are those of public models; other numbers are assumptions, each listed below "
+        "with its source. This is a simulation, and not the authors' robot."
     )
-    return paragraph("What it has:") + bullets(has) + paragraph(f"What it has not: {has_not}")
+    return (
+        html.paragraph("The twin models:")
+        + html.bullets(modelled)
+        + html.paragraph(f"The twin does not model: {missing}")
+    )
 
 
 def _conditions(results: Results) -> Iterator[tuple[str, str, str]]:
@@ -245,80 +233,69 @@ def _conditions(results: Results) -> Iterator[tuple[str, str, str]]:
     yield "end", "", f"{how_it_ended(results.run.cause)}, {results.run.lasted:g} s"
 
 
-def _what_the_flange_did(results: Results) -> str:
-    if not seen_otherwise(results.run):
-        return ""
-    return "; the close-up shows what the arm makes of it"
-
-
-def _which_joints(results: Results) -> str:
+def _joints(results: Results) -> str:
     conditions = results.run.conditions
-    first = "The joint that is held stays where it is; of the others, those"
-    if conditions.arm.held_joint is None:
-        first = "Those"
-    text = f"{first} that turn about a vertical axis at home do most of the work."
+    held = "" if conditions.arm.held_joint is None else " One joint is held."
+    text = f"The joints with a vertical axis at home do most of the work.{held}"
     if seen_otherwise(results.run):
-        text += (
-            " At the bottom, by how much the arm is not where it was sent, at the same time: that "
-            "grows with speed."
-        )
+        text += " Bottom: the lag of the arm behind its commands, which grows with speed."
     if conditions.world_settings is not None:
-        text += " A part of it that stays is the weight that the drives do not know."
+        text += " Its constant part is the load that the drives do not compensate."
     return text
 
 
-def _what_was_seen(results: Results) -> str:
+def _observation(results: Results) -> str:
     if not seen_otherwise(results.run):
         return ""
     policy, controller = results.policy, results.run.conditions.settings.controller
     if not controller.predict or policy.actuator.kind == "ideal":
-        return " The dark line is what the policy saw, from the encoder; the pale one what was."
+        return (
+            " The dark line is the policy's observation, from the encoder; the pale line is true."
+        )
     ahead = horizon(policy.arm, policy.actuator, controller.margin)
     return (
-        f" The dark line is what the policy saw: the state {1e3 * ahead:.0f} ms ahead, when its "
-        "command has taken effect, as predicted from the encoder and the commands in flight. The "
-        "pale line is what was. The dark one leads it by just that time, if the prediction is good."
+        f" The dark line is the policy's observation: the state {1e3 * ahead:.0f} ms ahead, when "
+        "its command takes effect, predicted from the encoder and the commands in flight. The pale "
+        "line is the true state. With a good prediction the dark line leads by exactly that time."
     )
 
 
-def _zero(pictures: Pictures) -> str:
-    return picture(
+def _zero(pictures: html.Pictures) -> str:
+    return html.picture(
         pictures,
         "encoder-zero",
-        "The paper does not have this one. The encoder is zeroed where the pendulum hangs at rest, "
-        "and friction lets it rest beside the vertical. A pendulum that leans falls faster and "
-        "faster, one that only seems to lean does not: by that the controller tells the error "
-        "while it balances, and takes it off.",
+        "Not in the paper. The encoder is zeroed with the pendulum hanging at rest, and friction "
+        "holds it slightly off the vertical. A true lean accelerates the fall; an error of the "
+        "zero does not. From this difference the controller estimates the error while balancing "
+        "and subtracts it.",
         "Error of the encoder's zero and its estimate against time",
     )
 
 
-def _gap(results: Results, pictures: Pictures) -> Part:
-    from equipoise.studies.gap_results import words
-
-    name, title = "gap", "What the training did not know, and what that costs"
+def _gap(results: Results, pictures: html.Pictures) -> html.Part:
+    name, title = "gap", "Gap between training plant and twin"
     gap = results.gap
     if gap is None:
-        return part(name, title, paragraph(no_gap(results)))
-    found = words(gap)
-    return part(
+        return html.part(name, title, html.paragraph(no_gap(results)))
+    conclusion, *findings = words(gap)
+    return html.part(
         name,
         title,
-        paragraph(
+        html.paragraph(
             "A policy that is trained without delay and with a perfect sensor meets both on the "
-            "robot. On the twin they can be switched on and off one by one. Here is a short form "
-            f"of that study, {gap.trials} trials of {gap.duration:g} s at each point; the full one "
-            "is made by `equipoise gap`."
+            "robot. On the twin each effect can be switched on and off. This is the short form "
+            f"of that study, {gap.trials} trials of {gap.duration:g} s at each point; "
+            "`equipoise gap` runs the full study."
         ),
-        conclusion(found[0]),
-        bullets(found[1:]),
-        picture(
+        html.paragraph(conclusion, "conclusion"),
+        html.bullets(findings),
+        html.picture(
             pictures,
             "gap",
-            "Above, survival against the delay and against the error of the encoder's zero, with "
-            "the share of the falls that end on the track limit below. At the bottom, for a table "
-            "that was trained as the paper describes, each effect alone: switched on where nothing "
-            "else is, and taken away where everything else is.",
+            "Top: survival against the delay and against the error of the encoder's zero, with "
+            "the share of the falls that end on the track limit below. Bottom: each effect alone, "
+            "for a table that was trained as the paper describes: switched on in the clean twin, "
+            "and removed from the full twin.",
             "Seconds of balance against delay and zero error, and effect by effect",
         ),
     )

@@ -1,14 +1,13 @@
-"""One look for every figure, and how a figure becomes files.
+"""Style of all figures, and their export to SVG and PNG.
 
-Colours are Okabe and Ito's, which colour-blind eyes tell apart; lines that share a panel also
-differ in lightness and dashes, so that they survive a grey print. Figures are made without pyplot:
-no global state, no screen. Equal input gives equal SVG.
+Colours are the colour-blind-safe palette of Okabe and Ito. Lines that share a panel also differ in
+lightness and dashes, for prints in grey. Figures are made without pyplot: no global state, no
+screen. Equal input gives equal SVG.
 """
 
 import functools
 import io
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
@@ -50,12 +49,9 @@ STYLE: Final[dict[str, Any]] = {
     "axes.axisbelow": True,
     "grid.color": PALE,
     "grid.linewidth": 0.6,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "xtick.major.width": 0.7,
-    "ytick.major.width": 0.7,
+    **{f"{axis}tick.color": INK for axis in "xy"},
+    **{f"{axis}tick.labelsize": 8.0 for axis in "xy"},
+    **{f"{axis}tick.major.width": 0.7 for axis in "xy"},
     "text.color": INK,
     "axes.labelcolor": INK,
     "lines.linewidth": 1.1,
@@ -73,11 +69,13 @@ STYLE: Final[dict[str, Any]] = {
 
 
 def drawn(draw: Callable[P, "Figure"]) -> Callable[P, "Figure"]:
-    """Make `draw` work in our style, whatever the style around it."""
+    """Make `draw` use our style, independent of the caller's matplotlib settings."""
 
     @functools.wraps(draw)
     def in_style(*args: P.args, **kwargs: P.kwargs) -> "Figure":
-        with _our_style():
+        from matplotlib import style
+
+        with style.context(STYLE, after_reset=True):
             return draw(*args, **kwargs)
 
     return in_style
@@ -88,7 +86,7 @@ def new_figure(height: float, title: str) -> "Figure":
 
     Args:
         height: Height [inch].
-        title: What it shows, with the paper's number where the paper has it.
+        title: Title of the figure, with its number in the paper if it has one.
     """
     from matplotlib.figure import Figure
 
@@ -98,12 +96,12 @@ def new_figure(height: float, title: str) -> "Figure":
 
 
 def plain(text: str) -> str:
-    """Return a text from a file as Matplotlib shows it unchanged: a dollar begins no formula."""
+    """Escape a text from a file for Matplotlib: a dollar sign begins no formula."""
     return printable(text).replace("$", r"\$")
 
 
 def limit_lines(axes: "Axes", values: Sequence[float], label: str = "") -> None:
-    """Draw the limits of failure; the label stands above the highest, on the left."""
+    """Draw the failure limits; the label stands above the highest, on the left."""
     for value in values:
         axes.axhline(value, color=INK, linewidth=1.0, linestyle=(0, (6, 2)))
     if label:
@@ -118,7 +116,7 @@ def limit_lines(axes: "Axes", values: Sequence[float], label: str = "") -> None:
 
 
 def edge_lines(axes: "Axes", values: Sequence[float]) -> None:
-    """Draw the inner edges of the boxes, which are all that the table sees of a value."""
+    """Draw the inner edges of the boxes."""
     for value in values:
         axes.axhline(value, color=GREY, linewidth=0.6, linestyle=(0, (1, 2)))
 
@@ -138,13 +136,13 @@ def save(figure: "Figure", stem: Path) -> tuple[Path, Path]:
 
     Args:
         figure: The figure.
-        stem: Where, without the ending: `figures/learning`.
+        stem: Path without the extension: `figures/learning`.
 
     Returns:
-        The two files.
+        The paths of the SVG and the PNG.
 
     Raises:
-        OutsideError: The disk refuses.
+        OutsideError: Writing fails.
     """
     svg, png = (stem.with_name(f"{stem.name}.{ending}") for ending in ("svg", "png"))
     write_whole(svg, to_svg(figure))
@@ -152,18 +150,12 @@ def save(figure: "Figure", stem: Path) -> tuple[Path, Path]:
     return svg, png
 
 
-@contextmanager
-def _our_style() -> Generator[None]:
+def _rendered(figure: "Figure", kind: str) -> bytes:
     from matplotlib import style
 
-    with style.context(STYLE, after_reset=True):
-        yield
-
-
-def _rendered(figure: "Figure", kind: str) -> bytes:
     stream = io.BytesIO()
-    # Neither a date nor a version of the drawing software: equal figures are equal files.
-    nothing = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
-    with _our_style():
-        figure.savefig(stream, format=kind, dpi=DPI, metadata=nothing)
+    # Omit date and version of the software: equal figures give equal files.
+    omitted = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
+    with style.context(STYLE, after_reset=True):
+        figure.savefig(stream, format=kind, dpi=DPI, metadata=omitted)
     return stream.getvalue()

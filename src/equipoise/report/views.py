@@ -1,7 +1,6 @@
-"""Values as figures and as HTML: `equipoise.views` finds both functions here."""
+"""Values as figures and as HTML; `equipoise.views` loads this module on first use."""
 
 import base64
-from functools import singledispatch
 from typing import TYPE_CHECKING
 
 from equipoise.control.policy import TabularPolicy
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@singledispatch
 def plot(value: object) -> "Figure":
     """Return a matplotlib figure of a value.
 
@@ -28,37 +26,29 @@ def plot(value: object) -> "Figure":
         InputError: The value is of another kind.
         RecordingError: No policy acted in a run.
     """
-    raise InputError(f"{type(value).__name__} has no figure; give a pendulum, policy or run")
-
-
-@plot.register(Pendulum)
-def _(value: Pendulum) -> "Figure":
-    return figures.predicted_swing(value)
-
-
-@plot.register(TabularPolicy)
-def _(value: TabularPolicy) -> "Figure":
-    return figures.policy_picture(value)
-
-
-@plot.register(Evaluation)
-def _(value: Evaluation) -> "Figure":
-    return figures.survival(value)
-
-
-@plot.register(RunLog)
-def _(value: RunLog) -> "Figure":
-    if not len(value.time):
-        raise RecordingError("no policy acted in this run; plot a run of `deploy`")
-    return figures.pendulum(value)
+    match value:
+        case Pendulum():
+            return figures.predicted_swing(value)
+        case TabularPolicy():
+            return figures.policy_picture(value)
+        case Evaluation():
+            return figures.survival(value)
+        case RunLog():
+            if not len(value.time):
+                raise RecordingError("no policy acted in this run; plot a run of `deploy`")
+            return figures.pendulum(value)
+        case _:
+            raise InputError(
+                f"{type(value).__name__} has no figure; give a pendulum, policy or run"
+            )
 
 
 def html(value: object) -> str:
-    """Return a value as HTML: its one line, and its figure where it has one."""
+    """Return a value as HTML: its one-line representation, and its figure if available."""
     line = f"<p><code>{escape(repr(value))}</code></p>"
     try:
         picture = base64.b64encode(to_svg(plot(value)).encode()).decode()
     except RecordingError:
         return line
-    # As an image an SVG runs no script, whatever text is in it.
+    # Browsers run no script of an SVG inside an `img`, whatever text is in the SVG.
     return f'{line}<img alt="" style="max-width:100%" src="data:image/svg+xml;base64,{picture}">'

@@ -1,4 +1,4 @@
-"""The figures of the paper and of the report, each from saved values only.
+"""Figures of the paper and of the report, drawn from saved values only.
 
 Every function returns a matplotlib figure; `equipoise.report.style.save` writes it as SVG and PNG.
 """

@@ -1,19 +1,9 @@
-"""The gap between training plant and twin: survival against delay and zero error, and effects."""
+"""Gap between training plant and twin: survival against delay and zero error, and by effect."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from equipoise.report.style import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PALE,
-    SKY,
-    VERMILION,
-    drawn,
-    new_figure,
-)
+from equipoise.report import style
 from equipoise.studies.formatting import percent
 from equipoise.studies.gap_results import (
     CURED,
@@ -37,36 +27,37 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LINES: Final[dict[tuple[Controller, bool], dict[str, Any]]] = {
-    (CURED, False): {"color": BLUE, "linestyle": "-", "linewidth": 3.2, "marker": "o"},
-    (NOT_TOLD, False): {"color": SKY, "linestyle": (0, (5, 2)), "marker": "s"},
-    (NO_PREDICTION, False): {"color": ORANGE, "linestyle": (0, (6, 1.5, 1, 1.5)), "marker": "^"},
-    (NO_BIAS, False): {"color": GREEN, "linestyle": (0, (1, 1.5)), "marker": "D"},
-    (PAPER, False): {"color": VERMILION, "linestyle": "-", "marker": "v"},
-    (PAPER, True): {"color": INK, "linestyle": (0, (3, 1.5)), "marker": "x"},
+    (CURED, False): {"color": style.BLUE, "linestyle": "-", "linewidth": 3.2, "marker": "o"},
+    (NOT_TOLD, False): {"color": style.SKY, "linestyle": (0, (5, 2)), "marker": "s"},
+    (NO_PREDICTION, False): {
+        "color": style.ORANGE,
+        "linestyle": (0, (6, 1.5, 1, 1.5)),
+        "marker": "^",
+    },
+    (NO_BIAS, False): {"color": style.GREEN, "linestyle": (0, (1, 1.5)), "marker": "D"},
+    (PAPER, False): {"color": style.VERMILION, "linestyle": "-", "marker": "v"},
+    (PAPER, True): {"color": style.INK, "linestyle": (0, (3, 1.5)), "marker": "x"},
 }
-"""The policy with its cures is wide, so that curves on top of it are seen."""
+"""Line styles; the first line is wide, so that lines on top of it leave its edges visible."""
 SHIFT: Final = 0.008
-"""Between curves that share a point, part of the width: their intervals stand side by side."""
+"""Horizontal offset between curves at a shared point [share of the axis]: separates intervals."""
 ROW: Final = 0.21
 """Height of a row of effects [inch]."""
 SECONDS_TICKS: Final = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60, 120, 300, 600)
-LEAST: Final = 1e-3
-"""Stands for zero on axes that have none [s]."""
+MIN_SECONDS: Final = 1e-3
+"""Replacement for zero on logarithmic axes [s]."""
+BARS: Final[dict[str, Any]] = {"markersize": 4, "capsize": 2}
 
 
-@drawn
+@style.drawn
 def gap_figure(gap: Gap) -> "Figure":
-    """Draw a study of the gap.
-
-    Args:
-        gap: The study.
-    """
+    """Draw a gap study."""
     effects, variants = len(gap.names("alone")), gap.names("variant")
     heights = [2.3, 0.9, *(ROW * effects + 0.75 for _ in gap.apart)]
     if variants:
         heights.append(ROW * len(variants) + 0.75)
-    figure = new_figure(
-        sum(heights) + 1.1, f"The gap: what the twin, {gap.world}, does to a policy, and what cures"
+    figure = style.new_figure(
+        sum(heights) + 1.1, f"Gap between training plant and the twin {gap.world}"
     )
     parts: Any = figure.subfigures(
         len(heights) - 1, 1, height_ratios=(heights[0] + heights[1] + 0.6, *heights[2:])
@@ -90,7 +81,7 @@ def _curves(part: Any, gap: Gap) -> None:
     axes[1, 1].set_xlabel("error of the encoder's zero [°]")
     number = f"{gap.trials} trials of {gap.duration:g} s at each point, 95 % intervals"
     _title(part, f"{number}{'; the short form' if gap.quick else ''}")
-    # All curves are there on the left.
+    # The left panels hold all curves.
     handles, labels = axes[0, 0].get_legend_handles_labels()
     part.legend(handles, labels, loc="outside lower center", ncols=3)
 
@@ -106,18 +97,8 @@ def _against(axes: Any, gap: Gap, what: Literal["delay", "zero"]) -> None:
             continue
         line = LINES[key]
         x = [at_scale(what, p.at) + (number - 2.5) * shift for p in curve]
-        found = [mean(p.results, gap.duration) for p in curve]
         label = LABELS[key[0]] + (", rest of the twin clean" if key[1] else "")
-        above.errorbar(
-            x,
-            [s.mean for s in found],
-            _arms(found),
-            label=label,
-            markersize=4,
-            capsize=2,
-            elinewidth=1.1,
-            **line,
-        )
+        above.errorbar(x, *_intervals(gap, curve), label=label, elinewidth=1.1, **BARS, **line)
         shares = [(at, track_share(p.results)) for at, p in zip(x, curve, strict=True)]
         fell = [(at, 100.0 * share) for at, share in shares if share is not None]
         if fell:
@@ -137,16 +118,20 @@ def _effects(part: Any, gap: Gap, controller: Controller) -> None:
     _title(
         part,
         f"{label[0].upper()}{label[1:]}: {own:.1f} s on its own training plant; "
-        "beside each effect, what it changes",
+        "change of the mean beside each effect",
     )
     alone = [gap.point("alone", controller, name) for name in names]
     without = [gap.point("without", controller, name) for name in names]
     for panel, reference, points, title in (
         (left, clean, alone, f"switched on alone; clean twin: {at_best:.1f} s"),
-        (right, world, without, f"taken away alone; twin as it is: {as_is:.1f} s"),
+        (right, world, without, f"removed alone; full twin: {as_is:.1f} s"),
     ):
-        _rows(panel, gap, points, VERMILION if controller == PAPER else BLUE)
-        _reference(panel, mean(reference.results, gap.duration))
+        _rows(panel, gap, points, style.VERMILION if controller == PAPER else style.BLUE)
+        found = mean(reference.results, gap.duration)
+        low = max(found.low, MIN_SECONDS)
+        panel.axvspan(low, found.high, color=style.PALE, linewidth=0.0, zorder=0.5)
+        dashed: Any = {"linewidth": 1.0, "linestyle": (0, (4, 2)), "zorder": 0.9}
+        panel.axvline(found.mean, color=style.GREY, **dashed)
         for row, point in enumerate(points):
             _remark(panel, row, _signed(difference(point.results, reference.results)))
         panel.set_title(title)
@@ -157,37 +142,23 @@ def _variants(part: Any, gap: Gap) -> None:
     panel = part.subplots()
     names = gap.names("variant")
     points = [gap.point("variant", CURED, name) for name in names]
-    _rows(panel, gap, points, BLUE)
+    _rows(panel, gap, points, style.BLUE)
     for row, point in enumerate(points):
         share = track_share(point.results)
         ends = "none fell" if share is None else f"{percent(share)} of the falls on the track limit"
         _remark(panel, row, f"{spelled(mean(point.results, gap.duration))}, {ends}")
     panel.set_yticks(range(len(names)), names)
-    panel.set_title(f"an open question: other guesses at the cabinet, {LABELS[CURED]}")
+    panel.set_title(f"an open question: alternative models of the cabinet, {LABELS[CURED]}")
 
 
 def _rows(panel: Any, gap: Gap, points: list[GapPoint], colour: str) -> None:
-    found = [mean(p.results, gap.duration) for p in points]
-    rows = range(len(points))
+    means, arms = _intervals(gap, points)
     _seconds_axis(panel, "x", gap)
-    panel.errorbar(
-        [s.mean for s in found],
-        rows,
-        xerr=_arms(found),
-        fmt="o",
-        color=colour,
-        markeredgecolor=INK,
-        markersize=4,
-        capsize=2,
-    )
+    line: Any = BARS | {"color": colour, "markeredgecolor": style.INK}
+    panel.errorbar(means, range(len(points)), xerr=arms, fmt="o", **line)
     panel.set_ylim(len(points) - 0.4, -0.6)
     panel.grid(visible=False, axis="y")
     panel.set_xlabel("mean survival [s]")
-
-
-def _reference(panel: Any, found: Seconds) -> None:
-    panel.axvspan(max(found.low, LEAST), found.high, color=PALE, linewidth=0.0, zorder=0.5)
-    panel.axvline(found.mean, color=GREY, linewidth=1.0, linestyle=(0, (4, 2)), zorder=0.9)
 
 
 def _remark(panel: Any, row: int, text: str) -> None:
@@ -204,9 +175,9 @@ def _remark(panel: Any, row: int, text: str) -> None:
 
 
 def _seconds_axis(panel: Any, axis: Literal["x", "y"], gap: Gap) -> None:
-    """Make an axis of seconds, logarithmic: what lasts a second and a minute are both seen."""
-    least = min(mean(p.results, gap.duration).mean for p in gap.points)
-    low, high = 0.6 * least, 1.15 * gap.duration
+    """Make an axis logarithmic in seconds: it shows a second and a minute alike."""
+    shortest = min(mean(p.results, gap.duration).mean for p in gap.points)
+    low, high = 0.6 * shortest, 1.15 * gap.duration
     ticks = [t for t in SECONDS_TICKS if low <= t < 0.7 * gap.duration] + [gap.duration]
     getattr(panel, f"set_{axis}scale")("log")
     getattr(panel, f"set_{axis}lim")(low, high)
@@ -214,12 +185,11 @@ def _seconds_axis(panel: Any, axis: Literal["x", "y"], gap: Gap) -> None:
     panel.minorticks_off()
 
 
-def _arms(found: list[Seconds]) -> list[list[float]]:
-    """Return how far the intervals reach below and above the means, above zero for a log axis."""
-    return [
-        [s.mean - max(s.low, LEAST) for s in found],
-        [s.high - s.mean for s in found],
-    ]
+def _intervals(gap: Gap, points: Sequence[GapPoint]) -> tuple[list[float], list[list[float]]]:
+    """Return mean survival and the lengths of its error bars; their ends are positive [s]."""
+    found = [mean(p.results, gap.duration) for p in points]
+    lower = [s.mean - max(s.low, MIN_SECONDS) for s in found]
+    return [s.mean for s in found], [lower, [s.high - s.mean for s in found]]
 
 
 def _signed(found: Seconds) -> str:

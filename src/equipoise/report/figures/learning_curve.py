@@ -1,4 +1,4 @@
-"""The course of a training: how long its episodes lasted, and what its greedy policies could do."""
+"""Learning curve: duration of the training episodes, and survival of the greedy policies."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -13,26 +13,26 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-STRETCHES = 100
-"""About so many means of the episodes' durations are drawn."""
+MAX_MEANS = 100
+"""Approximate maximum number of plotted means of the episode duration."""
 
 
 @drawn
 def learning_curve(policy: TabularPolicy) -> "Figure":
-    """Draw the learning curve of a policy, and the moment at which it was taken.
+    """Draw the learning curve of a policy, and the checkpoint that was kept.
 
     Args:
         policy: The policy, with the curve and the finalists of its selection.
     """
     curve, settings = policy.learning_curve, policy.settings
     tried = [point for point in curve if point.survival is not None]
-    figure = new_figure(4.2 if tried else 2.4, "The course of the training")
+    figure = new_figure(4.2 if tried else 2.4, "Learning curve")
     axes: Any = figure.subplots(2 if tried else 1, 1, sharex=True, squeeze=False)[:, 0]
     axes[0].stairs(*_mean_duration(policy), baseline=None, color=INK, linewidth=1.1)
     axes[0].set_ylabel("mean duration [s]")
     axes[0].set_ylim(0.0, 1.05 * settings.learning.episode_duration)
     axes[0].set_title(
-        f"episodes while it learns, cut off after {settings.learning.episode_duration:g} s"
+        f"training episodes, truncated after {settings.learning.episode_duration:g} s"
     )
     if tried:
         selection, panel = settings.selection, axes[1]
@@ -43,8 +43,8 @@ def learning_curve(policy: TabularPolicy) -> "Figure":
         panel.set_ylabel("trials that lasted [%]")
         panel.set_ylim(-4.0, 107.0)
         panel.set_title(
-            f"greedy policy of the moment, {selection.screening_trials} trials of "
-            f"{selection.duration:g} s on plants that vary {selection.spread:g} times as much"
+            f"greedy policy at each checkpoint, {selection.screening_trials} trials of "
+            f"{selection.duration:g} s, {selection.spread:g} times the variation of the training"
         )
         _finalists(panel, policy)
     axes[-1].set_xlabel("episodes")
@@ -53,9 +53,9 @@ def learning_curve(policy: TabularPolicy) -> "Figure":
 
 
 def _mean_duration(policy: TabularPolicy) -> tuple[Array, Array]:
-    """Return the mean duration of the episodes [s] in each stretch, and its ends in episodes."""
-    # Not every point: episodes run side by side, and few of them end between two candidates.
-    stride = max(1, len(policy.learning_curve) // STRETCHES)
+    """Return the mean duration of the episodes [s] per interval, and the edges in episodes."""
+    # Episodes run in parallel, and few of them end between two points: average over several.
+    stride = max(1, len(policy.learning_curve) // MAX_MEANS)
     points = policy.learning_curve[stride - 1 :: stride]
     episodes = np.array([0, *(point.episodes for point in points)], dtype=np.float64)
     seconds = policy.h * np.array([0, *(point.steps for point in points)])
@@ -70,13 +70,7 @@ def _finalists(panel: Any, policy: TabularPolicy) -> None:
 
     chosen, *others = (candidate.episodes for candidate in policy.checkpoints)
     panel.plot(*place(*others), "o", color=GREY, markersize=3.5, label="finalist")
-    panel.plot(
-        *place(chosen),
-        "D",
-        color=ORANGE,
-        markeredgecolor=INK,
-        markersize=7,
-        clip_on=False,
-        label=f"kept: episode {chosen:,}",
-    )
+    diamond: Any = {"marker": "D", "markeredgecolor": INK, "markersize": 7, "clip_on": False}
+    label = f"kept: episode {chosen:,}"
+    panel.plot(*place(chosen), color=ORANGE, linestyle="", label=label, **diamond)
     panel.figure.legend(loc="outside lower center", ncols=3)

@@ -1,4 +1,4 @@
-"""How long the policy and the yardsticks stood: the share that still stands against time."""
+"""Survival curves of the policy and the baselines."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -7,43 +7,33 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.evaluation import Evaluation, TrialResults
-from equipoise.report.style import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PURPLE,
-    VERMILION,
-    drawn,
-    new_figure,
-    plain,
-)
+from equipoise.report import style
+from equipoise.report.style import drawn, new_figure, plain
 from equipoise.studies.formatting import LASTED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LINES: tuple[dict[str, Any], ...] = (
-    {"color": BLUE, "linewidth": 3.2, "linestyle": "-"},
-    {"color": INK, "linewidth": 1.3, "linestyle": (0, (5, 2))},
-    {"color": ORANGE, "linewidth": 1.6, "linestyle": (0, (1, 1.5))},
-    {"color": VERMILION, "linewidth": 1.3, "linestyle": (0, (6, 1.5, 1, 1.5))},
-    {"color": GREEN, "linewidth": 1.0, "linestyle": "-"},
-    {"color": PURPLE, "linewidth": 1.3, "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+    {"color": style.BLUE, "linewidth": 3.2, "linestyle": "-"},
+    {"color": style.INK, "linewidth": 1.3, "linestyle": (0, (5, 2))},
+    {"color": style.ORANGE, "linewidth": 1.6, "linestyle": (0, (1, 1.5))},
+    {"color": style.VERMILION, "linewidth": 1.3, "linestyle": (0, (6, 1.5, 1, 1.5))},
+    {"color": style.GREEN, "linewidth": 1.0, "linestyle": "-"},
+    {"color": style.PURPLE, "linewidth": 1.3, "linestyle": (0, (3, 1, 1, 1, 1, 1))},
 )
-"""The policy first, below the others and wide, so that curves on top of it are seen."""
+"""Line styles; the policy's line, the first, is wide, so that lines on top leave it visible."""
 
 
 @drawn
 def survival(evaluation: Evaluation) -> "Figure":
-    """Draw the share of trials that still stand, and the share that lasted with its interval.
+    """Draw survival against time, and the final survival rates with their intervals.
 
     Args:
-        evaluation: Trials of a policy, with the yardsticks on the same conditions.
+        evaluation: Trials of a policy, and of the baselines under the same conditions.
     """
     everyone = [evaluation.results, *evaluation.baselines]
-    figure = new_figure(3.6, "How long it stands: the policy beside the yardsticks")
+    figure = new_figure(3.6, "Survival of the policy and the baselines")
     axes: Any = figure.subplots(1, 2, width_ratios=(5, 3))
     left, right = axes
     shortest = min(min(results.survival) for results in everyone)
@@ -56,21 +46,17 @@ def survival(evaluation: Evaluation) -> "Figure":
         )
     left.set_xscale("log")
     left.set_xlim(0.8 * shortest, evaluation.duration)
-    ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60) if t >= 0.8 * shortest]
-    ticks = [t for t in ticks if t <= evaluation.duration]
+    every_tick = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60)
+    ticks = [t for t in every_tick if 0.8 * shortest <= t <= evaluation.duration]
     left.set_xticks(ticks, [f"{t:g}" for t in ticks])
     left.minorticks_off()
     left.set_ylim(-4.0, 104.0)
     left.set_xlabel("time since the release [s]")
     left.set_ylabel("trials still standing [%]")
     left.set_title(f"{len(evaluation.results.survival)} trials each, the same conditions for all")
-    left.axvline(
-        paper.SECONDS_BALANCED,
-        color=GREY,
-        linewidth=1.4,
-        zorder=0.9,
-        label=f"the paper's run on the real arm, {paper.SECONDS_BALANCED:g} s",
-    )
+    label = f"the paper's run on the real arm, {paper.SECONDS_BALANCED:g} s"
+    grey: Any = {"color": style.GREY, "linewidth": 1.4, "zorder": 0.9}
+    left.axvline(paper.SECONDS_BALANCED, label=label, **grey)
     _shares(right, everyone, evaluation.duration)
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
@@ -79,7 +65,7 @@ def survival(evaluation: Evaluation) -> "Figure":
 def _curve(
     results: TrialResults, shortest: float, duration: float
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return times and the share that stands from then on [%]; trials that lasted do not fall."""
+    """Return the times [s] and the share of trials that stand from each time on [%]."""
     falls = np.sort(
         [s for s, c in zip(results.survival, results.causes, strict=True) if c != LASTED]
     )
@@ -94,7 +80,7 @@ def _shares(panel: Any, everyone: list[TrialResults], duration: float) -> None:
         rate, (low, high) = 100.0 * summary.rate, (100.0 * end for end in summary.interval)
         colour = line["color"]
         panel.plot([low, high], [row, row], color=colour, linewidth=2.2, solid_capstyle="butt")
-        panel.plot(rate, row, "o", color=colour, markeredgecolor=INK, markersize=5.5)
+        panel.plot(rate, row, "o", color=colour, markeredgecolor=style.INK, markersize=5.5)
         panel.annotate(
             f"{rate:.3g} %  [{low:.3g}, {high:.3g}]",
             (0.5 * (low + high), row),

@@ -1,4 +1,4 @@
-"""The policy as a picture: 270 boxes, and the acceleration that it commands in each."""
+"""Picture of a policy: 270 boxes with the commanded acceleration of each."""
 
 from math import isinf
 from typing import TYPE_CHECKING, Any
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAP = "RdBu_r"
-"""Diverging: blue below zero, white at zero, red above; in grey the numbers tell the sign."""
+"""Diverging colour map: blue below zero, white at zero, red above; numbers serve grey prints."""
 LUMA = np.array([0.299, 0.587, 0.114])
-"""How light red, green and blue look."""
+"""Luma coefficients of red, green and blue (ITU-R BT.601)."""
 
 
 @drawn
 def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure":
-    """Draw what the policy does where: a panel for each x and x_dot, phi against phi_dot in it.
+    """Draw the commanded acceleration per box: a panel per x and x_dot, with phi and phi_dot axes.
 
     Args:
         policy: The policy.
-        run: A run whose boxes are framed.
+        run: A run; the boxes that it visited are framed.
     """
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
@@ -35,14 +35,13 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
 
     u = policy.u_of_box.reshape(SHAPE)
     unvisited = ~np.any(np.array(policy.visits) > 0, axis=1).reshape(SHAPE)
-    seen = np.zeros(SHAPE, np.bool_)
-    if run is not None:
-        seen = np.bincount(run.box, minlength=u.size).reshape(SHAPE) > 0
+    boxes = np.array([], np.intp) if run is None else run.box
+    visited_by_run = np.bincount(boxes, minlength=u.size).reshape(SHAPE) > 0
     actions = np.array(policy.actions)
     largest = float(np.max(np.abs(actions)))
     norm, colours = Normalize(-1.2 * largest, 1.2 * largest), colormaps[MAP]
 
-    figure = new_figure(7.0, "What the policy does where: u in each of the 270 boxes")
+    figure = new_figure(7.0, "Policy: acceleration u in each of the 270 boxes")
     axes: Any = figure.subplots(3, 3, sharex=True, sharey=True)
     for k, m in np.ndindex(*SHAPE[2:]):
         # Rows from the top: x_dot high to low; columns: x low to high.
@@ -55,7 +54,7 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
             pen = INK if fill[:3] @ LUMA > 0.5 else "white"
             if unvisited[i, j, k, m]:
                 hatched = Rectangle((i, j), 1, 1, fill=False, hatch="/////", edgecolor=pen)
-                hatched.set_linewidth(0.0)  # framed boxes are those that the run saw
+                hatched.set_linewidth(0.0)  # frames mark the boxes of the run
                 _add(panel, hatched)
             text = panel.text(
                 i + 0.5, j + 0.5, _signed(float(u[i, j, k, m])), color=pen, fontsize=6.8
@@ -63,8 +62,8 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
             text.set(ha="center", va="center", in_layout=False)
             if unvisited[i, j, k, m]:
                 text.set_bbox({"facecolor": fill, "edgecolor": "none", "pad": 1.0})
-            if seen[i, j, k, m]:
-                # Black on white: seen on dark boxes and on light ones, in colour and in grey.
+            if visited_by_run[i, j, k, m]:
+                # Black on white is visible on dark and light boxes, in colour and in grey.
                 for colour, width in (("white", 2.8), (INK, 1.3)):
                     frame = Rectangle((i + 0.07, j + 0.07), 0.86, 0.86, fill=False, zorder=3)
                     frame.set(edgecolor=colour, linewidth=width)
@@ -93,7 +92,7 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
     unvisited_note.set_label("never visited in training")
     notes = [unvisited_note]
     if run is not None:
-        label = f"{int(seen.sum())} boxes that the deployment run saw"
+        label = f"{int(visited_by_run.sum())} boxes visited by the recorded run"
         notes.append(Patch(fill=False, edgecolor=INK, linewidth=1.6, label=label))
     figure.legend(handles=notes, loc="outside lower center", ncols=2)
     return figure
@@ -115,13 +114,13 @@ def _edges(axes: Any) -> None:
 
 
 def _add(panel: Any, patch: Any) -> None:
-    # Hundreds of patches and texts inside the panels need no place in the layout.
+    # Excluding hundreds of patches and texts speeds up the layout.
     patch.set_in_layout(False)
     panel.add_patch(patch)
 
 
 def _between(name: str, interval: paper.Interval) -> str:
-    """Return which values of a quantity an interval holds, without brackets that need a legend."""
+    """Format an interval as inequalities, which need no legend for brackets."""
     low, high = (_number(end) for end in (interval.low, interval.high))
     left, right = ("≤" if closed else "<" for closed in (interval.low_closed, interval.high_closed))
     if isinf(interval.low):

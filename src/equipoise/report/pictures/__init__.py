@@ -1,6 +1,6 @@
 """Pictures of a run: the paper's figure 3 as a strip of frames, an animation, and a video.
 
-The rig is drawn by MuJoCo, without a screen, from joint positions and angles that were recorded.
+MuJoCo draws the rig off-screen from recorded joint positions and angles.
 """
 
 from equipoise.report.pictures.film import Animation, animation

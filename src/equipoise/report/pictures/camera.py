@@ -1,7 +1,7 @@
-"""The camera beside the arm: where it must be to see everything, and what it sees where.
+"""Placement and projection of the camera beside the arm.
 
-It stands behind the base, so that +x is to the *right* of the picture as in every figure, far
-enough to the side that the arm does not hide the pendulum, and looks down on the table.
+The camera stands behind the base, so that +x is to the *right* of the picture as in every figure.
+It is far enough to the side that the arm does not hide the pendulum, and looks down on the table.
 """
 
 from typing import Final, NamedTuple
@@ -16,25 +16,25 @@ Size = tuple[int, int]
 AZIMUTH_DEG: Final = 42.0
 """Direction of view [deg]; 90 is along base +y, where the arm would hide the pendulum."""
 ELEVATION_DEG: Final = -22.0
-"""Direction of view above the horizon [deg]."""
+"""Elevation of the direction of view above the horizon [deg]."""
 FOV_DEG: Final = 20.0
-"""What it sees from bottom to top [deg]; narrow, so that upright things look upright."""
+"""Vertical field of view [deg]; narrow, so that vertical edges look vertical."""
 
 
 class Camera(NamedTuple):
-    """Where the camera is, and how it holds the picture."""
+    """Pose of the camera and size of its picture."""
 
     position: Floats
-    """In the base [m], shape (3,)."""
+    """Position in the base frame [m], shape (3,)."""
     right: Floats
     """Unit vector to the right of the picture, shape (3,)."""
     up: Floats
-    """Unit vector to its top, shape (3,)."""
+    """Unit vector to the top of the picture, shape (3,)."""
     size: Size
-    """Of the picture."""
+    """Size of the picture."""
 
     def pixel(self, point: Floats) -> tuple[float, float]:
-        """Return where a point of the base is seen: column from the left, row from the top."""
+        """Project a point of the base frame: column from the left, row from the top [px]."""
         width, height = self.size
         offset = point - self.position
         ahead = offset @ np.cross(self.up, self.right)
@@ -44,16 +44,16 @@ class Camera(NamedTuple):
 
 
 def camera_that_sees(points: Floats, radii: Floats, size: Size) -> Camera:
-    """Return the nearest camera whose picture holds a ball around each point.
+    """Return the nearest camera whose picture contains a ball around each point.
 
-    A point that is `a` to the right or up and `d` ahead of the base is seen by a camera at `a0` and
-    `d0` where abs(a - a0) <= tan (d - d0), with the tangent of half the angle that it sees. Both
-    ways of this bound give the smallest -d0, and the a0 in their middle.
+    A point at `a` to the right or up and `d` ahead of the base is in view of a camera at `a0` and
+    `d0` if abs(a - a0) <= tan (d - d0), with the tangent of half the field of view. The upper and
+    lower bounds together give the smallest -d0, with a0 midway between them.
 
     Args:
-        points: Their centres in the base [m], shape (n, 3).
-        radii: Their radii [m], shape (n,).
-        size: Of the picture.
+        points: Centres in the base frame [m], shape (n, 3).
+        radii: Radii [m], shape (n,).
+        size: Size of the picture.
     """
     azimuth, elevation = np.radians(AZIMUTH_DEG), np.radians(ELEVATION_DEG)
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])

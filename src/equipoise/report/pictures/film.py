@@ -1,7 +1,7 @@
-"""A run as moving pictures with its numbers below them, and as an animation that needs no player.
+"""Captioned frames of a run, and an animation made from them.
 
-The report and the README show the animation: a WebP, which browsers play inside a page, and which
-Pillow writes wherever matplotlib is installed.
+The report and the README show the animation: a WebP, which browsers play inside a page. Pillow, a
+dependency of matplotlib, writes it.
 """
 
 import io
@@ -22,26 +22,26 @@ from equipoise.report.style import GREY, INK
 FRAME: Final[Size] = (480, 480)
 """Size of an animation."""
 SECONDS: Final = 8.0
-"""Length of an animation [s]: the paper's run and some more."""
+"""Maximum length of an animation [s]; the paper's run took 5 s."""
 FPS: Final = 12.5
 """Frames per second of an animation."""
 HOLD: Final = 1.0
-"""Time for which the last frame stands before the animation begins again [s]."""
+"""Duration of the last frame before the animation restarts [s]."""
 QUALITY: Final = 60
-"""Quality of an animation, 0 to 100."""
+"""WebP quality of an animation, 0 to 100."""
 BAR: Final = 0.1
-"""Share of the height for the numbers below the picture."""
+"""Height of the captions below the picture, as a share of the height."""
 COLUMNS: Final = (0.03, 0.25, 0.53, 0.73)
-"""Where time, displacement, angle and command stand, as shares of the width."""
+"""Positions of time, displacement, angle and command, as shares of the width."""
 
 
 class Animation(NamedTuple):
-    """A run as moving pictures, and its first frame for those who want no motion."""
+    """Animation of a run, and a still for browsers set to reduced motion."""
 
     webp: bytes
     """The animation."""
     still: bytes
-    """Its first frame, as a WebP."""
+    """The first frame, as a WebP."""
 
 
 def animation(
@@ -52,20 +52,20 @@ def animation(
     seconds: float = SECONDS,
     report: Callable[[float], None] = lambda _: None,
 ) -> Animation:
-    """Draw the first seconds after the release as an animation at their real speed.
+    """Draw the first seconds after the release as an animation in real time.
 
     Args:
         run: The run.
-        arm: The arm that ran.
+        arm: The arm of the run.
         size: Size of the frames.
-        seconds: Length [s]; a shorter run is shown to its end.
-        report: Called with the share of the frames that are done.
+        seconds: Maximum length [s].
+        report: Progress callback; receives the fraction of the frames that are done.
 
     Raises:
-        ArmError: Another arm ran.
+        ArmError: The run is of another arm.
         ArtefactError: No policy ran.
-        RecordingError: A run on a rig did not get as far as balancing.
-        OutsideError: There is nothing to draw with.
+        RecordingError: A run on a rig ended before balancing.
+        OutsideError: OpenGL is not available.
     """
     from PIL import Image
 
@@ -92,14 +92,7 @@ def animation(
 
 
 def film(run: RunLog, arm: Arm, times: Floats, size: Size) -> Iterator[Picture]:
-    """Draw a run at `times` since the release [s], with its numbers below each picture.
-
-    Raises:
-        ArmError: Another arm ran.
-        ArtefactError: No policy ran.
-        RecordingError: A run on a rig did not get as far as balancing.
-        OutsideError: There is nothing to draw with.
-    """
+    """Draw a run at `times` since the release [s], with captions; raise as `animation` does."""
     from matplotlib import get_data_path
     from PIL import Image, ImageDraw, ImageFont
 

@@ -1,7 +1,7 @@
-"""Poses of arm and pendulum at chosen moments of a run.
+"""Poses of arm and pendulum at given times of a run.
 
-A simulated run is shown by its truth, from the release to the end. A run on a rig is shown by its
-measurements, from shortly before the release until the arm rests.
+The poses of a simulated run are its true states, from the release to the end. Those of a run on a
+rig are its measurements, from shortly before the release until the arm is at rest.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ class Moments(NamedTuple):
     """Poses and captions of a sequence of pictures."""
 
     time: Floats
-    """Since the release [s], shape (n,)."""
+    """Time since the release [s], shape (n,)."""
     x: Floats
     """Displacement of the flange [m], shape (n,)."""
     phi: Floats
@@ -37,7 +37,7 @@ class Moments(NamedTuple):
     """Phase of each picture; empty where the policy ran all the time."""
 
     def captions(self) -> list[tuple[str, str, str, str]]:
-        """Return time, displacement, angle and command of each, in words."""
+        """Return formatted time, displacement, angle and command of each picture."""
         return [
             (
                 f"t = {time:.2f} s".replace("-", MINUS),
@@ -52,10 +52,10 @@ class Moments(NamedTuple):
 
 
 def span(run: RunLog) -> tuple[float, float]:
-    """Return beginning and end of the shown part of a run, since the release [s].
+    """Return start and end of the shown part of a run, since the release [s].
 
     Raises:
-        RecordingError: A run on a rig did not reach the balancing.
+        RecordingError: A run on a rig ended before balancing.
     """
     if run.conditions.simulated:
         return 0.0, run.lasted
@@ -64,14 +64,14 @@ def span(run: RunLog) -> tuple[float, float]:
 
 
 def moments(run: RunLog, arm: Arm, times: Sequence[float] | Floats) -> Moments:
-    """Return the run at `times` since the release [s], interpolated linearly between its rows.
+    """Return the poses at `times` since the release [s], interpolated linearly between rows.
 
-    Shows the truth where it is known, on a rig the measurements, else the observation and the
+    Sources in order of preference: the true state, on a rig the measurements, else observation and
     commands. A command holds until the next tick.
 
     Raises:
-        ArmError: Another arm ran.
-        RecordingError: No policy ran, or a run on a rig did not reach the balancing.
+        ArmError: The run is of another arm.
+        RecordingError: No policy ran, or a run on a rig ended before balancing.
     """
     at = np.asarray(times, np.float64)
     ran, conditions = run.conditions.arm, run.conditions
@@ -86,7 +86,7 @@ def moments(run: RunLog, arm: Arm, times: Sequence[float] | Floats) -> Moments:
 
 
 def _measured(run: RunLog, arm: Arm, at: Floats) -> Moments:
-    """Return the measurements of a rig; joints as of half-way between request and reply."""
+    """Return the measurements of a rig; joint timestamps are midway between request and reply."""
     tick, encoder, reply = (run.tables[name] for name in ("tick", "encoder", "reply"))
     reply = reply[np.isfinite(reply["q"]).all(axis=1) & np.isfinite(reply["sent"])]
     measured = 0.5 * (reply["sent"] + reply["time"]) - run.release
@@ -102,7 +102,7 @@ def _measured(run: RunLog, arm: Arm, at: Floats) -> Moments:
 
 
 def _tick(time: Floats, at: Floats) -> npt.NDArray[np.intp]:
-    """Return the row of the tick in which each moment lies."""
+    """Return the row of the tick that contains each time."""
     return np.maximum(np.searchsorted(time, at, side="right") - 1, 0)
 
 
@@ -110,6 +110,6 @@ MINUS: Final = "\N{MINUS SIGN}"
 
 
 def signed(value: float, digits: int) -> str:
-    """Return a number as it is printed, with its sign, unless it is zero."""
+    """Format a number with its sign; a value that rounds to zero has no sign."""
     text = f"{value:+.{digits}f}"
     return text.replace("-", MINUS) if float(text) else text[1:]

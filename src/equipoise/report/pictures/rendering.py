@@ -1,7 +1,7 @@
-"""Drawing without a screen: joint positions in, pictures out.
+"""Off-screen rendering of joint positions with MuJoCo.
 
-MuJoCo draws through OpenGL, which EGL gives without a screen, and OSMesa where there is no EGL.
-`MUJOCO_GL` chooses otherwise: egl, osmesa or glfw.
+MuJoCo draws through OpenGL. The default backend is EGL, or OSMesa without EGL; `MUJOCO_GL` selects
+egl, osmesa or glfw.
 """
 
 import os
@@ -28,7 +28,7 @@ Picture = npt.NDArray[np.uint8]
 """Red, green and blue of every pixel, rows from the top, shape (height, width, 3)."""
 
 MAX_GEOMS: Final = 512
-"""Room for what is drawn, with its shadow."""
+"""Maximum number of shapes in a picture, including shadows."""
 SHADOW: Final = np.array([0.64, 0.56, 0.42, 1.0], np.float32)
 """Colour of a shadow on the table."""
 ARROW: Final = np.array([0.0, 0.62, 0.45, 1.0], np.float32)
@@ -36,27 +36,27 @@ ARROW: Final = np.array([0.0, 0.62, 0.45, 1.0], np.float32)
 ARROW_PER_U: Final = 0.1
 """Length of the arrow for an acceleration of 1 m/s^2 [m]."""
 ARROW_BELOW: Final = 0.09
-"""Distance of the arrow below the pivot [m]: free of the hand in every view."""
+"""Distance of the arrow below the pivot [m]; the hand never covers it."""
 
 
 def frames(
     arm: Arm, q: Floats, phi: Floats, u: Floats | None = None, *, size: Size
 ) -> Iterator[Picture]:
-    """Draw the rig as it was, one moment after another.
+    """Draw a sequence of poses of the rig.
 
     Args:
         arm: The arm.
         q: All joints [rad], shape (n, joints).
         phi: Angle of the pendulum from upright [rad], shape (n,).
         u: Commanded acceleration, shown as an arrow [m/s^2], shape (n,); no arrow if not given.
-        size: Of the pictures.
+        size: Size of the pictures.
 
     Returns:
-        The pictures, each drawn when it is asked for.
+        An iterator that draws each picture on demand.
 
     Raises:
-        ArmError: The joint positions are not all those of this arm, or not one row per angle.
-        OutsideError: There is nothing to draw with.
+        ArmError: The shape of the joint positions does not match the arm or the angles.
+        OutsideError: OpenGL is not available.
     """
     expected = (len(phi), len(arm.joints))
     if np.shape(q) != expected:
@@ -73,10 +73,10 @@ def draw(
     phi: Iterable[float],
     u: Iterable[float] | None = None,
 ) -> Iterator[Picture]:
-    """Draw a stage, one moment after another; `frames` makes the stage and checks the shapes.
+    """Draw a sequence of poses in a scene; `frames` makes the scene and checks the shapes.
 
     Raises:
-        OutsideError: There is nothing to draw with.
+        OutsideError: OpenGL is not available.
     """
     mj = mujoco()
     model, (width, height) = scene.model, scene.camera.size
@@ -94,17 +94,17 @@ def draw(
             _cast_shadows(model, shapes)
             if push:
                 _add_arrow(data.body("pendulum").xpos, float(push), shapes)
-            make_current()  # someone else may have drawn since the last picture
+            make_current()  # other code may have changed the context since the last picture
             mj.mjr_render(whole, shapes, canvas)
             mj.mjr_readPixels(picture, None, whole, canvas)
             yield picture[::-1].copy()  # OpenGL counts rows from the bottom
 
 
 def _cast_shadows(model: Any, shapes: Any) -> None:
-    """Add the shadows that light from straight above casts on the table.
+    """Add the shadows on the table of a light from straight above.
 
-    The shadow of the pivot lies on the rail and shows x on its marks. Each shape is drawn once
-    more, flat: OpenGL's own shadows cost twice as much and speckle.
+    The shadow of the pivot on the marks of the rail shows x. Each shape is drawn again, flat:
+    OpenGL's own shadows take twice the time and speckle.
     """
     mj = mujoco()
     table = model.geom("table")
@@ -123,11 +123,11 @@ def _cast_shadows(model: Any, shapes: Any) -> None:
 
 
 def _add_arrow(pivot: Floats, u: float, shapes: Any) -> None:
-    """Add an arrow below the hand, along x, as long as `u` is large."""
+    """Add an arrow below the hand, along x, with a length proportional to `u`."""
     mj = mujoco()
     kind, arrow = mj.mjtGeom.mjGEOM_ARROW, shapes.geoms[shapes.ngeom]
     start = pivot - np.array([0.0, 0.0, ARROW_BELOW])
-    # MuJoCo draws an arrow half as long as it is asked for.
+    # MuJoCo draws an arrow at half the given length.
     end = start + np.array([2.0 * ARROW_PER_U * u, 0.0, 0.0])
     mj.mjv_initGeom(arrow, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), ARROW)
     mj.mjv_connector(arrow, kind, 0.012, start, end)
@@ -136,27 +136,30 @@ def _add_arrow(pivot: Floats, u: float, shapes: Any) -> None:
 
 @contextmanager
 def _canvas(model: Any, size: Size) -> Generator[tuple[Callable[[], None], Any]]:
-    """Give what MuJoCo draws on, off screen, and a function that makes it the current one."""
+    """Open an off-screen OpenGL context; yield the function that makes it current, and MuJoCo's."""
     mj = mujoco()
     backend = _backend()
     context: Any = None
-    # GLFW does not raise where there is no screen, it warns.
+    # Without a screen GLFW warns instead of raising.
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         try:
             context = import_module(backend).GLContext(*size)
             context.make_current()
             canvas = mj.MjrContext(model, mj.mjtFontScale.mjFONTSCALE_100)
-        except Exception as error:  # each of the backends and each driver fails in its own way
+        except Exception as error:  # backends and drivers raise different exceptions
             if context is not None:
                 context.free()
-            why = warned[0].message if warned else error
-            raise _nothing_to_draw_with(f"{backend} says: {why}", backend) from None
+            why = f"{backend} says: {warned[0].message if warned else error}"
+            library = LIBRARIES.get(backend)
+            if library is not None and not find_library(library):
+                why = f"{backend} needs the library {library}, which is not installed"
+            raise _opengl_error(why) from None
     try:
         mj.mjr_setBuffer(mj.mjtFramebuffer.mjFB_OFFSCREEN, canvas)
         yield context.make_current, canvas
     finally:
-        context.make_current()  # what is freed is freed in the current context
+        context.make_current()  # `free` acts on the current context
         canvas.free()
         context.free()
 
@@ -169,33 +172,30 @@ BACKENDS: Final = {
 }
 """Module that opens an OpenGL context, by the value of `MUJOCO_GL` on Linux."""
 LIBRARIES: Final = {"mujoco.egl": "EGL", "mujoco.osmesa": "OSMesa"}
-"""Library of the system that a module needs; the first that is there is used by default."""
+"""System library of each module; the default is the first installed one."""
 
 
 def _backend() -> str:
     """Return the module that opens an OpenGL context.
 
     Raises:
-        OutsideError: `MUJOCO_GL` names none, or there is no library to draw with.
+        OutsideError: `MUJOCO_GL` is invalid, or no OpenGL library is installed.
     """
     if not sys.platform.startswith("linux"):
         return "mujoco.gl_context"  # MuJoCo's own choice
     if chosen := os.environ.get("MUJOCO_GL", "").lower().strip():
         if chosen not in BACKENDS:
-            raise _nothing_to_draw_with(f"MUJOCO_GL is {chosen!r}")
+            raise _opengl_error(f"MUJOCO_GL is {chosen!r}")
         return BACKENDS[chosen]
     for backend, library in LIBRARIES.items():
         if find_library(library):
             return backend
-    raise _nothing_to_draw_with("there is neither a library EGL nor OSMesa")
+    raise _opengl_error("neither library EGL nor OSMesa is installed")
 
 
-def _nothing_to_draw_with(why: str, backend: str = "") -> OutsideError:
-    library = LIBRARIES.get(backend)
-    if library is not None and not find_library(library):
-        why = f"{backend} needs the library {library}, which is not installed"
+def _opengl_error(why: str) -> OutsideError:
     return OutsideError(
         f"cannot draw pictures, expected OpenGL without a screen: {why}; install EGL "
         "(Debian and Ubuntu: libegl1 and libgl1-mesa-dri), or set MUJOCO_GL to egl, osmesa, or, "
-        "where there is a screen, glfw"
+        "with a screen, glfw"
     )

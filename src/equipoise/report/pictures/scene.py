@@ -1,11 +1,12 @@
-"""What is in the picture: the rig of `equipoise.model.arms.scene`, dressed to be recognised.
+"""Scene of the pictures: the rig of `equipoise.model.arms.scene` with a recognisable appearance.
 
-The scene is drawn slimmer than it is measured, with caps on its joints and seams on its links.
-Added are the ends of the track as two posts in the pendulum's plane, a rail with marks between
-their feet, the upright as a thin line at the pivot, a table with edges and legs, a floor, light,
-and a camera.
+The arm is slimmer than its collision model, with caps on its joints and seams on its links. Added
+are the ends of the track as two posts in the pendulum's plane, a rail with marks between their
+feet, the upright as a thin line at the pivot, a table with edges and legs, a floor, light, and a
+camera.
 """
 
+from itertools import product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -23,50 +24,44 @@ Floats = npt.NDArray[np.float64]
 SLIM: Final = Sizes(
     link=0.066, pulled_in=0.0, housing=0.078, housing_reach=0.016, hand=0.05, rod=0.011
 )
-"""Near the sizes of the iiwas, which the scene exceeds on purpose."""
+"""Approximate sizes of the iiwas; the sizes of the collision model are larger on purpose."""
 UPRIGHT: Final = 0.28
-"""Length of the line that shows the upright [m]."""
-POST_ABOVE: Final = UPRIGHT
-"""Height of the posts above the pivot [m]: the whole pendulum is seen against them."""
+"""Length of the line that shows the upright, and height of the posts above the pivot [m]."""
 MARKS: Final = (-0.2, -0.1, 0.0, 0.1, 0.2)
 """Displacements that are marked on the rail [m]."""
-MARK: Final = 0.012
+MARK_HALF_LENGTH: Final = 0.012
 """Half the length of a mark [m]."""
-FOOT: Final = 0.02
-"""Radius of their feet [m]."""
-BASE: Final = 0.095
+FOOT_RADIUS: Final = 0.02
+"""Radius of a post's foot [m]."""
+BASE_RADIUS: Final = 0.095
 """Radius of the arm's foot [m]."""
-TABLE_BEYOND: Final = 0.09
-"""By how much the table is larger than what stands on it [m]."""
+TABLE_BORDER: Final = 0.09
+"""Width of the table's border around the arm and the posts [m]."""
 TABLE_TOP: Final = 0.04
 """Thickness of the table's top [m]."""
 LEG: Final = 0.7
-"""Height of its legs [m]."""
+"""Height of the table's legs [m]."""
 MARGIN: Final = 0.01
-"""Kept free around what must be seen [m]."""
+"""Margin of the view around the rig [m]."""
 SAMPLES: Final = 4
-"""Samples per pixel; they smooth edges."""
+"""Number of samples per pixel, for anti-aliasing."""
 TILE: Final = 0.5
 """Width of two tiles of the floor [m]."""
 CAMERA: Final = "behind"
-"""Name of the only camera."""
-
-
-class _Material(NamedTuple):
-    colour: str
-    shine: float
+"""Name of the camera."""
 
 
 MATERIALS: Final = {
-    "shell": _Material("#eceef0", 0.5),
-    "joint": _Material("#d3d7db", 0.5),
-    "cap": _Material("#f08a24", 0.3),
-    "dark": _Material("#3a3f45", 0.4),
-    "table": _Material("#dcc9a8", 0.1),
-    "pendulum": _Material(BLUE, 0.4),
-    "post": _Material(VERMILION, 0.1),
-    "upright": _Material(INK, 0.0),
+    "shell": ("#eceef0", 0.5),
+    "joint": ("#d3d7db", 0.5),
+    "cap": ("#f08a24", 0.3),
+    "dark": ("#3a3f45", 0.4),
+    "table": ("#dcc9a8", 0.1),
+    "pendulum": (BLUE, 0.4),
+    "post": (VERMILION, 0.1),
+    "upright": (INK, 0.0),
 }
+"""Colour, and specular reflectance and shininess, of each material."""
 SCENE_MATERIALS: Final = {
     "link": "shell",
     "housing": "joint",
@@ -74,38 +69,36 @@ SCENE_MATERIALS: Final = {
     "rod": "pendulum",
     "table": "table",
 }
-"""Materials of the scene's own geometry, by how its names begin."""
+"""Materials of the scene's own geometry, by the prefix of its names."""
 FLOOR: Final = (0.92, 0.93, 0.94), (0.895, 0.905, 0.915)
-"""Colours of its tiles."""
-
-
+"""RGB colours of the floor tiles."""
 LABEL: Final = np.array([0.0, -0.11, 0.0])
-"""From the foot of a post to its label, on the table [m]."""
+"""Offset from the foot of a post to its label on the table [m]."""
 
 
 class Post(NamedTuple):
     """An end of the track."""
 
     x: float
-    """Displacement of the flange [m]; the pendulum's pivot is at the post there."""
+    """Displacement of the flange with the pivot at the post [m]."""
     foot: Floats
-    """Where it stands on the table, in the base [m], shape (3,)."""
+    """Lower end on the table, in the base frame [m], shape (3,)."""
     top: Floats
-    """Where it ends [m], shape (3,)."""
+    """Upper end [m], shape (3,)."""
 
 
 class PictureScene(NamedTuple):
-    """A scene that is ready to be drawn."""
+    """A compiled scene with its camera."""
 
     model: Any
     """A `mujoco.MjModel`; its positions are all joints of the arm, then phi."""
     camera: Camera
-    """What its only camera sees."""
+    """The camera."""
     posts: tuple[Post, ...]
     """The ends of the track."""
 
     def labels(self) -> list[tuple[str, tuple[float, float]]]:
-        """Return the displacement at each post, and where in the picture its text is centred."""
+        """Return the label of each post, and the position of its centre in the picture [px]."""
         return [
             (f"{post.x:+g} m".replace("-", "\N{MINUS SIGN}"), self.camera.pixel(post.foot + LABEL))
             for post in self.posts
@@ -113,11 +106,11 @@ class PictureScene(NamedTuple):
 
 
 def stage(arm: Arm, size: Size) -> PictureScene:
-    """Dress the scene of an arm, and place a camera so that the rig fills the picture.
+    """Build the scene of an arm, with a camera whose picture the rig fills.
 
     Args:
         arm: The arm.
-        size: Of the picture.
+        size: Size of the picture.
     """
     slim = sizes_for(arm, SLIM)
     spec = scene(arm, sizes=slim)
@@ -126,12 +119,12 @@ def stage(arm: Arm, size: Size) -> PictureScene:
     places = _places_at_home(spec)
     x, y, z = places[-1]  # of the pivot
     posts = tuple(
-        Post(end, np.array([x + end, y, surface]), np.array([x + end, y, z + POST_ABOVE]))
+        Post(end, np.array([x + end, y, surface]), np.array([x + end, y, z + UPRIGHT]))
         for end in (-X_LIMIT, X_LIMIT)
     )
-    _dress(spec, slim)
-    _furnish(spec, table, surface, posts)
-    _light(spec)
+    _decorate_arm(spec, slim)
+    _add_table(spec, table, surface, posts)
+    _add_light(spec)
     camera = _place_camera(spec, places, posts, size, slim)
     return PictureScene(spec.compile(), camera, posts)
 
@@ -146,8 +139,8 @@ def _places_at_home(spec: Any) -> Floats:
     return np.array(data.xpos)
 
 
-def _dress(spec: Any, slim: Sizes) -> None:
-    """Give the scene its colours, and add what makes an arm of its capsules."""
+def _decorate_arm(spec: Any, slim: Sizes) -> None:
+    """Set the materials of the scene, and add caps, seams, foot, flange and spindle."""
     from matplotlib.colors import to_rgba
 
     for name, (colour, shine) in MATERIALS.items():
@@ -163,36 +156,35 @@ def _dress(spec: Any, slim: Sizes) -> None:
         _add_cylinder(link.parent, "dark", *seam, link.size[0] + 0.001)
     for housing in parts["housing"]:
         start, end, along = _axis(housing)
-        for centre, out in ((start, -along), (end, along)):  # its round end shows inside the cap
+        for centre, out in ((start, -along), (end, along)):  # the round end fills the cap
             cap = centre + 0.5 * slim.housing * out, centre + 0.87 * slim.housing * out
             _add_cylinder(housing.parent, "cap", *cap, 0.67 * slim.housing)
     base, hand = parts["link"][0], parts["link"][-1]
-    for link in (base, hand):  # flat on the table, and flat at the flange
+    for link in (base, hand):  # flat ends on the table and at the flange
         link.type = mujoco().mjtGeom.mjGEOM_CYLINDER
     start, _, along = _axis(base)
-    _add_cylinder(base.parent, "shell", start, start + 0.03 * along, BASE)
+    _add_cylinder(base.parent, "shell", start, start + 0.03 * along, BASE_RADIUS)
     _, end, along = _axis(hand)
     _add_cylinder(hand.parent, "dark", end - 0.012 * along, end + 0.004 * along, 0.042)
     pendulum = parts["rod"][0].parent
     spindle = np.array([0.0, 0.02, 0.0])
     _add_cylinder(pendulum, "dark", -spindle, spindle, 0.02)
     upright = pendulum.parent.add_body(pos=pendulum.pos, quat=pendulum.quat)
-    low, high = (np.array([0.0, slim.rod, z]) for z in (0.0, UPRIGHT))  # before the pendulum
+    low, high = (np.array([0.0, slim.rod, z]) for z in (0.0, UPRIGHT))  # in front of the pendulum
     _add_cylinder(upright, "upright", low, high, 0.0015)
 
 
-def _furnish(spec: Any, table: Any, surface: float, posts: tuple[Post, ...]) -> None:
-    """Make a table of the scene's plate, and put the posts on it."""
+def _add_table(spec: Any, table: Any, surface: float, posts: tuple[Post, ...]) -> None:
+    """Extend the scene's plate to a table on a floor, with the posts and the rail."""
     world, down = spec.worldbody, np.array([0.0, 0.0, -1.0])
     feet = np.array([post.foot[:2] for post in posts])
-    low = np.minimum(feet.min(axis=0) - FOOT, -BASE) - TABLE_BEYOND
-    high = np.maximum(feet.max(axis=0) + FOOT, BASE) + TABLE_BEYOND
+    low = np.minimum(feet.min(axis=0) - FOOT_RADIUS, -BASE_RADIUS) - TABLE_BORDER
+    high = np.maximum(feet.max(axis=0) + FOOT_RADIUS, BASE_RADIUS) + TABLE_BORDER
     table.size = [*(0.5 * (high - low)), 0.5 * TABLE_TOP]
     table.pos = [*(0.5 * (high + low)), surface - 0.5 * TABLE_TOP]
-    for x in (low[0] + 0.04, high[0] - 0.04):
-        for y in (low[1] + 0.04, high[1] - 0.04):
-            head = np.array([x, y, surface - TABLE_TOP])
-            _add_cylinder(world, "table", head, head + LEG * down, 0.025)
+    for x, y in product((low[0] + 0.04, high[0] - 0.04), (low[1] + 0.04, high[1] - 0.04)):
+        head = np.array([x, y, surface - TABLE_TOP])
+        _add_cylinder(world, "table", head, head + LEG * down, 0.025)
     ground = spec.add_material(name="floor", texrepeat=[1.0 / TILE] * 2, texuniform=True)
     spec.add_texture(
         name="tiles",
@@ -206,23 +198,23 @@ def _furnish(spec: Any, table: Any, surface: float, posts: tuple[Post, ...]) -> 
     ground.textures[mujoco().mjtTextureRole.mjTEXROLE_RGB] = "tiles"
     world.add_geom(
         type=mujoco().mjtGeom.mjGEOM_PLANE,
-        size=[0.0, 0.0, 1.0],  # without an end
+        size=[0.0, 0.0, 1.0],  # infinite
         pos=[0.0, 0.0, surface - TABLE_TOP - LEG],
         material="floor",
     )
     for post in posts:
         _add_cylinder(world, "post", post.foot, post.top, 0.005)
-        _add_cylinder(world, "post", post.foot, post.foot - 0.004 * down, FOOT)
+        _add_cylinder(world, "post", post.foot, post.foot - 0.004 * down, FOOT_RADIUS)
     rail = posts[0].foot, posts[-1].foot
     _add_cylinder(world, "post", *rail, 0.003)
     for x in MARKS:
         middle = 0.5 * (rail[0] + rail[1]) + np.array([x, 0.0, 0.0])
-        across = np.array([0.0, MARK, 0.0])
+        across = np.array([0.0, MARK_HALF_LENGTH, 0.0])
         _add_cylinder(world, "post", middle - across, middle + across, 0.003)
 
 
-def _light(spec: Any) -> None:
-    """Light the scene softly from above the camera; shadows are drawn by `rendering`."""
+def _add_light(spec: Any) -> None:
+    """Add soft light from above the camera; `rendering` draws the shadows."""
     mj = mujoco()
     spec.worldbody.add_light(
         type=mj.mjtLightType.mjLIGHT_DIRECTIONAL,
@@ -238,13 +230,13 @@ def _light(spec: Any) -> None:
 def _place_camera(
     spec: Any, places: Floats, posts: tuple[Post, ...], size: Size, slim: Sizes
 ) -> Camera:
-    """Add a camera that sees the arm at home, the posts, and the hand with its pendulum at each."""
+    """Add a camera with the arm at home, the posts, and the hand at each post in view."""
     ends = np.array([end for post in posts for end in (post.foot, post.top)])
     along = [np.array([post.x, 0.0, 0.0]) for post in posts]
     hands = np.vstack([places[-3:] + x for x in along])  # last joint, flange, pivot
     points = np.vstack([places, hands, ends])
     joint = slim.housing + slim.housing_reach
-    radii = np.repeat([joint, FOOT], [len(places) + len(hands), len(ends)]) + MARGIN
+    radii = np.repeat([joint, FOOT_RADIUS], [len(places) + len(hands), len(ends)]) + MARGIN
     camera = camera_that_sees(points, radii, size)
     quaternion = np.zeros(4)
     back = np.cross(camera.right, camera.up)
@@ -257,7 +249,7 @@ def _place_camera(
 
 
 def _axis(geom: Any) -> tuple[Floats, Floats, Floats]:
-    """Return where the axis of a capsule or cylinder starts and ends, and its direction."""
+    """Return start, end and direction of the axis of a capsule or cylinder."""
     start, end = np.array(geom.fromto[:3]), np.array(geom.fromto[3:])
     return start, end, (end - start) / np.linalg.norm(end - start)
 

@@ -1,5 +1,6 @@
 """The paper's figure 3: frames of one run."""
 
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,31 +19,31 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FRAME: Final[Size] = (440, 440)
-"""Of each frame."""
+"""Size of each frame."""
 COLUMNS: Final = 3
-"""Frames side by side."""
+"""Number of frames per row."""
 STEP: Final = 0.02
-"""Between the moments from which the frames are chosen [s]."""
-APART: Final = 0.15
-"""Least time between two frames [s]; nearer ones look alike."""
+"""Time step of the candidates for frames [s]."""
+MIN_INTERVAL: Final = 0.15
+"""Minimum time between two frames [s]; closer frames look alike."""
 
 
 @drawn
 def strip(run: RunLog, arm: Arm) -> "Figure":
-    """Draw the moments at which a run differs most from standing still, in the order of time.
+    """Draw frames of the extreme moments of a run, in chronological order.
 
-    They are the release, the largest displacement and lean to either side, and the end. Each is
-    named, with its time, displacement, angle and command.
+    They are the release, the largest displacement and lean to either side, and the end. Each frame
+    has a title, with its time, displacement, angle and command.
 
     Args:
         run: The run.
-        arm: The arm that ran.
+        arm: The arm of the run.
 
     Raises:
-        ArmError: Another arm ran.
+        ArmError: The run is of another arm.
         ArtefactError: No policy ran.
-        RecordingError: A run on a rig did not get as far as balancing.
-        OutsideError: There is nothing to draw with.
+        RecordingError: A run on a rig ended before balancing.
+        OutsideError: OpenGL is not available.
     """
     chosen = key_moments(run, arm)
     shown, scene = moments(run, arm, list(chosen)), stage(arm, FRAME)
@@ -51,15 +52,11 @@ def strip(run: RunLog, arm: Arm) -> "Figure":
     panels: Any = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
     for panel in panels:
         panel.set_axis_off()
-    for panel, picture, (time, x, phi, u), what in zip(
-        panels,
-        draw(scene, shown.q, shown.phi, shown.u),
-        shown.captions(),
-        chosen.values(),
-        strict=False,
-    ):
+    captions = zip(chosen.values(), shown.captions(), strict=True)
+    pictures = draw(scene, shown.q, shown.phi, shown.u)
+    for panel, picture, (title, (time, x, phi, u)) in zip(panels, pictures, captions, strict=False):
         panel.imshow(picture)
-        panel.set_title(f"{what}, {time}", loc="left", fontweight="bold")
+        panel.set_title(f"{title}, {time}", loc="left", fontweight="bold")
         below = f"{x}  {phi}  {u}"
         panel.text(0.0, -0.02, below, transform=panel.transAxes, va="top", fontsize=7.0)
         for text, place in scene.labels():
@@ -74,29 +71,23 @@ def strip(run: RunLog, arm: Arm) -> "Figure":
 
 
 def key_moments(run: RunLog, arm: Arm) -> dict[float, str]:
-    """Return times since the release [s] at which a run differs most from standing still.
-
-    Returns:
-        The times, in their order, each with what makes it special.
-    """
+    """Return the times of the extreme moments since the release [s], sorted, with their titles."""
     end = span(run)[1]
-    seen = moments(run, arm, np.arange(0.0, end, STEP))
-    balancing = len(seen.time)
-    if seen.phase:  # a rig comes to rest afterwards
-        balancing = next(
-            (i for i, phase in enumerate(seen.phase) if phase != Phase.BALANCING.value), balancing
-        )
-    end = min(end, float(seen.time[balancing - 1]) + STEP)
-    x, phi = seen.x[:balancing], seen.phi[:balancing]
-    special = {
+    all_moments = moments(run, arm, np.arange(0.0, end, STEP))
+    # On a rig the arm comes to rest after balancing.
+    on_rig = takewhile(lambda phase: phase == Phase.BALANCING.value, all_moments.phase)
+    balancing = len(list(on_rig)) if all_moments.phase else len(all_moments.time)
+    end = min(end, float(all_moments.time[balancing - 1]) + STEP)
+    x, phi = all_moments.x[:balancing], all_moments.phi[:balancing]
+    extremes = {
         "furthest left": np.argmin(x),
         "furthest right": np.argmax(x),
-        "leans left most": np.argmin(phi),
-        "leans right most": np.argmax(phi),
+        "largest lean left": np.argmin(phi),
+        "largest lean right": np.argmax(phi),
     }
     found = {0.0: "release", end: "end"}
-    for what, row in special.items():
-        time = float(seen.time[row])
-        if all(abs(time - other) >= APART for other in found):
-            found[time] = what
+    for title, row in extremes.items():
+        time = float(all_moments.time[row])
+        if all(abs(time - other) >= MIN_INTERVAL for other in found):
+            found[time] = title
     return dict(sorted(found.items()))

@@ -1,4 +1,4 @@
-"""A run as a video, at the speed at which it happened."""
+"""Video of a run in real time."""
 
 import tempfile
 from collections.abc import Callable
@@ -19,15 +19,15 @@ from equipoise.report.pictures.film import film
 from equipoise.report.pictures.moments import span
 
 FRAME: Final[Size] = (960, 720)
-"""Of each frame; multiples of 16, as encoders want them."""
+"""Size of each frame; H.264 encoders need multiples of 16."""
 FPS: Final = 30
 """Frames per second."""
 QUALITY: Final = 7
-"""From 1 to 10."""
+"""Quality of the video, 1 to 10."""
 
 
 def find_encoder() -> Any:  # the package has no types
-    """Return the package that encodes videos.
+    """Import the package that encodes videos.
 
     Raises:
         MissingExtraError: imageio-ffmpeg is not installed.
@@ -49,24 +49,24 @@ def write_video(
     """Write a run as an MP4 (H.264) with time, displacement, angle and command.
 
     Args:
-        run: The run; of one on a rig, from shortly before the release until the arm rests.
-        arm: The arm that ran.
-        path: The file, written whole or not at all.
+        run: The run; on a rig from shortly before the release until the arm is at rest.
+        arm: The arm of the run.
+        path: The file, written atomically.
         fps: Frames per second.
-        report: Called with the share of the frames that are done.
+        report: Progress callback; receives the fraction of the frames that are done.
 
     Raises:
         MissingExtraError: imageio-ffmpeg is not installed.
-        ArmError: Another arm ran.
+        ArmError: The run is of another arm.
         ArtefactError: No policy ran.
-        RecordingError: A run on a rig did not get as far as balancing.
-        OutsideError: There is nothing to draw with, or the disk or the encoder refuses.
+        RecordingError: A run on a rig ended before balancing.
+        OutsideError: OpenGL is not available, or encoding or writing fails.
     """
     ffmpeg = find_encoder()
     begin, end = span(run)
     count = max(1, round((end - begin) * fps))
     pictures = film(run, arm, begin + np.arange(count) / fps, FRAME)
-    pictures = chain([next(pictures)], pictures)  # it can be drawn, before the encoder begins
+    pictures = chain([next(pictures)], pictures)  # drawing errors appear before encoding starts
     try:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "run.mp4"
@@ -78,7 +78,7 @@ def write_video(
                 pix_fmt_out="yuv420p",
                 quality=QUALITY,
                 ffmpeg_log_level="error",
-                # Quick to encode, and it plays while it loads.
+                # Fast encoding, and playback during download.
                 output_params=["-preset", "veryfast", "-movflags", "+faststart"],
             )
             with closing(encoder):
@@ -86,12 +86,12 @@ def write_video(
                 for done, picture in enumerate(pictures, 1):
                     encoder.send(picture)
                     report(done / count)
-            # How the encoder ended is not told: a full disk shows in the frames that are missing.
+            # The encoder does not report errors; a full disk shows as missing frames.
             arrived, _ = ffmpeg.count_frames_and_secs(file)
             if arrived != count:
                 raise OSError(f"{arrived} of {count} frames arrived, is the disk full?")
             write_whole(path, file.read_bytes())
-    except OutsideError:  # ours say enough
+    except OutsideError:  # OutsideError is an OSError; its message is complete
         raise
     except (OSError, RuntimeError) as error:
         raise OutsideError(f"cannot write {path}, the encoder failed: {error}") from None
