@@ -1,11 +1,11 @@
-"""The rig's hardware in real time, on this machine: a robot on a port, a board on a terminal.
+"""Emulation of a rig's hardware in real time: a robot on a port, a board on a terminal.
 
-One simulated rig stands behind both. Only their addresses tell a client that they are emulated.
-The operator acts on what is visible (`equipoise.devices.twin.emulated_operator`), or on typed
-words. The robot's plugin provides the robot's emulator.
+Both share one simulated rig, and differ from real devices only in their addresses. The operator
+acts on sight (`equipoise.devices.twin.emulated_operator`) or on typed words. The robot's plugin
+provides the robot's emulator.
 
-When the host stalls, the bodies jump: the simulation makes up for the time, but what a client sent
-meanwhile arrives late. A stall is reported.
+After a stall of the host the bodies jump: the simulation catches up, but bytes that a client sent
+meanwhile arrive late. Stalls are reported.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,28 +23,19 @@ from equipoise.devices.twin.emulated_operator import EmulatedOperator
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.errors import InputError
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.chain import Floats
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import TwinSettings
 
 STALL: Final = 0.020
-"""A host that is later than this has stalled [s]."""
-AWAY: Final = np.radians([-6.0, 3.0, 4.0, 0.0, -3.0, 0.0])
-"""Offset of the free joints from home when the emulation begins [rad]."""
+"""Delay above which the host counts as stalled [s]."""
+START_OFFSET: Final = np.radians([-6.0, 3.0, 4.0, 0.0, -3.0, 0.0])
+"""Offset of the free joints from home at the start [rad]."""
 PUSH: Final = radians(20.0)
 """Change of the pendulum's rate by the word `push` [rad/s]."""
 
-Say = Callable[[str], None]
-
-
-def away_from_home(arm: Arm) -> Floats:
-    """Return the first posture of the arm, within its limits, free joints [rad], shape (6,)."""
-    lower, upper = np.array([(joint.lower, joint.upper) for joint in arm.free_joints]).T
-    return np.clip(arm.home_free + AWAY, lower, upper)
-
 
 class Emulation:
-    """Arm, pendulum, operator, robot's emulator and encoder board, in real time."""
+    """Emulated arm, pendulum, operator, robot and encoder board, in real time."""
 
     def __init__(
         self,
@@ -59,44 +50,43 @@ class Emulation:
         faults: str = "",
         link: Path | None = None,
         seed: int = 0,
-        say: Say = lambda _: None,
+        say: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Switch everything on; nobody can connect to the robot before `run`.
+        """Switch all parts on; no client can connect to the robot before `run`.
 
         Args:
             arm: The arm with its home posture.
-            pendulum: The pendulum as it is.
-            settings: The world's numbers.
-            clock: The machine's clock.
-            operator: Whether an emulated operator acts on what can be seen.
-            clumsy: Chance that the operator lets go with a push or a drag.
-            robot: Scheme of the robot that is emulated.
-            faults: Faults of the robot's answers, in the words of its plugin.
-            link: A second name for the board's terminal.
-            seed: Seed of all that is random.
-            say: Is told what happens, in words.
+            pendulum: The true pendulum.
+            settings: Settings of the world.
+            clock: Clock of the machine.
+            operator: Whether an emulated operator acts on sight.
+            clumsy: Probability that the operator releases the pendulum with a push or a drag.
+            robot: Scheme of the emulated robot.
+            faults: Faults of the robot's replies, in the syntax of its plugin.
+            link: Second name of the board's terminal.
+            seed: Seed of all random numbers.
+            say: Receives a text for each event.
 
         Raises:
-            ArmError: The masses of the arm's links are not known.
-            InputError: The link's name is that of a file, the robot has no emulator, or a fault is
+            ArmError: The masses of the arm's links are unknown.
+            InputError: The link is an existing file, the robot has no emulator, or a fault is
                 unknown.
-            OutsideError: There are no pseudo-terminals here.
+            OutsideError: The system has no pseudo-terminals.
         """
         self._clock, self._say = clock, say
         plugin = robot_plugin(robot)
         serve, settings = plugin.serve, settings.model_copy(update=dict(plugin.servo))
         if serve is None:
             raise InputError(f"the robot {robot!r} has no emulator on a port; choose another")
-        bench = SimulatedRig(
-            arm, pendulum, settings, seed=seed, start=clock.now(), q=away_from_home(arm)
-        )
+        lower, upper = np.array([(joint.lower, joint.upper) for joint in arm.free_joints]).T
+        q = np.clip(arm.home_free + START_OFFSET, lower, upper)
+        bench = SimulatedRig(arm, pendulum, settings, seed=seed, start=clock.now(), q=q)
         self.bench = bench
-        """What stands behind it all."""
+        """Simulated rig behind robot and board."""
         _warm_up(bench)
         self._server = serve(
             ServerOptions(bench, arm, clock, self._work, say, operator, faults, seed)
         )
-        # The rest may take its time from here on: the arm just stands there.
         counts_per_rev = settings.counts_per_rev
         self._board = Board(
             lambda: bench.theta, counts_per_rev=counts_per_rev, start=clock.now(), seed=seed
@@ -107,7 +97,7 @@ class Emulation:
             bench.watch(EmulatedOperator(bench, clock, clumsy=clumsy, say=say).look)
         self._last = clock.now()
         self.stalls = 0
-        """How often the host has stalled."""
+        """Number of stalls of the host."""
         self.acts: Mapping[str, Callable[[], object]] = {
             "press": bench.press,
             "lift": lambda: bench.lift(clumsy=clumsy),
@@ -123,7 +113,7 @@ class Emulation:
 
     @property
     def terminal(self) -> Path:
-        """Where the board's terminal is."""
+        """Path of the board's terminal."""
         return self._terminal.path
 
     def run(
@@ -139,25 +129,25 @@ class Emulation:
         Args:
             host: Address to listen on.
             port: Port to listen on; 0 lets the system choose one, which then stays.
-            stop: Returns whether to stop; asked each millisecond.
+            stop: Returns whether to stop; called each millisecond.
             listening: Receives the port, once a client can connect for the first time.
 
         Raises:
             OutsideError: The port is not available.
         """
 
-        def heard(number: int) -> None:
+        def opened(number: int) -> None:
             listening(number)
-            self._last = self._clock.now()  # the time of the callback is no stall
+            self._last = self._clock.now()  # the callback does not count as a stall
 
         self._last = self._clock.now()
         try:
-            self._server.run(host, port, stop, heard)
+            self._server.run(host, port, stop, opened)
         finally:
             self._terminal.close()
 
     def _work(self, now: float) -> None:
-        """Let everything but the server pass until a time [s]."""
+        """Advance all parts but the server to a time [s]."""
         late = now - self._last
         self._last = now
         if late > STALL:
@@ -167,15 +157,12 @@ class Emulation:
         down = self.bench.button
         if down != self._down:
             self._down = down
-            if down:
-                self._board.press()
-            else:
-                self._board.let_go()
+            self._board.press() if down else self._board.let_go()
         self._terminal.advance(now)
 
 
 def _warm_up(bench: SimulatedRig) -> None:
-    """Do once what a client asks for: to compile it, or to load it, would be a stall later."""
+    """Call each function that a client needs, since compiling it later would be a stall."""
     body = bench.body
     body.servo(True)
     body.target(body.measured())

@@ -1,8 +1,8 @@
-"""A guard around any robot: the last thing that a setpoint passes before it becomes bytes.
+"""Guard around any robot: the last check of each setpoint before it is sent.
 
-Each is checked by the rules of `equipoise.control.safety`. One that may not be sent is held back,
-for good: from then on the guard sends a ramp to rest of its own, from what was sent last, whatever
-it is given. It never clips, and never lets anything through again.
+The guard checks each setpoint by the rules of `equipoise.control.safety`. It holds back an invalid
+setpoint and all later ones, and sends its own ramp to rest instead, which starts at the last
+setpoint sent. It never clips a setpoint.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,66 +14,66 @@ from equipoise.errors import LinkError
 
 
 class GuardedRobot:
-    """A `Robot` that sends nothing but what may be sent, and stops by itself otherwise."""
+    """`Robot` that sends valid setpoints only, and otherwise stops the arm."""
 
     def __init__(self, robot: Robot, limits: Limits, period: float) -> None:
         """Guard a robot.
 
         Args:
             robot: The robot.
-            limits: What setpoints have to keep to.
-            period: Time between two of them [s].
+            limits: Limits of setpoints.
+            period: Time between two setpoints [s].
         """
         self._robot, self._limits, self._period = robot, limits, period
         self._measured: tuple[float, ...] = ()
         self._last: tuple[float, ...] | None = None
         self._before: tuple[float, ...] = ()
         self._ramp: Ramp | None = None
-        self._sent = 0  # of the ramp
+        self._sent = 0  # setpoints of the ramp
         self.held_back: str | None = None
-        """Why a setpoint was not sent; none while all are."""
+        """Reason why a setpoint was held back; None while all are sent."""
 
     @property
     def joints(self) -> int:
-        """How many joints there are."""
+        """Number of joints."""
         return self._robot.joints
 
     @property
     def at_rest(self) -> bool:
-        """Whether the guard's own ramp, if there is one, is at its end."""
+        """Whether the guard's ramp has ended or was never started."""
         return self._ramp is None or self._sent * self._period >= self._ramp.duration
 
     @property
     def started_at(self) -> tuple[float, ...]:
-        """Where the arm was measured when the servo began [rad]; the first setpoint is there."""
+        """Measured joints at the start of the servo [rad], equal to the first setpoint."""
         return self._measured
 
     @property
     def last(self) -> tuple[float, ...] | None:
-        """The setpoint that was sent last [rad]; none before the first."""
+        """Last setpoint sent [rad]; None before the first."""
         return self._last
 
     def connect(self) -> None:
         """Connect.
 
         Raises:
-            LinkError: There is no answer, or a wrong one.
+            LinkError: A reply is missing or invalid.
         """
         self._robot.connect()
 
     def measured(self) -> Array:
-        """Ask for the measured joints [rad], shape (joints,).
+        """Return the measured joints [rad], shape (joints,).
 
         Raises:
-            LinkError: There is no answer in time, or a wrong one.
+            LinkError: The reply is late or invalid.
         """
         return self._robot.measured()
 
     def start(self) -> None:
-        """Let the servo begin; the first setpoint has to be where the arm is measured now.
+        """Start the servo; the first setpoint has to equal the joints measured now.
 
         Raises:
-            LinkError: There is no answer in time, or a wrong one; or this guard has stopped.
+            LinkError: A reply is late or invalid, or this guard has stopped.
         """
         if self.held_back is not None:
             raise LinkError(f"the guard has stopped ({self.held_back}); begin a new run")
@@ -82,16 +82,16 @@ class GuardedRobot:
         self._robot.start()
 
     def send(self, q: Sequence[float] | Array, *, to_rest: bool = False) -> None:
-        """Send a setpoint, or, where it may not be sent, the next one of a ramp to rest.
+        """Send a setpoint, or the next one of a ramp to rest if the setpoint is invalid.
 
         Args:
             q: The joints [rad], shape (joints,).
-            to_rest: It is on a way to rest that ends inside the limits: it is not asked where the
-                arm could be stopped.
+            to_rest: Whether the setpoint belongs to a ramp to rest inside the limits, so that the
+                stopping distance is not checked.
 
         Raises:
-            LinkError: The link is down, replies are overdue; or nothing was sent yet and the first
-                setpoint is not where the arm is.
+            LinkError: The link is down, replies are overdue, or the first setpoint differs from the
+                measured joints.
         """
         if self._ramp is None:
             setpoint = tuple(map(float, q))
@@ -114,27 +114,27 @@ class GuardedRobot:
         self._robot.send(self._next())
 
     def replies(self) -> list[Reply]:
-        """Take what came since the last call, the oldest first.
+        """Return the replies since the last call, the oldest first.
 
         Raises:
-            LinkError: The link is down, a reply is overdue or is none.
+            LinkError: The link is down, or a reply is overdue or invalid.
         """
         return self._robot.replies()
 
     def stop(self) -> None:
-        """Let the servo end, the arm at rest.
+        """Stop the servo, the arm at rest.
 
         Raises:
-            LinkError: There is no answer in time, or a wrong one.
+            LinkError: A reply is late or invalid.
         """
         self._robot.stop()
 
     def close(self) -> None:
-        """Say goodbye."""
+        """Disconnect."""
         self._robot.close()
 
     def rest(self) -> Iterator[tuple[float, ...]]:
-        """Yield the setpoints of a way to rest from what was sent last, to be sent one a period."""
+        """Yield the setpoints of a ramp to rest from the last one sent, one for each period."""
         if self._last is None:
             return
         if self._ramp is None:
@@ -143,14 +143,14 @@ class GuardedRobot:
             return
         while not self.at_rest:
             yield self._upcoming
-        yield self._upcoming  # the same again: with it nothing moves any more
+        yield self._upcoming  # repeated, so that the arm no longer moves
 
     def _begin_ramp(self) -> None:
         last = self._last
         if last is None:
             return
         dq = [(b - a) / self._period for a, b in zip(self._before, last, strict=True)]
-        # How fast the flange goes is not known here: the joints alone decide.
+        # The flange speed is not known here: the joints alone determine the ramp.
         self._ramp, self._sent = ramp(last, dq, 0.0, self._limits), 0
 
     @property

@@ -1,14 +1,12 @@
-"""The loop that moves the arm: read, decide, send; wait; send the setpoint of half a tick; wait.
+"""Control loop of a run: read, decide, send; wait; send the setpoint of half a tick; wait.
 
-One thread does it all. Deadlines are absolute times of the rig's clock, so that nothing drifts. A
-tick that begins more than a tick too late is not made up for: the ones that were missed are left
-out, and counted. Within a tick there is no lock, no print and nothing that grows; what is to be
-kept goes into rings that were laid out before (`equipoise.logs.recorder`).
+The loop runs in one thread. Deadlines are absolute times of the rig's clock, so that they do not
+drift. Ticks missed by a delay of more than a tick are skipped and counted. A tick takes no lock,
+prints nothing, and writes its records to preallocated rings (`equipoise.logs.recorder`).
 
-What cannot be handled ends in one of two ways. While the robot takes setpoints, the arm is brought
-to rest inside the stream, by the heart or, where the heart itself fails, by the guard around the
-robot. Where the link to the robot is gone, software cannot do anything: the loop says so at once
-and returns.
+A failure ends in one of two ways. While the robot accepts setpoints, the tick handler brings the
+arm to rest inside the stream; if the handler itself fails, the guard around the robot does. If the
+link to the robot is lost, software cannot stop the arm: the loop reports this at once and returns.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,49 +28,49 @@ Array = npt.NDArray[np.float64]
 
 
 class Executor(Protocol):
-    """Where jobs are done that take longer than a tick, one at a time."""
+    """Executor of jobs that take longer than a tick, one at a time."""
 
     def begin(self, job: Job) -> None:
-        """Begin a job; never blocks for long."""
+        """Start a job; returns quickly."""
         ...
 
     def result(self) -> Any:
-        """Return what came of it, once; none while there is nothing. An exception is returned."""
+        """Return the result or the exception of the job, once; None while it runs."""
         ...
 
 
 class InlineExecutor:
-    """Where time is virtual a job takes none."""
+    """Executor for virtual time, in which a job takes no time."""
 
     def __init__(self) -> None:
-        """Begin idle."""
+        """Create an idle executor."""
         self._result: Any = None
 
     def begin(self, job: Job) -> None:
-        """Do the job."""
+        """Run the job."""
         try:
             self._result = job()
-        except Exception as error:  # it is the heart's, to stop on
+        except Exception as error:  # the tick handler stops on it
             self._result = error
 
     def result(self) -> Any:
-        """Return what came of it, once."""
+        """Return the result of the job, once."""
         result, self._result = self._result, None
         return result
 
 
 class Timing(NamedTuple):
-    """How punctual a loop was."""
+    """Timing of a loop."""
 
     late: Array
-    """How late each tick began [s], shape (n,)."""
+    """Lateness of each tick [s], shape (n,)."""
     compute: Array
-    """How long each took from reading to sending [s], shape (n,)."""
+    """Time of each tick from reading to sending [s], shape (n,)."""
     missed: int
-    """Ticks that were left out."""
+    """Number of ticks that were skipped."""
 
     def percentiles(self, of: Array) -> dict[str, float]:
-        """Return p50, p99, p99.9 and the largest of an array [s]; nothing of an empty one."""
+        """Return p50, p99, p99.9 and maximum of an array [s]; empty for an empty array."""
         if not len(of):
             return {}
         p50, p99, p999 = np.percentile(of, (50.0, 99.0, 99.9)).tolist()
@@ -80,14 +78,14 @@ class Timing(NamedTuple):
 
 
 class LoopResult(NamedTuple):
-    """How a loop ended."""
+    """End of a loop."""
 
     fault: str | None
-    """What broke it; none where the heart was done."""
+    """Fault that ended the loop; None where the tick handler was done."""
     stoppable: bool
-    """Whether software still commands the arm; where not, the operator has to stop it."""
+    """Whether software still commands the arm; otherwise the operator has to stop it."""
     timing: Timing
-    """How punctual it was."""
+    """Timing of the ticks."""
 
 
 def run_loop(
@@ -102,19 +100,19 @@ def run_loop(
     workshop: Executor | None = None,
     idle: Callable[[], None] = lambda: None,
 ) -> LoopResult:
-    """Run until the heart is done, or nothing can be done any more. The servo runs already.
+    """Run until the tick handler is done or the robot is lost. The servo has to run already.
 
     Args:
         robot: The arm, behind its guard.
         sensor: The encoder, connected.
-        clock: Their time.
-        heart: What decides.
+        clock: Clock of both.
+        heart: Tick handler, which decides on the setpoints.
         recorder: Rings for the log.
-        operator: Is told, and answers; neither may block.
-        longest: Room for the record of punctuality [s]; ticks beyond are not recorded there.
-        workshop: Where longer jobs are done; at once, between two ticks, if not given.
-        idle: Called once in a tick after the last setpoint was sent, such as to drain the rings
-            where time is virtual.
+        operator: Receives messages and returns input, without blocking.
+        longest: Duration for which the timing is recorded [s].
+        workshop: Executor of longer jobs (default: inline, between two ticks).
+        idle: Called once in a tick after its last setpoint, for example to drain the rings in
+            virtual time.
     """
     h = heart.h
     room = round(longest / h)
@@ -131,10 +129,10 @@ def run_loop(
             clock.wait_until(deadline)
             now, begin = clock.now(), perf_counter()
             lateness = now - deadline
-            left_out = int(lateness / h)  # whole ticks that have passed already
-            if left_out > 0:
-                deadline += left_out * h
-                missed += left_out
+            skipped = int(lateness / h)  # whole ticks that have passed already
+            if skipped > 0:
+                deadline += skipped * h
+                missed += skipped
             samples: list[Sample] = []
             if not sensor_lost:
                 try:
@@ -155,8 +153,8 @@ def run_loop(
                 late[ticks], compute[ticks] = lateness, took
             ticks += 1
             _record(recorder, now, lateness, sent, took, samples, replies, output, robot.last)
-            for name, said in ((WORD_TYPED, words), (FAILED, failed)):
-                for text in said:
+            for name, texts in ((WORD_TYPED, words), (FAILED, failed)):
+                for text in texts:
                     push_event(recorder.event, now, name, (), text)
             for event in output.events:
                 _notify(recorder, operator, now, event)
@@ -175,9 +173,9 @@ def run_loop(
             idle()
             deadline += h
     except LinkError as error:
-        # Where the guard has refused the first setpoint, none was sent and the arm stands.
+        # If the guard refused the first setpoint, none was sent, and the arm rests.
         fault, stoppable = str(error), robot.held_back is not None and robot.last is None
-    except Exception as error:  # whatever it is, the arm is to come to rest
+    except Exception as error:  # after any failure the arm has to come to rest
         fault = f"the controller failed ({type(error).__name__}: {error})"
     if fault is not None:
         _notify_best_effort(
@@ -187,7 +185,7 @@ def run_loop(
         stoppable = _rest(robot, clock, recorder, h / 2.0)
         if not stoppable:
             _notify_best_effort(recorder, operator, clock, CANNOT_STOP)
-    recorder.pulse[_TICKS] = 0.0  # nobody need wait for another
+    recorder.pulse[_TICKS] = 0.0  # no further tick
     idle()
     timing = Timing(late[: min(ticks, room)], compute[: min(ticks, room)], missed)
     return LoopResult(fault, stoppable, timing)
@@ -196,11 +194,11 @@ def run_loop(
 CANNOT_STOP: Final = (
     "software cannot stop the robot any more, it holds its last target: press the E-stop"
 )
-"""What the operator is told when the link to the robot is gone."""
+"""Message to the operator when the link to the robot is lost."""
 
 
 def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) -> bool:
-    """Bring the arm to rest without the heart; return whether that was possible."""
+    """Bring the arm to rest without the tick handler; return whether that was possible."""
     moment = clock.now()
     try:
         for setpoint in robot.rest():
@@ -211,13 +209,13 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
             robot.send(setpoint)
             recorder.stream.push(now, robot.last)
             recorder.pulse[_TIME] = now  # the loop still commands the arm
-    except Exception:  # of a link that is gone, or of what has failed already
+    except Exception:  # the link is lost, or a part that has failed fails again
         return False
     return True
 
 
 def _notify_best_effort(recorder: Recorder, operator: Operator, clock: Clock, text: str) -> None:
-    """Tell of a fault; where that fails too, the arm is still to come to rest."""
+    """Report a fault; an exception is suppressed, since the arm still has to come to rest."""
     with suppress(Exception):
         _notify(recorder, operator, clock.now(), OperatorMessage("fault", text))
 
@@ -239,9 +237,9 @@ def _record(
     samples: Sequence[Sample],
     replies: Sequence[Reply],
     output: TickOutput,
-    went: Sequence[float] | None,
+    setpoint: Sequence[float] | None,
 ) -> None:
-    seen, unknown = output.record, recorder.unknown
+    record, unknown = output.record, recorder.unknown
     for sample in samples:
         recorder.encoder.push(*sample, now)
     for reply in replies:
@@ -257,19 +255,12 @@ def _record(
         lateness,
         took,
         output.state,
-        seen.x,
-        seen.x_dot,
-        seen.phi,
-        seen.phi_dot,
-        seen.box,
-        seen.u,
-        seen.estimated_phi,
-        seen.estimated_phi_dot,
-        seen.bias,
+        *(record.x, record.x_dot, record.phi, record.phi_dot, record.box, record.u),
+        *(record.estimated_phi, record.estimated_phi_dot, record.bias),
         output.q,
         output.dq,
     )
-    recorder.stream.push(sent, went)  # not what the heart wanted: the guard may hold it back
+    recorder.stream.push(sent, setpoint)  # as sent: the guard may have replaced it
     pulse = recorder.pulse
-    pulse[_TIME], pulse[_STATE], pulse[_PHI] = now, output.state, seen.estimated_phi
+    pulse[_TIME], pulse[_STATE], pulse[_PHI] = now, output.state, record.estimated_phi
     pulse[_TICKS] += 1.0

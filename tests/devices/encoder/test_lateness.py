@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from equipoise.devices.encoder.codec import Banner, decode, encode
-from equipoise.devices.encoder.sensor import LATEST, PERSISTENT, SILENCE
+from equipoise.devices.encoder.sensor import MAX_INCONSISTENT, MAX_LATENESS, SILENCE
 from equipoise.errors import LinkError
 from tests.devices.encoder.rig import Bench
 
@@ -80,7 +80,7 @@ def test_lines_in_time_again_while_it_swings_are_named_late(late, lost):
     bench.run(1.6)
     bench.clock.wait_until(2.0)
     bench.board.skip(lost)
-    if late <= LATEST:
+    if late <= MAX_LATENESS:
         samples = bench.run(1.0)
         assert sum(sample.missing for sample in samples) == lost
         return
@@ -198,4 +198,4 @@ def test_sequence_and_clock_that_jump_ahead_together_are_no_lateness(still):
     bench.motion = None
     with pytest.raises(LinkError, match="began anew"):
         bench.run(0.1)
-    assert bench.sensor.tally.untimely == PERSISTENT
+    assert bench.sensor.tally.untimely == MAX_INCONSISTENT

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from equipoise.devices.encoder.mapping import SLEW, SLOWEST, HostTime
+from equipoise.devices.encoder.mapping import MAX_CLOCK_ERROR, SLEW, HostTime
 
 
 def test_while_settling_the_fastest_line_decides_at_once():
@@ -18,7 +18,7 @@ def test_while_settling_the_fastest_line_decides_at_once():
 
 
 def test_the_guess_rises_by_no_more_than_a_slow_clock_explains():
-    assert SLOWEST == 1e-3
+    assert MAX_CLOCK_ERROR == 1e-3
     host = HostTime(0, 0.0)
     times = [host(1000 * i, 1e-3 * i + 0.5) for i in range(1, 1001)]
     assert times[-1] == pytest.approx(1.0 + 1e-3, abs=1e-9)

@@ -8,7 +8,7 @@ import pytest
 
 from equipoise.devices.encoder import sensor as module
 from equipoise.devices.encoder.codec import Reading, crc8, decode, encode
-from equipoise.devices.encoder.sensor import FASTEST, PERSISTENT, LineEncoder
+from equipoise.devices.encoder.sensor import MAX_INCONSISTENT, MAX_RATE, LineEncoder
 from equipoise.devices.interfaces import AngleSensor
 from equipoise.devices.transports import memory_pipe
 from equipoise.errors import LinkError
@@ -260,12 +260,12 @@ def test_a_jump_of_the_count_is_an_error(bench, counts, turning):
         counts *= 4
     bench.board.jump(counts)
     assert failing(bench, "jumped from") < 0.02
-    assert bench.sensor.tally.jumps == PERSISTENT
+    assert bench.sensor.tally.jumps == MAX_INCONSISTENT
 
 
 def test_a_pendulum_that_falls_is_no_jump(bench):
     began = bench.clock.now()
-    bench.motion = lambda time: 0.98 * FASTEST * (time - began)
+    bench.motion = lambda time: 0.98 * MAX_RATE * (time - began)
     samples = bench.run(1.0)
     assert bench.sensor.tally.jumps == 0
     assert len(samples) == 1000
@@ -343,7 +343,7 @@ def test_what_slips_through_the_checksum_is_off_by_no_more_than_a_motion_could_b
     assert dropped > 0.7 * forgeries[0]
     assert len(samples) > 16_000
     for sample in samples:
-        assert abs(sample.counts * RESOLUTION - swinging(sample.time - 0.001)) < 0.0021 * FASTEST
+        assert abs(sample.counts * RESOLUTION - swinging(sample.time - 0.001)) < 0.0021 * MAX_RATE
     assert np.min(np.diff([sample.time for sample in samples])) > 0.0
 
 
@@ -443,9 +443,9 @@ def test_it_can_be_connected_again_after_it_failed(bench):
 def test_the_limits_are_those_of_the_reference_page():
     page = (Path(__file__).parents[3] / "docs" / "reference" / "e-line.md").read_text()
     for number in (
-        f"{module.FASTEST:g} rad/s",
+        f"{module.MAX_RATE:g} rad/s",
         f"{module.SILENCE:g} s",
         f"{module.CONNECT_TIMEOUT:g} s",
-        f"{module.PERSISTENT} lines",
+        f"{module.MAX_INCONSISTENT} lines",
     ):
         assert number in page, number

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from equipoise.devices.encoder.swing import (
-    LEAD,
+    LEAD_TIME,
     LONGEST_GAP,
     RELEASE_TIMEOUT,
     RecordingStage,
@@ -65,7 +65,7 @@ def test_what_is_recorded_identifies_the_pendulum(tmp_path, height):
     assert pendulum.w2.low < 70.2 < pendulum.w2.high
     assert pendulum.c.value == pytest.approx(0.15, abs=0.02)
     # The hand is on at first; identification sees it let go, a quarter of a period before the fall.
-    assert LEAD - PERIOD / 4.0 - 0.1 < pendulum.fit.release < LEAD + 0.1
+    assert LEAD_TIME - PERIOD / 4.0 - 0.1 < pendulum.fit.release < LEAD_TIME + 0.1
 
 
 def test_w2_is_right_through_malformed_lines_and_gaps():
@@ -81,12 +81,12 @@ def test_the_recording_begins_before_the_fall_and_lasts_as_asked():
     recorder = recorded(ByHand(0.8), duration=5.0)
     swing = recorder.trajectory()
     assert swing.time[0] == 0.0
-    assert swing.time[-1] == pytest.approx(5.0 + LEAD, abs=0.002)
+    assert swing.time[-1] == pytest.approx(5.0 + LEAD_TIME, abs=0.002)
     assert swing.resolution == 2.0 * pi / N
     assert not swing.released
     # The fall is at its place: a quarter of a period after the release.
     fall = float(swing.time[np.flatnonzero(swing.theta <= 0.0)[0]])
-    assert fall == pytest.approx(LEAD, abs=0.002)
+    assert fall == pytest.approx(LEAD_TIME, abs=0.002)
     assert recorder.first_amplitude == pytest.approx(0.8, abs=0.03)
     assert recorder.periods == pytest.approx(5.0 / PERIOD, abs=1.0)
     assert recorder.elapsed == pytest.approx(5.0, abs=0.01)

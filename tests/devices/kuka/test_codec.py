@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from equipoise.devices.kuka import codec
 from equipoise.devices.kuka.codec import (
     JOINTS,
+    MAX_LINE,
     PORT,
     SETPOINTS,
     VELOCITIES,
@@ -23,9 +24,7 @@ from equipoise.devices.kuka.codec import (
     numbers_reply,
     parse_reply,
     setpoint,
-    speed,
     tokens,
-    velocity,
 )
 from equipoise.errors import InputError, LinkError
 
@@ -69,12 +68,10 @@ def test_setpoint_is_the_line_of_the_captured_session():
         "done": "jp", "joints": "jpJP", "external": "jpExT", "measured": "jpMT", "pose": "jpEEfP",
         "force": "jpEEfFrelEEF", "nothing": "jf",
     }  # fmt: skip
-    assert {asked: velocity(Q, asked).split(b"_")[0].decode() for asked in VELOCITIES} == {
+    assert VELOCITIES == {
         "done": "velJDC", "joints": "velJDCJP", "external": "velJDCExT", "measured": "velJDCMT",
         "pose": "velJDCEEfP",
     }  # fmt: skip
-    assert speed(0.1) == b"jRelVel_0.1_\n"
-    assert speed(1.0) == b"jRelVel_1_\n"
     assert PORT == 30001
 
 
@@ -82,13 +79,8 @@ def test_setpoint_is_the_line_of_the_captured_session():
     ("command", "line"),
     [
         (codec.GET_JOINTS, b"getJointsPositions\n"),
-        (codec.GET_EXTERNAL, b"Torques_ext_J\n"),
-        (codec.GET_MEASURED, b"Torques_m_J\n"),
-        (codec.GET_POSE, b"Eef_pos\n"),
         (codec.START_SERVO, b"startDirectServoJoints\n"),
-        (codec.START_VELOCITY, b"stVelDcJoint_\n"),
         (codec.STOP_SERVO, b"stopDirectServoJoints\n"),
-        (codec.MOVE, b"doPTPinJS\n"),
         (codec.END, b"end\n"),
     ],
 )
@@ -129,19 +121,6 @@ def test_setpoint_keeps_nine_digits_and_the_server_reads_them(setpoints):
 def test_only_seven_finite_numbers_are_sent(q):
     with pytest.raises(InputError, match="nothing was sent"):
         setpoint(q)
-    with pytest.raises(InputError, match="nothing was sent"):
-        velocity(q)
-
-
-@pytest.mark.parametrize("relative", [0.0, -0.1, 1.001, math.nan, math.inf])
-def test_speed_of_a_motion_is_a_share(relative):
-    with pytest.raises(InputError, match="above 0 and at most 1"):
-        speed(relative)
-
-
-def test_velocity_does_not_ask_for_what_the_server_does_not_give():
-    with pytest.raises(InputError, match="'force'"):
-        velocity(Q, "force")
 
 
 def test_stream_is_split_into_lines_however_it_is_cut():
@@ -156,19 +135,16 @@ def test_stream_is_split_into_lines_however_it_is_cut():
 
 
 def test_line_without_an_end_is_given_up_for_good():
-    lines = KstLineSplitter(longest=8)
-    assert lines.feed(b"12345678") == []
-    assert lines.feed(b"\n12345678") == [b"12345678"]
-    with pytest.raises(LinkError, match="at most 8 bytes"):
+    lines, longest = KstLineSplitter(), b"x" * MAX_LINE
+    assert lines.feed(longest) == []
+    assert lines.feed(b"\n" + longest) == [longest]
+    with pytest.raises(LinkError, match="at most 1024 bytes"):
         lines.feed(b"9")
     for _ in range(3):
-        with pytest.raises(LinkError, match="at most 8 bytes"):
+        with pytest.raises(LinkError, match="at most 1024 bytes"):
             lines.feed(b"\ndone\n")
-    with pytest.raises(LinkError, match="at most 8 bytes"):
-        KstLineSplitter(longest=8).feed(b"done\n123456789\ndone\n")
-    assert len(KstLineSplitter().feed(b"x" * 1024 + b"\n")[0]) == 1024
     with pytest.raises(LinkError, match="at most 1024 bytes"):
-        KstLineSplitter().feed(b"x" * 1025 + b"\n")
+        KstLineSplitter().feed(b"done\n" + longest + b"x\ndone\n")
 
 
 def test_replies_of_the_captured_session_are_read():

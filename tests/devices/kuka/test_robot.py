@@ -72,7 +72,6 @@ def latched(rig):
         rig.robot.stop,
         rig.robot.connect,
         lambda: rig.robot.send(HOME),
-        lambda: rig.robot.move_to(HOME, 0.1),
     ):
         with pytest.raises(LinkError, match="E-stop|was closed|once"):
             call()
@@ -169,7 +168,6 @@ def test_what_the_races_of_the_server_require_is_waited_for():
     rig.robot.start()
     rig.robot.send(HOME)
     rig.robot.stop()
-    rig.robot.move_to(HOME, 1.0)
     rig.robot.measured()
     times = dict[str, list[float]]()
     for now, data in rig.heard_at:
@@ -179,10 +177,7 @@ def test_what_the_races_of_the_server_require_is_waited_for():
     assert 0.5 <= asked[1] - times["startDirectServoJoints"][0] < 0.51
     assert asked[1] < first[0] < first[1]
     assert 0.5 <= times["stopDirectServoJoints"][0] - first[1] < 0.51
-    assert 0.3 <= times["jRelVel"][0] - times["stopDirectServoJoints"][0] < 0.31
-    assert 0.05 <= times["jp"][0] - times["jRelVel"][0] < 0.06
-    assert 0.05 <= times["doPTPinJS"][0] - times["jp"][0] < 0.06
-    assert 0.07 <= asked[2] - times["doPTPinJS"][0] < 0.08, "20 ms of motion, then as ever"
+    assert 0.3 <= asked[2] - times["stopDirectServoJoints"][0] < 0.31
 
 
 def test_replies_have_their_times_in_order():
@@ -268,48 +263,11 @@ def test_measuring_while_a_servo_runs_is_refused_without_harm(streaming):
     for call in (
         streaming.robot.measured,
         streaming.robot.start,
-        lambda: streaming.robot.move_to(HOME, 0.1),
     ):
         with pytest.raises(LinkError, match="stop it first"):
             call()
     assert streaming.heard == heard
     streaming.stream(0.05)
-
-
-# Motions of the cabinet's own.
-
-
-def test_motion_arrives_and_the_link_is_in_step(rig):
-    rig.robot.move_to(off(0.2), 0.5)
-    assert rig.robot.measured()[0] == pytest.approx(0.2, abs=1e-3)
-    rig.robot.move_to(HOME, 1.0)
-    assert rig.robot.measured() == pytest.approx(HOME, abs=1e-3)
-    assert rig.heard.count(b"doPTPinJS\n") == 2
-    between = rig.heard.split(b"doPTPinJS\n")[1]
-    assert between == (b"getJointsPositions\njRelVel_1_\njp_0_0.4364_0_-1.3962_0_1.309_0_\n")
-
-
-@pytest.mark.parametrize(("q", "share"), [(HOME, 0.0), (HOME, math.nan), (HOME[:6], 0.1)])
-def test_motion_that_cannot_be_sent_is_not(rig, q, share):
-    heard = rig.heard
-    with pytest.raises(InputError):
-        rig.robot.move_to(q, share)
-    assert rig.heard == heard
-
-
-def test_motion_that_fails_ends_the_link(rig):
-    rig.body.frozen = True
-    with pytest.raises(LinkError, match=r"the end of doPTPinJS \(nak\)"):
-        rig.robot.move_to(off(0.2), 0.5)
-    assert latched(rig)
-
-
-def test_motion_whose_end_is_not_told_ends_the_link(rig):
-    rig.clock.attach(lambda _: rig.fault(drop=float(rig.body.running)))
-    with pytest.raises(LinkError, match="end of doPTPinJS within 120 s"):
-        rig.robot.move_to(off(0.2), 1.0)
-    assert rig.clock.now() > 120.0
-    assert latched(rig)
 
 
 # Whatever goes wrong ends the link for good.

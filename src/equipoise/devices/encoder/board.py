@@ -1,11 +1,11 @@
-"""An emulated encoder board: the same bytes as the firmware's, from any angle, without a wire.
+"""Emulator of an encoder board, which sends the same bytes as the firmware for any angle.
 
-It counts what an angle does, on a clock of its own, and can be given the faults of real boards.
-Bytes and times go in, bytes come out: the same board runs in virtual time behind a memory pipe and
-in real time on a pseudo-terminal (`terminal.py`).
+The board counts an angle on its own clock, and can have the faults of real boards. Its inputs are
+bytes and times, its outputs bytes: it runs in virtual time behind a memory pipe and in real time on
+a pseudo-terminal (`terminal.py`).
 
-Not modelled: single edges of the two lines (a fault on them is set by hand), the bounce of the
-button, the time that a line takes on its wire, and a buffer that runs full.
+Not modelled: single edges of the two lines (their faults are set by attributes), the bounce of the
+button, the transmission time of a line, and a full buffer.
 """
 
 from collections.abc import Callable
@@ -18,15 +18,15 @@ from equipoise.devices.encoder.codec import Banner, Flags, Reading, Requests, en
 from equipoise.model.encoder import counts_from_theta
 
 RATE: Final = 1000
-"""Lines per second that the firmware sends [Hz]."""
+"""Line rate of the firmware [Hz]."""
 BOOT: Final = 0.3
-"""From a restart to the banner [s]."""
+"""Time from a restart to the banner [s]."""
 NAME: Final = "emulated"
 FIRMWARE: Final = "1.0"
 
 
 class Board:
-    """An emulated board, with its faults as attributes that may be set at any time."""
+    """Emulated board; its faults are attributes that may be set at any time."""
 
     def __init__(
         self,
@@ -40,17 +40,17 @@ class Board:
         start: float = 0.0,
         seed: int = 0,
     ) -> None:
-        """Switch a board on; its first line comes a period later, after its banner.
+        """Switch the board on; it sends its banner, and its first line a period later.
 
         Args:
-            angle: Tells theta now, from anywhere [rad]: the spindle's angle relative to its mount.
+            angle: Returns theta, the spindle's angle relative to its mount, from any zero [rad].
             counts_per_rev: Counts per revolution, after x4.
             sign: 1 if counts grow with theta, -1 if they fall.
-            rate_hz: Lines per second [Hz].
-            offset_us: What its clock shows at `start` [us].
-            drift: Share by which its clock is fast.
-            start: When it is switched on [s].
-            seed: Seed of what its malformed lines look like.
+            rate_hz: Line rate [Hz].
+            offset_us: Time of the board's clock at `start` [us].
+            drift: Relative error of the board's clock, positive if fast [-].
+            start: Time at which it is switched on [s].
+            seed: Seed of malformed lines.
         """
         self._angle = angle
         self._rng = np.random.default_rng(seed)
@@ -58,21 +58,21 @@ class Board:
         self._drift = drift
         self._now = start
         self.counts_per_rev = counts_per_rev
-        """Counts per revolution that it tells."""
+        """Counts per revolution in the banner."""
         self.rate_hz = rate_hz
-        """Lines per second [Hz]."""
+        """Line rate [Hz]."""
         self.sign = sign
-        """A wrong sign is a fault."""
+        """Sign of the counts; the wrong sign is a fault."""
         self.factor = 1.0
-        """Its counts are too many by this: a fault where it is not 1."""
+        """Ratio of actual to nominal counts; other than 1 is a fault."""
         self.loss = 0.0
-        """Share of the upward counts that it misses: a slow fault."""
+        """Share of upward counts that are lost: a slow fault."""
         self.frozen = False
-        """The count stands still: a fault."""
+        """Whether the count is frozen: a fault."""
         self.silent = False
-        """No line comes: a fault."""
+        """Whether the board sends no lines: a fault."""
         self.malformed = 0.0
-        """Share of its lines that are damaged: a fault."""
+        """Share of damaged lines: a fault."""
         self._boot(start, start, offset_us)
 
     def _boot(self, now: float, first: float, t_us: int = 0) -> None:
@@ -89,68 +89,65 @@ class Board:
         self._down = self._latched = False
         self._illegal = False
         self._skip = 0
-        self._asked = 0
+        self._requested = 0
 
-    # What happens to it.
+    # Inputs and faults.
 
     def feed(self, data: bytes) -> None:
-        """Take what the host sent."""
-        self._asked += self._requests.feed(data)
+        """Receive bytes from the host."""
+        self._requested += self._requests.feed(data)
 
     def press(self) -> None:
-        """Push the button down."""
+        """Press the button."""
         self._down = self._latched = True
 
     def let_go(self) -> None:
-        """Let the button up."""
+        """Release the button."""
         self._down = False
 
     def jump(self, counts: int) -> None:
-        """Let the count jump: a slipping coupling, a burst of noise."""
+        """Change the count at once, as a slipping coupling or a burst of noise does."""
         self._shift += counts
 
     def zero(self) -> None:
-        """Set the count to zero, which no firmware of ours does."""
-        self._shift -= self._count + self._shift
+        """Set the count to zero, which our firmware never does."""
+        self._shift = -self._count
 
     def skip(self, lines: int) -> None:
-        """Let the next lines get lost."""
+        """Drop the next lines."""
         self._skip += lines
 
     def meet_illegal(self) -> None:
-        """Let both lines of the encoder change at once."""
+        """Inject a simultaneous change of both lines of the encoder."""
         self._illegal = True
 
     def reboot(self) -> None:
-        """Restart: the count, the sequence and the clock begin anew, after `BOOT`."""
+        """Restart count, sequence and clock, after `BOOT`."""
         self._boot(self._now + BOOT, self._now + BOOT)
 
-    # What it says.
+    # Outputs.
 
     def advance(self, now: float) -> bytes:
-        """Let time pass, and return what it sends meanwhile.
+        """Advance to a time, and return the bytes sent meanwhile.
 
-        Between two calls the angle is taken to move evenly: call it about once per period.
+        The angle is interpolated linearly between two calls: call it about once per period.
 
         Args:
             now: The time [s], not before that of the last call.
         """
         theta, before, since = self._angle(), self._theta, self._at
-        said = bytearray()
-        if now >= self._started and self._greets:
-            self._greets = False
-            said += self._banner()
-        if self._asked and now >= self._started:
-            said += self._banner() * self._asked
-            self._asked = 0
+        sent = bytearray()
+        if now >= self._started:
+            sent += self._banner() * (self._greets + self._requested)
+            self._greets, self._requested = False, 0
         period = 1.0 / (self.rate_hz * (1.0 + self._drift))
         while self._next + period <= now + 1e-9:
             self._next += period
             share = (self._next - since) / (now - since) if now > since else 1.0
             self._move(before + min(max(share, 0.0), 1.0) * (theta - before))
-            said += self._say()
+            sent += self._line_now()
         self._theta, self._at, self._now = theta, max(now, since), now
-        return bytes(said)
+        return bytes(sent)
 
     def _banner(self) -> bytes:
         return encode(Banner(NAME, FIRMWARE, self.counts_per_rev, self.rate_hz))
@@ -168,7 +165,7 @@ class Board:
         self._lost -= missed
         self._count += step - missed
 
-    def _say(self) -> bytes:
+    def _line_now(self) -> bytes:
         flags = Flags.DOWN * self._down | Flags.PRESSED * self._latched
         flags |= Flags.ILLEGAL * self._illegal
         clock = (self._next - self._started) * (1.0 + self._drift)
@@ -185,7 +182,7 @@ class Board:
         return line
 
     def _damaged(self, line: bytes) -> bytes:
-        """Return a line as a bad wire leaves it: bytes changed, lost, doubled, or noise."""
+        """Return a damaged line: bytes changed, lost or doubled, or noise."""
         rng = self._rng
         kind, place = int(rng.integers(4)), int(rng.integers(len(line)))
         if kind == 0:

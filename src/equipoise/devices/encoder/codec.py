@@ -1,15 +1,15 @@
-r"""The E-line protocol between an encoder board and the host, both ways, as bytes.
+r"""Codec of the E-line protocol between an encoder board and the host.
 
-The board sends a line for each period of its rate, and a banner when it starts or is asked::
+The board sends a line in each period of its rate, and a banner at its start and on request::
 
     E,<seq>,<t_us>,<counts>,<flags>*<crc>\n        E,1023,123456789,-4096,1*1D\n
     I,<name>,<firmware>,<counts per rev>,<rate in Hz>*<crc>\n
 
-The host asks with `?\n`. The checksum is CRC-8/MAXIM over all before the star. The grammar is
-strict: there is one spelling of each number (no plus, no leading zero, no blank, no -0), the
-checksum is in capitals, a line ends with one line feed. So every change of a line within eight
-neighbouring bits is noticed: in what the checksum covers by its polynomial, elsewhere (star,
-checksum, line feed) because only one spelling is right. `docs/reference/e-line.md` says more.
+The host requests the banner with `?\n`. The checksum is CRC-8/MAXIM over all bytes before the star.
+The grammar is strict: each number has one spelling (no plus, leading zero, blank or -0), the
+checksum is in capitals, a line ends with one line feed. Every change of a line within eight
+neighbouring bits is therefore detected: before the star by the polynomial, after it (star,
+checksum, line feed) because only one spelling is valid. See `docs/reference/e-line.md`.
 """
 
 import re
@@ -19,9 +19,9 @@ from typing import Final, NamedTuple
 from equipoise.errors import InputError
 
 REQUEST: Final = b"?\n"
-"""What asks a board for its banner."""
+"""Request for a board's banner."""
 LONGEST: Final = 96
-"""Bytes of the longest line without its end: more than any banner has."""
+"""Maximum length of a line without its end [bytes]; every banner is shorter."""
 
 _READING: Final = re.compile(
     rb"E,(0|[1-9][0-9]{0,4}),(0|[1-9][0-9]{0,9}),(0|-?[1-9][0-9]{0,9}),([0-9A-F])\*([0-9A-F]{2})"
@@ -33,25 +33,25 @@ _BANNER: Final = re.compile(
 
 
 class Flags(IntFlag):
-    """What a line says beside the count."""
+    """Flags of a line."""
 
     DOWN = 1
     """The button is down."""
     PRESSED = 2
-    """It was pressed since the line before, even if it is up again."""
+    """The button was pressed since the line before, even if it is up again."""
     INDEX = 4
-    """The index of the encoder was seen since the line before."""
+    """The index of the encoder was passed since the line before."""
     ILLEGAL = 8
     """Both lines of the encoder changed at once since the line before: a count was lost."""
 
 
 class Reading(NamedTuple):
-    """A line of the encoder, in the units of the wire."""
+    """Line of the encoder, in the units of the wire."""
 
     seq: int
-    """Number of the period since the board started, modulo 2^16."""
+    """Index of the period since the board started, modulo 2^16."""
     t_us: int
-    """The board's clock when it took the count, modulo 2^32 [us]."""
+    """Time of the count on the board's clock, modulo 2^32 [us]."""
     counts: int
     """Counts after x4 since the board started, from -2^31 to 2^31 - 1."""
     flags: int
@@ -59,33 +59,29 @@ class Reading(NamedTuple):
 
 
 class Banner(NamedTuple):
-    """Who a board says it is."""
+    """Identification of a board."""
 
     name: str
-    """A letter, then up to 31 letters, digits, _ or -."""
+    """Name: a letter, then up to 31 letters, digits, _ or -."""
     firmware: str
     """Version of its program: up to 16 letters, digits, dots, _ or -."""
     counts_per_rev: int
     """Counts per revolution, after x4."""
     rate_hz: int
-    """Lines per second [Hz]."""
+    """Line rate [Hz]."""
 
 
-def _table() -> bytes:
-    rows = bytearray()
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0x8C if crc & 1 else 0)
-        rows.append(crc)
-    return bytes(rows)
+def _crc_of_byte(crc: int) -> int:
+    for _ in range(8):
+        crc = crc >> 1 ^ (0x8C if crc & 1 else 0)
+    return crc
 
 
-_CRC: Final = _table()
+_CRC: Final = bytes(map(_crc_of_byte, range(256)))
 
 
 def crc8(data: bytes) -> int:
-    """Return the CRC-8/MAXIM of bytes: polynomial 0x31, least bit first, from zero.
+    """Return the CRC-8/MAXIM of bytes: polynomial 0x31, least significant bit first, from zero.
 
     Example:
         >>> hex(crc8(b"123456789"))
@@ -98,7 +94,7 @@ def crc8(data: bytes) -> int:
 
 
 def encode(line: Reading | Banner) -> bytes:
-    r"""Return a line as it is sent, its end included.
+    r"""Return the bytes of a line, including its end.
 
     Raises:
         InputError: A value does not fit its field.
@@ -121,36 +117,33 @@ def encode(line: Reading | Banner) -> bytes:
 
 
 def decode(line: bytes) -> Reading | Banner | None:
-    """Return what a line without its end says; nothing where it is none of the protocol's."""
-    if found := _READING.fullmatch(line):
-        if crc8(line[:-3]) != int(found[5], 16):
-            return None
-        reading = Reading(int(found[1]), int(found[2]), int(found[3]), int(found[4], 16))
-        fits = reading.seq < 2**16 and reading.t_us < 2**32 and -(2**31) <= reading.counts < 2**31
-        return reading if fits else None
-    if found := _BANNER.fullmatch(line):
-        if crc8(line[:-3]) != int(found[5], 16):
-            return None
+    """Decode a line without its end; return None for an invalid line."""
+    found = _READING.fullmatch(line) or _BANNER.fullmatch(line)
+    if found is None or crc8(line[:-3]) != int(found[5], 16):
+        return None
+    if found.re is _BANNER:
         return Banner(found[1].decode(), found[2].decode(), int(found[3]), int(found[4]))
-    return None
+    reading = Reading(int(found[1]), int(found[2]), int(found[3]), int(found[4], 16))
+    fits = reading.seq < 2**16 and reading.t_us < 2**32 and -(2**31) <= reading.counts < 2**31
+    return reading if fits else None
 
 
 class ELineSplitter:
-    """Cuts a stream of bytes into lines.
+    """Splitter of a byte stream into lines.
 
-    What comes before the first end of a line is dropped: one seldom begins to listen between two
-    lines. Lines longer than `LONGEST` are dropped, so that memory is bounded.
+    Bytes before the first line end are dropped, since reading usually starts within a line. Lines
+    longer than `LONGEST` are dropped, so that memory is bounded.
     """
 
     def __init__(self) -> None:
-        """Begin in the middle of a line."""
+        """Start within a line."""
         self._part = bytearray()
         self._skipping = True
         self.too_long = 0
-        """Lines that were dropped for their length."""
+        """Number of lines dropped for their length."""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes, and return the lines that they complete, without their ends."""
+        """Add bytes, and return the lines that they complete, without line ends."""
         *ended, rest = data.split(b"\n")
         lines: list[bytes] = []
         for piece in ended:
@@ -173,49 +166,44 @@ class ELineSplitter:
 
 
 class Decoder:
-    """Reads what a board sends. No bytes make it raise."""
+    """Decoder of a board's byte stream; never raises."""
 
     def __init__(self) -> None:
-        """Begin in the middle of a line."""
+        """Start within a line."""
         self._lines = ELineSplitter()
         self._bad = 0
 
     @property
     def rejected(self) -> int:
-        """Lines that were none of the protocol's; an incomplete first one is not counted."""
+        """Number of invalid lines; an incomplete first line is not counted."""
         return self._bad + self._lines.too_long
 
     def feed(self, data: bytes) -> list[Reading | Banner]:
-        """Take bytes, and return what the lines that they complete say."""
-        said: list[Reading | Banner] = []
-        for line in self._lines.feed(data):
-            decoded = decode(line)
-            if decoded is None:
-                self._bad += 1
-            else:
-                said.append(decoded)
-        return said
+        """Add bytes, and return the contents of the lines that they complete."""
+        decoded = [decode(line) for line in self._lines.feed(data)]
+        self._bad += decoded.count(None)
+        return [line for line in decoded if line is not None]
 
 
 class Requests:
-    r"""Finds the host's questions, at the board: `?` alone on a line.
+    r"""Parser of the host's requests at the board: `?` alone on a line.
 
-    A carriage return counts as the end of a line, for terminals that send one; a question is then
-    answered once, the line feed behind it being an empty line.
+    A carriage return also ends a line, for terminals that send one. The line feed behind it is then
+    an empty line, so that the request is answered once.
     """
 
     def __init__(self) -> None:
-        """Begin at the start of a line."""
+        """Start at the beginning of a line."""
         self._line = 0
-        """0: nothing yet, 1: a question mark, 2: anything else."""
+        """Bytes of the current line: 0 none, 1 a question mark, 2 anything else."""
 
     def feed(self, data: bytes) -> int:
-        """Take bytes, and return how many questions they complete."""
-        asked = 0
+        """Add bytes, and return the number of requests that they complete."""
+        requests = 0
         for byte in data:
             if byte in b"\r\n":
-                asked += self._line == 1
+                requests += self._line == 1
                 self._line = 0
             else:
                 self._line = 1 if byte == ord("?") and self._line == 0 else 2
-        return asked
+        return requests

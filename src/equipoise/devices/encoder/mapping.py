@@ -1,67 +1,66 @@
-"""The time of a board on the clock of the host.
+"""Conversion of a board's time stamps to the clock of the host.
 
-A line arrives some time after its count was taken, never before: the smallest difference between
-the host's time of arrival and the board's time of counting is the best guess at where the board's
-zero lies. The guess follows a smaller difference, and otherwise rises by `SLOWEST`, so that it also
-follows a board whose clock is slow. Times given out always increase, and no jitter of arrival is
-in them.
+A line always arrives after its count was taken. The smallest difference between arrival and time
+stamp is therefore the best estimate of the zero of the board's clock. The estimate follows a
+smaller difference, and otherwise rises by `MAX_CLOCK_ERROR`, so that it also follows a slow clock.
+Converted times always increase, and are free of the jitter of arrival.
 
-A line that arrives before the time that the guess gives it proves that all lines before came late.
-The guess then falls at `SLEW`, which keeps rates of the angle right within a tenth, or at
-`FAST_FALL_TIME` while nothing depends on them.
+A line that arrives before its converted time proves that all earlier lines were late. The estimate
+then falls by `SLEW`, which keeps rates of the angle correct within a tenth, or by `FAST_SLEW` while
+the times are not in use.
 """
 
 from typing import Final
 
 WRAP_US: Final = 2**32
-"""The board's clock is a whole number of microseconds modulo this: 71.6 minutes."""
-SLOWEST: Final = 1e-3
-"""A board's clock may be slower than the host's by this share: twenty times what a quartz is off.
-The ceramic resonator of an Uno can be off by 5e-3, and will not do."""
+"""Period of the board's clock [us]: 71.6 minutes."""
+MAX_CLOCK_ERROR: Final = 1e-3
+"""Maximum share by which a board's clock is slow [-]: twenty times the error of a quartz. An Uno's
+ceramic resonator can be off by 5e-3, which is not accepted."""
 SLEW: Final = 0.1
-"""The guess falls by at most this share of the time that passes, so that no time goes back."""
-HURRY: Final = 0.9
-"""Largest such share while nothing depends on the times: 200 ms are made up for in 0.22 s."""
+"""Maximum fall of the estimate per elapsed time [-]; below 1, so that converted times increase."""
+FAST_SLEW: Final = 0.9
+"""Maximum fall per elapsed time while the times are not in use [-]: 200 ms in 0.22 s."""
 
 
 class HostTime:
-    """Maps the board's time stamps to the host's clock."""
+    """Converter from the board's time stamps to the host's clock."""
 
     def __init__(self, t_us: int, arrival: float) -> None:
-        """Begin with a first line.
+        """Create a converter from a first line.
 
         Args:
-            t_us: The board's clock when it took the count, modulo 2^32 [us].
-            arrival: The host's when it read the line [s].
+            t_us: Time of the count on the board's clock, modulo 2^32 [us].
+            arrival: Time of arrival on the host's clock [s].
         """
         self._t_us = t_us
         self._elapsed_us = 0
         self._zero = arrival
         self.lateness = 0.0
-        """From the newest count to its arrival, beyond the fastest lines' [s]."""
+        """Delay of the newest line beyond the delay of the fastest lines [s]."""
 
     def settle(self, t_us: int, arrival: float) -> None:
-        """Take a line whose time is not given out: the guess falls at once."""
+        """Add a line whose time is not used: the estimate falls at once."""
         self._advance(t_us)
         self._zero = min(self._zero, arrival - 1e-6 * self._elapsed_us)
 
     def __call__(self, t_us: int, arrival: float, slew: float = SLEW) -> float:
-        """Return when a count was taken on the host's clock [s].
+        """Return the time of a count on the host's clock [s].
 
         Args:
-            t_us: The board's clock when it took the count, later than the line's before [us].
-            arrival: The host's when it read the line [s].
-            slew: Largest share of the time that passes by which the guess may fall, below 1.
+            t_us: Time of the count on the board's clock, after that of the last line [us].
+            arrival: Time of arrival on the host's clock [s].
+            slew: Maximum fall of the estimate per elapsed time, below 1 [-].
         """
         passed = self._advance(t_us)
         difference = arrival - 1e-6 * self._elapsed_us
-        highest = self._zero + SLOWEST * passed
+        highest = self._zero + MAX_CLOCK_ERROR * passed
         self._zero = max(min(difference, highest), self._zero - slew * passed)
         self.lateness = max(difference - self._zero, 0.0)
         return self._zero + 1e-6 * self._elapsed_us
 
     def ahead(self, t_us: int, arrival: float) -> float:
-        """Return how far a line would lie after its own arrival [s]; negative for a true one."""
+        """Return by how much a line's converted time exceeds its arrival [s]; normally negative."""
         passed_us = (t_us - self._t_us) % WRAP_US
         return self._zero + 1e-6 * (self._elapsed_us + passed_us) - arrival
 

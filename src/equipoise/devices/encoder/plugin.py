@@ -1,4 +1,4 @@
-"""The plugin of encoder boards that send E-lines: `serial:///dev/ttyACM0`, `socket://HOST:PORT`."""
+"""Plugin of encoder boards that send E-lines: `serial:///dev/ttyACM0`, `socket://HOST:PORT`."""
 
 from contextlib import suppress
 from functools import partial
@@ -42,10 +42,10 @@ def emulate(
         if rig.button is not down:
             down = rig.button
             board.press() if down else board.let_go()
-        said = board.advance(now)
+        sent = board.advance(now)
         with suppress(LinkError):
             board.feed(wire.read())
-            wire.write(said)
+            wire.write(sent)
 
     driver = partial(LineEncoder, counts_per_rev=counts_per_rev, sign=sign)
     return EmulatedSensor(driver(lambda: reader, clock), advance, board, wire, driver)

@@ -1,8 +1,8 @@
-"""A serial port, or one that a network serves, as a `Transport`.
+"""Serial ports of this machine and on the network, as a `Transport`.
 
-`serial:///dev/ttyACM0` is a device, `serial://COM3` one on Windows; `?baud=115200` sets the speed,
-which USB boards ignore. `socket://host:port` is a port on the network. Reads and writes do not
-wait.
+`serial:///dev/ttyACM0` is a device, `serial://COM3` a device on Windows; `?baud=115200` sets the
+baud rate, which USB boards ignore. `socket://host:port` is a port on the network. Reads and writes
+do not block.
 """
 
 import errno
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
     from serial import SerialBase
 
 BAUD: Final = 500_000
-"""Speed of a real serial line [baud]: 1000 lines of 36 bytes per second fill 72 % of it, and an
-AVR at 16 MHz hits it exactly. The firmware has the same."""
+"""Baud rate of a serial line [baud], equal to the firmware's. 1000 lines of 36 bytes per second
+fill 72 % of it, and an AVR at 16 MHz hits it exactly."""
 FORMS: Final = "serial:///dev/ttyACM0 or socket://host:port"
 CHUNK: Final = 4096
-"""Bytes that are read at once: all that Linux keeps of a terminal."""
+"""Maximum number of bytes per read: the buffer of a Linux terminal."""
 
 
 class SerialTransport:
-    """An open serial port."""
+    """Open serial port."""
 
     def __init__(self, port: "SerialBase", name: str) -> None:
         """Take over an open port.
 
         Args:
-            port: It must not wait: its timeouts are zero.
-            name: What messages call it.
+            port: Port whose timeouts are zero, so that it does not block.
+            name: Name in messages.
         """
         self._port = port
         self._name = name
@@ -40,7 +40,7 @@ class SerialTransport:
         """Send bytes.
 
         Raises:
-            LinkError: The device is gone, or takes no more.
+            LinkError: The device is gone, or accepts no more bytes.
         """
         from serial import SerialException
 
@@ -50,12 +50,12 @@ class SerialTransport:
             raise self._gone(error) from None
 
     def read(self) -> bytes:
-        """Return what came.
+        """Return the received bytes.
 
         Raises:
             LinkError: The device is gone.
         """
-        # pyserial lets a TypeError out of a port that was closed meanwhile.
+        # pyserial raises a TypeError for a port that was closed meanwhile.
         try:
             return self._port.read(CHUNK)
         except (OSError, TypeError) as error:
@@ -71,24 +71,24 @@ class SerialTransport:
 
 
 def check_serial(uri: str) -> None:
-    """Check that an address is one of a serial port; nothing is opened.
+    """Check that an address is that of a serial port; nothing is opened.
 
     Raises:
-        InputError: It is not.
+        InputError: The address is invalid.
     """
     _device(uri)
 
 
 def open_serial(uri: str) -> SerialTransport:
-    """Open a serial port for ourselves alone.
+    """Open a serial port exclusively.
 
     Args:
-        uri: `serial:///dev/ttyACM0`, `serial://COM3`, with `?baud=N` where it is not `BAUD`; or
+        uri: `serial:///dev/ttyACM0`, `serial://COM3`, with `?baud=N` if it is not `BAUD`; or
             `socket://host:port`.
 
     Raises:
-        InputError: The address is none of these.
-        LinkError: The port cannot be opened; the message says why, and what helps.
+        InputError: The address is invalid.
+        LinkError: The port cannot be opened; the message names cause and cure.
     """
     device = _device(uri)
     if device is None:
@@ -97,25 +97,21 @@ def open_serial(uri: str) -> SerialTransport:
 
 
 def _device(uri: str) -> tuple[str, int] | None:
-    """Return name and speed of the device at an address; none where it is on the network."""
+    """Return name and baud rate of the device at an address; None for a port on the network."""
     try:
         parts = urlsplit(uri)
         if parts.scheme == "socket" and parts.hostname and parts.port and parts.path in ("", "/"):
             return None
-    except ValueError:  # the port is no number, or a bracket is open
+    except ValueError:  # the port is not a number, or a bracket is open
         parts = urlsplit("")
     name = parts.path if not parts.netloc else parts.netloc
     if parts.scheme != "serial" or not name or (parts.netloc and parts.path.strip("/")):
         raise InputError(f"{uri!r} is no address of a serial port; expected {FORMS}")
-    return name, _baud(uri, parts.query)
-
-
-def _baud(uri: str, query: str) -> int:
-    options = parse_qs(query, keep_blank_values=True)
+    options = parse_qs(parts.query, keep_blank_values=True)
     baud = options.pop("baud", [str(BAUD)])[-1]
     if options or not baud.isdecimal() or not 0 < int(baud) <= 10**7:
         raise InputError(f"{uri!r} has options that are unknown; expected at most ?baud={BAUD}")
-    return int(baud)
+    return name, int(baud)
 
 
 def _open_device(name: str, baud: int) -> "SerialBase":
@@ -126,7 +122,7 @@ def _open_device(name: str, baud: int) -> "SerialBase":
     except (OSError, ValueError) as error:
         number = error.errno if isinstance(error, SerialException) else None
         raise LinkError(_why(name, number, error)) from None
-    # USB adapters of FTDI keep bytes for 16 ms otherwise. Pseudo-terminals and others refuse.
+    # FTDI's USB adapters hold bytes for 16 ms otherwise. Pseudo-terminals do not support the mode.
     with suppress(AttributeError, NotImplementedError, OSError, ValueError):
         port.set_low_latency_mode(True)
     return port

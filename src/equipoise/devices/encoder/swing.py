@@ -1,11 +1,12 @@
-"""A free swing, as someone makes it by hand in front of an encoder.
+"""Recorder of a free swing that an operator starts by hand.
 
-The pendulum hangs still: that is the zero. A hand lifts it, holds it and lets go. It falls through
-the zero and turns round on the other side, nearly as high: a hand that lowers it does not let that
-happen, and is waited for again. What is kept begins a second before the fall, the hand still on
-(`equipoise identify` finds the release), and ends when the time is over or little motion is left.
+The pendulum hangs still, which defines the zero. A hand lifts it, holds it and releases it. The
+pendulum falls through the zero and turns round on the other side, nearly as high. A pendulum that
+is lowered by hand does not, and the recorder waits for another attempt. The recording begins a
+second before the fall, the hand still on (`equipoise identify` finds the release), and ends after
+its duration or when little motion is left.
 
-`SwingRecorder` takes samples and knows no clock; `record_swing` lets it watch a sensor.
+`SwingRecorder` processes samples without a clock; `record_swing` connects it with a sensor.
 """
 
 from collections import deque
@@ -21,35 +22,35 @@ from equipoise.errors import RecordingError
 from equipoise.trajectory import Trajectory
 
 STILL: Final = 2.0
-"""Hanging still means: no count moves by more than one for so long [s]."""
+"""Time within which a still pendulum moves by at most one count [s]."""
 LIFTED: Final = radians(5.0)
-"""Further from the zero than this a hand has lifted it [rad]."""
-LEAST: Final = radians(10.0)
-"""A swing must be larger than this [rad]: it should be 50 times the step of a common encoder, and
-friction shows in its decay."""
-LEAD: Final = 1.0
-"""So much before the fall is kept, too [s]."""
-RISE: Final = 0.5
-"""A free pendulum rises to more than this share of the height angle from which it fell."""
-FALL: Final = 2.0
-"""Within this time after the zero it must turn round [s]: a period of 8 s."""
-LEAST_PERIODS: Final = 3
-"""So many periods identify a pendulum; ten are better."""
-REST: Final = 0.05
-"""The swing is over when this share of its amplitude is left."""
+"""Minimum angle from the zero of a lifted pendulum [rad]."""
+MIN_AMPLITUDE: Final = radians(10.0)
+"""Minimum amplitude of a swing [rad]: it should be 50 steps of a common encoder, and its decay has
+to show the friction."""
+LEAD_TIME: Final = 1.0
+"""Time recorded before the fall [s]."""
+MIN_RISE: Final = 0.5
+"""Minimum angle of the first turn of a free pendulum, as a share of the angle of its fall [-]."""
+MAX_TURN_TIME: Final = 2.0
+"""Maximum time from the zero to the first turn [s]: a period of 8 s."""
+MIN_PERIODS: Final = 3
+"""Minimum number of periods that identify a pendulum; ten are better."""
+MIN_DECAY: Final = 0.05
+"""Share of the first amplitude at which the recording ends [-]."""
 LONGEST_GAP: Final = 0.02
-"""So much of a recording may be missing at once [s]: a fortieth of the paper's period."""
-OFF_CENTRE: Final = radians(3.0)
-"""The middle of the swing may be so far from where it hung [rad]: three times what the dry
-friction of a poor bearing explains."""
+"""Maximum gap in a recording [s]: a fortieth of the paper's period."""
+MAX_OFFSET: Final = radians(3.0)
+"""Maximum angle between the centre of the swing and the zero [rad]: three times the effect of the
+dry friction of a poor bearing."""
 RELEASE_TIMEOUT: Final = 120.0
-"""So long the operator is waited for, in each stage [s]."""
-LOOK: Final = 0.01
-"""Pause between two looks at the sensor [s]."""
+"""Timeout of the operator in each stage [s]."""
+POLL_PERIOD: Final = 0.01
+"""Time between two reads of the sensor [s]."""
 
 
 class RecordingStage(Enum):
-    """Where a recording is, in the words of an operator."""
+    """Stage of a recording; its value is the instruction to the operator."""
 
     SETTLING = "let it hang still"
     READY = "lift it by 40 to 60 degrees and hold it there"
@@ -59,14 +60,14 @@ class RecordingStage(Enum):
 
 
 class SwingRecorder:
-    """Watches samples for a free swing, and keeps it."""
+    """Detector and recorder of a free swing in a stream of samples."""
 
     def __init__(self, counts_per_rev: int, duration: float = 30.0) -> None:
-        """Wait for the pendulum to hang still.
+        """Create a recorder that waits for a still pendulum.
 
         Args:
             counts_per_rev: Counts per revolution, after x4.
-            duration: Length of the swing after it was let go [s].
+            duration: Duration of the swing after the release [s].
         """
         self._step = 2.0 * pi / counts_per_rev
         self._duration = duration
@@ -81,72 +82,70 @@ class SwingRecorder:
         self._extreme = 0.0
         self._turns: list[float] = []
         self.stage = RecordingStage.SETTLING
-        """Where the recording is."""
+        """Stage of the recording."""
         self.theta = 0.0
-        """Newest angle from where it hung [rad]; zero before that is known."""
+        """Newest angle from the zero [rad]; 0 before the zero is known."""
         self.missing = 0
-        """Samples that are missing in what is kept."""
+        """Number of samples missing in the recording."""
         self.hint = ""
-        """Why an attempt did not count; empty where there is nothing to say."""
+        """Reason why the last attempt was rejected; empty if none was."""
 
     @property
     def amplitude(self) -> float:
-        """Newest height of the swing, or of the hand [rad]."""
-        if self._turns:
-            return abs(self._turns[-1])
-        return abs(self._extreme)
+        """Newest amplitude of the swing or of the lift [rad]."""
+        return abs(self._turns[-1] if self._turns else self._extreme)
 
     @property
     def first_amplitude(self) -> float:
-        """Height at which it first turned round after the fall [rad]; zero before."""
+        """Angle of the first turn after the fall [rad]; 0 before it."""
         return abs(self._turns[0]) if self._turns else 0.0
 
     @property
     def periods(self) -> float:
-        """Periods that have been recorded."""
+        """Number of recorded periods."""
         return max(len(self._turns) - 1, 0) / 2.0
 
     @property
     def elapsed(self) -> float:
-        """Time since the fall [s]; zero before it."""
+        """Time since the fall [s]; 0 before it."""
         return 0.0 if self._fell is None else self._last - self._fell
 
     def take(self, samples: list[Sample]) -> None:
-        """Watch what came.
+        """Process new samples.
 
         Raises:
-            RecordingError: The swing cannot be used, or nobody does what is waited for.
+            RecordingError: The swing cannot be used, or a stage timed out.
         """
         for sample in samples:
             if self.stage is not RecordingStage.DONE:
                 self._take(sample)
 
     def trajectory(self, source: str = "recorded swing") -> Trajectory:
-        """Return the recording, its time beginning at zero.
+        """Return the recording; its time begins at zero.
 
         Args:
-            source: What it is called.
+            source: Name of the recording.
 
         Raises:
-            RecordingError: It is not done, too short, too small, or not about where it hung.
+            RecordingError: The recording is incomplete, too short, or off centre.
         """
         if self.stage is not RecordingStage.DONE:
             raise RecordingError("there is no recording yet; wait until it is done")
-        if self.periods < LEAST_PERIODS:
+        if self.periods < MIN_PERIODS:
             raise RecordingError(
-                f"the swing has {self.periods:g} periods, expected at least {LEAST_PERIODS}, "
+                f"the swing has {self.periods:g} periods, expected at least {MIN_PERIODS}, "
                 "better ten; give a longer --duration, or mend what brakes the pendulum"
             )
         first, second, third = self._turns[:3]
         middle = (first + 2.0 * second + third) / 4.0
-        if abs(middle) > OFF_CENTRE:
+        if abs(middle) > MAX_OFFSET:
             raise RecordingError(
                 f"the swing is centred {degrees(middle):+.1f} deg from where the pendulum hung, "
-                f"expected at most {degrees(OFF_CENTRE):.0f}; let it hang free before the lift"
+                f"expected at most {degrees(MAX_OFFSET):.0f}; let it hang free before the lift"
             )
         begin = self._kept[0][0]
         return Trajectory(
-            # The board's clock has microseconds; more digits would be noise.
+            # The board's clock counts microseconds; further digits would be noise.
             time=np.array([round(time - begin, 6) for time, _ in self._kept]),
             theta=np.array([self._step * (counts - self._zero) for _, counts in self._kept]),
             resolution=self._step,
@@ -184,16 +183,16 @@ class SwingRecorder:
         elif sample.time - self._quiet[0] >= STILL and (
             not self.hint or abs(self._step * (self._quiet[1] - self._zero)) < LIFTED
         ):
-            # Another attempt has the zero of the first: held still is not hanging.
+            # A later attempt must stop near the first zero: a pendulum held still is not hanging.
             self._zero = self._quiet[1]
             self._enter(RecordingStage.READY)
 
     def _keep(self, sample: Sample, gap: float) -> None:
-        """Keep a sample; before the fall only those of the last second."""
+        """Keep a sample; before the fall drop samples older than `LEAD_TIME`."""
         kept = self._kept
         kept.append((sample.time, sample.counts))
         if self.stage is not RecordingStage.SWINGING:
-            while kept[0][0] < sample.time - LEAD:
+            while kept[0][0] < sample.time - LEAD_TIME:
                 kept.popleft()
             self.missing = 0
         self.missing += sample.missing
@@ -209,7 +208,7 @@ class SwingRecorder:
             )
 
     def _watch_hand(self) -> None:
-        """Wait until the pendulum falls through the zero."""
+        """Detect the fall through the zero."""
         self._refuse_over_the_top()
         height = self._side * self.theta
         self._extreme = max(height, 0.0)
@@ -229,7 +228,7 @@ class SwingRecorder:
         back = max(3.0 * self._step, 0.1 * self._extreme)
         if self._extreme - height > back:
             self._turn()
-        elif not self._turns and self.elapsed > FALL:
+        elif not self._turns and self.elapsed > MAX_TURN_TIME:
             self._again("the hand was still on it")
         if self.stage is RecordingStage.SWINGING and self.elapsed >= self._duration:
             self._enter(RecordingStage.DONE)
@@ -241,17 +240,17 @@ class SwingRecorder:
             )
 
     def _turn(self) -> None:
-        if not self._turns and self._extreme < max(RISE * self._from, LEAST):
-            small = self._extreme < LEAST and self._from < 1.5 * LEAST
+        if not self._turns and self._extreme < max(MIN_RISE * self._from, MIN_AMPLITUDE):
+            small = self._extreme < MIN_AMPLITUDE and self._from < 1.5 * MIN_AMPLITUDE
             self._again("lift it higher" if small else "the hand was still on it")
             return
         self._turns.append(self._side * self._extreme)
-        if self._extreme < REST * abs(self._turns[0]):
+        if self._extreme < MIN_DECAY * abs(self._turns[0]):
             self._enter(RecordingStage.DONE)
         self._side, self._extreme = -self._side, -inf
 
     def _again(self, hint: str) -> None:
-        """Wait for another attempt: the pendulum must hang still again."""
+        """Reject the attempt, and wait for a still pendulum again."""
         self.hint, self._quiet, self._fell = hint, None, None
         self._turns, self._extreme = [], 0.0
         self._kept.clear()
@@ -264,24 +263,24 @@ def record_swing(
     duration: float = 30.0,
     show: Callable[[SwingRecorder], None] = lambda recorder: None,
 ) -> tuple[Trajectory, SwingRecorder]:
-    """Record a free swing, while an operator makes it.
+    """Record a free swing that an operator starts by hand.
 
     Args:
-        sensor: It is connected.
-        clock: The rig's clock.
-        duration: Length of the swing after it was let go [s].
-        show: Is called after each look, to tell the operator where the recording is.
+        sensor: Connected sensor.
+        clock: Clock of the rig.
+        duration: Duration of the swing after the release [s].
+        show: Called after each read, to show the stage to the operator.
 
     Returns:
-        The swing, and its recorder, which knows how it went.
+        The swing, and its recorder with the statistics of the recording.
 
     Raises:
-        RecordingError: The swing cannot be used, or nobody does what is waited for.
-        LinkError: The sensor is gone, or no longer what it was.
+        RecordingError: The swing cannot be used, or a stage timed out.
+        LinkError: The sensor is disconnected, or its zero is void.
     """
     recorder = SwingRecorder(sensor.counts_per_rev, duration)
     while recorder.stage is not RecordingStage.DONE:
-        clock.wait_until(clock.now() + LOOK)
+        clock.wait_until(clock.now() + POLL_PERIOD)
         recorder.take(sensor.samples())
         show(recorder)
     return recorder.trajectory(), recorder

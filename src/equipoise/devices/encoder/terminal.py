@@ -1,6 +1,6 @@
-"""An emulated board on a pseudo-terminal: a serial port without a cable.
+"""Emulated board on a pseudo-terminal, a serial port without a cable.
 
-Whoever opens it cannot tell it from a board on USB. Linux and macOS only.
+To a client it looks like a board on USB. Linux and macOS only.
 """
 
 import contextlib
@@ -13,19 +13,19 @@ from equipoise.devices.encoder.board import Board
 from equipoise.errors import InputError, OutsideError
 
 CHUNK: Final = 4096
-"""Bytes that are read at once."""
+"""Maximum number of bytes per read."""
 
 
 class Terminal:
-    """A pseudo-terminal with a board behind it."""
+    """Pseudo-terminal with a board behind it."""
 
     def __init__(self, board: Board, link: Path | None = None) -> None:
         """Open the terminal.
 
         Args:
-            board: What is behind it; one that is not listened to drops lines, as a real one does.
-            link: A second name, as a symbolic link; a link to another terminal, or to nothing,
-                is replaced.
+            board: The board; its lines are dropped while no client reads, as those of a real board.
+            link: Second name, as a symbolic link; replaces a link to another terminal and a broken
+                link.
 
         Raises:
             InputError: A file, or a link to one, has that name.
@@ -43,14 +43,14 @@ class Terminal:
             ) from None
         except OSError as error:
             raise OutsideError(f"cannot open a pseudo-terminal ({error})") from None
-        # Held open here as well: without a listener reads on our side would be errors.
+        # The client's side stays open here: without a client, reads on our side would fail.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
         self._board = board
         self._unsent = b""
         self._link: Path | None = None
         self.path = Path(os.ttyname(self._theirs))
-        """Its name: `serial://` and this is its address."""
+        """Name of the terminal; its address is `serial://` with this name."""
         if link is not None:
             try:
                 self._make(link)
@@ -71,37 +71,31 @@ class Terminal:
         self._link = link
 
     def __enter__(self) -> "Terminal":
-        """Return itself; it is closed at the end."""
+        """Return the terminal, which is closed at the end."""
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     def advance(self, now: float) -> None:
-        """Carry bytes both ways; call it about once per period of the board.
+        """Transfer bytes both ways; call it about once per period of the board.
 
         Args:
             now: The time [s].
         """
         with contextlib.suppress(BlockingIOError):
             self._board.feed(os.read(self._ours, CHUNK))
-        said = self._board.advance(now)
-        # A line that has begun is finished first; whole ones are lost while no one reads.
-        self._unsent = self._write(self._unsent)
-        if not self._unsent:
-            self._unsent = self._write(said, b"")
-
-    def _write(self, data: bytes, otherwise: bytes | None = None) -> bytes:
-        """Write what fits, and return the rest; `otherwise` where nothing does."""
-        try:
-            return data[os.write(self._ours, data) :]
-        except BlockingIOError:
-            return data if otherwise is None else otherwise
+        sent = self._board.advance(now)
+        # A partly written line is finished first; whole lines are lost while no client reads.
+        with contextlib.suppress(BlockingIOError):
+            self._unsent = self._unsent[os.write(self._ours, self._unsent) :]
+            if not self._unsent:
+                self._unsent = sent[os.write(self._ours, sent) :]
 
     def close(self) -> None:
-        """Close the terminal and take the link away; may be called again.
+        """Close the terminal and remove the link; may be called again.
 
-        A link that leads elsewhere by now is another emulation's.
+        A link that leads elsewhere by now belongs to another emulation, and stays.
         """
         with contextlib.suppress(OSError):
             if self._link is not None and self._link.readlink() == self.path:

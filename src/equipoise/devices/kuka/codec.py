@@ -1,7 +1,7 @@
-r"""Lines of the KST server, the KUKA Sunrise Toolbox's program on the cabinet: both directions.
+r"""Codec of the KST server, the program of the KUKA Sunrise Toolbox on the cabinet.
 
-The client sends lines of ASCII over TCP, each a command whose fields are joined by `_`; the server
-answers most of them with one line. There is no length, no checksum, no sequence number and no
+The client sends ASCII lines over TCP, each a command whose fields are joined by `_`. The server
+answers most of them with one line. The protocol has no length, checksum, sequence number or
 watchdog::
 
     getJointsPositions\n             0.0_0.4364_0.0_-1.3962_0.0_1.309_0.0_\n
@@ -11,9 +11,9 @@ watchdog::
     stopDirectServoJoints\n          done\n
     end\n                            (the server closes the connection and its program ends)
 
-Angles are in radians, torques in N m, lengths in mm. Numbers of the server are those of Java's
-`Double.toString`, each with a trailing `_`; a command that fails in the server's main thread is
-answered `nak`, most other mistakes are not answered at all.
+Angles are in radians, torques in N m, lengths in mm. The server writes numbers as Java's
+`Double.toString`, each with a trailing `_`. It answers `nak` to a command that fails in its main
+thread, and does not answer most other mistakes.
 """
 
 import math
@@ -30,18 +30,18 @@ from equipoise.errors import InputError, LinkError
 PORT: Final = 30001
 """TCP port of the KST server."""
 JOINTS: Final = 7
-"""Joints of an iiwa. An emulated arm may have another number, and its lines as many fields."""
+"""Number of joints of an iiwa. Lines of an emulated arm have one field for each of its joints."""
 DIGITS: Final = 9
-"""Significant digits of the numbers that are sent, 1 nrad in 1 rad: at 100 Hz the five digits of
-the official clients make steps of 1 rad/s^2 in the second difference."""
-LONGEST: Final = 1024
-"""Longest line that is accepted [bytes]; seven numbers of Java's take less than 190."""
+"""Significant digits of the numbers sent, 1 nrad in 1 rad. At 100 Hz the five digits of the
+official clients cause steps of 1 rad/s^2 in the second difference."""
+MAX_LINE: Final = 1024
+"""Maximum accepted line length [bytes]; seven Java numbers take less than 190."""
 
-Asked = Literal["done", "joints", "external", "measured", "pose", "force", "nothing"]
-"""What a setpoint asks for: an acknowledgement, measured joints [rad], external or measured torques
-[N m], the end effector's pose [mm, rad] or force [N], or nothing."""
+ReplyKind = Literal["done", "joints", "external", "measured", "pose", "force", "nothing"]
+"""Reply that a setpoint requests: an acknowledgement, measured joints [rad], external or measured
+torques [N m], the end effector's pose [mm, rad] or force [N], or nothing."""
 
-SETPOINTS: Final[dict[Asked, str]] = {
+SETPOINTS: Final[dict[ReplyKind, str]] = {
     "done": "jp",
     "joints": "jpJP",
     "external": "jpExT",
@@ -50,36 +50,25 @@ SETPOINTS: Final[dict[Asked, str]] = {
     "force": "jpEEfFrelEEF",
     "nothing": "jf",
 }
-"""Commands that set the target of the joint servo, by what they ask for."""
-VELOCITIES: Final[dict[Asked, str]] = {
+"""Commands that set the target of the joint servo, by requested reply."""
+VELOCITIES: Final[dict[ReplyKind, str]] = {
     "done": "velJDC",
     "joints": "velJDCJP",
     "external": "velJDCExT",
     "measured": "velJDCMT",
     "pose": "velJDCEEfP",
 }
-"""Commands that set the velocity of the velocity servo, by what they ask for."""
+"""Commands that set the velocity of the velocity servo, by requested reply. No driver uses them:
+the servo integrates the last velocity for ever, so that a lost client leaves the arm moving."""
 
 GET_JOINTS: Final = b"getJointsPositions\n"
-"""Asks for the measured joints, at any time."""
-GET_EXTERNAL: Final = b"Torques_ext_J\n"
-"""Asks for the external torques; never answered while a servo runs."""
-GET_MEASURED: Final = b"Torques_m_J\n"
-"""Asks for the measured torques; never answered while a servo runs."""
-GET_POSE: Final = b"Eef_pos\n"
-"""Asks for the end effector's pose; never answered while a servo runs."""
+"""Request for the measured joints, at any time."""
 START_SERVO: Final = b"startDirectServoJoints\n"
-"""Starts the joint servo; acknowledged before it runs."""
-START_VELOCITY: Final = b"stVelDcJoint_\n"
-"""Starts the velocity servo, which integrates the last velocity for ever: no driver here uses it,
-since a client that is lost leaves the arm moving."""
+"""Start of the joint servo; acknowledged before it runs."""
 STOP_SERVO: Final = b"stopDirectServoJoints\n"
-"""Stops any servo; acknowledged at once, obeyed a few milliseconds later."""
-MOVE: Final = b"doPTPinJS\n"
-"""Starts a point-to-point motion to the last setpoint; acknowledged at once, and again when it
-ends. Nothing that is sent in between stops it."""
+"""Stop of any servo; acknowledged at once, obeyed a few milliseconds later."""
 END: Final = b"end\n"
-"""Ends servo, connection and server, which an operator has to start again; not answered."""
+"""End of servo, connection and server, which an operator has to start again; not answered."""
 
 Word = Literal["done", "nak", "interrupted"]
 WORDS: Final[dict[bytes, Word]] = {b"done": "done", b"nak": "nak", b"interrupted": "interrupted"}
@@ -90,91 +79,68 @@ _DOUBLE = re.compile(
 
 
 class KstLineSplitter:
-    """What a stream of bytes holds of lines; it ends where a line grows too long."""
+    """Splitter of a byte stream into lines; fails for good at a line that is too long."""
 
-    def __init__(self, longest: int = LONGEST) -> None:
-        """Begin with nothing; no line may have more than `longest` bytes."""
-        self._longest = longest
+    def __init__(self) -> None:
+        """Create a splitter without bytes."""
         self._rest = b""
         self._broken = False
 
     def feed(self, data: bytes) -> list[bytes]:
-        r"""Take bytes, and return the lines that they complete, without their ends.
+        r"""Add bytes, and return the lines that they complete, without line ends.
 
-        Lines end in \n or \r\n; empty ones are left out.
+        Lines end in \n or \r\n; empty lines are left out.
 
         Raises:
-            LinkError: A line is too long, now or before.
+            LinkError: A line is too long, now or earlier.
         """
         *lines, self._rest = (self._rest + data).split(b"\n")
-        if self._broken or any(len(line) > self._longest for line in (*lines, self._rest)):
+        if self._broken or any(len(line) > MAX_LINE for line in (*lines, self._rest)):
             self._broken, self._rest = True, b""
             raise LinkError(
-                f"expected lines of at most {self._longest} bytes, and more came without a line "
+                f"expected lines of at most {MAX_LINE} bytes, and more came without a line "
                 "end; is this a KST server?"
             )
         return [line for line in (line.removesuffix(b"\r") for line in lines) if line]
 
 
 def setpoint(
-    q: Sequence[float] | npt.NDArray[np.float64], asked: Asked = "joints", *, joints: int = JOINTS
+    q: Sequence[float] | npt.NDArray[np.float64],
+    reply: ReplyKind = "joints",
+    *,
+    joints: int = JOINTS,
 ) -> bytes:
     """Return the line that sets the target of the joint servo.
 
     Args:
         q: All joints [rad], shape (joints,).
-        asked: The answer that the server sends.
+        reply: Requested reply.
         joints: Number of joints.
 
     Raises:
         InputError: `q` is not one finite number for each joint.
     """
-    return _line(SETPOINTS[asked], _finite(q, joints, "a setpoint"))
-
-
-def velocity(dq: Sequence[float] | npt.NDArray[np.float64], asked: Asked = "joints") -> bytes:
-    """Return the line that sets the velocity of the velocity servo.
-
-    Args:
-        dq: Seven joint velocities [rad/s].
-        asked: What the server shall answer; not every answer exists.
-
-    Raises:
-        InputError: They are not seven finite numbers, or there is no such answer.
-    """
-    if asked not in VELOCITIES:
+    try:
+        given = np.asarray(q, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        given = np.empty(0)
+    if given.shape != (joints,) or not np.isfinite(given).all():
         raise InputError(
-            f"a velocity cannot ask for {asked!r}; ask for one of {', '.join(VELOCITIES)}"
+            f"a setpoint is {joints} finite numbers, one for each joint, not {str(q)[:120]}; "
+            "nothing was sent"
         )
-    return _line(VELOCITIES[asked], _finite(dq, JOINTS, "a velocity"))
-
-
-def speed(relative: float) -> bytes:
-    """Return the line that sets the speed of point-to-point motions.
-
-    Args:
-        relative: Share of the joints' speed limits, above 0 and at most 1.
-
-    Raises:
-        InputError: It is not such a share.
-    """
-    if not 0.0 < relative <= 1.0:
-        raise InputError(
-            f"the relative speed of a motion is above 0 and at most 1, not {relative!r}; "
-            "0.1 is a gentle one"
-        )
-    return _line("jRelVel", (relative,))
+    fields = "".join(f"{value:.{DIGITS}g}_" for value in given.tolist())
+    return f"{SETPOINTS[reply]}_{fields}\n".encode()
 
 
 def parse_reply(line: bytes) -> Word | tuple[float, ...]:
-    """Return what a line of the server says: a word, or finite numbers.
+    """Return the word or the finite numbers in a line of the server.
 
     Args:
         line: The line without its end.
 
     Raises:
-        LinkError: It is neither a word nor numbers of Java's with a trailing `_`, or a number is
-            not finite.
+        LinkError: The line is neither a known word nor finite Java numbers with a trailing `_`.
     """
     if (word := WORDS.get(line)) is not None:
         return word
@@ -194,18 +160,18 @@ def parse_reply(line: bytes) -> Word | tuple[float, ...]:
 
 
 def expect_done(line: bytes, command: str) -> None:
-    """Check that a line acknowledges a command, whose name is for the message.
+    """Check that a line acknowledges a command, named in the message.
 
     Raises:
-        LinkError: It says anything else.
+        LinkError: The line is anything else.
     """
-    said = parse_reply(line)
-    if said == "nak":
+    reply = parse_reply(line)
+    if reply == "nak":
         raise LinkError(
             f"the server refused {command} (nak); look at the message on the smartPAD, then start "
             "the server and connect again"
         )
-    if said != "done":
+    if reply != "done":
         raise LinkError(
             f"expected done as the answer to {command}, got {_shown(line)}; requests and answers "
             "are out of step: connect again"
@@ -213,32 +179,32 @@ def expect_done(line: bytes, command: str) -> None:
 
 
 def expect_numbers(line: bytes, count: int, command: str) -> tuple[float, ...]:
-    """Return the numbers that a line answers to a command, whose name is for the message.
+    """Return the numbers in the reply to a command, named in the message.
 
     Raises:
-        LinkError: It does not hold so many finite numbers.
+        LinkError: The line does not hold `count` finite numbers.
     """
-    said = parse_reply(line)
-    if isinstance(said, str) or len(said) != count:
+    reply = parse_reply(line)
+    if isinstance(reply, str) or len(reply) != count:
         raise LinkError(
             f"expected {count} numbers as the answer to {command}, got {_shown(line)}; requests "
             "and answers are out of step: connect again"
         )
-    return said
+    return reply
 
 
 def tokens(line: bytes) -> list[str]:
-    """Return the fields of a client's line as the server takes them apart, empty ones left out."""
+    """Return the non-empty fields of a client's line, split as the server splits it."""
     return [field for field in line.decode("latin-1").split("_") if field]
 
 
 def java_double(text: str) -> float:
-    """Return the number that Java's `Double.parseDouble` reads, hexadecimal ones excepted.
+    """Parse a number as Java's `Double.parseDouble` does, except for hexadecimal numbers.
 
-    It knows `NaN` and `Infinity`, but neither `nan` nor `inf`.
+    Java accepts `NaN` and `Infinity`, but neither `nan` nor `inf`.
 
     Raises:
-        InputError: It reads none.
+        InputError: Java rejects the text.
     """
     stripped = text.strip("".join(map(chr, range(33))))
     if _DOUBLE.fullmatch(stripped) is None:
@@ -247,7 +213,7 @@ def java_double(text: str) -> float:
 
 
 def java_number(value: float) -> str:
-    """Return a number as Java's `Double.toString` writes it, in the fewest digits that keep it.
+    """Format a number as Java's `Double.toString` does, in the fewest digits that identify it.
 
     Example:
         >>> java_number(0.0001), java_number(-1.3962), java_number(100.0)
@@ -258,7 +224,7 @@ def java_number(value: float) -> str:
     if math.isinf(value):
         return "Infinity" if value > 0.0 else "-Infinity"
     sign, digits, exponent = Decimal(repr(float(value))).normalize().as_tuple()
-    # Java writes two digits at least: where one is enough, the two that are nearest.
+    # Java writes at least two digits: where one is enough, the nearest two.
     if len(digits) == 1:
         sign, digits, exponent = Decimal(f"{value:.1e}").as_tuple()
     text, minus = "".join(map(str, digits)), "-" * sign
@@ -274,28 +240,8 @@ def java_number(value: float) -> str:
 
 
 def numbers_reply(values: Sequence[float]) -> bytes:
-    """Return the server's line of numbers."""
+    """Return the server's reply with numbers."""
     return "".join(f"{java_number(value)}_" for value in values).encode() + b"\n"
-
-
-def _line(command: str, values: Sequence[float]) -> bytes:
-    fields = "".join(f"{value:.{DIGITS}g}_" for value in values)
-    return f"{command}_{fields}\n".encode()
-
-
-def _finite(
-    values: Sequence[float] | npt.NDArray[np.float64], count: int, what: str
-) -> list[float]:
-    try:
-        given = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        given = np.empty(0)
-    if given.shape != (count,) or not np.isfinite(given).all():
-        raise InputError(
-            f"{what} is {count} finite numbers, one for each joint, not {str(values)[:120]}; "
-            "nothing was sent"
-        )
-    return given.tolist()
 
 
 def _shown(line: bytes) -> str:

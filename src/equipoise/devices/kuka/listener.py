@@ -1,11 +1,11 @@
 """An emulated KST server on a TCP port, in real time.
 
-As with the real server there is one client. Another can connect, since the system accepts it, but
-gets no answer. Unlike its client the server does not switch Nagle's algorithm off.
+Like the real server it serves one client. The system accepts the connection of another, which gets
+no reply. Unlike its client, the server does not turn Nagle's algorithm off.
 
-The server ends with each client, as the real one does. It starts again on the smartPAD: by the
-emulated operator at once after an `end`, and some seconds after a client has vanished (until then
-the servo goes on and no other client gets an answer); otherwise by the word `start`.
+The server ends with each client, as the real one does. The emulated operator restarts it on the
+smartPAD: at once after an `end`, and some seconds after a client has vanished (until then the servo
+continues, and no other client gets a reply). Without that operator, the word `start` restarts it.
 """
 
 import socket
@@ -21,7 +21,7 @@ from equipoise.devices.transports import CHUNK
 from equipoise.errors import InputError, OutsideError
 
 PERIOD: Final = 0.001
-"""Time between two looks at client and arm [s]."""
+"""Period of the service loop [s]."""
 RESTART: Final = 1.0
 """Time that the emulated operator takes to start the server again [s]."""
 NOTICED: Final = 10.0
@@ -55,7 +55,7 @@ class KstListener:
     """A KST server that serves one client after the other; a `RobotServer`."""
 
     def __init__(self, options: ServerOptions) -> None:
-        """Prepare; no client can connect before `run`.
+        """Create the listener; no client can connect before `run`.
 
         Raises:
             InputError: The faults are unknown or too large.
@@ -74,7 +74,7 @@ class KstListener:
         Args:
             host: Address to listen on.
             port: Port to listen on; 0 lets the system choose one, which then stays.
-            stop: Returns whether to stop; asked each millisecond.
+            stop: Returns whether to stop; called each millisecond.
             listening: Receives the port, once a client can connect for the first time.
 
         Raises:
@@ -82,7 +82,7 @@ class KstListener:
         """
         begun = False
 
-        def heard(number: int) -> None:
+        def opened(number: int) -> None:
             nonlocal begun, port
             if not begun:
                 listening(number)
@@ -100,7 +100,7 @@ class KstListener:
                 options.clock,
                 self._work,
                 lambda: stop() or self._restarted,
-                listening=heard,
+                listening=opened,
             )
             self._server = None
             body.servo(False)
@@ -108,7 +108,7 @@ class KstListener:
                 self._wait_for_restart(stop)
 
     def _wait_for_restart(self, stop: Callable[[], bool]) -> None:
-        """Let time pass without a server until it is started again."""
+        """Advance the rig without a server until its restart."""
         options = self._options
         if not self._restarted:
             options.say("the server's application has ended")
@@ -125,7 +125,7 @@ class KstListener:
         self._restarted = True
 
     def _work(self, now: float) -> None:
-        """Advance everything but the server, and notice a client that has vanished."""
+        """Advance all parts but the server, and detect a vanished client."""
         options = self._options
         options.work(now)
         if self._server is None or not self._server.deserted:
@@ -147,21 +147,21 @@ def serve(
     *,
     listening: Callable[[int], None] = lambda _: None,
 ) -> None:
-    """Serve one client until it has said goodbye and the servo has ended, or until stopped.
+    """Serve one client until it has sent `end` and the servo has ended, or until stopped.
 
-    The arm goes on whether there is a client or not, as does a servo whose client has vanished.
+    The arm moves with or without a client, and a servo runs on when its client vanishes.
 
     Args:
-        server: What answers.
+        server: The server.
         host: Address to listen on.
         port: Port to listen on; 0 lets the system choose one.
-        clock: Whose time passes.
-        work: Lets the arm pass until a time [s]; called each millisecond, before the server.
-        stop: Says when to stop; asked each millisecond.
-        listening: Takes the port, once clients can connect.
+        clock: Clock of the machine.
+        work: Advances the arm to a time [s]; called each millisecond, before the server.
+        stop: Returns whether to stop; called each millisecond.
+        listening: Receives the port, once clients can connect.
 
     Raises:
-        OutsideError: The port cannot be had.
+        OutsideError: The port is not available.
     """
     client: socket.socket | None = None
     try:
@@ -198,7 +198,7 @@ def serve(
 
 
 def _exchange(client: socket.socket, server: KstServer, now: float) -> bool:
-    """Pass bytes both ways, and return whether the connection lives on."""
+    """Pass bytes both ways, and return whether the connection stays open."""
     try:
         with suppress(BlockingIOError):
             data = client.recv(CHUNK)

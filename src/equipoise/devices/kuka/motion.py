@@ -1,8 +1,8 @@
-"""What keeps the main thread of the emulated KST server busy: servos and point-to-point motions.
+"""Tasks of the emulated KST server's main thread: servos and point-to-point motions.
 
-Both hand targets to a `ArmBody`, the arm behind the server, which follows them by the cabinet's own
-servo law. Either begins when its command is acknowledged, and is stepped at least once a
-millisecond until it is over.
+Both send targets to an `ArmBody`, the arm behind the server, which follows them by the cabinet's
+servo law. A task begins when its command is acknowledged, and is stepped at least once a
+millisecond until it ends.
 """
 
 from collections.abc import Sequence
@@ -16,27 +16,27 @@ from equipoise.devices.kuka.codec import JOINTS
 Array = npt.NDArray[np.float64]
 
 DONE: Final = b"done\n"
-"""The server's acknowledgement."""
+"""Acknowledgement of the server."""
 NAK: Final = b"nak\n"
-"""What it answers where its main thread met an error."""
+"""Reply of the server after an error in its main thread."""
 
 SERVO_START: Final = 5e-3
-"""From the acknowledgement until a servo exists [s]: "a few milliseconds"."""
+"""Time from the acknowledgement until a servo exists [s]: "a few milliseconds"."""
 SERVO_STOP: Final = 3e-3
-"""From the acknowledgement of a stop until the servo has ended [s]: likewise."""
-SHORTEST_MOVE: Final = 20e-3
-"""The second acknowledgement of a motion comes so much later than the first, at least [s]; a client
-that receives both at once waits for ever for the second."""
+"""Time from the acknowledgement of a stop until the servo has ended [s]: "a few milliseconds"."""
+MIN_MOVE_TIME: Final = 20e-3
+"""Minimum time between the two acknowledgements of a motion [s]; a client that receives both at
+once waits for ever for the second."""
 REACHED: Final = 1e-3
-"""A motion has ended when no joint is further from its end than this [rad]: the servo's shaping
-takes a third of a second for the rest of a milliradian."""
+"""Maximum distance of a joint from the end of a finished motion [rad]: the servo's shaping takes a
+third of a second for the last milliradian."""
 SERVO_TIMEOUT: Final = 0.5
-"""So long after the end of its path a motion waits for the arm to reach that [s]."""
+"""Time after the end of its path for which a motion waits for the arm [s]."""
 SAG: Final = 5e-3
-"""Where an arm rests short of its end by no more, the motion has succeeded, too [rad]: drives that
-do not know their load, and have no integral term, hold it a few milliradians lower."""
+"""Maximum distance of a resting joint from the end of a successful motion [rad]: drives without
+load data and integral term hold an arm a few milliradians lower."""
 PEAK: Final = 1.875
-"""Peak speed of a minimum-jerk path over its mean speed."""
+"""Peak speed of a minimum-jerk path, relative to its mean speed [-]."""
 EPSILON: Final = 1e-9
 """Rounding of times [s]."""
 
@@ -57,50 +57,50 @@ class ArmBody(Protocol):
         ...
 
     def servo(self, running: bool) -> None:
-        """Let the servo begin, holding the arm where it is, or end."""
+        """Start the servo, which holds the arm where it is, or stop it."""
         ...
 
     def target(self, q: Sequence[float]) -> None:
-        """Take the servo's newest target [rad]; NaN where a client sent it."""
+        """Set the servo's target [rad]; NaN if a client sent it."""
         ...
 
 
 class Targets:
-    """What the server's reader writes and its servo reads."""
+    """Targets that the server's reader writes and its servo reads."""
 
     def __init__(self, joints: int = JOINTS) -> None:
-        """Begin with zeros and no servo, as the server does."""
+        """Start with zeros and no servo, as the server does."""
         self.q = [0.0] * joints
         """Target of the joint servo and of the next motion [rad]."""
         self.dq = [0.0] * joints
         """Velocity of the velocity servo [rad/s]."""
         self.servo = False
-        """Whether a servo shall run."""
+        """Whether a servo is requested."""
 
 
 class ServerTask(Protocol):
-    """What keeps the main thread busy."""
+    """Task of the server's main thread."""
 
     @property
-    def last_words(self) -> bytes:
-        """What the client is told when it is over; nothing if empty."""
+    def final_reply(self) -> bytes:
+        """Reply to the client at the end of the task; empty for no reply."""
         ...
 
     def taken(self) -> None:
-        """Notice a new target."""
+        """Receive a new joint target."""
         ...
 
     def step(self, now: float) -> bool:
-        """Go on until a time [s], and return whether it is over."""
+        """Run until a time [s], and return whether the task has ended."""
         ...
 
 
 Mode = Literal["joints", "velocity", "held"]
-"""What a servo follows: the joint target, the integral of the velocities, or nothing."""
+"""Input of a servo: the joint target, the integral of the velocities, or nothing."""
 
 
 class ServoTask:
-    """A servo from its acknowledgement to its end, whoever has gone meanwhile."""
+    """Servo from its acknowledgement to its end; runs on without a client."""
 
     def __init__(
         self,
@@ -110,19 +110,19 @@ class ServoTask:
         mode: Mode,
         *,
         first: int = 0,
-        last_words: bytes = b"",
+        final_reply: bytes = b"",
     ) -> None:
-        """Be about to begin.
+        """Schedule the start.
 
         Args:
             body: The arm.
-            targets: What the reader writes.
-            now: When the start is acknowledged [s].
-            mode: What it follows.
-            first: From this joint on, measured joints replace the target when the servo begins.
-            last_words: What the client is told when it has ended.
+            targets: Targets from the reader.
+            now: Time of the acknowledgement [s].
+            mode: Input of the servo.
+            first: First joint whose target the measured joint replaces at the start.
+            final_reply: Reply to the client at the end.
         """
-        self.last_words = last_words
+        self.final_reply = final_reply
         self._body, self._targets, self._mode, self._first = body, targets, mode, first
         self._begins = now + SERVO_START
         self._ends: float | None = None
@@ -132,12 +132,12 @@ class ServoTask:
         self._dq = [0.0] * len(targets.q)
 
     def taken(self) -> None:
-        """Pass a new joint target on; before the servo exists nobody takes it."""
+        """Pass a new joint target to the arm; before the servo exists it is dropped."""
         if self._runs and self._mode == "joints":
             self._body.target(tuple(self._targets.q))
 
     def step(self, now: float) -> bool:
-        """Begin, integrate velocities and end, when it is time."""
+        """Start, integrate velocities, and stop when due."""
         if not self._runs:
             if now < self._begins - EPSILON:
                 return False
@@ -173,29 +173,29 @@ class ServoTask:
 
 
 class PtpTask:
-    """A point-to-point motion along a minimum-jerk path; nothing that a client says stops it."""
+    """Point-to-point motion along a minimum-jerk path; no command of a client stops it."""
 
     def __init__(self, body: ArmBody, q: Array, speeds: Array, now: float) -> None:
-        """Begin.
+        """Start the motion.
 
         Args:
             body: The arm.
-            q: Where to [rad], shape (7,).
-            speeds: What no joint exceeds [rad/s], shape (7,).
-            now: When the start is acknowledged [s].
+            q: Goal [rad], shape (7,).
+            speeds: Maximum joint speeds [rad/s], shape (7,).
+            now: Time of the acknowledgement [s].
         """
-        self.last_words = b""
+        self.final_reply = b""
         self._body, self._begins = body, now
         self._from, self._to = np.array(body.measured(), dtype=np.float64), q
         fastest = float(np.max(PEAK * np.abs(q - self._from) / speeds))
-        self._duration = max(fastest, SHORTEST_MOVE)
+        self._duration = max(fastest, MIN_MOVE_TIME)
         body.servo(True)
 
     def taken(self) -> None:
-        """Keep to the target of the beginning."""
+        """Ignore a new target."""
 
     def step(self, now: float) -> bool:
-        """Move the target along the path; at its end wait for the arm."""
+        """Move the target along the path, then wait for the arm."""
         s = min((now - self._begins) / self._duration, 1.0)
         share = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
         self._body.target(tuple((self._from + share * (self._to - self._from)).tolist()))
@@ -207,5 +207,5 @@ class PtpTask:
         if missing > REACHED and late < SERVO_TIMEOUT:
             return False
         self._body.servo(False)
-        self.last_words = DONE if missing <= SAG else NAK
+        self.final_reply = DONE if missing <= SAG else NAK
         return True

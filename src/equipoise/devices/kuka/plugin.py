@@ -20,7 +20,7 @@ FORM: Final = f"kst://HOST:{PORT}"
 
 
 def host_and_port(address: str) -> tuple[str, int]:
-    """Return host and port of an address.
+    """Return the host and the port of an address.
 
     Raises:
         InputError: The address is invalid.

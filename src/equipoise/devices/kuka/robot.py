@@ -1,19 +1,19 @@
-"""A KUKA iiwa behind a KST server, as a `Robot`.
+"""Driver of a KUKA iiwa behind a KST server, a `Robot`.
 
-Strictly one answer to one request, in order, each within its time. Whatever else comes (silence,
-an answer of another kind, a line that nobody asked for) ends the link for good: which request an
-answer belongs to cannot be found out again. Nothing is sent twice, and nobody reconnects. A lost
-answer among many of one kind shifts all after it by one; it shows at the next question for torques,
-whose answer then comes as joints that no arm can have reached.
+Each request has exactly one reply, in order, within a timeout. Anything else (silence, a reply of
+another kind, an unrequested line) ends the link for good, because a reply can no longer be matched
+with its request. The driver never repeats a request and never reconnects. A lost reply among many
+of one kind shifts all later ones; the next request for torques reveals it, since its reply is then
+read as joints that the arm cannot have reached.
 
-What the server's races require is waited for here, so `connect`, `start`, `stop` and `close` take
-their time: the server acknowledges a servo before it exists, and then overwrites its target with
-the measured joints; and it acknowledges a command before it is ready for the next.
+`connect`, `start`, `stop` and `close` wait for the races of the server: it acknowledges a servo
+before the servo exists, then overwrites its target with the measured joints; and it acknowledges a
+command before it is ready for the next.
 
-The server has no watchdog. When this program dies or the link breaks, the servo goes on to the last
-target, and software can do nothing about it: only the operator can, with the E-stop. So the last
-target has to be near, and slow to reach, at any time; a layer above sees to that, and to limits of
-position, velocity and acceleration. Here nothing leaves but seven finite numbers.
+The server has no watchdog. If this program dies or the link breaks, the servo continues to the last
+target, and only the operator can stop it, with the E-stop. The last target must therefore always be
+near and slow to reach. A layer above (`equipoise.devices.guarded`) ensures this, and checks
+position, velocity and acceleration. This module sends finite numbers only.
 """
 
 import socket
@@ -29,7 +29,6 @@ from equipoise.devices.kuka.codec import (
     END,
     GET_JOINTS,
     JOINTS,
-    MOVE,
     PORT,
     START_SERVO,
     STOP_SERVO,
@@ -37,65 +36,59 @@ from equipoise.devices.kuka.codec import (
     expect_done,
     expect_numbers,
     setpoint,
-    speed,
 )
 from equipoise.devices.transports import TcpTransport
 from equipoise.errors import LinkError, OutsideError
 
 TIMEOUT: Final = 0.1
-"""The answer to a setpoint is overdue after this [s]: a cabled link takes one or two
-milliseconds, and a garbage collection on the cabinet tens."""
-OUTSTANDING: Final = 20
-"""So many setpoints may wait for their answer: 100 ms of a stream at 200 Hz. A run that is stopped
-after 50 ms without an answer can still send its way to rest."""
+"""Timeout of the reply to a setpoint [s]. A cabled link takes one or two milliseconds, a garbage
+collection on the cabinet tens."""
+MAX_PENDING: Final = 20
+"""Maximum number of setpoints without a reply: 100 ms of a stream at 200 Hz. A run that stops after
+50 ms without a reply can still send its ramp to rest."""
 TORQUE_EVERY: Final = 10
-"""Number of setpoints of which one asks for external torques: 20 times a second. A reply of the
-server has joints or torques, never both."""
-REST_TOLERANCE: Final = 1.0
-"""The answer to anything else is overdue after this [s]."""
-FASTEST: Final = 4.0
-"""No joint of an iiwa is faster [rad/s]; the fastest reaches 3.2."""
-NOISE: Final = 0.05
-"""Between two answers that are read at once measured joints differ by less [rad]."""
-APPLICATION: Final = 60.0
-"""So long the server waits for its client after it was started on the smartPAD [s]; and so long
-`connect` waits for the operator to start it."""
-MOTION: Final = 120.0
-"""The second acknowledgement of a motion is overdue after this [s]."""
-RETRY: Final = 1.0
-"""From one attempt to connect to the next [s]."""
+"""Number of setpoints of which one requests external torques: 20 times a second. A reply has joints
+or torques, never both."""
+REPLY_TIMEOUT: Final = 1.0
+"""Timeout of the reply to any other command [s]."""
+MAX_JOINT_SPEED: Final = 4.0
+"""Upper bound of an iiwa's joint speeds [rad/s]; the fastest joint reaches 3.2."""
+JOINT_NOISE: Final = 0.05
+"""Upper bound of the difference between two measurements read at once [rad]."""
+SERVER_TIMEOUT: Final = 60.0
+"""Time for which the server waits for its client after its start on the smartPAD, and for which
+`connect` waits for the operator to start it [s]."""
+RETRY_PERIOD: Final = 1.0
+"""Time between two attempts to connect [s]."""
 AFTER_CONNECT: Final = 1.0
-"""Both official clients wait so long before they send anything [s]."""
-AFTER_COMMAND: Final = 0.05
-"""From an acknowledgement of the server's main thread to the next command [s], as iiwaPy3 has it:
-the server clears what came before it had cleared the last."""
+"""Delay from the connection to the first command [s], as in both official clients."""
 AFTER_START: Final = 0.5
-"""From the acknowledgement of a servo to the first setpoint [s]: MATLAB's client waits 0.5 s,
-iiwaPy3 0.3 s."""
+"""Delay from the acknowledgement of a servo to the first setpoint [s] (MATLAB's client: 0.5 s,
+iiwaPy3: 0.3 s)."""
 BEFORE_STOP: Final = 0.5
-"""From the last setpoint to the stop [s], as MATLAB's client has it."""
+"""Delay from the last setpoint to the stop [s], as in MATLAB's client."""
 AFTER_STOP: Final = 0.3
-"""From the acknowledgement of a stop until the servo has surely ended [s], as iiwaPy3 has it."""
+"""Delay from the acknowledgement of a stop to the certain end of the servo [s], as in iiwaPy3."""
 AFTER_END: Final = 1.0
-"""The server has closed the connection so long after it was asked to [s], or never will."""
-POLL: Final = 0.001
-"""From one look at the link to the next, while waiting [s]."""
-DIAL: Final = 2.0
-"""An attempt to connect over TCP may take so long [s]."""
+"""Time within which the server closes the connection after `end` [s]."""
+POLL_PERIOD: Final = 0.001
+"""Time between two reads of the link while waiting [s]."""
+TCP_TIMEOUT: Final = 2.0
+"""Timeout of one attempt to connect over TCP [s]."""
 
 INSTRUCTIONS: Final = (
     "waiting for the robot: start the application MatlabToolboxServer on the smartPAD now; it "
-    f"waits {APPLICATION:g} s for its client"
+    f"waits {SERVER_TIMEOUT:g} s for its client"
 )
 
 
 def dial(host: str, port: int = PORT) -> Callable[[], Transport]:
-    """Return what opens a TCP connection to a KST server, for `KstRobot`."""
+    """Return a function that opens a TCP connection to a KST server, for `KstRobot`."""
 
     def opened() -> Transport:
         try:
-            return TcpTransport(socket.create_connection((host, port), timeout=DIAL))
-        except socket.gaierror as error:  # no application on the smartPAD will change that
+            return TcpTransport(socket.create_connection((host, port), timeout=TCP_TIMEOUT))
+        except socket.gaierror as error:  # starting the application does not help: do not wait
             raise OutsideError(
                 f"there is no host {host} ({error.strerror}); check the name, or give its number, "
                 "such as 172.31.1.147"
@@ -110,7 +103,7 @@ def dial(host: str, port: int = PORT) -> Callable[[], Transport]:
 
 
 class KstRobot:
-    """The driver; see the module."""
+    """Driver of a KST server; see the module."""
 
     def __init__(
         self,
@@ -120,45 +113,46 @@ class KstRobot:
         tell: Callable[[str], None] = lambda _: None,
         attend: Callable[[], None] = lambda: None,
         timeout: float = TIMEOUT,
-        outstanding: int = OUTSTANDING,
-        patience: float = APPLICATION,
+        max_pending: int = MAX_PENDING,
+        server_timeout: float = SERVER_TIMEOUT,
         joints: int = JOINTS,
         torque_every: int = TORQUE_EVERY,
     ) -> None:
-        """Prepare; nothing is opened before `connect`.
+        """Create the driver; nothing is opened before `connect`.
 
         Args:
             open_transport: Opens a connection to the server, or raises `LinkError`.
-            clock: The rig's.
-            tell: Takes what the operator has to know while `connect` waits.
-            attend: Called now and then while it waits; what this raises ends the wait.
-            timeout: The answer to a setpoint is overdue after this [s].
-            outstanding: So many setpoints may wait for their answer.
-            patience: `connect` tries so long [s].
-            joints: Number of joints; other than seven only in front of an emulated arm.
-            torque_every: One setpoint in this number asks for torques.
+            clock: Clock of the rig.
+            tell: Receives instructions to the operator while `connect` waits.
+            attend: Called between attempts to connect; an exception that it raises ends the wait.
+            timeout: Timeout of the reply to a setpoint [s].
+            max_pending: Maximum number of setpoints without a reply.
+            server_timeout: Time for which `connect` tries [s].
+            joints: Number of joints; other than seven only for an emulated arm.
+            torque_every: Number of setpoints of which one requests torques.
         """
         self.joints = joints
         """Number of joints, the held one included."""
         self._open, self._clock = open_transport, clock
         self._tell, self._attend = tell, attend
-        self._timeout, self._most, self._patience = timeout, outstanding, patience
+        self._timeout, self._max_pending = timeout, max_pending
+        self._server_timeout = server_timeout
         self._transport: Transport | None = None
         self._failure = ""
         self._streams, self._sent = False, 0
         self.torque_every = torque_every
-        """One setpoint in this number asks for external torques."""
+        """Number of setpoints of which one requests external torques."""
         self._lines = KstLineSplitter()
-        self._came: deque[bytes] = deque()
-        self._waiting: deque[tuple[float, bool]] = deque()
+        self._received: deque[bytes] = deque()
+        self._pending: deque[tuple[float, bool]] = deque()
         self._ready: list[Reply] = []
         self._last: tuple[float, tuple[float, ...]] = (0.0, ())
 
     def connect(self) -> None:
-        """Connect to the server, wait for an operator to start it, and ask it for the joints.
+        """Connect to the server, wait for its start if needed, and read the joints.
 
         Raises:
-            LinkError: Nobody has started it in time, it says nothing, or something wrong.
+            LinkError: The server does not start in time, or its reply is missing or invalid.
         """
         if self._transport is not None or self._failure:
             raise LinkError(
@@ -170,19 +164,19 @@ class KstRobot:
         self.measured()
 
     def measured(self) -> Array:
-        """Ask for the measured joints [rad], shape (7,), while no servo runs.
+        """Request the measured joints [rad], shape (7,), while no servo runs.
 
         Raises:
-            LinkError: There is no answer in time, or a wrong one.
+            LinkError: The reply is late or invalid.
         """
         self._at_rest("measure")
         return np.array(self._numbers(GET_JOINTS))
 
     def start(self) -> None:
-        """Start the joint servo, and hold the arm where it is.
+        """Start the joint servo, which holds the arm where it is.
 
         Raises:
-            LinkError: There is no answer in time, or a wrong one.
+            LinkError: A reply is late or invalid.
         """
         self._at_rest("start a servo")
         self._done(START_SERVO)
@@ -192,13 +186,13 @@ class KstRobot:
         self._last = (self._clock.now(), held)
 
     def send(self, q: Sequence[float] | Array) -> None:
-        """Send a setpoint of all joints; each `torque_every`th asks for external torques instead.
+        """Send a setpoint of all joints; each `torque_every`th requests torques instead of joints.
 
         Args:
             q: The joints [rad], shape (7,).
 
         Raises:
-            LinkError: The link is down, no servo runs, or answers are overdue.
+            LinkError: The link is down, no servo runs, or replies are overdue.
             InputError: The setpoint is not seven finite numbers; nothing was sent.
         """
         torque = (self._sent + 1) % self.torque_every == 0
@@ -207,69 +201,44 @@ class KstRobot:
             self._link()
             raise LinkError("the servo does not run, so that no setpoint is obeyed; start it first")
         self._collect()
-        if len(self._waiting) >= self._most:
-            self._fail(f"{len(self._waiting)} setpoints wait for their answer, expected fewer")
+        if len(self._pending) >= self._max_pending:
+            self._fail(f"{len(self._pending)} setpoints wait for their answer, expected fewer")
         self._write(line)
         self._sent += 1
-        self._waiting.append((self._clock.now(), torque))
+        self._pending.append((self._clock.now(), torque))
 
     def replies(self) -> list[Reply]:
-        """Take the answers that came since the last call, the oldest first.
+        """Return the replies since the last call, the oldest first.
 
         Raises:
-            LinkError: The link is down, an answer is overdue, or is none.
+            LinkError: The link is down, or a reply is overdue or invalid.
         """
         self._collect()
         ready, self._ready = self._ready, []
         return ready
 
     def stop(self) -> None:
-        """Stop the servo, the arm at rest; without one, nothing happens.
+        """Stop the servo, the arm at rest; without a servo, do nothing.
 
         Raises:
-            LinkError: There is no answer in time, or a wrong one.
+            LinkError: A reply is late or invalid.
         """
         self._link()
         if not self._streams:
             return
-        while self._waiting:
-            self._wait(POLL)
+        while self._pending:
+            self._wait(POLL_PERIOD)
             self._collect()
         self._wait(BEFORE_STOP)
         self._done(STOP_SERVO)
         self._streams = False
         self._wait(AFTER_STOP)
 
-    def move_to(self, q: Sequence[float] | Array, relative_speed: float) -> None:
-        """Move to a posture by a motion of the cabinet's own. Blocks until it has ended.
-
-        **Software cannot stop it**, and nothing is sent until it has ended: only the operator can
-        stop the arm, at the smartPAD. The server acknowledges twice, and an answer to anything sent
-        in between would be taken for the end. The move to home is therefore made of setpoints.
-
-        Args:
-            q: Where to [rad], shape (7,).
-            relative_speed: Share of the joints' speed limits, above 0 and at most 1.
-
-        Raises:
-            LinkError: There is no answer in time, or a wrong one; the server refuses.
-            InputError: One of the arguments cannot be sent; nothing was.
-        """
-        slowed, target = speed(relative_speed), setpoint(q, "done", joints=self.joints)
-        self._at_rest("start a motion")
-        for command in (slowed, target):
-            self._done(command)
-            self._wait(AFTER_COMMAND)
-        self._done(MOVE)
-        expect = f"the end of {_name(MOVE)}"
-        self._checked(expect_done, self._receive(expect, MOTION), expect)
-        self._wait(AFTER_COMMAND)
-
     def close(self) -> None:
-        """Let the server end, which also ends a servo, and close; an operator has to start it anew.
+        """End the server and its servo, and close; an operator has to start the server again.
 
-        Waits for the server to close the connection: one that is closed with bytes unread may take
-        the last command with it.
+        Waits for the server to close the connection: closing a connection with unread bytes may
+        discard the last command.
         """
         transport, self._transport = self._transport, None
         if transport is None:
@@ -280,23 +249,23 @@ class KstRobot:
             deadline = self._clock.now() + AFTER_END
             while self._clock.now() < deadline:
                 transport.read()
-                self._wait(POLL)
+                self._wait(POLL_PERIOD)
         transport.close()
 
     def _reach(self) -> Transport:
-        deadline, told = self._clock.now() + self._patience, False
+        deadline, notified = self._clock.now() + self._server_timeout, False
         while True:
             try:
                 return self._open()
             except LinkError as error:
                 if self._clock.now() >= deadline:
                     raise LinkError(
-                        f"no KST server answered within {self._patience:g} s: {error}"
+                        f"no KST server answered within {self._server_timeout:g} s: {error}"
                     ) from None
-            if not told:
+            if not notified:
                 self._tell(INSTRUCTIONS)
-                told = True
-            self._wait(RETRY)
+                notified = True
+            self._wait(RETRY_PERIOD)
             self._attend()
 
     def _at_rest(self, what: str) -> None:
@@ -307,45 +276,43 @@ class KstRobot:
             )
 
     def _done(self, command: bytes) -> None:
-        self._checked(expect_done, self._ask(command), _name(command))
+        line = self._request(command)
+        try:
+            expect_done(line, _name(command))
+        except LinkError as error:
+            self._fail(str(error))
 
     def _numbers(self, command: bytes) -> tuple[float, ...]:
-        line = self._ask(command)
+        line = self._request(command)
         try:
             return expect_numbers(line, self.joints, _name(command))
         except LinkError as error:
             self._fail(str(error))
 
-    def _checked(self, check: Callable[[bytes, str], None], line: bytes, command: str) -> None:
-        try:
-            check(line, command)
-        except LinkError as error:
-            self._fail(str(error))
-
-    def _ask(self, command: bytes) -> bytes:
-        """Send a command that waits for its own answer, when no other does, and return that."""
+    def _request(self, command: bytes) -> bytes:
+        """Send a command while no reply is pending, and return its reply."""
         self._collect()
         self._write(command)
-        return self._receive(f"the answer to {_name(command)}", REST_TOLERANCE)
-
-    def _receive(self, what: str, timeout: float) -> bytes:
-        deadline = self._clock.now() + timeout
-        while not self._came:
+        deadline = self._clock.now() + REPLY_TIMEOUT
+        while not self._received:
             if self._clock.now() >= deadline:
-                self._fail(f"expected {what} within {timeout:g} s, and nothing came")
-            self._wait(POLL)
+                self._fail(
+                    f"expected the answer to {_name(command)} within {REPLY_TIMEOUT:g} s, "
+                    "and nothing came"
+                )
+            self._wait(POLL_PERIOD)
             self._drain()
-        return self._came.popleft()
+        return self._received.popleft()
 
     def _collect(self) -> None:
-        """Match what came with the setpoints that wait for it."""
+        """Match the received lines with the pending setpoints."""
         self._drain()
         now = self._clock.now()
-        while self._came:
-            line = self._came.popleft()
-            if not self._waiting:
+        while self._received:
+            line = self._received.popleft()
+            if not self._pending:
                 self._fail(f"expected nothing, got {line[:120].decode('latin-1')!r}")
-            sent, torque = self._waiting.popleft()
+            sent, torque = self._pending.popleft()
             try:
                 values = expect_numbers(line, self.joints, "a setpoint")
             except LinkError as error:
@@ -355,14 +322,14 @@ class KstRobot:
             self._ready.append(
                 Reply(sent, now, None if torque else values, values if torque else None)
             )
-        if self._waiting and now - self._waiting[0][0] > self._timeout:
+        if self._pending and now - self._pending[0][0] > self._timeout:
             self._fail(f"expected the answer to a setpoint within {self._timeout:g} s")
 
     def _check_step(self, sent: float, q: tuple[float, ...]) -> None:
-        """Check that the arm can have come to joints [rad] since the answer before."""
+        """Check that the arm can have reached joints [rad] since the last reply."""
         before, q_before = self._last
         step = max(abs(a - b) for a, b in zip(q, q_before, strict=True))
-        most = FASTEST * (self._clock.now() - before) + NOISE
+        most = MAX_JOINT_SPEED * (self._clock.now() - before) + JOINT_NOISE
         if step > most:
             self._fail(
                 f"expected joints less than {most:.2g} rad from those before, got "
@@ -373,7 +340,7 @@ class KstRobot:
     def _drain(self) -> None:
         transport = self._link()
         try:
-            self._came.extend(self._lines.feed(transport.read()))
+            self._received.extend(self._lines.feed(transport.read()))
         except LinkError as error:
             self._fail(str(error))
 
@@ -392,7 +359,7 @@ class KstRobot:
         return self._transport
 
     def _fail(self, why: str) -> NoReturn:
-        """End the link for good."""
+        """Give up the link for good."""
         self._failure = (
             f"robot: {why}; the link is given up. A servo that runs goes on to the last setpoint, "
             "and software cannot stop it: be ready at the E-stop, and start the server again"

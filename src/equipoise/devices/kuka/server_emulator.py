@@ -1,25 +1,26 @@
-"""The KST server as bytes and times, with the real one's faults, in front of any arm.
+"""Emulator of the KST server, as bytes and times, with the real server's faults, for any arm.
 
-Two threads share one string in the real server, and so here. The *reader* takes each line; what
-sets targets, `getJointsPositions`, pins, stop and end it handles itself. Any other line waits in
-that string for the *main* thread, which is deaf while a servo or a motion runs. Hence:
+As in the real server, two threads share one string. The *reader* receives each line, and handles
+targets, `getJointsPositions`, pins, stop and end itself. Any other line waits in that string for
+the *main* thread, which ignores it while a servo or a motion runs. Hence:
 
-- it acknowledges a command before it clears the string: what comes at once after is erased, so that
-  of two main commands in one segment the first alone is answered;
-- a servo is acknowledged before it exists, and its target is then overwritten with the measured
-  joints; a point-to-point motion is acknowledged twice, and a setpoint in between as ever;
-- what arrives for the main thread while a servo runs stays without an answer, and the next line
-  erases it; an unknown command is never answered;
-- a number that Java cannot read kills the reader (`nan`; but `NaN` becomes the target), after which
-  nothing is heard, stop and end included, while the servo goes on; in velocities it ends the servo
-  instead, and an eighth velocity hangs the reader, as does a seventh number of a Cartesian target;
-- fewer than seven joints change the first ones only; more are ignored;
-- nothing watches the client: one that vanishes leaves servo and velocities on, and no other is ever
-  served.
+- The main thread acknowledges a command before it clears the string, which erases a command that
+  follows at once: of two main commands in one segment only the first is answered.
+- A servo is acknowledged before it exists; its target is then overwritten with the measured joints.
+  A point-to-point motion is acknowledged twice, and a setpoint in between as usual.
+- A command for the main thread that arrives while a servo runs is not answered, and the next line
+  erases it. An unknown command is never answered.
+- A number that Java cannot parse (`nan`; but `NaN` becomes the target) kills the reader: all later
+  lines are ignored, stop and end included, and the servo continues. In velocities it ends the servo
+  instead. An eighth velocity hangs the reader, as does a seventh number of a Cartesian target.
+- Fewer than seven joints change the first ones only; further ones are ignored.
+- The client is not supervised: if it vanishes, servo and velocities continue, and no other client
+  is ever served.
 
 Not modelled: a Cartesian servo answers, but the arm holds; Cartesian motions are acknowledged and
-then refused; conditional motions (`doPTP!`) are not answered; forces are zero; the velocity servo's
-targets go the way of all others; the server does not end when no client comes for 60 s.
+then refused; conditional motions (`doPTP!`) are not answered; forces are zero; targets of the
+velocity servo pass through the same servo model; the server does not end when no client connects
+for 60 s.
 """
 
 from collections.abc import Sequence
@@ -31,8 +32,8 @@ import numpy as np
 from equipoise.devices.kuka.codec import (
     SETPOINTS,
     VELOCITIES,
-    Asked,
     KstLineSplitter,
+    ReplyKind,
     java_double,
     numbers_reply,
     tokens,
@@ -51,34 +52,34 @@ from equipoise.devices.kuka.motion import (
 from equipoise.errors import InputError, LinkError
 
 PIN: Final = b"1\n\n"
-"""Every input of the flange reads as one, and with two line ends."""
-CLEARING: Final = 2e-4
-"""From an acknowledgement of the main thread until it has cleared its string [s]. The real window
-is shorter; only a client that answers at once meets it, and one behind a socket does not."""
+"""Reply for every input of the flange: one, with two line ends."""
+CLEARING_TIME: Final = 2e-4
+"""Time from an acknowledgement of the main thread until its string is cleared [s]. The real window
+is shorter; only a client that answers at once hits it, and a client behind a socket does not."""
 
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong on top of what the real server does wrong by itself."""
+    """Injected faults, in addition to the faults of the real server."""
 
     delay: float = 0.0
-    """Each answer comes so much later [s]."""
+    """Delay of each reply [s]."""
     jitter: float = 0.0
-    """And up to so much later again, evenly; their order stays [s]."""
+    """Maximum additional delay, uniformly distributed; replies keep their order [s]."""
     drop: float = 0.0
-    """Share of the answers that never come, 0 to 1; what was asked for is done."""
+    """Share of replies that are lost, 0 to 1; their commands are executed."""
     refuse: float = 0.0
-    """Share of the answers that are `nak` instead, 0 to 1."""
+    """Share of replies that are `nak` instead, 0 to 1."""
     deaf: bool = False
-    """Nothing that the client sends arrives, as on a half-open link; the servo goes on."""
+    """Whether received bytes are dropped, as on a half-open link; the servo continues."""
     close: bool = False
-    """The connection is cut; the servo goes on."""
+    """Whether the connection is cut; the servo continues."""
 
 
 class KstServer:
     """An emulated KST server for one client: bytes and times in, bytes out.
 
-    Feed what arrives, and advance at least once a millisecond, after the arm has::
+    Feed received bytes, and advance at least once a millisecond, after the arm::
 
         server.feed(data, now)
         for segment in server.advance(now):
@@ -92,10 +93,10 @@ class KstServer:
 
         Args:
             body: The arm.
-            speeds: Limits of its joints' velocities, by which motions go [rad/s], shape (7,); an
-                arm with another number of joints gets lines with as many fields.
-            faults: What goes wrong besides; it may be replaced at any time.
-            seed: Of what is random in the faults.
+            speeds: Velocity limits of the joints, which scale motions [rad/s], shape (7,); for an
+                arm with another number of joints, lines have as many fields.
+            faults: Injected faults; may be replaced at any time.
+            seed: Seed of random faults.
         """
         self.faults = faults
         self.ended = False
@@ -104,7 +105,7 @@ class KstServer:
         self._speeds = np.array(speeds, dtype=np.float64)
         self._random = np.random.default_rng(seed)
         self._lines = KstLineSplitter()
-        self._hears = True
+        self._reads = True
         self._gone = False
         self._now = 0.0
         self._segments: list[tuple[float, bytes]] = []
@@ -121,49 +122,46 @@ class KstServer:
 
     @property
     def deserted(self) -> bool:
-        """Whether the client went without an `end`; no other is ever heard."""
+        """Whether the client left without an `end`; no other is ever served."""
         return self._gone
 
     @property
     def busy(self) -> bool:
-        """Whether a servo or a motion runs, or is about to."""
+        """Whether a servo or a motion runs or is starting."""
         return self._task is not None
 
     def feed(self, data: bytes, now: float) -> None:
-        """Take bytes from the client.
+        """Receive bytes from the client.
 
         Args:
-            data: What has arrived; nothing is no harm.
+            data: Received bytes; may be empty.
             now: The time [s].
         """
         self._now = now
-        if self.closed or self.faults.deaf or not self._hears:
+        if self.closed or self.faults.deaf or not self._reads:
             return
         try:
-            lines = self._lines.feed(data)
+            for line in self._lines.feed(data):
+                if self._reads:
+                    self._read(line)
         except LinkError:
-            self._hears = False
-            return
-        for line in lines:
-            self._read(line)
-            if not self._hears:
-                return
+            self._reads = False
 
     def advance(self, now: float) -> list[bytes]:
-        """Let the server's threads run.
+        """Run the server's threads until a time.
 
         Args:
             now: The time [s].
 
         Returns:
-            What leaves for the client by now, segment by segment, in order.
+            Segments sent to the client by now, in order.
         """
         self._now = now
         if self._task is not None and self._task.step(now):
-            if self._task.last_words:
-                self._say(self._task.last_words)
-                # What came for the main thread meanwhile is erased with its own command.
-                self._waiting, self._cleared = "", now + CLEARING
+            if self._task.final_reply:
+                self._say(self._task.final_reply)
+                # Commands received meanwhile are erased with the task's own command.
+                self._waiting, self._cleared = "", now + CLEARING_TIME
             self._task = None
         if self._task is None and self._waiting and not self.ended:
             waiting, self._waiting = self._waiting, ""
@@ -173,12 +171,12 @@ class KstServer:
         return due if not (self._gone or self.faults.close) else []
 
     def vanished(self, now: float) -> None:
-        """Notice, unlike the real server, that the client went without an `end`.
+        """Record, unlike the real server, that the client left without an `end`.
 
-        The servo goes on to its last target, or with its last velocity. Nobody is heard again.
+        The servo continues to its last target, or with its last velocity. No line is read again.
         """
         self._now = now
-        self._gone, self._hears = True, False
+        self._gone, self._reads = True, False
 
     # The reader's thread.
 
@@ -189,43 +187,39 @@ class KstServer:
             if not self._takes_target(line, text) and not self._answers(line, text):
                 self._pass_on(text)
         except InputError:
-            self._hears = False
+            self._reads = False
 
     def _takes_target(self, line: bytes, text: str) -> bool:
-        for asked, command in SETPOINTS.items():
-            if text.startswith(f"{command}_"):
-                try:
-                    _put(self._targets.q, tokens(line)[1:])
-                finally:  # the servo follows what was read before the reader died
-                    if self._task is not None:
-                        self._task.taken()
-                self._answer(asked)
-                return True
-        for asked, command in VELOCITIES.items():
-            if text.startswith(f"{command}_"):
-                self._take_velocity(tokens(line)[1:], len(self._targets.q))
-                self._answer(asked)
-                return True
-        for asked, command in _CARTESIAN.items():
-            if text.startswith(f"{command}_"):
-                self._take_velocity(tokens(line)[1:], 6, keep=False)
-                self._answer(asked)
-                return True
-        return False
+        command, separator, _ = text.partition("_")
+        if not separator or command not in _TARGETS:
+            return False
+        commands, reply = _TARGETS[command]
+        fields = tokens(line)[1:]
+        if commands is SETPOINTS:
+            try:
+                _put(self._targets.q, fields)
+            finally:  # the servo follows the numbers read before the reader died
+                if self._task is not None:
+                    self._task.taken()
+        elif commands is VELOCITIES:
+            self._take_velocity(fields, self._targets.dq)
+        else:  # no servo follows a Cartesian target
+            self._take_velocity(fields, [0.0] * 6)
+        self._answer(reply)
+        return True
 
-    def _take_velocity(self, fields: list[str], count: int, *, keep: bool = True) -> None:
-        """Take velocities, or a Cartesian target that nothing follows."""
+    def _take_velocity(self, fields: list[str], into: list[float]) -> None:
         try:
-            _put(self._targets.dq if keep else [0.0] * count, fields[:count])
+            _put(into, fields)
         except InputError:
             self._targets.servo = False
             return
-        if len(fields) > count:
+        if len(fields) > len(into):
             raise InputError("the reader never comes out of its loop over the fields")
 
     def _answers(self, line: bytes, text: str) -> bool:
         if text.startswith("end"):
-            self._targets.servo, self.ended, self._hears = False, True, False
+            self._targets.servo, self.ended, self._reads = False, True, False
         elif text.startswith("stopDirectServoJoints"):
             self._targets.servo = False
             self._say(DONE)
@@ -242,20 +236,20 @@ class KstServer:
             return False
         return True
 
-    def _answer(self, asked: Asked) -> None:
-        if asked == "done":
+    def _answer(self, kind: ReplyKind) -> None:
+        if kind == "done":
             self._say(DONE)
-        elif asked == "joints":
+        elif kind == "joints":
             self._say(numbers_reply(self._body.measured()))
-        elif asked in ("external", "measured"):
-            self._say(numbers_reply(self._body.torques(asked == "external")))
-        elif asked == "pose":
+        elif kind in ("external", "measured"):
+            self._say(numbers_reply(self._body.torques(kind == "external")))
+        elif kind == "pose":
             self._say(numbers_reply(self._body.flange()))
-        elif asked == "force":
+        elif kind == "force":
             self._say(numbers_reply((0.0, 0.0, 0.0)))
 
     def _pass_on(self, text: str) -> None:
-        """Leave a command to the main thread."""
+        """Pass a command to the main thread."""
         if self._now < self._cleared - EPSILON:
             return
         if self._task is None:
@@ -263,18 +257,18 @@ class KstServer:
         else:
             self._waiting = text
 
-    def _say(self, answer: bytes) -> None:
+    def _say(self, reply: bytes) -> None:
         faults = self.faults
         if faults.drop and self._random.random() < faults.drop:
             return
         if faults.refuse and self._random.random() < faults.refuse:
-            answer = NAK
+            reply = NAK
         due = self._now + faults.delay
         if faults.jitter:
             due += faults.jitter * self._random.random()
         if self._segments:
             due = max(due, self._segments[-1][0])
-        self._segments.append((due, answer))
+        self._segments.append((due, reply))
 
     # The main thread.
 
@@ -291,8 +285,8 @@ class KstServer:
                 self._begin("held")
             elif text.startswith("startSmartImpedneceJoints"):
                 _put([0.0] * len(self._targets.q), fields)
-                # Joint 1 keeps the target that it had: the real loop begins with joint 2.
-                self._begin("joints", first=1, last_words=DONE)
+                # Joint 1 keeps its old target: the real loop begins with joint 2.
+                self._begin("joints", first=1, final_reply=DONE)
             elif text.startswith(("handGuiding", "preciseHandGuiding")):
                 self._say(DONE)
             elif text.startswith("doPTPinJS"):
@@ -300,7 +294,7 @@ class KstServer:
                 self._task = self._move()
             elif text.startswith("doPTPinCS"):
                 self._say(DONE)
-                raise InputError("nothing here plans a Cartesian motion")
+                raise InputError("Cartesian motions are not planned")
             elif text.startswith("jRelVel"):
                 self._relative = java_double(fields[0] if fields else "jRelVel")
                 self._say(DONE)
@@ -311,10 +305,10 @@ class KstServer:
             elif text in _END_EFFECTOR:
                 self._answer(_END_EFFECTOR[text])
             else:
-                return  # it stays in the string, and harms nobody
+                return  # it stays in the string, without effect
         except InputError:
             self._say(NAK)
-        self._cleared = self._now + CLEARING
+        self._cleared = self._now + CLEARING_TIME
 
     def _take_tool(self, fields: list[str]) -> None:
         _put([0.0] * len(fields), fields)
@@ -322,13 +316,13 @@ class KstServer:
             raise InputError("a seventh number is out of the bounds of the frame")
         self._say(DONE if len(fields) == 6 else NAK)
         if len(fields) < 6:
-            self.ended, self._hears = True, False
+            self.ended, self._reads = True, False
 
-    def _begin(self, mode: Mode, *, first: int = 0, last_words: bytes = b"") -> None:
+    def _begin(self, mode: Mode, *, first: int = 0, final_reply: bytes = b"") -> None:
         self._targets.servo = True
         self._say(DONE)
         self._task = ServoTask(
-            self._body, self._targets, self._now, mode, first=first, last_words=last_words
+            self._body, self._targets, self._now, mode, first=first, final_reply=final_reply
         )
 
     def _move(self) -> PtpTask:
@@ -339,12 +333,12 @@ class KstServer:
 
 
 def _put(into: list[float], fields: list[str]) -> None:
-    """Replace the first numbers of a list, up to one that cannot be read."""
+    """Replace the first numbers of a list, up to the first invalid field."""
     for i, field in enumerate(fields[: len(into)]):
         into[i] = java_double(field)
 
 
-_CARTESIAN: Final[dict[Asked, str]] = {
+_CARTESIAN: Final[dict[ReplyKind, str]] = {
     "nothing": "DcSeCar",
     "joints": "DcSeCarJP",
     "external": "DcSeCarExT",
@@ -352,7 +346,13 @@ _CARTESIAN: Final[dict[Asked, str]] = {
     "pose": "DcSeCarEEfP",
     "force": "DcSeCarEEfFrelEEF",
 }
-_END_EFFECTOR: Final[dict[str, Asked]] = {
+_TARGETS: Final[dict[str, tuple[dict[ReplyKind, str], ReplyKind]]] = {
+    command: (commands, kind)
+    for commands in (SETPOINTS, VELOCITIES, _CARTESIAN)
+    for kind, command in commands.items()
+}
+"""Table and reply of each command that sets a target, by its name."""
+_END_EFFECTOR: Final[dict[str, ReplyKind]] = {
     "Eef_pos": "pose",
     "Eef_force": "force",
     "Eef_moment": "force",

@@ -1,9 +1,9 @@
-"""How fast the flange may move where setpoints come slowly.
+"""Speed limit of the flange for slow streams of setpoints.
 
-The servo of a KST server goes towards each setpoint as soon as it comes, and the faster the further
-away it is: where setpoints come seldom, joints move in steps, and the steps are faster than the
-motion (`equipoise.model.actuator.shaped_peak`). The peaks have to stay below the speed at which the
-cabinet stops the arm.
+The servo of a KST server moves towards each setpoint on arrival, at a speed that grows with the
+distance. With a slow stream the joints move in steps that are faster than the commanded motion
+(`equipoise.model.actuator.shaped_peak`). Their peaks must stay below the speed at which the cabinet
+stops the arm.
 """
 
 from collections.abc import Iterator
@@ -19,18 +19,18 @@ from equipoise.model.arms.arm import FREE_JOINTS, Arm
 Array = npt.NDArray[np.float64]
 
 SHAPED_SHARE: Final = 0.8
-"""Of a joint's speed limit: what the shaped peak of its velocity may reach."""
-LINK_SPACING: Final = 0.005
-"""Distance between two places of the track that are looked at [m]: the rates of the joints change
-by 1 % from one to the next."""
+"""Maximum share of a joint's speed limit for the shaped peak of its velocity [-]."""
+TRACK_STEP: Final = 0.005
+"""Distance between two evaluated points of the track [m]; the rates of the joints change by 1 %
+from one to the next."""
 
 
 def flange_speed(arm: Arm, period: float) -> float:
-    """Return how fast the flange may go anywhere on its track, for each joint's shaped peak [m/s].
+    """Return the flange speed that brings a joint to its shaped peak, along the track [m/s].
 
     Args:
         arm: The arm with its home posture.
-        period: Longest time between two setpoints [s].
+        period: Maximum time between two setpoints [s].
     """
     limits = [SHAPED_SHARE * joint.velocity for joint in arm.free_joints]
     allowed = np.array([speed_of_peak(limit, period) for limit in limits])
@@ -38,16 +38,16 @@ def flange_speed(arm: Arm, period: float) -> float:
 
 
 def _rates_along_track(arm: Arm) -> Iterator[Array]:
-    """Yield by how much the free joints turn as the flange moves along x [rad/m], shape (6,)."""
+    """Yield the rates of the free joints per flange velocity along x [rad/m], shape (6,)."""
     along_x = np.zeros(FREE_JOINTS)
     along_x[0] = 1.0
 
     def rates(q: Array) -> Array:
         return np.asarray(np.linalg.solve(arm.kinematics(q).jacobian, along_x), np.float64)
 
-    for ahead in (LINK_SPACING, -LINK_SPACING):
+    for ahead in (TRACK_STEP, -TRACK_STEP):
         q = arm.home_free
-        for _ in range(round(paper.X_LIMIT / LINK_SPACING) + 1):
-            # A joint that does not move is never too fast.
+        for _ in range(round(paper.X_LIMIT / TRACK_STEP) + 1):
+            # Avoids a division by zero for a joint that does not move.
             yield np.maximum(np.abs(rates(q)), np.finfo(np.float64).tiny)
             q = q + ahead * rates(q + 0.5 * ahead * rates(q))

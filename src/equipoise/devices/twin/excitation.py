@@ -1,12 +1,12 @@
-"""Motions around home that show how an arm follows its setpoints, and their record on a twin.
+"""Excitation of an arm for identifying how it follows setpoints, and its record on a twin.
 
-Each free joint swings about home in two sines under one Hann window, which begins and ends at rest:
-slow and fast motion, from none to the joint's top speed. No two frequencies are equal, and none is
-near the pendulum's own, so that it hangs through all of it.
+Each free joint moves about home along two sines under one Hann window, from rest to rest and up to
+the joint's top speed. All frequencies differ, and are far from the pendulum's natural frequency, so
+that the pendulum keeps hanging.
 
-The server's servo answers a stream of 5 ms with bursts of twice the joint's mean speed; what the
-shoulder carries makes torques of them. Its top speeds are such that the drives keep below their
-limits also where they are twice as fast as we assume.
+The server's servo answers a stream of 5 ms with bursts of twice the joint's mean speed, which the
+load of the shoulder turns into torques. The top speeds keep the drives below their limits, even for
+drives twice as fast as assumed.
 """
 
 from typing import Final, NamedTuple
@@ -21,34 +21,34 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import TwinSettings
 
 PERIOD: Final = 0.005
-"""Between two setpoints [s]: half a control step."""
+"""Time between two setpoints [s]: half a control step."""
 DURATION: Final = 10.0
-"""Length of a record [s]."""
+"""Duration of a record [s]."""
 TOP_SPEED: Final = np.array([0.45, 0.3, 0.4, 1.0, 1.0, 1.0])
-"""Of each free joint, from the base on [rad/s]: from shoulder to hand they carry less and less."""
+"""Top speed of each free joint, from the base on [rad/s]; the load falls towards the flange."""
 FAST: Final = np.array([16.0, 14.5, 13.0, 12.0, 10.0, 11.0])
 """Angular frequency of the faster sine of each free joint [rad/s]."""
 SLOW_SHARE: Final = 0.4
-"""Of the slower sine's to the faster one's: the pendulum's own, 8.4 rad/s, lies between them."""
+"""Ratio of the slower to the faster frequency [-]; the pendulum's own, 8.4 rad/s, lies between."""
 MARGIN: Final = 0.8
-"""Share of the limits of velocity and acceleration that is used."""
+"""Maximum share of the limits of velocity and acceleration [-]."""
 
 
 class ExcitationRecord(NamedTuple):
-    """What was sent to an arm and what came back, by one clock."""
+    """Setpoints sent to an arm, and its measurements, on one clock."""
 
     stream_time: Floats
-    """When each setpoint was sent [s], shape (m,)."""
+    """Time of each setpoint [s], shape (m,)."""
     stream_q: Floats
-    """The setpoints of the free joints [rad], shape (m, 6)."""
+    """Setpoints of the free joints [rad], shape (m, 6)."""
     reply_time: Floats
-    """When each measured position was taken [s], shape (p,)."""
+    """Time of each measurement of the joints [s], shape (p,)."""
     reply_q: Floats
-    """The measured free joints [rad], shape (p, 6)."""
+    """Measured free joints [rad], shape (p, 6)."""
     encoder_time: Floats
     """Time stamps of the encoder [s], shape (p,)."""
     counts: Floats
-    """Its counts, shape (p,)."""
+    """Counts of the encoder, shape (p,)."""
 
 
 def excitation(arm: Arm, duration: float = DURATION, period: float = PERIOD) -> Floats:
@@ -56,8 +56,8 @@ def excitation(arm: Arm, duration: float = DURATION, period: float = PERIOD) -> 
 
     Args:
         arm: The arm with its home posture.
-        duration: From the first to the last [s].
-        period: From one to the next [s].
+        duration: Time from the first to the last setpoint [s].
+        period: Time between two setpoints [s].
 
     Returns:
         Free joints [rad], shape (m, 6).
@@ -91,34 +91,25 @@ def excite(
     seed: int,
     duration: float = DURATION,
 ) -> ExcitationRecord:
-    """Send the excitation to a twin whose pendulum hangs, and record what it shows.
+    """Send the excitation to a twin with a hanging pendulum, and record its measurements.
 
     Args:
         arm: The arm with its home posture.
         settings: The world's numbers.
-        pendulum: The pendulum, with the friction that acts in the twin.
+        pendulum: The pendulum, with its friction in the twin.
         seed: Master seed of jitter and noise.
-        duration: Length of the record [s].
+        duration: Duration of the record [s].
 
     Raises:
         ArmError: The masses of the arm's links are not known, or home is close to a limit.
     """
     twin = Twin(arm, pendulum, settings, seed=seed)
     stream_q = excitation(arm, duration)
-    sent: list[float] = []
-    replies: list[tuple[Floats, float]] = []
-    encoder: list[tuple[float, float]] = []
+    rows: list[tuple[float, Floats, float, float, float]] = []
     for q in stream_q:
-        sent.append(twin.now)
+        now = twin.now
         twin.send(q)
         twin.advance(PERIOD)
-        replies.append(twin.measured())
-        encoder.append(twin.encoder())
-    return ExcitationRecord(
-        stream_time=np.array(sent),
-        stream_q=stream_q,
-        reply_time=np.array([time for _, time in replies]),
-        reply_q=np.array([q for q, _ in replies]),
-        encoder_time=np.array([time for _, time in encoder]),
-        counts=np.array([counts for counts, _ in encoder]),
-    )
+        rows.append((now, *twin.measured(), *twin.encoder()))
+    sent, reply_q, reply_time, counts, encoder_time = map(np.array, zip(*rows, strict=True))
+    return ExcitationRecord(sent, stream_q, reply_time, reply_q, encoder_time, counts)

@@ -1,8 +1,8 @@
-"""Faults of processes, ports and the machine's load: the real course, in real time.
+"""Faults of processes, ports and the machine's load, rehearsed in real time.
 
-An emulated rig answers on a port and a pseudo-terminal in this process; `equipoise deploy` runs in
-another one, and is not told. What it says is read from its output, what the arm does is seen on the
-bench.
+An emulated rig serves a port and a pseudo-terminal in this process. `equipoise deploy` runs in
+another process, as on a real rig. Its messages are read from its output, and the motion of the arm
+from the simulated rig.
 """
 
 import os
@@ -39,47 +39,47 @@ from equipoise.studies.rehearsal.verdicts import (
 
 HOST: Final = "127.0.0.1"
 BALANCED: Final = 6.0
-"""How long the run shall balance [s]."""
+"""Duration of the balancing [s]."""
 RUN_TIMEOUT: Final = 100.0
-"""A run that has not ended after so long hangs [s]."""
-LOAD: Final = 3.0
-"""The machine is kept busy for so long [s]."""
+"""Timeout of a run [s]."""
+LOAD_TIME: Final = 3.0
+"""Duration of the load on the machine [s]."""
 
 
 class LiveFault(NamedTuple):
-    """A line of the list that needs real time."""
+    """Fault that is rehearsed in real time."""
 
     name: str
-    """As the list calls it."""
+    """Name of the fault."""
     kind: str
-    """What it is a fault of."""
+    """Subject of the fault."""
     injected: str
-    """What goes wrong, and when."""
+    """Description of the fault and its time."""
     should: str
-    """What has to happen."""
+    """Description of the required end."""
     play: Callable[[], tuple[str, list[str]]]
-    """Makes it happen; returns what did, and what of that is not as it should be."""
+    """Runs the rehearsal; returns a description of the actual end, and its problems."""
 
 
 class LiveRun(NamedTuple):
-    """A run of `equipoise deploy` on an emulated rig, and what is seen of both."""
+    """Run of `equipoise deploy` on an emulated rig."""
 
     process: subprocess.Popen[str]
-    """The run."""
+    """Process of the run."""
     emulation: Emulation
-    """The rig."""
+    """Emulated rig."""
     port: int
-    """The robot's."""
+    """Port of the robot."""
     log: Path
-    """The run's."""
+    """Log of the run."""
     lines: list[tuple[float, str]]
-    """What the run says, and when [s]."""
+    """Output of the run: time [s] and line."""
 
     def wait_for(self, words: str, since: float = 0.0) -> float:
-        """Wait until the run says something, and return when it did [s].
+        """Wait until the run prints a text, and return the time of its line [s].
 
         Raises:
-            TimeoutError: It does not.
+            TimeoutError: The text is not printed.
         """
         until = time.monotonic() + RUN_TIMEOUT
         while time.monotonic() < until:
@@ -93,16 +93,16 @@ class LiveRun(NamedTuple):
 
 
 @contextmanager
-def course(*policy: str, duration: float = BALANCED) -> Generator[LiveRun]:
-    """Run the whole course beside this process.
+def live_run(*policy: str, duration: float = BALANCED) -> Generator[LiveRun]:
+    """Run `equipoise deploy` in another process.
 
     Args:
-        policy: Name of the policy; by default the table that ships.
+        policy: Name of the policy (default: the shipped table).
         duration: Duration of the balancing [s].
     """
     settings, world = RigSettings(), read_world(WORLD).settings
     over = threading.Event()
-    ready: list[int] = []
+    ports: list[int] = []
     with tempfile.TemporaryDirectory(prefix="equipoise-") as folder:
         emulation = Emulation(
             settings.described_arm,
@@ -112,18 +112,18 @@ def course(*policy: str, duration: float = BALANCED) -> Generator[LiveRun]:
         )
 
         def serve() -> None:
-            _be_punctual()
-            emulation.run(HOST, 0, over.is_set, listening=ready.append)
+            _raise_priority()
+            emulation.run(HOST, 0, over.is_set, listening=ports.append)
 
         rig = threading.Thread(target=serve, daemon=True)
-        _be_punctual()
+        _raise_priority()
         rig.start()
-        while not ready:
+        while not ports:
             time.sleep(0.01)
         log = Path(folder) / "run.mcap"
         command = [
             *(sys.executable, "-m", "equipoise", "deploy", *policy),
-            *("--robot", f"kst://{HOST}:{ready[0]}"),
+            *("--robot", f"kst://{HOST}:{ports[0]}"),
             *("--encoder", f"serial://{emulation.terminal}"),
             *("--duration", str(duration), "--out", str(log)),
         ]
@@ -139,65 +139,61 @@ def course(*policy: str, duration: float = BALANCED) -> Generator[LiveRun]:
         lines: list[tuple[float, str]] = []
         threading.Thread(target=_attend, args=(process, lines), daemon=True).start()
         try:
-            yield LiveRun(process, emulation, ready[0], log, lines)
+            yield LiveRun(process, emulation, ports[0], log, lines)
         finally:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             over.set()
             rig.join(5.0)
-            _be_as_others()
+            with suppress(OSError, AttributeError):
+                os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def _be_punctual() -> None:
-    """Let this thread come before others, where that is allowed: a cabinet has its own computer.
+def _raise_priority() -> None:
+    """Give this thread real-time priority, if allowed: a real cabinet has its own computer.
 
-    Each thread that shares the interpreter's lock has to: whoever holds it must not be held up.
+    All threads that share the interpreter's lock need it, so that its holder is not preempted.
     """
     with suppress(OSError, AttributeError):
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
         os.sched_setscheduler(0, policy, os.sched_param(40))
 
 
-def _be_as_others() -> None:
-    with suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
 ANSWERS: Final = (
     (re.compile(r"Type (\w+)\."), None),
     (re.compile(r"y or n"), "y"),
 )
+"""Pattern of each prompt, and its answer; None for the first group of the match."""
 
 
 def _attend(process: subprocess.Popen[str], lines: list[tuple[float, str]]) -> None:
-    """Read what the run says, and answer as it asks."""
-    _be_punctual()
+    """Record the output of the run, and answer its prompts."""
+    _raise_priority()
     if process.stdout is None or process.stdin is None:
         return
     for line in process.stdout:
         lines.append((time.monotonic(), line.rstrip()))
         for pattern, answer in ANSWERS:
-            if (asked := pattern.search(line)) is not None:
+            if (prompt := pattern.search(line)) is not None:
                 with suppress(OSError):
-                    process.stdin.write((answer or asked.group(1)) + "\n")
+                    process.stdin.write((answer or prompt.group(1)) + "\n")
                     process.stdin.flush()
 
 
-def _ended(run: LiveRun) -> int | None:
-    try:
+def _exit_code(run: LiveRun) -> int | None:
+    with suppress(subprocess.TimeoutExpired):
         return run.process.wait(RUN_TIMEOUT)
-    except subprocess.TimeoutExpired:
-        return None
+    return None
 
 
-def _judged(run: LiveRun, codes: Sequence[int]) -> list[str]:
-    """Return what is wrong with the end of a run that software stopped."""
-    code = _ended(run)
+def _judge(run: LiveRun, codes: Sequence[int]) -> list[str]:
+    """Return the problems of the end of a run that software stopped."""
+    code = _exit_code(run)
     if code is None:
         return ["the run did not end"]
     problems = [] if code in codes else [f"exit code {code}: {run.lines[-8:]}"]
-    problems += _rests(run.emulation)
+    problems += _check_rest(run.emulation)
     try:
         log = RunLog.load(run.log, damaged=True)
     except EquipoiseError as error:
@@ -210,33 +206,32 @@ def _judged(run: LiveRun, codes: Sequence[int]) -> list[str]:
     return problems + (came_to_rest(arm, sent, stops[0]) if stops else ["no stop was logged"])
 
 
-def _rests(emulation: Emulation) -> list[str]:
+def _check_rest(emulation: Emulation) -> list[str]:
     bench = emulation.bench
     time.sleep(0.5)
-    places: list[Any] = []
+    postures: list[Any] = []
     for _ in range(30):
-        places.append(np.array(bench.twin.kernel.bodies.qpos[: bench.joints]))
+        postures.append(np.array(bench.twin.kernel.bodies.qpos[: bench.joints]))
         time.sleep(0.01)
-    moved = float(np.ptp(np.array(places), axis=0).max())
+    moved = float(np.ptp(np.array(postures), axis=0).max())
     return [f"at the end a joint moves by {moved:.3f} rad"] if moved > REST_TOLERANCE else []
 
 
-def _last_words(run: LiveRun) -> str:
-    told = [line.strip() for _, line in run.lines if line.strip()]
-    return next((line for line in reversed(told) if "ended" in line), told[-1] if told else "")
+def _final_line(run: LiveRun) -> str:
+    lines = [line.strip() for _, line in run.lines if line.strip()]
+    return next((line for line in reversed(lines) if "ended" in line), lines[-1] if lines else "")
 
 
-def _signalled(number: signal.Signals, words: str, after: float) -> LiveFault:
+def _signal_fault(number: signal.Signals, words: str, after: float) -> LiveFault:
     def play() -> tuple[str, list[str]]:
-        with course() as run:
+        with live_run() as run:
             run.wait_for(words)
             time.sleep(after)
-            if number is signal.SIGINT:  # Ctrl-C reaches each process of the terminal
-                os.killpg(run.process.pid, number)
-            else:
-                os.kill(run.process.pid, number)
-            problems = _judged(run, (130,))
-            return _last_words(run), problems
+            # Ctrl-C reaches each process of the terminal.
+            send = os.killpg if number is signal.SIGINT else os.kill
+            send(run.process.pid, number)
+            problems = _judge(run, (130,))
+            return _final_line(run), problems
 
     return LiveFault(
         f"{number.name}: {words.lower()}",
@@ -255,7 +250,7 @@ def _descendants(pid: int) -> list[int]:
     return found
 
 
-def _holds(pid: int, port: int) -> bool:
+def _connected(pid: int, port: int) -> bool:
     """Return whether a process has a connection to a port of this machine."""
     inodes = {
         fields[9]
@@ -270,49 +265,48 @@ def _holds(pid: int, port: int) -> bool:
     return False
 
 
-def _killed() -> tuple[str, list[str]]:
-    with course() as run:
+def _play_kill() -> tuple[str, list[str]]:
+    with live_run() as run:
         run.wait_for("Balancing")
         time.sleep(1.0)
-        loop = [pid for pid in _descendants(run.process.pid) if _holds(pid, run.port)]
+        loop = [pid for pid in _descendants(run.process.pid) if _connected(pid, run.port)]
         if not loop:
             return "", ["the loop's process was not found"]
         os.kill(loop[0], signal.SIGKILL)
         killed = time.monotonic()
-        told = run.wait_for("software cannot stop", killed)
-        late = told - killed
+        late = run.wait_for("software cannot stop", killed) - killed
         problems = [] if late <= TOLD else [f"the operator was told after {1e3 * late:.0f} ms"]
-        code = _ended(run)
+        code = _exit_code(run)
         if code != 3:
             problems.append(f"exit code {code}, expected 3")
-        problems += _rests(run.emulation)
+        problems += _check_rest(run.emulation)
         return f"told after {1e3 * late:.0f} ms to press the E-stop; the arm rests", problems
 
 
-def _second_client() -> tuple[str, list[str]]:
-    with course() as run:
+def _play_second_client() -> tuple[str, list[str]]:
+    with live_run() as run:
         run.wait_for("Balancing")
-        answered = b""
+        reply = b""
         with suppress(OSError), socket.create_connection((HOST, run.port), 1.0) as second:
             second.settimeout(1.0)
             second.sendall(b"getJointsPositions\nend\n")
-            answered = second.recv(100)
-        problems = _judged(run, (0, 1))
-        if answered:
-            problems.append(f"the server answered {answered!r}")
-        return _last_words(run), problems
+            reply = second.recv(100)
+        problems = _judge(run, (0, 1))
+        if reply:
+            problems.append(f"the server answered {reply!r}")
+        return _final_line(run), problems
 
 
-def _busy() -> tuple[str, list[str]]:
-    with course() as run:
+def _play_load() -> tuple[str, list[str]]:
+    spin = f"import time\nend = time.monotonic() + {LOAD_TIME}\nwhile time.monotonic() < end: pass"
+    with live_run() as run:
         run.wait_for("Balancing")
-        spin = f"import time\nend = time.monotonic() + {LOAD}\nwhile time.monotonic() < end: pass"
         load = [
             subprocess.Popen([sys.executable, "-c", spin]) for _ in range(2 * (os.cpu_count() or 1))
         ]
         try:
-            problems = _judged(run, (0, 1))
-            return _last_words(run), problems
+            problems = _judge(run, (0, 1))
+            return _final_line(run), problems
         finally:
             for process in load:
                 process.wait()
@@ -322,26 +316,26 @@ REAL_TIME: Final = (
     LiveFault(
         "CPU load",
         "process",
-        f"twice as many busy processes as cores for {LOAD:g} s, while balancing",
+        f"twice as many busy processes as cores for {LOAD_TIME:g} s, while balancing",
         "it balances, or a late tick stops it; the arm rests",
-        _busy,
+        _play_load,
     ),
     LiveFault(
         "second client",
         "process",
         "another program connects to the robot, while balancing",
         "it is not answered, and the run goes on",
-        _second_client,
+        _play_second_client,
     ),
     LiveFault(
         "control process killed",
         "process",
         "SIGKILL to the process that moves the arm, while balancing",
         "told within 100 ms that software cannot stop the robot; it rests at its last target",
-        _killed,
+        _play_kill,
     ),
     *(
-        _signalled(number, words, after)
+        _signal_fault(number, words, after)
         for number, words, after in (
             (signal.SIGINT, "Moving to home", 0.4),
             (signal.SIGTERM, "Self-test: the arm moves", 0.6),
@@ -351,4 +345,4 @@ REAL_TIME: Final = (
         )
     ),
 )
-"""Those that need real processes and ports."""
+"""Faults that need real processes and ports."""
