@@ -59,30 +59,30 @@ LARGEST_TILT_DEG: Final = 1.0
 """A base that leans more than this is to be levelled [deg]: the track would climb, and gravity
 would pull along it by 0.17 m/s^2, a twelfth of the largest command."""
 ENCODER_POLL_PERIOD: Final = 0.010
-"""So often whoever waits reads the encoder [s]: a terminal keeps 0.1 s of its lines."""
+"""Encoder polling period while waiting [s]; a terminal buffers 0.1 s of lines."""
 START_OFFSET: Final = 0.1
-"""An emulated arm stands up to so far from home at first, each joint [rad]."""
+"""Maximum initial distance of each emulated joint from home [rad]."""
 
 
 class RigSettings(Value):
-    """What `rig.toml` says."""
+    """Contents of `rig.toml`."""
 
     name: Name = "rig"
-    """What the rig is called in logs."""
+    """Name of the rig in logs."""
     arm: Name = "iiwa7"
     """Name of the arm, or path of its URDF (from the folder of this file)."""
     held: int | Name | None = None
-    """Joint of a URDF that does not move, by name or counted from one."""
+    """Joint of a URDF that is held still, by name or counted from one."""
     base: Name | None = None
     """Fixed link of a URDF; by default its root."""
     tip: Name | None = None
     """Link of a URDF that is the flange; by default its only end."""
     acceleration_deg: float | None = Field(default=None, gt=0.0, le=1e5)
-    """Acceleration limit of every joint of a URDF [deg/s^2]; a URDF holds none."""
+    """Acceleration limit of every joint of a URDF [deg/s^2], which a URDF does not contain."""
     robot: Name | None = None
-    """Where the robot answers, if --robot is not given, e.g. kst://172.31.1.147:30001."""
+    """Default of --robot, e.g. kst://172.31.1.147:30001."""
     encoder: Name | None = None
-    """Where the encoder does, if --encoder is not given, e.g. serial:///dev/ttyACM0."""
+    """Default of --encoder, e.g. serial:///dev/ttyACM0."""
     home_deg: Annotated[tuple[Degrees, ...], Field(max_length=MOST_JOINTS)] | None = None
     """Posture at x = 0, all joints [deg], with the pendulum's spindle along base y; by default the
     arm's own. For a URDF one is searched, which knows nothing of tables and walls."""
@@ -97,39 +97,39 @@ class RigSettings(Value):
     encoder_sign: Literal[1, -1] = 1
     """1 if counts grow with theta, the pendulum's angle from hanging, else -1."""
     table_height_mm: float | None = Field(default=None, ge=-2e3, le=2e3)
-    """The highest thing below the track, above the plane of the arm's base [mm]; none if there is
-    nothing. The hanging pendulum must not come near it."""
+    """Height of the highest obstacle below the track, above the plane of the arm's base [mm]; None
+    without an obstacle. The hanging pendulum must keep clear of it."""
     base_tilt_deg: tuple[Degrees, Degrees] = (0.0, 0.0)
-    """How the base leans, about its x and its y [deg]."""
+    """Tilt of the base about its x and its y [deg]."""
     position_margin_deg: float = Field(default=degrees(POSITION_MARGIN), ge=1.0, le=30.0)
-    """Setpoints stay so far inside the joints' limits [deg]."""
+    """Minimum distance of setpoints from the joints' position limits [deg]."""
     speed_share: float = Field(default=1.0, gt=0.0, le=1.0)
-    """... and below this share of their velocity limits; a run stops before it is passed."""
+    """Maximum share of the joints' velocity limits [-]; a run stops before exceeding it."""
     torque_share: float = Field(default=TORQUE_SHARE, gt=0.0, le=1.0)
-    """Of the torque that a joint can give: a run stops where the external one is further than that
-    from what it was at home."""
+    """Maximum change of an external torque from its value at home, as a share of the joint's torque
+    limit [-]; a run stops beyond it."""
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all of it."""
+        """SHA-256 of all fields."""
         return value_digest(self)
 
     def changed(self, **fields: Any) -> Self:
-        """Return a rig with some fields changed; unlike `model_copy`, it forgets the old arm."""
+        """Return a rig with some fields changed; unlike `model_copy`, it rebuilds the arm."""
         return self.model_validate(self.model_dump() | fields)
 
     def with_arm(self, arm: Arm) -> Self:
-        """Return the rig with the arm of its log, whatever has become of the file that it names."""
+        """Return the rig with the arm of its log, even if the URDF that it names has changed."""
         rig = self.model_copy()
         vars(rig)["described_arm"] = arm
         return rig
 
     @cached_property
     def described_arm(self) -> Arm:
-        """The arm as it stands there: its home, and the pendulum's pivot on its flange.
+        """Arm of the rig, with its home posture and the pendulum's pivot on its flange.
 
         Raises:
-            ArmError: There is no such arm, or home is outside the joints' limits.
+            ArmError: The arm is unknown, or home is outside the joints' limits.
         """
         limit = self.acceleration_deg
         arm = resolve_arm(
@@ -166,10 +166,10 @@ class RigSettings(Value):
 
 
 def read_rig(path: Path | None) -> RigSettings:
-    """Return what a `rig.toml` says; without one, the defaults.
+    """Read a `rig.toml`; return the defaults without a path.
 
     Raises:
-        SettingsError: The file cannot be read, or says what cannot be.
+        SettingsError: The file cannot be read, or a value is invalid.
     """
     if path is None:
         return RigSettings()
@@ -299,7 +299,7 @@ def connect(
         encoder: Address of an angle sensor, such as `serial:///dev/ttyACM0`; None for a twin.
         settings: The settings of the rig.
         pendulum: The pendulum on a twin.
-        seed: Seed of all that is random on a twin.
+        seed: Seed of all random numbers on a twin.
         period: Time between two setpoints [s].
         tell: Receives instructions to the operator while a connection is made.
         attend: Called now and then meanwhile; an exception that it raises ends the wait.
@@ -432,7 +432,7 @@ def emulated_rig(
         settings: The settings of the rig.
         pendulum: The pendulum, with the friction that acts in the twin.
         robot: Scheme of the robot; `twin` has no link, and the twin's own encoder.
-        seed: Seed of all that is random.
+        seed: Seed of all random numbers.
         period: Time between two setpoints [s].
 
     Raises:

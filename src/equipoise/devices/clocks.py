@@ -1,15 +1,15 @@
-"""Clocks: the machine's own, and one whose time passes only where someone waits."""
+"""Clocks: the machine's monotonic clock, and virtual time that passes only in waits."""
 
 import time
 from collections.abc import Callable
 from typing import Final
 
 TICK: Final = 0.001
-"""In so long steps virtual time goes [s]."""
+"""Step of virtual time [s]."""
 
 
 class SystemClock:
-    """The machine's monotonic clock, which no change of the date moves."""
+    """Monotonic clock of the machine, independent of changes of the date."""
 
     def now(self) -> float:
         """Return the time [s]."""
@@ -22,18 +22,18 @@ class SystemClock:
 
 
 class VirtualClock:
-    """Time that passes only while someone waits, in whole milliseconds.
+    """Virtual time, which passes only during waits, in whole milliseconds.
 
-    Whatever is attached runs once in each: `work(now)`, in the order of attachment.
+    Each attached function `work(now)` runs once per millisecond, in the order of attachment.
     """
 
     def __init__(self) -> None:
-        """Begin at zero, with nothing attached."""
+        """Start at zero, without attached functions."""
         self._ticks = 0
         self._work: list[Callable[[float], None]] = []
 
     def attach(self, work: Callable[[float], None]) -> None:
-        """Let `work(now)` run in each millisecond from now on."""
+        """Run `work(now)` in each millisecond from now on."""
         self._work.append(work)
 
     def now(self) -> float:
@@ -41,7 +41,7 @@ class VirtualClock:
         return self._ticks * TICK
 
     def wait_until(self, moment: float) -> None:
-        """Let milliseconds pass until a time [s]."""
+        """Advance in milliseconds to a time [s]."""
         while self.now() < moment - 0.5 * TICK:
             self._ticks += 1
             for work in self._work:

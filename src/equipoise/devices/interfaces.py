@@ -1,8 +1,8 @@
-"""What a rig is made of: a robot, an angle sensor and a clock; and what carries their bytes.
+"""Interfaces of a rig: robot, angle sensor, clock, and the transport of their bytes.
 
-All times are those of the rig's `Clock`, in seconds, from an arbitrary zero; they never go back.
-Nothing here blocks but what says so: one thread drains robot and sensor, and sleeps at the clock
-only. What fails raises `equipoise.errors.LinkError`, and stays failed: no device resumes by itself.
+All times are those of the rig's `Clock` [s], from an arbitrary zero, and never decrease. Methods do
+not block unless their docstring says so: one thread reads robot and sensor, and waits at the clock
+only. A device that fails raises `equipoise.errors.LinkError`, and never resumes by itself.
 """
 
 from collections.abc import Sequence
@@ -47,15 +47,15 @@ class Sample(NamedTuple):
     """One count of the encoder."""
 
     time: float
-    """When it was counted [s]."""
+    """Time of the count [s]."""
     counts: int
     """Counts since the board was switched on, after x4."""
     pressed: bool
     """Whether the button was pressed since the sample before."""
     illegal: bool
-    """Whether the board met a transition of its two lines that cannot be."""
+    """Whether the board detected an illegal transition of its two lines."""
     missing: int
-    """Samples lost on the way since the one before."""
+    """Number of samples lost since the one before."""
 
 
 @runtime_checkable
@@ -67,7 +67,7 @@ class Clock(Protocol):
         ...
 
     def wait_until(self, time: float, /) -> None:
-        """Block until a time [s], in virtual time by letting the rig run; not if it is past."""
+        """Block until a time [s], or return at once if it is past; virtual time runs the rig."""
         ...
 
 
@@ -77,30 +77,30 @@ class Robot(Protocol):
 
     @property
     def joints(self) -> int:
-        """How many joints there are, the held one included."""
+        """Number of joints, the held one included."""
         ...
 
     def connect(self) -> None:
-        """Connect, the arm at rest. Blocks, as long as an operator may need to start a server.
+        """Connect, the arm at rest. Blocks, if needed until an operator has started a server.
 
         Raises:
-            LinkError: There is no answer, or a wrong one.
+            LinkError: The reply is missing or invalid.
         """
         ...
 
     def measured(self) -> Array:
-        """Ask for the measured joints [rad], shape (joints,), the servo not running. Blocks.
+        """Return the measured joints [rad], shape (joints,), while the servo is off. Blocks.
 
         Raises:
-            LinkError: There is no answer in time, or a wrong one.
+            LinkError: The reply is late or invalid.
         """
         ...
 
     def start(self) -> None:
-        """Let the servo begin, holding the arm where it is. Blocks until setpoints are obeyed.
+        """Start the servo, which holds the arm where it is. Blocks until setpoints are obeyed.
 
         Raises:
-            LinkError: There is no answer in time, or a wrong one.
+            LinkError: The reply is late or invalid.
         """
         ...
 
@@ -120,20 +120,20 @@ class Robot(Protocol):
         """Take what came since the last call, the oldest first.
 
         Raises:
-            LinkError: The link is down, a reply is overdue or is none.
+            LinkError: The link is down, or a reply is overdue or invalid.
         """
         ...
 
     def stop(self) -> None:
-        """Let the servo end, the arm at rest. Blocks.
+        """Stop the servo, the arm at rest. Blocks.
 
         Raises:
-            LinkError: There is no answer in time, or a wrong one.
+            LinkError: The reply is late or invalid.
         """
         ...
 
     def close(self) -> None:
-        """Say goodbye, as far as the link allows. Never raises, and may be called again."""
+        """Disconnect, as far as the link allows. Never raises, and may be called again."""
         ...
 
 
@@ -154,7 +154,7 @@ class PacedRobot(Protocol):
         """Connect, the arm at rest. Blocks.
 
         Raises:
-            LinkError: There is no answer, or an invalid one.
+            LinkError: The reply is missing or invalid.
         """
         ...
 
@@ -162,7 +162,7 @@ class PacedRobot(Protocol):
         """Return the measured joints [rad], shape (joints,), while the servo is off. Blocks.
 
         Raises:
-            LinkError: There is no answer in time, or an invalid one.
+            LinkError: The reply is late or invalid.
         """
         ...
 
@@ -170,7 +170,7 @@ class PacedRobot(Protocol):
         """Start the servo, which holds the arm where it is. From now on the robot sends requests.
 
         Raises:
-            LinkError: There is no answer in time, or an invalid one.
+            LinkError: The reply is late or invalid.
         """
         ...
 
@@ -197,7 +197,7 @@ class PacedRobot(Protocol):
         """Stop the servo, the arm at rest. Blocks.
 
         Raises:
-            LinkError: There is no answer in time, or an invalid one.
+            LinkError: The reply is late or invalid.
         """
         ...
 
@@ -222,14 +222,14 @@ class AngleSensor(Protocol):
 
     @property
     def counts_per_rev(self) -> int:
-        """Counts per revolution, after x4; as the board says, where it does."""
+        """Counts per revolution, after x4; from the board, if it reports them."""
         ...
 
     def connect(self) -> None:
         """Connect and wait for the first sample. Blocks.
 
         Raises:
-            LinkError: There is no sensor, or it says nothing that can be read.
+            LinkError: The sensor is missing, or sends nothing valid.
         """
         ...
 
@@ -242,7 +242,7 @@ class AngleSensor(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the link. Never raises, and may be called again."""
+        """Close the link. Never raises, and may be called again."""
         ...
 
 
@@ -254,15 +254,15 @@ class Transport(Protocol):
         """Send bytes; never blocks.
 
         Raises:
-            LinkError: The link is down, or takes no more.
+            LinkError: The link is down, or accepts no more bytes.
         """
         ...
 
     def read(self) -> bytes:
-        """Return what came since the last call; nothing if nothing did.
+        """Return the bytes since the last call; empty without any.
 
         Raises:
-            LinkError: The other end is gone.
+            LinkError: The other end has closed the link.
         """
         ...
 

@@ -96,7 +96,7 @@ class PacedStream:
         """Connect.
 
         Raises:
-            LinkError: There is no answer, or an invalid one.
+            LinkError: The reply is missing or invalid.
         """
         self._robot.connect()
 
@@ -104,7 +104,7 @@ class PacedStream:
         """Return the measured joints [rad], shape (joints,), while the servo is off.
 
         Raises:
-            LinkError: There is no answer in time, or an invalid one.
+            LinkError: The reply is late or invalid.
         """
         return self._robot.measured()
 
@@ -112,7 +112,7 @@ class PacedStream:
         """Start the servo, which holds the arm where it is.
 
         Raises:
-            LinkError: There is no answer in time, or an invalid one.
+            LinkError: The reply is late or invalid.
         """
         held = self._robot.measured()
         self._robot.start()
@@ -164,7 +164,7 @@ class PacedStream:
         """Stop the servo, the arm at rest.
 
         Raises:
-            LinkError: There is no answer in time, or an invalid one.
+            LinkError: The reply is late or invalid.
         """
         self._end()
         self._robot.stop()

@@ -1,4 +1,4 @@
-"""What every robot asks of a setpoint before it is sent."""
+"""Validation of a setpoint, shared by the robots."""
 
 from collections.abc import Sequence
 
@@ -9,14 +9,14 @@ from equipoise.errors import InputError
 
 
 def checked(q: Sequence[float] | Array, joints: int) -> Array:
-    """Return a setpoint as an array of its own [rad], shape (joints,).
+    """Validate a setpoint, and return a copy as an array [rad], shape (joints,).
 
     Args:
         q: The setpoint [rad].
-        joints: How many joints there are.
+        joints: Number of joints.
 
     Raises:
-        InputError: It is not one finite number per joint.
+        InputError: The setpoint is not one finite number per joint.
     """
     try:
         setpoint = np.array(q, np.float64)

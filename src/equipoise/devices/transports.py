@@ -1,4 +1,4 @@
-"""What carries bytes: TCP, and a pipe in memory whose bytes take their time."""
+"""Transports of bytes: TCP, and a pipe in memory with a delay."""
 
 import socket
 from collections import deque
@@ -8,22 +8,22 @@ from equipoise.devices.interfaces import Clock
 from equipoise.errors import LinkError
 
 CHUNK: Final = 65536
-"""Bytes that are read at once."""
+"""Maximum number of bytes per read."""
 
 
 class MemoryPipe:
     """One end of a pipe in memory; `memory_pipe` makes both."""
 
     def __init__(self, clock: Clock, delay: float) -> None:
-        """Make an end whose bytes arrive at the other one `delay` seconds after they were sent."""
+        """Create an end whose bytes arrive at the other one after a delay [s]."""
         self._clock = clock
         self._coming: deque[tuple[float, bytes]] = deque()
         self._open = True
         self.other: MemoryPipe
         self.delay = delay
-        """From here to the other end [s]; it may be changed at any time, the order stays."""
+        """Delay to the other end [s]; may be changed at any time, bytes keep their order."""
         self.cut = False
-        """Whether bytes from here vanish, as on a line that nobody closed."""
+        """Whether sent bytes are lost, as on a half-open link."""
 
     def write(self, data: bytes) -> None:
         """Send bytes to the other end."""
@@ -36,7 +36,7 @@ class MemoryPipe:
             self.other._coming.append((arrival, bytes(data)))
 
     def read(self) -> bytes:
-        """Return what has arrived."""
+        """Return the received bytes."""
         came = bytearray()
         while self._coming and self._coming[0][0] <= self._clock.now() + 1e-9:
             came += self._coming.popleft()[1]
@@ -53,8 +53,8 @@ def memory_pipe(clock: Clock, delay: float = 0.0) -> tuple[MemoryPipe, MemoryPip
     """Return the two ends of a pipe in memory.
 
     Args:
-        clock: Whose time the bytes take.
-        delay: How long they take, each way [s].
+        clock: Clock of the delay.
+        delay: Delay each way [s].
     """
     one, other = MemoryPipe(clock, delay), MemoryPipe(clock, delay)
     one.other, other.other = other, one
@@ -62,17 +62,17 @@ def memory_pipe(clock: Clock, delay: float = 0.0) -> tuple[MemoryPipe, MemoryPip
 
 
 class TcpTransport:
-    """A TCP connection without delays of its own."""
+    """TCP connection with Nagle's algorithm and delayed acknowledgements turned off."""
 
     def __init__(self, connection: socket.socket) -> None:
-        """Take over a connected socket."""
+        """Wrap a connected socket."""
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = connection
         self._quick = getattr(socket, "TCP_QUICKACK", None)
 
     def write(self, data: bytes) -> None:
-        """Send bytes; a line that takes no more counts as down."""
+        """Send bytes; a full send buffer counts as a link that is down."""
         try:
             sent = self._socket.send(data)
         except OSError as error:
@@ -81,7 +81,7 @@ class TcpTransport:
             raise LinkError("the link takes no more bytes; the other end does not read")
 
     def read(self) -> bytes:
-        """Return what came."""
+        """Return the received bytes."""
         try:
             data = self._socket.recv(CHUNK)
         except BlockingIOError:
@@ -90,7 +90,7 @@ class TcpTransport:
             raise LinkError(f"the link is down ({error}); connect again") from None
         if not data:
             raise LinkError("the other end has closed the link; connect again")
-        if self._quick is not None:  # Linux forgets it with each segment
+        if self._quick is not None:  # Linux resets the option with each segment
             self._socket.setsockopt(socket.IPPROTO_TCP, self._quick, 1)
         return data
 

@@ -52,7 +52,7 @@ class TwinRobot:
 
     @property
     def joints(self) -> int:
-        """How many joints there are, the held one included."""
+        """Number of joints, the held one included."""
         return self._bench.joints
 
     def connect(self) -> None:
@@ -60,17 +60,17 @@ class TwinRobot:
         self._connected = True
 
     def measured(self) -> Array:
-        """Ask for the measured joints [rad], shape (joints,).
+        """Return the measured joints [rad], shape (joints,).
 
         Raises:
-            LinkError: It is not connected.
+            LinkError: The device is not connected.
         """
         self._check(self._connected, "is not connected; call connect first")
         self._clock.wait_until(self._clock.now() + self._reply_age)
         return np.array(self._bench.body.measured())
 
     def start(self) -> None:
-        """Let the servo begin, holding the arm where it is.
+        """Start the servo, which holds the arm where it is.
 
         Raises:
             LinkError: It is not connected, or what stopped the arm still does.
@@ -103,7 +103,7 @@ class TwinRobot:
         """Take what came since the last call, the oldest first.
 
         Raises:
-            LinkError: It is not connected.
+            LinkError: The device is not connected.
         """
         self._check(self._connected, "is not connected; call connect first")
         came = list[Reply]()
@@ -112,10 +112,10 @@ class TwinRobot:
         return came
 
     def stop(self) -> None:
-        """Let the servo end, the arm at rest.
+        """Stop the servo, the arm at rest.
 
         Raises:
-            LinkError: It is not connected.
+            LinkError: The device is not connected.
         """
         self._check(self._connected, "is not connected; call connect first")
         self._bench.body.servo(False)
@@ -202,7 +202,7 @@ class TwinEncoder:
         """Take what came since the last call, the oldest first.
 
         Raises:
-            LinkError: It is not connected.
+            LinkError: The device is not connected.
         """
         if not self._connected:
             raise LinkError("the twin's encoder is not connected; call connect first")

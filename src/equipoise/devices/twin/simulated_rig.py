@@ -49,7 +49,7 @@ class SimulatedRig:
             arm: The arm with its home posture.
             pendulum: The pendulum, with the friction that acts in the twin.
             settings: The world's numbers.
-            seed: Seed of all that is random.
+            seed: Seed of all random numbers.
             start: Start time [s].
             q: Free joints [rad], shape (6,); home if not given.
             phi: Angle of the pendulum from upright [rad]; it hangs if not given.
@@ -60,7 +60,7 @@ class SimulatedRig:
         self.settings = settings
         """The world's numbers."""
         self.seed = seed
-        """Seed of all that is random."""
+        """Seed of all random numbers."""
         self.joints = len(arm.joints)
         """Number of joints of the arm."""
         self.twin = Twin(arm, pendulum, settings, seed=seed)
