@@ -59,7 +59,7 @@ def test_lqr_as_a_function_gives_the_trials_of_the_built_in_lqr(folder, world):
 def test_the_gap_of_any_policy_is_measured(folder, name):
     table = shipped_policy()
     quick = resolve("paper", overrides=["learning.episodes=20", "learning.episode_duration=1"])
-    paper = train(table.pendulum, table.arm, quick, recipe="paper")
+    paper = train(table.pendulum, table.arm, quick)
     policy, counted = load_policy(name), []
     found = gap(
         policy, paper_policy=paper, quick=True, trials=2, duration=0.1, workers=2,

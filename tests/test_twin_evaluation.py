@@ -15,6 +15,7 @@ from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import TwinSettings, World
 from equipoise.training import train
+from tests.arms import without_masses
 
 pytestmark = pytest.mark.compiled_only
 WORLD = "twin:nominal"
@@ -164,7 +165,7 @@ def test_model_and_twin_agree_about_a_regulator_on_a_pivot_with_dry_friction(beh
 
 
 def test_an_arm_without_known_masses_has_no_twin(pendulum):
-    elbow = read_urdf("tests/data/elbow6.urdf")
+    elbow = without_masses(read_urdf("tests/data/elbow6.urdf"))
     with pytest.raises(ArmError, match="mass"):
         excite(elbow, WORLD, pendulum)
 

@@ -39,9 +39,7 @@ def test_a_run_is_written_and_told_and_a_fall_is_exit_code_1(equipoise, policy_f
 
 def test_what_does_not_go_together_is_refused(refused, policy_file, tmp_path):
     refused("deploy", policy_file, "--excite", saying="POLICY does not go with --excite")
-    refused(
-        "deploy", policy_file, "--arm", "iiwa7", saying="--arm does not go with a simulated run"
-    )
+    refused("deploy", policy_file, "--arm", "iiwa7", saying="was trained on the iiwa14")
     refused("deploy", "--excite", "--world", "model", saying="is no digital twin")
     refused(
         "deploy", policy_file, "--world", "twin:nominel", saying="there is no world 'twin:nominel'"

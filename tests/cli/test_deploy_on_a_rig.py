@@ -14,8 +14,8 @@ def test_a_run_on_a_twin_is_told_and_written(equipoise, tmp_path):
     assert ran.code == 0, ran
     assert ran.json["cause"] == "lasted"
     assert ran.json["lasted_s"] == 1.0
-    # Whoever stands there is told, though a program reads the result.
-    assert "no watchdog" in ran.err
+    # The operator is notified, although a program reads the result.
+    assert "Armed. Let go." in ran.err
     assert "Moving to home" in ran.err
     assert RunLog.load(tmp_path / "run.mcap", damaged=True).end.cause == "lasted"
 
@@ -36,7 +36,7 @@ def test_a_dry_run_ends_before_the_arm_moves(equipoise):
     ran = equipoise("deploy", "--robot", "twin:nominal", "--dry-run")
     assert ran.code == 0, ran
     assert "good" in ran.out
-    assert "no watchdog" in ran.out
+    assert "nothing has moved" in ran.out
     assert "Moving to home" not in ran.out
 
 

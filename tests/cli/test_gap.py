@@ -131,7 +131,7 @@ OPTIONS = {
     "one trial": (("--trials", "1"), "--trials"),
     "a billion trials": (("--trials", 10**9), "1000000000"),
     "trials beyond any integer": (("--trials", 10**30), "1,000,000"),
-    "no duration": (("--duration", "0"), "--duration is 0 s"),
+    "no duration": (("--duration", "0"), "--duration is 0.0 s"),
     "an endless duration": (("--duration", "inf"), "--duration is inf s"),
     "a table with an actuator": (("--paper-policy", "policy.json"), "trained with an actuator"),
     "no table": (("--paper-policy", "nowhere.json"), "there is no file nowhere.json"),
@@ -148,7 +148,7 @@ def test_options_that_cannot_be_meant_are_refused(refused, cured_file, flaw):
 
 
 def test_a_policy_without_cures_is_refused(refused, small_policy, paper_file):
-    refused("gap", paper_file, "--paper-policy", paper_file, saying="has no cures to leave out")
+    refused("gap", paper_file, "--paper-policy", paper_file, saying="no cures to leave out")
 
 
 def test_the_table_that_is_trained_is_not_written_over_the_policy(refused, cured_file):

@@ -144,7 +144,7 @@ def test_a_table_that_its_own_selection_saw_fall_is_trained_again(survived, word
     ],
 )
 def test_a_run_that_failed_is_explained(cause, words):
-    run = SimpleNamespace(conditions=SimpleNamespace(cause=cause))
+    run = SimpleNamespace(cause=cause)
     command = next_step.after_run(run, Path("run-2.mcap"), MINE, "--actuator", "a.json", world=TOML)
     assert command == tuple(words.split("|"))
     parse(command)

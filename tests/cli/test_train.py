@@ -130,7 +130,7 @@ OPTIONS = {
     "negative seed": (("--seed", "-1"), "--seed"),
     "seed of no size": (("--seed", str(2**70)), "--seed"),
     "no workers": (("--workers", "0"), "--workers"),
-    "held joint of an iiwa": (("--held", "3"), "--held belong to an arm from a URDF"),
+    "held joint of an iiwa": (("--held", "3"), "held belong to an arm from a URDF"),
     "missing URDF": (("--arm", "nowhere.urdf"), "there is no file nowhere.urdf"),
     "unknown held joint": (("--arm", URDF, "--held", "wrist"), "has no joint wrist to hold"),
     "held joint of a six-joint arm": (
@@ -250,7 +250,7 @@ def test_a_limited_speed_is_in_the_policy_and_in_its_evaluation(equipoise, pendu
     assert "below 0.23 m/s" in ran.out
     settings = TabularPolicy.load(tmp_path / "policy.json").settings
     assert (settings.plant.max_speed, settings.learning.gamma) == (0.23, 0.95)
-    few = ("--trials", 4, "--duration", 1, "--no-yardsticks")
+    few = ("--trials", 4, "--duration", 1, "--no-baselines")
     assert "flange below 0.23 m/s" in equipoise("evaluate", "policy.json", *few).out
     # At a crawl no trial lasts, whatever the policy was trained for.
     slow = equipoise("evaluate", "policy.json", *few, "--max-speed", 0.02, "--json")

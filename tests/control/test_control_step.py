@@ -164,7 +164,9 @@ def test_it_begins_with_the_pendulum_as_measured_and_sees_it_fall_until_the_hori
     memory = new_controller_state()
     controller = made(Actuator.assumed("kst", delay=0.02, lag=0.008))
     start_controller(controller, memory, 0.05, 0.0, 0.03, -0.2, 3)
-    np.testing.assert_allclose(memory.estimate[3::BATCH_SIZE], [0.03, -0.2, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        memory.estimate[3::BATCH_SIZE], [0.03, -0.2, 0.0, 0.0, 0.05], atol=1e-12
+    )
     fall = solve_ivp(
         lambda _, s: [s[1], 70.2 * np.sin(s[0]) - 0.15 * s[1]],
         (0.0, controller.horizon),

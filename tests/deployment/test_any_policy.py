@@ -15,7 +15,7 @@ from equipoise.deployment.rig import RunRequest, exit_code, run_rig_virtually, w
 from equipoise.errors import ArtefactError, InputError
 from equipoise.logs.run_log import RunLog
 from equipoise.model.sim_configs import pendulum_on, read_world
-from equipoise.rigs import RigSettings, twin_rig
+from equipoise.rigs import RigSettings, emulated_rig
 from equipoise.studies.explanation import CauseName, explain
 from equipoise.studies.replay import replay
 from tests.control.test_bound_policy import KINDS, folder
@@ -49,7 +49,7 @@ def run(policy, out, duration=1.0, failing=None):
         seed=3,
     )
     pendulum = pendulum_on(policy.pendulum, NOMINAL.settings)
-    rig = twin_rig(NOMINAL, request.settings, pendulum, seed=3)
+    rig = emulated_rig(NOMINAL, request.settings, pendulum, seed=3).rig
     if failing is not None:
         failing.clock = rig.clock
     result = run_rig_virtually(request, rig, out, Silent())

@@ -338,10 +338,10 @@ def test_a_wait_for_the_robot_can_be_given_up(word):
     recorder = Recorder(7, memoryview(bytearray(Recorder.room(7))))
     across = processes.OperatorProxy(recorder)
     recorder.words.push(b"ok")
-    across.attend()  # what else is typed does not end it, and is no answer to what comes
+    across.attend("start the server again")
     recorder.words.push(word.encode())
     with pytest.raises(OutsideError, match="nothing has moved. To deploy again, start the server"):
-        across.attend()
+        across.attend("start the server again")
     assert across.read_input() == []
 
 

@@ -10,6 +10,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import GRAVITY
+from tests.arms import without_masses
 from tests.model.arms.weighed import WEIGHED, by_mujoco, by_pinocchio
 
 PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
@@ -172,8 +173,7 @@ def test_a_joint_ends_at_its_limit(joint, side):
 
 
 def test_an_arm_of_unknown_masses_is_refused():
-    joints = tuple(joint.model_copy(update={"link": None}) for joint in iiwa(7).joints)
-    arm = iiwa(7).model_copy(update={"joints": joints})
+    arm = without_masses(iiwa(7))
     with pytest.raises(ArmError, match="has no mass, no inertia"):
         build(arm, PENDULUM, TwinSettings())
     with pytest.raises(ArmError, match="has no mass, no inertia"):

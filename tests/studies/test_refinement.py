@@ -17,7 +17,6 @@ from equipoise.devices.twin.twin import Twin
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.evaluation import evaluate
 from equipoise.identification.closed_loop import compare, regress
-from equipoise.logs.run_log import EncoderSamples, Replies
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
@@ -33,6 +32,7 @@ from equipoise.studies.refinement import (
     retrain,
 )
 from equipoise.training import train
+from tests.logs.made_up import changed_table
 
 # A run of a minute is 60,000 steps of the physics engine.
 pytestmark = pytest.mark.compiled_only
@@ -95,15 +95,14 @@ def test_pivot_and_phi_are_those_of_mujoco_where_the_flange_tilts(turned):
     q = arm.home_free + turned
     twin.reset(q, phi=0.05)
     time, truth = np.arange(3.0), twin.truth()
-    motion = read_motion(
-        replace(
-            log,
-            conditions=log.conditions.model_copy(update={"counts_per_rev": 1 << 20}),
-            replies=Replies(time, np.tile(arm.with_held(q), (3, 1))),
-            encoder=EncoderSamples(time, np.full(3, int(twin.encoder()[0]))),
-        ),
-        arm,
+    fine = replace(log, conditions=log.conditions.model_copy(update={"counts_per_rev": 1 << 20}))
+    replied = changed_table(
+        fine, "reply", time=time, sent=time, q=np.tile(arm.with_held(q), (3, 1))
     )
+    counted = changed_table(
+        replied, "encoder", time=time, counts=np.full(3, int(twin.encoder()[0]))
+    )
+    motion = read_motion(counted, arm)
     assert abs(truth.phi - 0.05) > 0.01
     # To second order in the turns; balancing turns the flange by 0.0003 rad.
     assert motion.phi == pytest.approx(truth.phi, abs=1e-4)
@@ -126,8 +125,8 @@ def test_a_sample_that_was_read_twice_counts_once():
     log = run(0)
     twice = replace(
         log,
-        encoder=EncoderSamples(*(np.repeat(column, 2) for column in log.encoder)),
-        replies=Replies(np.repeat(log.replies.time, 2), np.repeat(log.replies.q, 2, axis=0)),
+        tables=dict(log.tables)
+        | {name: np.repeat(log.tables[name], 2) for name in ("encoder", "reply")},
     )
     arm = shipped_policy().arm
     for one, other in zip(read_motion(log, arm), read_motion(twice, arm), strict=True):
@@ -276,7 +275,7 @@ def test_a_policy_of_an_arm_that_follows_at_once_compares_no_actuator():
 def test_joints_that_stand_still_tell_no_actuator():
     log = run(2)
     posture = np.broadcast_to(log.stream.q[0], log.stream.q.shape)
-    still = replace(log, stream=log.stream._replace(q=posture))
+    still = changed_table(log, "stream", q=posture)
     found = inspect(policy_knowing(), {"run": still})
     assert found.response == {}
     (warning,) = found.warnings

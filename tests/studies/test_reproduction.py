@@ -27,6 +27,7 @@ from equipoise.studies.reproduction import (
 from equipoise.studies.results import GAP, RECORD, RUN, SWING, load, verdict
 from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.trajectory import Trajectory
+from tests.arms import without_masses
 
 pytestmark = pytest.mark.compiled_only
 SHORT = resolve(
@@ -191,7 +192,9 @@ def test_the_gap_is_the_short_one_of_the_same_twin(made):
 
 
 def test_an_arm_whose_masses_are_not_known_runs_on_the_model(tmp_path):
-    made = reproduce(tmp_path, arm=read_urdf("tests/data/elbow6.urdf"), settings=SHORT, workers=1)
+    made = reproduce(
+        tmp_path, arm=without_masses(read_urdf("tests/data/elbow6.urdf")), settings=SHORT, workers=1
+    )
     results = load(tmp_path)
     assert results.run.conditions.world == MODEL
     assert results.gap is None

@@ -7,6 +7,7 @@ others take pendulum, arm, actuator and settings from the caller, by default tho
 
 import math
 import numbers
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from equipoise import paper
+from equipoise.artefacts import StrPath
 from equipoise.control.baselines import baselines
 from equipoise.control.onnx_policy import OnnxPolicy
 from equipoise.control.policy import (
@@ -102,7 +104,7 @@ class BoundPolicy:
 
 
 def load_policy(
-    name: str | Path | None = None,
+    name: StrPath | None = None,
     *,
     pendulum: Pendulum | None = None,
     arm: Arm | None = None,
@@ -132,7 +134,7 @@ def load_policy(
         policy = KernelPolicy(baselines(parameters, paper.STEP)[BUILT_IN[text]])
     elif Path(text).suffix.lower() == ".onnx":
         policy = OnnxPolicy(text)
-    elif ":" in text and not Path(text).exists():
+    elif ":" in text and not os.path.exists(text):
         policy = PythonPolicy.load(text)
     else:
         return _table(name, pendulum, arm, settings)
@@ -178,14 +180,14 @@ def bind_policy(
 
 
 def _table(
-    path: str | Path | None, pendulum: Pendulum | None, arm: Arm | None, settings: Settings | None
+    path: StrPath | None, pendulum: Pendulum | None, arm: Arm | None, settings: Settings | None
 ) -> TabularPolicy:
     """Return the table of a file, if it was trained for the task."""
     if path is not None and Path(path).suffix == ".py":
         raise InputError(
             f"{path} is Python; name the function, class or object in it: {Path(path).stem}:NAME"
         )
-    if path is not None and not Path(path).suffix and not Path(path).exists():
+    if path is not None and not Path(path).suffix and not os.path.exists(path):
         raise InputError(
             f"there is no policy {path}; give a file from equipoise train, a network that ends in "
             f".onnx, MODULE:NAME, or one of {', '.join(BUILT_IN)}"

@@ -6,7 +6,7 @@ point is the scheme of the addresses::
     [project.entry-points."equipoise.robots"]
     acme = "acme_robot:PLUGIN"
 
-After `pip install`, `equipoise deploy --robot acme://HOST` opens that robot, and
+After its installation, `equipoise deploy --robot acme://HOST` opens that robot, and
 `--robot acme://twin:nominal` runs its driver against its emulator on a digital twin, in virtual
 time. Sensors register under `equipoise.sensors`. The robots and sensors of this package register
 in the same way. `equipoise.rigs` is the only module that opens devices.
