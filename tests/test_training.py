@@ -297,8 +297,8 @@ def test_several_learners_tell_whose_point_it_is(pendulum):
 def test_a_training_without_candidates_reports_its_progress_too(pendulum):
     told = []
     train(pendulum, ARM, of_paper("learning.episodes=400"), report=told.append)
-    # REPORTS = 200 points at most: every second episode or later, where several end together.
-    assert 50 < len(told) <= training.REPORTS
+    # MAX_REPORTS = 200 points at most: every second episode or later, where several end together.
+    assert 50 < len(told) <= training.MAX_REPORTS
 
 
 def test_a_policy_says_how_it_was_made(pendulum, learners, tmp_path):

@@ -1,10 +1,9 @@
-"""Train: a pendulum and an arm become a policy.
+"""Training of a policy for a pendulum and an arm.
 
-A training runs its episodes in one compiled loop (`equipoise.learning.episodes`) and stops now
-and then to take the greedy policy as a candidate. Candidates are screened on selection trials, the
-best go through a round of longer trials, and the winner is kept, with the table as it was then.
-Equal seed gives equal bits, whatever the number of workers, and whether or not the training was
-interrupted and went on from its checkpoint.
+A training runs its episodes in one compiled loop (`equipoise.learning.episodes`) and periodically
+takes the greedy policy as a candidate. Candidates are screened on selection trials, the best enter
+a final round of longer trials, and the winner is kept with its table. Equal seeds give equal bits,
+for any number of workers, and also after a resumed interruption.
 """
 
 import hashlib
@@ -62,21 +61,20 @@ from equipoise.simulation.plant import PlantSimulation
 
 Array = npt.NDArray[np.float64]
 
-REPORTS = 200
-"""How often a training without candidates reports its progress."""
-
+MAX_REPORTS = 200
+"""Number of progress reports of a training without candidates."""
 LEARNERS = 3
-"""How many learners a command trains to keep the best: one in three finds no table that stands on
+"""Default number of learners, of which the best is kept: one in three finds no table that balances
 the worst plants of its selection."""
 
 Report = Callable[[LearningPoint], None]
-"""Called with each point of the learning curve as it is made."""
+"""Callback for each new point of the learning curve."""
 Selecting = Callable[[int, int], None]
-"""Called with the number of trials of the final round that have finished, and with all of them."""
+"""Callback for the progress of the final round: finished trials, all trials."""
 
 
 class _Snapshot(NamedTuple):
-    """A table of some moment."""
+    """Table of a candidate."""
 
     Q: Array
     visits: npt.NDArray[np.int64]
@@ -100,18 +98,18 @@ def train(
     """Train one policy.
 
     Args:
-        pendulum: The pendulum, as identified.
+        pendulum: The identified pendulum.
         arm: The arm with its home posture.
         settings: Resolved settings; the sections clik, controller, plant, learning and selection
             are used.
-        actuator: How the arm follows its setpoints; if not given, at once where `plant.ideal`
-            says so, else as the shipped one, identified from the twin.
+        actuator: Actuator of the arm; by default ideal with `plant.ideal`, else the shipped one,
+            identified from the twin.
         seed: Master seed.
-        learner: Which learner of that seed; each has random numbers of its own.
-        init_policy: Policy whose table and visits are the start; by default zeros.
+        learner: Index of the learner, each with its own random numbers.
+        init_policy: Policy with the initial table and visits; by default zeros.
         workers: Threads for the selection trials; the result does not depend on it.
-        partial: File for checkpoints. A training whose checkpoint is there goes on from it. The
-            file stays; delete it once the policy is saved.
+        partial: File for checkpoints. The training resumes from an existing one. The file is kept;
+            delete it once the policy is saved.
         report: Called with each new point of the learning curve; first with the last one of a
             checkpoint.
         selecting: Called as the trials of the final round finish, also from other threads.
@@ -121,7 +119,7 @@ def train(
 
     Raises:
         ArtefactError: `partial` is the checkpoint of another training, or damaged.
-        OutsideError: The disk refuses a checkpoint.
+        OutsideError: The disk rejects a checkpoint.
     """
     task = _task(pendulum, arm, settings, actuator, seed, init_policy)
     with _Checkpoints(partial, task, (learner,)) as checkpoints:
@@ -141,27 +139,26 @@ def train_several(
     report: Callable[[int, LearningPoint], None] = lambda _, __: None,
     selecting: Callable[[int, int, int], None] = lambda _, __, ___: None,
 ) -> list[TabularPolicy]:
-    """Train several learners of one seed over the cores; the best of the selection comes first.
+    """Train several learners of one seed in parallel; return them with the best score first.
 
-    All are compared on the same selection trials. With recipes that select nothing the order is
-    that of the learners.
+    All are compared on the same selection trials. Without a selection the order is that of the
+    learners.
 
     Args:
-        pendulum: The pendulum, as identified.
+        pendulum: The identified pendulum.
         arm: The arm with its home posture.
         settings: Resolved settings.
-        learners: How many.
-        actuator: How the arm follows its setpoints; as in `train`.
+        learners: Number of learners.
+        actuator: Actuator of the arm; as in `train`.
         seed: Master seed.
         workers: Threads; the results do not depend on it.
         partial: File for the checkpoints of all learners; as in `train`.
         report: Called with the learner and each new point of its learning curve.
-        selecting: Called with the learner, the trials of its final round that have finished, and
-            all of them.
+        selecting: Called with the learner, its finished trials of the final round, and all of them.
 
     Raises:
         ArtefactError: `partial` is the checkpoint of another training, or damaged.
-        OutsideError: The disk refuses a checkpoint.
+        OutsideError: The disk rejects a checkpoint.
     """
     task = _task(pendulum, arm, settings, actuator, seed, None)
 
@@ -188,13 +185,13 @@ def score_policy(
     workers: int = 1,
     done: Callable[[int], None] = lambda _: None,
 ) -> Checkpoint:
-    """Return how a policy does in the final round of a selection, on the model that it carries.
+    """Score a policy in the final round of a selection, on its own model.
 
     Args:
         policy: The policy, with pendulum, arm and actuator.
-        seed: Master seed of the trials; policies of one model are compared on those of one seed.
+        seed: Master seed of the trials; compare policies of one model with equal seeds.
         workers: Threads; the result does not depend on it.
-        done: Called with the number of trials that have just finished, also from other threads.
+        done: Called with the number of newly finished trials, also from other threads.
     """
     parameters = policy.pendulum.parameters(linearised=policy.settings.plant.linearised)
     plant = make_loop_params(policy.arm, policy.settings, policy.h, parameters, policy.actuator)
@@ -203,7 +200,7 @@ def score_policy(
 
 
 class _Task(NamedTuple):
-    """Inputs that decide about the result of a training, but for the learner."""
+    """Inputs of a training that determine its result, without the index of the learner."""
 
     pendulum: Pendulum
     arm: Arm
@@ -235,11 +232,11 @@ def _train(
     report: Report,
     selecting: Selecting,
 ) -> TabularPolicy:
-    """Train one learner, from its checkpoint if there is one."""
+    """Train one learner; resume from its checkpoint if one exists."""
     settings, pendulum, seed = task.settings, task.pendulum, task.seed
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
     plant = make_loop_params(task.arm, settings, paper.STEP, parameters, task.actuator)
-    # A table cannot see such a failure coming: it is the selection that finds those that avoid it.
+    # The boxes do not resolve speeds below the limit; selection finds the tables that respect it.
     of_episodes = plant._replace(speed_limit=inf)
     config, kernel = training_config(settings), compile_learner(settings.learning)
     training = new_training_state(load_learner(settings.learning).tables)
@@ -247,7 +244,7 @@ def _train(
     if task.init_policy is not None:
         tables.Q[:], tables.visits[:] = task.init_policy.table, task.init_policy.visits
     selection = _Selection(plant, task.arm, parameters, settings, seed, workers)
-    every = settings.selection.every or max(1, config.episodes // REPORTS)
+    every = settings.selection.every or max(1, config.episodes // MAX_REPORTS)
     curve: list[LearningPoint] = []
     h = plant.controller.h
     if (before := checkpoints.of(learner)) is not None:
@@ -271,8 +268,7 @@ def _train(
         )
         if settings.selection.every > 0:
             screened = selection.screen(training)
-            share = screened.survived / screened.trials
-            point = point.model_copy(update={"survival": share})
+            point = point.model_copy(update={"survival": screened.survived / screened.trials})
         curve.append(point)
         keep()
         report(point)
@@ -298,7 +294,7 @@ def _train(
 
 
 def _check_finite(training: TrainingState, settings: LearningSettings) -> None:
-    """Raise an `InputError` where a value of the table is not finite."""
+    """Raise an `InputError` if a value of the table is not finite."""
     if not np.isfinite(training.tables.Q).all():
         raise InputError(
             f"the table holds a value that is not finite after {training.totals[ENDED]} episodes "
@@ -312,15 +308,12 @@ class _Checkpoints(PartialFile):
 
     def __init__(self, path: StrPath | None, task: _Task, learners: Sequence[int]) -> None:
         super().__init__(path, "train", self._checkpoint)
-        self._deciding = _deciding(task, learners)
+        self._deciding = _input_digests(task, learners)
         self._states: dict[str, LearnerState] = {}
         if path is None or not Path(path).exists():
             return
         found = ResumePoint.load(path)
-        other = [
-            name for name, value in self._deciding.items() if found.deciding.get(name) != value
-        ]
-        if other:
+        if other := [name for name, v in self._deciding.items() if found.deciding.get(name) != v]:
             raise ArtefactError(
                 f"{path} holds an interrupted training with another {' and '.join(other)}; go on "
                 "with what it began with, or delete it to begin anew"
@@ -328,11 +321,11 @@ class _Checkpoints(PartialFile):
         self._states = dict(found.learners)
 
     def of(self, learner: int) -> LearnerState | None:
-        """Return the state of a learner; none if it has not begun."""
+        """Return the state of a learner; None if it has not begun."""
         return self._states.get(str(learner))
 
     def keep(self, learner: int, state: LearnerState) -> None:
-        """Keep the state of a learner."""
+        """Store the state of a learner."""
         self._states[str(learner)] = state
         self.update()
 
@@ -341,8 +334,8 @@ class _Checkpoints(PartialFile):
         return ResumePoint(deciding=self._deciding, learners=states) if states else None
 
 
-def _deciding(task: _Task, learners: Sequence[int]) -> dict[str, str]:
-    """Return a digest of each input that decides about the bits, by its name."""
+def _input_digests(task: _Task, learners: Sequence[int]) -> dict[str, str]:
+    """Return the digests of the inputs that determine the bits, by name."""
     return {
         "pendulum": task.pendulum.digest,
         "arm": task.arm.digest,
@@ -358,13 +351,13 @@ def _deciding(task: _Task, learners: Sequence[int]) -> dict[str, str]:
 
 
 def software() -> str:
-    """Return what says of the software that it gives the same bits: versions, digest of kernels."""
+    """Return the versions and the digest of kernels, which identify software with equal bits."""
     return json.dumps(Provenance.now("", None).software) + kernel_sources_digest()
 
 
 def training_config(settings: Settings) -> TrainingConfig:
-    """Return the constants of a training for the episode loop."""
-    s = settings.learning
+    """Return the configuration of the episode loop."""
+    s, plant = settings.learning, settings.plant
     return TrainingConfig(
         episodes=s.episodes,
         max_steps=round(s.episode_duration / paper.STEP),
@@ -381,18 +374,18 @@ def training_config(settings: Settings) -> TrainingConfig:
             mirrored=s.mirrored,
         ),
         start=(s.start_x, s.start_x_dot, s.start_phi, s.start_phi_dot),
-        inertia_sigma=settings.plant.inertia_sigma,
-        friction_sigma=settings.plant.friction_sigma,
-        delay_spread=settings.plant.delay_spread,
-        lag_spread=settings.plant.lag_spread,
-        zero_error=settings.plant.zero_error,
+        inertia_sigma=plant.inertia_sigma,
+        friction_sigma=plant.friction_sigma,
+        delay_spread=plant.delay_spread,
+        lag_spread=plant.lag_spread,
+        zero_error=plant.zero_error,
         boxes=boxes.boxes(),
         actions=paper.ACTIONS,
     )
 
 
 class _Selection:
-    """The search for the best greedy policy of one training."""
+    """Selection of the best greedy policy of one training."""
 
     def __init__(
         self,
@@ -412,28 +405,23 @@ class _Selection:
         self._final: list[Checkpoint] = []
 
     def screen(self, training: TrainingState) -> Checkpoint:
-        """Run the screening trials of the averaged table's greedy policy, once for each policy."""
+        """Run the screening trials of the averaged table's greedy policy, once per policy."""
         self._screened += 1
         newest = max(self._settings.selection.averaging, 1.0 / self._screened)
         self._averaged += newest * (training.tables.Q - self._averaged)
         u_of_box = greedy_accelerations(self._averaged)
         policy = hashlib.sha256(u_of_box.tobytes()).hexdigest()
         if policy not in self._known:
-            selection = self._settings.selection
-            candidate = self._run(
-                u_of_box,
-                int(training.totals[ENDED]),
-                SCREENING,
-                selection.screening_trials,
-                selection.duration,
-            )
+            selection, episodes = self._settings.selection, int(training.totals[ENDED])
+            trials, duration = selection.screening_trials, selection.duration
+            candidate = self._run(u_of_box, episodes, SCREENING, trials, duration)
             self._known[policy] = candidate
             snapshot = _Snapshot(self._averaged.copy(), training.tables.visits.copy(), candidate)
             self._best = _sorted([*self._best, snapshot])[: selection.finalists]
         return self._known[policy]
 
     def final_round(self, keep: Callable[[], None], selecting: Selecting) -> list[_Snapshot]:
-        """Run the longer trials of the finalists, and return them, the best first.
+        """Run the longer trials of the finalists; return them with the best first.
 
         Args:
             keep: Called after each finalist.
@@ -455,24 +443,20 @@ class _Selection:
             u_of_box = greedy_accelerations(snapshot.Q)
             self._final.append(self.final(u_of_box, snapshot.candidate.episodes, done))
             keep()
-        return _sorted(
-            [
-                snapshot._replace(candidate=candidate)
-                for snapshot, candidate in zip(self._best, self._final, strict=True)
-            ]
-        )
+        pairs = zip(self._best, self._final, strict=True)
+        return _sorted([snapshot._replace(candidate=candidate) for snapshot, candidate in pairs])
 
     def final(
         self, u_of_box: Array, episodes: int, done: Callable[[int], None] = lambda _: None
     ) -> Checkpoint:
-        """Run the longer trials of one greedy policy, taken after so many episodes."""
+        """Run the longer trials of the greedy policy after `episodes` episodes."""
         selection = self._settings.selection
         return self._run(
             u_of_box, episodes, FINAL_ROUND, selection.final_trials, selection.final_duration, done
         )
 
     def restore(self, state: LearnerState) -> None:
-        """Go on from the state of a selection."""
+        """Restore the state of a selection."""
         self._averaged, self._screened = table(state.averaged, np.float64), state.screened
         self._known, self._final = dict(state.known), list(state.final[: len(state.best)])
         self._best = [
@@ -514,9 +498,9 @@ class _Selection:
             stream=stream,
             spread=selection.spread,
         )
-        trials = simulation.draw(count)
+        trials, kernel = simulation.draw(count), policy_kernel(TABLE, u_of_box=u_of_box)
         simulation.run(
-            policy_kernel(TABLE, u_of_box=u_of_box),
+            kernel,
             trials,
             range(count),
             duration=duration,

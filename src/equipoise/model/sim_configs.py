@@ -73,7 +73,7 @@ class TwinSettings(Value):
     """Mass of the bracket of the pendulum, unknown to the drive [kg]. Assumed. The payload of every
     iiwa is at most 14 kg."""
     pendulum_mass: float = Field(default=0.15, ge=1e-9, le=14.0)
-    """Mass of the pendulum, a uniform rod, unknown to the drive [kg]. Assumed."""
+    """Mass of the pendulum, unknown to the drive [kg]; modelled as a uniform rod. Assumed."""
     pivot_outward: float = Field(default=0.13, ge=0.0, le=1.0)
     """Distance from the axis of A7 to the pendulum's plane [m]: clearance for the wrist."""
     coulomb: float | None = Field(default=None, ge=0.0, le=1e3)
