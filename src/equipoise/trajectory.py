@@ -305,8 +305,7 @@ def _decompressed(path: Path, data: bytes) -> bytes:
     if not data.startswith(b"\x1f\x8b"):
         return data
     try:
-        with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
-            text = file.read(MAX_RECORDING_SIZE + 1)
+        text = gzip.GzipFile(fileobj=io.BytesIO(data)).read(MAX_RECORDING_SIZE + 1)
     except (OSError, EOFError, zlib.error):
         raise RecordingError(f"{path} is damaged: gzip cannot decompress it; copy it again") from (
             None
@@ -343,24 +342,20 @@ def _is_number(cell: str) -> bool:
 def _samples(path: Path, table: _Table) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return time stamps and recorded values, each in the unit of its column, shape (n,)."""
     at = [table.names.index(name) for name in (table.time, table.quantity)]
-    columns = np.empty((0, 2))
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a file without samples
-            columns = np.loadtxt(
-                io.BytesIO(table.text),
-                delimiter=table.separator,
-                skiprows=table.skip,
-                usecols=at,
-                comments=None,
-                quotechar='"',
-                encoding="latin-1",
-                ndmin=2,
-            )
-        sound = bool((np.abs(columns) <= MAX_NUMBER).all())
-    except ValueError:
-        sound = False
-    if not sound:
+    columns = np.full((1, 2), np.nan)
+    with warnings.catch_warnings(), suppress(ValueError):
+        warnings.simplefilter("ignore")  # about a file without samples
+        columns = np.loadtxt(
+            io.BytesIO(table.text),
+            delimiter=table.separator,
+            skiprows=table.skip,
+            usecols=at,
+            comments=None,
+            quotechar='"',
+            encoding="latin-1",
+            ndmin=2,
+        )
+    if not np.all(np.abs(columns) <= MAX_NUMBER):
         # The slow path names the first invalid line and skips blank lines.
         rows = array("d")
         for line, row in _rows(path, table):
@@ -400,8 +395,7 @@ def _number(path: Path, line: int, name: str, row: list[str], at: int) -> float:
 def _step(values: npt.NDArray[np.float64]) -> float:
     """Return the smallest step between distinct values, ignoring rounding."""
     steps = np.diff(np.unique(values))
-    scale = float(np.max(np.abs(values)))
-    real = steps[steps > 1e-12 * scale]
+    real = steps[steps > 1e-12 * np.max(np.abs(values))]
     return float(real.min()) if real.size else 0.0
 
 

@@ -145,7 +145,9 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
             f"{0.5 * settings.samples_per_period:g} or more; sample faster, or release the "
             "pendulum from a larger angle"
         )
-    turns = turns[_steady_run(np.diff(time[turns]) / (0.5 * period))]
+    spacing = np.diff(time[turns]) / (0.5 * period)
+    run = _longest_run((spacing > 0.6) & (spacing < 1.6))
+    turns = turns[run.start : run.stop + 1]
     begin, end = float(time[turns[0]]), float(time[turns[-1]])
     margin = max(0.5 * (period - (end - begin)), 0.0)
     ends = values[turns]
@@ -211,17 +213,10 @@ def _extremes(values: Array) -> npt.NDArray[np.intp]:
     size = n // 50_000
     if size < 4:
         return np.arange(n)
-    blocks = values[: n - n % size].reshape(-1, size)
-    begins = np.arange(len(blocks)) * size
-    rest = np.arange(n - n % size, n)
-    inner = (begins + np.argmin(blocks, axis=1), begins + np.argmax(blocks, axis=1))
-    return np.unique(np.concatenate(([0], *inner, rest)))
-
-
-def _steady_run(spacing: Array) -> slice:
-    """Return the longest run of turning points with regular spacing, in half periods."""
-    run = _longest_run((spacing > 0.6) & (spacing < 1.6))
-    return slice(run.start, run.stop + 1)
+    end = n - n % size
+    blocks, begins = values[:end].reshape(-1, size), np.arange(0, end, size)
+    extremes = (begins + np.argmin(blocks, axis=1), begins + np.argmax(blocks, axis=1))
+    return np.unique(np.concatenate(([0], *extremes, np.arange(end, n))))
 
 
 def _longest_run(flags: Flags) -> slice:
@@ -647,8 +642,8 @@ def _remove_false_touches(
     ends = places[np.concatenate((breaks, [-1]))] + 1 if places.size else places
     theta = law.theta(motion.angle, motion.elapsed)
     theta_dot = law.theta_dot(motion.rate)
-    w = float(np.sqrt(law.w2))
-    result = touched.copy()
+    w, result = float(np.sqrt(law.w2)), touched.copy()
+    model = PendulumParameters(law.w2, 0.0, law.c, law.coulomb)
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
         if begin == 0 or end == len(touched):
             continue
@@ -657,10 +652,8 @@ def _remove_false_touches(
         if times[1] - times[0] > rough.period:
             continue
         thetas, theta_dots = np.empty(2), np.empty(2)
-        known = PendulumParameters(law.w2, 0.0, law.c, law.coulomb)
-        swing(
-            times, theta[before], theta_dot[before], rough.period / 128.0, known, thetas, theta_dots
-        )
+        h = rough.period / 128.0
+        swing(times, theta[before], theta_dot[before], h, model, thetas, theta_dots)
         off = np.hypot(thetas[1] - theta[after], (theta_dots[1] - theta_dot[after]) / w)
         size = np.hypot(2.0 * np.sin(0.5 * theta[after]), theta_dot[after] / w)
         if off < MAX_SWING_CHANGE * size:
