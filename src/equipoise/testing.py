@@ -1,6 +1,6 @@
-"""Conformance suites: what every robot and every angle sensor does, for the tests of a guest.
+"""Conformance suites of robots and angle sensors, for the tests of external drivers.
 
-A guest's test fills in `make`; pytest collects the rest by name, and needs no import of it here::
+A driver's test implements `make`; pytest collects the tests by name::
 
     from equipoise.testing import RobotConformance
 
@@ -53,10 +53,10 @@ def expect_error(kind: type[Exception], call: Callable[..., Any], *arguments: An
 
 
 class RobotSession:
-    """A connected robot whose servo runs, and what was sent and answered; closed after use."""
+    """Connected robot with a running servo, and its setpoints and replies; closed after use."""
 
     def __init__(self, robot: Robot, clock: Clock) -> None:
-        """Take a robot that is not connected."""
+        """Create a session with a robot that is not connected."""
         self.robot, self.clock = robot, clock
         self.sent: list[float] = []
         self.replies: list[Reply] = []
@@ -73,7 +73,7 @@ class RobotSession:
         self.robot.close()
 
     def wait(self, seconds: float) -> None:
-        """Let time pass [s]."""
+        """Wait [s]."""
         self.clock.wait_until(self.clock.now() + seconds)
 
     def stream(self, setpoints: Iterable[Any]) -> None:
@@ -213,23 +213,23 @@ class RobotConformance:
 
 
 class Spindle(NamedTuple):
-    """An angle sensor that is not connected, and the world on its other side."""
+    """Angle sensor that is not connected, with controls of its spindle, button and link."""
 
     sensor: AngleSensor
     """The sensor."""
     clock: Clock
     """Clock of its rig."""
     turn: Callable[[Callable[[float], float]], None]
-    """Makes theta a function of the time [rad] from now on; it is zero until then."""
+    """Makes theta a function of the time [rad] from now on; theta is zero until then."""
     press: Callable[[], None] | None
-    """Presses the button and lets it go; None where there is none."""
+    """Presses and releases the button; None without a button."""
     unplug: Callable[[], None] | None
-    """Cuts the link; None where there is none."""
+    """Cuts the link; None without a link."""
     age: float
     """Largest age of a sample when it is read, beyond the time between two reads [s]."""
 
     def watch(self, seconds: float, every: float = 0.005) -> tuple[list[Any], list[float]]:
-        """Let time pass [s]; return the samples, and when each was read [s]."""
+        """Wait [s]; return the samples, and when each was read [s]."""
         samples: list[Any] = []
         read: list[float] = []
         until = self.clock.now() + seconds
@@ -245,7 +245,7 @@ class SensorConformance:
     """Tests of an `AngleSensor`."""
 
     def make(self) -> Spindle:
-        """Return a new sensor at rest, not connected, and what moves it."""
+        """Return a new sensor at rest, not connected, with its controls."""
         raise NotImplementedError
 
     def connected(self) -> Spindle:

@@ -1,4 +1,4 @@
-"""Robots and angle sensors by the scheme of their address, and what a package registers for one.
+"""Plugins of robots and angle sensors, by the scheme of their addresses.
 
 A package brings a robot in one file. Its `pyproject.toml` names the plugin; the name of the entry
 point is the scheme of the addresses::

@@ -1,6 +1,6 @@
-r"""The operator's hand on the pendulum: it grips, lifts, holds with a tremor, and lets go.
+r"""Model of the operator's hand on the pendulum: grip, lift, hold with a tremor, release.
 
-It is where it wants to be, phi_h(t), and pulls the rod there as a stiff spring and damper
+The hand follows its intended angle phi_h(t) exactly, and pulls the rod as a stiff spring and damper
 
 .. math:: \tau = s\, I\,(\omega^2 (\varphi_h - \varphi) + 2 \omega (\dot\varphi_h - \dot\varphi))
 
@@ -179,7 +179,7 @@ class Hand:
         self._grip(now, phi, to, manner.lifting, manner)
 
     def release(self, now: float) -> None:
-        """Let go, in the manner of this hold."""
+        """Release the pendulum, with the parameters of this hold."""
         if self._manner is None or self._opens is not None:
             return
         self._opens = now
@@ -187,7 +187,7 @@ class Hand:
             self.push(now, self._manner.push)
 
     def push(self, now: float, rate: float) -> None:
-        """Push the pendulum, so that its rate changes by so much if nothing holds it [rad/s]."""
+        """Push the pendulum, which changes the rate of a free pendulum [rad/s]."""
         self._pushes.append((now, rate))
 
     def torque(self, now: float, phi: float, phi_dot: float) -> float:
@@ -234,5 +234,5 @@ class Hand:
 
 
 def _hanging(phi: float) -> float:
-    """Return where the pendulum hangs [rad], in the turn that it is in."""
+    """Return the hanging angle of the pendulum in its current turn [rad]."""
     return 2.0 * pi * round((phi - pi) / (2.0 * pi)) + pi

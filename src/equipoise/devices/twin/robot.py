@@ -1,9 +1,8 @@
-"""Robot and encoder of a bench in process: the interfaces of a rig without protocol and bytes.
+"""Robot and encoder of a simulated rig in process, without protocol and bytes.
 
-The times are the twin's: a setpoint is in force after its transport, a reply takes as long as its
-age says and tells the joints of half-way, a count is known when it is old enough. Nothing is lost
-and nothing fails: links that break belong to the drivers, whose emulated other ends stand on the
-same bench.
+Delays are those of the twin: a setpoint takes effect after its transport time, a reply arrives
+after its age with the joints of half-way, a count is available after its age. Nothing is lost and
+nothing fails; broken links are modelled by the drivers with their emulators.
 """
 
 from collections import deque
@@ -22,24 +21,24 @@ from equipoise.errors import LinkError
 from equipoise.model.encoder import counts_from_theta
 
 BRAKED: Final = 0.1
-"""An arm rests so long after its servo has ended [s]: the twin's drives brake for less than half
-of that."""
+"""Time from the end of a servo until the arm rests [s]; the twin's drives brake for less than half
+of it."""
 TORQUE_EVERY: Final = 10
-"""One reply in this number has external torques instead of measured joints: the twin is that of a
-KST server, which gives either."""
+"""Number of replies of which one has external torques instead of measured joints: the twin models a
+KST server, which sends either."""
 KEPT: Final = 4096
-"""Samples that wait for a reader; then the oldest are lost."""
+"""Maximum number of unread samples; the oldest are dropped beyond it."""
 
 
 class TwinRobot:
-    """The arm of a bench as a `Robot`."""
+    """Arm of a simulated rig as a `Robot`."""
 
     def __init__(self, bench: SimulatedRig, clock: Clock) -> None:
-        """Stand the arm on a bench.
+        """Connect to a simulated rig.
 
         Args:
-            bench: The bench, which `clock` drives.
-            clock: The rig's clock.
+            bench: Simulated rig, which `clock` drives.
+            clock: Clock of the rig.
         """
         self._bench = bench
         self._clock = clock
@@ -73,7 +72,7 @@ class TwinRobot:
         """Start the servo, which holds the arm where it is.
 
         Raises:
-            LinkError: It is not connected, or what stopped the arm still does.
+            LinkError: The device is not connected, or the arm is stopped.
         """
         self._check(self._connected, "is not connected; call connect first")
         body = self._bench.body
@@ -123,7 +122,7 @@ class TwinRobot:
         self._clock.wait_until(self._clock.now() + BRAKED)
 
     def close(self) -> None:
-        """Say goodbye, which ends the servo."""
+        """Disconnect, which ends the servo."""
         if self._streams:
             self._bench.body.servo(False)
         self._connected = self._streams = False
@@ -149,7 +148,7 @@ class TwinRobot:
 
 
 class TwinEncoder:
-    """The encoder of a bench as an `AngleSensor`, counting from where the pendulum is now."""
+    """Encoder of a simulated rig as an `AngleSensor`; its zero is the pendulum's current angle."""
 
     def __init__(
         self, bench: SimulatedRig, clock: Clock, *, sign: int = 1, factor: float = 1.0
@@ -157,10 +156,10 @@ class TwinEncoder:
         """Switch the encoder on.
 
         Args:
-            bench: The bench, which `clock` drives.
-            clock: The rig's clock.
+            bench: Simulated rig, which `clock` drives.
+            clock: Clock of the rig.
             sign: 1 if counts grow with theta, -1 if they fall: a fault.
-            factor: So many times the counts that it says are in a revolution: a fault if not 1.
+            factor: Ratio of actual to nominal counts per revolution; other than 1 is a fault.
         """
         self._bench = bench
         self._clock = clock
@@ -188,7 +187,7 @@ class TwinEncoder:
 
     @property
     def counts_per_rev(self) -> int:
-        """Counts per revolution, after x4; as it says."""
+        """Nominal counts per revolution, after x4."""
         return self._bench.settings.counts_per_rev
 
     def connect(self) -> None:
@@ -213,7 +212,7 @@ class TwinEncoder:
         return came
 
     def close(self) -> None:
-        """Let go."""
+        """Disconnect."""
         self._connected = False
 
     def _counted(self) -> int:

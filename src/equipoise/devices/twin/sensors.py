@@ -1,8 +1,7 @@
-"""What the twin shows of itself: encoder counts with their times, measured joints with theirs.
+"""Measurements of the twin: encoder counts and measured joints, with their times.
 
-Both are samples of whole milliseconds of which the newest is known only when it is old enough, as
-the board takes it to the host and the robot's reply comes back. A sample stays what it is however
-often it is read: its errors depend on its own time.
+Both are sampled each millisecond, and available after an age: the delay of the board's line or of
+the robot's reply. Repeated reads return the same sample: its errors depend on its own time.
 """
 
 from math import ceil, pi
@@ -21,9 +20,9 @@ from equipoise.model.sim_configs import TwinSettings
 Array = npt.NDArray[np.float64]
 
 HISTORY_MS: Final = 128
-"""Milliseconds that are remembered: more than the greatest age."""
+"""Length of the history [ms], above the maximum age."""
 ROUNDING: Final = 1e-9
-"""An age this close to a whole number of milliseconds is meant to be that."""
+"""Tolerance of times that are whole milliseconds [s]."""
 
 
 class Sensors(NamedTuple):
@@ -32,11 +31,11 @@ class Sensors(NamedTuple):
     counts_per_rev: float
     """Encoder counts per revolution."""
     zero: float
-    """What the encoder reads too much of phi [rad]."""
+    """Encoder zero offset [rad]."""
     encoder_age: int
     """Age of the newest count [ms]."""
     encoder_jitter: float
-    """A count's time stamp is wrong by up to this [s]."""
+    """Maximum error of a count's time stamp [s]."""
     reply_age: int
     """Age of the newest measured joints [ms]."""
     joint_noise: float
@@ -44,12 +43,12 @@ class Sensors(NamedTuple):
 
 
 class SensorHistory(NamedTuple):
-    """The last milliseconds, each at its number modulo `PAST`."""
+    """The last milliseconds, each at its index modulo `HISTORY_MS`."""
 
     phi: Array
-    """Angle of the pendulum from upright, relative to the flange [rad], shape (PAST,)."""
+    """Angle of the pendulum from upright, relative to the flange [rad], shape (HISTORY_MS,)."""
     q: Array
-    """Free joints [rad], shape (PAST, 6)."""
+    """Free joints [rad], shape (HISTORY_MS, 6)."""
 
 
 def make_sensors(settings: TwinSettings, seed: int, index: int) -> Sensors:
@@ -73,7 +72,7 @@ def make_sensors(settings: TwinSettings, seed: int, index: int) -> Sensors:
 
 
 def new_sensor_history() -> SensorHistory:
-    """Return an empty past."""
+    """Return an empty history."""
     return SensorHistory(np.zeros(HISTORY_MS), np.zeros((HISTORY_MS, FREE_JOINTS)))
 
 

@@ -1,12 +1,11 @@
-"""The arm of a twin as its cabinet's programs see it: a servo, measured joints, torques, a pose.
+"""Arm of a twin as the programs of its cabinet use it: servo, measured joints, torques, pose.
 
-While no servo runs the arm is held where it came to rest; a servo that begins holds it there. It
-sags by a few milliradians whenever it has braked: the twin's drives know nothing of what hangs on
-the flange, and have no integral term. What stops it for good (emergency stop,
-enabling switch, change of the operating mode, the drives' own protection) is one thing here: it
-brakes, stays, and obeys nothing until it is set free and a servo begins anew; whoever asks is still
-answered. So does a target that is no number: what KUKA's motion layer does with one is not
-published.
+Without a servo the arm is held where it came to rest; a servo that starts holds it there. The arm
+sags by a few milliradians after each braking, because the twin's drives have neither load data nor
+an integral term. Emergency stop, enabling switch, change of the operating mode and the drives'
+protection are modelled alike: the arm brakes and ignores targets until it is set free and a servo
+starts again; measurements continue. A target that is not finite has the same effect, since the
+behaviour of KUKA's motion layer is not published.
 
 Not modelled: KUKA's own limits of position, speed and torque, which would stop the arm too (the end
 of a joint's range does, by force), and the brakes' closing.
@@ -29,11 +28,10 @@ from equipoise.model.sim_configs import TwinSettings
 Array = npt.NDArray[np.float64]
 
 BRAKING: Final = 40
-"""Milliseconds for which the drives only brake; then they hold the arm where it is. Five times
-their lag."""
+"""Time for which the drives only brake before they hold the arm [ms]: five times their lag."""
 REST_RATE: Final = 0.02
-"""An arm whose joints are no faster holds its target instead [rad/s]; below 1 deg/s, and more than
-a swinging pendulum makes of one that rests."""
+"""Joint speed below which the arm counts as resting and holds its target [rad/s]; larger than the
+motion that a swinging pendulum causes in a resting arm."""
 TORQUE_NOISE: Final = 0.05
 """Standard deviation of the noise on a measured torque [N m]. Assumed."""
 JOINT_STREAM: Final = 2
@@ -44,7 +42,7 @@ class SimulatedArm:
     """The arm behind an emulated cabinet; angles of all joints [rad], shape (n,)."""
 
     def __init__(self, twin: Twin, arm: Arm, settings: TwinSettings) -> None:
-        """Take over the arm of a twin, held where it is.
+        """Wrap the arm of a twin, held where it is.
 
         Args:
             twin: The twin.
@@ -65,7 +63,7 @@ class SimulatedArm:
         self._braking = 0
         self._running = False
         self.stopped = ""
-        """What stopped the arm; empty where nothing did."""
+        """Cause of the stop; empty without a stop."""
 
     @property
     def running(self) -> bool:
@@ -73,7 +71,7 @@ class SimulatedArm:
         return self._running
 
     def measured(self) -> tuple[float, ...]:
-        """Return the joints as they are measured now [rad]."""
+        """Return the measured joints [rad]."""
         q = self._twin.kernel.bodies.qpos[: self._n] - self._error
         noise(self._twin.kernel, self._joint_noise, JOINT_STREAM, q)
         return tuple(q.tolist())
@@ -82,9 +80,8 @@ class SimulatedArm:
         """Return torques at the joints, about their axes [N m].
 
         Args:
-            external: Those with which all that is not the bare arm acts on it, by the model that
-                the cabinet has of it: bracket and pendulum, whose weight it does not know, and
-                whoever touches it. Otherwise those of the drives.
+            external: Whether to return external torques, by the cabinet's model of the bare arm:
+                those of bracket, pendulum and contacts. Otherwise return those of the drives.
         """
         bodies, n = self._twin.kernel.bodies, self._n
         if external:
@@ -99,9 +96,9 @@ class SimulatedArm:
         return tuple(torques.tolist())
 
     def flange(self) -> tuple[float, ...]:
-        """Return where the flange is in the base: x, y, z [mm], a, b, c [rad].
+        """Return the pose of the flange in the base: x, y, z [mm], a, b, c [rad].
 
-        R = Rz(a) Ry(b) Rx(c), as KUKA writes it.
+        R = Rz(a) Ry(b) Rx(c), KUKA's convention.
         """
         bodies = self._twin.kernel.bodies
         R = bodies.xmat[bodies.flange].reshape(3, 3)
@@ -111,18 +108,19 @@ class SimulatedArm:
         return x, y, z, a, b, c
 
     def servo(self, running: bool) -> None:
-        """Let a servo begin, holding the arm where it is, or end; the arm then brakes."""
+        """Start a servo, which holds the arm where it is, or stop it, which brakes the arm."""
         if self.stopped:
             return
         self._running = running
         self._brake()
-        if running:  # what a braking arm is at now is where it is held
+        if running:  # hold a braking arm where it is now
             self._braking = min(self._braking, 1)
 
     def target(self, q: Sequence[float] | Array) -> None:
-        """Take the newest target of the servo [rad]; nothing happens where none runs.
+        """Set the target of the servo [rad]; ignored without a servo.
 
-        It is in force after the twin's transport. What is no number stops the arm.
+        The target takes effect after the twin's transport time. A value that is not finite stops
+        the arm.
         """
         wanted = np.asarray(q, np.float64)
         if not np.isfinite(wanted).all():
@@ -132,20 +130,20 @@ class SimulatedArm:
             send(twin.cabinet, twin.servo, wanted + self._error, twin.seed, twin.trial)
 
     def stop(self, why: str) -> None:
-        """Brake, and obey nothing until `set_free`: an emergency stop, a change of mode.
+        """Brake, and ignore targets until `set_free`, as after an emergency stop.
 
         Args:
-            why: What stopped it.
+            why: Cause of the stop.
         """
         self.stopped, self._running = why, False
         self._brake()
 
     def set_free(self) -> None:
-        """Let the arm be moved again; the next servo does."""
+        """Clear the stop, so that the next servo moves the arm again."""
         self.stopped = ""
 
     def tick(self) -> None:
-        """Do what a millisecond asks for before it begins."""
+        """Prepare the next millisecond."""
         if self._braking:
             self._twin.kernel.cabinet.target[:] = self._twin.kernel.bodies.qpos[: self._n]
             self._braking -= 1

@@ -85,7 +85,7 @@ class SimulatedRig:
         return self._start + self._ticks * TICK
 
     def advance(self, now: float) -> None:
-        """Let milliseconds pass until a time [s]."""
+        """Advance in milliseconds to a time [s]."""
         due = round((now - self._start) / TICK)
         while self._ticks < due:
             self.body.tick()
@@ -96,7 +96,7 @@ class SimulatedRig:
                 work()
 
     def watch(self, work: Callable[[], None]) -> None:
-        """Let `work()` run at the end of each millisecond from now on."""
+        """Run `work()` at the end of each millisecond from now on."""
         self._watching.append(work)
 
     @property
@@ -146,17 +146,17 @@ class SimulatedRig:
         self.hand.steady(self.now, self.phi, draw_hand_params(self._random, clumsy=0.0))
 
     def hold_deflected(self) -> None:
-        """Grip the pendulum and hold it aside, until `let_go`: it is a free swing then."""
+        """Grip the pendulum and hold it deflected until `let_go`, which starts a free swing."""
         self.hand.hold_deflected(
             self.now, self.phi, DEFLECTION, draw_hand_params(self._random, clumsy=0.0)
         )
 
     def let_go(self) -> None:
-        """Let go of the pendulum."""
+        """Release the pendulum."""
         self.hand.release(self.now)
 
     def push(self, rate: float) -> None:
-        """Push the pendulum, so that its rate changes by so much [rad/s]."""
+        """Push the pendulum, which changes its rate [rad/s]."""
         self.hand.push(self.now, rate)
 
     def touch(self, force: Sequence[float] | Array) -> None:
@@ -169,11 +169,11 @@ class SimulatedRig:
         self.twin.data.xfrc_applied[flange, :3] = np.asarray(force, np.float64)
 
     def slip(self, angle: float) -> None:
-        """Let the encoder slip on its spindle: from now on it shows so much more [rad]."""
+        """Slip the encoder on its spindle, which adds an offset to its angle from now on [rad]."""
         self._slip += angle
 
     def _grasp(self) -> None:
-        """Let the hand pull at the middle of the rod, across it."""
+        """Apply the force of the hand at the middle of the rod, across it."""
         if self.hand.idle:
             if self._touching:
                 self.twin.data.xfrc_applied[self.twin.kernel.bodies.pendulum, :3] = 0.0

@@ -1,8 +1,8 @@
-"""The twin as kernels and as Python drive it: send setpoints, let time pass, read the sensors.
+"""Digital twin for kernels and for Python: send setpoints, advance time, read the sensors.
 
-Time goes in whole milliseconds. In each the cabinet sets the torques of the joints, and the physics
-engine takes its steps under them. The engine leaves positions and velocities of all bodies as they
-are at the end of the millisecond, so that the truth can be read at any time.
+Time advances in whole milliseconds. In each, the cabinet sets the torques of the joints, and the
+physics engine takes its steps. Positions and velocities of all bodies are valid at the end of each
+millisecond, so that the true state can be read at any time.
 
 The pendulum's angle in the engine, as the encoder's, is relative to the flange; phi in the truth
 is in space. They differ by the flange's rotation about the spindle.
@@ -49,7 +49,7 @@ Whole = npt.NDArray[np.int64]
 
 
 class Bodies(NamedTuple):
-    """MuJoCo's own arrays of a model's state, seen from here."""
+    """Views of MuJoCo's arrays of a model's state."""
 
     qpos: Array
     """All joints of the arm, then phi relative to the flange [rad]."""
@@ -93,7 +93,7 @@ class TwinKernel(NamedTuple):
     sensors: Sensors
     """Constants of encoder and replies."""
     past: SensorHistory
-    """What they show next."""
+    """History for the sensors."""
     home: Array
     """All joints at x = 0 [rad], shape (n,)."""
     free: Whole
@@ -103,7 +103,7 @@ class TwinKernel(NamedTuple):
     setpoint: Array
     """Room for all joints of a setpoint [rad], shape (n,)."""
     seed: int
-    """Master seed of what is random in a trial."""
+    """Master seed of all random numbers in a trial."""
     trial: int
     """Its number."""
 
@@ -152,7 +152,7 @@ def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
 
 @kernel
 def advance(twin: TwinKernel, ticks: int) -> None:
-    """Let so many milliseconds pass.
+    """Advance by a number of milliseconds.
 
     Args:
         twin: Changed in place.
@@ -187,10 +187,10 @@ def send_free(twin: TwinKernel, q: Array) -> None:
 
 @kernel
 def noise(twin: TwinKernel, sigma: float, stream: int, values: Array) -> None:
-    """Add the noise of this millisecond to what is measured at each joint.
+    """Add the noise of this millisecond to measurements of the joints.
 
     Args:
-        twin: The time, and what the noise is drawn from.
+        twin: The time, the seed and the index of the trial.
         sigma: Its standard deviation.
         stream: One of the twin's streams of random numbers, counted from its first.
         values: Changed in place, shape (n,).
@@ -297,7 +297,7 @@ class Twin:
 
     @property
     def saturated(self) -> int:
-        """Milliseconds in which a drive gave all the torque that it can."""
+        """Number of milliseconds in which a drive was at its torque limit."""
         return int(self.kernel.cabinet.clock[SATURATED])
 
     def send(self, q: Sequence[float] | Array) -> None:
@@ -305,7 +305,7 @@ class Twin:
         send_free(self.kernel, np.array(q, np.float64))
 
     def advance(self, seconds: float) -> None:
-        """Let time pass, in whole milliseconds [s]."""
+        """Advance time, in whole milliseconds [s]."""
         advance(self.kernel, round(seconds / TICK))
 
     def encoder(self) -> tuple[float, float]:

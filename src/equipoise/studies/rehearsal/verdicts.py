@@ -76,7 +76,7 @@ def limits_kept(arm: Arm, sent: Sequence[Sent]) -> list[str]:
 
 
 def came_to_rest(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
-    """Return what is wrong with the setpoints from a stop on [s]: each is to be slower."""
+    """Return the problems of the setpoints after a stop [s], each of which has to be slower."""
     q = np.array([one.q for one in sent])
     steps = np.abs(np.diff(q, axis=0)).max(axis=1)
     times = np.array([one.time for one in sent[1:]])
