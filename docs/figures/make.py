@@ -1,7 +1,7 @@
-"""Make the pictures of README and documents, with the policy that ships: `make pictures`.
+"""Draw the pictures of README and documents with the shipped policy: `make pictures`.
 
-balancing.webp is one run on the digital twin, survival.png the policy beside the yardsticks on the
-plant of its training. gap.png is drawn from the file of a whole study, which takes long to make:
+balancing.webp shows one run on the digital twin, survival.png the policy and the baselines on the
+training plant. gap.png is drawn from the file of a full gap study, which takes long to compute:
 
     equipoise gap POLICY --out gap.json
     python docs/figures/make.py --gap gap.json
@@ -20,9 +20,9 @@ HERE = Path(__file__).parent
 
 
 def main() -> None:
-    """Make the pictures."""
-    parser = argparse.ArgumentParser(description="Make the pictures of README and documents.")
-    parser.add_argument("--gap", type=Path, help="a study made by `equipoise gap`")
+    """Draw the pictures."""
+    parser = argparse.ArgumentParser(description="Draw the pictures of README and documents.")
+    parser.add_argument("--gap", type=Path, help="output file of `equipoise gap`")
     options = parser.parse_args()
     policy = eq.shipped_policy()
     run = eq.deploy(policy, world="twin:nominal", duration=10.0)

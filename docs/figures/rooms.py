@@ -1,6 +1,6 @@
-"""Draw rooms.svg, the rooms of the code, from the import layers of pyproject.toml: `make rooms`.
+"""Draw rooms.svg, the packages of the code by import layer of pyproject.toml: `make rooms`.
 
-Each band is one layer. A room imports only from bands below its own, which `lint-imports` enforces.
+Each band is one layer. A package imports only from bands below, which `lint-imports` enforces.
 """
 
 import tomllib
@@ -9,11 +9,11 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 CAPTIONS = {
-    "cli": "the command: parses, calls, prints; conformance tests for guests",
-    "report": "figures, film and HTML page, from saved results",
+    "cli": "the command: parses, calls, prints; conformance tests for plugins",
+    "report": "figures, animation and HTML page, from saved results",
     "envs": "Gymnasium environments",
     "studies": "certificates, gap, refinement, explanation, rehearsal",
-    "training": "the story: one stage each, connected only by values",
+    "training": "the pipeline: one stage each, connected only by values",
     "simulation": "trials in any simulated world; fitness of machine, rig and policy",
     "rigs": "addresses become devices",
     "devices": "robot, encoder, emulators, twin; closed loop and learning",
@@ -22,21 +22,21 @@ CAPTIONS = {
     "trajectory": "recordings and run logs",
     "logs": "recordings and run logs",
     "settings": "every choice, with its unit and its reason",
-    "artefacts": "files, compiled kernels, log files, objects of guests",
+    "artefacts": "files, compiled kernels, log files, objects of plugins",
     "paper": "the published numbers",
-    "views": "pictures of values, in scripts and notebooks",
-    "errors": "errors, text made safe to print, private folders",
+    "views": "plots of values, in scripts and notebooks",
+    "errors": "errors, escaping of printed text, private folders",
 }
-"""Text beside the layer that holds a room."""
+"""Caption of a layer, by one of its packages."""
 HIDDEN = ("__main__",)
-"""Modules that are not rooms."""
+"""Modules that are not drawn."""
 WIDTH, BAND, GAP, MARGIN, CHARACTER = 980, 34, 8, 14, 8.4
-"""Sizes [px]: page, height of a band, space between boxes, border, one character of a name."""
-STORY = ("training", "identification", "evaluation", "deployment")
+"""Page width, band height, space between boxes, border, width of a character [px]."""
+PIPELINE = ("training", "identification", "evaluation", "deployment")
 
 
 def layers() -> list[list[str]]:
-    """Return the rooms of each layer, the top layer first."""
+    """Return the packages of each layer, the top layer first."""
     text = (HERE.parents[1] / "pyproject.toml").read_text(encoding="utf-8")
     contracts = tomllib.loads(text)["tool"]["importlinter"]["contracts"]
     contract = next(one for one in contracts if one["type"] == "layers")
@@ -52,7 +52,7 @@ def draw() -> str:
         x = MARGIN + 26.0
         for room in row:
             width = CHARACTER * len(room) + 22.0
-            fill = "#dbe9f6" if room in STORY else "#f1f3f5"
+            fill = "#dbe9f6" if room in PIPELINE else "#f1f3f5"
             parts.append(
                 f'<rect x="{x:.1f}" y="{y}" width="{width:.1f}" height="{BAND - GAP}" rx="5" '
                 f'fill="{fill}" stroke="#8a97a5"/>'
@@ -76,7 +76,7 @@ def draw() -> str:
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" '
             f'width="{WIDTH}" height="{height}" role="img">',
-            "<title>The rooms of the code; imports go down</title>",
+            "<title>Packages of the code; imports go down</title>",
             style,
             f'<rect width="{WIDTH}" height="{height}" fill="#ffffff"/>',
             arrow,

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 P = ParamSpec("P")
+Offset = tuple[float, float]
 
 INK: Final = "#222222"
 BLUE: Final = "#0072B2"
@@ -105,14 +106,15 @@ def limit_lines(axes: "Axes", values: Sequence[float], label: str = "") -> None:
     for value in values:
         axes.axhline(value, color=INK, linewidth=1.0, linestyle=(0, (6, 2)))
     if label:
-        axes.annotate(
-            label,
-            (0.0, max(values)),
-            xycoords=("axes fraction", "data"),
-            xytext=(3, 2),
-            textcoords="offset points",
-            fontsize=7.5,
-        )
+        remark(axes, label, (0.0, max(values)), (3, 2), 7.5)
+
+
+def remark(
+    axes: "Axes", text: str, place: tuple[float, float], offset: Offset, size: float, **look: Any
+) -> None:
+    """Write a text at an x in shares of the axes and a y of the data, with an offset [pt]."""
+    frame: Any = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+    axes.annotate(text, place, offset, fontsize=size, **frame, **look)
 
 
 def edge_lines(axes: "Axes", values: Sequence[float]) -> None:

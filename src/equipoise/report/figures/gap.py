@@ -4,39 +4,24 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from equipoise.report import style
+from equipoise.studies import gap_results as study
 from equipoise.studies.formatting import percent
-from equipoise.studies.gap_results import (
-    CURED,
-    LABELS,
-    NO_BIAS,
-    NO_PREDICTION,
-    NOT_TOLD,
-    PAPER,
-    Controller,
-    Gap,
-    GapPoint,
-    Seconds,
-    at_scale,
-    difference,
-    mean,
-    spelled,
-    track_share,
-)
+from equipoise.studies.gap_results import Gap, GapPoint
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LINES: Final[dict[tuple[Controller, bool], dict[str, Any]]] = {
-    (CURED, False): {"color": style.BLUE, "linestyle": "-", "linewidth": 3.2, "marker": "o"},
-    (NOT_TOLD, False): {"color": style.SKY, "linestyle": (0, (5, 2)), "marker": "s"},
-    (NO_PREDICTION, False): {
+LINES: Final[dict[tuple[study.Controller, bool], dict[str, Any]]] = {
+    (study.CURED, False): {"color": style.BLUE, "linestyle": "-", "linewidth": 3.2, "marker": "o"},
+    (study.NOT_TOLD, False): {"color": style.SKY, "linestyle": (0, (5, 2)), "marker": "s"},
+    (study.NO_PREDICTION, False): {
         "color": style.ORANGE,
         "linestyle": (0, (6, 1.5, 1, 1.5)),
         "marker": "^",
     },
-    (NO_BIAS, False): {"color": style.GREEN, "linestyle": (0, (1, 1.5)), "marker": "D"},
-    (PAPER, False): {"color": style.VERMILION, "linestyle": "-", "marker": "v"},
-    (PAPER, True): {"color": style.INK, "linestyle": (0, (3, 1.5)), "marker": "x"},
+    (study.NO_BIAS, False): {"color": style.GREEN, "linestyle": (0, (1, 1.5)), "marker": "D"},
+    (study.PAPER, False): {"color": style.VERMILION, "linestyle": "-", "marker": "v"},
+    (study.PAPER, True): {"color": style.INK, "linestyle": (0, (3, 1.5)), "marker": "x"},
 }
 """Line styles; the first line is wide, so that lines on top of it leave its edges visible."""
 SHIFT: Final = 0.008
@@ -89,17 +74,17 @@ def _curves(part: Any, gap: Gap) -> None:
 def _against(axes: Any, gap: Gap, what: Literal["delay", "zero"]) -> None:
     above, below = axes
     curves = {key: gap.curve(what, *key) for key in gap.curves}
-    places = [at_scale(what, p.at) for curve in curves.values() for p in curve]
+    places = [study.at_scale(what, p.at) for curve in curves.values() for p in curve]
     shift = SHIFT * (max(places) - min(places))
     _seconds_axis(above, "y", gap)
     for number, (key, curve) in enumerate(curves.items()):
         if not curve:
             continue
         line = LINES[key]
-        x = [at_scale(what, p.at) + (number - 2.5) * shift for p in curve]
-        label = LABELS[key[0]] + (", rest of the twin clean" if key[1] else "")
+        x = [study.at_scale(what, p.at) + (number - 2.5) * shift for p in curve]
+        label = study.LABELS[key[0]] + (", rest of the twin clean" if key[1] else "")
         above.errorbar(x, *_intervals(gap, curve), label=label, elinewidth=1.1, **BARS, **line)
-        shares = [(at, track_share(p.results)) for at, p in zip(x, curve, strict=True)]
+        shares = [(at, study.track_share(p.results)) for at, p in zip(x, curve, strict=True)]
         fell = [(at, 100.0 * share) for at, share in shares if share is not None]
         if fell:
             below.plot(*zip(*fell, strict=True), markersize=4, **line)
@@ -109,16 +94,16 @@ def _against(axes: Any, gap: Gap, what: Literal["delay", "zero"]) -> None:
     below.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
 
 
-def _effects(part: Any, gap: Gap, controller: Controller) -> None:
+def _effects(part: Any, gap: Gap, controller: study.Controller) -> None:
     left, right = part.subplots(1, 2, sharey=True)
     names = gap.names("alone")
     plant, clean, world = (gap.point(p, controller) for p in ("plant", "clean", "world"))
-    own, at_best, as_is = (mean(p.results, gap.duration).mean for p in (plant, clean, world))
-    label = LABELS[controller]
+    own, at_best, as_is = (study.mean(p.results, gap.duration).mean for p in (plant, clean, world))
+    label = study.LABELS[controller]
     _title(
         part,
         f"{label[0].upper()}{label[1:]}: {own:.1f} s on its own training plant; "
-        "change of the mean beside each effect",
+        "change of the study.mean beside each effect",
     )
     alone = [gap.point("alone", controller, name) for name in names]
     without = [gap.point("without", controller, name) for name in names]
@@ -126,14 +111,14 @@ def _effects(part: Any, gap: Gap, controller: Controller) -> None:
         (left, clean, alone, f"switched on alone; clean twin: {at_best:.1f} s"),
         (right, world, without, f"removed alone; full twin: {as_is:.1f} s"),
     ):
-        _rows(panel, gap, points, style.VERMILION if controller == PAPER else style.BLUE)
-        found = mean(reference.results, gap.duration)
+        _rows(panel, gap, points, style.VERMILION if controller == study.PAPER else style.BLUE)
+        found = study.mean(reference.results, gap.duration)
         low = max(found.low, MIN_SECONDS)
         panel.axvspan(low, found.high, color=style.PALE, linewidth=0.0, zorder=0.5)
         dashed: Any = {"linewidth": 1.0, "linestyle": (0, (4, 2)), "zorder": 0.9}
         panel.axvline(found.mean, color=style.GREY, **dashed)
         for row, point in enumerate(points):
-            _remark(panel, row, _signed(difference(point.results, reference.results)))
+            _remark(panel, row, _signed(study.difference(point.results, reference.results)))
         panel.set_title(title)
     left.set_yticks(range(len(names)), names)
 
@@ -141,14 +126,16 @@ def _effects(part: Any, gap: Gap, controller: Controller) -> None:
 def _variants(part: Any, gap: Gap) -> None:
     panel = part.subplots()
     names = gap.names("variant")
-    points = [gap.point("variant", CURED, name) for name in names]
+    points = [gap.point("variant", study.CURED, name) for name in names]
     _rows(panel, gap, points, style.BLUE)
     for row, point in enumerate(points):
-        share = track_share(point.results)
+        share = study.track_share(point.results)
         ends = "none fell" if share is None else f"{percent(share)} of the falls on the track limit"
-        _remark(panel, row, f"{spelled(mean(point.results, gap.duration))}, {ends}")
+        _remark(panel, row, f"{study.spelled(study.mean(point.results, gap.duration))}, {ends}")
     panel.set_yticks(range(len(names)), names)
-    panel.set_title(f"an open question: alternative models of the cabinet, {LABELS[CURED]}")
+    panel.set_title(
+        f"an open question: alternative models of the cabinet, {study.LABELS[study.CURED]}"
+    )
 
 
 def _rows(panel: Any, gap: Gap, points: list[GapPoint], colour: str) -> None:
@@ -162,21 +149,12 @@ def _rows(panel: Any, gap: Gap, points: list[GapPoint], colour: str) -> None:
 
 
 def _remark(panel: Any, row: int, text: str) -> None:
-    panel.annotate(
-        text,
-        (1.0, row),
-        xycoords=("axes fraction", "data"),
-        xytext=(3, 0),
-        textcoords="offset points",
-        va="center",
-        fontsize=7.0,
-        annotation_clip=False,
-    )
+    style.remark(panel, text, (1.0, row), (3, 0), 7.0, va="center", annotation_clip=False)
 
 
 def _seconds_axis(panel: Any, axis: Literal["x", "y"], gap: Gap) -> None:
     """Make an axis logarithmic in seconds: it shows a second and a minute alike."""
-    shortest = min(mean(p.results, gap.duration).mean for p in gap.points)
+    shortest = min(study.mean(p.results, gap.duration).mean for p in gap.points)
     low, high = 0.6 * shortest, 1.15 * gap.duration
     ticks = [t for t in SECONDS_TICKS if low <= t < 0.7 * gap.duration] + [gap.duration]
     getattr(panel, f"set_{axis}scale")("log")
@@ -186,14 +164,14 @@ def _seconds_axis(panel: Any, axis: Literal["x", "y"], gap: Gap) -> None:
 
 
 def _intervals(gap: Gap, points: Sequence[GapPoint]) -> tuple[list[float], list[list[float]]]:
-    """Return mean survival and the lengths of its error bars; their ends are positive [s]."""
-    found = [mean(p.results, gap.duration) for p in points]
+    """Return study.mean survival and the lengths of its error bars; their ends are positive [s]."""
+    found = [study.mean(p.results, gap.duration) for p in points]
     lower = [s.mean - max(s.low, MIN_SECONDS) for s in found]
     return [s.mean for s in found], [lower, [s.high - s.mean for s in found]]
 
 
-def _signed(found: Seconds) -> str:
-    if found == Seconds(0.0, 0.0, 0.0):
+def _signed(found: study.Seconds) -> str:
+    if found == study.Seconds(0.0, 0.0, 0.0):
         return "no difference"
     return f"{found.mean:+.1f} s [{found.low:+.1f}, {found.high:+.1f}]".replace("-", "−")
 

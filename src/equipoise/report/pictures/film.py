@@ -7,7 +7,7 @@ dependency of matplotlib, writes it.
 import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -77,16 +77,8 @@ def animation(
     pause = round(1e3 / FPS)
     durations = [pause] * (count - 1) + [round(1e3 * HOLD)]
     moving, still = io.BytesIO(), io.BytesIO()
-    images[0].save(
-        moving,
-        "webp",
-        save_all=True,
-        append_images=images[1:],
-        duration=durations,
-        loop=0,
-        quality=QUALITY,
-        method=2,
-    )
+    loop: Any = {"save_all": True, "append_images": images[1:], "duration": durations, "loop": 0}
+    images[0].save(moving, "webp", quality=QUALITY, method=2, **loop)
     images[0].save(still, "webp", quality=QUALITY)
     return Animation(moving.getvalue(), still.getvalue())
 
