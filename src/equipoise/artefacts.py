@@ -319,7 +319,7 @@ _QUOTES.maxlevel = 2
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file atomically, under a temporary name that is then replaced.
+    """Write a file atomically: write a temporary file, then rename it.
 
     Raises:
         OutsideError: The disk rejects the file.

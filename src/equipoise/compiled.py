@@ -159,7 +159,7 @@ class _KernelCache(caching.FunctionCache):
         """Load machine code from the cache; return None if its file is damaged."""
         try:
             return super().load_overload(sig, target_context)
-        except Exception as error:  # a damaged pickle fails in any way there is
+        except Exception as error:  # a damaged pickle raises any error
             logger.debug("damaged file in the cache: %r", error)
             with suppress(OSError):
                 self.flush()  # or the new code could not be added

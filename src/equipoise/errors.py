@@ -31,7 +31,7 @@ class SettingsError(InputError):
 
 
 class RecordingError(InputError):
-    """Recording that is unsuitable for identification."""
+    """Recording unsuitable for identification."""
 
 
 class ArtefactError(InputError):
