@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from equipoise.checks.encoder import EncoderReading, check_encoder, listen
+from equipoise.checks.encoder import check_encoder, listen
 from equipoise.checks.link import check_link, round_trips
 from equipoise.checks.results import Spread
 from equipoise.deployment.preflight import MEASURING_TIME
@@ -72,7 +72,7 @@ def test_the_link_is_judged_by_its_slowest_answers(takes, tenth, verdict):
 
 def encoder(**sensor):
     clock = VirtualClock()
-    return list(check_encoder(EncoderReading.of(listen(Sensor(clock, **sensor), clock, 1.0))))
+    return list(check_encoder(listen(Sensor(clock, **sensor), clock, 1.0)))
 
 
 @pytest.mark.parametrize(

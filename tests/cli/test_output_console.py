@@ -9,7 +9,7 @@ from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator, single_keys
 from equipoise.control.ticks import OperatorMessage
 
-ASKED = OperatorMessage("checklist", "Is the E-stop in somebody's hand? Type estop.", ("estop",))
+ASKED = OperatorMessage("checklist", "Is the E-stop in an operator's hand? Type estop.", ("estop",))
 BUTTON = OperatorMessage("reference", "Press the button or Enter.", ("ok",))
 
 

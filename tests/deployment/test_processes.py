@@ -24,7 +24,7 @@ from equipoise.control.states import Phase
 from equipoise.control.stop import ramp
 from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
 from equipoise.deployment import processes
-from equipoise.deployment.processes import LOOK, SILENT, run_in_processes
+from equipoise.deployment.processes import HEARTBEAT_TIMEOUT, POLL_PERIOD, run_in_processes
 from equipoise.deployment.rig import RunRequest, RunResult
 from equipoise.devices.clocks import SystemClock
 from equipoise.devices.guarded import GuardedRobot
@@ -189,7 +189,7 @@ class Person:
         """How long after its act it was told [s], less what the host held the parent up."""
         when = next(when for when, _, said in self.told if text in said)
         looks = [look for look in self.looks if self.acted - 0.05 <= look <= when]
-        return when - self.acted - max(0.0, *(np.diff([*looks, when]) - 2.0 * LOOK))
+        return when - self.acted - max(0.0, *(np.diff([*looks, when]) - 2.0 * POLL_PERIOD))
 
 
 def kill(number, whom):
@@ -301,7 +301,7 @@ def test_a_loop_that_stands_still_is_told_within_100_ms(run, tmp_path):
     assert person.texts("fault") == [f"the loop does not answer: {CANNOT_STOP}"]
     person.acted = person.held
     late = person.told_after("does not answer")
-    assert SILENT - 2.0 * H < late < TOLD
+    assert HEARTBEAT_TIMEOUT - 2.0 * H < late < TOLD
     assert came_to_rest(RunLog.load(tmp_path / "run.mcap", damaged=True))
 
 
@@ -369,7 +369,7 @@ def test_a_loop_whose_parent_is_gone_comes_to_rest_and_nobody_is_left(request_of
     time.sleep(0.2)
     parent.kill()
     parent.join()
-    until = time.monotonic() + processes.FAREWELL + 5.0
+    until = time.monotonic() + processes.JOIN_TIMEOUT + 5.0
     while any(map(lives, left)) and time.monotonic() < until:
         time.sleep(0.05)
     assert not any(map(lives, left))
@@ -485,11 +485,11 @@ def test_a_loop_without_a_heartbeat_is_told_once_until_it_beats_again():
 
     pulse[0] = time.monotonic()
     pipe = SimpleNamespace(poll=lambda: False, recv=None)
-    log = SimpleNamespace(mind=old)
+    log = SimpleNamespace(check=old)
     with contextlib.suppress(StopIteration):
         processes._attend(Fiction(), recorder, person, [], pipe, log)
     assert person.texts("fault") == 2 * [f"the loop does not answer: {CANNOT_STOP}"]
 
 
 def quiet():
-    return SimpleNamespace(mind=lambda _: None)
+    return SimpleNamespace(check=lambda _: None)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from equipoise.checks.deadlines import check_lateness, check_loaded_lateness
-from equipoise.checks.encoder import EncoderReading, Heard, check_encoder
+from equipoise.checks.encoder import EncoderReading, check_encoder
 from equipoise.checks.host import HostInfo, check_host, check_realtime
 from equipoise.checks.link import check_link, check_networks
 from equipoise.checks.results import Spread
@@ -191,13 +191,11 @@ def test_a_device_that_is_not_there_makes_the_rig_unfit(name, error, found, cure
 
 def heard(rate=1000.0, age=0.0015, delay=0.0003, **fields):
     told = {"counts_per_rev": 8192, "missing": 0, "rejected": 0, "illegal": 0, "moved": 0}
-    return EncoderReading.of(
-        Heard(
-            seconds=2.0,
-            delays=np.full(round(2.0 * rate), delay),
-            ages=np.full(2000, age),
-            **{**told, **fields},
-        )
+    return EncoderReading(
+        rate=rate,
+        delay=Spread.of(np.full(round(2.0 * rate), delay)) if rate else None,
+        age=Spread.of(np.full(2000, age)),
+        **{**told, **fields},
     )
 
 

@@ -1,4 +1,4 @@
-"""How late a waiting loop wakes up, with and without load on the machine."""
+"""Lateness of a loop that waits for deadlines, with and without load on the machine."""
 
 import hashlib
 import threading
@@ -65,11 +65,10 @@ def burning(threads: int) -> Generator[None]:
 
 def check_lateness(late: Spread) -> CheckResult:
     """Judge how late deadlines are met."""
-    limit = 1e3 * MAX_TICK_LATENESS
     if late.most > MAX_TICK_LATENESS:
         cure = (
-            f"a run ends at {limit:g} ms: end other programs, then cure the results above (kernel, "
-            "governor, priority); measure again with --seconds 60"
+            f"a run ends at {1e3 * MAX_TICK_LATENESS:g} ms: end other programs, then cure the "
+            "results above (kernel, governor, priority); measure again with --seconds 60"
         )
         return CheckResult("deadlines", "bad", late.text(), cure)
     cure = (

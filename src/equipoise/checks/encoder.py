@@ -1,12 +1,12 @@
 """Stream of an encoder's samples: rate, age, losses, and illegal transitions."""
 
 from collections.abc import Generator, Iterator
-from typing import Final, NamedTuple, Self
+from typing import Final
 
 import numpy as np
 
 from equipoise.artefacts import Value
-from equipoise.checks.results import Array, CheckResult, Spread, rated
+from equipoise.checks.results import CheckResult, Spread, rated
 from equipoise.control.safety import ENCODER_STALE
 from equipoise.devices.interfaces import AngleSensor, Clock
 
@@ -24,17 +24,18 @@ MAX_LOST_SHARE: Final = 0.01
 """Share of samples lost or rejected beyond which a wire is suspected [-]."""
 
 
-class Heard(NamedTuple):
-    """Samples of an encoder over some time, as they arrived."""
+class EncoderReading(Value):
+    """Statistics of an encoder's stream."""
 
     counts_per_rev: int
     """Counts per revolution after x4, as the board reports them."""
-    seconds: float
-    """Length of the measurement [s]."""
-    delays: Array
-    """From each count to its arrival [s], shape (n,), less the shortest delay, which is unknown."""
-    ages: Array
-    """Age of the newest sample at each read [s], shape (m,)."""
+    rate: float
+    """Samples per second [1/s]."""
+    delay: Spread | None
+    """Time from a count to its arrival, less the shortest delay, which is unknown; None without
+    samples."""
+    age: Spread
+    """Age of the newest sample at any moment."""
     missing: int
     """Samples lost on the way."""
     rejected: int
@@ -45,8 +46,8 @@ class Heard(NamedTuple):
     """Difference of the highest and the lowest count."""
 
 
-def listen(sensor: AngleSensor, clock: Clock, seconds: float) -> Heard:
-    """Record the samples of a connected encoder.
+def listen(sensor: AngleSensor, clock: Clock, seconds: float) -> EncoderReading:
+    """Measure the stream of a connected encoder.
 
     Args:
         sensor: The encoder.
@@ -54,7 +55,7 @@ def listen(sensor: AngleSensor, clock: Clock, seconds: float) -> Heard:
         seconds: Length of the measurement [s].
 
     Raises:
-        LinkError: The encoder is gone, or silent.
+        LinkError: The encoder is disconnected or silent.
     """
     for _ in _reads(clock, DISCARD_TIME):
         sensor.samples()
@@ -71,11 +72,11 @@ def listen(sensor: AngleSensor, clock: Clock, seconds: float) -> Heard:
             missing, illegal = missing + sample.missing, illegal + sample.illegal
             newest = sample.time
         ages.append(now - newest)
-    return Heard(
+    return EncoderReading(
         counts_per_rev=sensor.counts_per_rev,
-        seconds=clock.now() - begin,
-        delays=np.array(delays),
-        ages=np.array(ages),
+        rate=len(delays) / (clock.now() - begin),
+        delay=Spread.of(np.array(delays)) if delays else None,
+        age=Spread.of(np.array(ages)),
         missing=missing,
         rejected=sensor.rejected - before,
         illegal=illegal,
@@ -90,42 +91,6 @@ def _reads(clock: Clock, seconds: float) -> Generator[None]:
         deadline = max(deadline + READ_PERIOD, now)
         clock.wait_until(deadline)
         yield
-
-
-class EncoderReading(Value):
-    """Statistics of an encoder's stream."""
-
-    counts_per_rev: int
-    """Counts per revolution after x4, as the board reports them."""
-    rate: float
-    """Samples per second [1/s]."""
-    delay: Spread | None
-    """From a count to its arrival, less the shortest delay; None without samples."""
-    age: Spread
-    """Age of the newest sample at any moment."""
-    missing: int
-    """Samples lost on the way."""
-    rejected: int
-    """Readings damaged or out of sequence."""
-    illegal: int
-    """Samples with an illegal transition on the board."""
-    moved: int
-    """Difference of the highest and the lowest count."""
-
-    @classmethod
-    def of(cls, heard: Heard) -> Self:
-        """Return the statistics of a recorded stream."""
-        n = len(heard.delays)
-        return cls(
-            counts_per_rev=heard.counts_per_rev,
-            rate=n / heard.seconds,
-            delay=Spread.of(heard.delays) if n else None,
-            age=Spread.of(heard.ages),
-            missing=heard.missing,
-            rejected=heard.rejected,
-            illegal=heard.illegal,
-            moved=heard.moved,
-        )
 
 
 def check_encoder(

@@ -25,7 +25,7 @@ HOME_MARGIN_DEG: Final = 5.0
 
 
 def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> Iterator[CheckResult]:
-    """Check a policy against the description of the rig it is to run on.
+    """Check a policy against the description of the rig of its run.
 
     Args:
         policy: The policy.
@@ -81,9 +81,9 @@ def _check_response(policy: TaskPolicy, actuator: Actuator) -> CheckResult:
         found = f"{actuator.kind}, trained with {trained.kind}"
         return CheckResult(name, "bad", found, cure)
     delay, expected = actuator.delay.value, trained.delay.value
-    found, fits = f"{actuator.kind}, delay {1e3 * delay:.1f} ms", True
-    if abs(delay - expected) > plant.delay_spread:
-        fits = False
+    found = f"{actuator.kind}, delay {1e3 * delay:.1f} ms"
+    fits = abs(delay - expected) <= plant.delay_spread
+    if not fits:
         found += f", trained for {1e3 * expected:.1f} ± {1e3 * plant.delay_spread:.1f} ms"
     ratios = [
         one.value / other.value if other.value > 0.0 else 1.0

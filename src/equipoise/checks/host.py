@@ -1,7 +1,7 @@
 """The machine that runs the loop: its kernel, clock rate, cores, load, swap, networks and disk.
 
 Readings come from `/proc` and `/sys`; nothing is changed. A reading that the system does not offer,
-as on macOS and in many containers, is None and its check is `unknown`.
+as on macOS and in many containers, is None, and its check is `unknown`.
 """
 
 import platform
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, Literal, TypeVar
 
 from equipoise.artefacts import Value
-from equipoise.checks.results import CheckResult, Verdict, rated
+from equipoise.checks.results import CheckResult, rated
 from equipoise.devices.realtime import RealtimeSetting
 
 T = TypeVar("T")
@@ -96,7 +96,7 @@ def check_host(host: HostInfo) -> Iterator[CheckResult]:
         yield _check(
             "kernel",
             host.realtime,
-            "look whether `uname -v` says PREEMPT_RT",
+            "check whether `uname -v` says PREEMPT_RT",
             lambda realtime: (
                 realtime,
                 f"{host.kernel or 'Linux'}, {'' if realtime else 'not '}PREEMPT_RT",
@@ -114,7 +114,7 @@ def check_host(host: HostInfo) -> Iterator[CheckResult]:
     yield _check(
         "cores",
         host.cores,
-        "look whether the machine has two or more",
+        "check that the machine has two or more",
         lambda cores: (cores >= 2, f"{cores}"),
         "the loop needs one to itself, and the log another: use a machine with two or more",
     )
@@ -134,24 +134,24 @@ def check_host(host: HostInfo) -> Iterator[CheckResult]:
     yield _check(
         "other work",
         host.load,
-        "look with `uptime` what else runs",
+        "check with `uptime` what else runs",
         lambda load: (
             load <= MAX_LOAD_SHARE * (host.cores or 1),
             f"{load:.2f} processes at work over the last minute",
         ),
-        "find it with `top`, and end it; wait a minute and look again",
+        "find it with `top`, and end it; wait a minute and check again",
     )
     yield _check(
         "swap",
         host.swap,
-        "look with `free` that nothing lies in swap",
+        "check with `free` that no swap is in use",
         lambda swap: (swap == 0, f"{swap / 2**20:.0f} MiB in use"),
         "memory is short: end other programs, then sudo swapoff -a",
     )
     yield _check(
         "room for logs",
         host.free,
-        "look with `df` at the folder of the logs",
+        "check the folder of the logs with `df`",
         lambda free: (free >= MIN_FREE_SPACE, f"{free / 2**30:.1f} GiB"),
         "a full disk ends a log, not a run: make room, or give another folder",
     )
@@ -173,9 +173,8 @@ def _check(
 
 def check_realtime(settings: Iterable[RealtimeSetting]) -> Iterator[CheckResult]:
     """Judge which real-time settings the machine allows."""
-    for setting in settings:
-        verdict: Verdict = "good" if setting.taken else "warning"
-        yield rated(setting.name, verdict, setting.found, setting.cure)
+    for one in settings:
+        yield rated(one.name, "good" if one.taken else "warning", one.found, one.cure)
 
 
 def _read(path: Path) -> str | None:
@@ -186,12 +185,10 @@ def _read(path: Path) -> str | None:
 
 
 def _realtime(root: Path, version: str | None) -> bool | None:
-    said = _read(root / "sys/kernel/realtime")
-    if said is not None:
-        return said == "1"
-    if version is None:
-        return None
-    return "PREEMPT_RT" in version or "PREEMPT RT" in version
+    flag = _read(root / "sys/kernel/realtime")
+    if flag is not None:
+        return flag == "1"
+    return None if version is None else re.search("PREEMPT[_ ]RT", version) is not None
 
 
 def _cores(root: Path) -> int | None:
@@ -216,16 +213,16 @@ def _limit(root: Path, name: str) -> Limit:
 
 
 def _load(root: Path) -> float | None:
-    said = (_read(root / "proc/loadavg") or "").split()
-    return float(said[0]) if said else None
+    means = (_read(root / "proc/loadavg") or "").split()
+    return float(means[0]) if means else None
 
 
 def _swap(root: Path) -> int | None:
-    said = _read(root / "proc/swaps")
-    if said is None:
+    table = _read(root / "proc/swaps")
+    if table is None:
         return None
     # A header, then: file, kind, size and used in kB, priority.
-    return 1024 * sum(int(line.split()[-2]) for line in said.splitlines()[1:])
+    return 1024 * sum(int(line.split()[-2]) for line in table.splitlines()[1:])
 
 
 def _hosts(root: Path) -> tuple[str, ...] | None:
@@ -236,7 +233,7 @@ def _hosts(root: Path) -> tuple[str, ...] | None:
     virtual = (
         re.search(r"^flags\s*:.*\bhypervisor\b", processor, re.M) is not None
         or (root / "sys/hypervisor/type").exists()
-        or any(word in (said or "") for said in firmware for word in HYPERVISORS)
+        or any(word in (name or "") for name in firmware for word in HYPERVISORS)
     )
     group = _read(root / "proc/1/cgroup") or ""
     marks = (".dockerenv", "run/.containerenv", "run/systemd/container")

@@ -11,7 +11,7 @@ from equipoise.devices.interfaces import AngleSensor, Clock, Robot
 
 GOOD_ROUND_TRIP: Final = 0.0055
 """99th percentile of round trips that allows two setpoints per tick of 10 ms [s]. Over a slower
-link setpoints are sent as seldom as replies arrive, and the flange's speed is limited."""
+link setpoints are sent only as replies arrive, and the flange's speed is limited."""
 MAX_ROUND_TRIP: Final = 0.009
 """99th percentile of round trips beyond which a reply is overdue in every tick [s]."""
 

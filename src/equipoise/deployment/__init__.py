@@ -1,12 +1,12 @@
-"""Deploy: a policy runs once, under conditions that it does not know, and is written down.
+"""One simulated run of a policy, and its log.
 
-It runs on a plant (worlds `ideal` and `model`) or on a digital twin of the rig (`twin:...`): an arm
-behind the robot's own servo, a pendulum that pulls at it, an encoder with a wrong zero. What the
-policy does not know (pendulum, noise, start, zero) is drawn as for one test trial, from a seed of
-its own. The policy runs tick by tick from Python, with the bits of a compiled trial.
+The world is a plant (`ideal`, `model`) or a digital twin of the rig (`twin:...`): an arm with the
+robot's servo, a pendulum whose weight loads it, an encoder with a zero offset. Pendulum, noise,
+start and zero are drawn as for a test trial, from a separate seed. The policy runs tick by tick
+from Python, with the same bits as a compiled trial.
 
-`excite` moves the arm instead, the pendulum hanging, and writes down how it follows: what
-`equipoise.identification.actuator` identifies the actuator from.
+`excite` moves the arm below a hanging pendulum and records its response, from which
+`equipoise.identification.actuator` identifies the actuator.
 """
 
 from typing import Any
@@ -32,7 +32,7 @@ from equipoise.simulation import Recorder, find_world, run_trial, setup_of, simu
 Array = npt.NDArray[np.float64]
 
 EXCITED = "excited"
-"""Cause of the end of a run that moved the arm only."""
+"""Cause of the end of an excitation."""
 
 
 def deploy(
@@ -49,19 +49,17 @@ def deploy(
     Args:
         policy: The policy.
         world: `ideal`, `model`, a name that `read_world` knows, or a twin with its numbers.
-        actuator: What the controller knows of the arm's response; that of the training if not
-            given.
-        seed: Master seed of what the policy does not know.
-        duration: How long the run shall last [s]; that of an evaluation's trial if not given.
-        settings: Noise of the plant, ranges of the start, the controller; the policy's own if not
-            given.
+        actuator: The controller's model of the arm's response (default: that of the training).
+        seed: Master seed of pendulum, noise, start and zero.
+        duration: Length of the run [s] (default: that of an evaluation's trial).
+        settings: Noise of the plant, ranges of the start, the controller (default: the policy's).
 
     Returns:
-        The run, to its end or its failure.
+        The log, to the end of the run or its failure.
 
     Raises:
-        ArmError: Home is a singular posture, or a twin does not know the masses of the arm.
-        SettingsError: There is no such world.
+        ArmError: Home is a singular posture, or the masses of a twin's arm are unknown.
+        SettingsError: The world is unknown.
     """
     setup = setup_of(policy, world, settings, actuator)
     pendulum, arm, settings, actuator, h = setup
@@ -75,10 +73,8 @@ def deploy(
     time = np.arange(len(rows.u), dtype=np.float64) * h
     sent = (time[:, None] + np.arange(SETPOINTS_PER_TICK) * h / SETPOINTS_PER_TICK).ravel()
     setpoints = rows.setpoints.reshape(-1, FREE_JOINTS)
-    friction: dict[str, Any] = {}
     measured: dict[str, Any] = {}
     if twin is not None:
-        friction["friction"] = pivot_friction(pendulum, twin).model_dump()
         measured = {
             "stream": {"time": sent, "q": _all_joints(arm, setpoints)},
             "replies": {
@@ -88,7 +84,6 @@ def deploy(
             "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
         }
     partition, state = boxes(), ("x", "x_dot", "phi", "phi_dot")
-    seen = rows.observation
     return RunLog.simulated(
         _conditions(
             arm,
@@ -105,19 +100,21 @@ def deploy(
             actuator=IDEAL if actuator.kind == "ideal" else actuator.digest,
             twin=twin,
             zero_error=loop.zero,
-            **friction,
+            friction=twin and pivot_friction(pendulum, twin).model_dump(),
         ),
         RunEnd(cause=cause_named(cause), guard=guard_named(cause), lasted=round(len(time) * h, 9)),
         {
             "time": time,
-            **dict(zip(state, seen.T, strict=True)),
-            "box": np.array([box_index(*row, boxes=partition) for row in seen.tolist()], np.int64),
+            **dict(zip(state, rows.observation.T, strict=True)),
+            "box": np.array(
+                [box_index(*row, boxes=partition) for row in rows.observation.tolist()], np.int64
+            ),
             "u": rows.u,
             "estimated_phi": rows.estimate[:, 0],
             "estimated_phi_dot": rows.estimate[:, 1],
             "bias": rows.estimate[:, 2],
             "q": _all_joints(arm, rows.q),
-            "dq": _rates_of_all_joints(arm, rows.dq),
+            "dq": _all_joints(arm, rows.dq, held=0.0),
         },
         truth={
             **dict(zip(state, rows.state.T, strict=True)),
@@ -131,21 +128,21 @@ def deploy(
 def excite(
     arm: Arm, world: str | World, pendulum: Pendulum, *, seed: int = 0, duration: float = 10.0
 ) -> RunLog:
-    """Move every joint of a twin about home, the pendulum hanging, and record how it follows.
+    """Move every joint of a twin about home below a hanging pendulum, and record the response.
 
     Args:
         arm: The arm with its home posture.
         world: A name that `read_world` knows, or a twin with its numbers.
-        pendulum: The pendulum that hangs on it.
+        pendulum: The hanging pendulum.
         seed: Master seed of jitter and noise.
         duration: Length of the record [s].
 
     Returns:
-        A run without ticks: setpoints, measured joints and encoder counts.
+        A log without ticks: setpoints and measured joints.
 
     Raises:
-        ArmError: The masses of the arm are not known, or home is close to a limit.
-        SettingsError: There is no such world.
+        ArmError: The masses of the arm are unknown, or home is close to a limit.
+        SettingsError: The world is unknown.
     """
     from equipoise.devices.twin import excitation
 
@@ -184,7 +181,7 @@ def _conditions(
     *,
     start: Any,
     twin: TwinSettings | None,
-    **told: Any,
+    **others: Any,
 ) -> RunConditions:
     x, x_dot, phi, phi_dot = (float(value) for value in start)
     return RunConditions(
@@ -194,19 +191,18 @@ def _conditions(
         counts_per_rev=None if twin is None else twin.counts_per_rev,
         world_settings=None if twin is None else twin.model_dump(),
         settings=settings,
-        **told,
+        **others,
     )
 
 
-def _all_joints(arm: Arm, free: Array) -> Array:
-    """Return postures of all joints [rad], shape (n, joints), from those of the free ones."""
-    q = np.tile(np.array(arm.home), (len(free), 1))
-    q[:, list(arm.free)] = free
-    return q
+def _all_joints(arm: Arm, free: Array, held: float | None = None) -> Array:
+    """Return values of all joints, shape (n, joints), from those of the free joints.
 
-
-def _rates_of_all_joints(arm: Arm, free: Array) -> Array:
-    """Return the same of their velocities [rad/s]: a joint that is held has none."""
-    dq = np.zeros((len(free), len(arm.joints)))
-    dq[:, list(arm.free)] = free
-    return dq
+    Args:
+        arm: The arm.
+        free: Values of the free joints, shape (n, free joints).
+        held: Value of the held joints (default: their angles at home [rad]).
+    """
+    values = np.full((len(free), len(arm.joints)), arm.home if held is None else held, np.float64)
+    values[:, list(arm.free)] = free
+    return values

@@ -1,4 +1,4 @@
-"""Pre-flight: the checks of a connected rig and a policy before anything moves.
+"""Pre-flight: the checks of a connected rig and a policy before the arm moves.
 
 A bad result refuses the run; a warning goes into the log.
 """
@@ -6,7 +6,7 @@ A bad result refuses the run; a warning goes into the log.
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from equipoise.checks.encoder import EncoderReading, check_encoder, listen
+from equipoise.checks.encoder import check_encoder, listen
 from equipoise.checks.fit import check_fit, check_posture, check_speed, max_flange_speed
 from equipoise.checks.host import check_realtime
 from equipoise.checks.link import check_link, round_trips
@@ -17,7 +17,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.rigs import DrainingClock, Rig, RigSettings
 
 MEASURING_TIME: Final = 1.0
-"""Length of the measurement of the robot's round trips, and of the encoder's samples [s]."""
+"""Length of each measurement, of round trips and of encoder samples [s]."""
 
 
 class Preflight(NamedTuple):
@@ -55,13 +55,13 @@ def preflight(
     trips = Spread.of(round_trips(rig.robot, draining, MEASURING_TIME))
     max_speed, reason = max_flange_speed(settings.described_arm, trips, t1, rig.plugin.flange_speed)
     posture = check_posture(rig.robot.measured(), settings)
-    heard = EncoderReading.of(listen(rig.sensor, rig.clock, MEASURING_TIME))
+    reading = listen(rig.sensor, rig.clock, MEASURING_TIME)
     results = [
         *check_fit(policy, actuator, settings),
         check_link(trips),
         *check_speed(policy, max_speed, reason),
         posture,
-        *check_encoder(heard, settings.counts_per_rev),
+        *check_encoder(reading, settings.counts_per_rev),
         *check_realtime(measures),
     ]
     return Preflight(results, max_speed)

@@ -1,13 +1,12 @@
-"""A run on a real rig, over three processes.
+"""Run on a real rig, in three processes.
 
-The *loop* has the links and the deadlines, and nothing else to do. The *writer* drains its rings
-to the disk; without it the run goes on, and the operator is warned. The *parent* talks to the
-operator, and watches the loop's heartbeat: when it stops beating while the servo runs, the operator
-is told at once that software does not command the arm any more. A loop whose parent is gone, or
-whose operator cannot be told anything, brings the arm to rest.
+The *loop* serves the devices and meets the deadlines. The *writer* drains its rings to the disk; a
+run continues without it, with a warning to the operator. The *parent* serves the operator and
+monitors the loop's heartbeat: it warns the operator as soon as the heartbeat stops while the servo
+runs. A loop without its parent, or without a reachable operator, brings the arm to rest.
 
-Signals that would end a program (SIGINT, SIGTERM, SIGHUP) are words to the loop: it brings the arm
-to rest inside the stream, whatever it was doing.
+SIGINT, SIGTERM and SIGHUP become words in the loop's input: the loop brings the arm to rest inside
+the stream.
 """
 
 import ctypes
@@ -41,19 +40,19 @@ from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.rigs import connect, restart_instruction
 
-SILENT: Final = 0.080
-"""A loop that has not ticked for so long does not tick any more [s]; with the parent's own look
-every 10 ms the operator knows within 100 ms."""
-LOOK: Final = 0.010
-"""Between two looks of the parent [s]."""
-WRITE: Final = 0.050
-"""Between two drains of the rings [s]."""
-FAREWELL: Final = 5.0
-"""So long a process may take to end by itself [s]."""
+HEARTBEAT_TIMEOUT: Final = 0.080
+"""Time without a tick after which the loop counts as stopped [s]; with the parent's polling period
+of 10 ms the operator is warned within 100 ms."""
+POLL_PERIOD: Final = 0.010
+"""Polling period of the parent [s]."""
+DRAIN_PERIOD: Final = 0.050
+"""Time between two drains of the rings [s]."""
+JOIN_TIMEOUT: Final = 5.0
+"""Time for a process to end by itself [s]."""
 SIGNALS: Final = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
-"""What would end a program: Ctrl-C, a wish of the system, a terminal that is closed."""
+"""Signals that end a program: Ctrl-C, a request of the system, a closed terminal."""
 
 _TIME, _STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("time", "state", "phi", "ticks"))
 
@@ -63,10 +62,10 @@ T = TypeVar("T")
 
 
 class LocalOperator(Operator, Protocol):
-    """An operator at a screen."""
+    """Operator at a screen."""
 
     def live(self, phase: str, phi: float) -> None:
-        """Show where the run is and the angle from upright [rad], in passing."""
+        """Show the phase of the run and the angle from upright [rad]; never blocks."""
         ...
 
 
@@ -76,42 +75,49 @@ def run_in_processes(
     """Run a policy on a rig in real time, and write the log.
 
     Args:
-        request: What is to run where.
-        out: The log.
-        person: Who is told and asked.
-        replace: Whether an existing log is replaced, once this run is connected.
+        request: The run.
+        out: Path of the log.
+        person: The operator.
+        replace: Whether this run replaces an existing log, once it is connected.
 
     Raises:
-        EquipoiseError: What the loop's process raised; or it ended without a word.
+        InputError: The policy cannot be sent to the loop's process.
+        EquipoiseError: Error of the loop's process, or its end without a result.
     """
-    _check_transfer(request)
+    try:
+        pickle.dumps(request)
+    except Exception as error:  # any error of the policy's own classes
+        raise InputError(
+            f"{request.policy.name} cannot be sent to the process of the run ({error}); give it as "
+            "MODULE:NAME"
+        ) from None
     context = multiprocessing.get_context("spawn")
     joints = len(request.settings.described_arm.joints)
     memory = context.RawArray(ctypes.c_char, Recorder.room(joints))
     recorder = Recorder(joints, memoryview(memory).cast("B"))
     theirs, ours = context.Pipe()
-    told, done = context.Pipe(), context.Event()
+    log_pipe, done = context.Pipe(), context.Event()
     writer = context.Process(
         target=_write,
-        args=(memory, joints, out, replace, request.conditions(), done, told[0]),
+        args=(memory, joints, out, replace, request.conditions(), done, log_pipe[0]),
         daemon=True,
     )
     loop = context.Process(target=_loop, args=(request, memory, joints, theirs), daemon=False)
     words: list[str] = []
     before = {number: signal.signal(number, lambda *_: words.append(STOP)) for number in SIGNALS}
-    log = LogProcess(writer, told[1])
+    log = LogProcess(writer, log_pipe[1])
     try:
-        with _unheard():
+        with _signals_blocked():
             writer.start()
-        told[0].close()
+        log_pipe[0].close()
         log.begin()
-        with _unheard():
+        with _signals_blocked():
             loop.start()
         theirs.close()
         try:
             result = _attend(loop, recorder, person, words, ours, log)
         except BaseException:
-            recorder.words.push(STOP.encode())  # nobody is left who could
+            recorder.words.push(STOP.encode())  # no later poll would send it
             raise
         log.end(
             RunEnd(**result._asdict())
@@ -120,36 +126,21 @@ def run_in_processes(
         )
     finally:
         if loop.pid is not None:
-            loop.join(FAREWELL)
+            loop.join(JOIN_TIMEOUT)
         done.set()
         if writer.pid is not None:
-            writer.join(FAREWELL)
+            writer.join(JOIN_TIMEOUT)
         for number, handler in before.items():
             signal.signal(number, handler)
-    log.mind(person)
+    log.check(person)
     if isinstance(result, EquipoiseError):
         raise result
     return result
 
 
-def _check_transfer(request: RunRequest) -> None:
-    """Check that the loop's process can receive a request.
-
-    Raises:
-        InputError: The policy cannot be sent there.
-    """
-    try:
-        pickle.dumps(request)
-    except Exception as error:  # whatever the policy holds
-        raise InputError(
-            f"{request.policy.name} cannot be sent to the process of the run ({error}); give it as "
-            "MODULE:NAME"
-        ) from None
-
-
 @contextmanager
-def _unheard() -> Generator[None]:
-    """Let a process that is started here hear of no signal before it is ready to."""
+def _signals_blocked() -> Generator[None]:
+    """Block signals in processes that are started in this context, until they are ready."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -161,39 +152,41 @@ def _unheard() -> Generator[None]:
 
 
 class LogProcess:
-    """The writer's process as the parent sees it."""
+    """The writer's process, for the parent."""
 
-    def __init__(self, writer: Any, told: Any) -> None:
-        self._writer, self._told = writer, told
-        self._minded = False
+    def __init__(self, writer: Any, pipe: Any) -> None:
+        self._writer, self._pipe = writer, pipe
+        self._warned = False
 
     def begin(self) -> None:
-        """Wait until the file is there."""
+        """Wait until the log exists.
+
+        Raises:
+            OutsideError: The log cannot be written.
+        """
         try:
-            problem = self._told.recv()
+            problem = self._pipe.recv()
         except (EOFError, OSError):
-            problem = "the process that writes the log has ended at its begin; try again"
+            problem = "the process that writes the log has ended at its start; try again"
         if problem is not None:
             raise OutsideError(problem)
 
-    def mind(self, person: LocalOperator) -> None:
-        """Warn once where the log is not written any more."""
-        problem = None if self._minded else self._problem()
+    def check(self, person: LocalOperator) -> None:
+        """Warn the operator once if the log is incomplete."""
+        problem = None if self._warned else self._problem()
         if problem is not None:
-            self._minded = True
+            self._warned = True
             person.notify(OperatorMessage("warning", f"the log is incomplete: {problem}"))
 
     def end(self, outcome: RunEnd) -> None:
-        """Say how the run ended."""
-        with suppress(OSError):  # nobody writes any more; it was told
-            self._told.send(outcome)
+        """Send the end of the run to the writer."""
+        with suppress(OSError):  # the writer has ended; `check` warns of it
+            self._pipe.send(outcome)
 
     def _problem(self) -> str | None:
-        try:
-            if self._told.poll():
-                return str(self._told.recv())
-        except (EOFError, OSError):
-            pass
+        problem = _received(self._pipe)
+        if problem is not None:
+            return str(problem)
         if self._writer.is_alive() or self._writer.exitcode == 0:
             return None
         return f"the process that writes it has ended with {self._writer.exitcode}"
@@ -207,23 +200,23 @@ def _attend(
     ours: Any,
     log: LogProcess,
 ) -> RunResult | EquipoiseError:
-    """Talk, and watch, until the loop's process has ended; return what it sent."""
+    """Serve the operator and monitor the loop until its process ends; return its result."""
     result: RunResult | EquipoiseError | None = None
     silent = False
     while True:
         alive = loop.is_alive()
         if result is None:
             result = _received(ours)
-        # Before anything is printed: that may take its time.
+        # The heartbeat comes before the messages, since printing may take long.
         pulse = recorder.pulse
         streams = pulse[_TICKS] > 0 and result is None
-        beats = alive and time.monotonic() - float(pulse[_TIME]) < SILENT
+        beats = alive and time.monotonic() - float(pulse[_TIME]) < HEARTBEAT_TIMEOUT
         if streams and not beats and not silent:
             person.notify(OperatorMessage("fault", f"the loop does not answer: {CANNOT_STOP}"))
         silent = streams and not beats
         for event in take_events(recorder.told):
             person.notify(OperatorMessage(event.name, event.text, event.answers))
-        log.mind(person)
+        log.check(person)
         said = [*person.read_input(), *words]
         words.clear()
         for word in said:
@@ -234,18 +227,17 @@ def _attend(
                 person.live(phase.value, float(pulse[_PHI]))
         if not alive:
             break
-        time.sleep(LOOK)
+        time.sleep(POLL_PERIOD)
     if result is None:
-        code = loop.exitcode
         return OutsideError(
-            f"the process that moves the arm has ended with {code}; press the E-stop, look at the "
-            "arm, and start the robot's application again"
+            f"the process that moves the arm has ended with {loop.exitcode}; press the E-stop, "
+            "inspect the arm, and start the robot's application again"
         )
     return result
 
 
 def _received(pipe: Any) -> Any:
-    """Return what a process has sent; none where nothing came, or never will."""
+    """Return the next object from a process; None without one, or from a closed pipe."""
     try:
         return pipe.recv() if pipe.poll() else None
     except (EOFError, OSError):
@@ -253,7 +245,7 @@ def _received(pipe: Any) -> Any:
 
 
 class OperatorProxy:
-    """The operator as the loop's process sees it: on the other side of two rings."""
+    """The operator, for the loop's process: two rings to the parent process."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
@@ -277,37 +269,47 @@ class OperatorProxy:
         return words
 
     def attend(self, restart: str) -> None:
-        """End the wait for a robot once the operator stops it.
+        """Check for a stop during the wait for a robot.
 
         Args:
-            restart: What the operator does before the robot can be connected again.
+            restart: Instruction for a new connection to the robot.
 
         Raises:
             OutsideError: The wait was stopped.
         """
         if {STOP, ALONE} & set(self.read_input()):
             raise OutsideError(
-                "stopped while the robot was waited for; nothing has moved. To deploy again, "
+                "stopped during the wait for the robot; nothing has moved. To deploy again, "
                 f"{restart or 'repeat the command'}"
             )
 
 
 class WorkerProcess:
-    """A process for jobs that take longer than a tick; it is started before the stream is."""
+    """Process for jobs longer than a tick, started before the stream.
+
+    It runs a self-test once, so that in the stream all its code is loaded.
+    """
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        # As a daemon it ends with this process, whatever becomes of that.
+        # A daemon ends with this process.
         self._process = context.Process(target=_work, args=(theirs,), daemon=True)
-        with _unheard():
+        with _signals_blocked():
             self._process.start()
         theirs.close()
-        self._practise()
+        time_ = np.linspace(0.0, 6.0, 1200)
+        move = 0.04 / (1.0 + np.exp(-12.0 * (time_ - 0.7)))
+        self.begin(partial(_practise, time_, np.round(200.0 * np.sin(8.4 * time_)), move))
+        while (result := self.result()) is None:
+            time.sleep(POLL_PERIOD)
+        if isinstance(result, Exception):
+            self.close()
+            raise OutsideError(f"the process for the self-test does not work ({result})")
 
     def begin(self, job: Job) -> None:
         """Send a job to the worker."""
-        with suppress(OSError):  # where it is gone, `result` says so
+        with suppress(OSError):  # `result` returns the error of a worker that has ended
             self._pipe.send(job)
 
     def result(self) -> Any:
@@ -320,30 +322,19 @@ class WorkerProcess:
     def close(self) -> None:
         """End the worker."""
         self._pipe.close()
-        self._process.join(FAREWELL)
+        self._process.join(JOIN_TIMEOUT)
         if self._process.is_alive():
             self._process.kill()
 
-    def _practise(self) -> None:
-        """Send a self-test there and take its verdict, so that in the stream both are old hat."""
-        time_ = np.linspace(0.0, 6.0, 1200)
-        move = 0.04 / (1.0 + np.exp(-12.0 * (time_ - 0.7)))
-        self.begin(partial(_judge_nothing, time_, np.round(200.0 * np.sin(8.4 * time_)), move))
-        while (result := self.result()) is None:
-            time.sleep(LOOK)
-        if isinstance(result, Exception):
-            self.close()
-            raise OutsideError(f"the process for the self-test does not work ({result})")
-
 
 class PolicyTimeout(BaseException):
-    """The time of a policy is over; no handler of `Exception` in the policy catches this."""
+    """Time limit of a policy exceeded; no handler of `Exception` in the policy catches this."""
 
 
 class InterruptedPolicy:
-    """A policy that a timer of the system interrupts: an endless loop in Python ends in time.
+    """Policy with a time limit per call, enforced by a timer of the system.
 
-    The timer's signal reaches the main thread of a process, and waits for compiled code to return.
+    The timer interrupts Python code in the main thread; compiled code returns first.
     """
 
     def __init__(self, policy: Policy, limit: float) -> None:
@@ -353,14 +344,14 @@ class InterruptedPolicy:
             signal.signal(signal.SIGALRM, self._interrupt)
 
     def reset(self) -> None:
-        """Begin a run."""
+        """Reset the policy."""
         self._within(self._policy.reset)
 
     def act(self, observation: Array) -> float:
         """Return u [m/s^2] for the observation, shape (4,).
 
         Raises:
-            PolicyTimeout: The policy takes too long.
+            PolicyTimeout: The call exceeds the time limit.
         """
         return self._within(partial(self._policy.act, observation))
 
@@ -380,8 +371,8 @@ class InterruptedPolicy:
             raise PolicyTimeout(f"{LATE} more than {1e3 * self._limit:.1f} ms")
 
 
-def _judge_nothing(time_: Array, counts: Array, move: Array) -> SelfTest:
-    """Judge a swing that no pendulum makes."""
+def _practise(time_: Array, counts: Array, move: Array) -> SelfTest:
+    """Run a self-test on an artificial swing."""
     with np.errstate(all="ignore"):
         return self_test(
             time_,
@@ -396,8 +387,8 @@ def _judge_nothing(time_: Array, counts: Array, move: Array) -> SelfTest:
 
 
 def _work(pipe: Any) -> None:
-    """Be the process beside the loop's: do one job after the other until the loop is gone."""
-    _be_deaf()
+    """Run the worker's process: execute jobs until the loop ends."""
+    _ignore_signals()
     while True:
         try:
             job = pipe.recv()
@@ -405,59 +396,58 @@ def _work(pipe: Any) -> None:
             return
         try:
             pipe.send(job())
-        except Exception as error:  # it is the heart's, to stop on
+        except Exception as error:  # the run stops on it
             pipe.send(RuntimeError(str(error)))
 
 
-def _be_deaf() -> None:
-    """Leave signals to the others: this process ends when it is not needed any more."""
+def _ignore_signals() -> None:
+    """Ignore signals: a helper process ends with the run."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
 def _loop(request: RunRequest, memory: Any, joints: int, pipe: Any) -> None:
-    """Be the loop's process."""
+    """Run the loop's process."""
     recorder = Recorder(joints, memoryview(memory).cast("B"))
-    across = OperatorProxy(recorder)
+    operator = OperatorProxy(recorder)
 
     def stop(*_: object) -> None:
-        across.signalled = True
+        operator.signalled = True
 
     for number in SIGNALS:
         signal.signal(number, stop)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
-    aside: WorkerProcess | None = None
+    worker: WorkerProcess | None = None
     result: RunResult | EquipoiseError
     try:
-        aside = WorkerProcess()
-        warm_up(request)  # before a link is there that could not be listened to meanwhile
+        worker = WorkerProcess()
+        warm_up(request)  # before the connection, which needs attention once it is open
         rig = connect(
             request.robot,
             request.encoder,
             request.settings,
             request.policy.pendulum,
-            tell=lambda text: across.notify(OperatorMessage("waiting", text)),
+            tell=lambda text: operator.notify(OperatorMessage("waiting", text)),
             period=request.policy.h / 2.0,
-            attend=lambda: across.attend(restart_instruction(request.robot)),
+            attend=lambda: operator.attend(restart_instruction(request.robot)),
         )
         result = run_on_rig(
             request,
             rig,
-            [across],
+            [operator],
             recorder,
             measures=realtime.prepare,
-            workshop=aside,
+            workshop=worker,
             supervise=InterruptedPolicy,
         )
     except EquipoiseError as error:
         result = type(error)(str(error))
-    except Exception as error:  # the parent shall say it in one sentence
+    except Exception as error:  # one sentence for the parent, without a traceback
         result = OutsideError(f"the run failed ({type(error).__name__}: {error}); please report it")
-    with suppress(OSError):  # nobody is there to take it
-        pipe.send(result)
-    if aside is not None:
-        aside.close()
+    _send(pipe, result)
+    if worker is not None:
+        worker.close()
 
 
 def _write(
@@ -467,39 +457,38 @@ def _write(
     replace: bool,
     conditions: RunConditions,
     done: Any,
-    told: Any,
+    pipe: Any,
 ) -> None:
-    """Be the writer's process."""
-    _be_deaf()
+    """Run the writer's process."""
+    _ignore_signals()
     parent = os.getppid()
     recorder = Recorder(joints, memoryview(memory).cast("B"))
     try:
         writer = RunWriter(out, conditions, time.monotonic(), replace=replace)
     except OutsideError as error:
-        told.send(str(error))
+        pipe.send(str(error))
         return
-    told.send(None)
-    said = False
+    pipe.send(None)
+    reported = False
     until = float("inf")
-    ended: Callable[[], bool] = done.is_set
     while True:
-        last = ended() or time.monotonic() > until
+        last = done.is_set() or time.monotonic() > until
         writer.drain(recorder)
         if last:
             break
-        if writer.problem is not None and not said:
-            _report(told, writer.problem)
-            said = True
-        if os.getppid() != parent:  # the loop brings the arm to rest, and then beats no more
+        if writer.problem is not None and not reported:
+            _send(pipe, writer.problem)
+            reported = True
+        if os.getppid() != parent:  # the loop brings the arm to rest, and then stops ticking
             rests = recorder.pulse[_TICKS] == 0.0
-            until = min(until, time.monotonic() + (0.0 if rests else FAREWELL))
-        time.sleep(WRITE)
-    end: RunEnd = _received(told) or RunEnd()
+            until = min(until, time.monotonic() + (0.0 if rests else JOIN_TIMEOUT))
+        time.sleep(DRAIN_PERIOD)
+    end: RunEnd = _received(pipe) or RunEnd()
     writer.finish(time.monotonic(), end.model_copy(update={"lost_rows": recorder.lost}))
-    if writer.problem is not None and not said:
-        _report(told, writer.problem)
+    if writer.problem is not None and not reported:
+        _send(pipe, writer.problem)
 
 
-def _report(pipe: Any, problem: str) -> None:
-    with suppress(OSError):  # nobody is there to be told
-        pipe.send(problem)
+def _send(pipe: Any, value: object) -> None:
+    with suppress(OSError):  # the parent has ended
+        pipe.send(value)

@@ -1,12 +1,13 @@
-"""A policy runs on a rig: connect, look before anything moves, ask the operator, run, come to rest.
+"""Run of a policy on a rig: connect, pre-flight, questions to the operator, run, rest.
 
-The same course serves a real rig in real time and an emulated one in virtual time; what differs is
-handed in (`equipoise.deployment.processes` has the real one).
+The same sequence serves a real rig in real time (`equipoise.deployment.processes`) and an emulated
+one in virtual time; arguments carry the differences.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from math import ceil, inf, nan, radians
 from pathlib import Path
 from statistics import median
@@ -41,70 +42,70 @@ from equipoise.rigs import DrainingClock, Rig, RigSettings, check_addresses, con
 LASTED: Final = "lasted"
 OPERATOR: Final = "operator"
 T1_WORLD: Final = "twin:nominal"
-"""Where a policy is tried in T1 before a robot is."""
+"""World of the trials that precede a run in T1."""
 T1_TRIALS: Final = 20
-"""So many trials on the twin come before a run in T1 ..."""
+"""Number of trials on the twin before a run in T1."""
 T1_DURATION: Final = 20.0
-"""... of this length [s] ..."""
+"""Length of each of these trials [s]."""
 T1_SHARE: Final = 0.9
-"""... of which such a share has to last."""
+"""Minimum share of these trials that last [-]."""
 SPEED_LIMIT: Final = "speed limit"
-"""Name of the event that says how fast the flange may go in a run."""
+"""Name of the event with the flange's speed limit."""
 PROLOGUE: Final = 600.0
-"""Room in the record of punctuality for what comes before balancing [s]."""
+"""Recorded time of ticks before the balancing [s]."""
 INPUT_POLL_PERIOD: Final = 0.02
 """Polling period of typed input while nothing moves [s]."""
 WARM_UP_CALLS: Final = 20
 """Number of calls of the policy before the run; their median is compared with the limit."""
-DRAIN: Final = 25
-"""In virtual time the rings are drained every so many ticks."""
+DRAIN_PERIOD: Final = 25
+"""Number of ticks between two drains of the rings in virtual time."""
 
 CHECKLIST: Final = (
-    ("estop", "Is the E-stop in somebody's hand, and was it tried today?"),
-    ("fence", "Is the fence closed, and nobody within reach of arm and pendulum?"),
+    ("estop", "Is the E-stop in an operator's hand, and was it tested today?"),
+    ("fence", "Is the fence closed, with nobody within reach of arm and pendulum?"),
     ("monitoring", "Is the robot's own monitoring of Cartesian and axis speed active?"),
     ("t1", "Has this policy run in T1 before, or is T1 selected now?"),
 )
-"""What is acknowledged by typing the word."""
+"""Safety questions before a run; the operator types the word to acknowledge each."""
 ATTEMPTS: Final = 3
-"""Number of times that a question before the run is asked; a mistyped word ends nothing."""
+"""Number of times that a question before the run is asked; a mistyped word does not end it."""
 STOP: Final = "stop"
-"""What a signal says to the loop."""
-ALONE: Final = "nobody is there to be told"
-"""What the loop says to itself once its parent is gone."""
+"""Word that a signal becomes in the loop's input."""
+ALONE: Final = "the operator's process has ended"
+"""Word in the loop's input once the parent process has ended."""
 DENIALS: Final = ("n", "no", STOP, ALONE)
 """Words that deny a question at once."""
 
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What is to run where."""
+    """Policy, rig and options of a run."""
 
     policy: TaskPolicy
     """The policy."""
     actuator: Actuator
-    """How the rig's arm follows."""
+    """Identified response of the rig's arm."""
     settings: RigSettings
-    """What `rig.toml` says."""
+    """Contents of `rig.toml`."""
     robot: str
     """Address of the robot."""
     encoder: str | None
-    """Address of the encoder; none where the robot's has one."""
+    """Address of the encoder; None where the robot's address includes one."""
     duration: float
-    """How long to balance [s]."""
+    """Length of the balancing [s]."""
     t1: bool
     """Whether the speed limit of T1 holds."""
     dry_run: bool
-    """Whether everything is done but moving."""
+    """Whether the run ends before the arm moves."""
     seed: int
-    """Of what is random on an emulated rig."""
+    """Seed of an emulated rig."""
 
     def controller(self, counts_per_rev: int) -> ControllerParams:
-        """Return the constants of the control step on that rig.
+        """Return the constants of the control step on the rig.
 
         Raises:
             ArmError: Home is a singular posture.
-            SettingsError: The delay is longer than the controller remembers.
+            SettingsError: The delay exceeds the controller's history.
         """
         policy, plant = self.policy, self.policy.settings.plant
         return make_controller_params(
@@ -117,11 +118,11 @@ class RunRequest:
         )
 
     def guard(self, counts_per_rev: int, max_speed: float = inf) -> SafetyParams:
-        """Return the rules of that rig.
+        """Return the safety parameters of the rig.
 
         Args:
-            counts_per_rev: What its encoder says.
-            max_speed: The flange stays below this [m/s], as the pre-flight said.
+            counts_per_rev: Counts per revolution that its encoder reports.
+            max_speed: Flange speed limit from the pre-flight [m/s].
         """
         arm = self.settings.described_arm
         return make_safety_params(
@@ -137,10 +138,10 @@ class RunRequest:
         )
 
     def conditions(self) -> RunConditions:
-        """Return the conditions at the beginning of its log.
+        """Return the run conditions for the log.
 
         Raises:
-            SettingsError: There is no such twin.
+            SettingsError: The twin is unknown.
         """
         policy, friction = self.policy, self.friction
         plant = policy.settings.plant
@@ -180,24 +181,24 @@ class RunRequest:
 
 
 class RunResult(NamedTuple):
-    """What came of a run."""
+    """Result of a run."""
 
     cause: str
-    """Why it ended: lasted, operator, dry run, or what stopped it, in a word or two."""
+    """Cause of its end in a word or two: lasted, operator, dry run, or what stopped it."""
     reason: str
-    """The same in a sentence."""
-    lasted: float
-    """How long it balanced [s]."""
-    stoppable: bool
+    """Cause in a sentence."""
+    lasted: float = 0.0
+    """Duration of the balancing [s]."""
+    stoppable: bool = True
     """Whether software commanded the arm to its rest."""
-    zero: float | None
+    zero: float | None = None
     """Counts at which the pendulum hangs."""
-    missed: int
-    """Ticks that were left out."""
-    late: dict[str, float]
-    """p50, p99, p99.9 and largest lateness of a tick [s]."""
-    compute: dict[str, float]
-    """The same of the time from reading to sending [s]."""
+    missed: int = 0
+    """Number of skipped ticks."""
+    late: Mapping[str, float] = {}
+    """Percentiles p50, p99, p99.9 and maximum of a tick's lateness [s]."""
+    compute: Mapping[str, float] = {}
+    """The same percentiles of the time from reading to sending [s]."""
 
 
 class OperatorChannel:
@@ -220,7 +221,7 @@ class OperatorChannel:
             operator.notify(event)
 
     def read_input(self) -> list[str]:
-        """Return the lines that were typed and not taken yet, the oldest first."""
+        """Return the pending typed lines, the oldest first."""
         lines, self._pending = self._pending, []
         return lines + [line for operator in self._operators for line in operator.read_input()]
 
@@ -230,11 +231,11 @@ class OperatorChannel:
         self.notify(event)
 
     def ask(self, event: OperatorMessage) -> str:
-        """Send a question, and wait for the answer.
+        """Send a question and wait for the answer.
 
         Returns:
-            An expected answer, a denial, or the last of three other words; lines that follow it
-            stay pending.
+            An expected answer, a denial, or the last of three other words; later lines stay
+            pending.
         """
         self.tell(event)
         for _ in range(ATTEMPTS - 1):
@@ -265,23 +266,22 @@ def run_on_rig(
     around: Callable[[TickHandler], TickHandler] = lambda heart: heart,
     supervise: Callable[[Policy, float], Policy] = lambda policy, _: policy,
 ) -> RunResult:
-    """Run a policy on a rig that is not connected yet; the arm rests and the rig is let go after.
+    """Connect a rig, run a policy on it, bring the arm to rest, and disconnect the rig.
 
     Args:
-        request: What is to run.
-        rig: Where.
+        request: The run.
+        rig: The rig, not connected yet.
         operators: Operators; each receives the messages and may type.
         recorder: Rings for the log.
-        measures: Makes this process punctual, and says what was allowed.
-        workshop: Where longer jobs are done; at once if not given.
-        idle: Called in each tick, such as to drain the rings.
-        around: Stands between heart and loop; a rehearsal puts its faults there.
-        supervise: Returns the policy with a limit of its computing time [s], where it can be
-            interrupted.
+        measures: Applies the real-time settings of this process, and returns their results.
+        workshop: Executor of long jobs (default: inline).
+        idle: Called in each tick, e.g. to drain the rings.
+        around: Wraps the tick handler; a rehearsal injects its faults there.
+        supervise: Wraps the policy with a limit of its computing time [s].
 
     Raises:
         InputError: The policy does not fit the rig.
-        OutsideError: The rig does not answer as it should.
+        OutsideError: A device fails.
     """
     operator = OperatorChannel(operators, recorder, DrainingClock(rig.clock, rig.sensor))
     tell = operator.tell
@@ -304,52 +304,71 @@ def run_on_rig(
         for word, question in CHECKLIST:
             said = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
             if said != word:
-                return _unmoved(OPERATOR, f"{word} was not acknowledged; nothing has moved")
+                return RunResult(OPERATOR, f"{word} was not acknowledged; nothing has moved")
         if request.dry_run:
-            return _unmoved("dry run", "all but moving was done; nothing has moved")
+            return RunResult("dry run", "all steps before the motion passed; nothing has moved")
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
         if operator.ask(OperatorMessage("move", question, ("y", "n"))) != "y":
-            return _unmoved(OPERATOR, "the move was not allowed; nothing has moved")
-        return _run(
-            request,
-            rig,
-            robot,
-            operator,
-            recorder,
-            before.max_speed,
-            workshop,
-            idle,
-            around,
-            supervise,
+            return RunResult(OPERATOR, "the move was not allowed; nothing has moved")
+        counts_per_rev = rig.sensor.counts_per_rev
+        policy = supervise(tick_policy(request.policy), POLICY_TIME_SHARE * request.policy.h)
+        rig.sensor.samples()
+        robot.start()
+        began = rig.clock.now()
+        recorder.reply.push(began, nan, robot.started_at, recorder.unknown, began)
+        controller = RunController(
+            request.settings.described_arm,
+            request.controller(counts_per_rev),
+            policy,
+            request.guard(counts_per_rev, before.max_speed),
+            robot.started_at,
+            duration=request.duration,
+            clock=rig.clock.now,
         )
+        ending = run_loop(
+            robot,
+            rig.sensor,
+            rig.clock,
+            around(controller),
+            recorder,
+            operator,
+            longest=PROLOGUE + request.duration,
+            workshop=workshop,
+            idle=idle,
+        )
+        if ending.stoppable:
+            try:
+                robot.stop()
+            except LinkError as error:
+                ending = ending._replace(fault=str(error), stoppable=False)
+        return _outcome(controller, ending)
     finally:
         robot.close()
         rig.sensor.close()
 
 
 def check_request(request: RunRequest) -> None:
-    """Check a request as far as that needs no rig; the pre-flight checks the rest.
+    """Validate a request without its rig; the pre-flight checks the rest.
 
     Raises:
         InputError: Addresses, policy, actuator and `rig.toml` do not fit each other.
-        SettingsError: There is no such twin.
+        SettingsError: The twin is unknown.
     """
     check_addresses(request.robot, request.encoder)
     require(list(check_fit(request.policy, request.actuator, request.settings)))
 
 
 def speed_limit(max_speed: float) -> OperatorMessage:
-    """Return what the operator and the log are told of the flange's limit [m/s]."""
-    return OperatorMessage(
-        SPEED_LIMIT, f"{max_speed!r} m/s: the run stops where the flange is as fast."
-    )
+    """Return the message with the flange's speed limit [m/s]."""
+    text = f"{max_speed!r} m/s: the run stops when the flange reaches this speed."
+    return OperatorMessage(SPEED_LIMIT, text)
 
 
 def logged_speed_limit(events: Iterable[tuple[str, str]]) -> float:
-    """Return the flange's limit [m/s] from names and texts of a log's events; inf if there is none.
+    """Return the flange's speed limit [m/s] from a log's events (default: inf).
 
     Args:
-        events: Name and text of each.
+        events: Name and text of each event.
 
     Raises:
         ArtefactError: The text does not begin with a number.
@@ -360,74 +379,31 @@ def logged_speed_limit(events: Iterable[tuple[str, str]]) -> float:
                 return float(text.split()[0])
             except (IndexError, ValueError):
                 raise ArtefactError(
-                    f"the log says {text[:40]!r} of the flange's limit, expected a number in m/s; "
+                    f"the log has {text[:40]!r} as the flange's limit, expected a number in m/s; "
                     "give another log"
                 ) from None
     return inf
 
 
-def _run(
-    request: RunRequest,
-    rig: Rig,
-    robot: GuardedRobot,
-    operator: Operator,
-    recorder: Recorder,
-    max_speed: float,
-    workshop: Executor | None,
-    idle: Callable[[], None],
-    around: Callable[[TickHandler], TickHandler],
-    supervise: Callable[[Policy, float], Policy],
-) -> RunResult:
-    counts_per_rev = rig.sensor.counts_per_rev
-    arm, guard = request.settings.described_arm, request.guard(counts_per_rev, max_speed)
-    controller = request.controller(counts_per_rev)
-    policy = supervise(tick_policy(request.policy), POLICY_TIME_SHARE * request.policy.h)
-    rig.sensor.samples()
-    robot.start()
-    q = robot.started_at
-    began = rig.clock.now()
-    recorder.reply.push(began, nan, q, recorder.unknown, began)
-    pilot = RunController(
-        arm, controller, policy, guard, q, duration=request.duration, clock=rig.clock.now
-    )
-    ending = run_loop(
-        robot,
-        rig.sensor,
-        rig.clock,
-        around(pilot),
-        recorder,
-        operator,
-        longest=PROLOGUE + request.duration,
-        workshop=workshop,
-        idle=idle,
-    )
-    if ending.stoppable:
-        try:
-            robot.stop()
-        except LinkError as error:
-            ending = ending._replace(fault=str(error), stoppable=False)
-    return _outcome(pilot, ending)
-
-
 def warm_up(request: RunRequest) -> None:
-    """Run and time all code of a tick, so that none is compiled or loaded in the stream.
+    """Run and time all code of a tick, to compile and load it before the stream starts.
 
     Raises:
         ArmError: Home is a singular posture.
-        SettingsError: The delay is longer than the controller remembers.
+        SettingsError: The delay exceeds the controller's history.
         InputError: The policy raises, returns no finite number, or takes too long.
     """
     settings, policy = request.settings, tick_policy(request.policy)
-    arm, controller = settings.described_arm, request.controller(settings.counts_per_rev)
-    lane, took = Controller(arm, controller), list[float]()
+    arm, params = settings.described_arm, request.controller(settings.counts_per_rev)
+    controller, took = Controller(arm, params), list[float]()
     policy.reset()
     for _ in range(WARM_UP_CALLS):
-        lane.observe(0.0, 0.0, arm.home, 0.0)
+        controller.observe(0.0, 0.0, arm.home, 0.0)
         began = perf_counter()
-        u = lane.decide(policy)
+        u = controller.decide(policy)
         took.append(perf_counter() - began)
-        lane.command(u)
-    FlangeKinematics(arm, controller).place(arm.home)
+        controller.command(u)
+    FlangeKinematics(arm, params).place(arm.home)
     typical, limit = median(took), POLICY_TIME_SHARE * request.policy.h
     if typical > limit:
         raise InputError(
@@ -436,25 +412,21 @@ def warm_up(request: RunRequest) -> None:
         )
 
 
-def _outcome(pilot: RunController, ending: LoopResult) -> RunResult:
-    cause = pilot.state.cause or Cause("fault", "the run ended without a cause")
+def _outcome(controller: RunController, ending: LoopResult) -> RunResult:
+    cause = controller.state.cause or Cause("fault", "the run ended without a cause")
     if ending.fault is not None:
         cause = Cause("fault" if ending.stoppable else "link lost", ending.fault)
     timing = ending.timing
     return RunResult(
         cause=cause.name,
         reason=cause.reason,
-        lasted=pilot.lasted,
+        lasted=controller.lasted,
         stoppable=ending.stoppable,
-        zero=pilot.zero,
+        zero=controller.zero,
         missed=timing.missed,
         late=timing.percentiles(timing.late),
         compute=timing.percentiles(timing.compute),
     )
-
-
-def _unmoved(cause: str, reason: str) -> RunResult:
-    return RunResult(cause, reason, 0.0, True, None, 0, {}, {})
 
 
 def run_virtually(
@@ -467,24 +439,17 @@ def run_virtually(
     """Run on an emulated rig in this process, in virtual time.
 
     Args:
-        request: What is to run; its robot is `twin:...`.
-        out: The log; none writes none.
-        operator: Who is told besides the emulated operator, and may stop the run.
-        replace: Whether an existing log is replaced, once this run is connected.
+        request: The run; its robot is `twin:...`.
+        out: Path of the log; None writes no log.
+        operator: Operator besides the emulated one.
+        replace: Whether this run replaces an existing log, once it is connected.
 
     Raises:
         InputError: The policy does not fit the rig.
-        OutsideError: The disk refuses.
+        OutsideError: The log cannot be written.
     """
-    pendulum = request.policy.pendulum
-    rig = connect(
-        request.robot,
-        request.encoder,
-        request.settings,
-        pendulum,
-        seed=request.seed,
-        period=request.policy.h / 2.0,
-    )
+    policy, address = request.policy, (request.robot, request.encoder, request.settings)
+    rig = connect(*address, policy.pendulum, seed=request.seed, period=policy.h / 2.0)
     return run_rig_virtually(request, rig, out, operator, replace=replace)
 
 
@@ -497,21 +462,18 @@ def run_rig_virtually(
     replace: bool = False,
     around: Callable[[TickHandler], TickHandler] = lambda heart: heart,
 ) -> RunResult:
-    """Do the same on a rig that was put together already, such as one with faults."""
+    """Run on a given emulated rig, such as one with faults; see `run_virtually`."""
     recorder = Recorder(rig.robot.joints)
-    writer = None
-    if out is not None:
-        writer = RunWriter(out, request.conditions(), rig.clock.now(), replace)
-    ticks = 0
+    writer = out and RunWriter(out, request.conditions(), rig.clock.now(), replace)
+    ticks = count(1)
 
     def idle() -> None:
-        nonlocal ticks
-        ticks += 1
-        if ticks % DRAIN == 0:
-            if writer is not None:
-                writer.drain(recorder)
-            else:
-                recorder.forget()
+        if next(ticks) % DRAIN_PERIOD:
+            return
+        if writer is not None:
+            writer.drain(recorder)
+        else:
+            recorder.forget()
 
     operators = [one for one in (rig.operator, operator) if one is not None]
     end = RunEnd()
@@ -535,24 +497,25 @@ def run_rig_virtually(
 def rehearse_t1(
     request: RunRequest, *, trials: int = T1_TRIALS, duration: float = T1_DURATION
 ) -> None:
-    """Let a policy balance on the twin under the limit of T1, before it is tried on a robot.
+    """Run trials of a policy on the twin under the speed limit of T1, before a run on a robot.
 
     Args:
-        request: What is to run where.
-        trials: How many trials.
+        request: The run.
+        trials: Number of trials.
         duration: Length of each [s].
 
     Raises:
-        InputError: It does not fit the rig, or a run in T1 would probably be stopped for its speed.
+        InputError: The policy does not fit the rig, or too few trials last.
     """
     check_request(request)
-    policy, counts_per_rev = request.policy, request.settings.counts_per_rev
     nominal = read_world(T1_WORLD)
-    in_t1 = nominal.settings.model_copy(update={"t1": True, "counts_per_rev": counts_per_rev})
+    in_t1 = nominal.settings.model_copy(
+        update={"t1": True, "counts_per_rev": request.settings.counts_per_rev}
+    )
     ended = Counter[str]()
     for seed in range(trials):
         run = deploy(
-            policy,
+            request.policy,
             world=nominal._replace(settings=in_t1),
             actuator=request.actuator,
             seed=seed,
@@ -564,8 +527,8 @@ def rehearse_t1(
         others = ", ".join(f"{cause} {n}" for cause, n in ended.items() if cause != LASTED)
         raise InputError(
             f"on the twin in T1 this policy lasts {duration:g} s in {ended[LASTED]} of "
-            f"{trials} trials, expected {least} (ended by: {others}); train one that lives "
-            f"with it: equipoise train --max-speed {T1_SPEED:g}"
+            f"{trials} trials, expected {least} (ended by: {others}); train one for "
+            f"this limit: equipoise train --max-speed {T1_SPEED:g}"
         )
 
 
@@ -577,11 +540,9 @@ STOPPED_BY: Final = {
     "link lost": 3,
     Rule.LINK.value: 3,
 }
-"""Exit codes of the causes that are not a fall or a broken rule."""
+"""Exit codes of the causes other than a fall or a violated rule."""
 
 
 def exit_code(outcome: RunResult) -> int:
-    """Return the exit code of the command: 0, 1 (fell, or a rule was broken), 3 or 130."""
-    if not outcome.stoppable:
-        return 3
-    return STOPPED_BY.get(outcome.cause, 1)
+    """Return the exit code of the command: 0, 1 (fall or violated rule), 3 or 130."""
+    return STOPPED_BY.get(outcome.cause, 1) if outcome.stoppable else 3

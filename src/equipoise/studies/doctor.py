@@ -49,12 +49,12 @@ def examine(
     busy: Callable[[str], AbstractContextManager[object]],
     tell: Callable[[str], None],
 ) -> Diagnosis:
-    """Measure a machine and a rig, and judge the readings; nothing moves.
+    """Measure a machine and a rig, and judge the readings; the arm does not move.
 
     Args:
         robot: Address of the robot; None examines none.
         encoder: Address of the encoder; None examines none.
-        settings: Description of the rig; None where it is not known.
+        settings: Description of the rig; None where it is unknown.
         seconds: Duration of each measurement [s].
         load: Whether deadlines are measured again with every core busy.
         logs: Folder of the run logs.
@@ -72,24 +72,23 @@ def examine(
     with busy("measuring deadlines"):
         late, measures = run_with_realtime_priority(lambda: lateness(clock, seconds))
     loaded = reading = link = None
-    silent: dict[str, str] = {}
+    errors: dict[str, str] = {}
     if load:
         with busy("measuring deadlines with every core busy"), burning(machine.cores or 1):
             loaded = Spread.of(run_with_realtime_priority(lambda: lateness(clock, seconds))[0])
     if sensor is not None:
         try:
-            with busy("listening to the encoder"), connected(sensor):
-                heard, _ = run_with_realtime_priority(lambda: listen(sensor, clock, seconds))
-            reading = EncoderReading.of(heard)
+            with busy("reading the encoder"), connected(sensor):
+                reading, _ = run_with_realtime_priority(lambda: listen(sensor, clock, seconds))
         except LinkError as error:
-            silent["encoder"] = str(error)
+            errors["encoder"] = str(error)
     if arm is not None:
         try:
-            with busy("timing the robot's answers"), connected(arm):
+            with busy("timing the robot's replies"), connected(arm):
                 trips, _ = run_with_realtime_priority(lambda: round_trips(arm, clock, seconds))
             link = Spread.of(trips)
         except LinkError as error:
-            silent["robot"] = str(error)
+            errors["robot"] = str(error)
     return diagnose(
         machine,
         measures,
@@ -98,7 +97,7 @@ def examine(
         link=link,
         encoder=reading,
         counts_per_rev=None if settings is None else settings.counts_per_rev,
-        silent=silent,
+        silent=errors,
     )
 
 
@@ -132,14 +131,15 @@ def diagnose(
         findings += [check_link(link), check_networks(machine.networks)]
     if encoder is not None:
         findings += check_encoder(encoder, counts_per_rev)
-    findings += [_unreachable(name, error) for name, error in (silent or {}).items()]
+    for name, error in (silent or {}).items():
+        found, _, cure = error.removeprefix(f"{name}: ").partition("; ")
+        cure = cure or "check its power, its cable and its address"
+        findings.append(CheckResult(name, "bad", found, cure, outside=True))
     verdicts = {finding.verdict for finding in findings}
+    care = "usable with care" if "warning" in verdicts else "fit"
+    verdict: Fitness = "not fit" if "bad" in verdicts else care
     return Diagnosis(
-        verdict="not fit"
-        if "bad" in verdicts
-        else "usable with care"
-        if "warning" in verdicts
-        else "fit",
+        verdict=verdict,
         findings=tuple(findings),
         machine=machine,
         lateness=lateness,
@@ -147,10 +147,3 @@ def diagnose(
         link=link,
         encoder=encoder,
     )
-
-
-def _unreachable(name: str, error: str) -> CheckResult:
-    """Return the result for a device that could not be reached, from its driver's message."""
-    found, _, cure = error.removeprefix(f"{name}: ").partition("; ")
-    cure = cure or "check its power, its cable and its address"
-    return CheckResult(name, "bad", found, cure, outside=True)
