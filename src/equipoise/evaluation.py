@@ -1,9 +1,9 @@
-"""Evaluate: how long a policy balances, with what confidence, and why it falls.
+"""Evaluation of a policy: survival with its confidence interval, and causes of failure.
 
 Trials start as after a release by hand and run on plants that vary around the policy's pendulum:
-on the paper's plant (world `ideal`), on the plant of the training behind the identified actuator
-(`model`), or on a digital twin (`twin:...`). Any policy runs in any of these worlds. Test seeds are
-used nowhere else, trial i is the same for every policy, and the baselines run the same trials.
+on the paper's plant (world `ideal`), on the plant of the training with the identified actuator
+(`model`), or on a digital twin (`twin:...`). Any policy runs in any world. Test seeds serve no
+other purpose, trial i is the same for every policy, and the baselines run the same trials.
 """
 
 import threading
@@ -33,18 +33,13 @@ from equipoise.control.trial_safety import guard_named
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.random import TEST
-from equipoise.model.sim_configs import (
-    MODEL,
-    PivotFriction,
-    TwinSettings,
-    World,
-    pivot_friction,
-)
+from equipoise.model.sim_configs import MODEL, PivotFriction, TwinSettings, World, pivot_friction
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
 from equipoise.simulation import Trials, find_world, run_trials, setup_of, simulate
 from equipoise.views import Viewable
 
 CONFIDENCE = 0.95
+"""Confidence of all reported intervals [-]."""
 
 Done = Callable[[int], None]
 """Called with the number of trials that have just finished."""
@@ -68,7 +63,7 @@ class Summary(NamedTuple):
     quantiles: tuple[float, float, float, float]
     """Survival at 5, 25, 75 and 95 % of the trials [s]."""
     causes: dict[str, int]
-    """How many trials ended in which way."""
+    """Number of trials by the cause of their end."""
 
 
 class TrialResults(Value):
@@ -94,14 +89,14 @@ class TrialResults(Value):
         """Return share, interval, quantiles and causes."""
         trials, survived = len(self.survival), self.causes.count(CAUSES[0])
         interval = binomtest(survived, trials).proportion_ci(CONFIDENCE, method="exact")
-        q05, q25, q50, q75, q95 = np.quantile(self.survival, [0.05, 0.25, 0.5, 0.75, 0.95])
+        q05, q25, q50, q75, q95 = np.quantile(self.survival, [0.05, 0.25, 0.5, 0.75, 0.95]).tolist()
         return Summary(
             trials=trials,
             survived=survived,
             rate=survived / trials,
             interval=(float(interval.low), float(interval.high)),
-            median=float(q50),
-            quantiles=(float(q05), float(q25), float(q75), float(q95)),
+            median=q50,
+            quantiles=(q05, q25, q75, q95),
             causes=dict(Counter(self.causes)),
         )
 
@@ -132,7 +127,7 @@ class Evaluation(Viewable, Artefact):
     settings: Settings
     """Resolved settings: starts, noise, number and length of the trials."""
     seed: Seed
-    """Master seed; with a trial's number it decides its conditions and its noise."""
+    """Master seed; with the number of a trial it determines its conditions and noise."""
     results: TrialResults
     """Trials of the policy."""
     baselines: Annotated[tuple[TrialResults, ...], Field(max_length=16)]
@@ -174,12 +169,12 @@ def evaluate(
     per trial of a minute, on the same trials.
 
     Args:
-        policy: The policy with its task, such as a table or what `load_policy` returns.
-        settings: Number, length and starts of the trials, noise of the plant, the controller; by
-            default the policy's own.
+        policy: The policy with its task, such as a table or a result of `load_policy`.
+        settings: Number, length and starts of the trials, noise of the plant, the controller
+            (default: the policy's).
         world: `ideal`, `model`, a name that `read_world` knows, or a twin with its numbers.
-        actuator: The controller's model of the arm's response; by default the policy's own, and in
-            `ideal` always the ideal one.
+        actuator: The controller's model of the arm's response (default: the policy's; in `ideal`
+            always the ideal one).
         seed: Master seed of the trials.
         with_baselines: Run the baselines on the same trials.
         workers: Number of threads for compiled policies; the result does not depend on it.
@@ -188,8 +183,8 @@ def evaluate(
         done: Called with the number of trials that have just finished.
 
     Raises:
-        SettingsError: There is no such world.
-        ArmError: The twin does not know the masses of the arm.
+        SettingsError: The world is unknown.
+        ArmError: The masses of the twin's arm are unknown.
     """
     setup = setup_of(policy, world, settings, actuator)
     pendulum, arm, settings, actuator, h = setup
@@ -199,7 +194,7 @@ def evaluate(
 
     def run(name: str, policy: TaskPolicy | PolicyKernel, digest: str) -> TrialResults:
         trials = simulation.draw(count)
-        deciding = _Deciding(
+        key = _CacheKey(
             name=name,
             policy=digest,
             world=numbers,
@@ -211,7 +206,7 @@ def evaluate(
             ),
             seed=seed,
         )
-        finished = _Kept(kept, value_digest(deciding))
+        finished = _FinishedTrials(kept, value_digest(key))
         todo = finished.restore(trials)
         done(count - len(todo))
 
@@ -229,13 +224,17 @@ def evaluate(
                 workers=workers,
                 done=rows_done,
             )
-        return _results(name, trials, h)
+        codes = trials.cause.tolist()
+        guards = tuple(map(guard_named, codes))
+        return TrialResults(
+            name=name,
+            survival=tuple(round(steps * h, 6) for steps in trials.steps.tolist()),
+            causes=tuple(map(cause_named, codes)),
+            guards=guards if any(guards) else (),
+        )
 
-    beside = (
-        baselines(pendulum.parameters(linearised=settings.plant.linearised), h)
-        if with_baselines
-        else {}
-    )
+    nominal = pendulum.parameters(linearised=settings.plant.linearised)
+    others = baselines(nominal, h) if with_baselines else {}
     evaluation = Evaluation(
         policy=policy.digest,
         world=place,
@@ -248,25 +247,14 @@ def evaluate(
         settings=settings,
         seed=seed,
         results=run(policy.name, policy, policy.digest),
-        baselines=tuple(run(name, kernel, "") for name, kernel in beside.items()),
+        baselines=tuple(run(name, kernel, "") for name, kernel in others.items()),
     )
     if kept is not None:
         kept.unlink(missing_ok=True)
     return evaluation
 
 
-def _results(name: str, trials: Trials, h: float) -> TrialResults:
-    codes = trials.cause.tolist()
-    guards = tuple(map(guard_named, codes))
-    return TrialResults(
-        name=name,
-        survival=tuple(round(steps * h, 6) for steps in trials.steps.tolist()),
-        causes=tuple(map(cause_named, codes)),
-        guards=guards if any(guards) else (),
-    )
-
-
-class _Deciding(Value):
+class _CacheKey(Value):
     """Cache key of a trial, without its number."""
 
     name: str
@@ -289,21 +277,21 @@ class PartialEvaluation(Artefact):
     """Number, steps and code of the cause of each finished trial, by its cache key."""
 
 
-class _Kept(PartialFile):
-    """Finished trials in a file, written from time to time as a whole."""
+class _FinishedTrials(PartialFile):
+    """Finished trials in a file, rewritten from time to time."""
 
     def __init__(self, path: Path | None, key: str) -> None:
         super().__init__(path, "evaluate", self._partial)
         self._key = key
         self._others: dict[str, tuple[tuple[int, int, int], ...]] = {}
         self._finished: list[tuple[int, int, int]] = []
-        self._changing = threading.Lock()
+        self._lock = threading.Lock()
         if path is not None and path.exists():
             self._others = dict(PartialEvaluation.load(path).finished)
             self._finished = list(self._others.pop(key, ()))
 
     def restore(self, trials: Trials) -> list[int]:
-        """Write the results of finished trials, and return the numbers of the others."""
+        """Restore the results of finished trials; return the numbers of the others."""
         count = len(trials.steps)
         self._finished = [row for row in self._finished if row[0] < count]
         for i, steps, cause in self._finished:
@@ -312,14 +300,13 @@ class _Kept(PartialFile):
         return [i for i in range(count) if i not in known]
 
     def add(self, trials: Trials, rows: Sequence[int]) -> None:
-        """Keep the results of finished trials."""
-        with self._changing:
-            for i in rows:
-                self._finished.append((i, int(trials.steps[i]), int(trials.cause[i])))
+        """Store the results of finished trials."""
+        with self._lock:
+            self._finished += ((i, int(trials.steps[i]), int(trials.cause[i])) for i in rows)
         self.update()
 
     def _partial(self) -> PartialEvaluation | None:
-        with self._changing:
+        with self._lock:
             own = {self._key: tuple(self._finished)} if self._finished else {}
         finished = self._others | own
         return PartialEvaluation(finished=finished) if finished else None
