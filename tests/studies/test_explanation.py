@@ -22,10 +22,10 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.sim_configs import World, read_world
 from equipoise.studies.explanation import (
     ADVICE,
+    DETECTORS,
     IN_SIMULATION,
-    LOOKS,
     CauseName,
-    _course,
+    _timeline,
     explain,
 )
 from equipoise.studies.runs import load_run
@@ -78,10 +78,10 @@ def test_a_run_that_lasts_raises_no_suspicion(seed, tmp_path):
     run = RunLog.load(path, damaged=True)
     assert [cause.name for cause in explain(run).causes] == [CauseName.LASTED]
     # Nor would it if it had ended: no look finds anything.
-    course = _course(run)
-    assert [found for look in LOOKS if (found := look(course))] == []
+    timeline = _timeline(run)
+    assert [found for detect in DETECTORS if (found := detect(timeline))] == []
     # The unexplained rate stays where it is: to 1 deg/s over 80 ms.
-    steps = course.rate[16:] - course.rate[:-16]
+    steps = timeline.rate[16:] - timeline.rate[:-16]
     assert np.rad2deg(np.std(steps)) < 3.0
 
 
@@ -90,9 +90,9 @@ def test_a_push_is_measured(tmp_path):
     fault = draw_fault("push", 0)._replace(at=at, once=lambda stage: stage.bench.push(rate))
     run_with(fault, 0, tmp_path / "run.mcap")
     run = RunLog.load(tmp_path / "run.mcap", damaged=True)
-    course = _course(run)
-    i = int(np.searchsorted(course.time, at))
-    assert course.rate[i + 10] - course.rate[i - 10] == pytest.approx(rate, rel=0.15)
+    timeline = _timeline(run)
+    i = int(np.searchsorted(timeline.time, at))
+    assert timeline.rate[i + 10] - timeline.rate[i - 10] == pytest.approx(rate, rel=0.15)
     push = explain(run).causes[0]
     assert push.time == pytest.approx(at, abs=0.05)
 
@@ -102,9 +102,9 @@ def test_a_wrong_zero_is_measured(tmp_path):
     fault = draw_fault("zero", 0)._replace(zero=error)
     run_with(fault, 0, tmp_path / "run.mcap")
     run = RunLog.load(tmp_path / "run.mcap", damaged=True)
-    course = _course(run)
-    slope = np.polyfit(course.time, course.rate, 1)[0]
-    assert -slope / course.pendulum.w2 == pytest.approx(error, rel=0.15)
+    timeline = _timeline(run)
+    slope = np.polyfit(timeline.time, timeline.rate, 1)[0]
+    assert -slope / timeline.pendulum.w2 == pytest.approx(error, rel=0.15)
 
 
 def test_a_log_that_breaks_off_is_explained_as_far_as_it_goes(tmp_path, rig_log, broken_off):
@@ -161,8 +161,8 @@ def test_a_run_on_a_twin_that_lasts_has_nothing_to_explain():
     log = on_twin()
     assert log.cause == CAUSES[0] == "lasted"
     assert [cause.name for cause in explain(log).causes] == [CauseName.LASTED]
-    course = _course(log)
-    assert [found for look in LOOKS if (found := look(course))] == []
+    timeline = _timeline(log)
+    assert [found for detect in DETECTORS if (found := detect(timeline))] == []
 
 
 def test_every_cause_says_what_to_do(rig_log):

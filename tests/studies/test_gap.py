@@ -16,7 +16,15 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import TwinSettings, World, read_world
 from equipoise.settings import EvaluationSettings
 from equipoise.studies import gap as study
-from equipoise.studies.gap import CLEAN, EFFECTS, FULL, SHORT, VARIANTS, told, trials_of
+from equipoise.studies.gap import (
+    CLEAN,
+    EFFECTS,
+    FULL,
+    SHORT,
+    VARIANTS,
+    expected_actuator,
+    trials_of,
+)
 from equipoise.studies.gap_results import (
     CURED,
     NO_BIAS,
@@ -182,17 +190,17 @@ def test_identification_on_a_changed_twin_is_that_of_the_twin_moved():
         update={"delay": Estimate(value=0.0102, low=0.0099, high=0.0105, source="identified")}
     )
     longer = WORLD.model_copy(update={"transport": 0.03, "lag": 0.004, "cycle": 4})
-    moved = told(found, WORLD, longer)
+    moved = expected_actuator(found, WORLD, longer)
     assert (moved.delay.low, moved.delay.value, moved.delay.high) == pytest.approx(
         (0.0299, 0.0302, 0.0305)
     )
     assert [lag.value for lag in moved.lags] == pytest.approx([0.0045] * 6)
     assert moved.cycle.value == pytest.approx(0.0044)
-    at_once = told(found, WORLD, WORLD.model_copy(update={"transport": 0.0}))
+    at_once = expected_actuator(found, WORLD, WORLD.model_copy(update={"transport": 0.0}))
     assert at_once.delay.value == pytest.approx(0.0002)
     assert at_once.delay.low == 0.0
-    assert told(found, WORLD, WORLD).digest == found.digest
-    unshaped = told(found, WORLD, longer.model_copy(update={"shaped": False}))
+    assert expected_actuator(found, WORLD, WORLD).digest == found.digest
+    unshaped = expected_actuator(found, WORLD, longer.model_copy(update={"shaped": False}))
     assert (unshaped.kind, unshaped.delay) == ("lag", moved.delay)
     assert [lag.value for lag in unshaped.lags] == [0.004] * 6
 
@@ -264,12 +272,12 @@ def test_words_follow_the_numbers(full):
     alone = difference(clean, gap.point("alone", PAPER, "transport delay").results)
     assert f"they cost: transport delay ({spelled(alone)}), zero error" in effects
     assert "they give back: transport delay" in effects
-    assert "no difference that these trials can tell" in cured
+    assert "no significant difference" in cured
     assert "costs" in unpredicted
     assert "costs" in unbiased
     assert "inner pd 60.0 s, inner trajectory40 60.0 s" in variants
     assert "40 trials of 60 s" in caveat
-    assert "no measurement of the authors' robot" in caveat
+    assert "not measurements of the authors' robot" in caveat
 
 
 def test_other_numbers_make_other_words(policy):
@@ -280,10 +288,10 @@ def test_other_numbers_make_other_words(policy):
         return 0.5 + 500.0 * (call.world.transport if call.world else 0.0) + 0.01 * i
 
     said = words(measured(policy, stands)[0])
-    assert said[0].endswith("; these trials cannot tell that the cures help.")
+    assert said[0].endswith("; these trials do not show that the cures help.")
     assert "they cost: none." in said[4]
     assert said[4].endswith("they give back: none.")
-    assert all("no difference that these trials can tell" in sentence for sentence in said[2:4])
+    assert all("no significant difference" in sentence for sentence in said[2:4])
     said = words(measured(policy, better_when_late)[0])
     assert "5 ms adds 2.5 s [2.5, 2.5]" in said[2]
     assert "they cost: none." in said[4]
@@ -302,7 +310,7 @@ def test_what_cannot_be_compared_is_refused(policy):
     with pytest.raises(InputError, match="was trained with an actuator"):
         measured(policy, falls_early, paper_policy=policy)
     other = paper_policy(policy).model_copy(update={"arm": iiwa(7)})
-    with pytest.raises(InputError, match="not for the same arm"):
+    with pytest.raises(InputError, match="differ in the arm"):
         measured(policy, falls_early, paper_policy=other)
     with pytest.raises(InputError, match="lies between model and a twin"):
         measured(policy, falls_early, world="model")
@@ -341,7 +349,7 @@ def test_points_are_evaluations_whatever_the_number_of_workers(policy, monkeypat
         policy,
         settings,
         world=World("late", late),
-        actuator=told(policy.actuator, WORLD, late),
+        actuator=expected_actuator(policy.actuator, WORLD, late),
         seed=3,
         with_baselines=False,
     )

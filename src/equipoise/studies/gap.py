@@ -1,24 +1,23 @@
-"""The gap: what of the robot a policy's training did not know, and what each part of it costs.
+"""Study of the sim-to-real gap: the cost of each effect that the training does not model.
 
-One policy runs with its cures and with one of them left out; beside it runs a table that was
-trained as the paper describes: on a plant whose arm is where it is sent, at once, and whose state
-is known. All runs are trials on the digital twin, on the same starts and the same random numbers:
+A policy runs with all its cures and without each; beside it runs a table that is trained as the
+paper describes, on a plant with an ideal arm and a known state. All runs are trials on the digital
+twin, with the same starts and the same random numbers:
 
 1. Survival against the transport delay.
 2. Survival against a constant error of the encoder's zero.
-3. The way from the training plant to the twin, effect by effect. On a *clean* twin everything is
-   switched off that can be; each effect is switched on there alone, and taken away alone from the
-   twin as it is. Effects do not add up, so neither list alone says what matters.
-4. What nobody outside KUKA knows about the cabinet, tried out.
+3. The step from the training plant to the twin, effect by effect. A *clean* twin has every effect
+   switched off. Each effect is switched on there alone, and removed alone from the full twin.
+   Effects do not add up, so that both lists are needed.
+4. Variants of the cabinet's servo, which KUKA does not publish.
 
-What the controllers know. The cures know the arm as an identification on the changed twin would
-find it: delay and lag of the actuator move with those of the twin, except where "delay not told"
-says so; without the servo's shaping law they know a lag of one cycle of its loop, which is how far
-its drives stay behind then. The table of the paper takes the arm to be where it was sent: its
-actuator is `ideal`, it predicts nothing and believes the encoder's zero. Its angular velocity comes
-from the same observer.
+Knowledge of the controllers. The cures use the actuator that an identification on the changed twin
+would find: its delay and lag follow those of the twin, except in the curve "cures not told of the
+delay". Without the servo's shaping law they use a lag of one cycle of its loop, which is the lag of
+its drives then. The paper's table uses an `ideal` actuator, no prediction, and the encoder's zero
+without a correction. Its angular velocity comes from the same observer.
 
-Every difference is one on our twin. It is no measurement of the authors' robot.
+Every difference is a result on our twin, not a measurement of the authors' robot.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -34,13 +33,7 @@ from equipoise.errors import InputError
 from equipoise.evaluation import Done, TrialResults, evaluate
 from equipoise.model.actuator import CYCLE, Actuator
 from equipoise.model.sim_configs import MODEL, TwinSettings, World, pivot_friction, read_world
-from equipoise.settings import (
-    MOST_TRIALS,
-    ControllerSettings,
-    EvaluationSettings,
-    Settings,
-    resolve,
-)
+from equipoise.settings import MOST_TRIALS, EvaluationSettings, Settings, resolve
 from equipoise.studies.gap_results import (
     CURED,
     NO_BIAS,
@@ -73,8 +66,8 @@ CLEAN: Final[Mapping[str, Any]] = {
     "reply_age": 0.0,
     "joint_noise": 0.0,
 }
-"""A twin with as little of a robot as its numbers allow: neither delay nor lag to speak of, an
-encoder without steps and age, nothing that pulls at an arm with the rotors of a real one."""
+"""Settings of the clean twin: negligible delay and lag, an encoder without steps and age, no load
+on an arm with real rotors."""
 
 EFFECTS: Final[Mapping[str, tuple[str, ...]]] = {
     "transport delay": ("transport",),
@@ -88,7 +81,7 @@ EFFECTS: Final[Mapping[str, tuple[str, ...]]] = {
     "weight on the arm": ("rotor_inertia", "bracket_mass", "pendulum_mass"),
     "age of measured joints": ("reply_age", "joint_noise"),
 }
-"""What can be switched, and the numbers of the twin that belong to it."""
+"""Effects that are switched, and the settings of the twin that belong to each."""
 
 VARIANTS: Final[Mapping[str, Mapping[str, Any]]] = {
     "inner pd": {"inner": "pd"},
@@ -96,13 +89,12 @@ VARIANTS: Final[Mapping[str, Mapping[str, Any]]] = {
     "servo loop of 4 ms": {"cycle": 4},
     "no rotor inertia": {"rotor_inertia": 0.0},
 }
-"""What KUKA does not publish: other guesses, as differences to the twin."""
+"""Variants of the unpublished servo, as changes of the twin's settings."""
 
-STOOD_LONGEST: Final = ("selection.every=10", "selection.averaging=1")
-"""The paper tells of a table that stood in simulation before it went to the robot. The last table
-of recipe `paper` seldom does, and by luck; of those that came by in the training the one is kept
-that stood longest on its own plant."""
-STOOD_LONGEST_QUICKLY: Final = (
+BEST_TABLE: Final = ("selection.every=10", "selection.averaging=1")
+"""Overrides that select the table with the longest survival on its own plant. The paper's table
+balanced in simulation before it ran on the robot; the last table of recipe `paper` rarely does."""
+BEST_TABLE_QUICK: Final = (
     "selection.every=25",
     "selection.screening_trials=16",
     "selection.duration=20",
@@ -111,11 +103,11 @@ STOOD_LONGEST_QUICKLY: Final = (
     "selection.final_duration=20",
     "selection.averaging=1",
 )
-"""The same with fewer and shorter trials of the candidates."""
+"""Overrides for the same with fewer and shorter trials of the candidates."""
 
 
 class Form(NamedTuple):
-    """How much is tried."""
+    """Scope of a study."""
 
     trials: int
     """Trials of each point."""
@@ -126,9 +118,9 @@ class Form(NamedTuple):
     zeros: tuple[float, ...]
     """Constant errors of the encoder's zero [rad]."""
     apart: tuple[Controller, ...]
-    """For whom the twin is taken apart."""
+    """Controllers that run effect by effect."""
     variants: bool
-    """Whether the other guesses are tried."""
+    """Whether the variants of the servo run."""
 
 
 FULL: Final = Form(
@@ -167,23 +159,23 @@ def gap(
     Args:
         policy: A policy that was trained with an actuator.
         world: The twin.
-        paper_policy: A table that was trained as the paper describes, for the same pendulum and
-            arm; trained here, from `seed`, if not given.
-        actuator: The arm of this twin, as identified; that of the policy's training if not given.
-        trials: Trials of each point; by default those of the form.
-        duration: Length of a trial [s]; by default that of the form.
-        quick: The short form.
+        paper_policy: A table trained as the paper describes, for the same pendulum and arm
+            (default: trained here, from `seed`).
+        actuator: Identified actuator of this twin (default: that of the policy's training).
+        trials: Trials of each point (default: those of the form).
+        duration: Length of a trial [s] (default: that of the form).
+        quick: Whether the short form runs.
         seed: Master seed of the trials.
         workers: Number of threads; the result does not depend on it.
         done: Called with the number of trials that have just finished, `trials_of` them in all.
 
     Raises:
-        InputError: The policy has no cures, the tables are of two tasks, or nothing can be said
-            from so few trials.
-        SettingsError: There is no such world.
-        ArmError: The twin does not know the masses of the arm.
+        InputError: The policy has no cures, the tables are of two tasks, or the number of trials is
+            out of range.
+        SettingsError: The world is unknown.
+        ArmError: The masses of the twin's arm are unknown.
     """
-    twin, form = the_twin(world), _form(quick, trials, duration)
+    twin, form = read_twin(world), _form(quick, trials, duration)
     actuator = actuator or policy.actuator
     if actuator.kind == "ideal":
         raise InputError(
@@ -192,26 +184,22 @@ def gap(
         )
     if paper_policy is None:
         paper_policy = train_paper(policy, quick=quick, seed=seed, workers=workers)
-    for ours, theirs, what in (
-        (policy.pendulum.digest, paper_policy.pendulum.digest, "pendulum"),
-        (policy.arm.digest, paper_policy.arm.digest, "arm"),
-    ):
-        if ours != theirs:
-            raise InputError(
-                f"policy and paper policy are not for the same {what}; train both for one"
-            )
+    for name in ("pendulum", "arm"):
+        if getattr(policy, name).digest != getattr(paper_policy, name).digest:
+            raise InputError(f"policy and paper policy differ in the {name}; train both for one")
     if paper_policy.actuator.kind != "ideal":
         raise InputError(
             "the paper policy was trained with an actuator; give one trained with "
             "equipoise train --recipe paper"
         )
-    asked = {"trials": form.trials, "duration": form.duration}
-    evaluation = policy.settings.evaluation.model_copy(update=asked)
+    evaluation = policy.settings.evaluation.model_copy(
+        update={"trials": form.trials, "duration": form.duration}
+    )
     plan = tuple(_plan(twin.settings, form))
 
     def run(case: _Case) -> TrialResults:
         table = paper_policy if case.controller == PAPER else policy
-        known = None if case.known is None else told(actuator, twin.settings, case.known)
+        known = case.known and expected_actuator(actuator, twin.settings, case.known)
         return evaluate(
             table,
             _settings(table.settings, case.controller, evaluation),
@@ -222,8 +210,8 @@ def gap(
             done=done,
         ).results
 
-    # Conditions rather than trials go over the cores: there are more of them. A policy in Python
-    # may keep a state, and runs one trial at a time.
+    # Each thread runs one condition, since there are more conditions than cores. A policy in Python
+    # may have a state, and runs one trial at a time.
     cases = tuple(dict.fromkeys(case for _, case in plan))
     with ThreadPoolExecutor(1 if policy.kernel is None else workers) as pool:
         found = dict(zip(cases, pool.map(run, cases), strict=True))
@@ -249,9 +237,9 @@ def gap(
 def trials_of(
     world: str | World = "twin:nominal", *, quick: bool = False, trials: int | None = None
 ) -> int:
-    """Return how many trials `gap` runs in all."""
+    """Return the number of all trials of `gap`."""
     form = _form(quick, trials, None)
-    return form.trials * len({case for _, case in _plan(the_twin(world).settings, form)})
+    return form.trials * len({case for _, case in _plan(read_twin(world).settings, form)})
 
 
 def train_paper(
@@ -267,8 +255,8 @@ def train_paper(
     """Train a table as the paper describes, for the pendulum and the arm of a policy.
 
     Args:
-        policy: Whose pendulum and arm.
-        quick: Look less long for the table that stands longest.
+        policy: The policy with pendulum and arm.
+        quick: Whether fewer trials select the table.
         seed: Master seed of the training.
         workers: Number of threads; the result does not depend on it.
         partial: File for checkpoints, as in `train`.
@@ -288,16 +276,16 @@ def train_paper(
 
 
 def paper_settings(*, quick: bool = False) -> Settings:
-    """Return the settings with which `train_paper` trains."""
-    return resolve("paper", overrides=STOOD_LONGEST_QUICKLY if quick else STOOD_LONGEST)
+    """Return the settings of `train_paper`."""
+    return resolve("paper", overrides=BEST_TABLE_QUICK if quick else BEST_TABLE)
 
 
-def the_twin(world: str | World) -> World:
+def read_twin(world: str | World) -> World:
     """Return a twin.
 
     Raises:
-        InputError: The world is none.
-        SettingsError: There is no such world.
+        InputError: The world is not a twin.
+        SettingsError: The world is unknown.
     """
     if isinstance(world, World):
         return world
@@ -306,60 +294,56 @@ def the_twin(world: str | World) -> World:
     return read_world(world)
 
 
-def told(actuator: Actuator, world: TwinSettings, changed: TwinSettings) -> Actuator:
-    """Return what an identification would find on a twin with other numbers.
+def expected_actuator(actuator: Actuator, world: TwinSettings, changed: TwinSettings) -> Actuator:
+    """Return the actuator that an identification would find on a changed twin.
 
     Args:
-        actuator: What it found on the twin as it is.
-        world: The twin as it is.
-        changed: The other one.
+        actuator: Identified actuator of the original twin.
+        world: Settings of the original twin.
+        changed: Settings of the changed twin.
     """
 
-    def moved(estimate: Estimate, by: float) -> Estimate:
-        low, value, high = (
-            max(end + by, 0.0) for end in (estimate.low, estimate.value, estimate.high)
+    def moved(estimate: Estimate, by: float = 0.0, times: float = 1.0) -> Estimate:
+        ends = {name: getattr(estimate, name) for name in ("low", "value", "high")}
+        return estimate.model_copy(
+            update={name: max(times * end + by, 0.0) for name, end in ends.items()}
         )
-        return estimate.model_copy(update={"low": low, "value": value, "high": high})
 
     delay = moved(actuator.delay, changed.transport - world.transport)
     if not changed.shaped:
-        at_once = Actuator.assumed("lag", lag=changed.cycle * CYCLE)
-        return at_once.model_copy(update={"delay": delay})
-    longer = changed.cycle / world.cycle
-    cycle = {name: longer * getattr(actuator.cycle, name) for name in ("low", "value", "high")}
+        unshaped = Actuator.assumed("lag", lag=changed.cycle * CYCLE)
+        return unshaped.model_copy(update={"delay": delay})
     return actuator.model_copy(
         update={
             "delay": delay,
             "lags": tuple(moved(lag, changed.lag - world.lag) for lag in actuator.lags),
-            "cycle": actuator.cycle.model_copy(update=cycle),
+            "cycle": moved(actuator.cycle, times=changed.cycle / world.cycle),
         }
     )
 
 
 class _Case(NamedTuple):
-    """What decides about the trials of a point; points that share it share their trials."""
+    """Key of the trials of a point; points with the same key share their trials."""
 
     controller: Controller
-    """Who balances; `cured` where only what it is told differs."""
+    """The controller; `cured` where only its actuator differs."""
     world: TwinSettings | None
-    """The twin; none: its own training plant."""
+    """Settings of the twin; None for the training plant."""
     known: TwinSettings | None
-    """The twin as the actuator has it; none: the actuator of the training."""
+    """Settings that the controller's actuator assumes; None for the actuator of the training."""
 
 
 def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., GapPoint], _Case]]:
-    """Return all points, without their results, and what decides about these."""
+    """Yield all points without their results, each with the key of its trials."""
     clean = world.model_copy(update=CLEAN)
 
     def entry(
         part: Part, controller: Controller, twin: TwinSettings | None, **of_point: Any
     ) -> tuple[Callable[..., GapPoint], _Case]:
         point = partial(GapPoint, part=part, controller=controller, **of_point)
-        if controller == PAPER:
-            return point, _Case(controller, twin, None)
         if controller == NOT_TOLD:
             return point, _Case(CURED, twin, world)
-        return point, _Case(controller, twin, twin)
+        return point, _Case(controller, twin, None if controller == PAPER else twin)
 
     for controller in form.apart:
         yield entry("plant", controller, None)
@@ -393,8 +377,8 @@ def _form(quick: bool, trials: int | None, duration: float | None) -> Form:
     form = (SHORT if quick else FULL)._replace(**{k: v for k, v in given.items() if v is not None})
     if not 2 <= form.trials <= MOST_TRIALS:
         raise InputError(
-            f"{form.trials} trials at each point: expected 2 or more, one says nothing about the "
-            f"next, and at most {MOST_TRIALS:,}"
+            f"{form.trials} trials at each point: expected 2 or more, since one has no spread, and "
+            f"at most {MOST_TRIALS:,}"
         )
     return form
 
@@ -402,11 +386,10 @@ def _form(quick: bool, trials: int | None, duration: float | None) -> Form:
 def _settings(
     settings: Settings, controller: Controller, evaluation: EvaluationSettings
 ) -> Settings:
-    """Return the settings of a controller with the cures that it has."""
-    without = {
-        NO_PREDICTION: {"predict": False},
-        NO_BIAS: {"estimate_bias": False},
-        PAPER: {"predict": False, "estimate_bias": False},
-    }.get(controller, {})
-    cures: ControllerSettings = settings.controller.model_copy(update=without)
+    """Return the settings of a controller with its own cures."""
+    cures = settings.controller
+    if controller in (NO_PREDICTION, PAPER):
+        cures = cures.model_copy(update={"predict": False})
+    if controller in (NO_BIAS, PAPER):
+        cures = cures.model_copy(update={"estimate_bias": False})
     return settings.model_copy(update={"controller": cures, "evaluation": evaluation})

@@ -1,9 +1,9 @@
-"""What a study of the gap found: its trials, seconds of balance with intervals, and words.
+"""Results of a study of the gap: trials, seconds of balance with intervals, and sentences.
 
-Made by `equipoise.studies.gap`, which says what is compared with what.
+`equipoise.studies.gap` makes them, and describes the comparisons.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from math import degrees, sqrt
 from typing import Annotated, ClassVar, Final, Literal, NamedTuple
 
@@ -38,32 +38,32 @@ LABELS: Final[Mapping[Controller, str]] = {
     NO_BIAS: "without bias estimate",
     PAPER: "trained as the paper describes",
 }
-"""The controllers, for readers."""
+"""Label of each controller in figures and tables."""
 NONE: Final = "none"
-"""Stands for an empty list of effects."""
+"""Text of an empty list of effects."""
 
 
 class GapPoint(Value):
     """The trials of one controller under one condition."""
 
     part: Part
-    """`plant`: its own training plant; `clean`, `world`: the clean twin, the twin as it is; `delay`
-    and `zero`: a point of a curve; `alone`, `without`: an effect switched on alone, taken away
-    alone; `variant`: another guess."""
+    """`plant`: the training plant; `clean`, `world`: the clean and the full twin; `delay`, `zero`:
+    a point of a curve; `alone`, `without`: one effect switched on, one effect removed; `variant`:
+    a variant of the servo."""
     controller: Controller
-    """Who balances."""
+    """The controller."""
     on_clean: bool = False
-    """Of a curve: the rest of the twin is clean."""
+    """Whether a point of a curve is on the clean twin."""
     name: Name = ""
-    """Of the effect or the variant."""
+    """Name of the effect or the variant."""
     at: Number = 0.0
-    """Of a curve: transport delay [s] or error of the zero [rad]."""
+    """Transport delay [s] or error of the zero [rad] of a point of a curve."""
     results: TrialResults
-    """What came of them; trial i starts alike at every point."""
+    """Results; trial i has the same start at every point."""
 
 
 class Seconds(NamedTuple):
-    """Seconds of balance, or a difference of them, with a 95 % interval (Student's)."""
+    """Mean survival, or a difference of means, with a 95 % interval (Student's)."""
 
     mean: float
     """Mean [s]."""
@@ -74,36 +74,36 @@ class Seconds(NamedTuple):
 
 
 class Gap(Artefact):
-    """How long each controller balances, and what of the twin ends it."""
+    """Survival of each controller under each condition."""
 
     FORMAT: ClassVar[str] = "equipoise-gap"
     VERSION: ClassVar[int] = 1
     quick: bool
-    """The short form: fewer points, fewer and shorter trials."""
+    """Whether this is the short form: fewer points, fewer and shorter trials."""
     policy: Name
     """Digest of the policy with the cures."""
     paper_policy: Name
     """Digest of the table that was trained as the paper describes."""
     paper_settings: Settings
-    """What that was."""
+    """Settings of its training."""
     arm: Name
     """Name of the arm."""
     pendulum: Name
     """Digest of the pendulum that the trials vary."""
     actuator: Name
-    """Digest of the actuator that the cures know on the twin as it is."""
+    """Digest of the actuator that the cures use on the full twin."""
     delay: Number
-    """The delay that they know there [s]."""
+    """Delay of that actuator [s]."""
     world: Name
-    """The twin, by name."""
+    """Name of the twin."""
     world_settings: TwinSettings
-    """Its numbers."""
+    """Settings of the twin."""
     friction: PivotFriction | None = None
-    """Dry friction and drag of the pendulum on the twin; none in studies that do not state it."""
+    """Dry friction and drag of the pendulum on the twin; None in older studies."""
     clean_settings: TwinSettings
-    """Those of the clean twin."""
+    """Settings of the clean twin."""
     settings: Settings
-    """Of the policy: starts, number and length of the trials, the cures."""
+    """Settings of the policy: starts, number and length of the trials, the cures."""
     seed: Seed
     """Master seed of the trials."""
     points: Annotated[tuple[GapPoint, ...], Field(min_length=1, max_length=1000)]
@@ -121,19 +121,19 @@ class Gap(Artefact):
 
     @property
     def curves(self) -> tuple[tuple[Controller, bool], ...]:
-        """Who has a curve, and whether on the clean twin."""
+        """Controllers of the curves, and whether each is on the clean twin."""
         points = (p for p in self.points if p.part in ("delay", "zero"))
         return tuple(dict.fromkeys((p.controller, p.on_clean) for p in points))
 
     @property
     def apart(self) -> tuple[Controller, ...]:
-        """For whom the twin was taken apart."""
+        """Controllers that ran effect by effect."""
         return tuple(p.controller for p in self.points if p.part == "plant")
 
     def curve(
         self, part: Literal["delay", "zero"], controller: Controller, on_clean: bool = False
     ) -> tuple[GapPoint, ...]:
-        """Return survival against delay or zero error; empty where it was not tried."""
+        """Return the points of survival against delay or zero error."""
         return tuple(
             p
             for p in self.points
@@ -146,12 +146,12 @@ class Gap(Artefact):
         return next(p for p in self.points if (p.part, p.controller, p.name) == wanted)
 
     def names(self, part: Part) -> tuple[str, ...]:
-        """Return the effects or the variants that were tried."""
+        """Return the names of the effects or the variants."""
         return tuple(dict.fromkeys(p.name for p in self.points if p.part == part))
 
 
 def mean(results: TrialResults, duration: float) -> Seconds:
-    """Return the mean seconds of balance; where all lasted, the interval has no width.
+    """Return the mean survival; the interval has no width if all trials lasted.
 
     Args:
         results: Trials.
@@ -162,31 +162,28 @@ def mean(results: TrialResults, duration: float) -> Seconds:
 
 
 def difference(results: TrialResults, reference: TrialResults) -> Seconds:
-    """Return how much longer the first balance, trial by trial: the conditions are the same."""
+    """Return the mean difference of survival, paired by trial."""
     return _student(np.array(results.survival) - np.array(reference.survival))
 
 
 def differs(found: Seconds) -> bool:
-    """Return whether a difference can be told from none."""
+    """Return whether a difference is significant."""
     return not found.low <= 0.0 <= found.high
 
 
 def track_share(results: TrialResults) -> float | None:
-    """Return the share of the failures at the end of the track; none where nothing failed.
-
-    There the limit ended them, or the guard that stops the flange before it.
-    """
+    """Return the share of failures by the track limit or its guard; None without failures."""
     failed = len(results.causes) - results.causes.count(LASTED)
     ends = results.causes.count(CAUSES[TRACK]) + results.guards.count(Rule.TRACK.value)
     return ends / failed if failed else None
 
 
 def words(gap: Gap) -> tuple[str, ...]:
-    """Return what came out, in sentences that need no figure; they follow the numbers."""
+    """Return the results in sentences."""
     variants = (_open_question(gap),) if gap.names("variant") else ()
     return (
         _conclusion(gap),
-        _way(gap),
+        _steps(gap),
         f"Latency alone, on the clean twin: it stands {_along(gap.curve('delay', PAPER, True))}.",
         f"A wrong zero alone, on the clean twin: it stands {_along(gap.curve('zero', PAPER, True))}"
         ".",
@@ -194,7 +191,7 @@ def words(gap: Gap) -> tuple[str, ...]:
         f"The policy with its cures stands, on {gap.world}, {_along(gap.curve('delay', CURED))}; "
         f"with a wrong zero, {_along(gap.curve('zero', CURED))}.",
         f"Without prediction it stands {_along(gap.curve('delay', NO_PREDICTION))}; where the "
-        f"delay changes and nobody tells the cures, which go by {1e3 * gap.delay:.0f} ms, "
+        f"delay changes and the cures still assume {1e3 * gap.delay:.0f} ms, "
         f"{_along(gap.curve('delay', NOT_TOLD), gap.delay)}.",
         "Without the bias estimate it stands, with a wrong zero, "
         f"{_along(gap.curve('zero', NO_BIAS))}.",
@@ -204,7 +201,7 @@ def words(gap: Gap) -> tuple[str, ...]:
 
 
 def spelled(found: Seconds) -> str:
-    """Return seconds with their interval.
+    """Return a mean survival with its interval as text.
 
     Example:
         >>> spelled(Seconds(5.04, 3.87, 6.21))
@@ -219,7 +216,7 @@ def at_scale(part: Part, at: float) -> float:
 
 
 def at_words(part: Part, at: float) -> str:
-    """Return a delay [s] or an error of the zero [rad] with a unit for readers."""
+    """Return a delay [s] or an error of the zero [rad] as text, in ms or degrees."""
     return f"{at_scale(part, at):g} {'ms' if part == 'delay' else 'deg'}"
 
 
@@ -231,7 +228,7 @@ def _student(values: Array) -> Seconds:
 
 
 def at_world(gap: Gap, controller: Controller) -> TrialResults:
-    """Return the trials of a controller on the twin as it is."""
+    """Return the trials of a controller on the full twin."""
     delay = gap.world_settings.transport
     return min(gap.curve("delay", controller), key=lambda point: abs(point.at - delay)).results
 
@@ -244,7 +241,7 @@ def _conclusion(gap: Gap) -> str:
         f"the paper describes {mean(without, gap.duration).mean:.1f} s"
     )
     if not difference(cured, without).low > 0.0:
-        return f"{stood}; these trials cannot tell that the cures help."
+        return f"{stood}; these trials do not show that the cures help."
     left_out = {
         "prediction": at_world(gap, NO_PREDICTION),
         "estimate of the zero": at_world(gap, NO_BIAS),
@@ -254,18 +251,18 @@ def _conclusion(gap: Gap) -> str:
         for cure, results in left_out.items()
         if difference(cured, results).low > 0.0
     ]
-    owed = " and ".join(needed) or "neither cure alone, as far as these trials can tell"
+    owed = " and ".join(needed) or "neither cure alone, as far as these trials show"
     return f"{stood}. It needs {owed}."
 
 
-def _way(gap: Gap) -> str:
+def _steps(gap: Gap) -> str:
     plant, clean, world = (gap.point(part, PAPER).results for part in ("plant", "clean", "world"))
     share = track_share(world)
     ends = "" if share is None else f", {percent(share)} of its falls on the track limit"
     left = difference(plant, clean)
     rest = f"; the step to the clean twin costs {spelled(left)}" if differs(left) else ""
     return (
-        "Trained as the paper describes, a table knows neither delay nor sensor. It stands "
+        "Trained as the paper describes, a table models neither delay nor sensor. It stands "
         f"{mean(plant, gap.duration).mean:.1f} of {gap.duration:g} s on its own training plant, "
         f"{mean(clean, gap.duration).mean:.1f} s on the clean twin and "
         f"{mean(world, gap.duration).mean:.1f} s on {gap.world}{ends}{rest}. The paper's stood "
@@ -274,7 +271,7 @@ def _way(gap: Gap) -> str:
 
 
 def _along(curve: tuple[GapPoint, ...], known: float = 0.0) -> str:
-    """Return a curve in words, and the least change from what is known that shows in it."""
+    """Return a curve in words, with the smallest significant change from the known value."""
     stands = ", ".join(
         f"{float(np.mean(p.results.survival)):.1f} s at {at_words(p.part, p.at)}" for p in curve
     )
@@ -282,40 +279,33 @@ def _along(curve: tuple[GapPoint, ...], known: float = 0.0) -> str:
     for point in others:
         change = difference(point.results, reference.results)
         if differs(change):
-            verb, size = ("adds", change) if change.mean > 0.0 else ("costs", _turned(change))
+            verb, size = ("adds", change) if change.mean > 0.0 else ("costs", _negated(change))
             return f"{stands} ({at_words(point.part, point.at)} {verb} {spelled(size)})"
-    return f"{stands} (no difference that these trials can tell)"
+    return f"{stands} (no significant difference)"
 
 
 def _effect_by_effect(gap: Gap) -> str:
-    clean, world = (gap.point(part, PAPER).results for part in ("clean", "world"))
-    costs = _ranked(
-        (name, difference(clean, gap.point("alone", PAPER, name).results))
-        for name in gap.names("alone")
-    )
-    gains = _ranked(
-        (name, difference(gap.point("without", PAPER, name).results, world))
-        for name in gap.names("without")
-    )
-    helps = _ranked(
-        (name, difference(gap.point("alone", PAPER, name).results, clean))
-        for name in gap.names("alone")
-    )
-    missed = _ranked(
-        (name, difference(world, gap.point("without", PAPER, name).results))
-        for name in gap.names("without")
-    )
+    def changes(part: Part, reference: Part) -> dict[str, Seconds]:
+        base = gap.point(reference, PAPER).results
+        return {
+            name: difference(gap.point(part, PAPER, name).results, base) for name in gap.names(part)
+        }
+
+    alone, without = changes("alone", "clean"), changes("without", "world")
+    helps = _ranked(alone)
+    missed = _ranked({name: _negated(found) for name, found in without.items()})
     better = "" if helps == NONE else f" Switched on alone, some help: {helps}."
     better += "" if missed == NONE else f" Taken away alone, some are missed: {missed}."
+    costs = _ranked({name: _negated(found) for name, found in alone.items()})
     return (
-        "Effect by effect, in seconds that these trials can tell from none. Switched on alone on "
-        f"the clean twin, they cost: {costs}. Taken away alone from {gap.world}, they give back: "
-        f"{gains}.{better}"
+        f"Effect by effect, significant changes in seconds. Switched on alone on the clean twin, "
+        f"they cost: {costs}. Taken away alone from {gap.world}, they give back: "
+        f"{_ranked(without)}.{better}"
     )
 
 
-def _ranked(differences: Iterable[tuple[str, Seconds]]) -> str:
-    certain = [(name, found) for name, found in differences if found.low > 0.0]
+def _ranked(differences: Mapping[str, Seconds]) -> str:
+    certain = [(name, found) for name, found in differences.items() if found.low > 0.0]
     certain.sort(key=lambda pair: -pair[1].mean)
     return ", ".join(f"{name} ({spelled(found)})" for name, found in certain) or NONE
 
@@ -328,8 +318,8 @@ def _open_question(gap: Gap) -> str:
         ends = "" if share is None else f" ({percent(share)} of the falls on the track limit)"
         parts.append(f"{name} {mean(results, gap.duration).mean:.1f} s{ends}")
     return (
-        "An open question, since KUKA does not publish what the cabinet does; the policy with its "
-        f"cures under other guesses: {', '.join(parts)}."
+        "KUKA does not publish the servo of the cabinet; the policy with its cures under other "
+        f"assumptions: {', '.join(parts)}."
     )
 
 
@@ -337,11 +327,11 @@ def _caveat(gap: Gap) -> str:
     form = "This is the short form. " if gap.quick else ""
     return (
         f"{form}Each point is {gap.trials} trials of {gap.duration:g} s; in brackets, 95 % "
-        "intervals of the mean, without width where all of them lasted. This is the answer of our "
-        "twin, built from what is known of such robots and from assumptions that it lists; it is "
-        "no measurement of the authors' robot."
+        "intervals of the mean, without width where all of them lasted. These are results on our "
+        "twin, built from published data of such robots and from listed assumptions, not "
+        "measurements of the authors' robot."
     )
 
 
-def _turned(found: Seconds) -> Seconds:
+def _negated(found: Seconds) -> Seconds:
     return Seconds(-found.mean, -found.high, -found.low)
