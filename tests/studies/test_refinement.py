@@ -279,7 +279,7 @@ def test_joints_that_stand_still_tell_no_actuator():
     found = inspect(policy_knowing(), {"run": still})
     assert found.response == {}
     (warning,) = found.warnings
-    assert warning.startswith("run does not tell the actuator: no joint's velocity")
+    assert warning.startswith("run does not identify the actuator: no joint's velocity")
 
 
 # Several logs
@@ -303,7 +303,7 @@ def test_estimates_that_disagree_are_known_less_well():
 def test_runs_of_two_pendula_are_told_apart():
     found = inspect(at_once(), {"light": run(2, 0.9), "heavy": run(3, 1.1)})
     (warning,) = found.warnings
-    assert "do not agree about w2" in warning
+    assert "disagree about w2" in warning
     low, high = found.fit.w2.interval
     assert low < 0.92 * shipped_policy().pendulum.w2.value
     assert high > 1.08 * shipped_policy().pendulum.w2.value

@@ -1,16 +1,16 @@
-"""Refine: logs of a balancing policy say whether its model still holds, and its table learns on.
+"""Refinement of a policy's model from logs of its runs, and retraining of its table.
 
-This is the future work of Safeea & Neto: from the robot back to the simulation. A log holds what
-was sent to the joints, what they did, and what the encoder counted. From it come again
+This is the future work of Safeea & Neto: from the robot back to the simulation. A log holds the
+setpoints of the joints, their measured angles, and the encoder's counts. From these are identified
 
-1. the pendulum: w2, k and c (`equipoise.identification.closed_loop`). The pivot is where the
-   measured joints carry it, and phi in space is the encoder's plus the tilt of the flange;
-2. the actuator: delay, cycle, and the lags of the joints that move. Balancing moves few; the
-   others keep what was known.
+1. the pendulum: w2, k and c (`equipoise.identification.closed_loop`). The pivot follows from the
+   measured joints; phi in space is the encoder's angle plus the tilt of the flange;
+2. the actuator: delay, cycle, and the lags of the joints that move. Balancing moves few joints; the
+   others keep their lags.
 
-What differs beyond both 95 % intervals, and by more than training varies anyway, has moved. With
-the new values training goes on from the old table and its visits. Of old and new table the one is
-kept that does better on the new model, in trials by which neither was chosen.
+A parameter has changed if it differs beyond both 95 % intervals and beyond the range of the
+training. Training continues with the new values from the old table and its visits. The better of
+old and new table on the new model is kept, by trials that selected neither.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -39,21 +39,21 @@ Array = npt.NDArray[np.float64]
 EPISODES: Final = 2000
 """Episodes of a retraining."""
 EXPLORATION: Final = 0.2
-"""A retraining explores by this share of what the training did: its table knows much already."""
-FRESH: Final = 1 << 32
-"""Added to the seed for the trials that compare old and new: no training can have such a seed."""
-SPACING: Final = 0.01
-"""So far apart the samples of an encoder are worth fitting [s]: a tick, as in a log of a twin."""
+"""Initial exploration of a retraining, as a share of the training's [-]."""
+COMPARISON_SEED: Final = 1 << 32
+"""Offset of the seed for the trials that compare old and new table, beyond all training seeds."""
+SAMPLE_SPACING: Final = 0.01
+"""Spacing of averaged encoder samples [s]: one tick, as in a log of a twin."""
 NORMAL: Final = 1.96
-"""Half a 95 % interval, in standard deviations."""
-DISAGREED: Final = 3.0
-"""A warning is given where w2 differs so many times more between runs than their intervals say."""
+"""Half width of a 95 % interval in standard deviations [-]."""
+MAX_BIRGE_RATIO: Final = 3.0
+"""Birge ratio of w2 between runs beyond which a warning is given [-]."""
 NO_DRAG: Final = Estimate(value=0.0, low=0.0, high=0.0, source="assumed")
-"""Balancing is too slow for the drag of the air."""
+"""Air drag of the pendulum; balancing is too slow to identify it."""
 
 
 class ModelMotion(NamedTuple):
-    """A run as the pendulum went through it; each of shape (n,)."""
+    """Measured motion of pendulum and pivot; each of shape (n,)."""
 
     time: Array
     """Time stamps of the encoder [s]."""
@@ -64,69 +64,66 @@ class ModelMotion(NamedTuple):
 
 
 class ArmResponse(Value):
-    """A number of the actuator that logs find elsewhere than it was."""
+    """Change of an actuator's parameter."""
 
     name: str
     """`delay`, `cycle`, or `lag of` a joint."""
     before: Estimate
-    """What was known [s]."""
+    """Previous estimate [s]."""
     now: Estimate
-    """What the logs say [s]."""
+    """Estimate from the logs [s]."""
     z: float
     """Difference in standard deviations of both."""
 
     @property
     def text(self) -> str:
-        """One line for a person."""
+        """The change in one line."""
         before, now = (
             f"{1e3 * e.value:.3g} [{1e3 * e.low:.3g}, {1e3 * e.high:.3g}]"
             for e in (self.before, self.now)
         )
         return (
             f"{self.name} moved from {before} to {now} ms (95 % intervals, z = {self.z:.1f}): "
-            "the arm follows its setpoints otherwise"
+            "the response of the arm has changed"
         )
 
 
 class RefinementFindings(Value):
-    """What logs say about the model of a policy."""
+    """Model of a policy as identified from logs, and its changes."""
 
     fit: ClosedLoopFit
-    """The pendulum of the logs."""
+    """The identified pendulum."""
     response: dict[str, Estimate]
-    """The actuator of the logs, by name, as far as they tell it [s]."""
+    """The identified parameters of the actuator, by name [s]."""
     moves: tuple[ParameterChange | ArmResponse, ...]
-    """What moved; empty where the model still holds."""
+    """Changed parameters; empty if the model still holds."""
     pendulum: Pendulum
-    """That of the policy, but for what moved."""
+    """The policy's pendulum with the changed parameters."""
     actuator: Actuator
-    """That of the policy; if any of it moved, with all that the logs tell."""
+    """The policy's actuator, with all identified parameters if any changed."""
     warnings: tuple[str, ...]
-    """Where the logs say little, and what to do."""
+    """Limitations of the logs, each with advice."""
 
 
 class Refinement(NamedTuple):
-    """A policy for the model that was found."""
+    """A policy for the refined model."""
 
     policy: TabularPolicy
-    """The one that was kept."""
+    """The better policy."""
     kept: Literal["old", "new"]
-    """Whose table it has."""
+    """Origin of its table."""
     old: Checkpoint
-    """How the old table does on the model."""
+    """Score of the old table on the model."""
     new: Checkpoint
-    """How the new table does in the same trials."""
+    """Score of the new table in the same trials."""
 
 
 def inspect(policy: TabularPolicy, logs: Mapping[str, RunLog]) -> RefinementFindings:
-    """Return what logs say about the model of a policy.
+    """Identify the model of a policy from logs of its runs, and compare.
 
     Args:
         policy: The policy, with its pendulum, arm and actuator.
         logs: Runs on one rig, by name; at least one.
-
-    Returns:
-        What was found, and what of it moved.
 
     Raises:
         ArtefactError: A log is of another arm.
@@ -142,17 +139,17 @@ def inspect(policy: TabularPolicy, logs: Mapping[str, RunLog]) -> RefinementFind
         except (ArtefactError, RecordingError) as error:
             raise type(error)(f"{name}: {error}") from None
         warnings += (f"{name}: {warning}" for warning in fits[-1].warnings)
-        # Where the arm is taken to follow at once, there is no actuator to compare with.
+        # An ideal arm has no actuator to compare with.
         if not plant.ideal:
             try:
                 responses.append(read_response(log, arm, policy.actuator))
             except RecordingError as error:
-                warnings.append(f"{name} does not tell the actuator: {error}")
-    if len(fits) > 1 and disagreement([each.w2 for each in fits]) > DISAGREED:
+                warnings.append(f"{name} does not identify the actuator: {error}")
+    if len(fits) > 1 and disagreement([each.w2 for each in fits]) > MAX_BIRGE_RATIO:
         found = ", ".join(f"{each.w2.value:.4g}" for each in fits)
         warnings.append(
-            f"the runs do not agree about w2 ({found} 1/s^2): the pendulum changed between them, "
-            "and their mean is known badly; give runs of one pendulum"
+            f"the runs disagree about w2 ({found} 1/s^2): the pendulum changed between them, so "
+            "that their mean is uncertain; give runs of one pendulum"
         )
     fit = combine_fits(fits)
     response = {
@@ -185,23 +182,20 @@ def retrain(
     selecting: Selecting = lambda _, __: None,
     done: Callable[[int], None] = lambda _: None,
 ) -> Refinement:
-    """Train a policy on for another model, and keep the better of old and new table.
+    """Continue a policy's training on another model, and keep the better of old and new table.
 
     Args:
-        policy: The policy, whose table and visits are the start.
-        pendulum: The pendulum to balance.
-        actuator: How the arm follows its setpoints.
-        episodes: How many more.
+        policy: The policy with the initial table and visits.
+        pendulum: The pendulum.
+        actuator: The actuator.
+        episodes: Number of episodes.
         seed: Master seed.
         workers: Threads; the result does not depend on it.
         partial: File for checkpoints of the training, as in `train`.
         report: Called with each new point of the learning curve.
         selecting: Called as the trials of the final selection finish, as in `train`.
-        done: Called with the number of trials that have just finished in which old and new table
-            are compared; `compared_trials` of them in all.
-
-    Returns:
-        The policy that was kept, and how both did.
+        done: Called with the number of just finished trials of the comparison, which has
+            `compared_trials` in all.
     """
     new = train(
         pendulum,
@@ -217,7 +211,8 @@ def retrain(
     )
     old = policy.model_copy(update={"pendulum": pendulum, "actuator": actuator})
     of_old, of_new = (
-        score_policy(each, seed=seed + FRESH, workers=workers, done=done) for each in (old, new)
+        score_policy(each, seed=seed + COMPARISON_SEED, workers=workers, done=done)
+        for each in (old, new)
     )
     if of_new.score > of_old.score:
         return Refinement(new, "new", of_old, of_new)
@@ -225,22 +220,19 @@ def retrain(
 
 
 def compared_trials(policy: TabularPolicy) -> int:
-    """Return the number of trials in which `retrain` compares the old and the new table."""
+    """Return the number of trials of the comparison in `retrain`."""
     return 2 * policy.settings.selection.final_trials
 
 
 def settings_of_retraining(settings: Settings, episodes: int) -> Settings:
     """Return the settings of a retraining, from those of the training."""
     learning = settings.learning
-    changes = {
-        "episodes": episodes,
-        "epsilon_initial": EXPLORATION * learning.epsilon_initial,
-    }
+    changes = {"episodes": episodes, "epsilon_initial": EXPLORATION * learning.epsilon_initial}
     return settings.model_copy(update={"learning": learning.model_copy(update=changes)})
 
 
 def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
-    """Return how pendulum and pivot moved in a run, as encoder and joints measured it.
+    """Return the motion of pendulum and pivot from the measurements of encoder and joints.
 
     Args:
         log: A run on a rig.
@@ -248,20 +240,19 @@ def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
 
     Raises:
         ArtefactError: The log is of another arm.
-        RecordingError: Nothing was measured.
+        RecordingError: The log has no measurements.
     """
     from scipy.interpolate import CubicSpline
 
-    conditions = log.conditions
+    conditions, ran = log.conditions, log.conditions.arm
     # The iiwa 7 and the iiwa 14 have joints of the same names.
     of_policy = (arm.name, tuple(joint.name for joint in arm.joints), arm.held_joint)
-    ran = conditions.arm
     if (ran.name, conditions.joints, ran.held_joint) != of_policy:
         raise ArtefactError(
             f"the run was on an {ran.name} with joint {ran.held_joint} held, and the "
             f"policy is for an {arm.name} with joint {arm.held_joint} held; give a run on that arm"
         )
-    # A sample that nothing newer came after is read again in the next tick.
+    # A tick without a new sample reads the previous one again.
     time, first = np.unique(log.encoder.time, return_index=True)
     measured, of = np.unique(log.replies.time, return_index=True)
     if conditions.counts_per_rev is None or min(len(time), len(measured)) < 2:
@@ -278,15 +269,15 @@ def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
 
 
 def thinned(motion: ModelMotion) -> ModelMotion:
-    """Return a motion with means of neighbouring samples, about `SPACING` apart.
+    """Return a motion with averaged neighbouring samples, about `SAMPLE_SPACING` apart.
 
-    A board sends each millisecond, with stamps that are wrong by a third of that: splines through
-    all of them see the stamps. The equation of the pendulum is linear enough for its terms to be
-    averaged alike.
+    A board sends every millisecond, with stamps that err by a third of that, which a spline through
+    all samples would fit. The equation of the pendulum is nearly linear, so that averages of its
+    terms satisfy it.
     """
     if len(motion.time) < 2:
         return motion
-    every = max(round(SPACING / float(np.median(np.diff(motion.time)))), 1)
+    every = max(round(SAMPLE_SPACING / float(np.median(np.diff(motion.time)))), 1)
     whole = len(motion.time) // every * every
     return ModelMotion(*(part[:whole].reshape(-1, every).mean(axis=1) for part in motion))
 
@@ -294,7 +285,7 @@ def thinned(motion: ModelMotion) -> ModelMotion:
 def _pivot(q: Array, arm: Arm) -> Array:
     """Return x of the pivot from home [m], and the tilt of the flange [rad], shape (n, 2).
 
-    The tilt is a turn about base y, along which the spindle lies: what the encoder does not see.
+    The tilt is a rotation about base y, the axis of the spindle; the encoder does not measure it.
 
     Args:
         q: All joints [rad], shape (n, joints).
@@ -311,15 +302,15 @@ def _pivot(q: Array, arm: Arm) -> Array:
 
 
 def read_response(log: RunLog, arm: Arm, known: Actuator) -> dict[str, Estimate]:
-    """Return what a run tells of the actuator, by name [s].
+    """Return the parameters of the actuator that a run identifies, by name [s].
 
     Args:
         log: A run on a rig.
         arm: Its arm.
-        known: An actuator of the kind that is looked for.
+        known: An actuator of the same kind.
 
     Raises:
-        RecordingError: The joints hardly moved, or did not follow their setpoints.
+        RecordingError: The joints moved too little, or did not follow their setpoints.
     """
     free = list(arm.free)
     sent, q = log.stream.q[:, free], log.replies.q[:, free]
@@ -329,7 +320,7 @@ def read_response(log: RunLog, arm: Arm, known: Actuator) -> dict[str, Estimate]
             f"no joint's velocity ranges over {LEAST_SPEED} rad/s; let the pendulum move more, or "
             "record a run with equipoise deploy --excite"
         )
-    # The fit takes six joints that move: the first that does stands in for those that do not.
+    # The fit needs six moving joints: the first of these replaces those at rest.
     joints = [j if j in moving else moving[0] for j in range(FREE_JOINTS)]
     actuator = identify_actuator(
         log.stream.time,
@@ -360,17 +351,17 @@ def _lag(arm: Arm, joint: int) -> str:
 def compare_responses(
     known: Actuator, response: Mapping[str, Estimate], arm: Arm, plant: PlantSettings
 ) -> tuple[ArmResponse, ...]:
-    """Return which numbers of an actuator moved since it was identified.
+    """Return the changed parameters of an actuator.
 
-    As for the pendulum, a number moved where the difference is beyond both 95 % intervals,
-    corrected for how many are looked at, and beyond what training varies anyway. That a delay
-    varies makes up for lags, too: to slow motion both are the same.
+    As for the pendulum, a parameter has changed if the difference exceeds both 95 % intervals,
+    corrected for the number of parameters, and the range of the training. The training's range of
+    the delay covers lags too: to slow motion both are equivalent.
 
     Args:
-        known: The actuator as it was identified.
-        response: What logs say, by name [s].
+        known: The actuator as identified before.
+        response: Parameters identified from logs, by name [s].
         arm: The arm.
-        plant: How far training varies delay and lags.
+        plant: Ranges of delay and lags in the training.
     """
     from scipy.stats import norm
 
@@ -390,13 +381,13 @@ def compare_responses(
 
 
 def combine(estimates: Sequence[Estimate]) -> Estimate:
-    """Return the mean of estimates, weighted by how well each is known.
+    """Return the weighted mean of estimates.
 
-    Where they differ by more than their intervals say, its interval is wider by as much: what they
-    measure varies from log to log.
+    Its interval is widened by the Birge ratio if that exceeds one: the parameter varies between the
+    logs.
 
     Args:
-        estimates: At least one, each with an interval that has a width.
+        estimates: At least one, each with an interval of positive width.
     """
     if len(estimates) == 1:
         return estimates[0]
@@ -408,7 +399,7 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
 
 
 def disagreement(estimates: Sequence[Estimate]) -> float:
-    """Return how far estimates differ, in units of what their intervals say (the ratio of Birge).
+    """Return the Birge ratio of estimates: their spread in units of their intervals.
 
     Args:
         estimates: At least two.
@@ -419,28 +410,23 @@ def disagreement(estimates: Sequence[Estimate]) -> float:
 
 
 def _table(estimates: Sequence[Estimate]) -> tuple[Array, Array, Array]:
-    """Return values, halves of the intervals below and above, and weights of estimates."""
+    """Return values, half widths of the intervals below and above, and weights of estimates."""
     table = np.array([(e.value, e.value - e.low, e.high - e.value) for e in estimates])
     return table[:, 0], table[:, 1:], 1.0 / np.mean(table[:, 1:], axis=1) ** 2
 
 
 def combine_fits(fits: Sequence[ClosedLoopFit]) -> ClosedLoopFit:
-    """Return what several logs of one pendulum say together; at least one."""
+    """Return the joint fit of several logs of one pendulum; at least one."""
     if len(fits) == 1:
         return fits[0]
     names = (name for name, value in fits[0] if isinstance(value, Estimate))
     samples = np.array([fit.samples for fit in fits])
-
-    def mean(values: Sequence[float]) -> float:
-        return float(np.average(values, weights=samples))
-
+    means = np.average([(fit.rate, fit.unexplained**2) for fit in fits], axis=0, weights=samples)
     changes: dict[str, Any] = {name: combine([getattr(f, name) for f in fits]) for name in names}
+    changes |= {n: sum(getattr(fit, n) for fit in fits) for n in ("duration", "samples", "blocks")}
     changes |= {
-        "rate": mean([fit.rate for fit in fits]),
-        "unexplained": sqrt(mean([fit.unexplained**2 for fit in fits])),
-        "duration": sum(fit.duration for fit in fits),
-        "samples": sum(fit.samples for fit in fits),
-        "blocks": sum(fit.blocks for fit in fits),
+        "rate": float(means[0]),
+        "unexplained": sqrt(means[1]),
         "warnings": tuple(warning for fit in fits for warning in fit.warnings),
     }
     return fits[0].model_copy(update=changes)
@@ -449,7 +435,7 @@ def combine_fits(fits: Sequence[ClosedLoopFit]) -> ClosedLoopFit:
 def _moved_pendulum(
     known: Pendulum, fit: ClosedLoopFit, moves: Sequence[ParameterChange]
 ) -> Pendulum:
-    """Return the pendulum with what moved; what was weighed apart may have changed with it."""
+    """Return the pendulum with its changed parameters, without mass, length and inertia."""
     covariance = np.array(known.covariance)
     changes: dict[str, Any] = {}
     for move in moves:
@@ -457,11 +443,8 @@ def _moved_pendulum(
             found = {"w2": fit.w2, "k": fit.k}
             changes |= {"mass": None, "length": None, "inertia": None}
         else:
-            found = {
-                "c": fit.c.not_negative(),
-                "coulomb": fit.coulomb.not_negative(),
-                "drag": NO_DRAG,
-            }
+            c, coulomb = fit.c.not_negative(), fit.coulomb.not_negative()
+            found = {"c": c, "coulomb": coulomb, "drag": NO_DRAG}
             changes |= {"friction_model": "coulomb"}
         changes |= {"fit": None, "friction": None, **found}
         for place, name in enumerate(("w2", "c", "coulomb", "drag")):
@@ -472,16 +455,11 @@ def _moved_pendulum(
 
 
 def _moved_actuator(known: Actuator, response: dict[str, Estimate], arm: Arm) -> Actuator:
-    """Return the actuator with all that logs tell: its numbers were found together."""
+    """Return the actuator with all identified parameters, which one fit identified together."""
     now = numbers(known, arm) | response
-    return known.model_copy(
-        update={
-            "delay": now["delay"],
-            "cycle": now["cycle"],
-            "lags": tuple(now[_lag(arm, j)] for j in range(FREE_JOINTS)),
-            "fit": None,
-        }
-    )
+    lags = tuple(now[_lag(arm, j)] for j in range(FREE_JOINTS))
+    changes = {"delay": now["delay"], "cycle": now["cycle"], "lags": lags, "fit": None}
+    return known.model_copy(update=changes)
 
 
 def _sigma(estimate: Estimate) -> float:

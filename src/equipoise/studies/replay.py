@@ -1,13 +1,13 @@
-"""Replay: the measurements of a log go through the controller again, and the same has to come out.
+"""Replay of a log: its measurements through the controller again, compared with its outputs.
 
-Of a run on a rig all that a tick was told is in its log: counts, replies, words, failures, how late
-it was. A fresh `RunController` is told the same at the same times, from the first setpoint to rest.
-A log of a run on a twin begins at the release; there the control step alone runs again, on the
-counts and joints of its ticks.
+The log of a run on a rig holds all inputs of a tick: counts, replies, words, failures, lateness. A
+new `RunController` receives the same inputs at the same times, from the first setpoint to rest. The
+log of a run on a twin begins at the release; there only the control step runs again, on the counts
+and joints of its ticks.
 
 On the machine that made the log every bit is the same. Another processor or library rounds
-otherwise, and the tolerance says how much of that is allowed: the controller holds a pendulum that
-falls, so a difference grows e-fold each 0.12 s until feedback ends it.
+differently; the tolerance bounds that. The pendulum is unstable, so that a difference grows e-fold
+every 0.12 s until feedback ends it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -39,47 +39,40 @@ from equipoise.rigs import RigSettings
 Array = npt.NDArray[np.float64]
 
 SELF_TEST: Final = "self-test"
-"""Name of the event with a verdict of the self-test, and what a refusal's reason begins with."""
-SEEN: Final = (
-    "x",
-    "x_dot",
-    "phi",
-    "phi_dot",
-    "box",
-    "u",
-    "estimated_phi",
-    "estimated_phi_dot",
-    "bias",
+"""Name of the event with a verdict of the self-test."""
+COMPARED: Final = (
+    *("x", "x_dot", "phi", "phi_dot", "box", "u"),
+    *("estimated_phi", "estimated_phi_dot", "bias"),
 )
-"""What a tick of a run on a rig says beside state and joints."""
+"""Compared columns of a tick, beside state and joints."""
 
 
 class Difference(NamedTuple):
-    """The first place where a replay is not what the log says."""
+    """First difference between a replay and its log."""
 
     tick: int
-    """Number of the tick, from zero at the log's first."""
+    """Number of the tick, from zero."""
     time: float
-    """Its time in the log [s]."""
+    """Time of the tick in the log [s]."""
     what: str
-    """The column, e.g. `u`, `state` or `first setpoint`."""
+    """Name of the column, e.g. `u`, `state` or `first setpoint`."""
     logged: float
-    """What the log says."""
+    """Value in the log."""
     replayed: float
-    """What came out."""
+    """Value of the replay."""
 
 
 class Replayed(NamedTuple):
-    """What came of a replay."""
+    """Result of a replay."""
 
     ticks: int
-    """How many ticks were compared."""
+    """Number of ticks that were compared."""
     whole: bool
-    """Whether these are all ticks of the run; a log that breaks off has fewer."""
+    """Whether these are all ticks of the run; a damaged log has fewer."""
     largest: float
-    """Largest difference of any number until the first that is too large [SI]."""
+    """Maximum difference within the tolerance [SI]."""
     difference: Difference | None
-    """The first that is larger than the tolerance, if any is."""
+    """First difference beyond the tolerance, if any."""
 
 
 def replay(
@@ -89,41 +82,37 @@ def replay(
     *,
     tolerance: float = 0.0,
 ) -> Replayed:
-    """Feed the measurements of a log through the controller again, and compare.
+    """Replay the measurements of a log through the controller, and compare the outputs.
 
     Args:
         run: The log.
         policy: The policy that ran.
-        actuator: What its controller knew of the arm; that of the policy if not given.
-        tolerance: Numbers may differ by so much [SI]; none where every bit has to be the same.
-
-    Returns:
-        Whether the same came out, and where first it did not.
+        actuator: The actuator of its controller (default: the policy's).
+        tolerance: Maximum difference of a number [SI]; zero requires equal bits.
 
     Raises:
-        ArtefactError: The run was of another policy or actuator; or its log does not hold what the
-            controller was told, as that of a run on the ideal model.
+        ArtefactError: The run was of another policy or actuator, or its log does not hold the
+            controller's inputs, such as that of a run on the ideal model.
     """
     actuator = policy.actuator if actuator is None else actuator
     rows = (_of_twin if run.conditions.simulated else _of_rig)(run, policy, actuator)
     ticks, largest = 0, 0.0
     for time, pairs in rows:
         for what, (logged, replayed) in pairs.items():
-            away = _apart(logged, replayed)
-            if away > tolerance:
-                return Replayed(
-                    ticks, not run.damage, largest, Difference(ticks, time, what, logged, replayed)
-                )
-            largest = max(largest, away)
+            error = _distance(logged, replayed)
+            if error > tolerance:
+                difference = Difference(ticks, time, what, logged, replayed)
+                return Replayed(ticks, not run.damage, largest, difference)
+            largest = max(largest, error)
         ticks += 1
     return Replayed(ticks, not run.damage, largest, None)
 
 
-def _apart(a: float, b: float) -> float:
+def _distance(a: float, b: float) -> float:
     if a == b or (isnan(a) and isnan(b)):
         return 0.0
-    away = abs(a - b)
-    return np.inf if isnan(away) else away
+    error = abs(a - b)
+    return np.inf if isnan(error) else error
 
 
 def _check(digest: str, expected: str, what: str) -> None:
@@ -136,29 +125,29 @@ def _check(digest: str, expected: str, what: str) -> None:
 
 Pairs = Mapping[str, tuple[float, float]]
 Rows = Iterator[tuple[float, Pairs]]
-"""Time of each tick, and by name what the log says and what came out."""
+"""Time of each tick, and logged and replayed value by name."""
 
 
 # A run on a rig.
 
 
 def _of_rig(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
-    told, tables = run.conditions, run.tables
-    _check(policy.digest, told.policy, "policy")
-    _check(policy.pendulum.digest, told.pendulum_digest, "pendulum")
-    _check(actuator.digest, told.actuator, "actuator")
+    conditions, tables = run.conditions, run.tables
+    _check(policy.digest, conditions.policy, "policy")
+    _check(policy.pendulum.digest, conditions.pendulum_digest, "pendulum")
+    _check(actuator.digest, conditions.actuator, "actuator")
     if isinstance(policy, BoundPolicy):
-        policy = replace(policy, settings=told.settings)
+        policy = replace(policy, settings=conditions.settings)
     request = RunRequest(
         policy=policy,
         actuator=actuator,
         settings=_rig_settings(run),
-        robot=told.world,
-        encoder=told.encoder,
-        duration=told.duration,
-        t1=told.t1,
+        robot=conditions.world,
+        encoder=conditions.encoder,
+        duration=conditions.duration,
+        t1=conditions.t1,
         dry_run=False,
-        seed=told.seed,
+        seed=conditions.seed,
     )
     counts_per_rev = request.settings.counts_per_rev
     tick, reply = tables["tick"], tables["reply"]
@@ -166,7 +155,7 @@ def _of_rig(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
     if len(tick) == 0 or len(began) == 0:
         raise ArtefactError("nothing moved in this run; there is nothing to replay")
     clock = _PolicyClock()
-    pilot = RunController(
+    controller = RunController(
         request.settings.described_arm,
         request.controller(counts_per_rev),
         tick_policy(policy),
@@ -175,11 +164,11 @@ def _of_rig(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
         duration=request.duration,
         clock=clock,
     )
-    return _through(run, pilot, clock)
+    return _run_ticks(run, controller, clock)
 
 
 class _PolicyClock:
-    """The clock of the policy's computing time: each call takes none, or far too long."""
+    """Clock of the policy's computing time: a call takes no time, or exceeds its limit."""
 
     def __init__(self) -> None:
         self.late = False
@@ -201,7 +190,7 @@ def _rig_settings(run: RunLog) -> RigSettings:
         ) from None
 
 
-def _through(run: RunLog, pilot: RunController, clock: _PolicyClock) -> Rows:
+def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> Rows:
     """Yield the logged and the replayed values of each tick."""
     tables = run.tables
     tick, stream, encoder, reply = (tables[n] for n in ("tick", "stream", "encoder", "reply"))
@@ -210,45 +199,39 @@ def _through(run: RunLog, pilot: RunController, clock: _PolicyClock) -> Rows:
     working = None
     for row in tick:
         now = float(row["time"])
-        told = {event.name: event.text for event in run.events if event.time == now}
-        if working is not None and _judged(told):
+        events = [event for event in run.events if event.time == now]
+        texts = {event.name: event.text for event in events}
+        stopping = texts.get("stopping", "")
+        # The tick of a verdict of the self-test receives the result of its job.
+        judged = SELF_TEST in texts or stopping.startswith("the self-test failed")
+        if working is not None and judged:
             try:
                 result = working()
-            except Exception as error:  # as the loop does: the pilot stops on it
+            except Exception as error:  # the run controller stops on it
                 result = error
             working = None
+        samples = _at(encoder, "received", now)[list(Sample._fields)]
         inputs = TickInputs(
             samples=[
-                Sample(
-                    float(s["time"]),
-                    int(s["counts"]),
-                    bool(s["pressed"]),
-                    bool(s["illegal"]),
-                    int(s["missing"]),
-                )
-                for s in _at(encoder, "received", now)
+                Sample(t, n, bool(pressed), bool(illegal), missing)
+                for t, n, pressed, illegal, missing in samples.tolist()
             ],
             replies=[
                 Reply(float(r["sent"]), float(r["time"]), _known(r["q"]), _known(r["torque"]))
                 for r in _at(reply, "taken", now)
             ],
-            words=[e.text for e in run.events if e.time == now and e.name == WORD_TYPED],
-            faults=[e.text for e in run.events if e.time == now and e.name == DEVICE_FAILED],
+            words=[event.text for event in events if event.name == WORD_TYPED],
+            faults=[event.text for event in events if event.name == DEVICE_FAILED],
             lateness=float(row["late"]),
             result=result,
         )
         result = None
-        clock.late = told.get("stopping", "").startswith(f"{FAILED}: {LATE}")
-        output = pilot.tick(now, inputs)
+        clock.late = stopping.startswith(f"{FAILED}: {LATE}")
+        output = controller.tick(now, inputs)
         working = output.job or working
         first = int(np.searchsorted(stream["time"], now))
         sent = stream["q"][first : first + len(output.setpoints)].tolist()
         yield now, _pairs(row, sent, output)
-
-
-def _judged(told: Mapping[str, str]) -> bool:
-    """Return whether events of a tick say that it was told a verdict of the self-test."""
-    return SELF_TEST in told or told.get("stopping", "").startswith("the self-test failed")
 
 
 def _at(table: npt.NDArray[Any], column: str, time: float) -> npt.NDArray[Any]:
@@ -262,7 +245,7 @@ def _known(values: Array) -> tuple[float, ...] | None:
 
 def _pairs(row: Any, sent: list[list[float]], output: TickOutput) -> dict[str, tuple[float, float]]:
     pairs = {"state": (float(row["state"]), float(output.state))}
-    pairs |= {name: (float(row[name]), float(getattr(output.record, name))) for name in SEEN}
+    pairs |= {name: (float(row[name]), float(getattr(output.record, name))) for name in COMPARED}
     joints = [("q", row["q"].tolist(), output.q), ("dq", row["dq"].tolist(), output.dq)]
     for name, setpoint, made in zip(("first", "second"), sent, output.setpoints, strict=False):
         joints.append((f"{name} setpoint", setpoint, made))
@@ -276,52 +259,53 @@ def _pairs(row: Any, sent: list[list[float]], output: TickOutput) -> dict[str, t
 
 
 def _of_twin(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
-    told = run.conditions
-    ticks = len(run.time)
-    rows = len(run.encoder.time)
-    if not ticks or told.counts_per_rev is None or (rows < ticks if run.damage else rows != ticks):
+    conditions, ticks, rows = run.conditions, len(run.time), len(run.encoder.time)
+    per_rev = conditions.counts_per_rev
+    if not ticks or per_rev is None or (rows < ticks if run.damage else rows != ticks):
         raise ArtefactError(
-            f"the log of a run in the world {told.world} does not hold what its controller was "
-            "told, since there it knows the state; replay a run on a twin or a rig"
+            f"the log of a run in the world {conditions.world} does not hold the inputs of its "
+            "controller, which knows the state there; replay a run on a twin or a rig"
         )
-    _check(policy.digest, told.policy, "policy")
-    _check(IDEAL if actuator.kind == "ideal" else actuator.digest, told.actuator, "actuator")
-    controller = make_controller_params(
+    _check(policy.digest, conditions.policy, "policy")
+    _check(IDEAL if actuator.kind == "ideal" else actuator.digest, conditions.actuator, "actuator")
+    params = make_controller_params(
         policy.arm,
-        told.settings,
+        conditions.settings,
         actuator,
-        policy.pendulum.parameters(linearised=told.settings.plant.linearised),
-        h=told.h,
-        counts_per_rev=told.counts_per_rev,
+        policy.pendulum.parameters(linearised=conditions.settings.plant.linearised),
+        h=conditions.h,
+        counts_per_rev=per_rev,
     )
-    return _control_steps(run, policy, Controller(policy.arm, controller), controller.resolution)
+    return _control_steps(run, policy, Controller(policy.arm, params), params.resolution)
 
 
-def _control_steps(run: RunLog, policy: TaskPolicy, lane: Controller, resolution: float) -> Rows:
-    """Yield what the log says of each tick and what the control step makes of its measurements."""
+def _control_steps(
+    run: RunLog, policy: TaskPolicy, controller: Controller, resolution: float
+) -> Rows:
+    """Yield the logged and the replayed values of each tick's control step."""
     phi_dot = run.start[3]
     stamp, counts = run.encoder
-    lane.begin(pi - counts[0] * resolution - stamp[0] * phi_dot, phi_dot)
+    controller.begin(pi - counts[0] * resolution - stamp[0] * phi_dot, phi_dot)
     acting = tick_policy(policy)
     acting.reset()
     for i, time in enumerate(run.time.tolist()):
         if i > 0:
-            lane.observe(
+            controller.observe(
                 float(counts[i]),
                 time - float(stamp[i]),
                 run.replies.q[i].tolist(),
                 time - float(run.replies.time[i]),
             )
-        u, box = lane.decide(acting), lane.box
-        seen, estimate = lane.observation, lane.estimate
-        setpoints = lane.command(u)
-        made = (*seen, float(box), u, estimate.phi, estimate.phi_dot, estimate.bias)
+        u, box = controller.decide(acting), controller.box
+        observation, estimate = controller.observation, controller.estimate
+        setpoints = controller.command(u)
+        made = (*observation, float(box), u, estimate.phi, estimate.phi_dot, estimate.bias)
         pairs = {
             name: (float(getattr(run, name)[i]), value)
-            for name, value in zip(SEEN, made, strict=True)
+            for name, value in zip(COMPARED, made, strict=True)
         }
-        both = (*zip(("first", "second"), setpoints, strict=True),)
-        for place, (name, q) in enumerate(both):
+        named = zip(("first", "second"), setpoints, strict=True)
+        for place, (name, q) in enumerate(named):
             logged = run.stream.q[len(setpoints) * i + place].tolist()
             for joint, pair in enumerate(zip(logged, q, strict=True), start=1):
                 pairs[f"{name} setpoint of joint {joint}"] = pair
