@@ -160,7 +160,7 @@ NO_CLAIMS = {
     "full confidence": ({"confidence": 1.0}, "confidence is 1"),
     "no time": ({"duration": 0.0}, "duration is 0"),
     "more than a day": ({"duration": 1e5}, "duration is 100000"),
-    "part of a step": ({"duration": 60.005}, "no whole number of steps of 0.01 s"),
+    "part of a step": ({"duration": 60.005}, "not a multiple of the step of 0.01 s"),
     "no trials": ({"trials": 0}, "trials is 0"),
     "endless trials": (
         {"trials": 10**7},

@@ -163,4 +163,4 @@ def test_a_run_that_ended_with_an_error_says_so(rig_log, end):
     whole = RunLog.load(rig_log, damaged=True)
     how = ending(dataclasses.replace(whole, end=end))
     assert (how.cause, how.whole) == ("error", True)
-    assert how.reason == (end.fault or "an error ended the run; deploy has said which")
+    assert how.reason == (end.fault or "an error ended the run; the output of deploy names it")

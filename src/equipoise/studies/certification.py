@@ -1,14 +1,13 @@
-"""Certify: grant a claim about a policy, or refuse it, by an exact bound.
+"""Certificates: claims about a policy, granted or refused by an exact bound.
 
-A claim says: on this world the policy lasts so long with at least this probability p, and the proof
-shall have this confidence. It is granted where the one-sided lower bound of Clopper and Pearson on
-what n trials showed reaches p; that is, where a policy that lasts with a probability of p itself
-would do as well in at most 1 - confidence of all cases.
+A claim states a world, a duration, and a probability p to last for it, at a confidence. It is
+granted if the one-sided lower Clopper-Pearson bound of n trials reaches p: a policy with a
+probability of p itself would succeed as often with a probability of at most 1 - confidence.
 
-The bound holds for trials that were fixed beforehand. So n is part of the claim, and the seed of
-the trials comes from SHA-256 over policy and claim: whoever tries again runs the same trials again.
-Another policy or another claim is another try, and each try has its own chance to be granted
-wrongly: of a hundred policies that just miss the claim, up to five pass at 95 %.
+The bound requires trials that are fixed in advance. So n is part of the claim, and SHA-256 over
+policy and claim gives the seed of the trials: a repetition runs the same trials. Another policy or
+claim is another test with its own false positives: of a hundred policies that just miss the claim,
+up to five pass at 95 %.
 """
 
 import math
@@ -41,33 +40,33 @@ from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
 from equipoise.studies.formatting import LASTED
 
 MARGIN: Final = 10.0
-"""The number of trials is chosen for a policy that fails so many times less often than the claim
-allows ..."""
+"""Ratio of the claimed failure probability to that of the policy for which the number of trials is
+chosen [-]."""
 GRANTED_SHARE: Final = 0.95
-"""... which shall be granted its claim with at least this probability."""
+"""Minimum probability that such a policy is granted its claim [-]."""
 ROUND_NUMBERS: Final = tuple(digit * 10**power for power in range(6) for digit in (1, 2, 5))
-"""What a number of trials is chosen from: no other leaves so little to be tuned."""
+"""Possible numbers of trials; round numbers leave little room for tuning."""
 BOUND_TOLERANCE: Final = 1e-9
-"""The bound of one file, computed by two versions of SciPy, differs by less."""
+"""Maximum difference of a bound between two versions of SciPy [-]."""
 
 
 class Claim(Value):
-    """What is claimed about a policy, and how many trials decide about it."""
+    """A claim about a policy, with its number of trials."""
 
     probability: float = Field(gt=0.0, lt=1.0)
-    """A trial lasts with at least this probability."""
+    """Minimum probability that a trial lasts."""
     confidence: float = Field(ge=0.5, lt=1.0)
-    """A policy that does not deserve the claim is refused with at least this probability."""
+    """Minimum probability that a policy below the claim is refused."""
     duration: float = Field(ge=paper.STEP, le=LONGEST_TRIAL)
     """Length of a trial [s]."""
     world: Name
-    """Where the trials run, as `--world` names it; a named set with its version."""
+    """World of the trials, as `--world` names it; a named set with its version."""
     trials: int = Field(ge=1, le=MOST_TRIALS)
     """Number of trials, fixed in advance."""
 
     @property
     def allowed(self) -> int:
-        """How many failures the claim survives; -1 where the trials are too few for it."""
+        """Maximum number of failures; -1 if the trials are too few for the claim."""
         return self.trials - least_successes(self.trials, self.probability, self.confidence)
 
     @property
@@ -81,27 +80,27 @@ class Claim(Value):
 
 
 class Certificate(Artefact):
-    """A claim that was granted or refused, and all that is needed to try it again."""
+    """A claim, granted or refused, with everything for its repetition."""
 
     FORMAT: ClassVar[str] = "equipoise-certificate"
     VERSION: ClassVar[int] = 1
 
     claim: Claim
-    """What was claimed."""
+    """The claim."""
     granted: bool
     """Whether the trials support it."""
     bound: Share
-    """A trial lasts with at least this probability, at the confidence of the claim (Clopper and
-    Pearson, one-sided)."""
+    """One-sided lower Clopper-Pearson bound of the probability that a trial lasts, at the
+    confidence of the claim."""
     failures: dict[Name, Count]
-    """How many trials ended in which way before their time."""
+    """Number of failed trials by cause."""
     policy: Name
     """Digest of the policy; that of a table covers arm and pendulum, which the evaluation names for
     any policy."""
     arm: Name
     """Name of the arm."""
     world_settings: TwinSettings | None
-    """The numbers of the twin; none on the training plant, which the settings describe."""
+    """Settings of the twin; None on the training plant, which the policy's settings describe."""
     settings: Settings
     """Resolved settings: starts, noise, number and length of the trials."""
     seed: Seed
@@ -111,54 +110,51 @@ class Certificate(Artefact):
 
     @property
     def failed(self) -> int:
-        """How many trials did not last."""
+        """Number of failed trials."""
         return sum(self.failures.values())
 
     @model_validator(mode="after")
     def _follows_from_its_trials(self) -> Self:
-        claim, asked = self.claim, self.settings.evaluation
+        claim, evaluation, twin = self.claim, self.settings.evaluation, self.world_settings
         if not 0 <= self.failed <= claim.trials or min(self.failures.values(), default=1) < 1:
             raise ValueError(f"{self.failures} are no failures of {claim.trials} trials")
-        if (asked.trials, asked.duration) != (claim.trials, claim.duration):
+        if (evaluation.trials, evaluation.duration) != (claim.trials, claim.duration):
             raise ValueError("the settings are not those of the claim")
-        if not self._numbers_are_those_of_the_world():
+        # The named sets are frozen; only a file may have other numbers.
+        frozen = claim.world.removeprefix(PREFIX) in SETS
+        if (twin is None) != (claim.world == MODEL) or (
+            frozen and twin != read_world(claim.world).settings
+        ):
             raise ValueError(f"the numbers of the world are not those of {claim.world}")
         if self.seed != trial_seed(self.policy, claim):
             raise ValueError("the seed is not that of policy and claim")
         if self.granted != (self.failed <= claim.allowed):
-            raise ValueError("the failures do not decide so about the claim")
+            raise ValueError("the verdict is not that of the failures")
         bound = lower_bound(claim.trials - self.failed, claim.trials, claim.confidence)
         if abs(self.bound - bound) > BOUND_TOLERANCE:
             raise ValueError("the bound is not that of its failures")
         return self
 
-    def _numbers_are_those_of_the_world(self) -> bool:
-        world = self.claim.world
-        if world == MODEL or self.world_settings is None:
-            return world == MODEL and self.world_settings is None
-        # Only a file can say what it likes; the named sets are frozen.
-        frozen = world.removeprefix(PREFIX) in SETS
-        return not frozen or self.world_settings == read_world(world).settings
-
 
 class Repetition(NamedTuple):
-    """What came of the trials of a certificate, run again."""
+    """Result of repeating the trials of a certificate."""
 
     granted: bool
-    """Whether the claim is granted this time."""
+    """Whether the repetition grants the claim."""
     failures: Mapping[str, int]
-    """How many trials ended in which way before their time."""
+    """Number of failed trials by cause."""
     same_outcome: bool
-    """As many failures of each kind as the certificate has."""
+    """Whether these are the failures of the certificate."""
     same_trials: bool
-    """Each trial lasted exactly as long. Another processor or library may round otherwise."""
+    """Whether each trial lasted exactly as long; another processor or library may round
+    differently."""
 
 
 def least_successes(trials: int, probability: float, confidence: float) -> int:
-    """Return the least number of successes that grants a claim.
+    """Return the minimum number of successes that grants a claim.
 
-    It is the least s with P(X >= s) <= 1 - confidence for X binomial with `trials` and
-    `probability`: the least s whose one-sided lower Clopper-Pearson bound reaches `probability`.
+    It is the minimum s with P(X >= s) <= 1 - confidence for X binomial with `trials` and
+    `probability`: the minimum s whose one-sided lower Clopper-Pearson bound reaches `probability`.
 
     Args:
         trials: Number of trials.
@@ -166,7 +162,7 @@ def least_successes(trials: int, probability: float, confidence: float) -> int:
         confidence: The confidence.
 
     Returns:
-        The number; trials + 1 where even a success in every trial does not suffice.
+        The number; trials + 1 if a success in every trial does not suffice.
 
     Example:
         >>> least_successes(1000, 0.99, 0.95)
@@ -186,17 +182,17 @@ def lower_bound(successes: int, trials: int, confidence: float) -> float:
 
 
 def trials_for(probability: float, confidence: float) -> int:
-    """Return how many trials decide about a claim where nobody says otherwise.
+    """Return the default number of trials for a claim.
 
-    The least of 1, 2, 5, 10, 20, 50, ... with which a policy that fails ten times less often than
-    the claim allows is granted it with a probability of at least 0.95.
+    It is the minimum of 1, 2, 5, 10, 20, 50, ... at which a policy with a tenth of the claimed
+    failure probability is granted the claim with a probability of at least 0.95.
 
     Args:
         probability: The claimed probability that a trial lasts.
         confidence: The confidence.
 
     Raises:
-        InputError: It takes more trials than anybody runs.
+        InputError: The claim takes more than the maximum number of trials.
 
     Example:
         >>> trials_for(0.99, 0.95), trials_for(0.999, 0.95)
@@ -221,18 +217,18 @@ def make_claim(
     world: str = MODEL,
     trials: int | None = None,
 ) -> Claim:
-    """Return a claim, with its world and its number of trials settled.
+    """Return a validated claim.
 
     Args:
-        probability: A trial lasts with at least this probability.
-        confidence: The confidence of the proof.
+        probability: Minimum probability that a trial lasts.
+        confidence: Confidence of the verdict.
         duration: Length of a trial [s].
-        world: Where the trials run: `model`, `twin:nominal`, `twin:harsh`, `twin:FILE`.
-        trials: Number of trials; by default `trials_for` the claim.
+        world: World of the trials: `model`, `twin:nominal`, `twin:harsh`, `twin:FILE`.
+        trials: Number of trials (default: `trials_for` the claim).
 
     Raises:
-        InputError: Nobody can claim that, or the trials are too few to grant it.
-        SettingsError: There is no such world.
+        InputError: A value is out of range, or the trials are too few to grant the claim.
+        SettingsError: The world is unknown.
     """
     if world != MODEL:
         read_world(world)
@@ -249,7 +245,7 @@ def make_claim(
     steps = duration / paper.STEP
     if abs(steps - round(steps)) > 1e-6:
         raise InputError(
-            f"duration is {duration:g} s, no whole number of steps of {paper.STEP:g} s; round it"
+            f"duration is {duration:g} s, not a multiple of the step of {paper.STEP:g} s; round it"
         )
     if trials is None:
         return claim.model_copy(update={"trials": trials_for(probability, confidence)})
@@ -269,12 +265,11 @@ def trial_seed(policy: str, claim: Claim) -> int:
         policy: Digest of the policy.
         claim: The claim.
     """
-    return int(value_digest(_Try(policy=policy, claim=claim)).removeprefix(DIGEST_PREFIX)[:8], 16)
+    digest = value_digest(_SeedSource(policy=policy, claim=claim))
+    return int(digest.removeprefix(DIGEST_PREFIX)[:8], 16)
 
 
-class _Try(Value):
-    """What the seed is a digest of."""
-
+class _SeedSource(Value):
     policy: str
     claim: Claim
 
@@ -287,32 +282,32 @@ def certify(
     partial: StrPath | None = None,
     done: Done = lambda _: None,
 ) -> tuple[Certificate, Evaluation]:
-    """Put a claim about a policy to the test.
+    """Test a claim about a policy.
 
     Args:
         policy: The policy.
-        claim: What is claimed about it, from `make_claim`.
+        claim: The claim, from `make_claim`.
         workers: Number of threads; the result does not depend on it.
-        partial: File that keeps the finished trials on a twin until all are done.
+        partial: File for the finished trials until all are done.
         done: Called with the number of trials that have just finished.
 
     Returns:
         The certificate, granted or refused, and its trials.
     """
-    numbers = None if claim.world == MODEL else read_world(claim.world).settings
-    return _try(policy, claim, numbers, policy.settings, workers, partial, done)
+    twin = None if claim.world == MODEL else read_world(claim.world).settings
+    return _test(policy, claim, twin, policy.settings, workers, partial, done)
 
 
 def check_policy(certificate: Certificate, policy: TaskPolicy) -> None:
-    """Check that a certificate is about a policy.
+    """Check that a certificate belongs to a policy.
 
     Raises:
-        ArtefactError: The certificate is about another policy.
+        ArtefactError: The certificate belongs to another policy.
     """
     if policy.digest != certificate.policy:
         raise ArtefactError(
-            f"the certificate is about another policy ({certificate.policy[:19]}...), not about "
-            f"this one ({policy.digest[:19]}...); give that one"
+            f"the certificate is about another policy, {certificate.policy[:19]}...; given is "
+            f"{policy.digest[:19]}...; give the policy of the certificate"
         )
 
 
@@ -323,22 +318,20 @@ def repeat(
     workers: int = 1,
     done: Done = lambda _: None,
 ) -> Repetition:
-    """Run all trials of a certificate again, on the world as the certificate has it.
+    """Repeat all trials of a certificate, with its own settings of the world.
 
     Args:
         certificate: The certificate.
-        policy: The policy that it is about.
+        policy: The policy of the certificate.
         workers: Number of threads; the result does not depend on it.
         done: Called with the number of trials that have just finished.
 
     Raises:
-        ArtefactError: The certificate is about another policy.
+        ArtefactError: The certificate belongs to another policy.
     """
     check_policy(certificate, policy)
-    numbers = certificate.world_settings
-    again, evaluation = _try(
-        policy, certificate.claim, numbers, certificate.settings, workers, None, done
-    )
+    claim, twin, settings = certificate.claim, certificate.world_settings, certificate.settings
+    again, evaluation = _test(policy, claim, twin, settings, workers, None, done)
     return Repetition(
         granted=again.granted,
         failures=again.failures,
@@ -347,23 +340,24 @@ def repeat(
     )
 
 
-def _try(
+def _test(
     policy: TaskPolicy,
     claim: Claim,
-    numbers: TwinSettings | None,
+    twin: TwinSettings | None,
     settings: Settings,
     workers: int,
     partial: StrPath | None,
     done: Done,
 ) -> tuple[Certificate, Evaluation]:
-    """Run the trials of a claim, on the training plant or on a twin with these numbers."""
-    asked = {"trials": claim.trials, "duration": claim.duration}
-    trials = settings.evaluation.model_copy(update=asked)
+    """Run the trials of a claim, on the training plant or on a twin with these settings."""
+    trials = settings.evaluation.model_copy(
+        update={"trials": claim.trials, "duration": claim.duration}
+    )
     evaluation = evaluate(
         policy,
         settings.model_copy(update={"evaluation": trials}),
         seed=trial_seed(policy.digest, claim),
-        world=MODEL if numbers is None else World(claim.world, numbers),
+        world=MODEL if twin is None else World(claim.world, twin),
         with_baselines=False,
         workers=workers,
         partial=partial,
@@ -378,7 +372,7 @@ def _try(
         failures=failures,
         policy=policy.digest,
         arm=policy.arm.name,
-        world_settings=numbers,
+        world_settings=twin,
         settings=evaluation.settings,
         seed=evaluation.seed,
         evaluation=evaluation.digest,
@@ -387,7 +381,7 @@ def _try(
 
 
 def evaluation_path(certificate: Path) -> Path:
-    """Return where the trials of a certificate lie: beside it."""
+    """Return the path of a certificate's trials, beside it."""
     return certificate.with_name(f"{certificate.stem}-evaluation.json")
 
 
@@ -395,7 +389,7 @@ def check_evaluation(certificate: Certificate, path: Path) -> None:
     """Check that an evaluation file holds the trials of a certificate.
 
     Raises:
-        ArtefactError: It is damaged, or holds others.
+        ArtefactError: The file is damaged, or holds other trials.
     """
     evaluation = Evaluation.load(path)
     if evaluation.digest != certificate.evaluation or _failures(evaluation) != certificate.failures:
@@ -405,7 +399,7 @@ def check_evaluation(certificate: Certificate, path: Path) -> None:
 
 
 def percentage(share: float) -> str:
-    """Return a share in per cent with all its digits.
+    """Return a share in per cent with all digits.
 
     Example:
         >>> percentage(0.999)

@@ -1,8 +1,7 @@
-"""Compile the kernels of a study: by running each for a moment, here or in a process beside.
+"""Compilation of a study's kernels by short runs, here or in a parallel process.
 
-Numba compiles one kernel at a time. On a machine where nothing has been compiled yet, a second
-process fills the cache with the kernels of twin and evaluation while the first one trains. Where
-the kernels are in the cache, they are only loaded, in a second or two.
+Numba compiles one kernel at a time. With an empty cache, a second process compiles the kernels of
+twin and evaluation while the first one trains. Cached kernels load within a second or two.
 """
 
 import subprocess
@@ -33,10 +32,9 @@ TWIN_FUNCTIONS: Final = 31
 
 @contextmanager
 def compiling_beside() -> Generator[None]:
-    """Compile kernels beside what is done in this context, if need be and with a core to spare.
+    """Compile kernels in a parallel process, if the cache is empty and a second core is available.
 
-    The process beside is a convenience: where it cannot be, or fails, each kernel is compiled when
-    it is needed.
+    If that process fails, each kernel is compiled at its first call.
     """
     beside = None
     if cache_is_empty() and available_cores() > 1:
@@ -55,11 +53,11 @@ def compiling_beside() -> Generator[None]:
 
 @contextmanager
 def compiling(show: Show, functions: int, stage: str = "compile") -> Generator[None]:
-    """Show as a stage that kernels are compiled in this context, or loaded from the cache.
+    """Show the compilation in this context as a stage.
 
     Args:
         show: Called with the progress.
-        functions: Number of functions that are compiled where the cache is empty.
+        functions: Number of functions to compile with an empty cache.
         stage: Name of the stage.
     """
     count = 0
@@ -78,37 +76,27 @@ def compiling(show: Show, functions: int, stage: str = "compile") -> Generator[N
 
 
 def compile_training(arm: Arm, settings: Settings) -> None:
-    """Have the kernels of training and evaluation compiled, for one arm."""
+    """Compile the kernels of training and evaluation, for one arm."""
     tree = settings.model_dump()
     tree["learning"] |= {"episodes": 1, "episode_duration": MOMENT}
-    tree["selection"] |= {
-        "every": 1,
-        "screening_trials": 1,
-        "finalists": 1,
-        "final_trials": 1,
-        "duration": MOMENT,
-        "final_duration": MOMENT,
-    }
+    tree["selection"] |= dict.fromkeys(("duration", "final_duration"), MOMENT)
+    counts = ("every", "screening_trials", "finalists", "final_trials")
+    tree["selection"] |= dict.fromkeys(counts, 1)
     train(shipped_pendulum(), arm, Settings.model_validate(tree))
 
 
 def compile_trials(policy: TaskPolicy, world: str | World = MODEL) -> None:
     """Compile the kernels that run a policy in a world; a policy without a kernel is not called."""
-    settings = _moment(policy.settings)
+    tree = policy.settings.model_dump()
+    tree["evaluation"] |= {"trials": 1, "duration": MOMENT}
     runs = policy if policy.kernel else bind_policy(lambda _: 0.0, arm=policy.arm)
-    evaluate(runs, settings, world=world, with_baselines=False)
+    evaluate(runs, Settings.model_validate(tree), world=world, with_baselines=False)
 
 
 def compile_kernels() -> None:
-    """Have the kernels of twin and evaluation compiled, for the policy that ships."""
+    """Compile the kernels of twin and evaluation, for the shipped policy."""
     compile_trials(shipped_policy(), "twin:nominal")
     compile_trials(shipped_policy())
-
-
-def _moment(settings: Settings) -> Settings:
-    tree = settings.model_dump()
-    tree["evaluation"] |= {"trials": 1, "duration": MOMENT}
-    return Settings.model_validate(tree)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Numbers of trials and runs in words, the same wherever they are told."""
+"""Text for numbers of trials and runs."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -8,11 +8,11 @@ import numpy as np
 from equipoise.control.boxes import CAUSES
 
 LASTED: Final = CAUSES[0]
-"""Cause of the end of a trial that did not fail."""
+"""Cause of the end of a successful trial."""
 
 
 def how_it_ended(cause: str) -> str:
-    """Return how a trial or a run ended, in words."""
+    """Return the end of a trial or a run as text."""
     return {
         LASTED: "stood to the end",
         "angle": "fell over",
@@ -23,13 +23,13 @@ def how_it_ended(cause: str) -> str:
 
 
 def falls(causes: Mapping[str, int]) -> str:
-    """Return how many trials failed in which way, in words."""
+    """Return the numbers of failed trials by cause as text."""
     failed = [f"{n} {how_it_ended(cause)}" for cause, n in causes.items() if cause != LASTED]
     return ", ".join(sorted(failed)) or "none failed"
 
 
 def percent(share: float) -> str:
-    """Return a share as a percentage that never rounds up to certainty."""
+    """Return a share as a percentage; a share below 1 never rounds up to 100 %."""
     text = f"{100.0 * share:.1f}"
     if text == "100.0" and share < 1.0:
         text = ">99.9"
@@ -37,7 +37,7 @@ def percent(share: float) -> str:
 
 
 def plus_minus(value: float, interval: tuple[float, float]) -> str:
-    """Return a value with half the width of its interval, to two digits of that."""
+    """Return a value with the half width of its interval, to two digits of the latter."""
     half = max(interval[1] - value, value - interval[0])
     if half <= 0.0:
         return f"{value:.4g}"

@@ -1,4 +1,4 @@
-"""Progress: what the stages of a study report while they run, with an expected end for each."""
+"""Progress reports of a study's stages."""
 
 import time
 from collections.abc import Callable
@@ -15,48 +15,49 @@ class ProgressReporter(NamedTuple):
     stage: str
     """Name of the stage."""
     completed: float = 0.0
-    """Amount that is completed."""
+    """Completed amount."""
     total: float = 1.0
-    """The whole amount; a stage that has completed it is done."""
+    """Total amount; a stage is done when it has completed the total."""
     unit: str = ""
-    """Unit of these amounts, in the plural; empty for a share."""
+    """Unit of both amounts, in the plural; empty for a share."""
     text: str = ""
     """State of the stage, in a few words."""
     expected: float | None = None
-    """Expected duration [s], where the completed amount is not known before the end."""
+    """Expected duration of a stage without intermediate amounts [s]."""
 
     @property
     def share(self) -> float:
-        """Share that is completed, 0 to 1."""
+        """Completed share, 0 to 1."""
         return min(self.completed / self.total, 1.0)
 
 
 Show = Callable[[ProgressReporter], None]
-"""Called as the work goes on, also from other threads."""
+"""Callback for progress, also from other threads."""
 
 
 def counted(stage: str, total: int, show: Show) -> Callable[[int], None]:
-    """Return a callback that adds up finished trials.
+    """Return a callback that counts finished trials.
 
     Args:
         stage: Name of the stage.
         total: Number of all trials.
         show: Called with the progress.
     """
-    lock, so_far = Lock(), [0]
+    lock, completed = Lock(), 0
 
     def done(finished: int) -> None:
+        nonlocal completed
         with lock:
-            so_far[0] += finished
-            show(ProgressReporter(stage, min(so_far[0], total), total, "trials"))
+            completed += finished
+            show(ProgressReporter(stage, min(completed, total), total, "trials"))
 
     return done
 
 
 class TrainingProgress:
-    """Adds up the learners of a training: their episodes, and the trials of the final selection.
+    """Sum of the learners' progress: episodes, and trials of the final selection.
 
-    Both can be under way at once, as one learner may finish its episodes before another.
+    Both may run at once, since one learner may finish its episodes before another.
     """
 
     def __init__(self, settings: Settings, learners: int, show: Show, of: str = "") -> None:
@@ -66,7 +67,7 @@ class TrainingProgress:
             settings: Settings of the training.
             learners: Number of learners.
             show: Called with the progress.
-            of: Word after the names of the stages, where a study trains twice.
+            of: Suffix of the stages' names, in a study with two trainings.
         """
         selection = settings.selection
         self._show, self._learners = show, learners
@@ -87,7 +88,7 @@ class TrainingProgress:
         return ProgressReporter(self._train, 0, self._episodes, "episodes")
 
     def report(self, learner: int, point: LearningPoint) -> None:
-        """Take in a point of a learning curve."""
+        """Add a point of a learning curve."""
         with self._lock:
             self._points[learner] = point
             points = list(self._points.values())
@@ -106,7 +107,7 @@ class TrainingProgress:
             self._show(self.first._replace(completed=episodes, text=text))
 
     def selecting(self, learner: int, done: int, of: int) -> None:
-        """Take in the number of trials of a learner's final selection that are done, of all."""
+        """Add the finished and the total number of trials of a learner's final selection."""
         with self._lock:
             self._finals[learner] = done, of
             others = self._learners - len(self._finals)

@@ -1,13 +1,12 @@
-"""Reproduce the paper: swing, identification, training, evaluation, a run, and what the twin costs.
+"""Reproduction of the paper: swing, identification, training, evaluation, run, and gap study.
 
-The policy learns on the plant of the training, whose arm follows as an identification on the
-digital twin says; there it is evaluated. Then it runs on the twin, as the paper's did on the robot,
-and a short study of the gap says what the twin does to it, and to a table like the paper's. An arm
-whose masses are not known has no twin: there the run is one on the model.
+The policy is trained and evaluated on the training plant, with an actuator that was identified on
+the digital twin. Then it runs on the twin, as the paper's policy did on the robot, and a short
+study of the gap compares it there with a table like the paper's. An arm with unknown masses has no
+twin: its run is on the model.
 
-Each stage takes the value of the one before and saves its own, so that any of them can be repeated
-from its files; nothing is drawn here. The page is made from the folder, by
-`equipoise.report.page.build`.
+Each stage takes the previous value and saves its own, so that any stage can be repeated from its
+files. `equipoise.report.page.build` makes the page from the folder.
 """
 
 import time
@@ -63,10 +62,10 @@ T = TypeVar("T")
 S = TypeVar("S", Pendulum, TabularPolicy, Evaluation, RunLog, Gap)
 
 PAPER_POLICY: Final = "paper-policy.json"
-"""Name of the table that the study of the gap trains; only its checkpoints are written."""
+"""File name of the gap study's table; only its checkpoints are written."""
 
 COMMAND: Final = "reproduce"
-"""What the files say about who made them."""
+"""Command in the files' provenance."""
 
 QUICK: Final = {
     "learning.episodes": 5000,
@@ -78,49 +77,48 @@ QUICK: Final = {
     "evaluation.trials": 50,
     "evaluation.duration": 20.0,
 }
-"""What a quick look cuts down, so that it takes less than a minute."""
+"""Maximum settings of a quick reproduction, which takes less than a minute."""
 
 TWIN: Final = "twin:nominal"
-"""The world of the run."""
+"""World of the run."""
 QUICK_GAP: Final = (4, 10.0)
-"""Trials of each point and their length [s], to which a quick look cuts the short study of the gap
-down."""
+"""Trials of each point and their length [s] in the gap study of a quick reproduction."""
 
 
-SWING_TAKES: Final = 1.0
-IDENTIFY_TAKES: Final = 2.0
-DEPLOY_TAKES: Final = 2.0
-"""Expected duration of stages that do not tell how far they are, on two cores [s]."""
+SWING_TIME: Final = 1.0
+IDENTIFY_TIME: Final = 2.0
+DEPLOY_TIME: Final = 2.0
+"""Expected duration of stages without intermediate progress, on two cores [s]."""
 
 
 class Finished(Value):
-    """A file of a reproduction that is not finished."""
+    """Finished file of an unfinished reproduction."""
 
     digest: str
     """Digest of its value."""
     inputs: dict[str, str]
-    """Digest of each value it was made from, by name."""
+    """Digest of each input, by name."""
     wall: float
-    """How long it took [s]."""
+    """Duration of its stage [s]."""
 
 
 class UnfinishedReproduction(Artefact):
-    """The stages of a reproduction that are done, while others are not."""
+    """Finished stages of an unfinished reproduction."""
 
     FORMAT: ClassVar[str] = "equipoise-unfinished-reproduction"
     VERSION: ClassVar[int] = 1
 
     deciding: dict[str, str]
-    """What decides about the results, by its name."""
+    """Parameters of the results, by name."""
     finished: dict[str, Finished]
-    """Files that are done, by name."""
+    """Finished files, by name."""
 
 
 class ReproductionRequest(NamedTuple):
-    """What decides about the results of a reproduction."""
+    """Parameters of a reproduction's results."""
 
     swing: Trajectory | None
-    """A recorded free swing; one is simulated where none is given."""
+    """A recorded free swing; None for a simulated one."""
     arm: Arm
     """The arm with its home posture."""
     settings: Settings
@@ -128,11 +126,11 @@ class ReproductionRequest(NamedTuple):
     seed: int
     """Master seed."""
     quick: bool
-    """Whether a quick look is enough."""
+    """Whether the reproduction runs with fewer episodes and trials."""
 
     @property
     def deciding(self) -> dict[str, str]:
-        """All of it by name, values as digests."""
+        """All parameters by name, values as digests."""
         return {
             "swing": "" if self.swing is None else self.swing.sha256,
             "arm": self.arm.digest,
@@ -144,7 +142,7 @@ class ReproductionRequest(NamedTuple):
 
 
 def unfinished_path(out: Path) -> Path:
-    """Return the path of the file that says what of a reproduction is done."""
+    """Return the path of the record of an unfinished reproduction."""
     return partial_path(out / RECORD)
 
 
@@ -152,10 +150,10 @@ def differences(out: Path, request: ReproductionRequest) -> list[str] | None:
     """Compare a request with the interrupted reproduction in a folder.
 
     Returns:
-        What differs, by name; none if there is no interrupted reproduction.
+        Names of the parameters that differ; None without an interrupted reproduction.
 
     Raises:
-        ArtefactError: The file that says what is done is damaged.
+        ArtefactError: The record of the interrupted reproduction is damaged.
     """
     path = unfinished_path(out)
     if not path.exists():
@@ -165,22 +163,22 @@ def differences(out: Path, request: ReproductionRequest) -> list[str] | None:
 
 
 def discard(out: Path) -> None:
-    """Remove what an interrupted reproduction left in order to go on."""
+    """Remove the record and the checkpoints of an interrupted reproduction."""
     for name in (POLICY, PAPER_POLICY, RECORD):
         partial_path(out / name).unlink(missing_ok=True)
 
 
 class Reproduction(NamedTuple):
-    """What `reproduce` hands back; all of it is also in its folder."""
+    """Return value of `reproduce`; the folder holds the same."""
 
     out: Path
     """The folder."""
     results: Results
-    """The values."""
+    """The results."""
     verdict: tuple[str, str, str, str, str]
-    """What came out, in five lines."""
+    """The results in five sentences."""
     next_command: str
-    """What to try next."""
+    """Suggested next command."""
 
 
 @compiling_beside()
@@ -196,30 +194,26 @@ def reproduce(
     report: Show = lambda _: None,
     finish: Callable[[Path], None] = lambda _: None,
 ) -> Reproduction:
-    """Run the paper from the swing to a run on the digital twin, and save every value.
+    """Reproduce the paper from the swing to a run on the digital twin, and save every value.
 
-    An interrupted reproduction goes on in its folder: stages that are done are read, and a training
+    An interrupted reproduction continues in its folder: finished stages are read, and a training
     continues from its checkpoint.
 
     Args:
-        out: Folder for the files; it is made if it is missing.
-        swing: A recorded free swing, e.g. from `read_swing`; one is simulated if not given.
-        arm: The arm with its home posture; an iiwa 7 if not given.
-        settings: Resolved settings; the defaults if not given.
+        out: Folder of the files, created if missing.
+        swing: A recorded free swing, e.g. from `read_swing` (default: a simulated one).
+        arm: The arm with its home posture (default: an iiwa 7).
+        settings: Resolved settings (default: `Settings()`).
         seed: Master seed.
-        quick: Fewer episodes and trials (`QUICK`).
-        workers: Threads; all cores if not given. The results do not depend on it.
-        report: Called as the work goes on, also from other threads.
-        finish: Called with the folder when its values are complete; only after it the
-            reproduction counts as finished.
-
-    Returns:
-        The values, five lines of verdict, and the next command.
+        quick: Whether it runs with fewer episodes and trials (`QUICK`).
+        workers: Number of threads (default: all cores); the results do not depend on it.
+        report: Called with the progress, also from other threads.
+        finish: Called with the folder of all values before the reproduction counts as finished.
 
     Raises:
-        ArtefactError: An interrupted reproduction with another request lies in the folder.
-        RecordingError: The swing identifies nothing.
-        OutsideError: The disk refuses.
+        ArtefactError: The folder holds an interrupted reproduction with other parameters.
+        RecordingError: The swing identifies no pendulum.
+        OutsideError: A file cannot be written.
     """
     out = Path(out)
     request = make_request(swing=swing, arm=arm, settings=settings, seed=seed, quick=quick)
@@ -227,8 +221,8 @@ def reproduce(
     workers = available_cores() if workers is None else workers
     if other := differences(out, request):
         raise ArtefactError(
-            f"{out} holds an interrupted reproduction with another {' and '.join(other)}; go on "
-            "with what it began with, or give another folder"
+            f"{out} holds an interrupted reproduction with another {' and '.join(other)}; continue "
+            "with its parameters, or give another folder"
         )
     finished: dict[str, Finished] = {}
     if unfinished_path(out).exists():
@@ -251,36 +245,32 @@ def reproduce(
         expected: float | None = None,
         **inputs: str,
     ) -> S:
-        """Run a stage and save its value, or read it if it was done before an interruption."""
-        if (value := _done_before(out / file, kind, finished.get(file), inputs)) is not None:
+        """Run a stage and save its value, or read the value of an interrupted reproduction."""
+        if (value := _read_finished(out / file, kind, finished.get(file), inputs)) is not None:
             stages.append(PipelineStage(name=name, wall=finished[file].wall))
             report(ProgressReporter(name, 1.0, text="done before the interruption"))
             return value
         value = stage(name, work, expected)
         value.save(out / file, command=COMMAND, inputs=inputs)
         finished[file] = Finished(digest=value.digest, inputs=inputs, wall=stages[-1].wall)
-        so_far = UnfinishedReproduction(deciding=request.deciding, finished=finished)
-        so_far.save(unfinished_path(out), command=COMMAND)
+        unfinished = UnfinishedReproduction(deciding=request.deciding, finished=finished)
+        unfinished.save(unfinished_path(out), command=COMMAND)
         return value
 
-    simulated = SyntheticSwing() if swing is None else None
-    given = stage(
-        "swing",
-        lambda: swing or synthetic_swing(simulated or SyntheticSwing(), seed),
-        SWING_TAKES,
-    )
+    synthetic = SyntheticSwing()
+    given = stage("swing", lambda: swing or synthetic_swing(synthetic, seed), SWING_TIME)
     write_swing(out / SWING, given)
-    # The file in the folder is what is identified, so that the fit can be drawn over it.
+    # The identification reads the file in the folder, so that a figure shows the same data.
     recorded = replace(read_swing(out / SWING), source=given.source, released=given.released)
     pendulum = saved(
         "identify",
         PENDULUM,
         Pendulum,
         lambda: identify(recorded, settings.identification),
-        IDENTIFY_TAKES,
+        IDENTIFY_TIME,
         swing=recorded.sha256,
     )
-    # Where nothing is selected, there is nothing to select the best of several by.
+    # Without a selection, no score compares several learners.
     learners = 1 if quick or settings.selection.every == 0 else LEARNERS
 
     def learn() -> TabularPolicy:
@@ -301,7 +291,7 @@ def reproduce(
         with compiling(report, FUNCTIONS):
             compile_training(arm, settings)
     policy = saved("train", POLICY, TabularPolicy, learn, pendulum=pendulum.digest)
-    # The policy and four yardsticks run the same trials.
+    # The policy and four baselines run the same trials.
     tested = counted("evaluate", 5 * settings.evaluation.trials, report)
     evaluation = saved(
         "evaluate",
@@ -319,7 +309,7 @@ def reproduce(
         RUN,
         RunLog,
         lambda: deploy(policy, world=world, seed=seed),
-        DEPLOY_TAKES,
+        DEPLOY_TIME,
         policy=policy.digest,
     )
     study = None
@@ -338,7 +328,7 @@ def reproduce(
         workers=workers,
         swing=given.source,
         swing_sha256=given.sha256,
-        simulated=simulated,
+        simulated=synthetic if swing is None else None,
         files={},
         stages=tuple(stages),
     )
@@ -364,7 +354,7 @@ def make_request(
     seed: int,
     quick: bool,
 ) -> ReproductionRequest:
-    """Return what decides about a reproduction, the defaults filled in; as in `reproduce`."""
+    """Return the parameters of a reproduction with its defaults; see `reproduce`."""
     settings = Settings() if settings is None else settings
     return ReproductionRequest(
         swing=swing,
@@ -375,21 +365,21 @@ def make_request(
     )
 
 
-def _done_before(
+def _read_finished(
     path: Path, kind: type[S], finished: Finished | None, inputs: Mapping[str, str]
 ) -> S | None:
-    """Read a file that an interrupted reproduction finished; none if it has to be made."""
+    """Return the value of a finished file; None if its stage has to run."""
     if finished is None or finished.inputs != inputs:
         return None
     try:
         value = kind.load(path)
-    except ArtefactError:  # it was deleted or damaged since
+    except ArtefactError:  # deleted or damaged
         return None
     return value if value.digest == finished.digest else None
 
 
 def shortened(settings: Settings) -> Settings:
-    """Return settings for a quick look: `QUICK`, where that is less."""
+    """Return the settings of a quick reproduction, limited by `QUICK`."""
     tree = settings.model_dump()
     for name, value in QUICK.items():
         section, _, key = name.partition(".")
@@ -414,7 +404,6 @@ def _short_gap(
     report: Show,
 ) -> Gap:
     trials, duration = QUICK_GAP if quick else (None, None)
-    total = trials_of(TWIN, quick=True, trials=trials)
     progress = TrainingProgress(paper_settings(quick=True), 1, report, "paper")
     paper_policy = train_paper(
         policy,
@@ -434,7 +423,7 @@ def _short_gap(
         quick=True,
         seed=seed,
         workers=workers,
-        done=counted("gap", total, report),
+        done=counted("gap", trials_of(TWIN, quick=True, trials=trials), report),
     )
 
 

@@ -1,11 +1,10 @@
-"""What a reproduction leaves in its folder, read back as one value, and its verdict.
+"""Results of a reproduction in its folder, and their verdict.
 
-The report is drawn from these files alone::
+The report uses these files only::
 
     swing.csv  pendulum.json  policy.json  evaluation.json  run.mcap  gap.json  reproduction.json
 
-There is no `gap.json` where there is no gap to study: for an arm that no digital twin is known of,
-and for a policy that has no cures to leave out.
+`gap.json` is missing for an arm without a digital twin, and for a policy without cures.
 """
 
 from collections.abc import Mapping
@@ -24,7 +23,16 @@ from equipoise.logs.run_log import RunLog, TruthColumns
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import MODEL
 from equipoise.studies.formatting import LASTED, falls, how_it_ended, percent, plus_minus
-from equipoise.studies.gap_results import Controller, Gap
+from equipoise.studies.gap_results import (
+    CURED,
+    NO_BIAS,
+    NO_PREDICTION,
+    PAPER,
+    Controller,
+    Gap,
+    at_world,
+    mean,
+)
 from equipoise.studies.synthetic_swing import SyntheticSwing
 from equipoise.trajectory import Trajectory, read_swing
 
@@ -41,52 +49,52 @@ class PipelineStage(Value):
     """A stage of the reproduction."""
 
     name: Name
-    """What was done."""
+    """Name of the stage."""
     wall: Number
-    """How long it took [s], compilation on its first run included."""
+    """Duration [s], including the compilation in a first run."""
 
 
 class StageRecord(Artefact):
-    """How a reproduction was made: all that its other files do not say."""
+    """Record of a reproduction: everything that its other files do not state."""
 
     FORMAT: ClassVar[str] = "equipoise-reproduction"
     VERSION: ClassVar[int] = 1
 
     quick: bool
-    """Fewer episodes and trials than the paper's and ours."""
+    """Whether it ran with fewer episodes and trials."""
     seed: Seed
-    """Master seed of everything."""
+    """Master seed."""
     workers: Count
-    """Threads; the results do not depend on it."""
+    """Number of threads; the results do not depend on it."""
     swing: Name
     """Name of the recording."""
     swing_sha256: Name
-    """Digest of the recording as it was given."""
+    """Digest of the given recording."""
     simulated: SyntheticSwing | None
-    """The pendulum that was simulated; none where a recording was given."""
+    """Parameters of a simulated swing; None for a recording."""
     files: dict[Name, Name]
     """Digest of each value, by the name of its file."""
     stages: Annotated[tuple[PipelineStage, ...], Field(max_length=100)]
-    """Where the time went."""
+    """The stages with their durations."""
 
 
 class Results(NamedTuple):
-    """All that a reproduction found."""
+    """All results of a reproduction."""
 
     record: StageRecord
-    """How it was made."""
+    """Record of the reproduction."""
     swing: Trajectory
     """The free swing."""
     pendulum: Pendulum
-    """What it identified."""
+    """The identified pendulum."""
     policy: TabularPolicy
-    """What was trained for that."""
+    """The trained policy."""
     evaluation: Evaluation
-    """How long the policy stands, beside the yardsticks."""
+    """Trials of the policy and of the baselines."""
     run: RunLog
-    """One run of it, on the digital twin where there is one."""
+    """One run of the policy, on the digital twin if the arm has one."""
     gap: Gap | None
-    """What the twin does to it, and to a policy as the paper's; none where it was not studied."""
+    """Study of the gap for the policy and the paper's; None without one."""
 
 
 def load(out: Path) -> Results:
@@ -109,14 +117,14 @@ def load(out: Path) -> Results:
     for name, recorded in record.files.items():
         if _stated_digest(out / name, results) != recorded:
             raise ArtefactError(
-                f"{out / name} is not the one that {out / RECORD} was written for; "
+                f"{out / name} is not the file that {out / RECORD} records; "
                 "reproduce again, into an empty folder"
             )
     return results
 
 
 def _stated_digest(path: Path, results: Results) -> str:
-    """Return the digest that a file states: of what was written, whatever was upgraded since."""
+    """Return the digest that a file states, which an upgrade on reading does not change."""
     if path.suffix == ".json":
         return read_document(path)["digest"]
     return results.run.digest if path.suffix == ".mcap" else results.swing.sha256
@@ -135,22 +143,17 @@ def digests(results: Results) -> Mapping[str, str]:
 
 
 def verdict(results: Results) -> tuple[str, str, str, str, str]:
-    """Return what came out, in five lines that need no figure."""
-    return (
-        _standing(results.evaluation),
-        _run(results.run),
-        _gap(results),
-        _swing(results),
-        _caveat(results),
-    )
+    """Return the results in five sentences."""
+    evaluation, run = _survival(results.evaluation), _run(results.run)
+    return evaluation, run, _gap(results), _swing(results), _caveat(results)
 
 
 def no_gap(results: Results) -> str:
-    """Return why there is no study of the gap."""
+    """Return the reason for a missing study of the gap."""
     if results.run.conditions.world == MODEL:
         return (
             f"There is no digital twin of the {results.policy.arm.name}, whose masses are not "
-            "known: the run is one on the training plant, and the gap to a robot was not studied."
+            "known: the run is on the training plant, and the gap to a robot was not studied."
         )
     return (
         "The gap to the twin was not studied: the study leaves the cures out one by one, and this "
@@ -159,23 +162,23 @@ def no_gap(results: Results) -> str:
 
 
 def truth(run: RunLog) -> TruthColumns | RunLog:
-    """Return what really was, where that is known, else what the policy saw and commanded."""
+    """Return the true state if the log has it, else the observations and commands."""
     return run.truth if len(run.truth.phi) else run
 
 
 def seen_otherwise(run: RunLog) -> bool:
-    """Tell whether the policy saw something else than what was; only a simulation knows."""
+    """Return whether the observation differs from the true state in a simulated run."""
     return not np.array_equal(truth(run).phi, run.phi)
 
 
 def estimates_zero(run: RunLog) -> bool:
-    """Tell whether the angle came from an encoder whose zero was estimated while balancing."""
+    """Return whether the observer estimated the encoder's zero during the run."""
     conditions = run.conditions
     encoder = conditions.counts_per_rev is not None or conditions.zero_error is not None
     return encoder and conditions.settings.controller.estimate_bias
 
 
-def _standing(evaluation: Evaluation) -> str:
+def _survival(evaluation: Evaluation) -> str:
     summary = evaluation.results.summary()
     low, high = summary.interval
     median = "" if summary.rate > 0.5 else f"; median {summary.median:.3g} s"
@@ -185,7 +188,7 @@ def _standing(evaluation: Evaluation) -> str:
     return (
         f"On the plant of its training the table stood {evaluation.duration:g} s in "
         f"{summary.survived} of {summary.trials} trials ({percent(summary.rate)}; 95 % interval "
-        f"{percent(low)} to {percent(high)}{median}), {falls(summary.causes)}; yardsticks on the "
+        f"{percent(low)} to {percent(high)}{median}), {falls(summary.causes)}; baselines on the "
         f"same trials: {others}."
     )
 
@@ -211,20 +214,11 @@ def _run(run: RunLog) -> str:
 
 
 def _gap(results: Results) -> str:
-    from equipoise.studies.gap_results import (
-        CURED,
-        NO_BIAS,
-        NO_PREDICTION,
-        PAPER,
-        at_world,
-        mean,
-    )
-
     gap = results.gap
     if gap is None:
         return no_gap(results)
 
-    def stands(controller: "Controller") -> str:
+    def stands(controller: Controller) -> str:
         return f"{mean(at_world(gap, controller), gap.duration).mean:.1f} s"
 
     return (
@@ -253,8 +247,8 @@ def _swing(results: Results) -> str:
 def _caveat(results: Results) -> str:
     quick = "A quick look, with fewer episodes and trials. " if results.record.quick else ""
     if results.run.conditions.world == MODEL:
-        return f"{quick}All of this is simulation, on our model of an arm; none of it is a robot."
+        return f"{quick}All results are simulated, on our model of an arm; none is from a robot."
     return (
-        f"{quick}All of this is simulation. The twin has delay, servo, weight and a sensor, as far "
-        "as they are known, and assumptions for the rest; it is not the authors' robot."
+        f"{quick}All results are simulated. The twin models the known delay, servo, weight and "
+        "sensor, with assumptions for the rest; it is not the authors' robot."
     )

@@ -1,4 +1,4 @@
-"""What a log of a run says: its end, a summary on one screen, and its tables as CSV."""
+"""Views of a run's log: its end, a summary on one screen, and its tables as CSV."""
 
 import csv
 import io
@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import write_whole
@@ -23,20 +22,20 @@ FAULT_EVENTS: Final = ("stopping", "fault")
 
 
 class LoggedEnding(NamedTuple):
-    """How a run ended, as far as its log says."""
+    """End of a run, from its log."""
 
     cause: str
     """Cause in a word or two."""
     reason: str
-    """Cause in a sentence; empty where the log has none."""
+    """Cause in a sentence; empty if the log has none."""
     phase: Phase | None
-    """Phase of a run on a rig when it stopped; none before the first tick, and in simulation."""
+    """Phase of a run on a rig at its stop; None before the first tick, and in simulation."""
     whole: bool
-    """Whether the log reaches to the end."""
+    """Whether the log includes the end."""
 
 
 def load_run(path: Path) -> RunLog:
-    """Return a run in which something can be measured, damaged or not.
+    """Read a run for measurements, damaged or not.
 
     Raises:
         ArtefactError: The file is missing, not readable, or not a run log.
@@ -52,25 +51,25 @@ def load_run(path: Path) -> RunLog:
 
 
 def ending(run: RunLog) -> LoggedEnding:
-    """Return how a run on a rig ended."""
+    """Return the end of a run on a rig."""
     end, phase = run.end, run.last_phase
     if end is None:
         stops = [event.text for event in run.events if event.name in FAULT_EVENTS]
         return LoggedEnding(BROKEN_OFF, stops[-1] if stops else "", phase, False)
     if end.cause is None:
-        fault = end.fault or "an error ended the run; deploy has said which"
+        fault = end.fault or "an error ended the run; the output of deploy names it"
         return LoggedEnding(ERROR, fault, phase, True)
     return LoggedEnding(end.cause, end.reason, phase, True)
 
 
 def pendulum_of(run: RunLog) -> PendulumParameters:
-    """Return the pendulum of a run: in simulation the real one, on a rig the assumed one."""
+    """Return the pendulum of a run: the true one in simulation, the assumed one on a rig."""
     of = run.conditions.pendulum
     return PendulumParameters(of["w2"], of["k"], of["c"], of["coulomb"], of["drag"])
 
 
 def summarise(run: RunLog) -> dict[str, str]:
-    """Return the lines of `log show`: what ran where and when, how it ended, and what is there."""
+    """Return the lines of `log show`, by name."""
     conditions, end, made = run.conditions, run.end, run.provenance
     where = f"world {conditions.world}" if conditions.simulated else f"robot {conditions.world}"
     encoder = f", encoder {conditions.encoder}" if conditions.encoder else ""
@@ -108,20 +107,17 @@ def export(run: RunLog, folder: Path) -> list[Path]:
 
     Args:
         run: The log.
-        folder: Folder of the files; it is made if it is missing. Files of the same names are
-            replaced.
+        folder: Folder of the files, created if missing; existing files are replaced.
 
     Returns:
         The files that were written.
 
     Raises:
-        OutsideError: The disk refuses.
+        OutsideError: A file cannot be written.
     """
     made: list[Path] = []
     for name, rows in run.tables.items():
-        if run.conditions.simulated and not len(rows):
-            continue
-        if name == "truth" and not len(rows):
+        if not len(rows) and (run.conditions.simulated or name == "truth"):
             continue
         columns = list(_columns(name, rows, run.conditions.joints))
         text = io.StringIO()
@@ -134,7 +130,7 @@ def export(run: RunLog, folder: Path) -> list[Path]:
 
 
 def _columns(table: str, rows: Rows, joints: tuple[str, ...]) -> Iterator[tuple[str, list[Any]]]:
-    """Yield header and values of each column; a posture has a column for each joint."""
+    """Yield header and values of each column; a posture has one column per joint."""
     for column in TABLES[table]:
         values = rows[column.name]
         if column.kind == "joints":
@@ -145,8 +141,7 @@ def _columns(table: str, rows: Rows, joints: tuple[str, ...]) -> Iterator[tuple[
 
 
 def _plain(values: npt.NDArray[Any]) -> list[Any]:
-    """Return values as CSV has them: text as such, nothing for an unknown number."""
+    """Return values for CSV: decoded text, and an empty cell for NaN."""
     if values.dtype.kind == "S":
         return [text.decode("utf-8", "replace") for text in values.tolist()]
-    unknown = np.isnan(values) if values.dtype.kind == "f" else np.zeros(len(values), bool)
-    return ["" if none else v for v, none in zip(values.tolist(), unknown.tolist(), strict=True)]
+    return ["" if value != value else value for value in values.tolist()]

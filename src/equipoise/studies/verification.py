@@ -1,8 +1,8 @@
-"""Verify: what is this file, and is it what was written?
+"""Verification of Equipoise's files: kind, content, and integrity.
 
-Any file of ours says its format, version, digest and history. It is read in full, by the rules of
-its own kind, so that a file that passes here can be used. A certificate is also held against its
-trials, where they lie beside it.
+A file states its format, version, digest and provenance. It is read in full by the rules of its
+kind, so that a verified file is usable. A certificate is also compared with its trials, if they are
+beside it.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,40 +24,40 @@ from equipoise.studies.results import StageRecord
 from equipoise.studies.runs import summarise
 
 MCAP = b"\x89MCAP"
-"""What an MCAP file begins with."""
+"""First bytes of an MCAP file."""
 
 
 class Verified(NamedTuple):
-    """A file of ours that is what was written."""
+    """A verified file."""
 
     what: str
-    """In a word or two."""
+    """Kind of the file in a word or two."""
     format: str
     """Name of its format."""
     version: int
-    """Version of the format that the file has."""
+    """Version of the format."""
     digest: str | None
     """SHA-256 of its body."""
     content: str
-    """One line on what it holds."""
+    """Summary of the content in one line."""
     provenance: Provenance | None
     """Origin of the file."""
     lines: tuple[tuple[str, str], ...] = ()
-    """Names and texts of further lines; of a run log alone."""
+    """Names and texts of further lines, for a run log."""
 
 
 def verify(path: StrPath) -> Verified:
-    """Read any file of ours and say what it is.
+    """Read a file of Equipoise and describe it.
 
     Args:
         path: A pendulum, policy, evaluation, certificate, reproduction or run log.
 
     Raises:
-        ArtefactError: The file is missing, not ours, edited, damaged, or newer than this Equipoise;
-            or a certificate is not that of the trials beside it.
+        ArtefactError: The file is missing, of another kind, edited, damaged, or newer than this
+            Equipoise; or a certificate does not match the trials beside it.
     """
     path = Path(path)
-    if _begins_with(path, MCAP):
+    if _is_mcap(path):
         run = RunLog.load(path)
         return Verified(
             what="run log",
@@ -79,32 +79,26 @@ def verify(path: StrPath) -> Verified:
     value = artefact.load(path)
     if isinstance(value, Certificate) and (trials := evaluation_path(path)).exists():
         check_evaluation(value, trials)
+    try:
+        provenance = Provenance.model_validate(document["provenance"])
+    except ValueError:
+        raise ArtefactError(f"{path} has a damaged provenance; make the file again") from None
     return Verified(
         what=what,
         format=kind,
         version=document["version"],
         digest=document["digest"],
         content=content(value),
-        provenance=_provenance(path, document["provenance"]),
+        provenance=provenance,
     )
 
 
-def _begins_with(path: Path, magic: bytes) -> bool:
+def _is_mcap(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            return file.read(len(magic)) == magic
+            return file.read(len(MCAP)) == MCAP
     except OSError:
-        return False  # `read_document` says what is wrong
-
-
-def _provenance(path: Path, given: Mapping[str, Any]) -> Provenance:
-    try:
-        return Provenance.model_validate(given)
-    except ValueError:
-        raise ArtefactError(
-            f"{path} does not say where it comes from: its provenance is damaged; "
-            "make the file again"
-        ) from None
+        return False  # `read_document` raises the error
 
 
 def _pendulum(pendulum: Pendulum) -> str:
@@ -128,8 +122,8 @@ def _actuator(actuator: Actuator) -> str:
 def _gap(gap: Gap) -> str:
     short = "the short form, " if gap.quick else ""
     return (
-        f"what each effect of {gap.world} costs, {short}{gap.trials} trials of "
-        f"{gap.duration:g} s a point"
+        f"cost of each effect of {gap.world}, {short}{gap.trials} trials of "
+        f"{gap.duration:g} s per point"
     )
 
 
