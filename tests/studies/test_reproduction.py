@@ -252,7 +252,7 @@ def test_a_mixed_folder_is_refused(made, tmp_path):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     with (tmp_path / SWING).open("a") as file:
         file.write("99.0,0.1\n")
-    with pytest.raises(ArtefactError, match=r"swing\.csv is not the one"):
+    with pytest.raises(ArtefactError, match=r"swing\.csv is not the file"):
         load(tmp_path)
 
 

@@ -13,7 +13,7 @@ from equipoise.devices.interfaces import AngleSensor, Clock
 READ_PERIOD: Final = 0.001
 """Time between two reads of the encoder [s]: the period of a board at 1 kHz."""
 DISCARD_TIME: Final = 0.1
-"""Time for which samples that waited in buffers are read and discarded before a measurement [s]."""
+"""Time for discarding buffered samples before a measurement [s]."""
 MIN_SAMPLE_RATE: Final = 200.0
 """Rate below which ticks without a new sample are too frequent [1/s]."""
 GOOD_SAMPLE_RATE: Final = 450.0

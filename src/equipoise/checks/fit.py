@@ -17,7 +17,7 @@ from equipoise.rigs import RigSettings
 HOME_TOLERANCE: Final = 1e-6
 """Difference of a joint's angle at home beyond which two homes differ [rad]."""
 PIVOT_TOLERANCE: Final = 1e-3
-"""Difference of the pivot's position on the flange that is worth a warning [m]."""
+"""Difference of the pivot's position on the flange beyond which a warning is given [m]."""
 MIN_CLEARANCE_MM: Final = 50.0
 """Minimum clearance below the tip of the hanging pendulum [mm]."""
 HOME_MARGIN_DEG: Final = 5.0
@@ -145,7 +145,7 @@ def check_speed(policy: TaskPolicy, limit: float, reason: str) -> Iterator[Check
 
     Args:
         policy: The policy.
-        limit: The limit [m/s]; inf where there is none.
+        limit: The limit [m/s]; inf without one.
         reason: Origin of the limit.
     """
     if limit == inf:
@@ -161,7 +161,7 @@ def check_speed(policy: TaskPolicy, limit: float, reason: str) -> Iterator[Check
 
 
 def check_posture(q: Array, rig: RigSettings) -> CheckResult:
-    """Check the posture in which the robot stands.
+    """Check the robot's present posture.
 
     Args:
         q: Measured joints [rad], shape (joints,).
@@ -178,7 +178,7 @@ def check_posture(q: Array, rig: RigSettings) -> CheckResult:
 
 
 def _nearest_limit(arm: Arm, q: Sequence[float]) -> tuple[str, float]:
-    """Return the joint that is nearest to one of its limits, and the distance [deg]."""
+    """Return the joint nearest to one of its limits, and the distance [deg]."""
     room = [
         degrees(min(angle - joint.lower, joint.upper - angle))
         for joint, angle in zip(arm.joints, q, strict=True)

@@ -5,8 +5,8 @@ robot's servo, a pendulum whose weight loads it, an encoder with a zero offset. 
 start and zero are drawn as for a test trial, from a separate seed. The policy runs tick by tick
 from Python, with the same bits as a compiled trial.
 
-`excite` moves the arm below a hanging pendulum and records its response, from which
-`equipoise.identification.actuator` identifies the actuator.
+`excite` moves the arm while the pendulum hangs, and records the response for the identification of
+the actuator (`equipoise.identification.actuator`).
 """
 
 from typing import Any
@@ -128,7 +128,7 @@ def deploy(
 def excite(
     arm: Arm, world: str | World, pendulum: Pendulum, *, seed: int = 0, duration: float = 10.0
 ) -> RunLog:
-    """Move every joint of a twin about home below a hanging pendulum, and record the response.
+    """Move every joint of a twin about home while the pendulum hangs, and record the response.
 
     Args:
         arm: The arm with its home posture.

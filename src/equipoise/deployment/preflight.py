@@ -4,7 +4,7 @@ A bad result refuses the run; a warning goes into the log.
 """
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 from equipoise.checks.encoder import check_encoder, listen
 from equipoise.checks.fit import check_fit, check_posture, check_speed, max_flange_speed
@@ -20,15 +20,6 @@ MEASURING_TIME: Final = 1.0
 """Length of each measurement, of round trips and of encoder samples [s]."""
 
 
-class Preflight(NamedTuple):
-    """Results of the pre-flight."""
-
-    results: list[CheckResult]
-    """Result of each check."""
-    max_speed: float
-    """Flange speed at which the run stops [m/s]; inf where nothing limits it."""
-
-
 def preflight(
     policy: TaskPolicy,
     actuator: Actuator,
@@ -37,7 +28,7 @@ def preflight(
     measures: Sequence[RealtimeSetting] = (),
     *,
     t1: bool = False,
-) -> Preflight:
+) -> tuple[list[CheckResult], float]:
     """Check a connected rig and a policy against each other; nothing moves.
 
     Args:
@@ -47,6 +38,9 @@ def preflight(
         rig: The rig.
         measures: Results of the real-time settings.
         t1: Whether the speed limit of T1 holds.
+
+    Returns:
+        Result of each check, and flange speed at which the run stops [m/s] (default: inf).
 
     Raises:
         LinkError: Robot or encoder does not answer.
@@ -64,4 +58,4 @@ def preflight(
         *check_encoder(reading, settings.counts_per_rev),
         *check_realtime(measures),
     ]
-    return Preflight(results, max_speed)
+    return results, max_speed

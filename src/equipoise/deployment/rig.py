@@ -172,7 +172,7 @@ class RunRequest:
         """Dry friction and drag of a twin's pendulum; none on a robot.
 
         Raises:
-            SettingsError: There is no such twin.
+            SettingsError: The twin is unknown.
         """
         world = world_of(self.robot)
         if world is None:
@@ -291,15 +291,15 @@ def run_on_rig(
         tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
         rig.sensor.connect()
         robot.connect()
-        before = preflight(
+        results, max_speed = preflight(
             request.policy, request.actuator, request.settings, rig, measures(), t1=request.t1
         )
-        for result in before.results:
+        for result in results:
             columns = (result.name, result.verdict, result.found, result.cure)
             tell(OperatorMessage("finding", "\t".join(map(printable, columns))))
-        require(before.results)
-        if before.max_speed < inf:
-            tell(speed_limit(before.max_speed))
+        require(results)
+        if max_speed < inf:
+            tell(speed_limit(max_speed))
         tell(OperatorMessage("notice", rig.plugin.failure))
         for word, question in CHECKLIST:
             said = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
@@ -320,7 +320,7 @@ def run_on_rig(
             request.settings.described_arm,
             request.controller(counts_per_rev),
             policy,
-            request.guard(counts_per_rev, before.max_speed),
+            request.guard(counts_per_rev, max_speed),
             robot.started_at,
             duration=request.duration,
             clock=rig.clock.now,

@@ -1,1 +1,1 @@
-"""What one asks of the results, and of the program itself."""
+"""Studies of policies, runs and rigs."""

@@ -313,12 +313,37 @@ def reproduce(
         policy=policy.digest,
     )
     study = None
+
+    def short_gap() -> Gap:
+        trials, duration = QUICK_GAP if quick else (None, None)
+        progress = TrainingProgress(paper_settings(quick=True), 1, report, "paper")
+        paper_policy = train_paper(
+            policy,
+            quick=True,
+            seed=seed,
+            workers=workers,
+            partial=partial_path(out / PAPER_POLICY),
+            report=lambda point: progress.report(0, point),
+            selecting=lambda done, of: progress.selecting(0, done, of),
+        )
+        return gap(
+            policy,
+            world=TWIN,
+            paper_policy=paper_policy,
+            trials=trials,
+            duration=duration,
+            quick=True,
+            seed=seed,
+            workers=workers,
+            done=counted("gap", trials_of(TWIN, quick=True, trials=trials), report),
+        )
+
     if world == TWIN and policy.actuator.kind != "ideal":
         study = saved(
             "gap",
             GAP,
             Gap,
-            lambda: _short_gap(out, policy, seed, workers, quick, report),
+            short_gap,
             policy=policy.digest,
         )
 
@@ -338,11 +363,16 @@ def reproduce(
     results = results._replace(record=record)
     finish(out)
     discard(out)
+    next_command = f"equipoise gap {out / POLICY}"
+    if quick:
+        next_command = "equipoise reproduce"
+    elif study is None:
+        next_command = f"equipoise evaluate {out / POLICY} --trials 1000"
     return Reproduction(
         out=out,
         results=results,
         verdict=verdict(results),
-        next_command=_next_command(out / POLICY, results),
+        next_command=next_command,
     )
 
 
@@ -393,43 +423,3 @@ def _has_twin(arm: Arm) -> bool:
     except ArmError:
         return False
     return True
-
-
-def _short_gap(
-    out: Path,
-    policy: TabularPolicy,
-    seed: int,
-    workers: int,
-    quick: bool,
-    report: Show,
-) -> Gap:
-    trials, duration = QUICK_GAP if quick else (None, None)
-    progress = TrainingProgress(paper_settings(quick=True), 1, report, "paper")
-    paper_policy = train_paper(
-        policy,
-        quick=True,
-        seed=seed,
-        workers=workers,
-        partial=partial_path(out / PAPER_POLICY),
-        report=lambda point: progress.report(0, point),
-        selecting=lambda done, of: progress.selecting(0, done, of),
-    )
-    return gap(
-        policy,
-        world=TWIN,
-        paper_policy=paper_policy,
-        trials=trials,
-        duration=duration,
-        quick=True,
-        seed=seed,
-        workers=workers,
-        done=counted("gap", trials_of(TWIN, quick=True, trials=trials), report),
-    )
-
-
-def _next_command(policy: Path, results: Results) -> str:
-    if results.record.quick:
-        return "equipoise reproduce"
-    if results.gap is None:
-        return f"equipoise evaluate {policy} --trials 1000"
-    return f"equipoise gap {policy}"

@@ -247,8 +247,10 @@ def _swing(results: Results) -> str:
 def _caveat(results: Results) -> str:
     quick = "A quick look, with fewer episodes and trials. " if results.record.quick else ""
     if results.run.conditions.world == MODEL:
-        return f"{quick}All results are simulated, on our model of an arm; none is from a robot."
+        return (
+            f"{quick}All results are from simulation, on our model of an arm; none is from a robot."
+        )
     return (
-        f"{quick}All results are simulated. The twin models the known delay, servo, weight and "
+        f"{quick}All results are from simulation. The twin models the known delay, servo, weight and "
         "sensor, with assumptions for the rest; it is not the authors' robot."
     )
