@@ -44,7 +44,7 @@ def made_up(monkeypatch):
 def test_a_short_study_is_left_with_its_figure_and_the_table_that_it_trained(
     equipoise, cured_file, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(study, "STOOD_LONGEST_QUICKLY", (*FEW, *SHORT))
+    monkeypatch.setattr(study, "BEST_TABLE_QUICK", (*FEW, *SHORT))
     ran = equipoise("gap", cured_file, "--quick", "--trials", 2, "--duration", 0.3)
     assert ran.code == 0, ran
     gap = Gap.load(tmp_path / "gap.json")

@@ -50,10 +50,10 @@ FILES = ("swing.csv", "pendulum.json", "policy.json", "evaluation.json", "run.mc
 @contextmanager
 def tiny_gap():
     """The study of the gap has tests of its own: here two trials of a tenth of a second do."""
-    quickly = [*study.STOOD_LONGEST_QUICKLY, "learning.episodes=40", "selection.every=20"]
+    quickly = [*study.BEST_TABLE_QUICK, "learning.episodes=40", "selection.every=20"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "SHORT", study.SHORT._replace(trials=2, duration=0.1))
-        patch.setattr(study, "STOOD_LONGEST_QUICKLY", quickly)
+        patch.setattr(study, "BEST_TABLE_QUICK", quickly)
         yield
 
 

@@ -251,6 +251,6 @@ def _caveat(results: Results) -> str:
             f"{quick}All results are from simulation, on our model of an arm; none is from a robot."
         )
     return (
-        f"{quick}All results are from simulation. The twin models the known delay, servo, weight and "
-        "sensor, with assumptions for the rest; it is not the authors' robot."
+        f"{quick}All results are from simulation. The twin models the known delay, servo, weight "
+        "and sensor, with assumptions for the rest; it is not the authors' robot."
     )
