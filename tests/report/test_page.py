@@ -159,7 +159,7 @@ def test_the_verdict_has_five_lines_and_says_that_it_is_simulation(plain):
 def test_the_twin_is_described_with_what_it_has_and_has_not(plain):
     words = Reader(plain).text
     for claim in (
-        "replaces it, twin:nominal-1",
+        "replaces the robot, twin:nominal-1",
         "a setpoint takes effect 10 ms after it was sent",
         "servo law of the KUKA Sunrise Toolbox's server",
         "drives with a lag of 8 ms",

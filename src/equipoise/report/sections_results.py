@@ -104,7 +104,7 @@ def _survival_table(evaluation: Evaluation) -> str:
         )
     stood = f"stood {evaluation.duration:g} s"
     return html.table(
-        ("", stood, "95 % interval", "median", "19 of 20 stood", "failures"),
+        ("", stood, "95 % interval", "median", "5 % quantile", "failures"),
         rows,
         caption="Intervals are exact (Clopper-Pearson).",
     )
@@ -170,7 +170,7 @@ def _stand_in(results: Results) -> str:
             f"from that of the training. {no_gap(results)}"
         )
     return (
-        f"Here a digital twin of the rig replaces it, `{conditions.world}`: the "
+        f"Here a digital twin replaces the robot, `{conditions.world}`: the "
         f"{conditions.arm.name} in an independent physics engine (MuJoCo), with a model of the "
         "robot's server and drives, and a pendulum that differs from that of the training. The "
         "policy was not trained on the twin."
