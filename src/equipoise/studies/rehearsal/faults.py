@@ -190,11 +190,8 @@ ENCODER: Final = (
 
 
 def _hold_up(*times: float) -> Inject:
-    def inject(harness: FaultHarness) -> None:
-        # Every second wait is for a tick, the other for the setpoint in its middle.
-        harness.clock.held_up = list(times)
-
-    return inject
+    # Every second wait is for a tick, the other for the setpoint in its middle.
+    return lambda harness: setattr(harness.clock, "held_up", list(times))
 
 
 # fmt: off
@@ -264,14 +261,8 @@ def _no_bytes_after(harness: FaultHarness) -> Sequence[str]:
 def _pushing(scenario: Scenario) -> Scenario:
     """Return a scenario whose policy pushes one way only."""
     own = scenario.policy
-    pushing = bind_policy(
-        _push,
-        pendulum=own.pendulum,
-        arm=own.arm,
-        actuator=own.actuator,
-        settings=own.settings,
-    )
-    return on(scenario, policy=pushing)
+    parts = {name: getattr(own, name) for name in ("pendulum", "arm", "actuator", "settings")}
+    return on(scenario, policy=bind_policy(_push, **parts))
 
 
 def _push(_: object) -> float:
@@ -291,11 +282,7 @@ def _singular(scenario: Scenario) -> Scenario:
 
 def _setpoint(change: Callable[[Setpoint, float], Setpoint]) -> Inject:
     """Change each setpoint, given the time since the fault [s]."""
-
-    def inject(harness: FaultHarness) -> None:
-        harness.change_setpoint = change
-
-    return inject
+    return lambda harness: setattr(harness, "change_setpoint", change)
 
 
 def _joint(place: int, value: Callable[[Joint, float, float], float]) -> Inject:
@@ -430,10 +417,7 @@ ROBOT: Final = (
 
 
 def _inputs(change: Callable[[TickInputs], TickInputs]) -> Inject:
-    def inject(harness: FaultHarness) -> None:
-        harness.change_inputs = change
-
-    return inject
+    return lambda harness: setattr(harness, "change_inputs", change)
 
 
 def _each_sample(**changes: Any) -> Inject:
@@ -533,9 +517,8 @@ def _take_away(duration: float) -> Inject:
 
 
 def _never_began(harness: FaultHarness) -> Sequence[str]:
-    if any(one.name == "balancing" for one in harness.told):
-        return ("the policy began",)
-    return ()
+    began = any(one.name == "balancing" for one in harness.told)
+    return ("the policy began",) if began else ()
 
 
 # fmt: off
@@ -584,13 +567,10 @@ def _keys(phase: str, after: float) -> Fault:
 
 OPERATOR: Final = tuple(
     _keys(phase, after)
-    for phase, after in (
-        ("homing", 0.5),
-        ("hang", 1.0),
-        ("swing", 0.6),
-        ("lift", 1.5),
-        ("armed", 0.1),
-        ("balancing", 1.0),
+    for phase, after in zip(
+        ("homing", "hang", "swing", "lift", "armed", "balancing"),
+        (0.5, 1.0, 0.6, 1.5, 0.1, 1.0),
+        strict=True,
     )
 )
 
