@@ -393,7 +393,7 @@ def test_a_file_of_another_reproduction_is_refused(folder, tmp_path):
     copied(folder, tmp_path)
     other = made_up.evaluation(files.TabularPolicy.load(folder / files.POLICY), falls=(1.0,))
     other.save(tmp_path / files.EVALUATION, command="test")
-    with pytest.raises(ArtefactError, match=r"evaluation\.json is not the one"):
+    with pytest.raises(ArtefactError, match=r"evaluation\.json is not the file"):
         build(tmp_path)
     (tmp_path / files.RUN).unlink()
     with pytest.raises(ArtefactError, match=r"there is no file .*run\.mcap"):
