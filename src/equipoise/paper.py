@@ -51,6 +51,8 @@ FREE_SWING_PERIOD: Final = 0.75
 # Section 4.1: discretization.
 ACTIONS: Final = (-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0)
 """Accelerations of the flange along x [m/s^2], without zero."""
+U_MAX: Final = max(map(abs, ACTIONS))
+"""Largest acceleration [m/s^2]."""
 
 PHI_INTERVALS_DEG: Final = tuple(
     _interval(text) for text in ("]-11,-5[", "[-5,-1[", "[-1,0[", "[0,1[", "[1,5[", "[5,11[")

@@ -63,7 +63,7 @@ class BoundPolicy:
     """Settings of plant, controller and evaluation."""
     h: float = paper.STEP
     """Time step [s]."""
-    u_max: float = max(map(abs, paper.ACTIONS))
+    u_max: float = paper.U_MAX
     """Largest acceleration [m/s^2], that of the paper's actions: guards and tracks are made for
     it, and a larger u is clipped."""
 

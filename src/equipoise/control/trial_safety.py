@@ -99,7 +99,7 @@ def trial_safety(
     return make_safety_params(
         arm,
         reaction=horizon(arm, actuator, 0.0),
-        u_max=max(map(abs, paper.ACTIONS)),
+        u_max=paper.U_MAX,
         h=h,
         counts_per_rev=settings.counts_per_rev,
         speed=min(T1_SPEED if settings.t1 else inf, inf if max_speed is None else max_speed),

@@ -72,8 +72,8 @@ class Clock(Protocol):
 
 
 @runtime_checkable
-class Robot(Protocol):
-    """An arm that follows a stream of setpoints of all its joints."""
+class ServoedArm(Protocol):
+    """Connection, servo and joints of an arm, which both kinds of robot have."""
 
     @property
     def joints(self) -> int:
@@ -97,12 +97,32 @@ class Robot(Protocol):
         ...
 
     def start(self) -> None:
-        """Start the servo, which holds the arm where it is. Blocks until setpoints are obeyed.
+        """Start the servo, which holds the arm where it is. Blocks until it runs.
 
         Raises:
             LinkError: The reply is late or invalid.
         """
         ...
+
+    def stop(self) -> None:
+        """Stop the servo, the arm at rest. Blocks.
+
+        Raises:
+            LinkError: The reply is late or invalid.
+        """
+        ...
+
+    def close(self) -> None:
+        """Disconnect, as far as the link allows. Never raises, and may be called again."""
+        ...
+
+
+@runtime_checkable
+class Robot(ServoedArm, Protocol):
+    """An arm that follows a stream of setpoints of all its joints.
+
+    After `start` it obeys them.
+    """
 
     def send(self, q: Sequence[float] | Array) -> None:
         """Send a setpoint of all joints.
@@ -124,55 +144,15 @@ class Robot(Protocol):
         """
         ...
 
-    def stop(self) -> None:
-        """Stop the servo, the arm at rest. Blocks.
-
-        Raises:
-            LinkError: The reply is late or invalid.
-        """
-        ...
-
-    def close(self) -> None:
-        """Disconnect, as far as the link allows. Never raises, and may be called again."""
-        ...
-
 
 @runtime_checkable
-class PacedRobot(Protocol):
+class PacedRobot(ServoedArm, Protocol):
     """An arm that sets the pace: it asks for each setpoint, every few milliseconds.
 
     `equipoise.devices.paced.PacedStream` makes a `Robot` of it: ticks stay at 10 ms, and each
-    request is answered with a point of a smooth path through the setpoints.
+    request is answered with a point of a smooth path through the setpoints. The
+    requests begin with `start`.
     """
-
-    @property
-    def joints(self) -> int:
-        """Number of joints, the held one included."""
-        ...
-
-    def connect(self) -> None:
-        """Connect, the arm at rest. Blocks.
-
-        Raises:
-            LinkError: The reply is missing or invalid.
-        """
-        ...
-
-    def measured(self) -> Array:
-        """Return the measured joints [rad], shape (joints,), while the servo is off. Blocks.
-
-        Raises:
-            LinkError: The reply is late or invalid.
-        """
-        ...
-
-    def start(self) -> None:
-        """Start the servo, which holds the arm where it is. From now on the robot sends requests.
-
-        Raises:
-            LinkError: The reply is late or invalid.
-        """
-        ...
 
     def request(self, until: float) -> Request | None:
         """Block until the robot asks for a setpoint, or until a time [s].
@@ -191,18 +171,6 @@ class PacedRobot(Protocol):
         Raises:
             LinkError: The link is down.
         """
-        ...
-
-    def stop(self) -> None:
-        """Stop the servo, the arm at rest. Blocks.
-
-        Raises:
-            LinkError: The reply is late or invalid.
-        """
-        ...
-
-    def close(self) -> None:
-        """Disconnect. Never raises, and may be called again."""
         ...
 
 

@@ -10,21 +10,21 @@ if TYPE_CHECKING:
 
 __all__ = ["BalanceDiscreteEnv", "BalanceEnv", "BoxIndexObservation", "register"]
 
-IDS = {
-    "equipoise/Balance-v0": "equipoise.envs.balance:BalanceEnv",
-    "equipoise/BalanceDiscrete-v0": "equipoise.envs.balance:BalanceDiscreteEnv",
-}
-"""Entry point of each environment, by its id."""
+IDS = {"equipoise/Balance-v0": "Balance", "equipoise/BalanceDiscrete-v0": "BalanceDiscrete"}
+"""First part of the name of each environment's classes, by its id."""
 
 
 def register() -> None:
     """Register the environments with Gymnasium; what is registered already stays."""
     from gymnasium.envs.registration import register, registry
 
-    for name, entry_point in IDS.items():
+    for name, kind in IDS.items():
         if name not in registry:
-            vector = entry_point.replace("balance:", "vector:").replace("Env", "VectorEnv")
-            register(id=name, entry_point=entry_point, vector_entry_point=vector)
+            register(
+                id=name,
+                entry_point=f"equipoise.envs.balance:{kind}Env",
+                vector_entry_point=f"equipoise.envs.vector:{kind}VectorEnv",
+            )
 
 
 def __getattr__(name: str) -> object:

@@ -17,13 +17,14 @@ from equipoise.control.controller import Observation
 from equipoise.control.trial_safety import guard_named
 from equipoise.envs.pictures import Screen
 from equipoise.errors import InputError
+from equipoise.learning import rewards
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.sim_configs import IDEAL, MODEL, World
-from equipoise.settings import Settings
+from equipoise.settings import LearningSettings, Settings
 from equipoise.simulation import Setup, Trial, estimated, predicted, simulate
 
 if TYPE_CHECKING:
@@ -36,7 +37,8 @@ Reward = Callable[[Observation, float, Observation, bool], float]
 
 RIG: Final = "rig"
 """World of an episode on a rig."""
-U_MAX: Final = max(map(abs, paper.ACTIONS))
+REWARD_FAILURE: Final = LearningSettings().reward_failure
+"""Reward of a failure in the paper's reward."""
 WINDOW: Final = 256
 """Number of trials whose conditions are drawn at a time."""
 ONCE: Final = "the environment has not been reset; call env.reset() first"
@@ -44,7 +46,7 @@ ONCE: Final = "the environment has not been reset; call env.reset() first"
 
 def paper_reward(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
     """Return the paper's reward: -1 for a failure, otherwise 0."""
-    return -1.0 if failed else 0.0
+    return rewards.paper(state, u, next_state, failed, REWARD_FAILURE)
 
 
 class BalanceEnv(gym.Env[Array, Any]):
@@ -173,7 +175,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         self._screen = None if render_mode is None else Screen(self._setup.arm, render_mode)
         size = 3 + len(self._setup.arm.joints) if observe == "raw" else 4
         self.observation_space = spaces.Box(-inf, inf, (size,), np.float64)
-        self.action_space = spaces.Box(-U_MAX, U_MAX, (1,), np.float64)
+        self.action_space = spaces.Box(-paper.U_MAX, paper.U_MAX, (1,), np.float64)
         self._seed, self._number, self._steps, self._u = -1, 0, 0, 0.0
         self._state: Observation | None = None
         self._rig: RigEpisode | None = None

@@ -4,6 +4,7 @@ from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
+import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -12,6 +13,7 @@ from equipoise.control.controller import Observation
 from equipoise.control.trial_safety import guard_named
 from equipoise.envs.balance import (
     ONCE,
+    REWARD_FAILURE,
     RIG,
     WINDOW,
     Array,
@@ -25,6 +27,8 @@ from equipoise.model.sim_configs import MODEL, World
 from equipoise.simulation import Trials, available_cores
 from equipoise.simulation.fleet import new_fleet
 from equipoise.simulation.trials import Whole
+
+Flags = npt.NDArray[np.bool_]
 
 RESET_MASK = "reset_mask"
 """Option of `reset`: which environments are reset, shape (num_envs,)."""
@@ -183,7 +187,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
         truncated = values.tick >= self._max_steps
         truncated &= ~terminated
         if before is None:
-            rewards = -terminated.astype(np.float64)
+            rewards = np.where(terminated, REWARD_FAILURE, 0.0)
         else:
             rewards = self._rewards(before, u, terminated)
         if self._mode is AutoresetMode.NEXT_STEP and over.any():
@@ -241,7 +245,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
         q = [self._arm.with_held(row) for row in values.measured[:, :-1]]
         return np.hstack((values.encoder, q, values.measured[:, -1:]))
 
-    def _info(self, ended: Array | None = None) -> dict[str, Any]:
+    def _info(self, ended: Flags | None = None) -> dict[str, Any]:
         values = self._values
         info: dict[str, Any] = {
             "time": values.tick * self._h,
@@ -250,10 +254,9 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
             "_state": self._all,
         }
         if ended is not None:
-            codes = [int(c) if e else None for c, e in zip(values.cause, ended, strict=True)]
-            info["cause"] = np.array(["" if c is None else cause_named(c) for c in codes], object)
-            info["guard"] = np.array(["" if c is None else guard_named(c) for c in codes], object)
-            info["_cause"] = info["_guard"] = ended
+            for key, named in (("cause", cause_named), ("guard", guard_named)):
+                info[key], info[f"_{key}"] = np.full(self.num_envs, "", object), ended
+                info[key][ended] = [named(code) for code in values.cause[ended].tolist()]
         return info
 
 
