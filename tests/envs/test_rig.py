@@ -1,5 +1,9 @@
 """The environment on an emulated rig: the course of a run, its guards, and rest at its end."""
 
+import itertools
+import sys
+import time
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -7,12 +11,14 @@ import pytest
 import equipoise.envs  # noqa: F401  (registers the environments)
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError
+from equipoise.logs.run_log import RunLog
+from tests.cli.test_emulate import emulator
 
 pytestmark = pytest.mark.compiled_only
 
 
-def make(**arguments):
-    return gym.make("equipoise/Balance-v0", world="rig", robot="twin:nominal", **arguments)
+def make(robot="twin:nominal", **arguments):
+    return gym.make("equipoise/Balance-v0", world="rig", robot=robot, **arguments)
 
 
 def test_a_table_balances_until_the_time_limit_and_equal_seeds_give_equal_bits():
@@ -57,7 +63,46 @@ def test_what_does_not_belong_to_a_rig_is_refused():
     for arguments in ({"observe": "raw"}, {"render_mode": "rgb_array"}):
         with pytest.raises(InputError, match="needs robot="):
             make(**arguments)
-    with pytest.raises(InputError, match="emulated rig only"):
+    with pytest.raises(InputError, match="a run on a robot is logged"):
         gym.make("equipoise/Balance-v0", world="rig", robot="kst://host", encoder="socket://h:1")
     with pytest.raises(InputError, match="belong to world='rig'"):
         gym.make("equipoise/Balance-v0", world="model", robot="twin:nominal")
+
+
+class Yes:
+    """Operator who confirms every question."""
+
+    def __init__(self):
+        self.answers = []
+
+    def notify(self, event):
+        self.answers += event.answers[:1]
+
+    def read_input(self):
+        answers, self.answers = self.answers, []
+        return answers
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
+def test_over_wires_in_real_time_it_balances_until_an_action_is_late(tmp_path):
+    policy = shipped_policy()
+    with emulator("--encoder-link", str(tmp_path / "encoder")) as rig:
+        env = make(
+            robot=f"kst://127.0.0.1:{rig.port}",
+            encoder=f"serial://{tmp_path / 'encoder'}",
+            log=tmp_path / "run.mcap",
+            operator=Yes(),
+        )
+        observation, _ = env.reset()
+        ended = False
+        for i in itertools.count():
+            if i == 50:
+                time.sleep(0.1)
+            observation, _, ended, truncated, info = env.step([policy.act(observation)])
+            if ended:
+                break
+        assert (i, truncated, info["cause"]) == (50, False, "policy"), info
+        assert "took" in info["reason"]
+        env.close()
+    log = RunLog.load(tmp_path / "run.mcap")
+    assert log.cause == "policy"

@@ -14,6 +14,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
@@ -74,6 +75,8 @@ def run_in_processes(
 ) -> RunResult:
     """Run a policy on a rig in real time, and write the log.
 
+    Outside the main thread only the loop's process handles signals.
+
     Args:
         request: The run.
         out: Path of the log.
@@ -104,7 +107,8 @@ def run_in_processes(
     )
     loop = context.Process(target=_loop, args=(request, memory, joints, theirs), daemon=False)
     words: list[str] = []
-    before = {number: signal.signal(number, lambda *_: words.append(STOP)) for number in SIGNALS}
+    caught = SIGNALS if threading.current_thread() is threading.main_thread() else ()
+    before = {number: signal.signal(number, lambda *_: words.append(STOP)) for number in caught}
     log = LogProcess(writer, log_pipe[1])
     try:
         with _signals_blocked():

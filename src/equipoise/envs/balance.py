@@ -15,6 +15,7 @@ from equipoise.artefacts import StrPath
 from equipoise.control.boxes import COUNT, TRUNCATED, box_index, boxes, cause_named
 from equipoise.control.controller import Observation
 from equipoise.control.trial_safety import guard_named
+from equipoise.devices.operator import Operator
 from equipoise.envs.pictures import Screen
 from equipoise.errors import InputError
 from equipoise.learning import rewards
@@ -109,11 +110,15 @@ class BalanceEnv(gym.Env[Array, Any]):
     | `pendulum`, `arm`, `actuator`, `settings` | those that ship | the task |
     | `render_mode` | `None` | `rgb_array` or `human` |
     | `robot`, `encoder`, `rig`, `log` | `None` | for `rig`: addresses, `rig.toml`, log file |
+    | `operator` | `None` | for `rig`: an `equipoise.devices.operator.Operator` |
 
-    With `world="rig"` and `robot="twin:nominal"`, an emulated rig in virtual time, `reset` runs the
-    course of a run from the pre-flight to the release, `step` is one tick under guards and state
-    machine, and `close` brings the arm to rest. A stop of any kind is termination, and `info` has
-    its `cause` and `reason`; the last observation is then that of the tick before.
+    With `world="rig"` `reset` runs the course of a run from the pre-flight to the release, `step`
+    is one tick under guards and state machine, and `close` brings the arm to rest. A stop of any
+    kind is termination, and `info` has its `cause` and `reason`; the last observation is then that
+    of the tick before. `robot="twin:nominal"` is an emulated rig in virtual time. On a robot, such
+    as `robot="kst://172.31.1.147:30001", encoder="serial:///dev/ttyACM0"`, time is real: an action
+    more than 5 ms after its observation stops the run, and the operator answers at the terminal
+    unless `operator=` is given.
 
     ## Version History
 
@@ -138,6 +143,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         encoder: str | None = None,
         rig: StrPath | None = None,
         log: StrPath | None = None,
+        operator: Operator | None = None,
     ) -> None:
         """Set up the task; the arguments are in the description of the class.
 
@@ -154,8 +160,8 @@ class BalanceEnv(gym.Env[Array, Any]):
                 "world='rig' needs robot=, such as 'twin:nominal', and observes 'predicted', "
                 "without pictures; leave out observe and render_mode"
             )
-        if not on_a_rig and (robot or encoder or rig or log):
-            raise InputError("robot, encoder, rig and log belong to world='rig'")
+        if not on_a_rig and (robot or encoder or rig or log or operator):
+            raise InputError("robot, encoder, rig, log and operator belong to world='rig'")
         if observe == "raw" and world == IDEAL:
             raise InputError(
                 "the world ideal has no encoder: there are no raw measurements; choose model or a "
@@ -186,7 +192,9 @@ class BalanceEnv(gym.Env[Array, Any]):
             described = read_rig(None if rig is None else Path(rig))
             self._setup = self._setup._replace(arm=described.described_arm)
             path = None if log is None else Path(log)
-            self._rig = Episode(self._setup, described, robot or "", encoder, duration, path)
+            self._rig = Episode(
+                self._setup, described, robot or "", encoder, duration, path, operator
+            )
             return
         self._simulation = simulate(world, self._setup, seed=0, stream=ENVIRONMENT)
         self._loop, self._window = self._simulation.loop(), None

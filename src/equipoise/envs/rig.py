@@ -1,21 +1,38 @@
-"""An episode on a rig: a run in a thread of its own, whose policy asks the environment for u.
+"""Episodes on a rig: a run in a thread of its own, whose policy asks the environment for u.
 
 The run is that of `equipoise deploy`: pre-flight, checklist, way home, self-test, release, and the
 state machine with its guards. Two queues of one entry hand over observation and u, so that either
-the run or the environment waits: in virtual time an episode is deterministic.
+the run or the environment waits: in virtual time an episode is deterministic. On a robot the loop
+runs in a process of its own, and a pipe extends the two queues to it.
 """
 
+import multiprocessing
+import select
+import sys
+from contextlib import suppress
+from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import Queue
 from threading import Thread
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.control.bound_policy import BoundPolicy
-from equipoise.deployment.rig import LASTED, STOP, RunRequest, RunResult, run_virtually
+from equipoise.control.ticks import OperatorMessage
+from equipoise.deployment.processes import run_in_processes
+from equipoise.deployment.rig import (
+    LASTED,
+    STOP,
+    RunRequest,
+    RunResult,
+    check_request,
+    run_virtually,
+)
+from equipoise.devices.operator import Operator
 from equipoise.errors import EquipoiseError, InputError, OutsideError
+from equipoise.printable import printable
 from equipoise.rigs import RigSettings, check_addresses, is_virtual
 from equipoise.simulation import Setup
 
@@ -36,13 +53,32 @@ class End(NamedTuple):
     """Whether anything but the time limit ended the episode."""
 
 
-class _Handover:
-    """The policy of the run and its second operator: both speak for the environment."""
+class TerminalLines:
+    """Operator at the terminal of a program: messages are printed, answers typed as lines."""
 
-    def __init__(self) -> None:
-        self.observations: Queue[Array | RunResult | BaseException] = Queue(1)
+    def notify(self, event: OperatorMessage) -> None:
+        """Print a message."""
+        sys.stdout.write(printable(event.text.replace("\t", "  ").replace("\a", "")) + "\n")
+        sys.stdout.flush()
+
+    def read_input(self) -> list[str]:
+        """Return the lines typed since the last call; a stop after the end of the input."""
+        lines: list[str] = []
+        while select.select([sys.stdin], [], [], 0.0)[0]:
+            if not (line := sys.stdin.readline()):
+                return [*lines, STOP]
+            lines.append(line.strip())
+        return lines
+
+
+class _Handover:
+    """Policy of a run and its second operator, both on behalf of the environment."""
+
+    def __init__(self, operator: Operator | None) -> None:
+        self.observations: Queue[Array | RunResult | BaseException] = Queue(2)
         self.actions: Queue[float] = Queue(1)
         self.closing = False
+        self._operator = operator
 
     def reset(self) -> None:
         """Do nothing: the environment begins with the first observation."""
@@ -52,12 +88,41 @@ class _Handover:
         self.observations.put(observation)
         return self.actions.get()
 
-    def notify(self, event: Any) -> None:
-        """Ignore a message: the emulated operator answers."""
+    def serve(self, pipe: Connection) -> None:
+        """Answer a `_RemotePolicy` until its process has ended."""
+        with suppress(EOFError, OSError):
+            while True:
+                released, observation = pipe.recv()
+                pipe.send(self.act(observation) if released else 0.0)
+
+    def notify(self, event: OperatorMessage) -> None:
+        """Send a message to the operator."""
+        if self._operator is not None:
+            self._operator.notify(event)
 
     def read_input(self) -> list[str]:
-        """Return the word that stops the run, once the environment is closed."""
-        return [STOP] if self.closing else []
+        """Return the operator's lines, and a stop once the environment is closed."""
+        lines = [] if self._operator is None else self._operator.read_input()
+        return [*lines, STOP] if self.closing else lines
+
+    def live(self, phase: str, phi: float) -> None:
+        """Show nothing: the program has the observations."""
+
+
+class _RemotePolicy:
+    """Policy in the loop's process that asks the environment's process for u."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe, self._resets = pipe, 0
+
+    def reset(self) -> None:
+        """Count the resets: the first is that of the warm-up, the second that of the release."""
+        self._resets += 1
+
+    def act(self, observation: Array) -> float:
+        """Return the environment's u [m/s^2]; 0 in the warm-up."""
+        self._pipe.send((self._resets > 1, observation))
+        return float(self._pipe.recv())
 
 
 class RigEpisode:
@@ -71,6 +136,7 @@ class RigEpisode:
         encoder: str | None,
         duration: float,
         log: Path | None,
+        operator: Operator | None,
     ) -> None:
         """Name a rig; nothing is connected before `begin`.
 
@@ -80,17 +146,17 @@ class RigEpisode:
             robot: Address of the robot.
             encoder: Address of the encoder; none where the robot has its own.
             duration: Length of an episode [s].
-            log: File of the log; each episode replaces it.
+            log: Log of the first episode; the next are FILE-2, FILE-3 and so on.
+            operator: Operator besides the emulated one; on a robot by default `TerminalLines`.
 
         Raises:
-            InputError: An address is none of an emulated rig.
+            InputError: An address is invalid, or a robot has no log.
         """
         check_addresses(robot, encoder)
-        if not is_virtual(robot):
-            raise InputError(
-                f"the environment runs on an emulated rig only, got {robot}; give "
-                "robot='twin:nominal', or run the trained policy with equipoise deploy"
-            )
+        if not is_virtual(robot) and log is None:
+            raise InputError("a run on a robot is logged; give log='run.mcap'")
+        self._operator = operator if operator or is_virtual(robot) else TerminalLines()
+        self._episodes = 0
         self._setup, self._settings, self._robot = setup, settings, robot
         self._encoder, self._duration, self._log = encoder, duration, log
         self._thread: Thread | None = None
@@ -103,10 +169,17 @@ class RigEpisode:
         """
         self.end()
         pendulum, arm, settings, actuator, h = self._setup
-        self._between = handover = _Handover()
-        policy = BoundPolicy(handover, NAME, NAME, None, pendulum, arm, actuator, settings, h)
+        self._between = handover = _Handover(self._operator)
+        virtual, out = is_virtual(self._robot), self._log
+        self._episodes += 1
+        if out is not None and self._episodes > 1:
+            out = out.with_stem(f"{out.stem}-{self._episodes}")
+        if out is not None and out.exists():
+            raise InputError(f"{out} exists; move it, or give another log=")
+        ours, theirs = multiprocessing.Pipe()
+        chosen = handover if virtual else _RemotePolicy(theirs)
         request = RunRequest(
-            policy=policy,
+            policy=BoundPolicy(chosen, NAME, NAME, None, pendulum, arm, actuator, settings, h),
             actuator=actuator,
             settings=self._settings,
             robot=self._robot,
@@ -116,14 +189,20 @@ class RigEpisode:
             dry_run=False,
             seed=seed,
         )
+        check_request(request)
 
         def run() -> None:
+            result: RunResult | BaseException
             try:
-                result = run_virtually(request, self._log, handover, replace=True)
+                if virtual or out is None:
+                    result = run_virtually(request, out, handover)
+                else:
+                    Thread(target=handover.serve, args=(ours,), daemon=True).start()
+                    result = run_in_processes(request, out, handover)
             except BaseException as error:  # the environment raises it
-                handover.observations.put(error)
-            else:
-                handover.observations.put(result)
+                result = error
+            theirs.close()
+            handover.observations.put(result)
 
         self._thread = Thread(target=run, name="equipoise rig", daemon=True)
         self._thread.start()
