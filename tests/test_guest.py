@@ -109,3 +109,14 @@ def test_its_addresses_are_checked_and_its_robot_is_missed(run, tmp_path):
         "-m", "equipoise", "rig", "doctor", "--robot", "guest://127.0.0.1:1", "--seconds", 1, code=1
     )
     assert "no connection to guest://127.0.0.1:1" in ran.stdout
+
+
+def test_its_learner_reward_and_policy_need_no_more_than_their_names(run, tmp_path):
+    trained = ("--learner", "guest.learner:learner", "--reward", "guest.reward:middle")
+    budget = ("--episodes", 300, "--seeds", 1, "--out", "policy.json")
+    equipoise(run, "train", *trained, *budget)
+    learning = json.loads((tmp_path / "policy.json").read_text())["body"]["settings"]["learning"]
+    assert re.fullmatch(r"guest\.learner:learner@[0-9a-f]{16}", learning["learner"])
+    assert re.fullmatch(r"guest\.reward:middle@[0-9a-f]{16}", learning["reward"])
+    trials = ("--trials", 4, "--duration", 5, "--world", "twin:nominal", "--no-baselines")
+    assert equipoise(run, "evaluate", "guest.policy:Policy", *trials)["rate"] == 1.0
