@@ -158,11 +158,7 @@ def check_host(host: HostInfo) -> Iterator[CheckResult]:
 
 
 def _check(
-    name: str,
-    reading: T | None,
-    unknown: str,
-    judge: Callable[[T], tuple[bool, str]],
-    cure: str,
+    name: str, reading: T | None, unknown: str, judge: Callable[[T], tuple[bool, str]], cure: str
 ) -> CheckResult:
     """Return the result for a reading that may be missing, with the cure for either case."""
     if reading is None:

@@ -62,8 +62,7 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _command(
     version: Annotated[
-        bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     """Carry the options that belong to no verb; typer takes its help from `app`."""

@@ -66,7 +66,7 @@ def doctor(
     if robot and diagnosis.link is not None and (restart := restart_instruction(robot)):
         output.say(
             f"This session with the robot has ended; before the next one, {restart}. "
-            "equipoise deploy times the link itself, in the session of the run.",
+            "equipoise deploy times the link itself, in the session of the run."
         )
     output.result(diagnosis.model_dump(mode="json"), bad=diagnosis.verdict == "not fit")
 

@@ -48,8 +48,7 @@ def evaluate(
     world: Annotated[
         str,
         opt.value(
-            "WORLD",
-            "ideal: the paper's plant; model: behind the actuator; twin:NAME or twin:FILE.",
+            "WORLD", "ideal: the paper's plant; model: behind the actuator; twin:NAME or twin:FILE."
         ),
     ] = "model",
     max_speed: opt.MaxSpeed = None,

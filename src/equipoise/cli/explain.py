@@ -29,10 +29,7 @@ COLUMNS = (
 
 
 @verb
-def explain(
-    run: opt.RunFile,
-    as_json: opt.Json = False,
-) -> None:
+def explain(run: opt.RunFile, as_json: opt.Json = False) -> None:
     """Explain why a run ended: causes with their evidence, the most likely first.
 
     Examines release, pushes, the encoder and its zero, lateness, commands and

@@ -12,8 +12,7 @@ from equipoise.cli.output import Output, verb
 def export(
     run: opt.RunFile,
     out: Annotated[
-        Path | None,
-        opt.out("Folder for the tables; by default named as the log.", False, "DIR"),
+        Path | None, opt.out("Folder for the tables; by default named as the log.", False, "DIR")
     ] = None,
     video: Annotated[
         Path | None,

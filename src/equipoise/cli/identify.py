@@ -55,13 +55,11 @@ def identify(
         float | None, opt.value("METRES", "Its standard deviation.", panel=SEPARATE)
     ] = None,
     out: Annotated[
-        Path | None,
-        opt.out("File to write; pendulum.json, or actuator.json for a run log.", False),
+        Path | None, opt.out("File to write; pendulum.json, or actuator.json for a run log.", False)
     ] = None,
     force: opt.Force = False,
     figure: Annotated[
-        bool,
-        opt.flag("--figure/--no-figure", "Draw figure 2 beside it.", panel=opt.IN_AND_OUT),
+        bool, opt.flag("--figure/--no-figure", "Draw figure 2 beside it.", panel=opt.IN_AND_OUT)
     ] = True,
     settings_file: opt.SettingsFile = None,
     settings: opt.Set = None,
@@ -79,11 +77,7 @@ def identify(
         _identify_actuator(output, recording, out, force)
         return
     destination = choose_file(
-        output,
-        out,
-        "pendulum.json",
-        force=force,
-        beside=_pictures if figure else lambda _: (),
+        output, out, "pendulum.json", force=force, beside=_pictures if figure else lambda _: ()
     )
 
     from equipoise.identification import identify as fit
@@ -130,10 +124,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
         actuator = identify_run(run)
     with destination.claimed() as out:
         actuator.save(out, command="identify", inputs={"run": run.digest})
-    rows = {
-        "servo law": actuator.kind,
-        "transport delay": in_ms(actuator.delay),
-    }
+    rows = {"servo law": actuator.kind, "transport delay": in_ms(actuator.delay)}
     if actuator.kind == "kst":
         rows["servo cycle"] = in_ms(actuator.cycle)
     for place, lag in zip(run.conditions.free, actuator.lags, strict=True):

@@ -182,10 +182,7 @@ def after_explanation(run: Path, policy: str, moved: bool) -> Command:
     if not policy:
         return ("identify", str(run))
     if not moved:
-        return (
-            "rig",
-            "doctor",
-        )
+        return ("rig", "doctor")
     if policy == shipped_policy().digest:
         return ("log", "replay", str(run))
     found = file_with(policy, run)

@@ -55,8 +55,7 @@ def _seed(seed: int) -> int:
 
 Json = Annotated[bool, flag("--json", "Print one JSON object and nothing else.", panel=IN_AND_OUT)]
 Force = Annotated[
-    bool,
-    flag("--force", "Replace existing files; otherwise they are kept.", panel=IN_AND_OUT),
+    bool, flag("--force", "Replace existing files; otherwise they are kept.", panel=IN_AND_OUT)
 ]
 Resume = Annotated[
     bool,
@@ -67,12 +66,10 @@ Resume = Annotated[
     ),
 ]
 SettingsFile = Annotated[
-    Path | None,
-    value("TOML", "Settings, one table per section.", "--settings", panel=IN_AND_OUT),
+    Path | None, value("TOML", "Settings, one table per section.", "--settings", panel=IN_AND_OUT)
 ]
 Set = Annotated[
-    list[str] | None,
-    value("NAME=VALUE", "One setting; repeatable.", "--set", panel=IN_AND_OUT),
+    list[str] | None, value("NAME=VALUE", "One setting; repeatable.", "--set", panel=IN_AND_OUT)
 ]
 Recipe = Annotated[str, value("NAME", "robust, or paper: the most literal reading of its text.")]
 MaxSpeed = Annotated[
@@ -97,8 +94,7 @@ Columns = Annotated[
     ),
 ]
 FromUpright = Annotated[
-    bool,
-    flag("--from-upright", "The recorded angle is zero when upright.", panel=RECORDING),
+    bool, flag("--from-upright", "The recorded angle is zero when upright.", panel=RECORDING)
 ]
 
 Seed = Annotated[int, value("N", "Master seed; equal seeds give equal results.", callback=_seed)]

@@ -59,11 +59,7 @@ def _next(what: str, file: Path) -> tuple[str, ...]:
 
         policy = file_with(Certificate.load(file).policy, file)
         return ("evaluate", str(policy or "POLICY"), "--verify", str(file))
-    verbs = {
-        "pendulum": ("train",),
-        "actuator": ("train", "--actuator"),
-        "policy": ("evaluate",),
-    }
+    verbs = {"pendulum": ("train",), "actuator": ("train", "--actuator"), "policy": ("evaluate",)}
     if "log" in what:
         return ("log", "explain", str(file))
     return (*verbs[what], str(file)) if what in verbs else ("reproduce",)

@@ -35,8 +35,7 @@ def train(
         opt.value("NAME", "q_learning (the paper's), sarsa, watkins, double_q, or MODULE:NAME."),
     ] = None,
     reward: Annotated[
-        str | None,
-        opt.value("NAME", "paper, alive, centred, or MODULE:NAME of a function."),
+        str | None, opt.value("NAME", "paper, alive, centred, or MODULE:NAME of a function.")
     ] = None,
     episodes: Annotated[
         int | None, opt.value("N", "Number of episodes; by default the paper's 10,000.", min=1)

@@ -25,12 +25,7 @@ def trials_of(
         total: Number of trials.
     """
     from equipoise.model.sim_configs import IDEAL, MODEL
-    from equipoise.studies.compilation import (
-        FUNCTIONS,
-        TWIN_FUNCTIONS,
-        compile_trials,
-        compiling,
-    )
+    from equipoise.studies.compilation import FUNCTIONS, TWIN_FUNCTIONS, compile_trials, compiling
     from equipoise.studies.progress import counted
 
     functions = FUNCTIONS if world in (IDEAL, MODEL) else FUNCTIONS + TWIN_FUNCTIONS

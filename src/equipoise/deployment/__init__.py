@@ -77,10 +77,7 @@ def deploy(
     if twin is not None:
         measured = {
             "stream": {"time": sent, "q": _all_joints(arm, setpoints)},
-            "replies": {
-                "time": rows.measured[:, -1],
-                "q": _all_joints(arm, rows.measured[:, :-1]),
-            },
+            "replies": {"time": rows.measured[:, -1], "q": _all_joints(arm, rows.measured[:, :-1])},
             "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
         }
     partition, state = boxes(), ("x", "x_dot", "phi", "phi_dot")
