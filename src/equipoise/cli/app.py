@@ -1,7 +1,6 @@
 """The command and its verbs, grouped as they are used: the story, the robot, the logs."""
 
 from functools import partial
-from typing import Annotated
 
 import typer
 
@@ -61,8 +60,8 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _command(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
 ) -> None:
     """Carry the options that belong to no verb; typer takes its help from `app`."""

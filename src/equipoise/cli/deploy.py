@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
@@ -57,47 +57,32 @@ class _Report(NamedTuple):
 @verb
 def deploy(
     context: typer.Context,
-    policy: opt.PolicyFile = None,
-    world: Annotated[
-        str,
-        opt.value(
-            "WORLD", "twin:nominal, twin:harsh, twin:FILE; or model, the plant of the training."
-        ),
-    ] = "twin:nominal",
-    duration: Annotated[
-        float | None, opt.value("SECONDS", "Duration of the run; 60, or 10 with --excite.")
-    ] = None,
-    actuator: opt.KnownActuator = None,
-    seed: opt.Seed = 0,
-    robot: Annotated[
-        str | None,
-        opt.value("URI", "kst://HOST:30001; or twin:nominal, an emulated rig.", panel=opt.RIG),
-    ] = None,
-    encoder: opt.EncoderUri = None,
-    rig: opt.RigFile = None,
-    dry_run: Annotated[
-        bool, opt.flag("--dry-run", "Do everything except move.", panel=opt.RIG)
-    ] = False,
-    t1: Annotated[
-        bool, opt.flag("--t1", "Stop where the flange reaches 0.23 m/s.", panel=opt.RIG)
-    ] = False,
-    excite: Annotated[
-        bool,
-        opt.flag(
-            "--excite",
-            "Move every joint about home instead, the pendulum hanging.",
-            panel=EXCITATION,
-        ),
-    ] = False,
-    pendulum: opt.TaskPendulum = None,
-    arm: opt.TaskArm = None,
-    settings_file: opt.SettingsFile = None,
-    out: Annotated[Path | None, opt.out("Run log to write, MCAP.", LOG)] = None,
-    video: Annotated[
-        Path | None, opt.value("FILE", "Film of the run, MP4.", panel=opt.IN_AND_OUT)
-    ] = None,
-    force: opt.Force = False,
-    as_json: opt.Json = False,
+    policy: Path | None = opt.POLICY,
+    world: str = opt.value(
+        "WORLD",
+        "twin:nominal, twin:harsh, twin:FILE; or model, the plant of the training.",
+        default="twin:nominal",
+    ),
+    duration: float | None = opt.value("SECONDS", "Duration of the run; 60, or 10 with --excite."),
+    actuator: str | None = opt.KNOWN_ACTUATOR,
+    seed: int = opt.SEED,
+    robot: str | None = opt.value(
+        "URI", "kst://HOST:30001; or twin:nominal, an emulated rig.", panel=opt.RIG_PANEL
+    ),
+    encoder: str | None = opt.ENCODER,
+    rig: Path | None = opt.RIG,
+    dry_run: bool = opt.flag("--dry-run", "Do everything except move.", panel=opt.RIG_PANEL),
+    t1: bool = opt.flag("--t1", "Stop where the flange reaches 0.23 m/s.", panel=opt.RIG_PANEL),
+    excite: bool = opt.flag(
+        "--excite", "Move every joint about home instead, the pendulum hanging.", panel=EXCITATION
+    ),
+    pendulum: Path | None = opt.TASK_PENDULUM,
+    arm: str | None = opt.TASK_ARM,
+    settings_file: Path | None = opt.SETTINGS_FILE,
+    out: Path | None = opt.out("Run log to write, MCAP.", LOG),
+    video: Path | None = opt.value("FILE", "Film of the run, MP4.", panel=opt.IN_AND_OUT),
+    force: bool = opt.FORCE,
+    as_json: bool = opt.JSON,
 ) -> None:
     """Run a policy once, on a digital twin or on a rig, and write the log.
 

@@ -1,7 +1,7 @@
 """`equipoise rig doctor`: checks whether machine and rig are fit for a run."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Final
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import VERDICT_STYLES, Output, verb
@@ -20,17 +20,15 @@ FITNESS_STYLES: Final = {"fit": "green", "usable with care": "yellow", "not fit"
 
 @verb
 def doctor(
-    seconds: Annotated[float, opt.value("S", "Duration of each measurement.")] = 5.0,
-    load: Annotated[
-        bool, opt.flag("--load", "Measure again while every core is kept busy.")
-    ] = False,
-    robot: opt.RobotUri = None,
-    encoder: opt.EncoderUri = None,
-    rig: opt.RigFile = None,
-    logs: Annotated[
-        Path, opt.value("FOLDER", "Folder of the run logs.", panel=opt.IN_AND_OUT)
-    ] = Path(),
-    as_json: opt.Json = False,
+    seconds: float = opt.value("S", "Duration of each measurement.", default=5.0),
+    load: bool = opt.flag("--load", "Measure again while every core is kept busy."),
+    robot: str | None = opt.ROBOT,
+    encoder: str | None = opt.ENCODER,
+    rig: Path | None = opt.RIG,
+    logs: Path = opt.value(
+        "FOLDER", "Folder of the run logs.", panel=opt.IN_AND_OUT, default=Path()
+    ),
+    as_json: bool = opt.JSON,
 ) -> None:
     """Check whether machine and rig are fit for a run, and advise a cure.
 

@@ -5,7 +5,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, stop_by_signal, verb
@@ -20,38 +20,30 @@ HOST = "127.0.0.1"
 
 @verb
 def emulate(
-    world: Annotated[
-        str, opt.value("WORLD", "twin:nominal, twin:harsh or twin:FILE.")
-    ] = "twin:nominal",
-    robot: Annotated[
-        str, opt.value("SCHEME", "Robot to emulate, by the scheme of its addresses.")
-    ] = "kst",
-    arm: opt.ArmName = "iiwa7",
-    pendulum: Annotated[
-        Path | None, opt.value("FILE", "From equipoise identify; by default the shipped one.")
-    ] = None,
-    port: Annotated[
-        int, opt.value("N", "Port of the robot; 0 selects a free one.", min=0, max=65535)
-    ] = 30001,
-    encoder_link: Annotated[
-        Path | None, opt.value("PATH", "Further name of the encoder's terminal.")
-    ] = None,
-    no_operator: Annotated[
-        bool, opt.flag("--no-operator", "Read the operator's actions from the keyboard.")
-    ] = False,
-    clumsy: Annotated[
-        float, opt.value("P", "Probability that the hand pushes or drags.", min=0.0, max=1.0)
-    ] = 0.0,
-    inject: Annotated[
-        str,
-        opt.value(
-            "FAULTS",
-            "Faults of the robot's answers; kst: delay=S,jitter=S,drop=SHARE,refuse=SHARE.",
-            show_default=False,
-        ),
-    ] = "",
-    seed: opt.Seed = 0,
-    as_json: opt.Json = False,
+    world: str = opt.TWIN,
+    robot: str = opt.value(
+        "SCHEME", "Robot to emulate, by the scheme of its addresses.", default="kst"
+    ),
+    arm: str = opt.ARM,
+    pendulum: Path | None = opt.value(
+        "FILE", "From equipoise identify; by default the shipped one."
+    ),
+    port: int = opt.value(
+        "N", "Port of the robot; 0 selects a free one.", min=0, max=65535, default=30001
+    ),
+    encoder_link: Path | None = opt.value("PATH", "Further name of the encoder's terminal."),
+    no_operator: bool = opt.flag("--no-operator", "Read the operator's actions from the keyboard."),
+    clumsy: float = opt.value(
+        "P", "Probability that the hand pushes or drags.", min=0.0, max=1.0, default=0.0
+    ),
+    inject: str = opt.value(
+        "FAULTS",
+        "Faults of the robot's answers; kst: delay=S,jitter=S,drop=SHARE,refuse=SHARE.",
+        show_default=False,
+        default="",
+    ),
+    seed: int = opt.SEED,
+    as_json: bool = opt.JSON,
 ) -> None:
     """Emulate robot, pendulum, encoder and operator, until Ctrl-C.
 

@@ -1,7 +1,7 @@
 """`equipoise evaluate`: measures how long a policy stands, and why it falls."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -34,59 +34,46 @@ QUANTILES = ("0.05", "0.25", "0.75", "0.95")
 @verb
 def evaluate(
     context: typer.Context,
-    policy: opt.PolicyFile = None,
-    named: Annotated[
-        Path | None, opt.value("POLICY", "The same, as an option.", "--policy")
-    ] = None,
-    trials: Annotated[
-        int | None,
-        opt.value("N", "Number of trials; by default 200, or as --claim requires.", min=1),
-    ] = None,
-    duration: Annotated[
-        float | None, opt.value("SECONDS", "Duration of a trial; by default 60.")
-    ] = None,
-    world: Annotated[
-        str,
-        opt.value(
-            "WORLD", "ideal: the paper's plant; model: behind the actuator; twin:NAME or twin:FILE."
-        ),
-    ] = "model",
-    max_speed: opt.MaxSpeed = None,
-    actuator: opt.KnownActuator = None,
-    with_baselines: Annotated[
-        bool, opt.flag("--baselines/--no-baselines", "Run LQR, PD and random actions too.")
-    ] = True,
-    claim: Annotated[
-        float | None,
-        opt.value(
-            "P",
-            "Claim that a trial lasts with at least this probability, e.g. 0.99, and write a "
-            "certificate.",
-            panel=CLAIM,
-        ),
-    ] = None,
-    confidence: Annotated[float, opt.value("C", "Confidence of the claim.", panel=CLAIM)] = 0.95,
-    verify: Annotated[
-        Path | None,
-        opt.value("CERTIFICATE", "Repeat the trials of this certificate of POLICY.", panel=CLAIM),
-    ] = None,
-    pendulum: opt.TaskPendulum = None,
-    arm: opt.TaskArm = None,
-    settings_file: opt.SettingsFile = None,
-    seed: opt.Seed = 0,
-    workers: opt.Workers = None,
-    held: opt.Held = None,
-    base: opt.Base = None,
-    tip: opt.Tip = None,
-    out: Annotated[
-        Path | None,
-        opt.out(
-            "Evaluation to write; with --claim the certificate, its trials beside it.",
-            "evaluation.json or certificate.json",
-        ),
-    ] = None,
-    force: opt.Force = False,
-    as_json: opt.Json = False,
+    policy: Path | None = opt.POLICY,
+    named: Path | None = opt.value("POLICY", "The same, as an option.", "--policy"),
+    trials: int | None = opt.value(
+        "N", "Number of trials; by default 200, or as --claim requires.", min=1
+    ),
+    duration: float | None = opt.value("SECONDS", "Duration of a trial; by default 60."),
+    world: str = opt.value(
+        "WORLD",
+        "ideal: the paper's plant; model: behind the actuator; twin:NAME or twin:FILE.",
+        default="model",
+    ),
+    max_speed: float | None = opt.MAX_SPEED,
+    actuator: str | None = opt.KNOWN_ACTUATOR,
+    with_baselines: bool = opt.flag(
+        "--baselines/--no-baselines", "Run LQR, PD and random actions too.", default=True
+    ),
+    claim: float | None = opt.value(
+        "P",
+        "Claim that a trial lasts with at least this probability, e.g. 0.99, and write a "
+        "certificate.",
+        panel=CLAIM,
+    ),
+    confidence: float = opt.value("C", "Confidence of the claim.", panel=CLAIM, default=0.95),
+    verify: Path | None = opt.value(
+        "CERTIFICATE", "Repeat the trials of this certificate of POLICY.", panel=CLAIM
+    ),
+    pendulum: Path | None = opt.TASK_PENDULUM,
+    arm: str | None = opt.TASK_ARM,
+    settings_file: Path | None = opt.SETTINGS_FILE,
+    seed: int = opt.SEED,
+    workers: int | None = opt.WORKERS,
+    held: str | None = opt.HELD,
+    base: str | None = opt.BASE,
+    tip: str | None = opt.TIP,
+    out: Path | None = opt.out(
+        "Evaluation to write; with --claim the certificate, its trials beside it.",
+        "evaluation.json or certificate.json",
+    ),
+    force: bool = opt.FORCE,
+    as_json: bool = opt.JSON,
 ) -> None:
     """Evaluate a policy: how long it stands, and why it falls.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from math import degrees
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from equipoise import paper
@@ -29,7 +30,7 @@ COLUMNS = (
 
 
 @verb
-def explain(run: opt.RunFile, as_json: opt.Json = False) -> None:
+def explain(run: Path = opt.RUN, as_json: bool = opt.JSON) -> None:
     """Explain why a run ended: causes with their evidence, the most likely first.
 
     Examines release, pushes, the encoder and its zero, lateness, commands and

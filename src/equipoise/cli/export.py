@@ -1,7 +1,6 @@
 """`equipoise log export`: writes a run log as tables for other programs, or as a film."""
 
 from pathlib import Path
-from typing import Annotated
 
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import Destination, choose_file
@@ -10,16 +9,13 @@ from equipoise.cli.output import Output, verb
 
 @verb
 def export(
-    run: opt.RunFile,
-    out: Annotated[
-        Path | None, opt.out("Folder for the tables; by default named as the log.", False, "DIR")
-    ] = None,
-    video: Annotated[
-        Path | None,
-        opt.value("FILE", "Write a film instead, MP4; with --out as well.", panel=opt.IN_AND_OUT),
-    ] = None,
-    force: opt.Force = False,
-    as_json: opt.Json = False,
+    run: Path = opt.RUN,
+    out: Path | None = opt.out("Folder for the tables; by default named as the log.", False, "DIR"),
+    video: Path | None = opt.value(
+        "FILE", "Write a film instead, MP4; with --out as well.", panel=opt.IN_AND_OUT
+    ),
+    force: bool = opt.FORCE,
+    as_json: bool = opt.JSON,
 ) -> None:
     """Write each table of a run log as a CSV file, or film the run.
 

@@ -2,9 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-import typer
+from typing import TYPE_CHECKING, Literal
 
 from equipoise.cli import next_step
 from equipoise.cli import options as opt
@@ -21,32 +19,23 @@ POINT = ("part", "controller", "on_clean", "name", "at")
 
 @verb
 def gap(
-    policy: opt.PolicyFile = None,
-    paper_policy: Annotated[
-        Path | None,
-        opt.value("FILE", "Policy trained as the paper describes; by default one is trained here."),
-    ] = None,
-    world: Annotated[
-        str, opt.value("WORLD", "twin:nominal, twin:harsh, or twin:FILE.")
-    ] = "twin:nominal",
-    actuator: opt.KnownActuator = None,
-    pendulum: opt.TaskPendulum = None,
-    arm: opt.TaskArm = None,
-    settings_file: opt.SettingsFile = None,
-    trials: Annotated[
-        int | None, opt.value("N", "Trials of each point; 40, or 8 with --quick.", min=2)
-    ] = None,
-    duration: Annotated[
-        float | None, opt.value("SECONDS", "Duration of a trial; 60, or 20 with --quick.")
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer points and trials.")] = False,
-    seed: opt.Seed = 0,
-    workers: opt.Workers = None,
-    out: Annotated[
-        Path | None, opt.out("Study to write, its figure beside it.", "gap.json")
-    ] = None,
-    force: opt.Force = False,
-    as_json: opt.Json = False,
+    policy: Path | None = opt.POLICY,
+    paper_policy: Path | None = opt.value(
+        "FILE", "Policy trained as the paper describes; by default one is trained here."
+    ),
+    world: str = opt.TWIN,
+    actuator: str | None = opt.KNOWN_ACTUATOR,
+    pendulum: Path | None = opt.TASK_PENDULUM,
+    arm: str | None = opt.TASK_ARM,
+    settings_file: Path | None = opt.SETTINGS_FILE,
+    trials: int | None = opt.value("N", "Trials of each point; 40, or 8 with --quick.", min=2),
+    duration: float | None = opt.value("SECONDS", "Duration of a trial; 60, or 20 with --quick."),
+    quick: bool = opt.flag("--quick", "Fewer points and trials."),
+    seed: int = opt.SEED,
+    workers: int | None = opt.WORKERS,
+    out: Path | None = opt.out("Study to write, its figure beside it.", "gap.json"),
+    force: bool = opt.FORCE,
+    as_json: bool = opt.JSON,
 ) -> None:
     """Separate the gap between training plant and twin into its effects.
 

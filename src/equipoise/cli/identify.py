@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -23,47 +23,37 @@ SEPARATE = "Measured separately, for I and b"
 @verb
 def identify(
     context: typer.Context,
-    recording: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FILE",
-            help="A swing: CSV with time_s (or time_ms, time_us) and one of theta_rad, theta_deg, "
-            "counts, rate_rad_s; also gzipped. "
-            "Or a run log, MCAP.",
-        ),
-    ],
-    friction: Annotated[
-        str | None,
-        opt.value("MODEL", "viscous (the paper's, and the default), coulomb or quadratic."),
-    ] = None,
-    start: opt.Start = None,
-    end: opt.End = None,
-    counts_per_rev: opt.CountsPerRev = None,
-    from_upright: opt.FromUpright = False,
-    columns: opt.Columns = None,
-    mass: Annotated[
-        float | None, opt.value("KG", "Mass of everything that rotates.", panel=SEPARATE)
-    ] = None,
-    mass_uncertainty: Annotated[
-        float | None, opt.value("KG", "Its standard deviation.", panel=SEPARATE)
-    ] = None,
-    length: Annotated[
-        float | None,
-        opt.value("METRES", "Distance from the axis to its centre of mass.", panel=SEPARATE),
-    ] = None,
-    length_uncertainty: Annotated[
-        float | None, opt.value("METRES", "Its standard deviation.", panel=SEPARATE)
-    ] = None,
-    out: Annotated[
-        Path | None, opt.out("File to write; pendulum.json, or actuator.json for a run log.", False)
-    ] = None,
-    force: opt.Force = False,
-    figure: Annotated[
-        bool, opt.flag("--figure/--no-figure", "Draw figure 2 beside it.", panel=opt.IN_AND_OUT)
-    ] = True,
-    settings_file: opt.SettingsFile = None,
-    settings: opt.Set = None,
-    as_json: opt.Json = False,
+    recording: Path = opt.argument(
+        "FILE",
+        "A swing: CSV with time_s (or time_ms, time_us) and one of theta_rad, theta_deg, "
+        "counts, rate_rad_s; also gzipped. Or a run log, MCAP.",
+    ),
+    friction: str | None = opt.value(
+        "MODEL", "viscous (the paper's, and the default), coulomb or quadratic."
+    ),
+    start: float | None = opt.START,
+    end: float | None = opt.END,
+    counts_per_rev: int | None = opt.COUNTS_PER_REV,
+    from_upright: bool = opt.FROM_UPRIGHT,
+    columns: str | None = opt.COLUMNS,
+    mass: float | None = opt.value("KG", "Mass of everything that rotates.", panel=SEPARATE),
+    mass_uncertainty: float | None = opt.value("KG", "Its standard deviation.", panel=SEPARATE),
+    length: float | None = opt.value(
+        "METRES", "Distance from the axis to its centre of mass.", panel=SEPARATE
+    ),
+    length_uncertainty: float | None = opt.value(
+        "METRES", "Its standard deviation.", panel=SEPARATE
+    ),
+    out: Path | None = opt.out(
+        "File to write; pendulum.json, or actuator.json for a run log.", False
+    ),
+    force: bool = opt.FORCE,
+    figure: bool = opt.flag(
+        "--figure/--no-figure", "Draw figure 2 beside it.", panel=opt.IN_AND_OUT, default=True
+    ),
+    settings_file: Path | None = opt.SETTINGS_FILE,
+    settings: list[str] | None = opt.SET,
+    as_json: bool = opt.JSON,
 ) -> None:
     """Identify a pendulum from a free swing, or an arm's response from a run log.
 

@@ -3,7 +3,7 @@
 import shlex
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -20,11 +20,13 @@ LARGEST_SEED = 2**32 - 1
 IN_AND_OUT = "Files and settings"
 URDF = "For an arm from a URDF"
 RECORDING = "The recording"
-RIG = "The rig"
+RIG_PANEL = "The rig"
 """Titles of panels in the help."""
 
 
-def value(metavar: str, help: str, *names: str, panel: str | None = None, **more: Any) -> Any:
+def value(
+    metavar: str, help: str, *names: str, panel: str | None = None, default: Any = None, **more: Any
+) -> Any:
     """Return the declaration of an option with a value.
 
     Args:
@@ -32,14 +34,20 @@ def value(metavar: str, help: str, *names: str, panel: str | None = None, **more
         help: Text of the help.
         names: Names of the option; by default that of the parameter.
         panel: Title of its panel in the help.
+        default: Default value; `...` for a required option.
         more: Further arguments of `typer.Option`.
     """
-    return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=panel, **more)
+    return typer.Option(default, *names, metavar=metavar, help=help, rich_help_panel=panel, **more)
 
 
-def flag(names: str, help: str, panel: str | None = None) -> Any:
+def flag(names: str, help: str, panel: str | None = None, *, default: bool = False) -> Any:
     """Return the declaration of an option without a value."""
-    return typer.Option(names, help=help, rich_help_panel=panel, metavar="")
+    return typer.Option(default, names, help=help, rich_help_panel=panel, metavar="")
+
+
+def argument(metavar: str, help: str, default: Any = ...) -> Any:
+    """Return the declaration of an argument, required by default."""
+    return typer.Argument(default, metavar=metavar, help=help, show_default=False)
 
 
 def out(what: str, default: str | bool, metavar: str = "FILE") -> Any:
@@ -53,98 +61,50 @@ def _seed(seed: int) -> int:
     return seed
 
 
-Json = Annotated[bool, flag("--json", "Print one JSON object and nothing else.", panel=IN_AND_OUT)]
-Force = Annotated[
-    bool, flag("--force", "Replace existing files; otherwise they are kept.", panel=IN_AND_OUT)
-]
-Resume = Annotated[
-    bool,
-    flag(
-        "--resume",
-        "Continue the interrupted training of this output, to the same result.",
-        panel=IN_AND_OUT,
-    ),
-]
-SettingsFile = Annotated[
-    Path | None, value("TOML", "Settings, one table per section.", "--settings", panel=IN_AND_OUT)
-]
-Set = Annotated[
-    list[str] | None, value("NAME=VALUE", "One setting; repeatable.", "--set", panel=IN_AND_OUT)
-]
-Recipe = Annotated[str, value("NAME", "robust, or paper: the most literal reading of its text.")]
-MaxSpeed = Annotated[
-    float | None, value("M/S", "Flange speed limit of a trial (T1: 0.23; default: none).")
-]
+JSON = flag("--json", "Print one JSON object and nothing else.", IN_AND_OUT)
+FORCE = flag("--force", "Replace existing files; otherwise they are kept.", IN_AND_OUT)
+RESUME = flag(
+    "--resume", "Continue the interrupted training of this output, to the same result.", IN_AND_OUT
+)
+SETTINGS_FILE = value("TOML", "Settings, one table per section.", "--settings", panel=IN_AND_OUT)
+SET = value("NAME=VALUE", "One setting; repeatable.", "--set", panel=IN_AND_OUT)
+RECIPE = value("NAME", "robust, or paper: the most literal reading of its text.", default="robust")
+MAX_SPEED = value("M/S", "Flange speed limit of a trial (T1: 0.23; default: none).")
+TWIN = value("WORLD", "twin:nominal, twin:harsh, or twin:FILE.", default="twin:nominal")
 
-Start = Annotated[
-    float | None,
-    value("SECONDS", "Begin here; by default at the detected release.", panel=RECORDING),
-]
-End = Annotated[float | None, value("SECONDS", "End here.", panel=RECORDING)]
-CountsPerRev = Annotated[
-    int | None, value("N", "Encoder counts per revolution, after x4.", min=1, panel=RECORDING)
-]
-Columns = Annotated[
-    str | None,
-    value(
-        "NAMES",
-        "Names of all columns in order, e.g. time_s,theta_deg; for a file without a header, or "
-        "with other names.",
-        panel=RECORDING,
-    ),
-]
-FromUpright = Annotated[
-    bool, flag("--from-upright", "The recorded angle is zero when upright.", panel=RECORDING)
-]
+START = value("SECONDS", "Begin here; by default at the detected release.", panel=RECORDING)
+END = value("SECONDS", "End here.", panel=RECORDING)
+COUNTS_PER_REV = value("N", "Encoder counts per revolution, after x4.", min=1, panel=RECORDING)
+COLUMNS = value(
+    "NAMES",
+    "Names of all columns in order, e.g. time_s,theta_deg; for a file without a header, or with "
+    "other names.",
+    panel=RECORDING,
+)
+FROM_UPRIGHT = flag("--from-upright", "The recorded angle is zero when upright.", RECORDING)
 
-Seed = Annotated[int, value("N", "Master seed; equal seeds give equal results.", callback=_seed)]
-Workers = Annotated[
-    int | None,
-    value("N", "Threads, by default one per core; results do not depend on them.", min=1),
-]
-ArmName = Annotated[
-    str, value("ARM", "iiwa7, iiwa14, another registered arm, a URDF or a rig.toml.", "--arm")
-]
-ActuatorFile = Annotated[
-    str | None,
-    value(
-        "FILE",
-        "From equipoise identify RUN.mcap, or ideal; by default the shipped actuator.",
-        "--actuator",
-    ),
-]
-KnownActuator = Annotated[
-    str | None,
-    value("FILE", "Actuator that the controller assumes; by default the policy's.", "--actuator"),
-]
-PolicyFile = Annotated[
-    Path | None,
-    typer.Argument(
-        metavar="POLICY",
-        help="Table from equipoise train, network (.onnx), Python MODULE:NAME, lqr, lqr-snapped, "
-        "pd or random; by default the shipped table.",
-        show_default=False,
-    ),
-]
-TaskPendulum = Annotated[
-    Path | None,
-    value("FILE", "Pendulum; by default the table's, or the shipped one.", "--pendulum"),
-]
-TaskArm = Annotated[
-    str | None, value("ARM", "Arm; by default the table's, the rig's, or iiwa7.", "--arm")
-]
-RunFile = Annotated[
-    Path, typer.Argument(metavar="RUN", help="Log from equipoise deploy.", show_default=False)
-]
-RobotUri = Annotated[str | None, value("URI", "Robot: kst://HOST:30001.", "--robot", panel=RIG)]
-EncoderUri = Annotated[
-    str | None,
-    value("URI", "Encoder: serial:///dev/ttyACM0 or socket://HOST:PORT.", "--encoder", panel=RIG),
-]
-RigFile = Annotated[Path | None, value("TOML", "Description of the rig.", "--rig", panel=RIG)]
-Held = Annotated[str | None, value("JOINT", "Held joint, by name or number.", panel=URDF)]
-Base = Annotated[str | None, value("LINK", "Fixed link.", panel=URDF)]
-Tip = Annotated[str | None, value("LINK", "Flange link.", panel=URDF)]
+SEED = value("N", "Master seed; equal seeds give equal results.", default=0, callback=_seed)
+WORKERS = value("N", "Threads, by default one per core; results do not depend on them.", min=1)
+ARM = value("ARM", "iiwa7, iiwa14, another registered arm, a URDF or a rig.toml.", default="iiwa7")
+ACTUATOR = value(
+    "FILE", "From equipoise identify RUN.mcap, or ideal; by default the shipped actuator."
+)
+KNOWN_ACTUATOR = value("FILE", "Actuator that the controller assumes; by default the policy's.")
+POLICY = argument(
+    "POLICY",
+    "Table from equipoise train, network (.onnx), Python MODULE:NAME, lqr, lqr-snapped, pd or "
+    "random; by default the shipped table.",
+    None,
+)
+TASK_PENDULUM = value("FILE", "Pendulum; by default the table's, or the shipped one.")
+TASK_ARM = value("ARM", "Arm; by default the table's, the rig's, or iiwa7.")
+RUN = argument("RUN", "Log from equipoise deploy.")
+ROBOT = value("URI", "Robot: kst://HOST:30001.", panel=RIG_PANEL)
+ENCODER = value("URI", "Encoder: serial:///dev/ttyACM0 or socket://HOST:PORT.", panel=RIG_PANEL)
+RIG = value("TOML", "Description of the rig.", panel=RIG_PANEL)
+HELD = value("JOINT", "Held joint, by name or number.", panel=URDF)
+BASE = value("LINK", "Fixed link.", panel=URDF)
+TIP = value("LINK", "Flange link.", panel=URDF)
 
 
 def check_range(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from math import degrees, pi
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file
@@ -18,16 +18,16 @@ GAUGE = 41
 
 @verb
 def record(
-    encoder: Annotated[
-        str, opt.value("URI", "Encoder: serial:///dev/ttyACM0, or socket://HOST:PORT.")
-    ],
-    duration: Annotated[
-        float, opt.value("SECONDS", "Maximum duration of the swing, from the release.")
-    ] = 30.0,
-    counts_per_rev: opt.CountsPerRev = None,
-    out: Annotated[Path | None, opt.out("Recording to write, CSV.", "swing.csv")] = None,
-    force: opt.Force = False,
-    as_json: opt.Json = False,
+    encoder: str = opt.value(
+        "URI", "Encoder: serial:///dev/ttyACM0, or socket://HOST:PORT.", default=...
+    ),
+    duration: float = opt.value(
+        "SECONDS", "Maximum duration of the swing, from the release.", default=30.0
+    ),
+    counts_per_rev: int | None = opt.COUNTS_PER_REV,
+    out: Path | None = opt.out("Recording to write, CSV.", "swing.csv"),
+    force: bool = opt.FORCE,
+    as_json: bool = opt.JSON,
 ) -> None:
     """Record a free swing of the pendulum from its encoder.
 

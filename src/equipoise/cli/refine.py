@@ -2,9 +2,7 @@
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from equipoise.cli import next_step
 from equipoise.cli import options as opt
@@ -24,29 +22,21 @@ PARTS = ("policy", "pendulum", "actuator")
 
 @verb
 def refine(
-    policy: Annotated[
-        Path, typer.Argument(metavar="POLICY", help="The policy that ran.", show_default=False)
-    ],
-    runs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN", help="Logs from equipoise deploy.", show_default=False),
-    ],
-    training: Annotated[
-        bool, opt.flag("--train/--no-train", "Train on where the model moved.")
-    ] = True,
-    always: Annotated[bool, opt.flag("--always", "Train on even where nothing moved.")] = False,
-    episodes: Annotated[
-        int | None, opt.value("N", "Number of further episodes; by default 2,000.", min=1)
-    ] = None,
-    seed: opt.Seed = 0,
-    workers: opt.Workers = None,
-    out: Annotated[
-        Path | None,
-        opt.out("Policy to write; pendulum and actuator beside it, if they moved.", "refined.json"),
-    ] = None,
-    force: opt.Force = False,
-    resume: opt.Resume = False,
-    as_json: opt.Json = False,
+    policy: Path = opt.argument("POLICY", "The policy that ran."),
+    runs: list[Path] = opt.argument("RUN", "Logs from equipoise deploy."),
+    training: bool = opt.flag(
+        "--train/--no-train", "Train on where the model moved.", default=True
+    ),
+    always: bool = opt.flag("--always", "Train on even where nothing moved."),
+    episodes: int | None = opt.value("N", "Number of further episodes; by default 2,000.", min=1),
+    seed: int = opt.SEED,
+    workers: int | None = opt.WORKERS,
+    out: Path | None = opt.out(
+        "Policy to write; pendulum and actuator beside it, if they moved.", "refined.json"
+    ),
+    force: bool = opt.FORCE,
+    resume: bool = opt.RESUME,
+    as_json: bool = opt.JSON,
 ) -> None:
     """Compare logs with the model of a policy, and train on if it moved.
 

@@ -1,7 +1,7 @@
 """`equipoise rig rehearse`: injects faults on an emulated rig, and checks how each run ends."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from rich.text import Text
 
@@ -14,19 +14,13 @@ if TYPE_CHECKING:
 
 @verb
 def rehearse(
-    policy: opt.PolicyFile = None,
-    rig: Annotated[Path | None, opt.value("TOML", "Description of the rig.")] = None,
-    only: Annotated[
-        list[str] | None, opt.value("NAME", "A fault, or a kind of faults; repeatable.")
-    ] = None,
-    listed: Annotated[bool, opt.flag("--list", "List the faults, and run none.")] = False,
-    real_time: Annotated[
-        bool, opt.flag("--real-time", "Run those too that need real ports and processes.")
-    ] = False,
-    workers: Annotated[
-        int | None, opt.value("N", "Processes; by default one per core.", min=1)
-    ] = None,
-    as_json: opt.Json = False,
+    policy: Path | None = opt.POLICY,
+    rig: Path | None = opt.value("TOML", "Description of the rig."),
+    only: list[str] | None = opt.value("NAME", "A fault, or a kind of faults; repeatable."),
+    listed: bool = opt.flag("--list", "List the faults, and run none."),
+    real_time: bool = opt.flag("--real-time", "Run those too that need real ports and processes."),
+    workers: int | None = opt.value("N", "Processes; by default one per core.", min=1),
+    as_json: bool = opt.JSON,
 ) -> None:
     """Inject each fault on an emulated rig, and check how the run ends.
 

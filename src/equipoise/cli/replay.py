@@ -1,7 +1,7 @@
 """`equipoise log replay`: feeds a log through the controller again, and compares."""
 
 from math import inf
-from typing import Annotated
+from pathlib import Path
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, verb
@@ -9,15 +9,15 @@ from equipoise.cli.output import Output, verb
 
 @verb
 def replay(
-    run: opt.RunFile,
-    policy: opt.PolicyFile = None,
-    actuator: opt.KnownActuator = None,
-    pendulum: opt.TaskPendulum = None,
-    arm: opt.TaskArm = None,
-    tolerance: Annotated[
-        float, opt.value("SI", "Tolerated difference of numbers; 0 compares every bit.")
-    ] = 0.0,
-    as_json: opt.Json = False,
+    run: Path = opt.RUN,
+    policy: Path | None = opt.POLICY,
+    actuator: str | None = opt.KNOWN_ACTUATOR,
+    pendulum: Path | None = opt.TASK_PENDULUM,
+    arm: str | None = opt.TASK_ARM,
+    tolerance: float = opt.value(
+        "SI", "Tolerated difference of numbers; 0 compares every bit.", default=0.0
+    ),
+    as_json: bool = opt.JSON,
 ) -> None:
     """Feed the measurements of a log through the controller again, and compare.
 

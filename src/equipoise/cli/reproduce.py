@@ -6,7 +6,7 @@ from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -28,34 +28,29 @@ FOLDER = "equipoise-report"
 @verb
 def reproduce(
     context: typer.Context,
-    quick: Annotated[
-        bool, opt.flag("--quick", "Fewer episodes and trials: under a minute.")
-    ] = False,
-    recipe: opt.Recipe = "robust",
-    arm: opt.ArmName = "iiwa7",
-    seed: opt.Seed = 0,
-    workers: opt.Workers = None,
-    swing: Annotated[
-        Path | None,
-        opt.value(
-            "CSV",
-            "Recorded swing, as identify reads it; by default a simulated one.",
-            panel=opt.RECORDING,
-        ),
-    ] = None,
-    start: opt.Start = None,
-    end: opt.End = None,
-    counts_per_rev: opt.CountsPerRev = None,
-    from_upright: opt.FromUpright = False,
-    columns: opt.Columns = None,
-    held: opt.Held = None,
-    base: opt.Base = None,
-    tip: opt.Tip = None,
-    out: Annotated[Path | None, opt.out("Folder for all files.", FOLDER, "DIR")] = None,
-    force: opt.Force = False,
-    settings_file: opt.SettingsFile = None,
-    settings: opt.Set = None,
-    as_json: opt.Json = False,
+    quick: bool = opt.flag("--quick", "Fewer episodes and trials: under a minute."),
+    recipe: str = opt.RECIPE,
+    arm: str = opt.ARM,
+    seed: int = opt.SEED,
+    workers: int | None = opt.WORKERS,
+    swing: Path | None = opt.value(
+        "CSV",
+        "Recorded swing, as identify reads it; by default a simulated one.",
+        panel=opt.RECORDING,
+    ),
+    start: float | None = opt.START,
+    end: float | None = opt.END,
+    counts_per_rev: int | None = opt.COUNTS_PER_REV,
+    from_upright: bool = opt.FROM_UPRIGHT,
+    columns: str | None = opt.COLUMNS,
+    held: str | None = opt.HELD,
+    base: str | None = opt.BASE,
+    tip: str | None = opt.TIP,
+    out: Path | None = opt.out("Folder for all files.", FOLDER, "DIR"),
+    force: bool = opt.FORCE,
+    settings_file: Path | None = opt.SETTINGS_FILE,
+    settings: list[str] | None = opt.SET,
+    as_json: bool = opt.JSON,
 ) -> None:
     """Reproduce the paper, from a free swing to a report.
 

@@ -1,9 +1,6 @@
 """`equipoise log show`: the content of any file of Equipoise, and whether it is intact."""
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from equipoise.cli import options as opt
 from equipoise.cli.next_step import file_with
@@ -15,14 +12,10 @@ FIELDS = ("what", "format", "version", "digest", "content")
 
 @verb
 def show(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FILE",
-            help="A run log, pendulum, actuator, policy, evaluation, certificate or reproduction.",
-        ),
-    ],
-    as_json: opt.Json = False,
+    file: Path = opt.argument(
+        "FILE", "A run log, pendulum, actuator, policy, evaluation, certificate or reproduction."
+    ),
+    as_json: bool = opt.JSON,
 ) -> None:
     """Show the content of a file, and check that it is intact.
 

@@ -2,9 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from equipoise.cli import next_step
 from equipoise.cli import options as opt
@@ -19,43 +17,34 @@ if TYPE_CHECKING:
 
 @verb
 def train(
-    pendulum: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="PENDULUM",
-            help="From equipoise identify; by default the shipped pendulum.",
-            show_default=False,
-        ),
-    ] = None,
-    arm: opt.ArmName = "iiwa7",
-    actuator: opt.ActuatorFile = None,
-    recipe: opt.Recipe = "robust",
-    learner: Annotated[
-        str | None,
-        opt.value("NAME", "q_learning (the paper's), sarsa, watkins, double_q, or MODULE:NAME."),
-    ] = None,
-    reward: Annotated[
-        str | None, opt.value("NAME", "paper, alive, centred, or MODULE:NAME of a function.")
-    ] = None,
-    episodes: Annotated[
-        int | None, opt.value("N", "Number of episodes; by default the paper's 10,000.", min=1)
-    ] = None,
-    seeds: Annotated[
-        int | None,
-        opt.value("N", "Number of learners; by default 3, of which the best is kept.", min=1),
-    ] = None,
-    max_speed: opt.MaxSpeed = None,
-    seed: opt.Seed = 0,
-    workers: opt.Workers = None,
-    held: opt.Held = None,
-    base: opt.Base = None,
-    tip: opt.Tip = None,
-    out: Annotated[Path | None, opt.out("Policy to write.", "policy.json")] = None,
-    force: opt.Force = False,
-    resume: opt.Resume = False,
-    settings_file: opt.SettingsFile = None,
-    settings: opt.Set = None,
-    as_json: opt.Json = False,
+    pendulum: Path | None = opt.argument(
+        "PENDULUM", "From equipoise identify; by default the shipped pendulum.", None
+    ),
+    arm: str = opt.ARM,
+    actuator: str | None = opt.ACTUATOR,
+    recipe: str = opt.RECIPE,
+    learner: str | None = opt.value(
+        "NAME", "q_learning (the paper's), sarsa, watkins, double_q, or MODULE:NAME."
+    ),
+    reward: str | None = opt.value("NAME", "paper, alive, centred, or MODULE:NAME of a function."),
+    episodes: int | None = opt.value(
+        "N", "Number of episodes; by default the paper's 10,000.", min=1
+    ),
+    seeds: int | None = opt.value(
+        "N", "Number of learners; by default 3, of which the best is kept.", min=1
+    ),
+    max_speed: float | None = opt.MAX_SPEED,
+    seed: int = opt.SEED,
+    workers: int | None = opt.WORKERS,
+    held: str | None = opt.HELD,
+    base: str | None = opt.BASE,
+    tip: str | None = opt.TIP,
+    out: Path | None = opt.out("Policy to write.", "policy.json"),
+    force: bool = opt.FORCE,
+    resume: bool = opt.RESUME,
+    settings_file: Path | None = opt.SETTINGS_FILE,
+    settings: list[str] | None = opt.SET,
+    as_json: bool = opt.JSON,
 ) -> None:
     """Train a policy by Q-learning, or by another learner.
 
