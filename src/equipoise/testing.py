@@ -56,7 +56,7 @@ class RobotSession:
     """Connected robot with a running servo, and its setpoints and replies; closed after use."""
 
     def __init__(self, robot: Robot, clock: Clock) -> None:
-        """Create a session with a robot that is not connected."""
+        """Create a session with an unconnected robot."""
         self.robot, self.clock = robot, clock
         self.sent: list[float] = []
         self.replies: list[Reply] = []
@@ -213,20 +213,20 @@ class RobotConformance:
 
 
 class Spindle(NamedTuple):
-    """Angle sensor that is not connected, with controls of its spindle, button and link."""
+    """Unconnected angle sensor with controls of its spindle, button and link."""
 
     sensor: AngleSensor
     """The sensor."""
     clock: Clock
     """Clock of its rig."""
     turn: Callable[[Callable[[float], float]], None]
-    """Makes theta a function of the time [rad] from now on; theta is zero until then."""
+    """Sets theta [rad] as a function of time from now on; theta is zero before."""
     press: Callable[[], None] | None
     """Presses and releases the button; None without a button."""
     unplug: Callable[[], None] | None
     """Cuts the link; None without a link."""
     age: float
-    """Largest age of a sample when it is read, beyond the time between two reads [s]."""
+    """Maximum age of a sample when read, in addition to the read interval [s]."""
 
     def watch(self, seconds: float, every: float = 0.005) -> tuple[list[Any], list[float]]:
         """Wait [s]; return the samples, and when each was read [s]."""
@@ -249,7 +249,7 @@ class SensorConformance:
         raise NotImplementedError
 
     def connected(self) -> Spindle:
-        """Return a new sensor that is connected."""
+        """Return a new connected sensor."""
         spindle = self.make()
         spindle.sensor.connect()
         return spindle
@@ -260,7 +260,9 @@ class SensorConformance:
         expect_error(LinkError, sensor.samples)
         sensor.connect()
         expect(len(sensor.samples()) > 0, "a connected sensor has no sample at once")
-        expect(sensor.counts_per_rev > 0 and sensor.description, "it does not say what it is")
+        expect(
+            sensor.counts_per_rev > 0 and sensor.description, "it has no description or resolution"
+        )
         sensor.close()
         sensor.close()
         expect_error(LinkError, sensor.samples)
@@ -309,13 +311,13 @@ class SensorConformance:
         expect(not any(s.missing or s.illegal or s.pressed for s in samples), "something happened")
         expect(spindle.sensor.rejected == 0, "readings were rejected")
 
-    def test_a_press_is_told_once(self) -> None:
+    def test_a_press_is_reported_once(self) -> None:
         spindle = self.connected()
         spindle.watch(0.05)
         if spindle.press is not None:
             spindle.press()
             pressed = sum(sample.pressed for sample in spindle.watch(0.2)[0])
-            expect(pressed == 1, f"a press was told {pressed} times")
+            expect(pressed == 1, f"a press was reported {pressed} times")
 
     def test_a_cut_link_is_an_error_that_stays(self) -> None:
         spindle = self.connected()

@@ -1,7 +1,7 @@
-"""Checkpoint: the state of an unfinished training, from which the same bits come as without a stop.
+"""Checkpoint: state of an unfinished training; resumed, it gives the bits of an unbroken one.
 
 A training is a function of its inputs and of its state between two calls of `train_episodes`. The
-state holds the episodes that the lanes are in, so a training goes on in the middle of them.
+state includes the running episodes, so a training resumes in the middle of them.
 """
 
 from collections.abc import Iterator
@@ -20,27 +20,27 @@ from equipoise.model.elementary import BATCH_SIZE
 
 
 class _Bytes(Value):
-    """A value whose bytes are base64 in a file."""
+    """Value whose bytes are written to files as base64."""
 
     model_config = ConfigDict(ser_json_bytes="base64", val_json_bytes="base64")
 
 
 class Finalist(_Bytes):
-    """A table that may go on to the final round."""
+    """Candidate table for the final round."""
 
     Q: bytes
     """State-action values, 270 x 8 float64."""
     visits: bytes
-    """Updates of each, 270 x 8 int64."""
+    """Number of updates of each value, 270 x 8 int64."""
     candidate: Checkpoint
-    """Its screening."""
+    """Result of its screening."""
 
 
 class LearnerState(_Bytes):
-    """The state of one learner between two screenings, or between two finalists."""
+    """State of one learner between two screenings, or between two finalists."""
 
     training: bytes
-    """All arrays of `episodes.TrainingState`, in their order, base64."""
+    """All arrays of `episodes.TrainingState`, in their order."""
     averaged: bytes
     """Running average of the table, 270 x 8 float64."""
     screened: int = Field(ge=0)
@@ -48,15 +48,15 @@ class LearnerState(_Bytes):
     known: dict[str, Checkpoint]
     """Screening of each greedy policy, by the SHA-256 of its accelerations."""
     best: tuple[Finalist, ...]
-    """The best so far, the best first."""
+    """Best tables of all screenings, best first."""
     final: tuple[Checkpoint, ...]
-    """Final round of the first of them."""
+    """Final rounds, in the order of `best`."""
     curve: tuple[LearningPoint, ...] = Field(min_length=1)
-    """The learning curve so far."""
+    """Learning curve up to this point."""
 
 
 class ResumePoint(Artefact):
-    """An unfinished training of one or several learners."""
+    """Unfinished training of one or several learners."""
 
     FORMAT: ClassVar[str] = "equipoise-checkpoint"
     VERSION: ClassVar[int] = 1
@@ -64,23 +64,23 @@ class ResumePoint(Artefact):
     deciding: dict[str, str]
     """Digest of each input that decides about the result, by its name."""
     learners: dict[str, LearnerState]
-    """State of each learner that has begun, by its number."""
+    """State of each started learner, by its number."""
 
 
 def pack(training: TrainingState) -> bytes:
-    """Return all arrays of a training, one after the other."""
+    """Return the concatenated bytes of all arrays of a training."""
     return b"".join(array.tobytes() for array in _arrays(training))
 
 
 def unpack(data: bytes, training: TrainingState) -> None:
-    """Write what `pack` returned into the arrays of a training.
+    """Write bytes of `pack` into the arrays of a training.
 
     Args:
         data: The bytes.
         training: A new training, changed in place.
 
     Raises:
-        ArtefactError: No training has such a state: its size is wrong, or an index is out of range.
+        ArtefactError: The size is wrong, or an index is out of range.
     """
     arrays = list(_arrays(training))
     if len(data) != sum(array.nbytes for array in arrays):

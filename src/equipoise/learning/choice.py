@@ -4,9 +4,9 @@ A name is one of the project's, or MODULE:NAME of an object outside the package.
 guest's as MODULE:NAME@DIGEST, where DIGEST begins the SHA-256 of the source file: trained again, it
 needs the same source.
 
-A guest's functions run once in Python, on made-up numbers, so that a mistake in them shows with its
-line; then Numba compiles them, each time anew. Code that Numba cannot compile is refused: in plain
-Python a training would take hours.
+A guest's functions run once in Python, on sample numbers, so that an error is reported with its
+line; then Numba compiles them, in each process anew. Code that Numba cannot compile is rejected: in
+plain Python a training would take hours.
 """
 
 import inspect
@@ -57,7 +57,7 @@ def with_digests(settings: LearningSettings) -> LearningSettings:
 
     Raises:
         InputError: A guest's object cannot be loaded, or its source is not the recorded one.
-        SettingsError: There is no such name.
+        SettingsError: The name is unknown.
     """
     learner = _with_digest(settings.learner, LEARNER, learner_names())
     reward = _with_digest(settings.reward, REWARD, reward_names())
@@ -68,8 +68,8 @@ def load_learner(settings: LearningSettings) -> Learner:
     """Return the learner that settings name.
 
     Raises:
-        InputError: A guest's learner cannot be loaded, or is none.
-        SettingsError: There is no such name.
+        InputError: A guest's learner cannot be loaded, or has another type.
+        SettingsError: The name is unknown.
     """
     name = settings.learner
     if ":" not in name:
@@ -90,8 +90,8 @@ def compile_learner(settings: LearningSettings) -> LearnerKernel:
     """Return the learner and the reward that settings name, compiled for the episode loop.
 
     Raises:
-        InputError: A guest's function raises, returns what is not a number, or cannot be compiled.
-        SettingsError: There is no such name.
+        InputError: A guest's function raises, returns no finite number, or cannot be compiled.
+        SettingsError: The name is unknown.
     """
     learner = load_learner(settings)
     guest = ":" in settings.learner

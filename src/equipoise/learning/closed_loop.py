@@ -1,18 +1,18 @@
-"""The closed loop: one control step of controller, arm and pendulum.
+"""Closed loop: one control step of controller, arm and pendulum.
 
-A step of h = 0.01 s goes: u -> CLIK -> joint motion -> tracked acceleration u' -> pendulum. The
+A step takes h = 0.01 s: u -> CLIK -> joint motion -> tracked acceleration u' -> pendulum. The
 reference moves along base x only; u' is the change of the velocity of the pendulum's pivot along x
 over the step, divided by h, and drives the pendulum (section 3.2). Noise is the paper's: on I and b
 once per episode, on the pose error e in every step.
 
-With the actuator `ideal`, the paper's, the arm is where it is sent and the state is known. With any
-other the setpoints take effect after a delay, joint by joint through servo and drive, an encoder
-counts with a wrong zero, and the policy sees what the controller makes of it
-(`equipoise.control.control_step`). Delay, lags and zero differ from episode to episode.
+With the paper's actuator `ideal` the arm follows each setpoint at once and the state is known. With
+any other the setpoints take effect after a delay, each joint through servo and drive; an encoder
+with a zero error counts; and the policy receives the controller's observation
+(`equipoise.control.control_step`). Delay, lags and zero error vary between episodes.
 
-Kernels advance a block of independent states at once, one to a lane (`equipoise.model.elementary`).
-Training, evaluation, the recorded run and any policy written in Python call the `step` below; what
-happens in a lane does not depend on the others.
+Kernels advance a block of independent states at once, one per lane (`equipoise.model.elementary`);
+a lane's result does not depend on the others. Training, evaluation, recorded runs and Python
+policies all call the `step` below.
 """
 
 from math import floor, inf, pi
@@ -69,8 +69,9 @@ from equipoise.settings import Settings
 Array = npt.NDArray[np.float64]
 
 MIN_INERTIA_FACTOR: Final = 0.1
+"""Smallest factor on the moment of inertia that noise may give [-]."""
 SETPOINT_HISTORY: Final = 32
-"""Setpoints that may be under way to the arm."""
+"""Number of setpoints that may be in flight to the arm."""
 SPEED_LIMIT_CAUSE: Final = SAFETY_STOP + SPEED_CODE
 """Cause of failure where the task limits the flange's speed: that of the guard of a rig."""
 
@@ -86,16 +87,16 @@ PARAMETERS: Final = 5
 
 
 class LoopParams(NamedTuple):
-    """What does not change during an episode."""
+    """Constants of the closed loop during an episode."""
 
     controller: ControllerParams
-    """What turns u into setpoints, and measurements into what the policy sees."""
+    """Controller: u to setpoints, measurements to observations."""
     phi_limit: float
-    """|phi| of failure [rad]."""
+    """Failure angle |phi| [rad]."""
     x_limit: float
-    """|x| of failure [m]."""
+    """Failure displacement |x| [m]."""
     speed_limit: float
-    """|x_dot| of failure [m/s]; inf where nothing limits it."""
+    """Failure speed |x_dot| [m/s]; inf without a limit."""
     position_noise: float
     """Standard deviation of the noise on the position part of e [m]."""
     orientation_noise: float
@@ -105,25 +106,25 @@ class LoopParams(NamedTuple):
 
 
 class DomainRandomization(NamedTuple):
-    """How the plant of one episode differs from the nominal one."""
+    """Deviation of the plant of one episode from the nominal one."""
 
     inertia_factor: float
-    """On I."""
+    """Factor on the moment of inertia [-]."""
     friction_factor: float
-    """On b."""
+    """Factor on the friction coefficients [-]."""
     delay: float
-    """Added to the transport delay [s]."""
+    """Addition to the transport delay [s]."""
     lag_factor: float
-    """On the lags of the joints."""
+    """Factor on the lags of the joints [-]."""
     zero: float
-    """What the encoder reads too much of phi [rad]."""
+    """Encoder zero error, added to phi [rad]."""
 
 
 class BatchState(NamedTuple):
     """States of `BATCH_SIZE` closed loops, changed in place by a step; each field is a block."""
 
     controller: ControllerState
-    """What the controllers know."""
+    """States of the controllers."""
     pendula: Array
     """Numbers of `PendulumParameters`, 5 rows."""
     state: Array
@@ -131,24 +132,24 @@ class BatchState(NamedTuple):
     cause: npt.NDArray[np.int64]
     """Cause of failure in the last step, 1 row."""
     q: Array
-    """Free joints of the arm [rad], 6 rows; with an ideal actuator they are the commanded ones, and
-    not kept here. So for what follows."""
+    """Free joints of the arm [rad], 6 rows. An ideal actuator leaves this and the following fields
+    unused: its joints are the commanded ones."""
     dq: Array
     """Their velocities [rad/s], 6 rows."""
     frame: Array
-    """Record of the kinematics there."""
+    """Kinematics at those joints: position, orientation and twist of the flange."""
     share: Array
-    """What the lag of a joint takes up in a servo cycle, 6 rows."""
+    """Share of its lag that a joint makes up per servo cycle [-], 6 rows."""
     target: Array
-    """Room for the setpoints in force, 6 rows."""
+    """Setpoints in force [rad], 6 rows; overwritten in each cycle."""
     setpoints: Array
-    """The last `SETPOINT_HISTORY` setpoints, 6 rows each."""
+    """Last `SETPOINT_HISTORY` setpoints [rad], 6 rows each."""
     newest: npt.NDArray[np.int64]
-    """Which of them is the newest, shape (1,)."""
+    """Index of the newest setpoint, shape (1,)."""
     delay: npt.NDArray[np.int64]
     """Transport delay of each lane [servo cycles], 1 row."""
     zero: Array
-    """What the encoder reads too much of phi [rad], 1 row."""
+    """Encoder zero error, added to phi [rad], 1 row."""
 
 
 def make_loop_params(
@@ -164,12 +165,12 @@ def make_loop_params(
         arm: The arm with its home posture.
         settings: Gains, controller and noise.
         h: Time step [s].
-        pendulum: What the controller knows of the pendulum.
-        actuator: What the controller knows of the arm's response, and the middle of what it meets.
+        pendulum: Pendulum of the controller's model.
+        actuator: Arm response of the controller's model; episodes vary about it.
 
     Raises:
         ArmError: Home is a singular posture.
-        SettingsError: The delay is longer than the controller remembers.
+        SettingsError: The delay exceeds the controller's history.
     """
     limits, max_speed = boxes(), settings.plant.max_speed
     return LoopParams(
@@ -223,13 +224,13 @@ def reset(
     start: tuple[float, float, float, float],
     n: int,
 ) -> None:
-    """Place lane `n` at a state: the arm moving steadily on its track, the pendulum as given.
+    """Place lane `n` at a state, the arm in steady motion on its track.
 
     Args:
         plant: Constants.
         block: Changed in place.
-        pendulum: The centre of what varies.
-        variation: What is different in this lane until its next reset.
+        pendulum: Nominal pendulum.
+        variation: Deviation of this lane until its next reset.
         start: Displacement of the flange from home along base x [m], its velocity [m/s], angle of
             the pendulum from upright [rad] and its angular velocity [rad/s].
         n: Lane.
@@ -273,13 +274,13 @@ def reset(
 def step(plant: LoopParams, block: BatchState, lanes: int) -> None:
     """Advance controller, arm and pendulum of the first lanes by one time step.
 
-    Reads `memory.u` and standard normal numbers in `memory.noise`; everything else of the block is
-    brought up to date, with the cause of failure of each lane, `TRUNCATED` if none.
+    Reads u and standard normal numbers of the controller's state, and updates everything else in
+    the block. `cause` becomes each lane's cause of failure, or `TRUNCATED`.
 
     Args:
         plant: Constants.
         block: Changed in place.
-        lanes: How many lanes.
+        lanes: Number of lanes.
     """
     controller, memory, state, cause = plant.controller, block.controller, block.state, block.cause
     noise, h, home_x = memory.noise, controller.h, controller.home_reference[POSITION]
@@ -291,7 +292,7 @@ def step(plant: LoopParams, block: BatchState, lanes: int) -> None:
     if controller.has_sensor:
         frame = block.frame
     for n in range(lanes):
-        # u' starts as minus the velocity before the step.
+        # TRACKED holds minus the pivot velocity before the step, until u' replaces it.
         put(state, TRACKED, n, -pivot_velocity(frame, controller.pivot, n))
     command(controller, memory, lanes)
     dry = False
@@ -330,14 +331,14 @@ def move_arms(
     """Send the setpoints of the tick, and move the arms of the first lanes by one tick.
 
     Dry friction depends on the sign of the rate, which the pivot's vibration within a tick changes:
-    with it the pendulums move here, cycle by cycle.
+    pendulums with dry friction advance here, cycle by cycle.
 
     Args:
         controller: Constants.
         block: Changed in place.
         linearised: Whether the pendulums are those of equation (7).
-        dry: Whether some pendulum has dry friction.
-        lanes: How many lanes.
+        dry: Whether any pendulum has dry friction.
+        lanes: Number of lanes.
     """
     sent, target, setpoints, delay = (
         block.setpoints,
@@ -355,7 +356,7 @@ def move_arms(
         for i in range(6):
             for n in range(lanes):
                 put(sent, row + i, n, at(setpoints, 6 * s + i, n))
-    # The newest but SETPOINTS - 1 was sent at the tick; a setpoint from before is older by one.
+    # Index of the first setpoint of this tick; each earlier setpoint is one older.
     at_tick = block.newest[0] - (SETPOINTS_PER_TICK - 1)
     for cycle in range(SETPOINTS_PER_TICK * cycles):
         for n in range(lanes):
@@ -378,7 +379,7 @@ def move_arms(
 
 @kernel
 def measure(controller: ControllerParams, block: BatchState, lanes: int) -> None:
-    """Write what encoder and joints show to the controllers of the first lanes."""
+    """Write encoder counts and measured joints to the controllers of the first lanes."""
     memory, state, frame, zero = block.controller, block.state, block.frame, block.zero
     for n in range(lanes):
         tilt = -pose_error(frame, memory.reference, n)[4]
@@ -395,7 +396,7 @@ def advance_pendula(state: Array, pendula: Array, h: float, linearised: bool, la
     dry = 0.0
     for n in range(lanes):
         dry = max(dry, at(pendula, 3, n))
-    # Dry friction can stop the pendulum within a step, which takes branches: a loop of its own.
+    # Dry friction can stop the pendulum within a step: those branches have a loop of their own.
     if dry == 0.0:
         for n in range(lanes):
             phi, phi_dot, tracked = at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n)
@@ -442,9 +443,9 @@ def draw_noise(
         seed: Master seed.
         tick: Step of each lane within its episode or trial.
         index: Episode or trial of each lane.
-        learner: Which learner.
-        stream: Purpose of the numbers.
-        lanes: How many lanes.
+        learner: Number of the learner.
+        stream: First of the two streams of random numbers.
+        lanes: Number of lanes.
     """
     for n in range(lanes):
         w0, w1, w2, w3 = philox(seed, tick[n], index[n], learner, stream)
@@ -455,7 +456,7 @@ def draw_noise(
         put(noise, 3, n, turn(w3))
         put(noise, 4, n, uniform(v0, 1.0, 0.0))
         put(noise, 5, n, turn(v1))
-    # The logarithm is a call, and has a loop of its own so that the others run in lanes.
+    # The logarithm is a call; its own loop lets the compiler vectorise the others.
     for i in range(0, 6, 2):
         for n in range(lanes):
             put(noise, i, n, normal_radius(at(noise, i, n)))
@@ -469,7 +470,7 @@ def draw_noise(
 
 @inlined
 def box_of(seen: Array, boxes: Boxes, n: int) -> int:
-    """Return the box of what the policy of lane `n` sees."""
+    """Return the box of the observation of lane `n`."""
     return box_index(
         at(seen, OBS_X, n),
         at(seen, OBS_X_DOT, n),
@@ -481,7 +482,7 @@ def box_of(seen: Array, boxes: Boxes, n: int) -> int:
 
 @kernel
 def copy_lane(block: BatchState, source: int, target: int) -> None:
-    """Copy the state of one lane to another, which closes the gap that a finished one leaves."""
+    """Copy the state of one lane to another, to fill the gap of a finished lane."""
     copy_controller_state(block.controller, source, target)
     copy_rows(block.pendula, source, target)
     copy_rows(block.state, source, target)

@@ -1,13 +1,13 @@
 """Episode loop of the training: it acts, collects rewards, and lets a learner update its table.
 
-One compiled loop runs whole episodes, `BATCH_SIZE` of them at once, all learning on the one table:
-in each step every lane acts by the table as it stands, then the updates are made one after the
-other. A learner that chooses ahead chooses its next action just before its update. Episodes that
-reach the time limit end without a failure.
+One compiled loop runs whole episodes, `BATCH_SIZE` of them at once, that share one table: in each
+step every lane acts by the current table, then the updates follow one after the other. A learner
+that chooses ahead chooses its next action just before its update. An episode that reaches the time
+limit ends without a failure.
 
 With `hold_action` an action lasts until the state leaves its box, n steps, and is updated then:
-rewards are discounted to its first step, and the value of the next box by gamma^n. Within a box
-nothing changes that the table could see, so a greedy policy holds its action anyway.
+rewards are discounted to its first step, and the value of the next box by gamma^n. The
+observation of a table does not change within a box, so a greedy policy holds its action anyway.
 
 The learning rules are in `equipoise.learning.learners`, the rewards in
 `equipoise.learning.rewards`.
@@ -104,7 +104,7 @@ def discount(steps: int, gamma: float, powers: Array) -> float:
 
 
 class TrainingState(NamedTuple):
-    """A training under way: the tables, and the episodes that run on its lanes."""
+    """State of a training: the tables and the running episodes."""
 
     tables: Tables
     """Tables that the learner changes."""
@@ -113,15 +113,15 @@ class TrainingState(NamedTuple):
     episode: npt.NDArray[np.int64]
     """Number of the episode of each lane, shape (BATCH_SIZE,)."""
     place: npt.NDArray[np.int64]
-    """Place of that episode among those that run, constant over an episode, shape (BATCH_SIZE,)."""
+    """Index among the running episodes, constant over an episode, shape (BATCH_SIZE,)."""
     tick: npt.NDArray[np.int64]
-    """Its step, shape (BATCH_SIZE,)."""
+    """Current step of each episode, shape (BATCH_SIZE,)."""
     box: npt.NDArray[np.int64]
-    """Its box, shape (BATCH_SIZE,)."""
+    """Current box of each episode, shape (BATCH_SIZE,)."""
     action: npt.NDArray[np.int64]
-    """Index of its action, shape (BATCH_SIZE,)."""
+    """Index of the current action of each episode, shape (BATCH_SIZE,)."""
     held_steps: npt.NDArray[np.int64]
-    """Number of steps for which the action has been held, shape (BATCH_SIZE,)."""
+    """Number of steps for which the action is held, shape (BATCH_SIZE,)."""
     gained: Array
     """Discounted sum of the rewards of those steps, shape (BATCH_SIZE,)."""
     chance: Array
@@ -135,24 +135,24 @@ class TrainingState(NamedTuple):
 
 
 def new_training_state(tables: int = 0) -> TrainingState:
-    """Return a training that has not begun: tables of zeros.
+    """Return the initial state of a training, with tables of zeros.
 
     Args:
         tables: Number of tables of the learner's own.
     """
 
-    def whole() -> npt.NDArray[np.int64]:
+    def integers() -> npt.NDArray[np.int64]:
         return np.zeros(BATCH_SIZE, np.int64)
 
     return TrainingState(
         tables=new_tables(tables),
         batch=new_batch_state(),
-        episode=whole(),
+        episode=integers(),
         place=np.arange(BATCH_SIZE),
-        tick=whole(),
-        box=whole(),
-        action=whole(),
-        held_steps=whole(),
+        tick=integers(),
+        box=integers(),
+        action=integers(),
+        held_steps=integers(),
         gained=np.zeros(BATCH_SIZE),
         chance=np.zeros(BATCH_SIZE),
         epsilon=np.zeros(BATCH_SIZE),
@@ -202,7 +202,7 @@ def begin_episode(
 
 @inlined
 def observed(block: Array, n: int) -> Observation:
-    """Return what the policy of lane `n` sees."""
+    """Return the observation of lane `n`."""
     return Observation(
         at(block, OBS_X, n),
         at(block, OBS_X_DOT, n),
@@ -228,20 +228,19 @@ def train_episodes(
 
     Args:
         plant: Constants of the closed loop.
-        pendulum: The centre that each episode varies.
+        pendulum: Nominal pendulum; each episode varies it.
         config: Constants of the training.
         learner: Compiled learner and reward.
-        training: Changed in place; a later call goes on where this one stopped.
+        training: Changed in place; the next call continues from it.
         until: Number of ended episodes at which to stop, at most `config.episodes`.
         seed: Master seed.
-        number: Number of the learner of that seed; each has random numbers of its own.
+        number: Number of the learner; each has its own random numbers.
     """
     tables, block, before = training.tables, training.batch, training.before
     episode, place, tick, box = training.episode, training.place, training.tick, training.box
     action, held, gained = training.action, training.held_steps, training.gained
     chance, epsilon, totals, cause = training.chance, training.epsilon, training.totals, block.cause
-    memory = block.controller
-    seen, u = memory.observation, memory.u
+    noise, seen, u = block.controller.noise, block.controller.observation, block.controller.u
     powers = np.empty(SMALL_POWERS)
     for i in range(SMALL_POWERS):
         powers[i] = config.gamma ** float(i)
@@ -259,7 +258,7 @@ def train_episodes(
             u[n] = config.actions[action[n]]
         for i in range(before.size):
             before[i] = seen[i]
-        draw_noise(memory.noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
+        draw_noise(noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
         step(plant, block, lanes)
         totals[STEPS] += lanes
         for n in range(lanes - 1, -1, -1):

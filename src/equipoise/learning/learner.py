@@ -143,11 +143,11 @@ def epsilon_greedy(tables: Tables, box: int, epsilon: float, chance: float, choi
     """Return a random action with probability epsilon, else the best one.
 
     Args:
-        tables: The tables as they stand.
+        tables: Current tables.
         box: Box of the state.
         epsilon: Probability of a random action.
         chance: Uniform random number in [0, 1) that decides whether the action is random.
-        choice: Uniform random number in [0, 1) that decides which of several it is.
+        choice: Uniform random number in [0, 1) that selects among several actions.
     """
     if chance < epsilon:
         return int(tables.Q.shape[1] * choice)
@@ -164,7 +164,7 @@ class Learner(NamedTuple):
     tables: int = 0
     """Number of tables of the learner's own, 270 x 8 numbers each."""
     chooses_ahead: bool = False
-    """Whether the next action is chosen before the update, which then sees it as a'."""
+    """Whether the next action a' is chosen before the update and passed to it."""
 
 
 class LearnerKernel(NamedTuple):

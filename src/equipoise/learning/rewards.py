@@ -1,7 +1,7 @@
 """Rewards by name, one function each.
 
-A reward judges one step of an episode: `reward(state, u, next_state, failed) -> float`. Both states
-are what the policy sees, with the fields x [m], x_dot [m/s], phi [rad] and phi_dot [rad/s]; u is
+A reward scores one step of an episode: `reward(state, u, next_state, failed) -> float`. Both states
+are observations, with the fields x [m], x_dot [m/s], phi [rad] and phi_dot [rad/s]; u is
 the acceleration [m/s^2]; `failed` says whether the step ended in failure. A fifth parameter, if
 there is one, receives the setting `learning.reward_failure`.
 

@@ -1,4 +1,4 @@
-"""The learners, one file each: the name of the file is the name of the learner.
+"""Learners, one file each: the name of the file is the name of the learner.
 
 Each file holds `learner`, a `Learner`. A new file needs no entry elsewhere.
 """

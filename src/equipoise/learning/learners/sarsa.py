@@ -1,4 +1,4 @@
-r"""SARSA (Rummery & Niranjan 1994): the value of the policy that is followed, exploration included.
+r"""SARSA (Rummery & Niranjan 1994): value of the followed policy, exploration included.
 
 .. math:: Q(s, a) = (1 - \alpha) Q(s, a) + \alpha (r + \gamma \, Q(s', a'))
 

@@ -6,8 +6,8 @@ episode. The error of equation (1),
 .. math:: \delta = r + \gamma \max_{a'} Q(s', a') - Q(s, a),
 
 corrects every pair by its trace, Q = Q + alpha e delta, so that a failure reaches the decisions
-before the last one at once. An action that is not the best one cuts the traces: what follows it
-says nothing about the best policy.
+before the last one at once. An action that is not the best one ends all traces: later rewards
+say nothing about the greedy policy.
 """
 
 from typing import Final
@@ -24,7 +24,7 @@ from equipoise.learning.learner import (
 from equipoise.model.elementary import BATCH_SIZE
 
 MIN_TRACE: Final = 1e-3
-"""Trace below which a pair is forgotten; at lambda gamma = 0.8 after 31 decisions."""
+"""Smallest trace that is kept [-]; at lambda gamma = 0.8 after 31 decisions."""
 
 
 def update(tables: Tables, transition: Transition, params: UpdateParams) -> None:
