@@ -24,7 +24,7 @@ def test_a_fault_that_ends_well_is_exit_code_0(equipoise):
 
 
 def test_a_fault_that_ends_otherwise_is_exit_code_1(equipoise, monkeypatch):
-    bad = rehearsal.FAULTS[-1]._replace(name="made up", play=lambda: ["the file was taken"])
+    bad = rehearsal.FAULTS[-1]._replace(name="made up", play=lambda: ("", ["the file was taken"]))
     monkeypatch.setattr(rehearsal, "FAULTS", (bad,))
     ran = equipoise("rig", "rehearse", "--only", "made up")
     assert ran.code == 1

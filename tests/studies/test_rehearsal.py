@@ -11,7 +11,7 @@ from equipoise.deployment.rig import RunResult
 from equipoise.errors import InputError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.rigs import RigSettings
-from equipoise.studies.rehearsal import FAULTS, REAL_TIME, choose, rehearse, rehearse_all
+from equipoise.studies.rehearsal import FAULTS, REAL_TIME, Fault, choose, rehearse, rehearse_all
 from equipoise.studies.rehearsal.fault_harness import ExpectedNotice, RunObservation
 from equipoise.studies.rehearsal.verdicts import (
     Sent,
@@ -86,8 +86,8 @@ def test_each_other_fault_ends_as_it_should(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("live", REAL_TIME, ids=lambda live: live.name)
 def test_each_fault_in_real_time_ends_as_it_should(live):
-    did, problems = live.play()
-    assert problems == [], did
+    result = rehearse(live)
+    assert result.problems == (), result.did
 
 
 def test_what_needs_real_time_is_not_passed_over_as_good():
@@ -107,9 +107,9 @@ def test_an_unknown_name_is_refused():
 
 
 def test_a_kind_chooses_all_of_it():
-    virtual, live = choose(["numbers"])
-    assert {one.kind for one in virtual} == {"numbers"}
-    assert live == []
+    chosen = choose(["numbers"])
+    assert {one.kind for one in chosen} == {"numbers"}
+    assert not any(one.real_time for one in chosen)
 
 
 # The judge, on courses written by hand: 5 ms apart, joint 1 moves.
@@ -215,7 +215,7 @@ def judged(seen, outcome=ENDED, **changes):
         "stoppable": True,
         "says": "cable",
     }
-    return judge(seen, outcome, **expected | changes)
+    return judge(seen, outcome, Fault("", "", "", **expected | changes))
 
 
 def test_a_stop_as_it_should_be_has_no_problems():
@@ -265,15 +265,17 @@ def test_a_lost_robot_has_to_be_told_within_100_ms():
         assert (judged(seen, stoppable=False, says="", within=1.0) == []) is good
     seen = Seen()
     seen.told[1] = ExpectedNotice(0.02, "fault", "the link is gone")
-    assert any("nobody told" in one for one in judged(seen, stoppable=False, says=""))
+    assert any("no message says" in one for one in judged(seen, stoppable=False, says=""))
 
 
 def test_a_refused_run_sends_nothing():
     seen = Seen()
     refused = {"ends": frozenset({"refused"}), "says": ""}
-    assert any("setpoints were sent" in one for one in judged(seen, InputError("no"), **refused))
+    assert any(
+        "setpoints were sent" in one for one in judged(seen, RunResult("refused", "no"), **refused)
+    )
     del seen.robot_wire.sent[1:]
-    assert judged(seen, InputError("no"), **refused) == []
+    assert judged(seen, RunResult("refused", "no"), **refused) == []
 
 
 def test_the_arm_of_the_rehearsal_is_the_one_that_the_policy_knows():

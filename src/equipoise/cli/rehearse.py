@@ -37,8 +37,7 @@ def rehearse(
     from equipoise.studies.rehearsal import Scenario, choose, rehearse_all
 
     if listed:
-        virtual, live = choose(only or ())
-        faults = [*virtual, *live]
+        faults = choose(only or ())
         for fault in faults:
             output.say(Text.assemble((fault.name, "bold"), f": {fault.injected}; {fault.should}"))
         output.result({"faults": [fault.name for fault in faults]})

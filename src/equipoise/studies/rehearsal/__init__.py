@@ -7,19 +7,20 @@ whether the run ended as required (`verdicts`).
 
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from itertools import repeat
 from multiprocessing import get_context
 from typing import Final, NamedTuple
 
-from equipoise.errors import EquipoiseError, InputError
+from equipoise.errors import InputError
 from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario
-from equipoise.studies.rehearsal.faults import FAULTS as ON_STAGE
+from equipoise.studies.rehearsal.faults import FAULTS as INJECTED
 from equipoise.studies.rehearsal.faults import Fault
 from equipoise.studies.rehearsal.files import FILES
-from equipoise.studies.rehearsal.real_time import REAL_TIME, LiveFault
+from equipoise.studies.rehearsal.real_time import REAL_TIME
 from equipoise.studies.rehearsal.verdicts import judge
 
-FAULTS: Final[tuple[Fault, ...]] = (*ON_STAGE, *FILES)
+FAULTS: Final[tuple[Fault, ...]] = (*INJECTED, *FILES)
 """Faults that can be rehearsed in virtual time."""
 
 
@@ -36,7 +37,7 @@ class Result(NamedTuple):
     """Description of the required end."""
     did: str
     """Description of the actual end."""
-    problems: tuple[str, ...]
+    problems: tuple[str, ...] = ()
     """Differences between both."""
     ran: bool = True
     """Whether the fault was rehearsed at all."""
@@ -48,58 +49,51 @@ class Result(NamedTuple):
 
 
 def rehearse(fault: Fault, scenario: Scenario | None = None) -> Result:
-    """Rehearse a fault in virtual time, and judge the end.
+    """Rehearse a fault, and judge the end.
 
     Args:
         fault: The fault.
-        scenario: Policy and rig (default: the shipped policy on an iiwa 7).
+        scenario: Policy and rig in virtual time (default: the shipped policy on an iiwa 7).
     """
-    told = (fault.name, fault.kind, fault.injected, fault.should)
-    if fault.play is not None:
-        problems = fault.play()
-        return Result(*told, "it was refused" if not problems else "", tuple(problems))
-    harness = FaultHarness(fault.scenario(scenario or Scenario()), fault.trigger, fault.inject)
+    try:
+        did, problems = fault.play() if fault.play else _run(fault, scenario or Scenario())
+    except TimeoutError as error:
+        did, problems = "", [str(error)]
+    return _result(fault, did)._replace(problems=tuple(problems))
+
+
+def _result(fault: Fault, did: str) -> Result:
+    return Result(fault.name, fault.kind, fault.injected, fault.should, did)
+
+
+def _run(fault: Fault, scenario: Scenario) -> tuple[str, list[str]]:
+    """Run a fault in virtual time; return a description of the end, and its problems."""
+    harness = FaultHarness(fault.scenario(scenario), fault.trigger, fault.inject)
     outcome = harness.run()
-    problems = [
-        *judge(
-            harness,
-            outcome,
-            ends=fault.ends,
-            within=fault.within,
-            stoppable=fault.stoppable,
-            says=fault.says,
-            held_at_start=fault.held_at_start,
-        ),
-        *fault.check(harness),
-    ]
-    if isinstance(outcome, EquipoiseError):
-        did = f"refused: {outcome}"
-    else:
-        did = f"{outcome.cause}: {outcome.reason}"
-    words = [one.time for one in harness.told if one.name in ("stopping", "fault")]
-    if fault.within is not None and words and harness.broken_at is not None:
-        did += f" ({1e3 * (words[0] - harness.broken_at):.0f} ms after the fault)"
-    return Result(*told, did, tuple(problems))
+    did = f"{outcome.cause}: {outcome.reason}"
+    stops = [one.time for one in harness.told if one.name in ("stopping", "fault")]
+    if fault.within is not None and stops and harness.broken_at is not None:
+        did += f" ({1e3 * (stops[0] - harness.broken_at):.0f} ms after the fault)"
+    return did, [*judge(harness, outcome, fault), *fault.check(harness)]
 
 
-def choose(only: Sequence[str]) -> tuple[list[Fault], list[LiveFault]]:
-    """Return the faults of these names or kinds (default: all).
+def choose(only: Sequence[str]) -> list[Fault]:
+    """Return the faults of these names or kinds (default: all); those in real time come last.
 
     Raises:
         InputError: A name is unknown.
     """
-    everything = (*FAULTS, *REAL_TIME)
-    known = {word for fault in everything for word in (fault.name, fault.kind)}
+    known = {word for fault in (*FAULTS, *REAL_TIME) for word in (fault.name, fault.kind)}
     for word in only:
         if word not in known:
             raise InputError(
                 f"there is no fault {word!r}; equipoise rig rehearse --list shows them all"
             )
-
-    def wanted(fault: Fault | LiveFault) -> bool:
-        return not only or fault.name in only or fault.kind in only
-
-    return [one for one in FAULTS if wanted(one)], [one for one in REAL_TIME if wanted(one)]
+    return [
+        fault
+        for fault in (*FAULTS, *REAL_TIME)
+        if not only or fault.name in only or fault.kind in only
+    ]
 
 
 def rehearse_all(
@@ -123,30 +117,21 @@ def rehearse_all(
     Raises:
         InputError: A name is unknown.
     """
-    virtual, live = choose(only)
-    names = [fault.name for fault in virtual]
+    faults = choose(only)
+    names = [fault.name for fault in faults if not fault.real_time]
     workers = min(workers, len(names))
-    if workers > 1:
-        with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-            results = pool.map(_rehearse_named, names, repeat(scenario))
-            for name, result in zip(names, results, strict=True):
-                begin(name)
-                yield result
-    else:
-        for fault in virtual:
+    with ExitStack() as stack:
+        apply = map
+        if workers > 1:
+            pool = ProcessPoolExecutor(workers, get_context("spawn"))
+            apply = stack.enter_context(pool).map
+        results = apply(_rehearse_named, names, repeat(scenario))
+        for fault in faults:
+            if fault.real_time and not real_time:
+                yield _result(fault, "needs --real-time")._replace(ran=False)
+                continue
             begin(fault.name)
-            yield rehearse(fault, scenario)
-    for fault in live:
-        told = (fault.name, fault.kind, fault.injected, fault.should)
-        if not real_time:
-            yield Result(*told, "needs --real-time", (), ran=False)
-            continue
-        begin(fault.name)
-        try:
-            did, problems = fault.play()
-        except TimeoutError as error:
-            did, problems = "", [str(error)]
-        yield Result(*told, did, tuple(problems))
+            yield rehearse(fault) if fault.real_time else next(results)
 
 
 def _rehearse_named(name: str, scenario: Scenario | None) -> Result:

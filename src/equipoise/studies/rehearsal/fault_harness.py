@@ -5,9 +5,9 @@ cabinet, board, arm and operator are emulated. The harness records the bytes on 
 motion of the twin, so that a fault is not judged by the run's own numbers and words.
 """
 
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -31,6 +31,10 @@ AFTER_RUN: Final = 0.5
 """Time for which the twin is observed after a run [s]."""
 OBSERVATION_TICKS: Final = 2
 """Time between two observations of the twin [ms]."""
+REFUSED: Final = "refused"
+"""Cause of the end of a run that raised an error of Equipoise."""
+BROKEN: Final = "broken"
+"""Cause of the end of a run that raised an unexpected exception."""
 START: Final = "start"
 """Name of the event before the run."""
 MAX_RUN_TIME: Final = 90.0
@@ -140,15 +144,11 @@ class StallingClock:
             self._clock.wait_until(self._clock.now() + self.held_up.pop(0))
 
 
-class BrokenRunError(EquipoiseError):
-    """A run ended with an unexpected exception."""
-
-
 class FaultHarness:
     """Emulated rig, a run on it, and the record of both."""
 
     def __init__(
-        self, scenario: Scenario, trigger: Trigger, inject: Callable[["FaultHarness"], None]
+        self, scenario: Scenario, trigger: Trigger, inject: Callable[["FaultHarness"], object]
     ) -> None:
         """Set up the rig.
 
@@ -163,6 +163,7 @@ class FaultHarness:
         pendulum = pendulum_on(scenario.policy.pendulum, world.settings)
         self.parts: EmulatedRig = emulated_rig(world, scenario.settings, pendulum, robot=ROBOT)
         """Simulated rig, server, board and links."""
+        self.bench, self.board = self.parts.bench, self.parts.sensor.board
         clock = self.parts.rig.clock
         self.clock = StallingClock(clock)
         """Clock of the run."""
@@ -190,14 +191,14 @@ class FaultHarness:
         """Lines that are typed next."""
         self._trigger, self._inject = trigger, inject
         self._due: list[tuple[float, Callable[[], Any]]] = []
-        self._each: list[Callable[[float], Any]] = []
+        self._each: list[Callable[[], Any]] = []
         self._ms = 0
         if isinstance(clock, VirtualClock):
             clock.attach(self._work)
         self._notice(START)
 
-    def run(self) -> RunResult | EquipoiseError:
-        """Run the policy, and return the result of the run."""
+    def run(self) -> RunResult:
+        """Run the policy, and return the result; its cause may be `REFUSED` or `BROKEN`."""
         scenario, parts = self.scenario, self.parts
         sensor_on, robot_on = parts.sensor.driver, parts.robot.driver
         if sensor_on is None or robot_on is None:
@@ -222,18 +223,13 @@ class FaultHarness:
             seed=0,
         )
         try:
-            outcome = run_rig_virtually(
-                request,
-                rig,
-                scenario.out,
-                self,
-                around=lambda handler: FaultyTickHandler(handler, self),
-            )
+            wrap = partial(FaultyTickHandler, self)
+            outcome = run_rig_virtually(request, rig, scenario.out, self, around=wrap)
         except EquipoiseError as error:
             self.told.append(ExpectedNotice(self.clock.now(), "error", str(error)))
-            outcome = error
+            outcome = RunResult(REFUSED, str(error))
         except Exception as error:  # a defect of the run; a rehearsal looks for these
-            outcome = BrokenRunError(f"the run broke with {type(error).__name__}: {error}")
+            outcome = RunResult(BROKEN, f"the run broke with {type(error).__name__}: {error}")
         finally:
             while self.undo:
                 self.undo.pop()()
@@ -249,14 +245,14 @@ class FaultHarness:
     def each(self, act: Callable[[float], Any]) -> None:
         """Call `act` each millisecond from now on, with the time since now [s]."""
         begin = self.clock.now()
-        self._each.append(lambda now: act(now - begin))
+        self._each.append(lambda: act(self.clock.now() - begin))
 
     # A second operator, who receives every message and types what a fault makes it type.
 
     def notify(self, event: OperatorMessage) -> None:
         """Record a message."""
         if event.name == "balancing":
-            self.held_at_start = self.parts.bench.hand.holds
+            self.held_at_start = self.bench.hand.holds
         self.told.append(ExpectedNotice(self.clock.now(), event.name, event.text))
         self._notice(event.name)
         if event.name == "stopping":
@@ -281,13 +277,12 @@ class FaultHarness:
     def _work(self, now: float) -> None:
         due = [act for time, act in self._due if time <= now + 1e-9]
         self._due = [later for later in self._due if later[0] > now + 1e-9]
-        for act in (*due, *(lambda each=each: each(now) for each in self._each)):
+        for act in (*due, *self._each):
             act()
         self._ms += 1
         if self._ms % OBSERVATION_TICKS == 0:
-            bench = self.parts.bench
-            q = tuple(bench.twin.kernel.bodies.qpos[: bench.joints].tolist())
-            self.looks.append(RunObservation(now, float(bench.truth().x), q))
+            q = tuple(self.bench.twin.kernel.bodies.qpos[: self.bench.joints].tolist())
+            self.looks.append(RunObservation(now, float(self.bench.truth().x), q))
         if round(1e3 * now) == round(1e3 * MAX_RUN_TIME):
             self.typed.append("stop")
 
@@ -295,8 +290,8 @@ class FaultHarness:
 class FaultyTickHandler:
     """Tick handler whose inputs and setpoints are changed by a fault."""
 
-    def __init__(self, handler: TickHandler, harness: FaultHarness) -> None:
-        self._handler, self._stage = handler, harness
+    def __init__(self, harness: FaultHarness, handler: TickHandler) -> None:
+        self._harness, self._handler = harness, handler
 
     @property
     def h(self) -> float:
@@ -305,7 +300,7 @@ class FaultyTickHandler:
 
     def tick(self, now: float, inputs: TickInputs) -> TickOutput:
         """Decide, with the faults of the scenario applied to inputs and output."""
-        harness = self._stage
+        harness = self._harness
         output = self._handler.tick(now, harness.change_inputs(inputs))
         if harness.broken_at is None:
             return output
@@ -313,26 +308,9 @@ class FaultyTickHandler:
         if any(event.name == "stopping" for event in output.events):
             # After the stop the motion is the run's own.
             harness.stopped_at = min(now - step, harness.stopped_at)
-        setpoints = tuple(
-            harness.change_setpoint(
-                tuple(q), min(now + place * step, harness.stopped_at) - harness.broken_at
-            )
-            for place, q in enumerate(output.setpoints)
+        times = (min(now + i * step, harness.stopped_at) for i in range(len(output.setpoints)))
+        setpoints = (
+            harness.change_setpoint(tuple(q), time - harness.broken_at)
+            for q, time in zip(output.setpoints, times, strict=True)
         )
-        return output._replace(setpoints=setpoints)
-
-
-@contextmanager
-def instead(owner: Any, name: str, value: Any) -> Generator[None]:
-    """Replace an attribute for the duration of a block."""
-    before = getattr(owner, name)
-    setattr(owner, name, value)
-    try:
-        yield
-    finally:
-        setattr(owner, name, before)
-
-
-def on(scenario: Scenario, **changes: Any) -> Scenario:
-    """Return a scenario with some of it changed."""
-    return replace(scenario, **changes)
+        return output._replace(setpoints=tuple(setpoints))

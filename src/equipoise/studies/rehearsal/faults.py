@@ -27,7 +27,6 @@ from equipoise.studies.rehearsal.fault_harness import (
     Scenario,
     Setpoint,
     Trigger,
-    on,
 )
 
 BALANCING: Final = Trigger("balancing", 0.5)
@@ -37,16 +36,7 @@ AT_START: Final = Trigger(START)
 PERIOD: Final = paper.STEP / SETPOINTS_PER_TICK
 """Time between two setpoints [s]."""
 
-Inject = Callable[[FaultHarness], None]
-
-
-def nothing(harness: FaultHarness) -> None:
-    """Inject nothing; the scenario itself is faulty."""
-
-
-def unchanged(scenario: Scenario) -> Scenario:
-    """Return a scenario as it is."""
-    return scenario
+Inject = Callable[[FaultHarness], object]
 
 
 class Fault(NamedTuple):
@@ -54,19 +44,17 @@ class Fault(NamedTuple):
 
     name: str
     """Name of the fault."""
-    kind: str
-    """Subject of the fault."""
     injected: str
     """Description of the fault and its time."""
     should: str
     """Description of the required end."""
-    ends: frozenset[str]
+    ends: frozenset[str] = frozenset()
     """Permitted causes of the end; `refused` for a run that must not begin."""
-    inject: Inject = nothing
-    """Injects the fault."""
+    inject: Inject = lambda harness: None
+    """Injects the fault; by default nothing, for a faulty scenario."""
     trigger: Trigger = BALANCING
     """Time of the injection."""
-    scenario: Callable[[Scenario], Scenario] = unchanged
+    scenario: Callable[[Scenario], Scenario] = lambda scenario: scenario
     """Changes the scenario, for a fault that exists from the start."""
     within: float | None = None
     """Maximum time from the fault to the stop [s]; None where only its effect can be seen."""
@@ -78,8 +66,17 @@ class Fault(NamedTuple):
     """Further check; returns its problems."""
     held_at_start: bool = False
     """Whether the policy may begin while the hand still holds the pendulum."""
-    play: Callable[[], list[str]] | None = None
-    """Plays a fault that needs no run, and returns its problems."""
+    kind: str = ""
+    """Subject of the fault."""
+    play: Callable[[], tuple[str, list[str]]] | None = None
+    """Rehearses a fault without the harness; returns a description of the end, and its problems."""
+    real_time: bool = False
+    """Whether the rehearsal needs real time."""
+
+
+def of_kind(kind: str, *faults: Fault) -> tuple[Fault, ...]:
+    """Return faults with their kind."""
+    return tuple(fault._replace(kind=kind) for fault in faults)
 
 
 def _ends(*causes: str | Rule) -> frozenset[str]:
@@ -91,20 +88,26 @@ FELL: Final = _ends(Rule.ANGLE, Rule.TRACK, Rule.SPEED)
 
 
 def _change(part: str, **values: Any) -> Inject:
-    """Set attributes of a part of the emulated rig."""
+    """Set attributes of a part of the harness."""
 
     def inject(harness: FaultHarness) -> None:
         for name, value in values.items():
-            setattr(attrgetter(part)(harness.parts), name, value)
+            setattr(attrgetter(part)(harness), name, value)
 
     return inject
 
 
+def _call(method: str, *arguments: Any) -> Inject:
+    """Call a method of a part of the harness."""
+    return lambda harness: attrgetter(method)(harness)(*arguments)
+
+
+def _with(**changes: Any) -> Callable[[Scenario], Scenario]:
+    """Change attributes of the scenario."""
+    return lambda scenario: replace(scenario, **changes)
+
+
 # The encoder.
-
-
-def _unplug(harness: FaultHarness) -> None:
-    harness.parts.sensor.link.close()
 
 
 def _referenced_twice(harness: FaultHarness) -> Sequence[str]:
@@ -114,74 +117,72 @@ def _referenced_twice(harness: FaultHarness) -> Sequence[str]:
 
 def _slip_slowly(harness: FaultHarness) -> None:
     """Turn the encoder by 1 deg on its spindle, slowly enough for any plausibility."""
-    harness.each(lambda since: harness.parts.bench.slip(radians(0.005)) if since < 0.2 else None)
+    harness.each(lambda since: harness.bench.slip(radians(0.005)) if since < 0.2 else None)
 
 
 # fmt: off
-ENCODER: Final = (
-    Fault("encoder unplugged", "encoder", "its port is gone, while balancing",
-          "a stop within a tick, told to look at the encoder", _ends("fault"), _unplug, within=0.02,
-          says="encoder"),
-    Fault("encoder unplugged in the self-test", "encoder",
-          "its port is gone, while the flange moves by 40 mm", "a stop within a tick",
-          _ends("fault"), _unplug, Trigger("swing", 0.7), within=0.02, says="encoder"),
-    Fault("encoder silent", "encoder", "no line comes any more, while balancing",
+ENCODER: Final = of_kind(
+    "encoder",
+    Fault("encoder unplugged", "its port is gone, while balancing",
+          "a stop within a tick, told to look at the encoder", _ends("fault"),
+          _call("parts.sensor.link.close"), within=0.02, says="encoder"),
+    Fault("encoder unplugged in the self-test", "its port is gone, while the flange moves by 40 mm",
+          "a stop within a tick", _ends("fault"), _call("parts.sensor.link.close"),
+          Trigger("swing", 0.7), within=0.02, says="encoder"),
+    Fault("encoder silent", "no line comes any more, while balancing",
           "a stop once the newest sample is 20 ms old", _ends(Rule.ENCODER_STALE),
-          _change("sensor.board", silent=True), within=0.04, says="its cable"),
-    Fault("encoder frozen", "encoder", "the count stands still, while balancing",
+          _change("board", silent=True), within=0.04, says="its cable"),
+    Fault("encoder frozen", "the count stands still, while balancing",
           "the pendulum is lost; the arm stops on its track", FELL | _ends(Rule.ENCODER_JUMP),
-          _change("sensor.board", frozen=True), within=2.0),
-    Fault("encoder frozen before the self-test", "encoder",
-          "the count stands still, from the reference on", "the self-test refuses",
-          _ends("self-test"), _change("sensor.board", frozen=True), Trigger("swing")),
-    Fault("count jump", "encoder", "the count jumps by 5 deg, while balancing",
-          "a stop within a tick", _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
-          lambda harness: harness.parts.sensor.board.jump(round(8192 * 5 / 360)), within=0.02),
-    Fault("slow count loss", "encoder",
-          "one of twenty upward counts is lost, from the start of balancing",
+          _change("board", frozen=True), within=2.0),
+    Fault("encoder frozen before the self-test", "the count stands still, from the reference on",
+          "the self-test refuses", _ends("self-test"), _change("board", frozen=True),
+          Trigger("swing")),
+    Fault("count jump", "the count jumps by 5 deg, while balancing", "a stop within a tick",
+          _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
+          _call("board.jump", round(8192 * 5 / 360)), within=0.02),
+    Fault("slow count loss", "one of twenty upward counts is lost, from the start of balancing",
           "it balances while the zero can be estimated, then the arm stops on its track",
-          FELL | _ends("lasted"), _change("sensor.board", loss=0.05), Trigger("balancing"),
-          lambda scenario: on(scenario, duration=8.0)),
-    Fault("wrong sign", "encoder", "the counts grow the wrong way, from the start",
-          "the self-test names the sign", _ends("self-test"),
-          _change("sensor.board", sign=-1), AT_START, says="sign"),
-    Fault("wrong counts: half", "encoder", "half the counts per revolution, from the start",
-          "the self-test names the counts", _ends("self-test"), _change("sensor.board", factor=0.5),
+          FELL | _ends("lasted"), _change("board", loss=0.05), Trigger("balancing"),
+          _with(duration=8.0)),
+    Fault("wrong sign", "the counts grow the wrong way, from the start",
+          "the self-test names the sign", _ends("self-test"), _change("board", sign=-1), AT_START,
+          says="sign"),
+    Fault("wrong counts: half", "half the counts per revolution, from the start",
+          "the self-test names the counts", _ends("self-test"), _change("board", factor=0.5),
           AT_START, says="counts"),
-    Fault("wrong counts: x 1.1", "encoder", "a tenth more counts per revolution, from the start",
-          "the self-test names the counts", _ends("self-test"), _change("sensor.board", factor=1.1),
+    Fault("wrong counts: x 1.1", "a tenth more counts per revolution, from the start",
+          "the self-test names the counts", _ends("self-test"), _change("board", factor=1.1),
           AT_START, says="counts"),
-    Fault("board of another encoder", "encoder",
-          "the board says 4096 counts per revolution, the rig 8192", "the run is refused",
-          _ends("refused"), _change("sensor.board", counts_per_rev=4096), AT_START, says="4096"),
-    Fault("zeroed while swinging", "encoder", "the board sets its count to zero, in the self-test",
+    Fault("board of another encoder", "the board says 4096 counts per revolution, the rig 8192",
+          "the run is refused", _ends("refused"), _change("board", counts_per_rev=4096), AT_START,
+          says="4096"),
+    Fault("zeroed while swinging", "the board sets its count to zero, in the self-test",
           "a stop within a tick", _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
-          lambda harness: harness.parts.sensor.board.zero(), Trigger("swing", 1.4), within=0.03),
-    Fault("zero error", "encoder", "the encoder slips by 1 deg on its spindle, after the reference",
+          _call("board.zero"), Trigger("swing", 1.4), within=0.03),
+    Fault("zero error", "the encoder slips by 1 deg on its spindle, after the reference",
           "the self-test refuses the zero, it is referenced anew, and balances", _ends("lasted"),
           _slip_slowly, Trigger("swing"), check=_referenced_twice),
-    Fault("zero error while balancing", "encoder",
-          "the encoder slips by 1 deg on its spindle, in 0.2 s",
+    Fault("zero error while balancing", "the encoder slips by 1 deg on its spindle, in 0.2 s",
           "the zero is estimated and it balances, or the arm stops on its track",
           FELL | _ends("lasted"), _slip_slowly),
-    Fault("stale samples", "encoder", "lines come 60 ms late, while balancing",
+    Fault("stale samples", "lines come 60 ms late, while balancing",
           "a stop once the newest sample is 20 ms old", _ends(Rule.ENCODER_STALE),
-          _change("sensor.link", delay=0.06), within=0.04, says="old"),
-    Fault("malformed lines", "encoder", "one of fifty lines is damaged, while balancing",
+          _change("parts.sensor.link", delay=0.06), within=0.04, says="old"),
+    Fault("malformed lines", "one of fifty lines is damaged, while balancing",
           "it is rejected; a stop once gaps repeat", _ends(Rule.ENCODER_GAP),
-          _change("sensor.board", malformed=0.02), within=0.5, says="missing"),
-    Fault("one lost line", "encoder", "one line is lost, while balancing",
+          _change("board", malformed=0.02), within=0.5, says="missing"),
+    Fault("one lost line", "one line is lost, while balancing",
           "a warning; the run goes on, for counts are absolute", _ends("lasted"),
-          lambda harness: harness.parts.sensor.board.skip(1), says="was lost"),
-    Fault("lost lines", "encoder", "three lines are lost, while balancing", "a stop within a tick",
-          _ends(Rule.ENCODER_GAP), lambda harness: harness.parts.sensor.board.skip(3), within=0.03),
-    Fault("illegal transition", "encoder",
-          "both lines of the encoder change at once, while balancing", "a stop within a tick",
-          _ends(Rule.ENCODER_ILLEGAL), lambda harness: harness.parts.sensor.board.meet_illegal(),
+          _call("board.skip", 1), says="was lost"),
+    Fault("lost lines", "three lines are lost, while balancing", "a stop within a tick",
+          _ends(Rule.ENCODER_GAP), _call("board.skip", 3), within=0.03),
+    Fault("illegal transition", "both lines of the encoder change at once, while balancing",
+          "a stop within a tick", _ends(Rule.ENCODER_ILLEGAL), _call("board.meet_illegal"),
           within=0.03, says="wiring"),
-    Fault("board restarts", "encoder", "the board loses its power for a trigger, while balancing",
+    Fault("board restarts", "the board loses its power for a trigger, while balancing",
           "a stop; the zero is void", _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
-          lambda harness: harness.parts.sensor.board.reboot(), within=0.05),
+          _call("board.reboot"), within=0.05),
 )
 # fmt: on
 
@@ -191,16 +192,17 @@ ENCODER: Final = (
 
 def _hold_up(*times: float) -> Inject:
     # Every second wait is for a tick, the other for the setpoint in its middle.
-    return lambda harness: setattr(harness.clock, "held_up", list(times))
+    return lambda harness: harness.clock.held_up.extend(times)
 
 
 # fmt: off
-TIME: Final = (
-    Fault("late tick", "time", "the loop is held up for 60 ms, while balancing",
-          "a stop in the next tick", _ends(Rule.TICK), _hold_up(0.06), within=0.08),
-    Fault("one late tick", "time", "the loop is held up for 8 ms, while balancing", "it goes on",
+TIME: Final = of_kind(
+    "time",
+    Fault("late tick", "the loop is held up for 60 ms, while balancing", "a stop in the next tick",
+          _ends(Rule.TICK), _hold_up(0.06), within=0.08),
+    Fault("one late tick", "the loop is held up for 8 ms, while balancing", "it goes on",
           _ends("lasted"), _hold_up(0.008)),
-    Fault("late ticks", "time", "the loop is late by 12 ms six times in a row, while balancing",
+    Fault("late ticks", "the loop is late by 12 ms six times in a row, while balancing",
           "a stop at the third missed tick", _ends(Rule.TICK), _hold_up(*(6 * (0.012,))),
           within=0.08),
 )
@@ -210,18 +212,13 @@ TIME: Final = (
 # The robot and its link.
 
 
-def _change_server(**changes: Any) -> Inject:
-    """Change faults of the robot's emulator."""
-
-    def inject(harness: FaultHarness) -> None:
-        server = harness.parts.robot.server
-        server.faults = replace(server.faults, **changes)
-
-    return inject
+def _change_server(harness: FaultHarness, **faults: Any) -> None:
+    server = harness.parts.robot.server
+    server.faults = replace(server.faults, **faults)
 
 
 def _drop(harness: FaultHarness) -> None:
-    _change_server(close=True)(harness)
+    _change_server(harness, close=True)
     harness.parts.robot.link.close()
 
 
@@ -235,17 +232,12 @@ def _back_up(harness: FaultHarness) -> None:
     harness.after(0.1, lambda: setattr(there, "delay", before))
 
 
-def _stopped(why: str) -> Inject:
-    return lambda harness: harness.parts.bench.body.stop(why)
-
-
 def _touch(force: float) -> Inject:
     """Press on the flange along the track for 0.3 s [N]."""
 
     def inject(harness: FaultHarness) -> None:
-        bench = harness.parts.bench
-        bench.touch((force, 0.0, 0.0))
-        harness.after(0.3, lambda: bench.touch((0.0, 0.0, 0.0)))
+        harness.bench.touch((force, 0.0, 0.0))
+        harness.after(0.3, lambda: harness.bench.touch((0.0, 0.0, 0.0)))
 
     return inject
 
@@ -262,11 +254,7 @@ def _pushing(scenario: Scenario) -> Scenario:
     """Return a scenario whose policy pushes one way only."""
     own = scenario.policy
     parts = {name: getattr(own, name) for name in ("pendulum", "arm", "actuator", "settings")}
-    return on(scenario, policy=bind_policy(_push, **parts))
-
-
-def _push(_: object) -> float:
-    return paper.ACTIONS[0]
+    return replace(scenario, policy=bind_policy(lambda _: paper.ACTIONS[0], **parts))
 
 
 def _singular(scenario: Scenario) -> Scenario:
@@ -276,8 +264,11 @@ def _singular(scenario: Scenario) -> Scenario:
     lower, upper = np.clip(ranges, -pi, pi).T
     postures = np.random.default_rng(0).uniform(lower, upper, (300, len(ranges)))
     worst = arm.with_held(max(list(postures), key=lambda q: condition(arm, q)))
-    home = tuple(np.degrees(worst).tolist())
-    return on(scenario, settings=scenario.settings.changed(home_deg=home))
+    return _at_home(scenario, np.degrees(worst).tolist())
+
+
+def _at_home(scenario: Scenario, home_deg: Sequence[float]) -> Scenario:
+    return replace(scenario, settings=scenario.settings.changed(home_deg=tuple(home_deg)))
 
 
 def _setpoint(change: Callable[[Setpoint, float], Setpoint]) -> Inject:
@@ -323,92 +314,88 @@ def _creep(row: int) -> Inject:
     return inject
 
 
-HELD_BACK: Final = _ends("fault")
-"""End of a run whose setpoint was held back by the safety rules."""
+def _held_back(
+    name: str, injected: str, inject: Inject, says: str = "", trigger: Trigger = BALANCING
+) -> Fault:
+    """Return a fault of a setpoint, which the safety rules hold back."""
+    should = "the setpoint is held back; the guard brings the arm to rest"
+    return Fault(name, injected, should, _ends("fault"), inject, trigger, within=0.03, says=says)
+
+
 MOVED_AWAY: Final = _ends("fault", Rule.FOLLOWING, Rule.DRIFT, Rule.TILT, Rule.TRACK)
 
 # fmt: off
-ROBOT: Final = (
-    Fault("TCP drop", "robot", "the server closes the connection, while balancing",
+ROBOT: Final = of_kind(
+    "robot",
+    Fault("TCP drop", "the server closes the connection, while balancing",
           "told within 100 ms that software cannot stop the robot; it rests at its last target",
           _ends("link lost"), _drop, stoppable=False, within=0.02),
-    Fault("half-open link", "robot", "nothing arrives any more, neither way, while balancing",
+    Fault("half-open link", "nothing arrives any more, neither way, while balancing",
           "told within 100 ms that software may be unable to stop the robot", _ends("link lost"),
           _half_open, stoppable=False, within=0.08),
-    Fault("command backlog", "robot", "commands arrive 80 ms late, while balancing",
+    Fault("command backlog", "commands arrive 80 ms late, while balancing",
           "a stop after 50 ms, and rest", _ends(Rule.LINK), _back_up, within=0.08,
           says="has not answered"),
-    Fault("nak", "robot", "the server refuses setpoints, while balancing",
+    Fault("nak", "the server refuses setpoints, while balancing",
           "the link is given up; told within 100 ms that software cannot stop the robot",
-          _ends("link lost"), _change_server(refuse=1.0), stoppable=False,
+          _ends("link lost"), lambda harness: _change_server(harness, refuse=1.0), stoppable=False,
           within=0.03),
-    Fault("reconnect in mid-run", "robot",
-          "the connection drops, and could be made again 50 ms later",
+    Fault("reconnect in mid-run", "the connection drops, and could be made again 50 ms later",
           "no connection is made again, and nothing is sent any more", _ends("link lost"), _drop,
           stoppable=False, within=0.02, check=_no_bytes_after),
-    Fault("robot not following", "robot", "the drives stop the arm on its way home",
+    Fault("robot not following", "the drives stop the arm on its way home",
           "a latched stop; targets go on from where the arm is",
-          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING), _stopped("the drives' protection"),
-          Trigger("homing", 0.4), within=0.4),
-    Fault("E-stop", "robot", "the E-stop is pressed, while balancing",
+          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING),
+          _call("bench.body.stop", "the drives' protection"), Trigger("homing", 0.4), within=0.4),
+    Fault("E-stop", "the E-stop is pressed, while balancing",
           "a latched stop; targets go on from where the arm is",
-          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.ANGLE), _stopped("emergency stop"),
-          within=0.4),
-    Fault("E-stop before the release", "robot", "the E-stop is pressed, the pendulum held",
+          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.ANGLE),
+          _call("bench.body.stop", "emergency stop"), within=0.4),
+    Fault("E-stop before the release", "the E-stop is pressed, the pendulum held",
           "a latched stop as soon as the arm should move",
-          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.ANGLE), _stopped("emergency stop"),
-          Trigger("armed")),
-    Fault("mode change", "robot", "another mode is selected, in the self-test",
+          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.ANGLE),
+          _call("bench.body.stop", "emergency stop"), Trigger("armed")),
+    Fault("mode change", "another mode is selected, in the self-test",
           "a latched stop; targets go on from where the arm is",
-          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING), _stopped("change of the operating mode"),
-          Trigger("swing", 0.5), within=0.5),
-    Fault("contact", "robot", "60 N press on the flange, along the track, while balancing",
+          _ends(Rule.NOT_FOLLOWING, Rule.FOLLOWING),
+          _call("bench.body.stop", "change of the operating mode"), Trigger("swing", 0.5),
+          within=0.5),
+    Fault("contact", "60 N press on the flange, along the track, while balancing",
           "a stop at the next torques", _ends(Rule.TORQUE), _touch(60.0), within=0.1,
           says="touches the arm"),
-    Fault("contact on the way home", "robot", "150 N press on the flange on the way home",
+    Fault("contact on the way home", "150 N press on the flange on the way home",
           "a stop at the next torques", _ends(Rule.TORQUE), _touch(150.0), Trigger("homing", 0.3),
           within=0.1),
-    Fault("joint limit", "robot", "a setpoint of the second joint near its limit, while balancing",
-          "it is held back; the guard brings the arm to rest", HELD_BACK,
-          _joint(1, lambda joint, q, since: joint.upper - radians(1.5)), within=0.03,
-          says="joint 2"),
-    Fault("velocity limit", "robot", "setpoints of the last joint jump at 1.3 times its top speed",
-          "they are held back; the guard brings the arm to rest", HELD_BACK,
-          _joint(-1, lambda joint, q, since: q + 1.3 * joint.velocity * PERIOD), within=0.03,
-          says="rad/s, expected"),
-    Fault("acceleration limit", "robot", "setpoints of the last joint run away at 3 x its limit",
-          "they are held back; the guard brings the arm to rest", HELD_BACK,
-          _joint(-1, lambda joint, q, since: q + 1.5 * joint.acceleration * since**2), within=0.04,
-          says="rad/s^2, expected"),
-    Fault("runaway", "robot", "setpoints of the last joint run away by 5 rad/s^2, while balancing",
+    _held_back("joint limit", "a setpoint of the second joint near its limit, while balancing",
+               _joint(1, lambda joint, q, since: joint.upper - radians(1.5)), "joint 2"),
+    _held_back("velocity limit", "setpoints of the last joint jump at 1.3 times its top speed",
+               _joint(-1, lambda joint, q, since: q + 1.3 * joint.velocity * PERIOD),
+               "rad/s, expected"),
+    _held_back("acceleration limit", "setpoints of the last joint run away at 3 x its limit",
+               _joint(-1, lambda joint, q, since: q + 1.5 * joint.acceleration * since**2),
+               "rad/s^2, expected")._replace(within=0.04),
+    Fault("runaway", "setpoints of the last joint run away by 5 rad/s^2, while balancing",
           "a stop once the arm is 0.03 rad from where it should be for 50 ms", MOVED_AWAY,
           _joint(-1, lambda joint, q, since: q + 2.5 * since**2), within=0.4),
-    Fault("track limit", "robot", "a policy that pushes one way only",
+    Fault("track limit", "a policy that pushes one way only",
           "a stop from which the flange rests on its track", _ends(Rule.TRACK, Rule.ANGLE),
           scenario=_pushing, trigger=Trigger("balancing"), within=1.0),
-    Fault("too fast for T1", "robot", "the pendulum is pushed by 1 rad/s, in T1",
-          "a stop where the flange reaches 0.23 m/s", _ends(Rule.SPEED),
-          lambda harness: harness.parts.bench.push(1.0),
-          scenario=lambda scenario: on(scenario, t1=True), within=0.5, says="0.23 m/s"),
-    Fault("near singularity", "robot", "a home that is almost singular",
-          "the run is refused", _ends("refused"), trigger=AT_START, scenario=_singular,
-          says="home"),
-    Fault("flange drift", "robot",
-          "setpoints creep, so that the flange leaves its line upwards", "a stop at 15 mm",
-          _ends(Rule.DRIFT), _creep(2), within=3.0,
-          says="off its line"),
-    Fault("flange pitch error", "robot",
-          "setpoints creep, so that the flange tilts",
-          "a stop at 2 deg, or at 15 mm", _ends(Rule.TILT, Rule.DRIFT),
-          _creep(3), within=3.0),
-    Fault("first command away from the measured pose", "robot",
+    Fault("too fast for T1", "the pendulum is pushed by 1 rad/s, in T1",
+          "a stop where the flange reaches 0.23 m/s", _ends(Rule.SPEED), _call("bench.push", 1.0),
+          scenario=_with(t1=True), within=0.5, says="0.23 m/s"),
+    Fault("near singularity", "a home that is almost singular", "the run is refused",
+          _ends("refused"), trigger=AT_START, scenario=_singular, says="home"),
+    Fault("flange drift", "setpoints creep, so that the flange leaves its line upwards",
+          "a stop at 15 mm", _ends(Rule.DRIFT), _creep(2), within=3.0, says="off its line"),
+    Fault("flange pitch error", "setpoints creep, so that the flange tilts",
+          "a stop at 2 deg, or at 15 mm", _ends(Rule.TILT, Rule.DRIFT), _creep(3), within=3.0),
+    Fault("first command away from the measured pose",
           "the first setpoint is 0.02 rad from where the arm is", "nothing is sent",
           _ends("fault", "link lost"),
           _setpoint(lambda q, since: tuple(angle + 0.02 for angle in q)), AT_START,
           says="nothing was sent"),
-    Fault("unit slip in the setpoints", "robot", "setpoints become degrees, while balancing",
-          "they are held back; the guard brings the arm to rest", HELD_BACK,
-          _setpoint(lambda q, since: tuple(map(degrees, q))), within=0.03),
+    _held_back("unit slip in the setpoints", "setpoints become degrees, while balancing",
+               _setpoint(lambda q, since: tuple(map(degrees, q)))),
 )
 # fmt: on
 
@@ -420,65 +407,52 @@ def _inputs(change: Callable[[TickInputs], TickInputs]) -> Inject:
     return lambda harness: setattr(harness, "change_inputs", change)
 
 
-def _each_sample(**changes: Any) -> Inject:
-    return _inputs(
-        lambda inputs: inputs._replace(
-            samples=[one._replace(**changes) for one in inputs.samples]  # type: ignore[attr-defined]
-        )
-    )
+def _nan_times(inputs: TickInputs) -> TickInputs:
+    samples: Sequence[Any] = inputs.samples
+    return inputs._replace(samples=[sample._replace(time=nan) for sample in samples])
 
 
-def _each_reply(change: Callable[[Any], Any]) -> Inject:
-    return _inputs(lambda inputs: inputs._replace(replies=[change(one) for one in inputs.replies]))
+def _nan_replies(column: str) -> Inject:
+    """Replace all numbers of a column of the robot's replies by NaN."""
+
+    def spoiled(reply: Any) -> Any:
+        values = getattr(reply, column)
+        return reply if values is None else reply._replace(**{column: (nan,) * len(values)})
+
+    return _inputs(lambda inputs: inputs._replace(replies=list(map(spoiled, inputs.replies))))
 
 
-def _no_joints(reply: Any) -> Any:
-    return reply if reply.q is None else reply._replace(q=(nan,) * len(reply.q))
-
-
-def _no_torques(reply: Any) -> Any:
-    return reply if reply.torque is None else reply._replace(torque=(nan,) * len(reply.torque))
-
-
-def _nan_line(data: bytes) -> bytes:
-    return data and b"_".join([b"NaN"] * 7) + b"\n"
-
-
-def _nan_count(data: bytes) -> bytes:
-    return data and b"E,nan,nan,nan,0*00\n"
+def _spoil(wire: str, line: bytes) -> Inject:
+    """Replace all bytes that a wire receives by a line."""
+    return _change(wire, spoil=lambda data: data and line)
 
 
 # fmt: off
-NUMBERS: Final = (
-    Fault("NaN from the encoder's line", "numbers", "lines hold nan, while balancing",
+NUMBERS: Final = of_kind(
+    "numbers",
+    Fault("NaN from the encoder's line", "lines hold nan, while balancing",
           "they are rejected; a stop once the newest sample is 20 ms old",
           _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
-          lambda harness: setattr(harness.encoder_wire, "spoil", _nan_count), within=0.05),
-    Fault("NaN from the robot's line", "numbers", "answers hold NaN, while balancing",
+          _spoil("encoder_wire", b"E,nan,nan,nan,0*00\n"), within=0.05),
+    Fault("NaN from the robot's line", "answers hold NaN, while balancing",
           "the link is given up; told within 100 ms that software cannot stop the robot",
-          _ends("link lost"), lambda harness: setattr(harness.robot_wire, "spoil", _nan_line),
+          _ends("link lost"), _spoil("robot_wire", b"_".join(7 * [b"NaN"]) + b"\n"),
           stoppable=False, within=0.03),
-    Fault("NaN in a sample's time", "numbers",
-          "the encoder's driver gives NaN for a time, while balancing", "a stop within a tick",
-          _ends(Rule.NUMBER, Rule.ENCODER_JUMP, "fault"), _each_sample(time=nan), within=0.02),
-    Fault("NaN in measured joints", "numbers",
-          "the robot's driver gives NaN for joints, while balancing", "a stop within a tick",
-          _ends(Rule.NUMBER, "fault"), _each_reply(_no_joints), within=0.02),
-    Fault("NaN in torques", "numbers", "the robot's driver gives NaN for torques, while balancing",
-          "a stop at the next torques", _ends(Rule.NUMBER, "fault"), _each_reply(_no_torques),
+    Fault("NaN in a sample's time", "the encoder's driver gives NaN for a time, while balancing",
+          "a stop within a tick", _ends(Rule.NUMBER, Rule.ENCODER_JUMP, "fault"),
+          _inputs(_nan_times), within=0.02),
+    Fault("NaN in measured joints", "the robot's driver gives NaN for joints, while balancing",
+          "a stop within a tick", _ends(Rule.NUMBER, "fault"), _nan_replies("q"), within=0.02),
+    Fault("NaN in torques", "the robot's driver gives NaN for torques, while balancing",
+          "a stop at the next torques", _ends(Rule.NUMBER, "fault"), _nan_replies("torque"),
           within=0.08),
-    Fault("NaN in a setpoint", "numbers", "the controller gives NaN, while balancing",
-          "it is held back; the guard brings the arm to rest", HELD_BACK,
-          _joint(0, lambda joint, q, since: nan), within=0.03, says="finite"),
-    Fault("infinity in a setpoint", "numbers", "the controller gives infinity, on the way home",
-          "it is held back; the guard brings the arm to rest", HELD_BACK,
-          _joint(2, lambda joint, q, since: inf), Trigger("homing", 0.3), within=0.03,
-          says="finite"),
-    Fault("six numbers in a setpoint", "numbers",
-          "the controller gives six joints, while balancing",
-          "it is held back; the guard brings the arm to rest", HELD_BACK,
-          _setpoint(lambda q, since: q[:6]), within=0.03, says="7"),
-    Fault("controller fails", "numbers", "the controller raises an exception, while balancing",
+    _held_back("NaN in a setpoint", "the controller gives NaN, while balancing",
+               _joint(0, lambda joint, q, since: nan), "finite"),
+    _held_back("infinity in a setpoint", "the controller gives infinity, on the way home",
+               _joint(2, lambda joint, q, since: inf), "finite", Trigger("homing", 0.3)),
+    _held_back("six numbers in a setpoint", "the controller gives six joints, while balancing",
+               _setpoint(lambda q, since: q[:6]), "7"),
+    Fault("controller fails", "the controller raises an exception, while balancing",
           "the guard brings the arm to rest", _ends("fault"),
           _inputs(lambda inputs: inputs._replace(samples=[None])), within=0.03,
           says="the controller failed"),
@@ -490,27 +464,24 @@ NUMBERS: Final = (
 
 
 def _let_go_in_mid_lift(harness: FaultHarness) -> None:
-    harness.each(lambda since: _drop_it(harness))
+    bench = harness.bench
+
+    def drop(_: float) -> None:
+        from_upright = abs(remainder(bench.phi, 2.0 * pi))
+        if bench.hand.holds and abs(from_upright - radians(40.0)) < radians(2.0):
+            bench.let_go()
+
+    harness.each(drop)
     harness.after(9.0, lambda: harness.typed.append("stop"))
-
-
-def _drop_it(harness: FaultHarness) -> None:
-    bench = harness.parts.bench
-    if bench.hand.holds and abs(abs(remainder(bench.phi, 2.0 * pi)) - radians(40.0)) < radians(2.0):
-        bench.let_go()
 
 
 def _take_away(duration: float) -> Inject:
     """Hold the pendulum for 4 s, then lead it down within a duration [s]."""
 
     def inject(harness: FaultHarness) -> None:
-        bench = harness.parts.bench
-
-        def down() -> None:
-            manner = draw_hand_params(np.random.default_rng(0), clumsy=0.0)
-            bench.hand.steady(bench.now, bench.phi, manner._replace(lifting=duration))
-
-        harness.after(4.0, down)
+        hand = draw_hand_params(np.random.default_rng(0), clumsy=0.0)._replace(lifting=duration)
+        bench = harness.bench
+        harness.after(4.0, lambda: bench.hand.steady(bench.now, bench.phi, hand))
         harness.after(9.0, lambda: harness.typed.append("stop"))
 
     return inject
@@ -521,80 +492,60 @@ def _never_began(harness: FaultHarness) -> Sequence[str]:
     return ("the policy began",) if began else ()
 
 
+UNHEARD: Final = _with(unheard=frozenset({"armed", "disarmed", "nudge"}))
+"""The operator misses that the controller is armed."""
+
 # fmt: off
-RELEASE: Final = (
-    Fault("release too early", "release", "the pendulum is let go 40 deg from upright",
+RELEASE: Final = of_kind(
+    "release",
+    Fault("release too early", "the pendulum is let go 40 deg from upright",
           "the policy does not begin; the arm holds still until a key is pressed",
           _ends("operator"), _let_go_in_mid_lift, Trigger("lift"), check=_never_began),
-    Fault("release too late", "release",
+    Fault("release too late",
           "armed, the pendulum is held for 4 s more, and then taken down in 0.8 s",
           "the policy does not begin: the hand is still on", _ends("operator"), _take_away(0.8),
-          Trigger("armed"),
-          lambda scenario: on(scenario, unheard=frozenset({"armed", "disarmed", "nudge"})),
-          check=_never_began, says="still on"),
-    Fault("hand that falls with the pendulum", "release",
+          Trigger("armed"), UNHEARD, check=_never_began, says="still on"),
+    Fault("hand that falls with the pendulum",
           "armed, the pendulum is led down in 2.5 s, which begins as a fall does",
           "it may be taken for a release; the arm then stops at the angle, on its track",
-          FELL | _ends("operator"), _take_away(2.5), Trigger("armed"),
-          lambda scenario: on(scenario, unheard=frozenset({"armed", "disarmed", "nudge"})),
-          held_at_start=True),
-    Fault("push", "release", "the pendulum is pushed by 20 deg/s, while balancing",
+          FELL | _ends("operator"), _take_away(2.5), Trigger("armed"), UNHEARD, held_at_start=True),
+    Fault("push", "the pendulum is pushed by 20 deg/s, while balancing",
           "it balances, or falls and the arm stops", FELL | _ends("lasted"),
-          lambda harness: harness.parts.bench.push(radians(20.0))),
-    Fault("hard push", "release", "the pendulum is pushed by 250 deg/s, while balancing",
+          _call("bench.push", radians(20.0))),
+    Fault("hard push", "the pendulum is pushed by 250 deg/s, while balancing",
           "it falls, and the arm stops on its track", FELL | _ends(Rule.ENCODER_JUMP),
-          lambda harness: harness.parts.bench.push(radians(250.0)), within=0.6),
+          _call("bench.push", radians(250.0)), within=0.6),
 )
 # fmt: on
 
 
-# The operator.
-
-
-def _keys(phase: str, after: float) -> Fault:
-    return Fault(
-        f"key: {phase}",
-        "operator",
-        f"a key, {after:g} s after `{phase}`",
-        "a stop within a tick",
-        _ends("operator"),
-        lambda harness: harness.typed.append("stop"),
-        Trigger(phase, after),
-        within=0.02,
-        says="operator",
-    )
-
-
-OPERATOR: Final = tuple(
-    _keys(phase, after)
-    for phase, after in zip(
-        ("homing", "hang", "swing", "lift", "armed", "balancing"),
-        (0.5, 1.0, 0.6, 1.5, 0.1, 1.0),
-        strict=True,
-    )
-)
-
-
-# Inputs.
+# The operator and the input files.
 
 
 def _other_arm(scenario: Scenario) -> Scenario:
     name = scenario.settings.described_arm.name
-    return on(scenario, settings=RigSettings(arm="iiwa7" if name == "iiwa14" else "iiwa14"))
-
-
-def _radians_for_degrees(scenario: Scenario) -> Scenario:
-    home = scenario.settings.described_arm.home
-    return on(scenario, settings=scenario.settings.changed(home_deg=home))
+    return replace(scenario, settings=RigSettings(arm="iiwa7" if name == "iiwa14" else "iiwa14"))
 
 
 # fmt: off
-INPUTS: Final = (
-    Fault("policy of another rig", "input",
-          "the policy was trained on one arm, the rig has another", "the run is refused",
-          _ends("refused"), trigger=AT_START, scenario=_other_arm, says="trained on"),
-    Fault("unit slip", "input", "home in rig.toml is given in radians", "the run is refused",
-          _ends("refused"), trigger=AT_START, scenario=_radians_for_degrees, says="home"),
+KEYS: Final = {"homing": 0.5, "hang": 1.0, "swing": 0.6,
+               "lift": 1.5, "armed": 0.1, "balancing": 1.0}
+"""Time of a key in each phase [s]."""
+OPERATOR: Final = of_kind(
+    "operator",
+    *(Fault(f"key: {phase}", f"a key, {after:g} s after `{phase}`", "a stop within a tick",
+          _ends("operator"), _call("typed.append", "stop"), Trigger(phase, after), within=0.02,
+          says="operator")
+      for phase, after in KEYS.items()),
+)
+INPUTS: Final = of_kind(
+    "input",
+    Fault("policy of another rig", "the policy was trained on one arm, the rig has another",
+          "the run is refused", _ends("refused"), trigger=AT_START, scenario=_other_arm,
+          says="trained on"),
+    Fault("unit slip", "home in rig.toml is given in radians", "the run is refused",
+          _ends("refused"), trigger=AT_START, says="home",
+          scenario=lambda base: _at_home(base, base.settings.described_arm.home)),
 )
 # fmt: on
 

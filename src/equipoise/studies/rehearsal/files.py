@@ -1,12 +1,14 @@
 """Faults of files and of the machine around a run: disk, power, date, and input files."""
 
 import io
+import re
 import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,8 +16,8 @@ from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import EquipoiseError, OutsideError
 from equipoise.logs.run_log import RunLog
 from equipoise.rigs import read_rig
-from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario, Trigger, on
-from equipoise.studies.rehearsal.faults import BALANCING, Fault
+from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario, Trigger
+from equipoise.studies.rehearsal.faults import Fault, Inject, of_kind
 
 MAX_LOG_LOSS: Final = 2.0
 """Maximum time missing at the end of a log [s]: an open chunk, and rows not yet drained."""
@@ -23,7 +25,7 @@ HOUR: Final = 3600.0
 
 
 def _with_a_log(scenario: Scenario) -> Scenario:
-    return on(scenario, out=Path(tempfile.mkdtemp(prefix="equipoise-")) / "run.mcap")
+    return replace(scenario, out=Path(tempfile.mkdtemp(prefix="equipoise-")) / "run.mcap")
 
 
 def _log(harness: FaultHarness) -> Path:
@@ -87,17 +89,11 @@ def _step_the_date(harness: FaultHarness) -> None:
 # Input files.
 
 
-@contextmanager
-def _file(name: str, text: str) -> Generator[Path]:
+def _refused(read: Callable[[Path], Any], name: str, text: str, says: str) -> list[str]:
+    """Return the problems of a file that has to be refused."""
     with tempfile.TemporaryDirectory(prefix="equipoise-") as folder:
         path = Path(folder) / name
         path.write_text(text)
-        yield path
-
-
-def _refused(read: Callable[[Path], Any], name: str, text: str, says: str) -> list[str]:
-    """Return the problems of a file that has to be refused."""
-    with _file(name, text) as path:
         try:
             read(path)
         except EquipoiseError as error:
@@ -105,88 +101,102 @@ def _refused(read: Callable[[Path], Any], name: str, text: str, says: str) -> li
     return ["the file was taken"]
 
 
-def _policy_text() -> str:
-    with tempfile.TemporaryDirectory(prefix="equipoise-") as folder:
-        path = Path(folder) / "policy.json"
-        shipped_policy().save(path, command="rehearse", inputs={})
-        return path.read_text()
+def _change_digit(text: str) -> str:
+    """Change the first digit well inside the table."""
+    place = next(i for i in range(text.index('"Q"') + 20, len(text)) if text[i].isdigit())
+    return text[:place] + ("7" if text[place] != "7" else "3") + text[place + 1 :]
 
 
-def _corrupt_policy() -> list[str]:
-    text = _policy_text()
-    place = text.index('"Q"') + 20
-    digit = next(i for i in range(place, len(text)) if text[i].isdigit())
-    other = "7" if text[digit] != "7" else "3"
-    changed = text[:digit] + other + text[digit + 1 :]
-    return _refused(TabularPolicy.load, "policy.json", changed, "digest")
+def _nan_action(text: str) -> str:
+    return re.sub(r'("actions":\s*\[\s*)[^],]+', r"\1NaN", text, count=1)
 
 
-def _cut_policy() -> list[str]:
-    text = _policy_text()
-    return _refused(TabularPolicy.load, "policy.json", text[: len(text) // 2], "policy.json")
+def _damaged(name: str, injected: str, read: Callable[[], list[str]]) -> Fault:
+    """Return a fault of an input file, given a function that reads it and returns the problems."""
+
+    def play() -> tuple[str, list[str]]:
+        problems = read()
+        return "" if problems else "it was refused", problems
+
+    return Fault(name, injected, "it is refused, and nothing is connected", play=play)
 
 
-def _nan_policy() -> list[str]:
-    text = _policy_text()
-    begin = text.index("[", text.index('"actions"')) + 1
-    end = min(text.index(mark, begin) for mark in ",]")
-    changed = text[:begin] + "NaN" + text[end:]
-    return _refused(TabularPolicy.load, "policy.json", changed, "policy.json")
+def _damaged_policy(
+    name: str, injected: str, damage: Callable[[str], str], says: str = "policy.json"
+) -> Fault:
+    """Return a fault of the shipped policy's file."""
+
+    def read() -> list[str]:
+        with tempfile.TemporaryDirectory(prefix="equipoise-") as folder:
+            path = Path(folder) / "policy.json"
+            shipped_policy().save(path, command="rehearse", inputs={})
+            text = path.read_text()
+        return _refused(TabularPolicy.load, "policy.json", damage(text), says)
+
+    return _damaged(name, injected, read)
 
 
-def _bad_settings() -> list[str]:
-    return [
-        *_refused(read_rig, "rig.toml", "counts_per_revolution = 8192\n", "known:"),
-        *_refused(read_rig, "rig.toml", "counts_per_rev = nan\n", "counts_per_rev"),
-        *_refused(read_rig, "rig.toml", "home_deg = [90, 200, 0, -70, 0, 80, 0]\n", "rig.toml"),
-    ]
+BAD_SETTINGS: Final = {
+    "counts_per_revolution = 8192\n": "known:",
+    "counts_per_rev = nan\n": "counts_per_rev",
+    "home_deg = [90, 200, 0, -70, 0, 80, 0]\n": "rig.toml",
+}
+"""Invalid lines of `rig.toml`, and the required words of each refusal."""
 
 
-def _read(name: str, injected: str, play: Callable[[], list[str]]) -> Fault:
-    refused = frozenset({"refused"})
-    should = "it is refused, and nothing is connected"
-    return Fault(name, "input", injected, should, refused, play=play)
+def _read_bad_settings() -> list[str]:
+    refused = (_refused(read_rig, "rig.toml", *item) for item in BAD_SETTINGS.items())
+    return list(chain(*refused))
+
+
+LASTED: Final = frozenset({"lasted"})
+
+
+def _with_log(name: str, injected: str, should: str, inject: Inject, suffix: str) -> Fault:
+    """Return a fault while balancing with a log, of which the file with a suffix is checked."""
+    moment, check = Trigger("balancing", 1.5), _readable(suffix)
+    return Fault(name, injected, should, LASTED, inject, moment, _with_a_log, check=check)
 
 
 FILES: Final = (
-    Fault(
-        "disk full",
+    *of_kind(
         "machine",
-        "the disk takes no more, while balancing",
-        "the run goes on; the log is sound to its last chunk",
-        frozenset({"lasted"}),
-        _fill_the_disk,
-        Trigger("balancing", 1.5),
-        _with_a_log,
-        check=_readable(".mcap"),
+        _with_log(
+            "disk full",
+            "the disk takes no more, while balancing",
+            "the run goes on; the log is sound to its last chunk",
+            _fill_the_disk,
+            ".mcap",
+        ),
+        _with_log(
+            "power cut in the log",
+            "the log as it lies on the disk in the middle of a balance",
+            "every reader takes it, to its last chunk",
+            _cut_the_power,
+            ".cut",
+        ),
+        Fault(
+            "wall clock stepped",
+            "the date goes back by an hour, while balancing",
+            "nothing happens",
+            LASTED,
+            _step_the_date,
+        ),
     ),
-    Fault(
-        "power cut in the log",
-        "machine",
-        "the log as it lies on the disk in the middle of a balance",
-        "every reader takes it, to its last chunk",
-        frozenset({"lasted"}),
-        _cut_the_power,
-        Trigger("balancing", 1.5),
-        _with_a_log,
-        check=_readable(".cut"),
-    ),
-    Fault(
-        "wall clock stepped",
-        "machine",
-        "the date goes back by an hour, while balancing",
-        "nothing happens",
-        frozenset({"lasted"}),
-        _step_the_date,
-        BALANCING,
-    ),
-    _read("corrupt policy", "a digit of its table has changed", _corrupt_policy),
-    _read("policy cut short", "half of its file is missing", _cut_policy),
-    _read("NaN in the policy", "one of its accelerations is NaN", _nan_policy),
-    _read(
-        "bad settings",
-        "rig.toml with an unknown name, with NaN, with a home out of reach",
-        _bad_settings,
+    *of_kind(
+        "input",
+        _damaged_policy(
+            "corrupt policy", "a digit of its table has changed", _change_digit, "digest"
+        ),
+        _damaged_policy(
+            "policy cut short", "half of its file is missing", lambda text: text[: len(text) // 2]
+        ),
+        _damaged_policy("NaN in the policy", "one of its accelerations is NaN", _nan_action),
+        _damaged(
+            "bad settings",
+            "rig.toml with an unknown name, with NaN, with a home out of reach",
+            _read_bad_settings,
+        ),
     ),
 )
 """Faults of files and of the date."""

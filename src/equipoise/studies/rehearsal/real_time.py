@@ -14,12 +14,10 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
-
-import numpy as np
 
 from equipoise.devices.clocks import SystemClock
 from equipoise.devices.emulation import Emulation
@@ -29,13 +27,8 @@ from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings
 from equipoise.studies.rehearsal.fault_harness import WORLD
-from equipoise.studies.rehearsal.verdicts import (
-    REST_TOLERANCE,
-    TOLD,
-    Sent,
-    came_to_rest,
-    limits_kept,
-)
+from equipoise.studies.rehearsal.faults import Fault, of_kind
+from equipoise.studies.rehearsal.verdicts import TOLD, Sent, came_to_rest, limits_kept, moving
 
 HOST: Final = "127.0.0.1"
 BALANCED: Final = 6.0
@@ -44,21 +37,6 @@ RUN_TIMEOUT: Final = 100.0
 """Timeout of a run [s]."""
 LOAD_TIME: Final = 3.0
 """Duration of the load on the machine [s]."""
-
-
-class LiveFault(NamedTuple):
-    """Fault that is rehearsed in real time."""
-
-    name: str
-    """Name of the fault."""
-    kind: str
-    """Subject of the fault."""
-    injected: str
-    """Description of the fault and its time."""
-    should: str
-    """Description of the required end."""
-    play: Callable[[], tuple[str, list[str]]]
-    """Runs the rehearsal; returns a description of the actual end, and its problems."""
 
 
 class LiveRun(NamedTuple):
@@ -81,35 +59,26 @@ class LiveRun(NamedTuple):
         Raises:
             TimeoutError: The text is not printed.
         """
-        until = time.monotonic() + RUN_TIMEOUT
-        while time.monotonic() < until:
+        begin = time.monotonic()
+        while (waited := time.monotonic() - begin) < RUN_TIMEOUT:
             for moment, line in list(self.lines):
                 if words in line and moment >= since:
                     return moment
-            if self.process.poll() is not None and time.monotonic() > until - RUN_TIMEOUT + 1.0:
+            if self.process.poll() is not None and waited > 1.0:
                 break
             time.sleep(0.005)
         raise TimeoutError(f"the run never said {words!r}")
 
 
 @contextmanager
-def live_run(*policy: str, duration: float = BALANCED) -> Generator[LiveRun]:
-    """Run `equipoise deploy` in another process.
-
-    Args:
-        policy: Name of the policy (default: the shipped table).
-        duration: Duration of the balancing [s].
-    """
+def live_run() -> Generator[LiveRun]:
+    """Run `equipoise deploy` of the shipped policy in another process."""
     settings, world = RigSettings(), read_world(WORLD).settings
     over = threading.Event()
     ports: list[int] = []
     with tempfile.TemporaryDirectory(prefix="equipoise-") as folder:
-        emulation = Emulation(
-            settings.described_arm,
-            pendulum_on(shipped_pendulum(), world),
-            world,
-            SystemClock(),
-        )
+        pendulum = pendulum_on(shipped_pendulum(), world)
+        emulation = Emulation(settings.described_arm, pendulum, world, SystemClock())
 
         def serve() -> None:
             _raise_priority()
@@ -122,19 +91,15 @@ def live_run(*policy: str, duration: float = BALANCED) -> Generator[LiveRun]:
             time.sleep(0.01)
         log = Path(folder) / "run.mcap"
         command = [
-            *(sys.executable, "-m", "equipoise", "deploy", *policy),
+            *(sys.executable, "-m", "equipoise", "deploy"),
             *("--robot", f"kst://{HOST}:{ports[0]}"),
             *("--encoder", f"serial://{emulation.terminal}"),
-            *("--duration", str(duration), "--out", str(log)),
+            *("--duration", str(BALANCED), "--out", str(log)),
         ]
+        pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        environment = os.environ | {"PYTHONUNBUFFERED": "1", "COLUMNS": "400"}
         process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env=os.environ | {"PYTHONUNBUFFERED": "1", "COLUMNS": "400"},
-            start_new_session=True,
+            command, stderr=subprocess.STDOUT, env=environment, start_new_session=True, **pipes
         )
         lines: list[tuple[float, str]] = []
         threading.Thread(target=_attend, args=(process, lines), daemon=True).start()
@@ -160,10 +125,7 @@ def _raise_priority() -> None:
         os.sched_setscheduler(0, policy, os.sched_param(40))
 
 
-ANSWERS: Final = (
-    (re.compile(r"Type (\w+)\."), None),
-    (re.compile(r"y or n"), "y"),
-)
+ANSWERS: Final = ((re.compile(r"Type (\w+)\."), None), (re.compile(r"y or n"), "y"))
 """Pattern of each prompt, and its answer; None for the first group of the match."""
 
 
@@ -207,14 +169,12 @@ def _judge(run: LiveRun, codes: Sequence[int]) -> list[str]:
 
 
 def _check_rest(emulation: Emulation) -> list[str]:
-    bench = emulation.bench
+    bench, postures = emulation.bench, list[list[float]]()
     time.sleep(0.5)
-    postures: list[Any] = []
     for _ in range(30):
-        postures.append(np.array(bench.twin.kernel.bodies.qpos[: bench.joints]))
+        postures.append(bench.twin.kernel.bodies.qpos[: bench.joints].tolist())
         time.sleep(0.01)
-    moved = float(np.ptp(np.array(postures), axis=0).max())
-    return [f"at the end a joint moves by {moved:.3f} rad"] if moved > REST_TOLERANCE else []
+    return moving(postures)
 
 
 def _final_line(run: LiveRun) -> str:
@@ -222,7 +182,7 @@ def _final_line(run: LiveRun) -> str:
     return next((line for line in reversed(lines) if "ended" in line), lines[-1] if lines else "")
 
 
-def _signal_fault(number: signal.Signals, words: str, after: float) -> LiveFault:
+def _signal_fault(number: signal.Signals, words: str, after: float) -> Fault:
     def play() -> tuple[str, list[str]]:
         with live_run() as run:
             run.wait_for(words)
@@ -233,13 +193,12 @@ def _signal_fault(number: signal.Signals, words: str, after: float) -> LiveFault
             problems = _judge(run, (130,))
             return _final_line(run), problems
 
-    return LiveFault(
+    name, injected = (
         f"{number.name}: {words.lower()}",
-        "process",
-        f"{number.name}, {after:g} s after the run says {words!r}",
-        "a latched stop inside the stream, rest, exit code 130",
-        play,
+        f"{number.name}, {after:g} s after the run says",
     )
+    should = "a latched stop inside the stream, rest, exit code 130"
+    return Fault(name, f"{injected} {words!r}", should, play=play)
 
 
 def _descendants(pid: int) -> list[int]:
@@ -301,9 +260,8 @@ def _play_load() -> tuple[str, list[str]]:
     spin = f"import time\nend = time.monotonic() + {LOAD_TIME}\nwhile time.monotonic() < end: pass"
     with live_run() as run:
         run.wait_for("Balancing")
-        load = [
-            subprocess.Popen([sys.executable, "-c", spin]) for _ in range(2 * (os.cpu_count() or 1))
-        ]
+        cores = os.cpu_count() or 1
+        load = [subprocess.Popen([sys.executable, "-c", spin]) for _ in range(2 * cores)]
         try:
             problems = _judge(run, (0, 1))
             return _final_line(run), problems
@@ -312,37 +270,35 @@ def _play_load() -> tuple[str, list[str]]:
                 process.wait()
 
 
-REAL_TIME: Final = (
-    LiveFault(
+SIGNALS: Final = (
+    (signal.SIGINT, "Moving to home", 0.4),
+    (signal.SIGTERM, "Self-test: the arm moves", 0.6),
+    (signal.SIGINT, "Armed", 0.1),
+    (signal.SIGINT, "Balancing", 1.0),
+    (signal.SIGTERM, "Balancing", 1.5),
+)
+"""Signals that end a run, each with a line of its output and the time after it [s]."""
+_FAULTS: Final = of_kind(
+    "process",
+    Fault(
         "CPU load",
-        "process",
         f"twice as many busy processes as cores for {LOAD_TIME:g} s, while balancing",
         "it balances, or a late tick stops it; the arm rests",
-        _play_load,
+        play=_play_load,
     ),
-    LiveFault(
+    Fault(
         "second client",
-        "process",
         "another program connects to the robot, while balancing",
         "it is not answered, and the run goes on",
-        _play_second_client,
+        play=_play_second_client,
     ),
-    LiveFault(
+    Fault(
         "control process killed",
-        "process",
         "SIGKILL to the process that moves the arm, while balancing",
         "told within 100 ms that software cannot stop the robot; it rests at its last target",
-        _play_kill,
+        play=_play_kill,
     ),
-    *(
-        _signal_fault(number, words, after)
-        for number, words, after in (
-            (signal.SIGINT, "Moving to home", 0.4),
-            (signal.SIGTERM, "Self-test: the arm moves", 0.6),
-            (signal.SIGINT, "Armed", 0.1),
-            (signal.SIGINT, "Balancing", 1.0),
-            (signal.SIGTERM, "Balancing", 1.5),
-        )
-    ),
+    *(_signal_fault(*each) for each in SIGNALS),
 )
+REAL_TIME: Final = tuple(fault._replace(real_time=True) for fault in _FAULTS)
 """Faults that need real processes and ports."""

@@ -4,8 +4,8 @@ Of the run itself only the cause that it names is used: setpoints are read from 
 link, limits come from the arm, and rest is judged by the twin's joints.
 """
 
-import math
 from collections.abc import Sequence
+from math import inf, isfinite
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -13,12 +13,10 @@ import numpy as np
 from equipoise import paper
 from equipoise.control.safety import POSITION_MARGIN, STOP_DECELERATION
 from equipoise.deployment.rig import RunResult
-from equipoise.errors import EquipoiseError
 from equipoise.model.arms.arm import Arm
-from equipoise.studies.rehearsal.fault_harness import BrokenRunError, FaultHarness
+from equipoise.studies.rehearsal.fault_harness import BROKEN, REFUSED, FaultHarness
+from equipoise.studies.rehearsal.faults import Fault
 
-REPLY_SLACK: Final = 0.010
-"""Time between ticks [s]; the first setpoint of a stop is sent within it."""
 TOLD: Final = 0.100
 """Maximum time until the operator knows that software cannot stop the robot [s]."""
 REST_TOLERANCE: Final = 0.01
@@ -29,9 +27,7 @@ WATCHED: Final = 0.3
 ROUNDING: Final = 1e-6
 STILL: Final = 5e-5
 """Maximum step of a setpoint that holds the arm [rad]: 0.01 rad/s."""
-GOING_ON: Final = frozenset(
-    {"homing", "home", "hang", "reference", "swing", "lift", "armed", "balancing"}
-)
+GOING_ON: Final = {"homing", "home", "hang", "reference", "swing", "lift", "armed", "balancing"}
 """Names of messages that may not follow a stop."""
 RETURNING: Final = 0.1 + ROUNDING
 """Maximum share of the joints' velocities on the way back to the measured posture."""
@@ -52,7 +48,7 @@ def setpoints_of(lines: Sequence[tuple[float, bytes]]) -> list[Sent]:
     for time, line in lines:
         command, *fields = line.decode().strip().rstrip("_").split("_")
         if command.startswith("jp") or command == "jf":
-            sent.append(Sent(time, tuple(float(number) for number in fields)))
+            sent.append(Sent(time, tuple(map(float, fields))))
     return sent
 
 
@@ -61,14 +57,14 @@ def limits_kept(arm: Arm, sent: Sequence[Sent]) -> list[str]:
     problems: list[str] = []
     before: tuple[float, ...] | None = None
     for time, q in sent:
-        if len(q) != len(arm.joints) or not all(map(math.isfinite, q)):
+        if len(q) != len(arm.joints) or not all(map(isfinite, q)):
             problems.append(f"at {time:.3f} s {q} was sent")
             continue
         for i, joint in enumerate(arm.joints):
-            inside = joint.lower + POSITION_MARGIN, joint.upper - POSITION_MARGIN
-            if not inside[0] - ROUNDING <= q[i] <= inside[1] + ROUNDING:
+            margin = POSITION_MARGIN - ROUNDING
+            if not joint.lower + margin <= q[i] <= joint.upper - margin:
                 problems.append(f"at {time:.3f} s {joint.name} was sent to {q[i]:.4f} rad")
-            most = joint.velocity * REPLY_SLACK / 2.0 * (1.0 + ROUNDING) + 1e-9
+            most = joint.velocity * paper.STEP / 2.0 * (1.0 + ROUNDING) + 1e-9
             if before is not None and abs(q[i] - before[i]) > most:
                 problems.append(f"at {time:.3f} s {joint.name} was sent {q[i] - before[i]:.4f} rad")
         before = q
@@ -85,10 +81,10 @@ def came_to_rest(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
         return ["no setpoint was sent after the stop"]
     problems: list[str] = []
     first = int(after[0])
-    if times[first] > stop + REPLY_SLACK + 1e-9:
+    if times[first] > stop + paper.STEP + 1e-9:
         problems.append(f"the first setpoint of the stop came {times[first] - stop:.3f} s after it")
     before = steps[first - 1] if first else 0.0
-    slow = RETURNING * REPLY_SLACK / 2.0 * np.array([joint.velocity for joint in arm.joints])
+    slow = RETURNING * paper.STEP / 2.0 * np.array([joint.velocity for joint in arm.joints])
     resting = False
     for k in after:
         if resting:
@@ -108,60 +104,46 @@ def came_to_rest(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
     return problems
 
 
-def judge(
-    harness: FaultHarness,
-    outcome: RunResult | EquipoiseError,
-    *,
-    ends: frozenset[str],
-    within: float | None,
-    stoppable: bool,
-    says: str,
-    held_at_start: bool = False,
-) -> list[str]:
+def judge(harness: FaultHarness, outcome: RunResult, fault: Fault) -> list[str]:
     """Return the differences between the end of a run and the required one.
 
     Args:
         harness: Record of the run.
         outcome: Result that the run returns.
-        ends: Permitted causes; `refused` for a run that must not begin.
-        within: Maximum time from the fault to the stop [s]; None without a bound.
-        stoppable: Whether software can still stop the arm.
-        says: Text that some message has to contain.
-        held_at_start: Whether the policy may begin while the hand holds the pendulum.
+        fault: The fault, with the required end.
     """
     arm, told = harness.scenario.settings.described_arm, harness.told
     sent = setpoints_of(harness.robot_wire.sent)
     problems = limits_kept(arm, sent)
-    if isinstance(outcome, BrokenRunError):
-        return [*problems, str(outcome)]
-    cause = "refused" if isinstance(outcome, EquipoiseError) else outcome.cause
-    if cause not in ends:
-        reason = str(outcome) if isinstance(outcome, EquipoiseError) else outcome.reason
-        problems.append(f"it ended with {cause} ({reason})")
+    if outcome.cause == BROKEN:
+        return [*problems, outcome.reason]
+    if outcome.cause not in fault.ends:
+        problems.append(f"it ended with {outcome.cause} ({outcome.reason})")
     if harness.broken_at is None:
         return [*problems, "it never came to the fault"]
-    words = [one for one in told if one.name in ("stopping", "fault", "error")]
-    if says and not any(says in one.text for one in told):
-        problems.append(f"the operator did not read {says!r}")
-    if "refused" in ends and cause == "refused":
-        return [*problems, *_nothing_moved(harness, sent)]
-    if harness.held_at_start and not held_at_start:
+    if fault.says and not any(fault.says in one.text for one in told):
+        problems.append(f"the operator did not read {fault.says!r}")
+    if outcome.cause == REFUSED and REFUSED in fault.ends:
+        moved = [f"{len(sent)} setpoints were sent"] if len(sent) > 1 else _at_rest(harness)
+        return [*problems, *moved]
+    if harness.held_at_start and not fault.held_at_start:
         problems.append("the policy began while the hand held the pendulum")
     problems += _on_track(harness)
-    if not words:
+    stops = [one for one in told if one.name in ("stopping", "fault", "error")]
+    if not stops:
         return [*problems, "the operator was told nothing"]
-    stop = words[0].time
-    if within is not None and stop - harness.broken_at > within + 1e-9:
+    stop, within = stops[0].time, inf if fault.within is None else fault.within
+    if stop - harness.broken_at > within + 1e-9:
         problems.append(f"it stopped {stop - harness.broken_at:.3f} s after the fault")
-    if stoppable:
+    if fault.stoppable:
         # The first setpoint, which starts the servo, holds the arm where it is.
         problems += came_to_rest(arm, sent, stop) if len(sent) > 1 else []
     else:
-        warned = [one for one in words if "software" in one.text and _names_the_button(one.text)]
+        warned = [one for one in stops if "software" in one.text and _names_the_button(one.text)]
+        late = warned[0].time - harness.broken_at if warned else 0.0
         if not warned:
-            problems.append("nobody told the operator that software cannot stop the robot")
-        elif within is not None and warned[0].time - harness.broken_at > TOLD + 1e-9:
-            late = warned[0].time - harness.broken_at
+            problems.append("no message says that software cannot stop the robot")
+        elif fault.within is not None and late > TOLD + 1e-9:
             problems.append(f"the operator was told of it after {1e3 * late:.0f} ms")
     if any(one.name in GOING_ON for one in told if one.time > stop + 1e-9):
         problems.append("the run went on after its stop")
@@ -175,22 +157,18 @@ def _names_the_button(text: str) -> bool:
     return "E-stop" in text or "emergency stop" in text
 
 
-def _nothing_moved(harness: FaultHarness, sent: Sequence[Sent]) -> list[str]:
-    if len(sent) > 1:
-        return [f"{len(sent)} setpoints were sent"]
-    return _at_rest(harness)
-
-
 def _on_track(harness: FaultHarness) -> list[str]:
-    home = [one.time for one in harness.told if one.name == "home"]
-    if not home:
-        return []
-    x = max((abs(look.x) for look in harness.looks if look.time >= home[0]), default=0.0)
+    home = next((one.time for one in harness.told if one.name == "home"), inf)
+    x = max((abs(look.x) for look in harness.looks if look.time >= home), default=0.0)
     return [f"the flange was {x:.3f} m from home"] if x >= paper.X_LIMIT else []
 
 
 def _at_rest(harness: FaultHarness) -> list[str]:
     end = harness.looks[-1].time
-    q = np.array([look.q for look in harness.looks if look.time > end - WATCHED])
-    moved = float(np.ptp(q, axis=0).max())
+    return moving([look.q for look in harness.looks if look.time > end - WATCHED])
+
+
+def moving(postures: Sequence[Sequence[float]]) -> list[str]:
+    """Return the problem of an arm that moves, from its postures [rad] at the end of a run."""
+    moved = float(np.ptp(np.array(postures), axis=0).max())
     return [f"at the end a joint moves by {moved:.3f} rad"] if moved > REST_TOLERANCE else []
