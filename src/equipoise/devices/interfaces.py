@@ -68,7 +68,6 @@ class Clock(Protocol):
 
     def wait_until(self, time: float, /) -> None:
         """Block until a time [s], or return at once if it is past; virtual time runs the rig."""
-        ...
 
 
 @runtime_checkable
@@ -86,7 +85,6 @@ class ServoedArm(Protocol):
         Raises:
             LinkError: The reply is missing or invalid.
         """
-        ...
 
     def measured(self) -> Array:
         """Return the measured joints [rad], shape (joints,), while the servo is off. Blocks.
@@ -102,7 +100,6 @@ class ServoedArm(Protocol):
         Raises:
             LinkError: The reply is late or invalid.
         """
-        ...
 
     def stop(self) -> None:
         """Stop the servo, the arm at rest. Blocks.
@@ -110,11 +107,9 @@ class ServoedArm(Protocol):
         Raises:
             LinkError: The reply is late or invalid.
         """
-        ...
 
     def close(self) -> None:
         """Disconnect, as far as the link allows. Never raises, and may be called again."""
-        ...
 
 
 @runtime_checkable
@@ -134,7 +129,6 @@ class Robot(ServoedArm, Protocol):
             LinkError: The link is down, or replies are overdue.
             InputError: The setpoint is not one finite number per joint; nothing was sent.
         """
-        ...
 
     def replies(self) -> list[Reply]:
         """Take what came since the last call, the oldest first.
@@ -171,7 +165,6 @@ class PacedRobot(ServoedArm, Protocol):
         Raises:
             LinkError: The link is down.
         """
-        ...
 
 
 @runtime_checkable
@@ -199,7 +192,6 @@ class AngleSensor(Protocol):
         Raises:
             LinkError: The sensor is missing, or sends nothing valid.
         """
-        ...
 
     def samples(self) -> list[Sample]:
         """Take what came since the last call, the oldest first.
@@ -211,7 +203,6 @@ class AngleSensor(Protocol):
 
     def close(self) -> None:
         """Close the link. Never raises, and may be called again."""
-        ...
 
 
 @runtime_checkable
@@ -224,7 +215,6 @@ class Transport(Protocol):
         Raises:
             LinkError: The link is down, or accepts no more bytes.
         """
-        ...
 
     def read(self) -> bytes:
         """Return the bytes since the last call; empty without any.
@@ -236,4 +226,3 @@ class Transport(Protocol):
 
     def close(self) -> None:
         """Close; never raises, and may be called again."""
-        ...

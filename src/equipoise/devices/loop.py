@@ -32,7 +32,6 @@ class Executor(Protocol):
 
     def begin(self, job: Job) -> None:
         """Start a job; returns quickly."""
-        ...
 
     def result(self) -> Any:
         """Return the result or the exception of the job, once; None while it runs."""

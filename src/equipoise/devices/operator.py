@@ -11,7 +11,6 @@ class Operator(Protocol):
 
     def notify(self, event: OperatorMessage) -> None:
         """Receive a message; never blocks."""
-        ...
 
     def read_input(self) -> list[str]:
         """Return the lines typed since the last call, the oldest first; never blocks."""

@@ -117,7 +117,6 @@ class RobotServer(Protocol):
         Raises:
             OutsideError: The port is not available.
         """
-        ...
 
 
 class RobotPlugin(NamedTuple):
@@ -125,7 +124,7 @@ class RobotPlugin(NamedTuple):
 
     form: str
     """Form of an address, for messages, e.g. `kst://HOST:30001`."""
-    check: Callable[[str], None]
+    check: Callable[[str], object]
     """Raises `InputError` if an address is invalid; opens nothing."""
     open: Callable[[str, Session], Robot | PacedRobot] | None = None
     """Returns the driver for an address, without opening anything. None for a robot that exists in
@@ -158,7 +157,7 @@ class SensorPlugin(NamedTuple):
 
     form: str
     """Form of an address, for messages, e.g. `serial:///dev/ttyACM0`."""
-    check: Callable[[str], None]
+    check: Callable[[str], object]
     """Raises `InputError` if an address is invalid; opens nothing."""
     open: Callable[[str, Session, int | None, int], AngleSensor] | None = None
     """Returns the driver for an address, without opening anything. Arguments: the address, the

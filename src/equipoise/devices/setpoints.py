@@ -1,6 +1,7 @@
 """Validation of a setpoint, shared by the robots."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -18,13 +19,11 @@ def checked(q: Sequence[float] | Array, joints: int) -> Array:
     Raises:
         InputError: The setpoint is not one finite number per joint.
     """
-    try:
+    with suppress(TypeError, ValueError, OverflowError):
         setpoint = np.array(q, np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"the setpoint {q!r} is not made of numbers; nothing was sent") from None
-    if setpoint.shape != (joints,) or not np.isfinite(setpoint).all():
-        raise InputError(
-            f"the setpoint is {setpoint.tolist()}, expected {joints} finite numbers; "
-            "nothing was sent"
-        )
-    return setpoint
+        if setpoint.shape == (joints,) and np.isfinite(setpoint).all():
+            return setpoint
+    raise InputError(
+        f"a setpoint is {joints} finite numbers, one for each joint, not {str(q)[:120]}; "
+        "nothing was sent"
+    )

@@ -14,7 +14,7 @@ from equipoise.devices.clocks import SystemClock
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.codec import REQUEST, Banner, Decoder
 from equipoise.devices.encoder.sensor import LineEncoder
-from equipoise.devices.encoder.serial_port import BAUD, check_serial, open_serial
+from equipoise.devices.encoder.serial_port import BAUD, device_of, open_serial
 from equipoise.devices.encoder.terminal import Terminal
 from equipoise.errors import InputError, LinkError, OutsideError
 
@@ -64,7 +64,7 @@ def test_a_board_on_a_terminal_is_a_sensor(served):
     assert samples[-1].counts - samples[0].counts == round(0.02 * 8192 / (2.0 * pi))
     assert sum(sample.pressed for sample in samples) == 1
     # A host that stalls for as long as a terminal's 4096 bytes last (110 ms) loses nothing.
-    assert sensor.tally.rejected == 0
+    assert sensor.rejected == 0
     assert len(samples) > 100
     sensor.close()
 
@@ -158,7 +158,7 @@ def test_each_refusal_has_its_cure(monkeypatch, number, cure):
     ],
 )
 def test_what_is_no_address_is_refused(uri):
-    for use in (check_serial, open_serial):
+    for use in (device_of, open_serial):
         with pytest.raises(
             InputError, match=r"no address of a serial port|options that are unknown"
         ):
@@ -167,7 +167,7 @@ def test_what_is_no_address_is_refused(uri):
 
 @pytest.mark.parametrize("uri", ["serial:///dev/nowhere", "serial://COM3", "socket://nowhere:1"])
 def test_an_address_is_checked_without_opening_it(uri):
-    check_serial(uri)
+    device_of(uri)
 
 
 def test_the_speed_can_be_chosen(served):

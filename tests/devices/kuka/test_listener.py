@@ -28,15 +28,8 @@ class Served:
             ready.set()
 
         def run():
-            serve(
-                self.server,
-                "127.0.0.1",
-                0,
-                self.clock,
-                self.work,
-                self.stop.is_set,
-                listening=listening,
-            )
+            address = "127.0.0.1", 0
+            serve(self.server, address, self.clock, self.work, self.stop.is_set, listening)
 
         self.thread = threading.Thread(target=run)
         self.thread.start()
@@ -66,8 +59,9 @@ def ask(client, data):
     return client.recv(1024)
 
 
-def test_driver_runs_a_session_over_tcp(served):
-    robot = KstRobot(dial("127.0.0.1", served.port), served.clock, timeout=1.0)
+def test_driver_runs_a_session_over_tcp(served, monkeypatch):
+    monkeypatch.setattr("equipoise.devices.kuka.robot.TIMEOUT", 1.0)
+    robot = KstRobot(dial("127.0.0.1", served.port), served.clock)
     robot.connect()
     assert robot.measured() == pytest.approx(HOME)
     robot.start()
@@ -137,12 +131,12 @@ def test_port_in_use_is_named():
         port = taken.getsockname()[1]
         server = KstServer(Follower(), SPEEDS)
         with pytest.raises(OutsideError, match=f"port {port}"):
-            serve(server, "127.0.0.1", port, SystemClock(), lambda _: None, lambda: True)
+            serve(server, ("127.0.0.1", port), SystemClock(), lambda _: None, lambda: True)
 
 
 def test_a_host_that_has_no_address_is_not_waited_for():
     clock = VirtualClock()
-    robot = KstRobot(dial("no.such.host.invalid"), clock)
+    robot = KstRobot(dial("no.such.host.invalid", 30001), clock)
     with pytest.raises(OutsideError, match="there is no host no.such.host.invalid"):
         robot.connect()
     assert clock.now() < 1.0  # an address that does not answer is tried for a minute

@@ -52,6 +52,6 @@ def emulate(
 
 
 PLUGIN: Final = SensorPlugin(
-    form=serial_port.FORMS, check=serial_port.check_serial, open=open_sensor, emulate=emulate
+    form=serial_port.FORMS, check=serial_port.device_of, open=open_sensor, emulate=emulate
 )
 """Registered as `serial` and `socket`."""

@@ -16,7 +16,7 @@ error, which names the lateness.
 
 from collections.abc import Callable
 from math import ceil, inf, pi
-from typing import Final, NamedTuple
+from typing import Final
 
 from equipoise.devices.encoder.codec import REQUEST, Banner, Decoder, Flags, Reading
 from equipoise.devices.encoder.mapping import FAST_SLEW, SLEW, WRAP_US, HostTime
@@ -56,25 +56,9 @@ POLL_PERIOD: Final = 0.005
 """Time between two reads while connecting [s]."""
 _COUNT_WRAP: Final = 2**32
 _SEQ_WRAP: Final = 2**16
-
-
-class Tally(NamedTuple):
-    """Numbers of lines since the connection was made."""
-
-    accepted: int = 0
-    """Number of samples returned."""
-    rejected: int = 0
-    """Number of damaged lines, by grammar or checksum."""
-    gaps: int = 0
-    """Number of gaps in the sequence, including those of damaged lines."""
-    missing: int = 0
-    """Number of lines missing in the gaps."""
-    untimely: int = 0
-    """Number of lines dropped because sequence and time disagree, or time went back."""
-    jumps: int = 0
-    """Number of lines dropped because the count moved faster than a pendulum can."""
-    illegal: int = 0
-    """Number of samples with an illegal transition."""
+_RESTARTED: Final = (
+    "it restarted, and its zero is void; check its power, then connect and reference again"
+)
 
 
 class LineEncoder:
@@ -99,11 +83,8 @@ class LineEncoder:
             sign: 1 if the board's counts grow with theta, -1 if they fall; samples always grow.
             name: Name of the board in messages: its address.
         """
-        self._open = open_transport
-        self._clock = clock
-        self._expected = counts_per_rev
-        self._sign = sign
-        self._name = name
+        self._open, self._clock, self._name = open_transport, clock, name
+        self._expected, self._sign = counts_per_rev, sign
         self._transport: Transport | None = None
         self._banner: Banner | None = None
         self._failed = "is not connected; connect it first"
@@ -111,18 +92,15 @@ class LineEncoder:
 
     def _reset(self) -> None:
         self._decoder = Decoder()
-        self._tally = Tally()
-        self._unused_until = 0.0
+        self.untimely = 0
+        """Number of lines dropped because sequence and time disagree, or time went back."""
+        self.jumps = 0
+        """Number of lines dropped because the count moved faster than a pendulum can."""
         self._last: Reading | None = None
-        self._counts = 0
         self._down = False
-        self._rest_counts, self._moved = 0, self._clock.now()
-        self._inconsistent = 0
+        self._counts = self._inconsistent = 0
         self._stride = 0.0
         self._received = self._clock.now()
-        self._block_end = 0.0
-        self._block_lateness = inf
-        self._first: list[Sample] = []
 
     @property
     def counts_per_rev(self) -> int:
@@ -149,24 +127,15 @@ class LineEncoder:
     @property
     def description(self) -> str:
         """Name and properties of the board."""
-        board = self._banner
-        if board is None:
+        if self._banner is None:
             return self._name
-        return (
-            f"{board.name} {board.firmware}: {board.counts_per_rev} counts per revolution, "
-            f"{board.rate_hz} per second"
-        )
+        name, firmware, counts, rate = self._banner
+        return f"{name} {firmware}: {counts} counts per revolution, {rate} per second"
 
     @property
     def rejected(self) -> int:
         """Number of damaged and inconsistent lines since connecting."""
-        tally = self.tally
-        return tally.rejected + tally.untimely + tally.jumps
-
-    @property
-    def tally(self) -> Tally:
-        """Numbers of lines since the connection was made."""
-        return self._tally._replace(rejected=self._decoder.rejected)
+        return self._decoder.rejected + self.untimely + self.jumps
 
     # Connecting.
 
@@ -197,17 +166,16 @@ class LineEncoder:
                 transport.write(REQUEST)
                 due += REQUEST_PERIOD
             data = transport.read()
-            received = received or bool(data)
+            received |= bool(data)
             for line in self._decoder.feed(data):
-                if not isinstance(line, Banner):
-                    continue
-                if self._expected is not None and line.counts_per_rev != self._expected:
-                    raise LinkError(
-                        f"{self._name} ({line.name}) counts {line.counts_per_rev} per revolution, "
-                        f"the rig expects {self._expected} (after x4); correct the rig's "
-                        "counts_per_rev or the board's COUNTS_PER_REV"
-                    )
-                return line
+                if isinstance(line, Banner):
+                    if self._expected not in (None, line.counts_per_rev):
+                        raise LinkError(
+                            f"{self._name} ({line.name}) counts {line.counts_per_rev} per "
+                            f"revolution, the rig expects {self._expected} (after x4); correct "
+                            "the rig's counts_per_rev or the board's COUNTS_PER_REV"
+                        )
+                    return line
             clock.wait_until(now + POLL_PERIOD)
         if not received:
             raise LinkError(
@@ -258,7 +226,6 @@ class LineEncoder:
         self._rest_counts, self._moved = self._counts, now
         time = self._time(last.t_us, now)
         self._first = [Sample(time, self._counts, False, bool(last.flags & Flags.ILLEGAL), 0)]
-        self._tally = Tally(accepted=1, illegal=int(self._first[0].illegal))
 
     # Reading.
 
@@ -280,14 +247,13 @@ class LineEncoder:
         now = self._clock.now()
         samples, self._first = self._first, []
         for line in self._decoder.feed(data):
-            if isinstance(line, Banner):
-                self._check_banner(now)
-            elif sample := self._take(line, now):
-                samples.append(sample)
+            if not isinstance(line, Banner):
+                samples += self._take(line, now)
+            elif now > self._unused_until:
+                raise self._fail(f"introduced itself unasked: {_RESTARTED}")
         if now > self._received + SILENCE:
-            unread = self._decoder.rejected
             raise self._fail(
-                f"sent no line that can be used for {SILENCE:g} s ({unread} damaged since the "
+                f"sent no valid line for {SILENCE:g} s ({self._decoder.rejected} damaged since the "
                 "connection was made); check its power, its cable and the baud rate"
             )
         return samples
@@ -299,35 +265,26 @@ class LineEncoder:
         self._transport = None
         self._failed = self._failed or "is closed; connect it again"
 
-    def _take(self, line: Reading, now: float) -> Sample | None:
+    def _take(self, line: Reading, now: float) -> list[Sample]:
+        """Return the sample of a line, or no sample for an inconsistent line."""
         last = self._last or line
         ahead = self._time.ahead(line.t_us, now)
         why = self._inconsistency(line, last) or self._leaps(line, last, ahead)
         if why:
             self._drop(line, last, why)
-            return None
+            return []
         slew = SLEW if ahead <= MAX_LATENESS else self._catch_up(ahead, now)
-        self._inconsistent = 0
-        self._received = now
+        self._inconsistent, self._received, self._last = 0, now, line
         missing = (line.seq - last.seq) % _SEQ_WRAP - 1
         self._counts += self._sign * _signed(line.counts - last.counts)
-        self._last = line
         down = bool(line.flags & Flags.DOWN)
         pressed = bool(line.flags & Flags.PRESSED) or (down and not self._down)
         self._down = down
-        illegal = bool(line.flags & Flags.ILLEGAL)
-        tally = self._tally
-        self._tally = tally._replace(
-            accepted=tally.accepted + 1,
-            gaps=tally.gaps + (missing > 0),
-            missing=tally.missing + missing,
-            illegal=tally.illegal + illegal,
-        )
         if abs(self._counts - self._rest_counts) > SLACK_COUNTS:
             self._rest_counts, self._moved = self._counts, now
         time = self._time(line.t_us, now, slew)
         self._watch_lateness(now)
-        return Sample(time, self._counts, pressed, illegal, missing)
+        return [Sample(time, self._counts, pressed, bool(line.flags & Flags.ILLEGAL), missing)]
 
     def _inconsistency(self, line: Reading, last: Reading) -> str:
         """Return which part of a line is inconsistent with the last one; empty if consistent."""
@@ -369,29 +326,21 @@ class LineEncoder:
         )
 
     def _drop(self, line: Reading, last: Reading, why: str) -> None:
-        kind = "untimely" if why == "time" else "jumps"
-        self._tally = self._tally._replace(**{kind: getattr(self._tally, kind) + 1})
+        self.untimely += why == "time"
+        self.jumps += why == "count"
         self._inconsistent += 1
         if self._inconsistent < MAX_INCONSISTENT:
             return
         if why == "time":
             raise self._fail(
                 f"began anew (line {line.seq} at {1e-6 * line.t_us:.3f} s after line {last.seq} at "
-                f"{1e-6 * last.t_us:.3f} s): it restarted, and its zero is void; check its power, "
-                "then connect and reference again"
+                f"{1e-6 * last.t_us:.3f} s): {_RESTARTED}"
             )
         raise self._fail(
             f"jumped from {last.counts} to {line.counts} counts, faster than {MAX_RATE:g} "
             "rad/s; check the encoder's coupling, wires and counts per revolution, then "
             "connect and reference again"
         )
-
-    def _check_banner(self, now: float) -> None:
-        if now > self._unused_until:
-            raise self._fail(
-                "introduced itself unasked: it restarted, and its zero is void; check its power, "
-                "then connect and reference again"
-            )
 
     def _watch_lateness(self, now: float) -> None:
         self._block_lateness = min(self._block_lateness, self._time.lateness)

@@ -33,8 +33,7 @@ class SerialTransport:
             port: Port whose timeouts are zero, so that it does not block.
             name: Name in messages.
         """
-        self._port = port
-        self._name = name
+        self._port, self._name = port, name
 
     def write(self, data: bytes) -> None:
         """Send bytes.
@@ -42,11 +41,10 @@ class SerialTransport:
         Raises:
             LinkError: The device is gone, or accepts no more bytes.
         """
-        from serial import SerialException
-
+        # pyserial raises a TypeError for a port that was closed meanwhile.
         try:
             self._port.write(data)
-        except (SerialException, OSError, TypeError) as error:
+        except (OSError, TypeError) as error:
             raise self._gone(error) from None
 
     def read(self) -> bytes:
@@ -55,7 +53,6 @@ class SerialTransport:
         Raises:
             LinkError: The device is gone.
         """
-        # pyserial raises a TypeError for a port that was closed meanwhile.
         try:
             return self._port.read(CHUNK)
         except (OSError, TypeError) as error:
@@ -70,34 +67,12 @@ class SerialTransport:
         return LinkError(f"{self._name} is gone ({error}); check its cable, then connect again")
 
 
-def check_serial(uri: str) -> None:
-    """Check that an address is that of a serial port; nothing is opened.
+def device_of(uri: str) -> tuple[str, int] | None:
+    """Return name and baud rate of the device at an address; None for a port on the network.
 
     Raises:
         InputError: The address is invalid.
     """
-    _device(uri)
-
-
-def open_serial(uri: str) -> SerialTransport:
-    """Open a serial port exclusively.
-
-    Args:
-        uri: `serial:///dev/ttyACM0`, `serial://COM3`, with `?baud=N` if it is not `BAUD`; or
-            `socket://host:port`.
-
-    Raises:
-        InputError: The address is invalid.
-        LinkError: The port cannot be opened; the message names cause and cure.
-    """
-    device = _device(uri)
-    if device is None:
-        return SerialTransport(_open_socket(uri), uri)
-    return SerialTransport(_open_device(*device), device[0])
-
-
-def _device(uri: str) -> tuple[str, int] | None:
-    """Return name and baud rate of the device at an address; None for a port on the network."""
     try:
         parts = urlsplit(uri)
         if parts.scheme == "socket" and parts.hostname and parts.port and parts.path in ("", "/"):
@@ -114,14 +89,30 @@ def _device(uri: str) -> tuple[str, int] | None:
     return name, int(baud)
 
 
+def open_serial(uri: str) -> SerialTransport:
+    """Open a serial port exclusively.
+
+    Args:
+        uri: `serial:///dev/ttyACM0`, `serial://COM3`, with `?baud=N` if it is not `BAUD`; or
+            `socket://host:port`.
+
+    Raises:
+        InputError: The address is invalid.
+        LinkError: The port cannot be opened; the message names cause and cure.
+    """
+    device = device_of(uri)
+    if device is None:
+        return SerialTransport(_open_socket(uri), uri)
+    return SerialTransport(_open_device(*device), device[0])
+
+
 def _open_device(name: str, baud: int) -> "SerialBase":
-    from serial import Serial, SerialException
+    from serial import Serial
 
     try:
         port = Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)
     except (OSError, ValueError) as error:
-        number = error.errno if isinstance(error, SerialException) else None
-        raise LinkError(_why(name, number, error)) from None
+        raise LinkError(_why(name, getattr(error, "errno", None), error)) from None
     # FTDI's USB adapters hold bytes for 16 ms otherwise. Pseudo-terminals do not support the mode.
     with suppress(AttributeError, NotImplementedError, OSError, ValueError):
         port.set_low_latency_mode(True)
@@ -129,15 +120,14 @@ def _open_device(name: str, baud: int) -> "SerialBase":
 
 
 def _open_socket(uri: str) -> "SerialBase":
-    from serial import SerialException, serial_for_url
+    from serial import serial_for_url
 
     try:
-        port = serial_for_url(uri, timeout=0.0)
-    except (SerialException, OSError, ValueError) as error:
+        return serial_for_url(uri, timeout=0.0)
+    except (OSError, ValueError) as error:
         raise LinkError(
             f"cannot connect to {uri} ({error}); check host and port, and that the other end serves"
         ) from None
-    return port
 
 
 def _why(name: str, number: int | None, error: Exception) -> str:

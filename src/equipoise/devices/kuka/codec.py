@@ -22,9 +22,8 @@ from collections.abc import Sequence
 from decimal import Decimal
 from typing import Final, Literal
 
-import numpy as np
-import numpy.typing as npt
-
+from equipoise.devices.interfaces import Array
+from equipoise.devices.setpoints import checked
 from equipoise.errors import InputError, LinkError
 
 PORT: Final = 30001
@@ -41,22 +40,23 @@ ReplyKind = Literal["done", "joints", "external", "measured", "pose", "force", "
 """Reply that a setpoint requests: an acknowledgement, measured joints [rad], external or measured
 torques [N m], the end effector's pose [mm, rad] or force [N], or nothing."""
 
+SUFFIXES: Final[dict[ReplyKind, str]] = {
+    "done": "",
+    "joints": "JP",
+    "external": "ExT",
+    "measured": "MT",
+    "pose": "EEfP",
+}
+"""End of the name of a command that sets a target, by requested reply."""
+FORCE_SUFFIX: Final = "EEfFrelEEF"
+"""The same for the end effector's force, which no velocity command requests."""
 SETPOINTS: Final[dict[ReplyKind, str]] = {
-    "done": "jp",
-    "joints": "jpJP",
-    "external": "jpExT",
-    "measured": "jpMT",
-    "pose": "jpEEfP",
-    "force": "jpEEfFrelEEF",
-    "nothing": "jf",
+    **{kind: f"jp{suffix}" for kind, suffix in SUFFIXES.items()},
+    **{"force": f"jp{FORCE_SUFFIX}", "nothing": "jf"},
 }
 """Commands that set the target of the joint servo, by requested reply."""
 VELOCITIES: Final[dict[ReplyKind, str]] = {
-    "done": "velJDC",
-    "joints": "velJDCJP",
-    "external": "velJDCExT",
-    "measured": "velJDCMT",
-    "pose": "velJDCEEfP",
+    kind: f"velJDC{suffix}" for kind, suffix in SUFFIXES.items()
 }
 """Commands that set the velocity of the velocity servo, by requested reply. No driver uses them:
 the servo integrates the last velocity for ever, so that a lost client leaves the arm moving."""
@@ -105,10 +105,7 @@ class KstLineSplitter:
 
 
 def setpoint(
-    q: Sequence[float] | npt.NDArray[np.float64],
-    reply: ReplyKind = "joints",
-    *,
-    joints: int = JOINTS,
+    q: Sequence[float] | Array, reply: ReplyKind = "joints", *, joints: int = JOINTS
 ) -> bytes:
     """Return the line that sets the target of the joint servo.
 
@@ -120,16 +117,7 @@ def setpoint(
     Raises:
         InputError: `q` is not one finite number for each joint.
     """
-    try:
-        given = np.asarray(q, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        given = np.empty(0)
-    if given.shape != (joints,) or not np.isfinite(given).all():
-        raise InputError(
-            f"a setpoint is {joints} finite numbers, one for each joint, not {str(q)[:120]}; "
-            "nothing was sent"
-        )
-    fields = "".join(f"{value:.{DIGITS}g}_" for value in given.tolist())
+    fields = "".join(f"{value:.{DIGITS}g}_" for value in checked(q, joints).tolist())
     return f"{SETPOINTS[reply]}_{fields}\n".encode()
 
 
@@ -145,18 +133,14 @@ def parse_reply(line: bytes) -> Word | tuple[float, ...]:
     if (word := WORDS.get(line)) is not None:
         return word
     *fields, last = line.split(b"_")
-    if not fields or last or not all(_NUMBER.fullmatch(field) for field in fields):
-        raise LinkError(
-            f"expected done, nak, interrupted or finite numbers that end in _, got {_shown(line)}; "
-            "nothing more can be trusted: connect again"
-        )
-    values = tuple(float(field) for field in fields)
-    if not all(math.isfinite(value) for value in values):
-        raise LinkError(
-            f"expected finite numbers, got {_shown(line)}; nothing more can be trusted: "
-            "connect again"
-        )
-    return values
+    if fields and not last and all(map(_NUMBER.fullmatch, fields)):
+        values = tuple(map(float, fields))
+        if all(map(math.isfinite, values)):
+            return values
+    raise LinkError(
+        f"expected done, nak, interrupted or finite numbers that end in _, got {_shown(line)}; "
+        "nothing more can be trusted: connect again"
+    )
 
 
 def expect_done(line: bytes, command: str) -> None:

@@ -9,14 +9,16 @@ continues, and no other client gets a reply). Without that operator, the word `s
 """
 
 import socket
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import replace
+from math import inf
 from typing import Final
 
 from equipoise.devices.interfaces import Clock
 from equipoise.devices.kuka.server_emulator import Faults, KstServer
-from equipoise.devices.plugins import ServerOptions
+from equipoise.devices.plugins import ServerOptions, ignore
 from equipoise.devices.transports import CHUNK
 from equipoise.errors import InputError, OutsideError
 
@@ -37,17 +39,14 @@ def parse_faults(text: str) -> Faults:
         InputError: A fault is unknown, or its number is invalid or too large.
     """
     numbers: dict[str, float] = {}
-    for part in text.split(","):
-        name, _, number = part.strip().partition("=")
-        if not part.strip():
-            continue
-        try:
+    for part in filter(None, map(str.strip, text.split(","))):
+        name, _, number = part.partition("=")
+        numbers[name] = -1.0
+        with suppress(ValueError):
             numbers[name] = float(number)
-        except ValueError:
-            numbers[name] = -1.0
         if name not in MAX_FAULTS or not 0.0 <= numbers[name] <= MAX_FAULTS[name]:
             known = ", ".join(f"{fault}=0 to {limit:g}" for fault, limit in MAX_FAULTS.items())
-            raise InputError(f"--inject says {part.strip()!r}; expected any of {known}")
+            raise InputError(f"--inject says {part!r}; expected any of {known}")
     return replace(Faults(), **numbers)
 
 
@@ -62,9 +61,9 @@ class KstListener:
         """
         self._options, self._faults = options, parse_faults(options.faults)
         self._server: KstServer | None = None
-        self._restarted = False
+        self._restart = threading.Event()
         self._vanished: float | None = None
-        self.acts: Mapping[str, Callable[[], object]] = {"start": self._restart}
+        self.acts = {"start": self._restart.set}
 
     def run(
         self, host: str, port: int, stop: Callable[[], bool], listening: Callable[[int], None]
@@ -80,28 +79,22 @@ class KstListener:
         Raises:
             OutsideError: The port is not available.
         """
-        begun = False
 
         def opened(number: int) -> None:
-            nonlocal begun, port
-            if not begun:
-                listening(number)
-            begun, port = True, number
+            nonlocal port, listening
+            listening(number)
+            port, listening = number, ignore
+
+        def halt() -> bool:
+            return stop() or self._restart.is_set()
 
         options = self._options
         body, speeds = options.rig.body, [joint.velocity for joint in options.arm.joints]
         while not stop():
             server = KstServer(body, speeds, faults=self._faults, seed=options.seed)
-            self._server, self._restarted, self._vanished = server, False, None
-            serve(
-                server,
-                host,
-                port,
-                options.clock,
-                self._work,
-                lambda: stop() or self._restarted,
-                listening=opened,
-            )
+            self._server, self._vanished = server, None
+            self._restart.clear()
+            serve(server, (host, port), options.clock, self._work, halt, opened)
             self._server = None
             body.servo(False)
             if not stop():
@@ -110,19 +103,14 @@ class KstListener:
     def _wait_for_restart(self, stop: Callable[[], bool]) -> None:
         """Advance the rig without a server until its restart."""
         options = self._options
-        if not self._restarted:
+        if not self._restart.is_set():
             options.say("the server's application has ended")
-        until = options.clock.now() + RESTART
-        while not stop() and not self._restarted:
-            if options.attended and options.clock.now() > until:
-                break
+        until = options.clock.now() + (RESTART if options.attended else inf)
+        while not stop() and not self._restart.is_set() and options.clock.now() <= until:
             options.clock.wait_until(options.clock.now() + PERIOD)
             self._work(options.clock.now())
         if not stop():
             options.say("the server's application has been started on the smartPAD")
-
-    def _restart(self) -> None:
-        self._restarted = True
 
     def _work(self, now: float) -> None:
         """Advance all parts but the server, and detect a vanished client."""
@@ -134,18 +122,16 @@ class KstListener:
             self._vanished = now
             options.say("the client has vanished; its servo, if any, goes on")
         elif options.attended and now > self._vanished + NOTICED:
-            self._restart()
+            self._restart.set()
 
 
 def serve(
     server: KstServer,
-    host: str,
-    port: int,
+    address: tuple[str, int],
     clock: Clock,
     work: Callable[[float], None],
     stop: Callable[[], bool],
-    *,
-    listening: Callable[[int], None] = lambda _: None,
+    listening: Callable[[int], None] = ignore,
 ) -> None:
     """Serve one client until it has sent `end` and the servo has ended, or until stopped.
 
@@ -153,8 +139,7 @@ def serve(
 
     Args:
         server: The server.
-        host: Address to listen on.
-        port: Port to listen on; 0 lets the system choose one.
+        address: Host and port to listen on; the system chooses a port for 0.
         clock: Clock of the machine.
         work: Advances the arm to a time [s]; called each millisecond, before the server.
         stop: Returns whether to stop; called each millisecond.
@@ -163,15 +148,16 @@ def serve(
     Raises:
         OutsideError: The port is not available.
     """
-    client: socket.socket | None = None
     try:
-        listener = socket.create_server((host, port))
+        listener = socket.create_server(address)
     except OSError as error:
+        where = "{}, port {}".format(*address)
         raise OutsideError(
-            f"cannot listen on {host}, port {port} ({error}); stop what uses it, or choose another"
+            f"cannot listen on {where} ({error}); stop what uses it, or choose another"
         ) from None
-    try:
-        listener.setblocking(False)
+    client: socket.socket | None = None
+    with ExitStack() as sockets:
+        sockets.enter_context(listener).setblocking(False)
         listening(listener.getsockname()[1])
         served, moment = False, clock.now()
         while not stop() and not (server.closed and not server.busy):
@@ -181,20 +167,16 @@ def serve(
             work(now)
             if not served:
                 with suppress(BlockingIOError):
-                    client, _ = listener.accept()
+                    client = sockets.enter_context(listener.accept()[0])
                     client.setblocking(False)
                     served = True
-            if client is not None and not _exchange(client, server, now):
+            if client is None:
+                server.advance(now)
+            elif not _exchange(client, server, now):
                 client.close()
                 client = None
                 if not server.closed:
                     server.vanished(now)
-            elif client is None:
-                server.advance(now)
-    finally:
-        if client is not None:
-            client.close()
-        listener.close()
 
 
 def _exchange(client: socket.socket, server: KstServer, now: float) -> bool:

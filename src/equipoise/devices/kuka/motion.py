@@ -58,11 +58,9 @@ class ArmBody(Protocol):
 
     def servo(self, running: bool) -> None:
         """Start the servo, which holds the arm where it is, or stop it."""
-        ...
 
     def target(self, q: Sequence[float]) -> None:
         """Set the servo's target [rad]; NaN if a client sent it."""
-        ...
 
 
 class Targets:
@@ -78,39 +76,29 @@ class Targets:
         """Whether a servo is requested."""
 
 
-class ServerTask(Protocol):
+class ServerTask:
     """Task of the server's main thread."""
 
-    @property
-    def final_reply(self) -> bytes:
-        """Reply to the client at the end of the task; empty for no reply."""
-        ...
+    final_reply = b""
+    """Reply to the client at the end of the task; empty for no reply."""
 
     def taken(self) -> None:
-        """Receive a new joint target."""
-        ...
+        """Receive a new joint target; ignored by default."""
 
     def step(self, now: float) -> bool:
         """Run until a time [s], and return whether the task has ended."""
-        ...
+        raise NotImplementedError
 
 
 Mode = Literal["joints", "velocity", "held"]
 """Input of a servo: the joint target, the integral of the velocities, or nothing."""
 
 
-class ServoTask:
+class ServoTask(ServerTask):
     """Servo from its acknowledgement to its end; runs on without a client."""
 
     def __init__(
-        self,
-        body: ArmBody,
-        targets: Targets,
-        now: float,
-        mode: Mode,
-        *,
-        first: int = 0,
-        final_reply: bytes = b"",
+        self, body: ArmBody, targets: Targets, now: float, mode: Mode, first: int, final: bytes
     ) -> None:
         """Schedule the start.
 
@@ -120,14 +108,13 @@ class ServoTask:
             now: Time of the acknowledgement [s].
             mode: Input of the servo.
             first: First joint whose target the measured joint replaces at the start.
-            final_reply: Reply to the client at the end.
+            final: Reply to the client at the end.
         """
-        self.final_reply = final_reply
+        self.final_reply = final
         self._body, self._targets, self._mode, self._first = body, targets, mode, first
         self._begins = now + SERVO_START
         self._ends: float | None = None
-        self._runs = False
-        self._time = 0.0
+        self._runs, self._time = False, 0.0
         self._q: list[float] = []
         self._dq = [0.0] * len(targets.q)
 
@@ -172,7 +159,7 @@ class ServoTask:
         self._body.target(tuple(self._q))
 
 
-class PtpTask:
+class PtpTask(ServerTask):
     """Point-to-point motion along a minimum-jerk path; no command of a client stops it."""
 
     def __init__(self, body: ArmBody, q: Array, speeds: Array, now: float) -> None:
@@ -184,15 +171,11 @@ class PtpTask:
             speeds: Maximum joint speeds [rad/s], shape (7,).
             now: Time of the acknowledgement [s].
         """
-        self.final_reply = b""
         self._body, self._begins = body, now
         self._from, self._to = np.array(body.measured(), dtype=np.float64), q
         fastest = float(np.max(PEAK * np.abs(q - self._from) / speeds))
         self._duration = max(fastest, MIN_MOVE_TIME)
         body.servo(True)
-
-    def taken(self) -> None:
-        """Ignore a new target."""
 
     def step(self, now: float) -> bool:
         """Move the target along the path, then wait for the arm."""

@@ -45,15 +45,6 @@ def host_and_port(address: str) -> tuple[str, int]:
     raise InputError(f"{address!r} has an invalid port; expected 1 to 65535")
 
 
-def check(address: str) -> None:
-    """Check an address; nothing is opened.
-
-    Raises:
-        InputError: The address is invalid.
-    """
-    host_and_port(address)
-
-
 def open_robot(address: str, session: Session) -> KstRobot:
     """Return the driver for an address; nothing is opened before it is connected."""
     clock, notify, attend = session
@@ -80,7 +71,7 @@ def emulate(
 
 PLUGIN: Final = RobotPlugin(
     form=FORM,
-    check=check,
+    check=host_and_port,
     open=open_robot,
     emulate=emulate,
     serve=KstListener,

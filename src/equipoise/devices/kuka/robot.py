@@ -18,25 +18,15 @@ position, velocity and acceleration. This module sends finite numbers only.
 
 import socket
 from collections import deque
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Final, NoReturn
 
 import numpy as np
 
 from equipoise.devices.interfaces import Array, Clock, Reply, Transport
-from equipoise.devices.kuka.codec import (
-    END,
-    GET_JOINTS,
-    JOINTS,
-    PORT,
-    START_SERVO,
-    STOP_SERVO,
-    KstLineSplitter,
-    expect_done,
-    expect_numbers,
-    setpoint,
-)
+from equipoise.devices.kuka import codec
+from equipoise.devices.plugins import ignore
 from equipoise.devices.transports import TcpTransport
 from equipoise.errors import LinkError, OutsideError
 
@@ -82,7 +72,7 @@ INSTRUCTIONS: Final = (
 )
 
 
-def dial(host: str, port: int = PORT) -> Callable[[], Transport]:
+def dial(host: str, port: int) -> Callable[[], Transport]:
     """Return a function that opens a TCP connection to a KST server, for `KstRobot`."""
 
     def opened() -> Transport:
@@ -110,13 +100,9 @@ class KstRobot:
         open_transport: Callable[[], Transport],
         clock: Clock,
         *,
-        tell: Callable[[str], None] = lambda _: None,
-        attend: Callable[[], None] = lambda: None,
-        timeout: float = TIMEOUT,
-        max_pending: int = MAX_PENDING,
-        server_timeout: float = SERVER_TIMEOUT,
-        joints: int = JOINTS,
-        torque_every: int = TORQUE_EVERY,
+        tell: Callable[[str], None] = ignore,
+        attend: Callable[[], None] = ignore,
+        joints: int = codec.JOINTS,
     ) -> None:
         """Create the driver; nothing is opened before `connect`.
 
@@ -125,24 +111,18 @@ class KstRobot:
             clock: Clock of the rig.
             tell: Receives instructions to the operator while `connect` waits.
             attend: Called between attempts to connect; an exception that it raises ends the wait.
-            timeout: Timeout of the reply to a setpoint [s].
-            max_pending: Maximum number of setpoints without a reply.
-            server_timeout: Time for which `connect` tries [s].
             joints: Number of joints; other than seven only for an emulated arm.
-            torque_every: Number of setpoints of which one requests torques.
         """
         self.joints = joints
         """Number of joints, the held one included."""
         self._open, self._clock = open_transport, clock
         self._tell, self._attend = tell, attend
-        self._timeout, self._max_pending = timeout, max_pending
-        self._server_timeout = server_timeout
         self._transport: Transport | None = None
         self._failure = ""
         self._streams, self._sent = False, 0
-        self.torque_every = torque_every
+        self.torque_every = TORQUE_EVERY
         """Number of setpoints of which one requests external torques."""
-        self._lines = KstLineSplitter()
+        self._lines = codec.KstLineSplitter()
         self._received: deque[bytes] = deque()
         self._pending: deque[tuple[float, bool]] = deque()
         self._ready: list[Reply] = []
@@ -170,7 +150,7 @@ class KstRobot:
             LinkError: The reply is late or invalid.
         """
         self._at_rest("measure")
-        return np.array(self._numbers(GET_JOINTS))
+        return np.array(self._numbers(codec.GET_JOINTS))
 
     def start(self) -> None:
         """Start the joint servo, which holds the arm where it is.
@@ -179,9 +159,10 @@ class KstRobot:
             LinkError: A reply is late or invalid.
         """
         self._at_rest("start a servo")
-        self._done(START_SERVO)
+        self._done(codec.START_SERVO)
         self._wait(AFTER_START)
-        held = self._numbers(setpoint(self._numbers(GET_JOINTS), joints=self.joints))
+        measured = self._numbers(codec.GET_JOINTS)
+        held = self._numbers(codec.setpoint(measured, joints=self.joints))
         self._streams, self._sent = True, 0
         self._last = (self._clock.now(), held)
 
@@ -196,12 +177,12 @@ class KstRobot:
             InputError: The setpoint is not seven finite numbers; nothing was sent.
         """
         torque = (self._sent + 1) % self.torque_every == 0
-        line = setpoint(q, "external" if torque else "joints", joints=self.joints)
+        line = codec.setpoint(q, "external" if torque else "joints", joints=self.joints)
         if not self._streams:
             self._link()
             raise LinkError("the servo does not run, so that no setpoint is obeyed; start it first")
         self._collect()
-        if len(self._pending) >= self._max_pending:
+        if len(self._pending) >= MAX_PENDING:
             self._fail(f"{len(self._pending)} setpoints wait for their answer, expected fewer")
         self._write(line)
         self._sent += 1
@@ -230,7 +211,7 @@ class KstRobot:
             self._wait(POLL_PERIOD)
             self._collect()
         self._wait(BEFORE_STOP)
-        self._done(STOP_SERVO)
+        self._done(codec.STOP_SERVO)
         self._streams = False
         self._wait(AFTER_STOP)
 
@@ -245,7 +226,7 @@ class KstRobot:
             return
         self._failure = self._failure or "the connection was closed"
         with suppress(LinkError):
-            transport.write(END)
+            transport.write(codec.END)
             deadline = self._clock.now() + AFTER_END
             while self._clock.now() < deadline:
                 transport.read()
@@ -253,15 +234,14 @@ class KstRobot:
         transport.close()
 
     def _reach(self) -> Transport:
-        deadline, notified = self._clock.now() + self._server_timeout, False
+        deadline, notified = self._clock.now() + SERVER_TIMEOUT, False
         while True:
             try:
                 return self._open()
             except LinkError as error:
                 if self._clock.now() >= deadline:
-                    raise LinkError(
-                        f"no KST server answered within {self._server_timeout:g} s: {error}"
-                    ) from None
+                    within = f"within {SERVER_TIMEOUT:g} s"
+                    raise LinkError(f"no KST server answered {within}: {error}") from None
             if not notified:
                 self._tell(INSTRUCTIONS)
                 notified = True
@@ -277,17 +257,13 @@ class KstRobot:
 
     def _done(self, command: bytes) -> None:
         line = self._request(command)
-        try:
-            expect_done(line, _name(command))
-        except LinkError as error:
-            self._fail(str(error))
+        with self._final_errors():
+            codec.expect_done(line, _name(command))
 
     def _numbers(self, command: bytes) -> tuple[float, ...]:
         line = self._request(command)
-        try:
-            return expect_numbers(line, self.joints, _name(command))
-        except LinkError as error:
-            self._fail(str(error))
+        with self._final_errors():
+            return codec.expect_numbers(line, self.joints, _name(command))
 
     def _request(self, command: bytes) -> bytes:
         """Send a command while no reply is pending, and return its reply."""
@@ -313,17 +289,14 @@ class KstRobot:
             if not self._pending:
                 self._fail(f"expected nothing, got {line[:120].decode('latin-1')!r}")
             sent, torque = self._pending.popleft()
-            try:
-                values = expect_numbers(line, self.joints, "a setpoint")
-            except LinkError as error:
-                self._fail(str(error))
+            with self._final_errors():
+                values = codec.expect_numbers(line, self.joints, "a setpoint")
             if not torque:
                 self._check_step(sent, values)
-            self._ready.append(
-                Reply(sent, now, None if torque else values, values if torque else None)
-            )
-        if self._pending and now - self._pending[0][0] > self._timeout:
-            self._fail(f"expected the answer to a setpoint within {self._timeout:g} s")
+            q, torques = (None, values) if torque else (values, None)
+            self._ready.append(Reply(sent, now, q, torques))
+        if self._pending and now - self._pending[0][0] > TIMEOUT:
+            self._fail(f"expected the answer to a setpoint within {TIMEOUT:g} s")
 
     def _check_step(self, sent: float, q: tuple[float, ...]) -> None:
         """Check that the arm can have reached joints [rad] since the last reply."""
@@ -339,17 +312,13 @@ class KstRobot:
 
     def _drain(self) -> None:
         transport = self._link()
-        try:
+        with self._final_errors():
             self._received.extend(self._lines.feed(transport.read()))
-        except LinkError as error:
-            self._fail(str(error))
 
     def _write(self, line: bytes) -> None:
         transport = self._link()
-        try:
+        with self._final_errors():
             transport.write(line)
-        except LinkError as error:
-            self._fail(str(error))
 
     def _link(self) -> Transport:
         if self._failure:
@@ -357,6 +326,14 @@ class KstRobot:
         if self._transport is None:
             raise LinkError("the robot is not connected; connect first")
         return self._transport
+
+    @contextmanager
+    def _final_errors(self) -> Generator[None]:
+        """Give up the link for good on a `LinkError`."""
+        try:
+            yield
+        except LinkError as error:
+            self._fail(str(error))
 
     def _fail(self, why: str) -> NoReturn:
         """Give up the link for good."""

@@ -29,26 +29,9 @@ from typing import Final
 
 import numpy as np
 
-from equipoise.devices.kuka.codec import (
-    SETPOINTS,
-    VELOCITIES,
-    KstLineSplitter,
-    ReplyKind,
-    java_double,
-    numbers_reply,
-    tokens,
-)
-from equipoise.devices.kuka.motion import (
-    DONE,
-    EPSILON,
-    NAK,
-    ArmBody,
-    Mode,
-    PtpTask,
-    ServerTask,
-    ServoTask,
-    Targets,
-)
+from equipoise.devices.kuka import codec, motion
+from equipoise.devices.kuka.codec import SETPOINTS, VELOCITIES, ReplyKind, java_double, tokens
+from equipoise.devices.kuka.motion import DONE, EPSILON, NAK, ArmBody
 from equipoise.errors import InputError, LinkError
 
 PIN: Final = b"1\n\n"
@@ -101,29 +84,23 @@ class KstServer:
         self.faults = faults
         self.ended = False
         """Whether the server's program has ended; the connection is closed then."""
+        self.deserted = False
+        """Whether the client left without an `end`; no other is ever served."""
         self._body = body
         self._speeds = np.array(speeds, dtype=np.float64)
         self._random = np.random.default_rng(seed)
-        self._lines = KstLineSplitter()
+        self._lines = codec.KstLineSplitter()
         self._reads = True
-        self._gone = False
-        self._now = 0.0
         self._segments: list[tuple[float, bytes]] = []
-        self._targets = Targets(len(speeds))
-        self._relative = 0.0
+        self._targets = motion.Targets(len(speeds))
+        self._now = self._cleared = self._relative = 0.0
         self._waiting = ""
-        self._cleared = 0.0
-        self._task: ServerTask | None = None
+        self._task: motion.ServerTask | None = None
 
     @property
     def closed(self) -> bool:
         """Whether the connection is closed from this side."""
         return self.faults.close or (self.ended and not self._segments)
-
-    @property
-    def deserted(self) -> bool:
-        """Whether the client left without an `end`; no other is ever served."""
-        return self._gone
 
     @property
     def busy(self) -> bool:
@@ -168,15 +145,14 @@ class KstServer:
             self._main(waiting)
         due = [segment for time, segment in self._segments if time <= now + EPSILON]
         self._segments = self._segments[len(due) :]
-        return due if not (self._gone or self.faults.close) else []
+        return due if not (self.deserted or self.faults.close) else []
 
     def vanished(self, now: float) -> None:
         """Record, unlike the real server, that the client left without an `end`.
 
         The servo continues to its last target, or with its last velocity. No line is read again.
         """
-        self._now = now
-        self._gone, self._reads = True, False
+        self._now, self.deserted, self._reads = now, True, False
 
     # The reader's thread.
 
@@ -220,16 +196,14 @@ class KstServer:
     def _answers(self, line: bytes, text: str) -> bool:
         if text.startswith("end"):
             self._targets.servo, self.ended, self._reads = False, True, False
-        elif text.startswith("stopDirectServoJoints"):
-            self._targets.servo = False
+        elif text.startswith(_ACKNOWLEDGED):
+            if text.startswith("stopDirectServoJoints"):
+                self._targets.servo = False
+            elif text.startswith("cArtixanPosition"):
+                _put([0.0] * 6, tokens(line)[1:])
             self._say(DONE)
         elif text.startswith("getJointsPositions"):
             self._answer("joints")
-        elif text.startswith("cArtixanPosition"):
-            _put([0.0] * 6, tokens(line)[1:])
-            self._say(DONE)
-        elif text.startswith(_OUTPUTS):
-            self._say(DONE)
         elif text.startswith(_INPUTS):
             self._say(PIN)
         else:
@@ -240,13 +214,13 @@ class KstServer:
         if kind == "done":
             self._say(DONE)
         elif kind == "joints":
-            self._say(numbers_reply(self._body.measured()))
+            self._say(codec.numbers_reply(self._body.measured()))
         elif kind in ("external", "measured"):
-            self._say(numbers_reply(self._body.torques(kind == "external")))
+            self._say(codec.numbers_reply(self._body.torques(kind == "external")))
         elif kind == "pose":
-            self._say(numbers_reply(self._body.flange()))
+            self._say(codec.numbers_reply(self._body.flange()))
         elif kind == "force":
-            self._say(numbers_reply((0.0, 0.0, 0.0)))
+            self._say(codec.numbers_reply((0.0, 0.0, 0.0)))
 
     def _pass_on(self, text: str) -> None:
         """Pass a command to the main thread."""
@@ -273,7 +247,7 @@ class KstServer:
     # The main thread.
 
     def _main(self, text: str) -> None:
-        fields = [field for field in text.split("_") if field][1:]
+        fields = tokens(text.encode("latin-1"))[1:]
         try:
             if text.startswith("TFtrans"):
                 self._take_tool(fields)
@@ -318,18 +292,17 @@ class KstServer:
         if len(fields) < 6:
             self.ended, self._reads = True, False
 
-    def _begin(self, mode: Mode, *, first: int = 0, final_reply: bytes = b"") -> None:
+    def _begin(self, mode: motion.Mode, first: int = 0, final_reply: bytes = b"") -> None:
         self._targets.servo = True
         self._say(DONE)
-        self._task = ServoTask(
-            self._body, self._targets, self._now, mode, first=first, final_reply=final_reply
-        )
+        task = motion.ServoTask(self._body, self._targets, self._now, mode, first, final_reply)
+        self._task = task
 
-    def _move(self) -> PtpTask:
+    def _move(self) -> motion.PtpTask:
         q, relative = np.array(self._targets.q), self._relative
         if not (0.0 < relative <= 1.0 and np.isfinite(q).all()):
             raise InputError("the motion cannot be planned")
-        return PtpTask(self._body, q, relative * self._speeds, self._now)
+        return motion.PtpTask(self._body, q, relative * self._speeds, self._now)
 
 
 def _put(into: list[float], fields: list[str]) -> None:
@@ -339,12 +312,8 @@ def _put(into: list[float], fields: list[str]) -> None:
 
 
 _CARTESIAN: Final[dict[ReplyKind, str]] = {
-    "nothing": "DcSeCar",
-    "joints": "DcSeCarJP",
-    "external": "DcSeCarExT",
-    "measured": "DcSeCarMT",
-    "pose": "DcSeCarEEfP",
-    "force": "DcSeCarEEfFrelEEF",
+    **{kind: f"DcSeCar{suffix}" for kind, suffix in codec.SUFFIXES.items() if suffix},
+    **{"nothing": "DcSeCar", "force": f"DcSeCar{codec.FORCE_SUFFIX}"},
 }
 _TARGETS: Final[dict[str, tuple[dict[ReplyKind, str], ReplyKind]]] = {
     command: (commands, kind)
@@ -357,9 +326,8 @@ _END_EFFECTOR: Final[dict[str, ReplyKind]] = {
     "Eef_force": "force",
     "Eef_moment": "force",
 }
-_OUTPUTS: Final = (
-    "blueOn",
-    "blueOff",
+_ACKNOWLEDGED: Final = (
+    *("stopDirectServoJoints", "cArtixanPosition", "blueOn", "blueOff"),
     *(f"pin{number}{state}" for number in (1, 2, 11, 12) for state in ("on", "off")),
 )
 _INPUTS: Final = tuple(f"getPin{number}" for number in (3, 4, 10, 13, 16))
