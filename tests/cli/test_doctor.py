@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import closing
 from typing import get_args
 
 import numpy as np
@@ -82,7 +83,7 @@ def encoder():
     board = Board(lambda: 0.0, counts_per_rev=4096, start=clock.now())
 
     def run():
-        with Terminal(board) as terminal:
+        with closing(Terminal(board)) as terminal:
             address.append(f"serial://{terminal.path}")
             while not over.wait(0.001):
                 terminal.advance(clock.now())

@@ -110,7 +110,7 @@ def test_a_way_to_rest_that_ends_at_a_limit_is_not_taken_over():
 
     def sent_on(**how):
         robot, tape = guarded((*HOME[:6], begin))
-        robot._last, robot._before = (*HOME[:6], begin), (*HOME[:6], begin - v * PERIOD)
+        robot.last, robot._before = (*HOME[:6], begin), (*HOME[:6], begin - v * PERIOD)
         way = ramp(robot.last, (*(0.0,) * 6, v), 1.0, limits)
         assert way.duration < v / 4.0  # the limit is near
         n = int(way.duration / PERIOD) + 3

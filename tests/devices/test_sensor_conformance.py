@@ -11,7 +11,7 @@ class TestBoardBehindAPipe(SensorConformance):
 
         def press():
             bench.board.press()
-            bench.board.let_go()
+            bench.board.press(False)
 
         def turn(motion):
             bench.motion = motion

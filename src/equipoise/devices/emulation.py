@@ -18,7 +18,7 @@ import numpy as np
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.terminal import Terminal
 from equipoise.devices.interfaces import Clock
-from equipoise.devices.plugins import ServerOptions, robot_plugin
+from equipoise.devices.plugins import ServerOptions, ignore, robot_plugin
 from equipoise.devices.twin.emulated_operator import EmulatedOperator
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.errors import InputError
@@ -50,7 +50,7 @@ class Emulation:
         faults: str = "",
         link: Path | None = None,
         seed: int = 0,
-        say: Callable[[str], None] = lambda _: None,
+        say: Callable[[str], None] = ignore,
     ) -> None:
         """Switch all parts on; no client can connect to the robot before `run`.
 
@@ -84,15 +84,13 @@ class Emulation:
         self.bench = bench
         """Simulated rig behind robot and board."""
         _warm_up(bench)
-        self._server = serve(
-            ServerOptions(bench, arm, clock, self._work, say, operator, faults, seed)
-        )
-        counts_per_rev = settings.counts_per_rev
-        self._board = Board(
-            lambda: bench.theta, counts_per_rev=counts_per_rev, start=clock.now(), seed=seed
-        )
+        options = ServerOptions(bench, arm, clock, self._work, say, operator, faults, seed)
+        self._server = serve(options)
+        counts = settings.counts_per_rev
+        self._board = Board(lambda: bench.theta, counts, start=clock.now(), seed=seed)
         self._terminal = Terminal(self._board, link)
-        self._down = False
+        self.terminal = self._terminal.path
+        """Path of the board's terminal."""
         if operator:
             bench.watch(EmulatedOperator(bench, clock, clumsy=clumsy, say=say).look)
         self._last = clock.now()
@@ -111,18 +109,8 @@ class Emulation:
         }
         """Actions at the rig, by the word that triggers them."""
 
-    @property
-    def terminal(self) -> Path:
-        """Path of the board's terminal."""
-        return self._terminal.path
-
     def run(
-        self,
-        host: str,
-        port: int,
-        stop: Callable[[], bool],
-        *,
-        listening: Callable[[int], None] = lambda _: None,
+        self, host: str, port: int, stop: Callable[[], bool], listening: Callable[[int], None]
     ) -> None:
         """Serve one client after the other until stopped.
 
@@ -154,10 +142,7 @@ class Emulation:
             self.stalls += 1
             self._say(f"the host stalled for {1e3 * late:.0f} ms")
         self.bench.advance(now)
-        down = self.bench.button
-        if down != self._down:
-            self._down = down
-            self._board.press() if down else self._board.let_go()
+        self._board.press(self.bench.button)
         self._terminal.advance(now)
 
 

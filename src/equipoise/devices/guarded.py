@@ -25,8 +25,10 @@ class GuardedRobot:
             period: Time between two setpoints [s].
         """
         self._robot, self._limits, self._period = robot, limits, period
-        self._measured: tuple[float, ...] = ()
-        self._last: tuple[float, ...] | None = None
+        self.started_at: tuple[float, ...] = ()
+        """Measured joints at the start of the servo [rad], equal to the first setpoint."""
+        self.last: tuple[float, ...] | None = None
+        """Last setpoint sent [rad]; None before the first."""
         self._before: tuple[float, ...] = ()
         self._ramp: Ramp | None = None
         self._sent = 0  # setpoints of the ramp
@@ -42,16 +44,6 @@ class GuardedRobot:
     def at_rest(self) -> bool:
         """Whether the guard's ramp has ended or was never started."""
         return self._ramp is None or self._sent * self._period >= self._ramp.duration
-
-    @property
-    def started_at(self) -> tuple[float, ...]:
-        """Measured joints at the start of the servo [rad], equal to the first setpoint."""
-        return self._measured
-
-    @property
-    def last(self) -> tuple[float, ...] | None:
-        """Last setpoint sent [rad]; None before the first."""
-        return self._last
 
     def connect(self) -> None:
         """Connect.
@@ -77,8 +69,8 @@ class GuardedRobot:
         """
         if self.held_back is not None:
             raise LinkError(f"the guard has stopped ({self.held_back}); begin a new run")
-        self._measured = tuple(self._robot.measured().tolist())
-        self._last = None
+        self.started_at = tuple(self._robot.measured().tolist())
+        self.last = None
         self._robot.start()
 
     def send(self, q: Sequence[float] | Array, *, to_rest: bool = False) -> None:
@@ -95,23 +87,24 @@ class GuardedRobot:
         """
         if self._ramp is None:
             setpoint = tuple(map(float, q))
-            last, before = self._last, self._before
+            last = self.last
             if last is None:
-                broken = check_first(self._limits, setpoint, self._measured)
-                if broken is not None:
+                before = setpoint
+                if broken := check_first(self._limits, setpoint, self.started_at):
                     self.held_back = broken.reason
                     raise LinkError(f"nothing was sent: {broken.reason}")
-                before = setpoint
             else:
-                broken = check_setpoint(self._limits, setpoint, last, before, self._period, to_rest)
-            if broken is None:
+                before, path = last, (setpoint, last, self._before)
+                if broken := check_setpoint(self._limits, *path, self._period, to_rest):
+                    self.held_back = broken.reason
+                    self._begin_ramp(last)
+            if self._ramp is None:
                 self._robot.send(setpoint)
-                self._before = setpoint if last is None else last
-                self._last = setpoint
+                self._before, self.last = before, setpoint
                 return
-            self.held_back = broken.reason
-            self._begin_ramp()
-        self._robot.send(self._next())
+        self._before, self.last = self.last or (), self._upcoming
+        self._sent += 1
+        self._robot.send(self.last)
 
     def replies(self) -> list[Reply]:
         """Return the replies since the last call, the oldest first.
@@ -135,20 +128,16 @@ class GuardedRobot:
 
     def rest(self) -> Iterator[tuple[float, ...]]:
         """Yield the setpoints of a ramp to rest from the last one sent, one for each period."""
-        if self._last is None:
+        if self.last is None:
             return
         if self._ramp is None:
-            self._begin_ramp()
-        if self.at_rest:
-            return
-        while not self.at_rest:
-            yield self._upcoming
-        yield self._upcoming  # repeated, so that the arm no longer moves
+            self._begin_ramp(self.last)
+        if not self.at_rest:
+            while not self.at_rest:
+                yield self._upcoming
+            yield self._upcoming  # repeated, so that the arm no longer moves
 
-    def _begin_ramp(self) -> None:
-        last = self._last
-        if last is None:
-            return
+    def _begin_ramp(self, last: tuple[float, ...]) -> None:
         dq = [(b - a) / self._period for a, b in zip(self._before, last, strict=True)]
         # The flange speed is not known here: the joints alone determine the ramp.
         self._ramp, self._sent = ramp(last, dq, 0.0, self._limits), 0
@@ -157,8 +146,3 @@ class GuardedRobot:
     def _upcoming(self) -> tuple[float, ...]:
         assert self._ramp is not None  # noqa: S101 - its only callers have begun it
         return self._ramp.at((self._sent + 1) * self._period)
-
-    def _next(self) -> tuple[float, ...]:
-        self._before, self._last = self._last or (), self._upcoming
-        self._sent += 1
-        return self._last

@@ -10,6 +10,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from typing import Final, NamedTuple, TypeVar
 
@@ -133,27 +134,22 @@ def run_with_realtime_priority(
     Returns:
         Its result, and the result of each setting.
     """
-    done: list[tuple[T, tuple[RealtimeSetting, ...]]] = []
-    failed: list[BaseException] = []
+    done: Future[tuple[T, tuple[RealtimeSetting, ...]]] = Future()
 
     def run() -> None:
         try:
             measures = take()
-            done.append((work(), measures))
+            done.set_result((work(), measures))
         except BaseException as error:
-            failed.append(error)
+            done.set_exception(error)
 
     collects = gc.isenabled()
-    thread = threading.Thread(target=run, daemon=True)
     try:
-        thread.start()
-        thread.join()
+        threading.Thread(target=run, daemon=True).start()
+        return done.result()
     finally:
         gc.unfreeze()
         if collects:
             gc.enable()
         with suppress(AttributeError, OSError, TypeError):
             ctypes.CDLL(None).munlockall()
-    if failed:
-        raise failed[0]
-    return done[0]

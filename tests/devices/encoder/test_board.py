@@ -80,10 +80,10 @@ def test_a_press_is_latched_and_down_is_told_until_it_is_up():
     hand.board.press()
     flags = [line.flags for line in readings(hand.advance(0.003))]
     assert flags == [Flags.DOWN | Flags.PRESSED, Flags.DOWN, Flags.DOWN]
-    hand.board.let_go()
+    hand.board.press(False)
     assert readings(hand.advance(0.001))[0].flags == 0
     hand.board.press()
-    hand.board.let_go()
+    hand.board.press(False)
     assert [line.flags for line in readings(hand.advance(0.002))] == [Flags.PRESSED, 0]
 
 

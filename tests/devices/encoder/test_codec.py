@@ -13,7 +13,6 @@ from equipoise.devices.encoder.codec import (
     REQUEST,
     Banner,
     Decoder,
-    ELineSplitter,
     Flags,
     Reading,
     Requests,
@@ -200,19 +199,19 @@ def test_lines_that_are_too_long_are_counted_with_the_damaged_ones():
     decoder = Decoder()
     decoder.feed(b"\nE,1\n" + b"x" * 97 + b"\n" + b"y" * 96 + b"\n")
     assert decoder.rejected == 3
-    assert decoder._lines.too_long == 1
 
 
 def test_a_line_without_end_takes_no_memory():
-    lines = ELineSplitter()
-    lines.feed(b"\n")
+    decoder, line = Decoder(), encode(EXAMPLE)
+    decoder.feed(b"\n")
     for _ in range(1000):
-        assert lines.feed(b"x" * 50) == []
-        assert len(lines._part) <= LONGEST
-    assert lines.too_long == 1
-    assert lines.feed(b"x\nshort\n" + b"y" * LONGEST + b"\n") == [b"short", b"y" * LONGEST]
-    assert lines.feed(b"y" * (LONGEST + 1) + b"\nshort\n") == [b"short"]
-    assert lines.too_long == 2
+        assert decoder.feed(b"x" * 50) == []
+        assert len(decoder._part) <= LONGEST
+    assert decoder.rejected == 1
+    assert decoder.feed(b"x\n" + line + b"y" * LONGEST + b"\n" + line) == [EXAMPLE, EXAMPLE]
+    assert decoder.rejected == 2
+    assert decoder.feed(b"y" * (LONGEST + 1) + b"\n" + line) == [EXAMPLE]
+    assert decoder.rejected == 3
 
 
 @given(st.lists(st.binary(max_size=200), max_size=10))

@@ -6,6 +6,7 @@ import socket
 import sys
 import threading
 import time
+from contextlib import closing
 from math import pi
 
 import pytest
@@ -210,7 +211,7 @@ def test_its_link_comes_and_goes(tmp_path):
     link = tmp_path / "encoder"
     link.symlink_to("/nowhere")
     board = Board(lambda: 0.0)
-    with Terminal(board, link) as terminal:
+    with closing(Terminal(board, link)) as terminal:
         assert link.resolve() == terminal.path.resolve()
     assert not link.is_symlink()
     terminal.close()
@@ -233,7 +234,8 @@ def test_a_link_to_a_file_is_kept_and_so_is_that_of_another_emulation(tmp_path):
         Terminal(Board(lambda: 0.0), link)
     assert link.readlink() == notes
     link.unlink()
-    with Terminal(Board(lambda: 0.0), link), Terminal(Board(lambda: 0.0), link) as second:
+    first, second = Terminal(Board(lambda: 0.0), link), Terminal(Board(lambda: 0.0), link)
+    with closing(first), closing(second):
         assert link.readlink() == second.path
         second._link = None  # it was killed
     assert link.readlink() == second.path, "the first takes only its own link away"
@@ -252,7 +254,7 @@ def test_a_machine_without_terminals_says_so(monkeypatch):
 
 def test_a_terminal_that_is_not_read_loses_whole_lines():
     board = Board(lambda: 0.0)
-    with Terminal(board) as terminal:
+    with closing(Terminal(board)) as terminal:
         # Ten seconds of lines are far more than any terminal keeps.
         for tick in range(10_000):
             terminal.advance(0.001 * (tick + 1))

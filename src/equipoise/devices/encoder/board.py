@@ -9,6 +9,7 @@ button, the transmission time of a line, and a full buffer.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import floor
 from typing import Final
 
@@ -25,71 +26,56 @@ NAME: Final = "emulated"
 FIRMWARE: Final = "1.0"
 
 
+@dataclass(eq=False)
 class Board:
-    """Emulated board; its faults are attributes that may be set at any time."""
+    """Emulated board; its faults are attributes that may be set at any time.
 
-    def __init__(
-        self,
-        angle: Callable[[], float],
-        *,
-        counts_per_rev: int = 8192,
-        sign: int = 1,
-        rate_hz: int = RATE,
-        offset_us: int = 0,
-        drift: float = 0.0,
-        start: float = 0.0,
-        seed: int = 0,
-    ) -> None:
-        """Switch the board on; it sends its banner, and its first line a period later.
+    At its start it sends its banner, and its first line a period later.
+    """
 
-        Args:
-            angle: Returns theta, the spindle's angle relative to its mount, from any zero [rad].
-            counts_per_rev: Counts per revolution, after x4.
-            sign: 1 if counts grow with theta, -1 if they fall.
-            rate_hz: Line rate [Hz].
-            offset_us: Time of the board's clock at `start` [us].
-            drift: Relative error of the board's clock, positive if fast [-].
-            start: Time at which it is switched on [s].
-            seed: Seed of malformed lines.
-        """
-        self._angle = angle
-        self._rng = np.random.default_rng(seed)
+    angle: Callable[[], float]
+    """Returns theta, the spindle's angle relative to its mount, from any zero [rad]."""
+    counts_per_rev: int = 8192
+    """Counts per revolution in the banner, after x4."""
+    sign: int = 1
+    """1 if counts grow with theta, -1 if they fall; the wrong sign is a fault."""
+    rate_hz: int = RATE
+    """Line rate [Hz]."""
+    offset_us: int = 0
+    """Time of the board's clock at `start` [us]."""
+    drift: float = 0.0
+    """Relative error of the board's clock, positive if fast [-]."""
+    start: float = 0.0
+    """Time at which the board is switched on [s]."""
+    seed: int = 0
+    """Seed of malformed lines."""
+    factor: float = 1.0
+    """Ratio of actual to nominal counts; other than 1 is a fault."""
+    loss: float = 0.0
+    """Share of upward counts that are lost: a slow fault."""
+    frozen: bool = False
+    """Whether the count is frozen: a fault."""
+    silent: bool = False
+    """Whether the board sends no lines: a fault."""
+    malformed: float = 0.0
+    """Share of damaged lines: a fault."""
+
+    def __post_init__(self) -> None:
+        """Switch the board on."""
+        self._rng = np.random.default_rng(self.seed)
         self._requests = Requests()
-        self._drift = drift
-        self._now = start
-        self.counts_per_rev = counts_per_rev
-        """Counts per revolution in the banner."""
-        self.rate_hz = rate_hz
-        """Line rate [Hz]."""
-        self.sign = sign
-        """Sign of the counts; the wrong sign is a fault."""
-        self.factor = 1.0
-        """Ratio of actual to nominal counts; other than 1 is a fault."""
-        self.loss = 0.0
-        """Share of upward counts that are lost: a slow fault."""
-        self.frozen = False
-        """Whether the count is frozen: a fault."""
-        self.silent = False
-        """Whether the board sends no lines: a fault."""
-        self.malformed = 0.0
-        """Share of damaged lines: a fault."""
-        self._boot(start, start, offset_us)
+        self._now = self.start
+        self._boot(self.start, self.offset_us)
 
-    def _boot(self, now: float, first: float, t_us: int = 0) -> None:
-        self._started, self._start_us = now, t_us
-        self._next = first
-        self._greets = True
-        self._line = 0
-        self._theta = self._angle()
-        self._at = now
+    def _boot(self, now: float, t_us: int = 0) -> None:
+        self._started = self._next = self._at = now
+        self._start_us = t_us
+        self._theta = self.angle()
         self._raw = self._counted(self._theta)
-        self._count = 0
+        self._line = self._count = self._shift = self._skip = self._requested = 0
         self._lost = 0.0
-        self._shift = 0
-        self._down = self._latched = False
-        self._illegal = False
-        self._skip = 0
-        self._requested = 0
+        self._greets = True
+        self._down = self._latched = self._illegal = False
 
     # Inputs and faults.
 
@@ -97,13 +83,10 @@ class Board:
         """Receive bytes from the host."""
         self._requested += self._requests.feed(data)
 
-    def press(self) -> None:
-        """Press the button."""
-        self._down = self._latched = True
-
-    def let_go(self) -> None:
-        """Release the button."""
-        self._down = False
+    def press(self, down: bool = True) -> None:
+        """Press the button, or release it; a press is latched until the next line."""
+        self._latched |= down and not self._down
+        self._down = down
 
     def jump(self, counts: int) -> None:
         """Change the count at once, as a slipping coupling or a burst of noise does."""
@@ -123,7 +106,7 @@ class Board:
 
     def reboot(self) -> None:
         """Restart count, sequence and clock, after `BOOT`."""
-        self._boot(self._now + BOOT, self._now + BOOT)
+        self._boot(self._now + BOOT)
 
     # Outputs.
 
@@ -135,12 +118,13 @@ class Board:
         Args:
             now: The time [s], not before that of the last call.
         """
-        theta, before, since = self._angle(), self._theta, self._at
+        theta, before, since = self.angle(), self._theta, self._at
         sent = bytearray()
         if now >= self._started:
-            sent += self._banner() * (self._greets + self._requested)
+            banner = encode(Banner(NAME, FIRMWARE, self.counts_per_rev, self.rate_hz))
+            sent += banner * (self._greets + self._requested)
             self._greets, self._requested = False, 0
-        period = 1.0 / (self.rate_hz * (1.0 + self._drift))
+        period = 1.0 / (self.rate_hz * (1.0 + self.drift))
         while self._next + period <= now + 1e-9:
             self._next += period
             share = (self._next - since) / (now - since) if now > since else 1.0
@@ -148,9 +132,6 @@ class Board:
             sent += self._line_now()
         self._theta, self._at, self._now = theta, max(now, since), now
         return bytes(sent)
-
-    def _banner(self) -> bytes:
-        return encode(Banner(NAME, FIRMWARE, self.counts_per_rev, self.rate_hz))
 
     def _counted(self, theta: float) -> int:
         return int(counts_from_theta(self.factor * theta, self.counts_per_rev, self.sign))
@@ -168,7 +149,7 @@ class Board:
     def _line_now(self) -> bytes:
         flags = Flags.DOWN * self._down | Flags.PRESSED * self._latched
         flags |= Flags.ILLEGAL * self._illegal
-        clock = (self._next - self._started) * (1.0 + self._drift)
+        clock = (self._next - self._started) * (1.0 + self.drift)
         t_us = (self._start_us + round(1e6 * clock)) % 2**32
         count = (self._count + self._shift + 2**31) % 2**32 - 2**31
         line = encode(Reading(self._line, t_us, count, int(flags)))

@@ -128,8 +128,8 @@ def decode(line: bytes) -> Reading | Banner | None:
     return reading if fits else None
 
 
-class ELineSplitter:
-    """Splitter of a byte stream into lines.
+class Decoder:
+    """Decoder of a board's byte stream; never raises.
 
     Bytes before the first line end are dropped, since reading usually starts within a line. Lines
     longer than `LONGEST` are dropped, so that memory is bounded.
@@ -139,21 +139,23 @@ class ELineSplitter:
         """Start within a line."""
         self._part = bytearray()
         self._skipping = True
-        self.too_long = 0
-        """Number of lines dropped for their length."""
+        self.rejected = 0
+        """Number of invalid lines; an incomplete first line is not counted."""
 
-    def feed(self, data: bytes) -> list[bytes]:
-        """Add bytes, and return the lines that they complete, without line ends."""
+    def feed(self, data: bytes) -> list[Reading | Banner]:
+        """Add bytes, and return the contents of the lines that they complete."""
         *ended, rest = data.split(b"\n")
-        lines: list[bytes] = []
+        decoded: list[Reading | Banner] = []
         for piece in ended:
             self._add(piece)
             if not self._skipping:
-                lines.append(bytes(self._part))
+                line = decode(bytes(self._part))
+                decoded += [] if line is None else [line]
+                self.rejected += line is None
             self._part.clear()
             self._skipping = False
         self._add(rest)
-        return lines
+        return decoded
 
     def _add(self, piece: bytes) -> None:
         if self._skipping:
@@ -162,27 +164,7 @@ class ELineSplitter:
         if len(self._part) > LONGEST:
             self._part.clear()
             self._skipping = True
-            self.too_long += 1
-
-
-class Decoder:
-    """Decoder of a board's byte stream; never raises."""
-
-    def __init__(self) -> None:
-        """Start within a line."""
-        self._lines = ELineSplitter()
-        self._bad = 0
-
-    @property
-    def rejected(self) -> int:
-        """Number of invalid lines; an incomplete first line is not counted."""
-        return self._bad + self._lines.too_long
-
-    def feed(self, data: bytes) -> list[Reading | Banner]:
-        """Add bytes, and return the contents of the lines that they complete."""
-        decoded = [decode(line) for line in self._lines.feed(data)]
-        self._bad += decoded.count(None)
-        return [line for line in decoded if line is not None]
+            self.rejected += 1
 
 
 class Requests:

@@ -18,30 +18,20 @@ def open_sensor(
     address: str, session: Session, counts_per_rev: int | None, sign: int
 ) -> LineEncoder:
     """Return the driver for an address; nothing is opened before it is connected."""
-    return LineEncoder(
-        lambda: serial_port.open_serial(address),
-        session.clock,
-        counts_per_rev=counts_per_rev,
-        sign=sign,
-        name=address,
-    )
+    opened, clock = partial(serial_port.open_serial, address), session.clock
+    return LineEncoder(opened, clock, counts_per_rev=counts_per_rev, sign=sign, name=address)
 
 
 def emulate(
     rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int, seed: int
 ) -> EmulatedSensor:
     """Return the driver in front of an emulated board on a simulated spindle."""
-    board = Board(
-        lambda: rig.theta, counts_per_rev=rig.settings.counts_per_rev, sign=sign, seed=seed
-    )
+    counts = rig.settings.counts_per_rev
+    board = Board(lambda: rig.theta, counts_per_rev=counts, sign=sign, seed=seed)
     reader, wire = memory_pipe(clock, rig.settings.encoder_age)
-    down = False
 
     def advance(now: float) -> None:
-        nonlocal down
-        if rig.button is not down:
-            down = rig.button
-            board.press() if down else board.let_go()
+        board.press(rig.button)
         sent = board.advance(now)
         with suppress(LinkError):
             board.feed(wire.read())

@@ -69,17 +69,14 @@ class SwingRecorder:
             counts_per_rev: Counts per revolution, after x4.
             duration: Duration of the swing after the release [s].
         """
-        self._step = 2.0 * pi / counts_per_rev
-        self._duration = duration
+        self._step, self._duration = 2.0 * pi / counts_per_rev, duration
         self._kept: deque[tuple[float, int]] = deque()
         self._quiet: tuple[float, int] | None = None
         self._since: float | None = None
-        self._last = -inf
-        self._zero = 0
         self._fell: float | None = None
-        self._from = 0.0
-        self._side = 0
-        self._extreme = 0.0
+        self._last = -inf
+        self._zero = self._side = 0
+        self._from = self._extreme = 0.0
         self._turns: list[float] = []
         self.stage = RecordingStage.SETTLING
         """Stage of the recording."""
@@ -120,11 +117,8 @@ class SwingRecorder:
             if self.stage is not RecordingStage.DONE:
                 self._take(sample)
 
-    def trajectory(self, source: str = "recorded swing") -> Trajectory:
+    def trajectory(self) -> Trajectory:
         """Return the recording; its time begins at zero.
-
-        Args:
-            source: Name of the recording.
 
         Raises:
             RecordingError: The recording is incomplete, too short, or off centre.
@@ -143,14 +137,11 @@ class SwingRecorder:
                 f"the swing is centred {degrees(middle):+.1f} deg from where the pendulum hung, "
                 f"expected at most {degrees(MAX_OFFSET):.0f}; let it hang free before the lift"
             )
-        begin = self._kept[0][0]
-        return Trajectory(
-            # The board's clock counts microseconds; further digits would be noise.
-            time=np.array([round(time - begin, 6) for time, _ in self._kept]),
-            theta=np.array([self._step * (counts - self._zero) for _, counts in self._kept]),
-            resolution=self._step,
-            source=source,
-        )
+        times, counts = zip(*self._kept, strict=True)
+        # The board's clock counts microseconds; further digits would be noise.
+        time = np.array([round(time - times[0], 6) for time in times])
+        theta = self._step * (np.array(counts) - self._zero)
+        return Trajectory(time=time, theta=theta, resolution=self._step, source="recorded swing")
 
     def _take(self, sample: Sample) -> None:
         time, gap, self._last = sample.time, sample.time - self._last, sample.time
@@ -169,10 +160,13 @@ class SwingRecorder:
             if abs(self.theta) > LIFTED:
                 self._side = 1 if self.theta > 0.0 else -1
                 self._enter(RecordingStage.LIFTED)
-        elif self.stage is RecordingStage.LIFTED:
-            self._watch_hand()
-        else:
-            self._watch_swing()
+            return
+        if abs(self.theta) >= pi:
+            raise RecordingError(
+                "the pendulum went over the top; lift it by 40 to 60 degrees, then record again"
+            )
+        watch = self._watch_hand if self.stage is RecordingStage.LIFTED else self._watch_swing
+        watch(self._side * self.theta)
 
     def _enter(self, stage: RecordingStage) -> None:
         self.stage, self._since = stage, self._last
@@ -207,10 +201,8 @@ class SwingRecorder:
                 f"{1e3 * LONGEST_GAP:.0f}; close other programs, or use a faster link"
             )
 
-    def _watch_hand(self) -> None:
-        """Detect the fall through the zero."""
-        self._refuse_over_the_top()
-        height = self._side * self.theta
+    def _watch_hand(self, height: float) -> None:
+        """Detect the fall through the zero from an angle on the side of the lift [rad]."""
         self._extreme = max(height, 0.0)
         if height > 0.0:
             return
@@ -221,23 +213,14 @@ class SwingRecorder:
         self._fell, self._side = self._last, -self._side
         self._enter(RecordingStage.SWINGING)
 
-    def _watch_swing(self) -> None:
-        self._refuse_over_the_top()
-        height = self._side * self.theta
+    def _watch_swing(self, height: float) -> None:
         self._extreme = max(self._extreme, height)
-        back = max(3.0 * self._step, 0.1 * self._extreme)
-        if self._extreme - height > back:
+        if self._extreme - height > max(3.0 * self._step, 0.1 * self._extreme):
             self._turn()
         elif not self._turns and self.elapsed > MAX_TURN_TIME:
             self._again("the hand was still on it")
         if self.stage is RecordingStage.SWINGING and self.elapsed >= self._duration:
             self._enter(RecordingStage.DONE)
-
-    def _refuse_over_the_top(self) -> None:
-        if abs(self.theta) >= pi:
-            raise RecordingError(
-                "the pendulum went over the top; lift it by 40 to 60 degrees, then record again"
-            )
 
     def _turn(self) -> None:
         if not self._turns and self._extreme < max(MIN_RISE * self._from, MIN_AMPLITUDE):

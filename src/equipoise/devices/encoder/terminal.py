@@ -70,13 +70,6 @@ class Terminal:
             ) from None
         self._link = link
 
-    def __enter__(self) -> "Terminal":
-        """Return the terminal, which is closed at the end."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def advance(self, now: float) -> None:
         """Transfer bytes both ways; call it about once per period of the board.
 

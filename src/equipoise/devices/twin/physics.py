@@ -61,7 +61,10 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
         _weigh(spec.body("flange"), _bar(settings.bracket_mass, np.array(arm.pivot)))
     across, along = I - m * l**2, 0.5 * m * SIZES.rod**2
     rod = Inertial(
-        name="pendulum", mass=m, com=(0.0, 0.0, l), inertia=(across, 0.0, 0.0, across, 0.0, along)
+        name="pendulum",
+        mass=m,
+        com=(0.0, 0.0, l),
+        inertia=(across, 0.0, 0.0, across, 0.0, along),
     )
     _weigh(spec.body("pendulum"), rod)
 

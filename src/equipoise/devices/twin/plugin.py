@@ -59,7 +59,11 @@ def flange_speed(arm: Arm, period: float) -> float:
 
 
 ROBOT: Final = RobotPlugin(
-    form=FORM, check=check_robot, emulate=emulate_robot, link_share=0.0, flange_speed=flange_speed
+    form=FORM,
+    check=check_robot,
+    emulate=emulate_robot,
+    link_share=0.0,
+    flange_speed=flange_speed,
 )
 """Registered as `twin`."""
 SENSOR: Final = SensorPlugin(form=FORM, check=check_sensor, emulate=emulate_sensor)

@@ -27,7 +27,12 @@ from equipoise.control.control_step import (
 )
 from equipoise.control.policy import RANDOM, PolicyKernel, act
 from equipoise.control.safety import NO_VIOLATION
-from equipoise.control.trial_safety import TrialSafetyMonitor, refused, reset_trial_monitor, stopped
+from equipoise.control.trial_safety import (
+    TrialSafetyMonitor,
+    refused,
+    reset_trial_monitor,
+    stopped,
+)
 from equipoise.devices.twin.physics import TICK
 from equipoise.devices.twin.sensors import encoder, reply
 from equipoise.devices.twin.servo_model import NOW

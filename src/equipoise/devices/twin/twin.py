@@ -275,7 +275,10 @@ class Twin:
         self.reset()
 
     def reset(
-        self, q: Sequence[float] | Array | None = None, phi: float = np.pi, phi_dot: float = 0.0
+        self,
+        q: Sequence[float] | Array | None = None,
+        phi: float = np.pi,
+        phi_dot: float = 0.0,
     ) -> None:
         """Set time to zero, the arm at rest.
 
