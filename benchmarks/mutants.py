@@ -43,8 +43,8 @@ import equipoise.model.sim_configs  # noqa: F401
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = {
     "safety": "control",
-    "guards": "control",
-    "gaps": "control",
+    "trial_safety": "control",
+    "dropouts": "control",
     "states": "control",
     "stop": "control",
     "release": "control",
