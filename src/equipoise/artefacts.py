@@ -16,6 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -177,28 +178,28 @@ class Artefact(Value):
                 f"{path} holds {quoted(document['format'])}, expected {cls.FORMAT!r}; "
                 "give a file of that kind"
             )
-        version, body = document["version"], document["body"]
-        if version > cls.VERSION:
-            raise ArtefactError(
-                f"{path} has version {quoted(version)} of {cls.FORMAT!r}, this Equipoise reads up "
-                f"to {cls.VERSION}; upgrade Equipoise"
-            )
-        if version < cls.VERSION:
-            raise ArtefactError(
-                f"{path} has version {quoted(version)} of {cls.FORMAT!r}, expected {cls.VERSION}; "
-                "make the file again"
-            )
+        check_version(path, cls.FORMAT, document["version"], cls.VERSION, "make the file again")
         try:
-            return cls.model_validate_json(json.dumps(body), strict=True)
+            return cls.model_validate_json(json.dumps(document["body"]), strict=True)
         except ValidationError as error:
             fault, cure = first_fault(error), "make the file again"
             what = fault.what
             if fault.unknown:  # the digest excludes a damaged file
                 what, cure = "this Equipoise does not know that field", f"upgrade it, or {cure}"
-            raise ArtefactError(
-                f"{path} is not a valid {cls.FORMAT!r} file: {fault.where or 'body'}: {what}; "
-                f"{cure}"
-            ) from None
+            where = f"{cls.FORMAT!r} file: {fault.where or 'body'}"
+            raise ArtefactError(f"{path} is not a valid {where}: {what}; {cure}") from None
+
+
+def check_version(path: StrPath, name: str, version: int, expected: int, cure: str) -> None:
+    """Reject a file of another version of the format `name`.
+
+    Raises:
+        ArtefactError: The file is older, or newer; an older one needs the remedy `cure`.
+    """
+    if version != expected:
+        remedy = "upgrade Equipoise" if version > expected else cure
+        found = f"{path} has version {quoted(version)} of {name!r}"
+        raise ArtefactError(f"{found}, expected {expected}; {remedy}")
 
 
 def read_document(path: Path) -> dict[str, Any]:
@@ -211,22 +212,17 @@ def read_document(path: Path) -> dict[str, Any]:
         ArtefactError: The file is missing, not of Equipoise, or does not match its digest.
     """
     data = read_bytes(path, MAX_FILE_SIZE, "a file of Equipoise", ArtefactError)
+    kinds = {"format": str, "version": int, "digest": str, "provenance": dict, "body": dict}
     try:
-        document: Any = json.loads(
-            data.decode("utf-8"), parse_constant=_refuse, parse_float=_finite
-        )
-        matches = isinstance(document, dict) and document.get("digest") == _digest(
-            document.get("body")
-        )
+        read: Any = json.loads(data.decode("utf-8"), parse_constant=_refuse, parse_float=_finite)
+        document = read if isinstance(read, dict) else {}
+        matches = document.get("digest") == _digest(document.get("body"))
     except (ValueError, RecursionError) as error:
         raise ArtefactError(
             f"{path} is not a file of Equipoise, or was cut short ({shortened(str(error))}); "
             "make the file again"
         ) from None
-    kinds = {"format": str, "version": int, "digest": str, "provenance": dict, "body": dict}
-    if not isinstance(document, dict) or any(
-        type(document.get(key)) is not kind for key, kind in kinds.items()
-    ):
+    if any(type(document.get(key)) is not kind for key, kind in kinds.items()):
         raise ArtefactError(
             f"{path} is not a file of Equipoise: expected the keys {', '.join(kinds)}; "
             "give a file that Equipoise wrote"
@@ -330,16 +326,16 @@ def write_whole(path: Path, content: str | bytes) -> None:
     temporary = temporary_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with temporary.open("xb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with temporary.open("xb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
     except OSError as error:
         raise OutsideError(f"cannot write {path}: {error.strerror or error}") from None
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 class PartialFile:
@@ -431,10 +427,9 @@ def _finite(text: str) -> float:
 def _software() -> dict[str, str]:
     versions = {"python": platform.python_version(), "machine": platform.machine()}
     for package in ("equipoise", "numpy", "numba", "scipy", "mujoco"):
-        try:
+        versions[package] = "not installed"
+        with suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = "not installed"
     return versions | {"system": sys.platform}
 
 

@@ -337,9 +337,9 @@ def test_where_the_operator_cannot_be_told_anything_the_arm_comes_to_rest(run, t
 def test_a_wait_for_the_robot_can_be_given_up(word):
     recorder = Recorder(7, memoryview(bytearray(Recorder.room(7))))
     across = processes.OperatorProxy(recorder)
-    recorder.words.push(b"ok")
+    recorder.typed.push(b"ok")
     across.attend("start the server again")
-    recorder.words.push(word.encode())
+    recorder.typed.push(word.encode())
     with pytest.raises(OutsideError, match="nothing has moved. To deploy again, start the server"):
         across.attend("start the server again")
     assert across.read_input() == []
@@ -466,7 +466,7 @@ def test_a_loop_that_dies_without_a_word_before_it_moved_anything_is_an_error(er
 
 def test_the_last_words_and_the_result_of_a_loop_are_taken_though_it_has_ended():
     recorder, person = Recorder(7), Person()
-    push_event(recorder.told, 0.0, "stopping", (), "the end")
+    push_event(recorder.notices, 0.0, "stopping", (), "the end")
     result = InputError("no")
     pipe = SimpleNamespace(poll=lambda: True, recv=lambda: result)
     assert processes._attend(Fiction(0), recorder, person, [], pipe, quiet()) is result

@@ -20,7 +20,7 @@ from equipoise.deployment.rig import (
 from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import InputError
 from equipoise.logs import writer as log_writer
-from equipoise.logs.recorder import Recorder, take_events
+from equipoise.logs.recorder import Recorder, read_events
 from equipoise.logs.run_log import RunLog
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig
@@ -167,7 +167,7 @@ def test_words_that_come_together_answer_one_question_after_the_other():
     # What was left over is not lost: the loop hears it, and stops.
     assert channel.read_input() == ["stop"]
     assert channel.read_input() == []
-    logged = [(event.name, event.text) for event in take_events(recorder.event)]
+    logged = [(event.name, event.text) for event in read_events(recorder.event.take())]
     assert logged == [
         ("checklist", "a"),
         ("word", "estop"),

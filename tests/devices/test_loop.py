@@ -12,7 +12,7 @@ from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Reply, Sample
 from equipoise.devices.loop import CANNOT_STOP, InlineExecutor, Timing, run_loop
 from equipoise.errors import LinkError
-from equipoise.logs.recorder import FAILED, PULSE, WORD_TYPED, Recorder, take_events
+from equipoise.logs.recorder import FAILED, PULSE, WORD_TYPED, Recorder, read_events
 from equipoise.model.arms.iiwa import iiwa
 
 ARM = iiwa(7)
@@ -178,7 +178,7 @@ def test_what_was_read_decided_and_sent_is_in_the_rings():
     assert stream["time"] == pytest.approx([when for when, _ in course.arm.sent])
     assert len(rings["encoder"].take()) == 20
     assert len(rings["reply"].take()) == 38
-    typed = [e for e in take_events(rings["event"]) if e.name == WORD_TYPED]
+    typed = [e for e in read_events(rings["event"].take()) if e.name == WORD_TYPED]
     assert [(event.time, event.text) for event in typed] == [(pytest.approx(0.02), "y")]
 
 
@@ -241,7 +241,7 @@ def test_a_lost_sensor_is_a_fault_in_the_same_tick_and_the_loop_goes_on():
     assert course.heart.seen[4][1].faults == ["the encoder is unplugged"]
     assert len(course.heart.seen) == 20
     assert course.sensor.calls == 5  # nobody asks it again
-    failed = [e for e in take_events(course.recorder.event) if e.name == FAILED]
+    failed = [e for e in read_events(course.recorder.event.take()) if e.name == FAILED]
     assert [(e.time, e.text) for e in failed] == [(pytest.approx(0.05), "the encoder is unplugged")]
 
 
@@ -420,5 +420,5 @@ def test_what_the_heart_says_is_told_in_its_tick_and_logged():
     course = Course(heart)
     course.run()
     assert course.person.told == [("armed", "Let go.")]
-    logged = take_events(course.recorder.event)
+    logged = read_events(course.recorder.event.take())
     assert [(e.name, e.time) for e in logged] == [("armed", pytest.approx(0.04))]

@@ -16,7 +16,7 @@ from equipoise.logs import writer as log_writer
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.container import MAGIC
 from equipoise.logs.layout import TABLES
-from equipoise.logs.recorder import Recorder, push_event, take_events
+from equipoise.logs.recorder import Recorder, push_event, read_events
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.writer import TAIL, RunWriter
 from tests.logs.made_up import rig_conditions
@@ -164,10 +164,10 @@ def test_rings_lie_in_memory_that_two_share():
     one, other = Recorder(7, buffer), Recorder(7, buffer)
     push(one, 3)
     assert other.stream.take()["time"] == pytest.approx([0.0, 0.01, 0.02])
-    push_event(one.told, 1.0, "lift", (), "Lift the pendulum.")
-    assert take_events(other.told) == [(1.0, "lift", (), "Lift the pendulum.")]
-    other.words.push(b"stop")
-    assert one.words.take()["word"].tolist() == [b"stop"]
+    push_event(one.notices, 1.0, "lift", (), "Lift the pendulum.")
+    assert read_events(other.notices.take()) == [(1.0, "lift", (), "Lift the pendulum.")]
+    other.typed.push(b"stop")
+    assert one.typed.take()["word"].tolist() == [b"stop"]
     one.pulse[0] = 5.0
     assert other.pulse[0] == 5.0
 

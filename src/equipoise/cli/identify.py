@@ -117,7 +117,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     rows = {"servo law": actuator.kind, "transport delay": in_ms(actuator.delay)}
     if actuator.kind == "kst":
         rows["servo cycle"] = in_ms(actuator.cycle)
-    for place, lag in zip(run.conditions.free, actuator.lags, strict=True):
+    for place, lag in zip(run.conditions.arm.free, actuator.lags, strict=True):
         rows[f"lag of {run.conditions.joints[place]}"] = in_ms(lag)
     fit = actuator.fit
     if fit is not None:

@@ -36,7 +36,7 @@ from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
 from equipoise.errors import EquipoiseError, InputError, OutsideError
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.recorder import PULSE, Recorder, push_event, take_events
+from equipoise.logs.recorder import PULSE, Recorder, push_event, read_events
 from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.rigs import connect, restart_instruction
@@ -121,7 +121,7 @@ def run_in_processes(
         try:
             result = _attend(loop, recorder, person, words, ours, log)
         except BaseException:
-            recorder.words.push(STOP.encode())  # no later poll would send it
+            recorder.typed.push(STOP.encode())  # no later poll would send it
             raise
         log.end(
             RunEnd(**result._asdict())
@@ -218,13 +218,13 @@ def _attend(
         if streams and not beats and not silent:
             person.notify(OperatorMessage("fault", f"the loop does not answer: {CANNOT_STOP}"))
         silent = streams and not beats
-        for event in take_events(recorder.told):
+        for event in read_events(recorder.notices.take()):
             person.notify(OperatorMessage(event.name, event.text, event.answers))
         log.check(person)
         said = [*person.read_input(), *words]
         words.clear()
         for word in said:
-            recorder.words.push(word.encode()[:64])
+            recorder.typed.push(word.encode()[:64])
         if streams and alive:
             phase = PHASES[int(pulse[_STATE])]
             if phase in STREAMING:
@@ -259,11 +259,11 @@ class OperatorProxy:
     def notify(self, event: OperatorMessage) -> None:
         """Send a message to the operator in the parent process; never blocks."""
         now = time.monotonic()
-        push_event(self._recorder.told, now, event.name, event.answers, event.text)
+        push_event(self._recorder.notices, now, event.name, event.answers, event.text)
 
     def read_input(self) -> list[str]:
         """Return the words that the parent process has received, the oldest first."""
-        words = [word.decode("utf-8", "ignore") for word in self._recorder.words.take()["word"]]
+        words = [word.decode("utf-8", "ignore") for word in self._recorder.typed.take()["word"]]
         if self.signalled:
             self.signalled = False
             words.append(STOP)

@@ -258,7 +258,7 @@ def identify_run(run: RunLog) -> Actuator:
         RecordingError: The log cannot be used, see `identify_actuator`.
     """
     stream, replies = run.stream, run.replies
-    free = list(run.conditions.free)
+    free = list(run.conditions.arm.free)
     return identify_actuator(
         stream.time, stream.q[:, free], replies.time, replies.q[:, free], source=run.digest
     )

@@ -22,8 +22,7 @@ PendulumName: TypeAlias = Literal["w2", "k", "c", "coulomb", "drag"]
 
 def named(pendulum: PendulumParameters) -> dict[PendulumName, float]:
     """Return the parameters of a pendulum by name, as conditions hold them."""
-    names: tuple[PendulumName, ...] = get_args(PendulumName)
-    return {name: float(getattr(pendulum, name)) for name in names}
+    return {name: float(getattr(pendulum, name)) for name in get_args(PendulumName)}
 
 
 class RunConditions(Value):
@@ -91,11 +90,6 @@ class RunConditions(Value):
     def joints(self) -> tuple[str, ...]:
         """Names of the joints, from the base to the flange."""
         return tuple(joint.name for joint in self.arm.joints)
-
-    @property
-    def free(self) -> tuple[int, ...]:
-        """Places of the joints that move, counted from zero."""
-        return self.arm.free
 
 
 class RunEnd(Value):

@@ -33,8 +33,6 @@ LARGEST_CHUNK: Final = 1 << 24
 """
 LARGEST: Final = 1 << 31
 """Limit on the content of all chunks [B]: three times a run of an hour, the longest."""
-MOST_JOINTS: Final = 32
-"""Limit on the joints of an arm in a log."""
 LARGEST_NUMBER: Final = 1e9
 """Limit on times [s], counts and all other numbers in a row: clocks and encoders reach 1e8."""
 

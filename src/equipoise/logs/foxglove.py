@@ -12,72 +12,51 @@ as long as no angle is known.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import cos, pi, sin
+from math import pi
 from typing import Any, Final
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.urdf_writer import PENDULUM, describe_links, write_urdf
+from equipoise.model.arms.urdf_writer import describe_links, write_urdf
 
 RATE: Final = 25.0
 """Rate of transforms and joint states [Hz]: a film's."""
 DIGITS: Final = 6
 """Number of decimals: micrometres and microradians."""
 
-Quaternion = tuple[float, float, float, float]
-"""x, y, z, w."""
+
+def _object(**fields: Any) -> dict[str, Any]:
+    return {"type": "object", "properties": fields}
 
 
-def _numbers(names: str) -> dict[str, Any]:
-    return {"type": "object", "properties": {name: {"type": "number"} for name in names}}
+def _array(items: Any) -> dict[str, Any]:
+    return {"type": "array", "items": items}
 
 
-_STAMP: Final = {
-    "type": "object",
-    "title": "time",
-    "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
-}
+_INTEGER, _NUMBER, _TEXT = ({"type": kind} for kind in ("integer", "number", "string"))
+_STAMP: Final = {"title": "time", **_object(sec=_INTEGER, nsec=_INTEGER)}
 _TRANSFORM: Final = {
     "title": "foxglove.FrameTransform",
-    "type": "object",
-    "properties": {
-        "timestamp": _STAMP,
-        "parent_frame_id": {"type": "string"},
-        "child_frame_id": {"type": "string"},
-        "translation": _numbers("xyz"),
-        "rotation": _numbers("xyzw"),
-    },
+    **_object(
+        timestamp=_STAMP,
+        parent_frame_id=_TEXT,
+        child_frame_id=_TEXT,
+        translation=_object(**dict.fromkeys("xyz", _NUMBER)),
+        rotation=_object(**dict.fromkeys("xyzw", _NUMBER)),
+    ),
 }
-_HEADER: Final = {
-    "type": "object",
-    "properties": {"stamp": _STAMP, "frame_id": {"type": "string"}},
-}
-_NUMBERS: Final = {"type": "array", "items": {"type": "number"}}
+_TRANSFORMS: Final = {"title": "foxglove.FrameTransforms", **_object(transforms=_array(_TRANSFORM))}
+_JOINT_STATES: Final = _object(
+    header=_object(stamp=_STAMP, frame_id=_TEXT),
+    name=_array(_TEXT),
+    **dict.fromkeys(("position", "velocity", "effort"), _array(_NUMBER)),
+)
 SCHEMAS: Final[Mapping[str, tuple[str, dict[str, Any]]]] = {
-    "/robot_description": (
-        "std_msgs/String",
-        {"type": "object", "properties": {"data": {"type": "string"}}},
-    ),
-    "/tf": (
-        "foxglove.FrameTransforms",
-        {
-            "title": "foxglove.FrameTransforms",
-            "type": "object",
-            "properties": {"transforms": {"type": "array", "items": _TRANSFORM}},
-        },
-    ),
-    "/joint_states": (
-        "sensor_msgs/JointState",
-        {
-            "type": "object",
-            "properties": {
-                "header": _HEADER,
-                "name": {"type": "array", "items": {"type": "string"}},
-                "position": _NUMBERS,
-                "velocity": _NUMBERS,
-                "effort": _NUMBERS,
-            },
-        },
-    ),
+    "/robot_description": ("std_msgs/String", _object(data=_TEXT)),
+    "/tf": ("foxglove.FrameTransforms", _TRANSFORMS),
+    "/joint_states": ("sensor_msgs/JointState", _JOINT_STATES),
 }
 """Name and content of the schema of each topic."""
 
@@ -91,6 +70,9 @@ class ArmDisplay:
         """URDF of arm and pendulum."""
         self._links = describe_links(arm, pendulum=True)
         self._names = [link.joint for link in self._links if link.turns]
+        self._turns = np.array([link.turns for link in self._links])
+        self._axes = np.array([link.axis for link in self._links])
+        self._fixed = Rotation.from_euler("xyz", [link.rpy for link in self._links])
         self._phi, self._measured, self._next, self._described = pi, False, 0, False
 
     def messages(
@@ -118,63 +100,22 @@ class ArmDisplay:
         angles = [round(angle, DIGITS) for angle in (*q, self._phi)]
         time = {"sec": stamp // 1_000_000_000, "nsec": stamp % 1_000_000_000}
         yield "/tf", {"transforms": list(self._transforms(angles, time))}
-        yield (
-            "/joint_states",
-            {
-                "header": {"stamp": time, "frame_id": "base"},
-                "name": self._names,
-                "position": angles,
-                "velocity": [],
-                "effort": [],
-            },
-        )
+        joints = {"header": {"stamp": time, "frame_id": "base"}, "name": self._names}
+        yield "/joint_states", {**joints, "position": angles, "velocity": [], "effort": []}
 
     def _transforms(self, angles: Sequence[float], time: Any) -> Iterator[dict[str, Any]]:
-        angle = iter(angles)
-        for link in self._links:
-            turn = about(link.axis, next(angle)) if link.turns else (0.0, 0.0, 0.0, 1.0)
-            rotation = product(from_rpy(link.rpy), turn)
+        turns = np.zeros((len(self._links), 1))
+        turns[self._turns, 0] = angles
+        rotations = self._fixed * Rotation.from_rotvec(self._axes * turns)
+        for link, quaternion in zip(self._links, rotations.as_quat().tolist(), strict=True):
             yield {
                 "timestamp": time,
                 "parent_frame_id": link.parent,
                 "child_frame_id": link.name,
                 "translation": _rounded("xyz", link.xyz),
-                "rotation": _rounded("xyzw", rotation),
+                "rotation": _rounded("xyzw", quaternion),
             }
 
 
 def _rounded(names: str, values: Sequence[float]) -> dict[str, float]:
     return {name: round(value, DIGITS) for name, value in zip(names, values, strict=True)}
-
-
-def about(axis: Sequence[float], angle: float) -> Quaternion:
-    """Return the rotation by `angle` [rad] about an axis of length 1."""
-    x, y, z = axis
-    s = sin(0.5 * angle)
-    return x * s, y * s, z * s, cos(0.5 * angle)
-
-
-def from_rpy(rpy: Sequence[float]) -> Quaternion:
-    """Return the rotation by roll, pitch and yaw [rad] about fixed axes."""
-    x, y, z = (about(axis, angle) for axis, angle in zip(_AXES, rpy, strict=True))
-    return product(z, product(y, x))
-
-
-_AXES: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
-
-def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Return the rotation by `b`, then by `a`."""
-    ax, ay, az, aw = a
-    bx, by, bz, bw = b
-    return (
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
-
-
-def urdf_attachment(urdf: str) -> dict[str, Any]:
-    """Return the arguments of the attachment with a URDF."""
-    return {"name": f"{PENDULUM}.urdf", "media_type": "application/xml", "data": urdf.encode()}

@@ -99,27 +99,15 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
     ),
 }
 """Columns of each table."""
-TOPICS: Final = {f"/{name}": name for name in TABLES}
-"""Topic of each table."""
 
 
 def tables(joints: int) -> dict[str, np.dtype[Any]]:
     """Return the type of the rows of each table, for an arm with `joints` joints."""
-    types: dict[str, Any] = {"number": "<f8", "whole": "<i8", "joints": ("<f8", (joints,))}
+    types: dict[str, Any] = {"number": ["<f8"], "whole": ["<i8"], "joints": ["<f8", (joints,)]}
     return {
-        name: np.dtype([(c.name, *_as_tuple(types.get(c.kind, c.kind))) for c in columns])
+        name: np.dtype([(c.name, *types.get(c.kind, [c.kind])) for c in columns])
         for name, columns in TABLES.items()
     }
-
-
-def _as_tuple(kind: Any) -> tuple[Any, ...]:
-    return kind if isinstance(kind, tuple) else (kind,)
-
-
-def text_size(column: str) -> int:
-    """Return the size limit of a text column of the events [B]."""
-    (size,) = (int(c.kind[1:]) for c in TABLES["event"] if c.name == column)
-    return size
 
 
 def schema(table: str) -> dict[str, Any]:

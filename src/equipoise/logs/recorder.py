@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.logs.layout import tables, text_size
+from equipoise.logs.layout import tables
 
 BUFFERED: Final = 10.0
 """Time span of the rows that a ring holds [s]."""
@@ -26,8 +26,12 @@ RATES: Final[Mapping[str, float]] = {
     "event": 50.0,
 }
 """Maximum rate of the rows of each recorded table [1/s]."""
+RINGS: Final = (*RATES, "notices", "typed")
+"""Names of all rings, in the order of their counters."""
+EVENT: Final = tables(0)["event"]
+"""Type of the rows of the table `event`."""
 WORD: Final = np.dtype([("word", "S64")])
-"""Rows of the words that an operator types."""
+"""Type of the rows of the words that an operator types."""
 PULSE: Final = ("time", "state", "phi", "ticks")
 """Entries of `Recorder.pulse`: time of the last tick [s], its state, phi [rad], number of ticks."""
 CONNECTING: Final = "connecting"
@@ -96,39 +100,26 @@ class Recorder:
             joints: Number of joints of the arm.
             buffer: Zeroed memory of the length that `room` returns; allocated if not given.
         """
-        buffer = bytearray(self.room(joints)) if buffer is None else buffer
-        place = 0
-
-        def laid_out(kind: Any, length: int) -> npt.NDArray[Any]:
-            nonlocal place
-            rows = np.frombuffer(buffer, kind, length, place)
-            place += rows.nbytes
-            return rows
-
-        layout = _recorded(joints)
-        counters = laid_out(np.int64, 3 * (len(layout) + 2)).reshape(-1, 3)
-        self.pulse: npt.NDArray[np.float64] = laid_out(np.float64, len(PULSE))
+        layout = _memory_layout(joints)
+        buffer = bytearray(layout.itemsize) if buffer is None else buffer
+        (memory,) = np.frombuffer(buffer, layout, 1)
+        rings = {name: Ring(memory[name], memory["counters"][i]) for i, name in enumerate(RINGS)}
+        self.pulse: npt.NDArray[np.float64] = memory["pulse"]
         """State of the loop at its last tick, by the places in `PULSE`."""
         self.joints = joints
         self.unknown = (math.nan,) * joints
         """Placeholder of a posture that was not measured."""
-        self.rings: dict[str, Ring] = {
-            name: Ring(laid_out(kind, _length(name)), counters[number])
-            for number, (name, kind) in enumerate(layout.items())
-        }
+        self.rings: dict[str, Ring] = {name: rings[name] for name in RATES}
         self.tick, self.stream, self.reply, self.encoder, self.event = self.rings.values()
-        self.told = Ring(laid_out(layout["event"], OPERATOR_BUFFER), counters[-2])
+        self.notices = rings["notices"]
         """Events for the operator, in another process."""
-        self.words = Ring(laid_out(WORD, OPERATOR_BUFFER), counters[-1])
+        self.typed = rings["typed"]
         """Words of the operator, from another process."""
 
     @staticmethod
     def room(joints: int) -> int:
         """Return the size of the rings for an arm with `joints` joints [B]."""
-        layout = _recorded(joints)
-        rows = sum(_length(name) * kind.itemsize for name, kind in layout.items())
-        talk = OPERATOR_BUFFER * (layout["event"].itemsize + WORD.itemsize)
-        return 3 * 8 * (len(layout) + 2) + 8 * len(PULSE) + rows + talk
+        return _memory_layout(joints).itemsize
 
     def forget(self) -> None:
         """Empty the rings of a run without a log."""
@@ -141,19 +132,19 @@ class Recorder:
         return sum(ring.lost for ring in self.rings.values())
 
 
-def _recorded(joints: int) -> dict[str, np.dtype[Any]]:
-    layout = tables(joints)
-    return {name: layout[name] for name in RATES}
-
-
-def _length(name: str) -> int:
-    return round(RATES[name] * BUFFERED)
+def _memory_layout(joints: int) -> np.dtype[Any]:
+    """Return the memory of a recorder: counters, pulse, and the rows of each ring."""
+    kinds = tables(joints)
+    counters = ("counters", np.int64, (len(RATES) + 2, 3))
+    rows = [(name, kinds[name], round(rate * BUFFERED)) for name, rate in RATES.items()]
+    operator = [("notices", EVENT, OPERATOR_BUFFER), ("typed", WORD, OPERATOR_BUFFER)]
+    return np.dtype([counters, ("pulse", np.float64, len(PULSE)), *rows, *operator])
 
 
 def push_event(ring: Ring, time: float, name: str, answers: Sequence[str], text: str) -> None:
     """Write an event into a ring, cut where it is too long."""
     texts = {"name": name, "answers": "|".join(answers), "text": text}
-    ring.push(time, *(_cut(value, text_size(column)) for column, value in texts.items()))
+    ring.push(time, *(_cut(value, EVENT[column].itemsize) for column, value in texts.items()))
 
 
 def _cut(text: str, size: int) -> bytes:
@@ -161,19 +152,10 @@ def _cut(text: str, size: int) -> bytes:
     return text.encode(errors="backslashreplace")[:size].decode(errors="ignore").encode()
 
 
-def take_events(ring: Ring) -> list[LoggedEvent]:
-    """Return the events written into a ring since the last call."""
-    return read_events(ring.take())
-
-
 def read_events(rows: npt.NDArray[Any]) -> list[LoggedEvent]:
     """Return the events in rows of the table `event`."""
-    return [
-        LoggedEvent(
-            float(row["time"]),
-            row["name"].decode("utf-8", "replace"),
-            tuple(word for word in row["answers"].decode("utf-8", "replace").split("|") if word),
-            row["text"].decode("utf-8", "replace"),
-        )
-        for row in rows
-    ]
+    events: list[LoggedEvent] = []
+    for time, *texts in rows.tolist():
+        name, answers, text = (value.decode("utf-8", "replace") for value in texts)
+        events.append(LoggedEvent(time, name, tuple(filter(None, answers.split("|"))), text))
+    return events

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from equipoise.artefacts import Provenance, StrPath, write_whole
+from equipoise.artefacts import Provenance, StrPath, check_version, write_whole
 from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.logs.conditions import RunConditions, RunEnd
@@ -33,6 +33,15 @@ from equipoise.views import Viewable
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
+FAULTS: Final = (
+    AttributeError,
+    LookupError,
+    TypeError,
+    ValueError,
+    ArithmeticError,
+    RecursionError,
+)
+"""Exceptions while parsing a log that holds other values than a run."""
 BROKEN_OFF: Final = "log broken off"
 """Cause of the end of a run whose log lacks its end."""
 
@@ -54,23 +63,13 @@ class TruthColumns(NamedTuple):
     """Joint positions [rad], shape (n, joints)."""
 
 
-class Stream(NamedTuple):
-    """Setpoints as sent; no rows on the ideal model."""
+class JointSamples(NamedTuple):
+    """Joint positions as sent or as measured; no rows on the ideal model."""
 
     time: Array
-    """Time of sending since the release [s], shape (m,)."""
+    """Time since the release [s], shape (m,)."""
     q: Array
     """Joint positions [rad], shape (m, joints)."""
-
-
-class Replies(NamedTuple):
-    """Joint positions as measured; no rows on the ideal model."""
-
-    time: Array
-    """Time of measuring since the release [s], shape (p,): on a rig half-way between request and
-    reply."""
-    q: Array
-    """Joint positions [rad], shape (p, joints)."""
 
 
 class EncoderSamples(NamedTuple):
@@ -80,6 +79,16 @@ class EncoderSamples(NamedTuple):
     """Time stamp since the release [s], shape (r,)."""
     counts: Whole
     """Counts from the zero, shape (r,)."""
+
+
+class _TickColumn:
+    """Column of the ticks of the balancing, as an attribute of a run with the column's name."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, run: "RunLog", owner: type) -> npt.NDArray[Any]:
+        return run.ticks[self._name]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,35 +132,29 @@ class RunLog(Viewable):
         Raises:
             ArtefactError: Columns that differ in length, or values that are not finite.
         """
-        time = {"time": ticks.get("time", ())}
-        sent = {"sent": replies["time"]} if replies else {}
-        given = {
+        given: dict[str, Mapping[str, Any]] = {
             "tick": {"late": 0.0, "compute": 0.0, **ticks},
-            "truth": {**time, **truth} if truth else {},
+            "truth": {"time": ticks.get("time", ()), **truth} if truth else {},
             "stream": stream or {},
-            "reply": {**(replies or {}), **sent},
+            "reply": {**replies, "sent": replies["time"]} if replies else {},
             "encoder": encoder or {},
         }
         kinds = tables(len(conditions.joints))
-        made = {name: _filled(name, kinds[name], given.get(name, {})) for name in TABLES}
-        return cls(conditions, made, end)
+        filled = {name: _filled(name, kinds[name], columns) for name, columns in given.items()}
+        return cls(conditions, filled, end)
 
     def __post_init__(self) -> None:
         """Freeze the tables."""
         kinds = tables(len(self.conditions.joints))
         whole = {name: self.tables.get(name, np.zeros(0, kind)) for name, kind in kinds.items()}
-        for name, rows in whole.items():
-            whole[name] = canonical(rows)
-            whole[name].flags.writeable = False
-        object.__setattr__(self, "tables", whole)
+        frozen = {name: _frozen(canonical(rows)) for name, rows in whole.items()}
+        object.__setattr__(self, "tables", frozen)
 
     def __repr__(self) -> str:
         """Return one line: where it ran, how long, and how it ended."""
-        told = self.conditions
-        return (
-            f"<RunLog of {told.arm.name!r} in {told.world!r}: lasted {self.lasted:g} of "
-            f"{told.duration:g} s, ended {self.cause!r}>"
-        )
+        where = f"{self.conditions.arm.name!r} in {self.conditions.world!r}"
+        lasted = f"{self.lasted:g} of {self.conditions.duration:g} s"
+        return f"<RunLog of {where}: lasted {lasted}, ended {self.cause!r}>"
 
     @property
     def cause(self) -> str:
@@ -205,11 +208,8 @@ class RunLog(Viewable):
     def ticks(self) -> Rows:
         """Rows of the balancing, in which everything about the motion is known, shape (n,)."""
         rows = self.tables["tick"][self.phase_ticks(Phase.BALANCING)]
-        known = np.ones(len(rows), bool)
-        for column in TABLES["tick"]:
-            values = np.isfinite(rows[column.name])
-            known &= values.all(axis=1) if values.ndim == 2 else values
-        return _frozen(rows[known])
+        known = [np.isfinite(np.atleast_2d(rows[c.name].T)).all(axis=0) for c in TABLES["tick"]]
+        return _frozen(rows[np.all(known, axis=0)])
 
     @property
     def release(self) -> float:
@@ -233,21 +233,18 @@ class RunLog(Viewable):
             return
         if self.conditions.simulated:
             raise RecordingError("no policy ran; give a run in which one did")
-        phase, end = self.last_phase, self.end
-        reason = f" ({end.reason})" if end and end.reason else ""
+        phase = self.last_phase.value if self.last_phase else "connecting"
+        reason = f" ({self.end.reason})" if self.end and self.end.reason else ""
         raise RecordingError(
-            f"the run did not get as far as balancing, it ended while "
-            f"{phase.value if phase else 'connecting'}{reason}; give one that did"
+            f"the run did not reach balancing, it ended while {phase}{reason}; give one that did"
         )
 
     @property
     def last_phase(self) -> Phase | None:
         """Phase in which a run on a rig stopped; none before the first tick."""
-        phases = self.conditions.phases
-        for state in reversed(self.tables["tick"]["state"].tolist()):
-            if phases[state] is not Phase.STOPPING:
-                return phases[state]
-        return None
+        states = reversed(self.tables["tick"]["state"].tolist())
+        phases = (self.conditions.phases[state] for state in states)
+        return next((phase for phase in phases if phase is not Phase.STOPPING), None)
 
     # The balancing by columns.
 
@@ -256,39 +253,22 @@ class RunLog(Viewable):
         """Start of each tick since the release [s], shape (n,)."""
         return _frozen(self.ticks["time"] - self._begin)
 
-    @property
-    def x(self) -> Array:
-        """Displacement of the flange from home along base x, as the policy saw it [m], shape (n,).
+    x = _TickColumn()
+    """Displacement of the flange from home along base x, as the policy saw it [m], shape (n,).
 
-        With an encoder, this and the next three columns are predicted for the time at which the
-        command takes effect.
-        """
-        return self.ticks["x"]
-
-    @property
-    def x_dot(self) -> Array:
-        """Velocity of the flange, as the policy saw it [m/s], shape (n,)."""
-        return self.ticks["x_dot"]
-
-    @property
-    def phi(self) -> Array:
-        """Angle of the pendulum from upright, as the policy saw it [rad], shape (n,)."""
-        return self.ticks["phi"]
-
-    @property
-    def phi_dot(self) -> Array:
-        """Angular velocity of the pendulum, as the policy saw it [rad/s], shape (n,)."""
-        return self.ticks["phi_dot"]
-
-    @property
-    def box(self) -> Whole:
-        """Box of the table that held the state, shape (n,)."""
-        return self.ticks["box"]
-
-    @property
-    def u(self) -> Array:
-        """Commanded acceleration of the flange along x [m/s^2], shape (n,)."""
-        return self.ticks["u"]
+    With an encoder, this and the next three columns are predicted for the time at which the
+    command takes effect.
+    """
+    x_dot = _TickColumn()
+    """Velocity of the flange, as the policy saw it [m/s], shape (n,)."""
+    phi = _TickColumn()
+    """Angle of the pendulum from upright, as the policy saw it [rad], shape (n,)."""
+    phi_dot = _TickColumn()
+    """Angular velocity of the pendulum, as the policy saw it [rad/s], shape (n,)."""
+    box = _TickColumn()
+    """Box of the table that held the state, shape (n,)."""
+    u = _TickColumn()
+    """Commanded acceleration of the flange along x [m/s^2], shape (n,)."""
 
     @property
     def tracked(self) -> Array:
@@ -297,30 +277,16 @@ class RunLog(Viewable):
             return self.truth.tracked
         return np.diff(self.x_dot, append=self.x_dot[-1:]) / self.conditions.h
 
-    @property
-    def q(self) -> Array:
-        """Joint positions commanded for the end of the tick [rad], shape (n, joints)."""
-        return self.ticks["q"]
-
-    @property
-    def dq(self) -> Array:
-        """Joint velocities commanded for the end of the tick [rad/s], shape (n, joints)."""
-        return self.ticks["dq"]
-
-    @property
-    def estimated_phi(self) -> Array:
-        """Estimate of phi at the tick, not predicted [rad], shape (n,)."""
-        return self.ticks["estimated_phi"]
-
-    @property
-    def estimated_phi_dot(self) -> Array:
-        """Estimate of phi_dot at the tick [rad/s], shape (n,)."""
-        return self.ticks["estimated_phi_dot"]
-
-    @property
-    def bias(self) -> Array:
-        """Estimate of the encoder's zero error [rad], shape (n,)."""
-        return self.ticks["bias"]
+    q = _TickColumn()
+    """Joint positions commanded for the end of the tick [rad], shape (n, joints)."""
+    dq = _TickColumn()
+    """Joint velocities commanded for the end of the tick [rad/s], shape (n, joints)."""
+    estimated_phi = _TickColumn()
+    """Estimate of phi at the tick, not predicted [rad], shape (n,)."""
+    estimated_phi_dot = _TickColumn()
+    """Estimate of phi_dot at the tick [rad/s], shape (n,)."""
+    bias = _TickColumn()
+    """Estimate of the encoder's zero error [rad], shape (n,)."""
 
     @cached_property
     def truth(self) -> TruthColumns:
@@ -328,18 +294,18 @@ class RunLog(Viewable):
         return TruthColumns(*(self.tables["truth"][name] for name in TruthColumns._fields))
 
     @cached_property
-    def stream(self) -> Stream:
+    def stream(self) -> JointSamples:
         """Setpoints as sent."""
         rows = self._while_balancing("stream")
-        return Stream(_frozen(rows["time"] - self._begin), rows["q"])
+        return JointSamples(_frozen(rows["time"] - self._begin), rows["q"])
 
     @cached_property
-    def replies(self) -> Replies:
-        """Joint positions as measured."""
+    def replies(self) -> JointSamples:
+        """Joint positions as measured, on a rig half-way between request and reply."""
         rows = self._while_balancing("reply")
         rows = _frozen(rows[np.isfinite(rows["q"]).all(axis=1) & np.isfinite(rows["sent"])])
         measured = 0.5 * (rows["sent"] + rows["time"])
-        return Replies(_frozen(measured - self._begin), rows["q"])
+        return JointSamples(_frozen(measured - self._begin), rows["q"])
 
     @cached_property
     def encoder(self) -> EncoderSamples:
@@ -433,34 +399,29 @@ class RunLog(Viewable):
         entries = content.metadata.get(FORMAT, {})
         if not entries and content.damage:
             raise ArtefactError(f"{path} {content.damage}, in its header; record the run again")
-        _check_version(path, entries.get("version", ""))
-        damage = content.damage
+        version = entries.get("version", "")
+        if not (version.isascii() and version.isdecimal() and len(version) < 9 and int(version)):
+            raise ArtefactError(f"{path} is no run log of Equipoise; give a file that it wrote")
+        check_version(path, FORMAT, int(version), VERSION, "record the run again")
+        damage, end, digest = content.damage, None, None
         try:
             conditions = RunConditions.model_validate_json(entries["conditions"], strict=True)
             provenance = Provenance.model_validate_json(entries["provenance"], strict=True)
             origin = float(entries["origin"])
             rows = {
                 name: from_messages(
-                    [json.loads(text) for text in content.messages.get(f"/{name}", ())], kind
+                    list(map(json.loads, content.messages.get(f"/{name}", ()))), kind
                 )
                 for name, kind in tables(len(conditions.joints)).items()
             }
-            state = rows["tick"]["state"]
-            if not (abs(origin) <= LARGEST_NUMBER and np.isin(state, _states(conditions)).all()):
+            valid_states = np.isin(rows["tick"]["state"], range(len(conditions.phases)))
+            if not (abs(origin) <= LARGEST_NUMBER and valid_states.all()):
                 raise ValueError(origin)
-            end, digest = None, None
             if written := content.messages.get("/end"):
                 given = json.loads(written[-1])
                 digest = given.pop("digest")
                 end, damage = RunEnd.model_validate_json(json.dumps(given), strict=True), ""
-        except (
-            AttributeError,
-            LookupError,
-            TypeError,
-            ValueError,
-            ArithmeticError,
-            RecursionError,
-        ) as error:
+        except FAULTS as error:
             raise _refusal(path, damage, error) from None
         if end is None:
             damage = damage or "breaks off"
@@ -526,21 +487,6 @@ def _filled(name: str, kind: np.dtype[Any], columns: Mapping[str, Any]) -> Rows:
 def _frozen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     values.flags.writeable = False
     return values
-
-
-def _states(conditions: RunConditions) -> list[int]:
-    return list(range(len(conditions.phases)))
-
-
-def _check_version(path: Path, version: str) -> None:
-    if not (version.isascii() and version.isdecimal() and len(version) < 9 and int(version)):
-        raise ArtefactError(f"{path} is no run log of Equipoise; give a file that it wrote")
-    if int(version) != VERSION:
-        newer = int(version) > VERSION
-        raise ArtefactError(
-            f"{path} has version {version} of {FORMAT!r}, expected {VERSION}; "
-            f"{'upgrade Equipoise' if newer else 'record the run again'}"
-        )
 
 
 def _refusal(path: Path, damage: str, error: Exception) -> ArtefactError:

@@ -11,6 +11,7 @@ last chunk. A full disk ends the log in that same order and does not reach the t
 
 import hashlib
 import heapq
+import io
 import json
 import os
 import struct
@@ -23,9 +24,10 @@ from equipoise.artefacts import DIGEST_PREFIX, Provenance, temporary_name
 from equipoise.errors import OutsideError
 from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.container import CHUNK, MAGIC, sealed
-from equipoise.logs.foxglove import SCHEMAS, ArmDisplay, urdf_attachment
+from equipoise.logs.foxglove import SCHEMAS, ArmDisplay
 from equipoise.logs.layout import TABLES, Rows, canonical, schema, to_messages
 from equipoise.logs.recorder import CONNECTING, Recorder
+from equipoise.model.arms.urdf_writer import PENDULUM
 
 FORMAT: Final = "equipoise-run"
 VERSION: Final = 3
@@ -80,12 +82,7 @@ class LogEncoder:
         self._buffer, self._origin, self._sequence = _Buffer(), origin, 0
         self._digest = Digest(conditions)
         self._display = ArmDisplay(conditions.arm)
-        # The library would wrap a raw stream of `io` into a buffer of its own.
-        self._writer = Writer(
-            self._buffer,  # pyright: ignore[reportArgumentType]
-            chunk_size=CHUNK,
-            compression=CompressionType.ZSTD,
-        )
+        self._writer = Writer(self._buffer, CHUNK, CompressionType.ZSTD)
         self._writer.start(profile="", library=FORMAT)
         entries = {
             "version": str(VERSION),
@@ -94,15 +91,13 @@ class LogEncoder:
             "origin": repr(float(origin)),
         }
         self._writer.add_metadata(FORMAT, sealed(entries))
-        self._writer.add_attachment(0, 0, **urdf_attachment(self._display.urdf))
-        self._channels = {
-            topic: self._writer.register_channel(
-                topic,
-                "json",
-                self._writer.register_schema(name, "jsonschema", json.dumps(content).encode()),
-            )
-            for topic, name, content in _topics()
-        }
+        urdf = self._display.urdf.encode()
+        self._writer.add_attachment(0, 0, f"{PENDULUM}.urdf", "application/xml", urdf)
+        self._channels: dict[str, int] = {}
+        for topic, name, content in _topics():
+            data = json.dumps(content).encode()
+            number = self._writer.register_schema(name, "jsonschema", data)
+            self._channels[topic] = self._writer.register_channel(topic, "json", number)
 
     def write(self, rows_of: Mapping[str, Rows]) -> Iterator[tuple[str, dict[str, Any]]]:
         """Encode rows in the order of time; yield topic and content of each message.
@@ -150,27 +145,19 @@ def _topics() -> Iterator[tuple[str, str, dict[str, Any]]]:
         yield topic, name, content
 
 
-class _Buffer:
-    """The stream that MCAP's writer writes to: completed bytes, and the place in the file."""
+class _Buffer(io.BytesIO):
+    """Stream of complete records that have not been taken; places count from the file's start."""
 
-    def __init__(self) -> None:
-        self._parts: list[bytes] = []
-        self._place = 0
-
-    def write(self, data: Any, /) -> int:
-        self._parts.append(bytes(data))
-        self._place += len(data)
-        return len(data)
+    _taken = 0
 
     def tell(self) -> int:
-        return self._place
-
-    def flush(self) -> None:
-        """Do nothing: bytes are taken as soon as they are complete."""
+        return self._taken + super().tell()
 
     def take(self) -> bytes:
-        data = b"".join(self._parts)
-        self._parts.clear()
+        data = self.getvalue()
+        self._taken += len(data)
+        self.seek(0)
+        self.truncate()
         return data
 
 
@@ -210,9 +197,8 @@ class RunWriter:
                 f"cannot write {path}: it was made a moment ago; give the same command again"
             ) from None
         except OSError as error:
-            raise OutsideError(
-                f"cannot write {path}: {error.strerror}; give another place for the log"
-            ) from None
+            reason = f"{error.strerror}; give another place for the log"
+            raise OutsideError(f"cannot write {path}: {reason}") from None
         inputs = {"policy": conditions.policy, "actuator": conditions.actuator}
         self._encoder = LogEncoder(conditions, Provenance.now(command, inputs), origin)
         self._write(self._encoder.take())
@@ -241,9 +227,7 @@ class RunWriter:
         if self.problem is None:
             self._encoder.finish(time, end)
             self._write(self._encoder.take(), tail=b"")
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        os.close(self._file)
 
     def _keep(self) -> None:
         """Give the file its name: the rig is connected."""
@@ -257,7 +241,6 @@ class RunWriter:
     def _discard(self) -> None:
         """Close and remove the file."""
         os.close(self._file)
-        self._file = -1
         self._at.unlink(missing_ok=True)
 
     def _write(self, data: bytes, tail: bytes = TAIL) -> None:
