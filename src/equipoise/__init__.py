@@ -13,8 +13,6 @@ radians::
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from equipoise import views
-
 if TYPE_CHECKING:
     from equipoise.artefacts import Estimate
     from equipoise.control.bound_policy import bind_policy, load_policy
@@ -41,45 +39,14 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = [
-    "Actuator",
-    "Arm",
-    "Certificate",
-    "EquipoiseError",
-    "Estimate",
-    "Evaluation",
-    "Pendulum",
-    "PendulumParameters",
-    "Policy",
-    "RunLog",
-    "Settings",
-    "TabularPolicy",
-    "Trajectory",
-    "__version__",
-    "bind_policy",
-    "certify",
-    "deploy",
-    "evaluate",
-    "excite",
-    "identify",
-    "identify_run",
-    "iiwa",
-    "load_policy",
-    "make_claim",
-    "read_swing",
-    "read_urdf",
-    "read_world",
-    "reproduce",
-    "resolve",
-    "shipped_actuator",
-    "shipped_pendulum",
-    "shipped_policy",
-    "simulate_swing",
-    "train",
-    "train_several",
-    "verify",
-    "write_swing",
-]
+__all__ = ["EquipoiseError", "Estimate", "Settings", "__version__", "resolve"]
+__all__ += ["Arm", "PendulumParameters", "iiwa", "read_urdf", "read_world"]
+__all__ += ["Trajectory", "read_swing", "simulate_swing", "write_swing"]
+__all__ += ["Actuator", "Pendulum", "identify", "identify_run"]
+__all__ += ["shipped_actuator", "shipped_pendulum", "shipped_policy"]
+__all__ += ["Policy", "TabularPolicy", "bind_policy", "load_policy", "train", "train_several"]
+__all__ += ["Certificate", "Evaluation", "certify", "evaluate", "make_claim", "reproduce", "verify"]
+__all__ += ["RunLog", "deploy", "excite"]
 
 _HOMES = {
     "artefacts": ("Estimate",),
@@ -106,13 +73,6 @@ _HOMES = {
     "trajectory": ("Trajectory", "read_swing", "write_swing"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-
-
-def _drawing() -> Any:
-    return import_module("equipoise.report.views")
-
-
-views.register(_drawing)
 
 
 def __getattr__(name: str) -> Any:
