@@ -259,8 +259,8 @@ def test_a_window_without_samples_is_refused(tmp_path, window):
 @pytest.mark.parametrize(
     ("fields", "reason"),
     [
-        ({}, "either an angle or a rate"),
-        ({"theta": TIME, "theta_dot": TIME}, "either an angle or a rate"),
+        ({}, "an angle or a rate"),
+        ({"theta": TIME, "theta_dot": TIME}, "an angle or a rate"),
         ({"theta": np.zeros(3)}, "theta has shape"),
         ({"theta": np.array([0.0, np.nan, 0.0, 0.0])}, "sample 1 of theta is not a finite"),
         ({"theta": TIME, "x_ddot": np.full(4, np.inf)}, "sample 0 of x_ddot"),

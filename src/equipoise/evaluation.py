@@ -88,17 +88,11 @@ class TrialResults(Value):
     def summary(self) -> Summary:
         """Return share, interval, quantiles and causes."""
         trials, survived = len(self.survival), self.causes.count(CAUSES[0])
-        interval = binomtest(survived, trials).proportion_ci(CONFIDENCE, method="exact")
+        low, high = binomtest(survived, trials).proportion_ci(CONFIDENCE, method="exact")
+        rate, interval = survived / trials, (float(low), float(high))
         q05, q25, q50, q75, q95 = np.quantile(self.survival, [0.05, 0.25, 0.5, 0.75, 0.95]).tolist()
-        return Summary(
-            trials=trials,
-            survived=survived,
-            rate=survived / trials,
-            interval=(float(interval.low), float(interval.high)),
-            median=q50,
-            quantiles=(q05, q25, q75, q95),
-            causes=dict(Counter(self.causes)),
-        )
+        quantiles, causes = (q05, q25, q75, q95), dict(Counter(self.causes))
+        return Summary(trials, survived, rate, interval, q50, quantiles, causes)
 
 
 class Evaluation(Viewable, Artefact):
@@ -137,11 +131,10 @@ class Evaluation(Viewable, Artefact):
         """Return one line: how many trials lasted, where and how long."""
         found = self.results.summary()
         low, high = found.interval
-        return (
-            f"<Evaluation of {self.results.name!r} in {self.world!r}: {found.survived} of "
-            f"{found.trials} trials lasted {self.duration:g} s (95 %: {low:.3f} to {high:.3f}), "
-            f"median {found.median:.3g} s>"
-        )
+        where = f"{self.results.name!r} in {self.world!r}"
+        lasted = f"{found.survived} of {found.trials} trials lasted {self.duration:g} s"
+        interval = f"(95 %: {low:.3f} to {high:.3f})"
+        return f"<Evaluation of {where}: {lasted} {interval}, median {found.median:.3g} s>"
 
     __str__ = __repr__
 
@@ -192,6 +185,9 @@ def evaluate(
     simulation = simulate(world, setup, seed=seed, stream=TEST)
     count, kept = settings.evaluation.trials, None if partial is None else Path(partial)
 
+    one_trial = settings.evaluation.model_copy(update={"trials": 1})
+    trial_settings = settings.model_copy(update={"evaluation": one_trial})
+
     def run(name: str, policy: TaskPolicy | PolicyKernel, digest: str) -> TrialResults:
         trials = simulation.draw(count)
         key = _CacheKey(
@@ -201,37 +197,25 @@ def evaluate(
             arm=arm,
             actuator=actuator.digest,
             pendulum=pendulum.digest,
-            settings=settings.model_copy(
-                update={"evaluation": settings.evaluation.model_copy(update={"trials": 1})}
-            ),
+            settings=trial_settings,
             seed=seed,
         )
         finished = _FinishedTrials(kept, value_digest(key))
         todo = finished.restore(trials)
         done(count - len(todo))
 
-        def rows_done(rows: Sequence[int]) -> None:
+        def add(rows: Sequence[int]) -> None:
             finished.add(trials, rows)
             done(len(rows))
 
         with finished:
-            run_trials(
-                simulation,
-                policy,
-                trials,
-                todo,
-                duration=settings.evaluation.duration,
-                workers=workers,
-                done=rows_done,
-            )
+            span = settings.evaluation.duration
+            run_trials(simulation, policy, trials, todo, duration=span, workers=workers, done=add)
+        survival = tuple(round(steps * h, 6) for steps in trials.steps.tolist())
         codes = trials.cause.tolist()
-        guards = tuple(map(guard_named, codes))
-        return TrialResults(
-            name=name,
-            survival=tuple(round(steps * h, 6) for steps in trials.steps.tolist()),
-            causes=tuple(map(cause_named, codes)),
-            guards=guards if any(guards) else (),
-        )
+        causes, guards = (tuple(map(named, codes)) for named in (cause_named, guard_named))
+        guards = guards if any(guards) else ()
+        return TrialResults(name=name, survival=survival, causes=causes, guards=guards)
 
     nominal = pendulum.parameters(linearised=settings.plant.linearised)
     others = baselines(nominal, h) if with_baselines else {}

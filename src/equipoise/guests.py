@@ -36,22 +36,19 @@ def load_object(name: str, option: str) -> Any:
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.insert(0, here)
+    check = f"check {option} MODULE:NAME"
     try:
         module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
-            raise _broken(module_name, error) from error
-        raise InputError(
-            f"there is no module {module_name!r} in {here} or among what is installed; "
-            f"check {option} MODULE:NAME"
-        ) from None
     except Exception as error:
-        raise _broken(module_name, error) from error
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        if missing is None or not f"{module_name}.".startswith(f"{missing}."):
+            message = f"importing {module_name!r} raised {format_error(error)}; correct it"
+            raise InputError(message) from error
+        message = f"there is no module {module_name!r} in {here} or installed; {check}"
+        raise InputError(message) from None
     if not hasattr(module, attribute):
-        raise InputError(
-            f"the module {module_name!r} ({module.__file__}) has no {attribute!r}; "
-            f"check {option} MODULE:NAME"
-        )
+        where = f"{module_name!r} ({module.__file__})"
+        raise InputError(f"the module {where} has no {attribute!r}; {check}")
     return getattr(module, attribute)
 
 
@@ -64,10 +61,8 @@ def source_digest(function: Any) -> str:
     try:
         source = Path(inspect.getsourcefile(inspect.unwrap(function)) or "").read_bytes()
     except (TypeError, OSError):
-        raise InputError(
-            f"{function!r:.60} has no source file, expected a function of a .py file; "
-            "define it in one"
-        ) from None
+        message = f"{function!r:.60} has no source file, expected a function of a .py file"
+        raise InputError(message) from None
     return hashlib.sha256(source).hexdigest()
 
 
@@ -78,14 +73,7 @@ def format_error(error: BaseException, hidden: str = __file__) -> str:
         error: The error.
         hidden: File whose lines are skipped, that of the caller.
     """
-    frames = [
-        frame
-        for frame in traceback.extract_tb(error.__traceback__)
-        if frame.filename not in (hidden, __file__)
-    ]
-    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [(f.filename, f.lineno) for f in frames if f.filename not in (hidden, __file__)]
+    where = " ({}, line {})".format(*lines[-1]) if lines else ""
     return f"{type(error).__name__}: {error}{where}"
-
-
-def _broken(module: str, error: Exception) -> InputError:
-    return InputError(f"importing {module!r} raised {format_error(error)}; correct it")

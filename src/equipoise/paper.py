@@ -29,15 +29,17 @@ class Interval(NamedTuple):
 
     def __str__(self) -> str:
         """Return the paper's notation."""
-        left = "[" if self.low_closed else "]"
-        right = "]" if self.high_closed else "["
+        left, right = "[" if self.low_closed else "]", "]" if self.high_closed else "["
         return f"{left}{self.low:g}, {self.high:g}{right}"
 
 
-def _interval(text: str) -> Interval:
-    """Parse the paper's notation: `_interval("]-5, -1]")`."""
-    low, high = text[1:-1].split(",")
-    return Interval(float(low), float(high), low_closed=text[0] == "[", high_closed=text[-1] == "]")
+def _intervals(*texts: str) -> tuple[Interval, ...]:
+    """Parse intervals in the paper's notation: `_intervals("]-5, -1]")`."""
+    read: list[Interval] = []
+    for text in texts:
+        low, high = map(float, text[1:-1].split(","))
+        read.append(Interval(low, high, low_closed=text[0] == "[", high_closed=text[-1] == "]"))
+    return tuple(read)
 
 
 # Section 3.1: acceleration tracking.
@@ -54,24 +56,18 @@ ACTIONS: Final = (-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0)
 U_MAX: Final = max(map(abs, ACTIONS))
 """Largest acceleration [m/s^2]."""
 
-PHI_INTERVALS_DEG: Final = tuple(
-    _interval(text) for text in ("]-11,-5[", "[-5,-1[", "[-1,0[", "[0,1[", "[1,5[", "[5,11[")
-)
+PHI_INTERVALS_DEG: Final = _intervals("]-11,-5[", "[-5,-1[", "[-1,0[", "[0,1[", "[1,5[", "[5,11[")
 """Angle of the pendulum from upright [deg]."""
 
-PHI_DOT_INTERVALS_DEG: Final = tuple(
-    _interval(text) for text in ("]-inf,-50]", "]-50,-10]", "]-10,10[", "[10,50[", "[50,+inf[")
+PHI_DOT_INTERVALS_DEG: Final = _intervals(
+    "]-inf,-50]", "]-50,-10]", "]-10,10[", "[10,50[", "[50,+inf["
 )
 """Angular velocity of the pendulum [deg/s]."""
 
-X_INTERVALS: Final = tuple(
-    _interval(text) for text in ("]-0.22,-0.08]", "]-0.08,0.08[", "[0.08,0.22[")
-)
+X_INTERVALS: Final = _intervals("]-0.22,-0.08]", "]-0.08,0.08[", "[0.08,0.22[")
 """Displacement of the flange along x [m]."""
 
-X_DOT_INTERVALS: Final = tuple(
-    _interval(text) for text in ("]-inf,-0.5]", "]-0.5,0.5[", "[0.5,+inf[")
-)
+X_DOT_INTERVALS: Final = _intervals("]-inf,-0.5]", "]-0.5,0.5[", "[0.5,+inf[")
 """Velocity of the flange along x [m/s]."""
 
 PHI_LIMIT_DEG: Final = 11.0

@@ -20,7 +20,6 @@ import io
 import math
 import warnings
 import zlib
-from array import array
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,14 +30,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.artefacts import (
-    DIGEST_PREFIX,
-    MEBIBYTE,
-    StrPath,
-    read_bytes,
-    shortened,
-    write_whole,
-)
+from equipoise.artefacts import DIGEST_PREFIX, MEBIBYTE, StrPath, read_bytes, shortened, write_whole
 from equipoise.errors import RecordingError
 from equipoise.printable import printable
 
@@ -93,24 +85,18 @@ class Trajectory:
                 not finite, or time does not increase.
         """
         if (self.theta is None) == (self.theta_dot is None):
-            raise RecordingError(
-                "a trajectory holds either an angle or a rate; give theta or theta_dot"
-            )
+            raise RecordingError("a trajectory holds an angle or a rate; give theta or theta_dot")
         digest = hashlib.sha256()
         for name in ("time", "theta", "theta_dot", "x_ddot"):
             if (given := getattr(self, name)) is None:
                 continue
             values = np.array(given, dtype=np.float64)
-            if values.shape != (len(self.time),):
-                raise RecordingError(
-                    f"{name} has shape {values.shape}, expected {(len(self.time),)}: "
-                    "give one value per time stamp"
-                )
-            if not np.all(np.isfinite(values)):
-                raise RecordingError(
-                    f"sample {_first(~np.isfinite(values))} of {name} is not a finite number; "
-                    "remove it from the recording"
-                )
+            if values.shape != (expected := (len(self.time),)):
+                shape = f"shape {values.shape}, expected {expected}"
+                raise RecordingError(f"{name} has {shape}: give one value per time stamp")
+            if np.any(wrong := ~np.isfinite(values)):
+                sample = f"sample {_first(wrong)} of {name}"
+                raise RecordingError(f"{sample} is not a finite number; remove it")
             digest.update(name.encode() + values.tobytes())
             values.flags.writeable = False
             object.__setattr__(self, name, values)
@@ -198,15 +184,13 @@ def read_swing(
     time, values = stamps[keep], values[keep]
     if time.size < 2:
         if start is None and end is None:
-            raise RecordingError(
-                f"{path} holds a single sample; record a swing of a few periods, with ten samples "
-                "or more in each"
-            )
+            cure = "record a swing of a few periods, with ten samples or more in each"
+            raise RecordingError(f"{path} holds a single sample; {cure}")
+        begin, stop = "its start" if start is None else start, "its end" if end is None else end
         raise RecordingError(
-            f"{path} has {'one sample' if time.size else 'no samples'} between "
-            f"{start if start is not None else 'its start'} "
-            f"and {end if end is not None else 'its end'}; it lasts from {stamps[0]:.10g} s to "
-            f"{stamps[-1]:.10g} s: choose --start and --end inside"
+            f"{path} has {'one sample' if time.size else 'no samples'} between {begin} and {stop}; "
+            f"it lasts from {stamps[0]:.10g} s to {stamps[-1]:.10g} s: choose --start and --end "
+            "inside"
         )
     if not is_rate:
         values = np.unwrap(values)
@@ -269,10 +253,9 @@ def _table(path: Path, data: bytes, columns: str | None) -> _Table:
     if separator != ",":
         text = text.replace(b",", b".")
         first = first.replace(",", ".")
-    row = first.split(separator)
+    cells = tuple(cell.strip() for cell in first.split(separator))
     with suppress(csv.Error):
-        row = next(csv.reader([first], delimiter=separator), [])
-    cells = tuple(cell.strip() for cell in row)
+        cells = tuple(map(str.strip, next(csv.reader([first], delimiter=separator), [])))
     headless = bool(first) and all(_is_number(cell) for cell in cells)
     names = tuple(name.strip() for name in columns.split(",")) if columns else cells
     times = [name for name in names if name in TIMES]
@@ -290,12 +273,12 @@ def _table(path: Path, data: bytes, columns: str | None) -> _Table:
             "its first line, or name them all in their order with --columns"
         )
     table = _Table(text, separator, 0 if headless else 1, names, times[0], found[0])
-    for _, row in islice(_rows(path, table), 1):
-        if len(row) > len(names) + 1:
-            raise RecordingError(
-                f"{path} has {len(row)} cells in its first line of numbers, expected "
-                f"{len(names)}; where decimals have commas, separate the columns by semicolons"
-            )
+    _, row = next(_rows(path, table), (0, names))
+    if len(row) > len(names) + 1:
+        raise RecordingError(
+            f"{path} has {len(row)} cells in its first line of numbers, expected {len(names)}; "
+            "where decimals have commas, separate the columns by semicolons"
+        )
     return table
 
 
@@ -307,9 +290,8 @@ def _decompressed(path: Path, data: bytes) -> bytes:
     try:
         text = gzip.GzipFile(fileobj=io.BytesIO(data)).read(MAX_RECORDING_SIZE + 1)
     except (OSError, EOFError, zlib.error):
-        raise RecordingError(f"{path} is damaged: gzip cannot decompress it; copy it again") from (
-            None
-        )
+        message = f"{path} is damaged: gzip cannot decompress it; copy it again"
+        raise RecordingError(message) from None
     if len(text) > MAX_RECORDING_SIZE:
         raise RecordingError(
             f"{path} holds more than {MAX_RECORDING_SIZE // MEBIBYTE} MiB, the limit for a "
@@ -324,9 +306,8 @@ def _as_utf8(path: Path, data: bytes) -> bytes:
         try:
             data = data.decode("utf-16-be" if big else "utf-16-le").removeprefix("\ufeff").encode()
         except UnicodeError:
-            raise RecordingError(
-                f"{path} is not text in UTF-8, nor in UTF-16; save it as CSV in UTF-8"
-            ) from None
+            message = f"{path} is not text in UTF-8, nor in UTF-16; save it as CSV in UTF-8"
+            raise RecordingError(message) from None
     data = data.removeprefix(codecs.BOM_UTF8)
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
 
@@ -357,11 +338,13 @@ def _samples(path: Path, table: _Table) -> tuple[npt.NDArray[np.float64], npt.ND
         )
     if not np.all(np.abs(columns) <= MAX_NUMBER):
         # The slow path names the first invalid line and skips blank lines.
-        rows = array("d")
-        for line, row in _rows(path, table):
-            for name, place in zip((table.time, table.quantity), at, strict=True):
-                rows.append(_number(path, line, name, row, place))
-        columns = np.array(rows).reshape(-1, 2)
+        named = list(zip((table.time, table.quantity), at, strict=True))
+        cells = (
+            _number(path, line, *column, row)
+            for line, row in _rows(path, table)
+            for column in named
+        )
+        columns = np.fromiter(cells, np.float64).reshape(-1, 2)
     if not len(columns):
         raise RecordingError(f"{path} holds no samples; record a swing of a few periods")
     return np.ascontiguousarray(columns[:, 0]), np.ascontiguousarray(columns[:, 1])
@@ -376,12 +359,11 @@ def _rows(path: Path, table: _Table) -> Iterator[tuple[int, list[str]]]:
             if reader.line_num > table.skip and any(cell.strip() for cell in row):
                 yield reader.line_num, row
     except csv.Error as error:
-        raise RecordingError(
-            f"{path}, line {reader.line_num}: {error}; correct or remove the line"
-        ) from None
+        where = f"{path}, line {reader.line_num}"
+        raise RecordingError(f"{where}: {error}; correct or remove the line") from None
 
 
-def _number(path: Path, line: int, name: str, row: list[str], at: int) -> float:
+def _number(path: Path, line: int, name: str, at: int, row: list[str]) -> float:
     cell = row[at].strip() if at < len(row) else ""
     value = float(cell) if _is_number(cell) else math.nan
     if not abs(value) <= MAX_NUMBER:
