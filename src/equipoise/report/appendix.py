@@ -35,13 +35,12 @@ def assumptions(results: Results) -> html.Part:
         "Assumptions beyond the paper",
         html.paragraph(
             "The paper gives the boxes, the accelerations, the time step and the number of "
-            "episodes. It does not give learning rate, discount, exploration, reward, noise "
-            "amplitudes, gains, the pendulum's parameters, the posture, or the type of arm. These "
-            "are our choices, read from their definitions; `--set name=value` changes those with a "
-            "dot in their name. The paper does not describe sensor, servo and delay of the robot "
-            "either: all that is not a fact of its server is listed as our assumption. "
-            "The recipe `robust` is our default, `paper` the most literal reading of the text; the "
-            "other recipe's value has its own column where it differs."
+            "episodes, but not learning rate, discount, exploration, reward, noise amplitudes, "
+            "gains, the pendulum's parameters, the posture, or the type of arm, nor the robot's "
+            "sensor, servo and delay. These are our assumptions, read from their definitions; "
+            "`--set name=value` changes those with a dot in their name. The recipe `robust` is our "
+            "default, `paper` the most literal reading of the text; the other recipe's value has "
+            "its own column where it differs."
         ),
         *(_choices(chapter, other) for chapter in _chapters(results, other)),
         html.heading("Deviations from the paper"),
@@ -63,40 +62,32 @@ def _arm(arm: Arm) -> Chapter:
     home = ", ".join(f"{angle:.4g}" for angle in np.rad2deg(arm.home))
     held = f"joint {arm.held_joint}" if arm.held_joint else "none"
     pivot = ", ".join(f"{value:g}" for value in arm.pivot)
-    rows = (
-        ("arm", arm.name, "The paper does not name its seven-joint arm."),
-        ("held joint", held, "As in the paper, for arms with seven joints."),
-        (
-            "home",
-            f"{home}°",
-            "Far from joint limits and singularities, with x perpendicular to the direction of "
-            "reach: the first joint does most of the motion.",
-        ),
-        ("pivot", f"{pivot} m", "Pivot of the pendulum in the flange frame."),
+    posture = (
+        "Far from joint limits and singularities, with x perpendicular to the direction of reach: "
+        "the first joint does most of the motion."
     )
-    return Chapter(
-        "The arm and its posture.",
-        tuple(Choice(name, value, "", reason) for name, value, reason in rows),
+    choices = (
+        Choice("arm", arm.name, "", "The paper does not name its seven-joint arm."),
+        Choice("held joint", held, "", "As in the paper, for arms with seven joints."),
+        Choice("home", f"{home}°", "", posture),
+        Choice("pivot", f"{pivot} m", "", "Pivot of the pendulum in the flange frame."),
     )
+    return Chapter("The arm and its posture.", choices)
 
 
 def _choices(chapter: Chapter, other: str) -> str:
-    differs = any(choice.otherwise for choice in chapter.choices)
-    head = ["setting", "value", *([f"recipe `{other}`"] if differs else []), "reason"]
-    rows = [
-        [f"`{c.name}`", c.value, *([c.otherwise] if differs else []), c.reason]
-        for c in chapter.choices
-    ]
+    rows = [["setting", "value", f"recipe `{other}`", "reason"]]
+    rows += ([f"`{c.name}`", c.value, c.otherwise, c.reason] for c in chapter.choices)
+    if not any(choice.otherwise for choice in chapter.choices):
+        rows = [[name, value, reason] for name, value, _, reason in rows]
+    head, *rows = rows
     return html.heading(chapter.title.rstrip(".")) + html.table(head, rows, name="choices")
 
 
 def provenance_section(results: Results, provenance: Provenance) -> html.Part:
     """Return files, seeds, times and versions, and the commands that repeat the reproduction."""
     record, policy = results.record, results.policy
-    rows = [
-        (f"`{name}`", f"`{_short(digest)}`", CONTENTS[name])
-        for name, digest in record.files.items()
-    ]
+    rows = [(f"`{n}`", f"`{_short(digest)}`", CONTENTS[n]) for n, digest in record.files.items()]
     seeds = (
         f"Master seed {record.seed}, learner {policy.learner}, recipe `{policy.recipe}`, arm "
         f"{policy.arm.name}. Training, selection, test and the recorded run use separate random "
@@ -104,7 +95,9 @@ def provenance_section(results: Results, provenance: Provenance) -> html.Part:
     )
     if not record.simulated:
         seeds += f" The swing is {record.swing} (SHA-256 {_short(record.swing_sha256)})."
-    total = sum(stage.wall for stage in record.stages)
+    times = [(stage.name, f"{stage.wall:.2f}") for stage in record.stages]
+    times.append(("all", f"{sum(stage.wall for stage in record.stages):.2f}"))
+    software = [*sorted(provenance.software.items()), ("created", provenance.created)]
     return html.part(
         "origins",
         "Provenance and reproduction",
@@ -112,17 +105,11 @@ def provenance_section(results: Results, provenance: Provenance) -> html.Part:
         html.table(("file", "SHA-256", "content"), rows),
         html.table(
             ("stage", "time [s]"),
-            [
-                *((stage.name, f"{stage.wall:.2f}") for stage in record.stages),
-                ("all", f"{total:.2f}"),
-            ],
+            times,
             caption=f"With {record.workers} threads; a first run also compiles the kernels.",
             numbers=1,
         ),
-        html.table(
-            ("software", "version"),
-            [*sorted(provenance.software.items()), ("created", provenance.created)],
-        ),
+        html.table(("software", "version"), software),
         html.paragraph("Commands to repeat all of it, or one stage from the files in this folder:"),
         html.listing(_commands(results)),
     )

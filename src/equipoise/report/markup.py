@@ -2,7 +2,7 @@
 
 import base64
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape as html_escape
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -35,6 +35,8 @@ class Missing(NamedTuple):
 
 Pictures = Mapping[str, str | Missing]
 """Figures as SVG, by the names of their files."""
+Picture = Callable[[str, str, str], str]
+"""Function `picture` with its first argument."""
 
 
 class Part(NamedTuple):

@@ -5,6 +5,7 @@ no file and runs no script; it can be printed, mailed and archived.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -13,7 +14,7 @@ from equipoise.artefacts import Provenance, read_document, write_whole
 from equipoise.errors import OutsideError
 from equipoise.report import figures
 from equipoise.report.appendix import assumptions, provenance_section
-from equipoise.report.markup import Missing, Part, Pictures, escape
+from equipoise.report.markup import Missing, Part, Pictures, escape, picture
 from equipoise.report.pictures import Animation, animation, strip
 from equipoise.report.sections_results import sections_results
 from equipoise.report.sections_training import sections_training
@@ -112,9 +113,10 @@ def page(
         provenance: Time and software versions of the reproduction.
     """
     css = resources.files("equipoise.report").joinpath("page.css").read_text(encoding="utf-8")
+    embed = partial(picture, pictures)
     parts: list[Part] = [
-        *sections_training(results, pictures, film),
-        *sections_results(results, pictures),
+        *sections_training(results, embed, film),
+        *sections_results(results, embed),
         assumptions(results),
         provenance_section(results, provenance),
     ]

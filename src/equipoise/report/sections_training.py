@@ -18,49 +18,41 @@ from equipoise.studies.results import Results, verdict
 
 
 def sections_training(
-    results: Results, pictures: html.Pictures, animation: Animation | html.Missing
+    results: Results, picture: html.Picture, animation: Animation | html.Missing
 ) -> Iterator[html.Part]:
     """Return the sections up to the training."""
     yield _verdict(results)
     yield _task(results, animation)
     head = "", "section", "the paper", "this reproduction"
     yield html.part("paper", "Comparison with the paper", html.table(head, comparison(results)))
-    yield _swing(results, pictures)
-    yield _training(results, pictures)
+    yield _swing(results, picture)
+    yield _training(results, picture)
 
 
 def _verdict(results: Results) -> html.Part:
-    run, evaluation = results.run, results.evaluation
-    world = run.conditions.world
-    where = "the training plant" if world == MODEL else f"the digital twin {world}"
+    run, evaluation, plant = results.run, results.evaluation, "the training plant"
+    world, limit = run.conditions.world, f"{run.conditions.duration:g} s"
+    where = plant if world == MODEL else f"the digital twin {world}"
+    recorded = f"balancing time of the recorded run, of at most {limit}, on {where}"
     tiles = [
-        _survival_tile(evaluation.results, evaluation.duration, "the training plant"),
-        (
-            f"{run.lasted:.3g} s",
-            f"balancing time of the recorded run, of at most {run.conditions.duration:g} s, on "
-            f"{where}",
-        ),
+        _survival_tile(evaluation.results, evaluation.duration, plant),
+        (f"{run.lasted:.3g} s", recorded),
+        (f"{paper.SECONDS_BALANCED:g} s", "balancing time of the paper's one run on the real arm"),
     ]
     if world != MODEL:
-        tiles.reverse()  # the twin first: it is closer to the paper's robot
+        tiles[:2] = tiles[1::-1]  # the twin first: it is closer to the paper's robot
     if gap := results.gap:
         twin = f"the digital twin {gap.world}"
         tiles.insert(0, _survival_tile(at_world(gap, CURED), gap.duration, twin))
-    tiles.append(
-        (f"{paper.SECONDS_BALANCED:g} s", "balancing time of the paper's one run on the real arm")
-    )
     lines = html.bullets(verdict(results), "ol", "verdict")
     return html.part("verdict", "Verdict", html.tiles(*tiles), lines)
 
 
 def _survival_tile(trials: TrialResults, duration: float, where: str) -> tuple[str, str]:
     summary = trials.summary()
-    low, high = summary.interval
-    return (
-        f"{summary.survived} of {summary.trials}",
-        f"trials stood {duration:g} s on {where}; 95 % interval of the survival rate "
-        f"{percent(low)} to {percent(high)}",
-    )
+    interval = f"95 % interval of the survival rate {' to '.join(map(percent, summary.interval))}"
+    stood = f"trials stood {duration:g} s on {where}; {interval}"
+    return f"{summary.survived} of {summary.trials}", stood
 
 
 def _task(results: Results, animation: Animation | html.Missing) -> html.Part:
@@ -72,27 +64,26 @@ def _task(results: Results, animation: Animation | html.Missing) -> html.Part:
         else "a digital twin of the robot (the paper: on the real robot)"
     )
     added = (
-        "A real robot adds two effects that the paper's simulation does not have. A command takes "
-        "effect with a delay, during which the pendulum keeps falling; and the encoder's zero may "
-        "be wrong. Therefore a controller between sensor and table estimates angle, angular "
-        "velocity and zero error, and predicts the state at the moment when the command takes "
-        "effect. That prediction is the input of the table. Training uses the same controller and "
-        "an arm with the lag that was identified on the twin."
+        "A real robot adds two effects to the paper's simulation: a command takes effect with a "
+        "delay, during which the pendulum keeps falling, and the encoder's zero may be wrong. "
+        "Therefore a controller between sensor and table estimates angle, angular velocity and "
+        "zero error, and predicts the state when the command takes effect: the input of the table. "
+        "Training uses the same controller and an arm with the lag identified on the twin."
     )
     return html.part(
         "what",
         "Task and method",
         html.paragraph(
-            "A pendulum is mounted on the flange of a robot arm and turns freely on its pivot. The "
-            "arm keeps the pendulum upright by moving the flange along one horizontal line. "
-            "Without control, the lean of the pendulum grows almost threefold every "
-            f"{growth_time:.3f} s; the track ends {paper.X_LIMIT:g} m to either side."
+            "A pendulum on the flange of a robot arm turns freely on its pivot. The arm keeps it "
+            "upright by moving the flange along one horizontal line. Without control, the lean "
+            f"grows almost threefold every {growth_time:.3f} s; the track ends {paper.X_LIMIT:g} m "
+            "to either side."
         ),
         html.film(
             animation,
             f"The first {min(results.run.lasted, SECONDS):g} s of the recorded run, in real time. "
-            f"The posts mark x = ±{paper.X_LIMIT:g} m, the marks between them every 0.1 m; the "
-            "shadow of the pivot shows x. The arrow is the commanded acceleration u.",
+            f"Posts at x = ±{paper.X_LIMIT:g} m, marks every 0.1 m; the shadow of the pivot shows "
+            "x. The arrow is the commanded acceleration u.",
             "Animation of the arm that balances the pendulum between the ends of the track",
         ),
         f"<figure>{sketch}<figcaption>The state is s = (x, dx/dt, φ, dφ/dt): position and velocity "
@@ -102,20 +93,19 @@ def _task(results: Results, animation: Animation | html.Missing) -> html.Part:
         html.paragraph(
             "The paper solves this task with tabular Q-learning. The state space is divided into "
             f"{len(results.policy.Q)} boxes. For each box the table holds the value of each of "
-            f"{len(paper.ACTIONS)} accelerations, learned by trial and error in simulation. The "
-            "policy then selects, a hundred times a second, the best acceleration of the current "
-            "box."
+            f"{len(paper.ACTIONS)} accelerations, learned by trial and error in simulation. A "
+            "hundred times a second the policy selects the best acceleration of the current box."
         ),
         "" if results.policy.settings.plant.ideal else html.paragraph(added),
         html.paragraph(
             "This page follows the same steps: a free swing identifies the pendulum, a simulated "
-            "arm learns with that pendulum, the policy is tested on pendulums with different "
-            f"parameters, and one run is recorded on {stage}."
+            "arm learns with it, the policy is tested on pendulums with other parameters, and one "
+            f"run is recorded on {stage}."
         ),
     )
 
 
-def _swing(results: Results, pictures: html.Pictures) -> html.Part:
+def _swing(results: Results, picture: html.Picture) -> html.Part:
     fit = results.pendulum.fit
     source = (
         "No recording was given. This one is simulated, with encoder quantisation, vibration and a "
@@ -128,15 +118,14 @@ def _swing(results: Results, pictures: html.Pictures) -> html.Part:
         "Identification from a free swing",
         html.paragraph(
             "The hanging pendulum is lifted and released; an encoder on its spindle records the "
-            "angle θ from hanging. The motion follows I θ'' + b θ' + m g l sin θ = 0 (the paper's "
-            "equation 8). The fit gives w2 = m g l / I and c = b / I, and with gravity the "
-            f"coupling k = m l / I. The controller needs no other parameter. {source}"
+            "angle θ from hanging. It follows I θ'' + b θ' + m g l sin θ = 0 (the paper's equation "
+            "8). The fit gives w2 = m g l / I and c = b / I, and with gravity the coupling k = "
+            f"m l / I. The controller needs no other parameter. {source}"
         ),
-        html.picture(
-            pictures,
+        picture(
             "figure-2-free-swing",
-            "The paper's figure 2. The residual below shows differences that are invisible in the "
-            "curves. The grey part, with a hand on the pendulum, was detected and excluded.",
+            "The paper's figure 2, with the residual. The grey part, with a hand on the pendulum, "
+            "was detected and excluded.",
             "Recorded angle of the swinging pendulum with the fitted curve on it, and the residual",
         ),
         _estimates(results),
@@ -161,36 +150,36 @@ def _estimates(results: Results) -> str:
     if pendulum.inertia and pendulum.friction:
         rows.append(("I", "kg m²", pendulum.inertia, None))
         rows.append(("b", "N m s", pendulum.friction, None))
-    head = ["", "unit", "identified, ± half of the 95 % interval"]
-    return html.table(
-        [*head, "simulated"] if truth else head,
-        [
-            [name, unit, plus_minus(e.value, e.interval), *([f"{true:.6g}"] if true else [])]
-            for name, unit, e, true in rows
-        ],
-        numbers=2 if truth else 1,
-    )
+    head = [
+        "",
+        "unit",
+        "identified, ± half of the 95 % interval",
+        *(["simulated"] if truth else []),
+    ]
+    cells = [
+        [name, unit, plus_minus(e.value, e.interval), *([f"{true:.6g}"] if true else [])]
+        for name, unit, e, true in rows
+    ]
+    return html.table(head, cells, numbers=2 if truth else 1)
 
 
 def _actuator(policy: TabularPolicy) -> str:
     actuator = policy.actuator
     if policy.settings.plant.ideal:
-        return (
-            "The arm follows its commands at once, and the state is known without a sensor, as in "
-            "the paper's simulation."
-        )
+        ideal = "The arm follows its commands at once, and the state is known without a sensor"
+        return f"{ideal}, as in the paper's simulation."
     lags = [1e3 * lag.value for lag in actuator.lags]
     law = {"kst": "through the server's shaping law, ", "lag": "", "ideal": ""}[actuator.kind]
     return (
         f"The arm follows its setpoints after {1e3 * actuator.delay.value:.1f} ms, {law}with lags "
-        f"of {min(lags):.1f} to {max(lags):.1f} ms in its joints. `equipoise identify` estimates "
-        "these numbers from a log of the moving arm, never from the settings of the twin. Each "
-        "episode has random errors of these numbers and of the encoder's zero: the policy "
-        "learns with an imperfect estimator and prediction."
+        f"of {min(lags):.1f} to {max(lags):.1f} ms in its joints, estimated from a log of the "
+        "moving arm by `equipoise identify`, never from the settings of the twin. Each episode has "
+        "random errors of these numbers and of the encoder's zero: the policy learns with an "
+        "imperfect estimator and prediction."
     )
 
 
-def _training(results: Results, pictures: html.Pictures) -> html.Part:
+def _training(results: Results, picture: html.Picture) -> html.Part:
     policy, s = results.policy, results.policy.settings
     start = s.learning.start_x
     where = f"within {start:g} m of the middle" if start else "in the middle"
@@ -199,12 +188,12 @@ def _training(results: Results, pictures: html.Pictures) -> html.Part:
         chosen, rule = policy.checkpoints[0], s.selection
         candidate = "current table" if rule.averaging == 1.0 else "running average of the table"
         selection = (
-            "The table changes until the last episode, and a later table is not always better. So "
-            f"after every {rule.every} episodes the {candidate} runs {rule.screening_trials} "
-            f"trials of {rule.duration:g} s, on plants with {rule.spread:g} times the variation of "
-            f"the training; the best {rule.finalists} run {rule.final_trials} more of "
-            f"{rule.final_duration:g} s. The table after episode {chosen.episodes:,} was kept: it "
-            f"stood in {chosen.survived} of {chosen.trials}. The results below use other trials."
+            f"A later table is not always better. So after every {rule.every} episodes the "
+            f"{candidate} runs {rule.screening_trials} trials of {rule.duration:g} s, on plants "
+            f"with {rule.spread:g} times the variation of the training; the best {rule.finalists} "
+            f"run {rule.final_trials} more of {rule.final_duration:g} s. The table after episode "
+            f"{chosen.episodes:,} was kept: it stood in {chosen.survived} of {chosen.trials}. The "
+            "results below use other trials."
         )
     return html.part(
         "training",
@@ -212,22 +201,20 @@ def _training(results: Results, pictures: html.Pictures) -> html.Part:
         html.paragraph(
             f"An episode starts with the flange {where} and the pendulum leaning up to "
             f"{np.rad2deg(s.learning.start_phi):.3g}°. Every {policy.h:g} s the learner selects an "
-            "acceleration, and closed-loop inverse kinematics converts it to joint motion (the "
-            "paper's equation 3); the actual flange motion drives the pendulum (equation 7"
+            "acceleration, closed-loop inverse kinematics converts it to joint motion (the paper's "
+            "equation 3), and the actual flange motion drives the pendulum (equation 7"
             f"{'' if s.plant.linearised else ', with its sines'}). The episode ends with a failure "
             f"or after {s.learning.episode_duration:g} s. A failure costs "
-            f"{-s.learning.reward_failure:g}, all else costs nothing, and equation 1 propagates "
-            "that cost to earlier choices. I and b vary per episode; each step adds noise to the "
-            "pose error, as in the paper."
+            f"{-s.learning.reward_failure:g}, all else nothing; equation 1 propagates that cost to "
+            "earlier choices. I and b vary per episode; each step adds noise to the pose error."
         ),
         html.paragraph(_actuator(policy)),
         html.paragraph(selection),
-        html.picture(
-            pictures,
+        picture(
             "learning-curve",
-            "Above: duration of the training episodes, including exploration. Below: survival of "
-            "the frozen greedy policy at each checkpoint. A different action in one box can change "
-            "survival drastically, which is why the best table is kept and not the last.",
+            "Above: duration of the training episodes, with exploration. Below: survival of the "
+            "greedy policy at each checkpoint. One changed action can change it drastically: "
+            "therefore the best table is kept, not the last.",
             "Mean duration of the training episodes and survival of the greedy policy",
         ),
     )

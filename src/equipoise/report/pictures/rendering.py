@@ -68,10 +68,7 @@ def frames(
 
 
 def draw(
-    scene: PictureScene,
-    q: Iterable[Floats],
-    phi: Iterable[float],
-    u: Iterable[float] | None = None,
+    scene: PictureScene, q: Iterable[Floats], phi: Iterable[float], u: Iterable[float] | None = None
 ) -> Iterator[Picture]:
     """Draw a sequence of poses in a scene; `frames` makes the scene and checks the shapes.
 
