@@ -15,7 +15,7 @@ IDS = {"equipoise/Balance-v0": "Balance", "equipoise/BalanceDiscrete-v0": "Balan
 
 
 def register() -> None:
-    """Register the environments with Gymnasium; what is registered already stays."""
+    """Register the environments with Gymnasium, unless they are registered already."""
     from gymnasium.envs.registration import register, registry
 
     for name, kind in IDS.items():
@@ -28,7 +28,7 @@ def register() -> None:
 
 
 def __getattr__(name: str) -> object:
-    """Return a class, imported when it is asked for."""
+    """Return a class, imported on its first use."""
     if name in __all__:
         from equipoise.envs import balance
 

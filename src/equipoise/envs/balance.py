@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from math import inf, isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -41,7 +41,7 @@ RIG: Final = "rig"
 REWARD_FAILURE: Final = LearningSettings().reward_failure
 """Reward of a failure in the paper's reward."""
 WINDOW: Final = 256
-"""Number of trials whose conditions are drawn at a time."""
+"""Number of trials drawn at a time."""
 ONCE: Final = "the environment has not been reset; call env.reset() first"
 
 
@@ -149,7 +149,7 @@ class BalanceEnv(gym.Env[Array, Any]):
 
         Raises:
             InputError: An argument cannot be used.
-            SettingsError: There is no such world.
+            SettingsError: The world does not exist.
             ArmError: The twin does not know the masses of the arm.
         """
         if observe not in ("predicted", "estimated", "raw"):
@@ -233,7 +233,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         if not isfinite(u):
             raise InputError(f"the action is {action!r}; expected an acceleration [m/s^2]")
         if self._rig is not None:
-            return self._step_rig(self._rig, u)
+            return self._step_rig(self._rig, self._state, u)
         cause = self._loop.step(u)
         self._steps, self._u = self._steps + 1, u
         before, self._state = self._state, Observation(*predicted(self._loop).tolist())
@@ -249,7 +249,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         """Return a picture of the rig (`rgb_array`), or show it in a window (`human`).
 
         Raises:
-            OutsideError: There is nothing to draw with, or no display.
+            OutsideError: OpenGL or a display is not available.
         """
         if self._screen is None:
             gym.logger.warn("render() draws nothing without render_mode='rgb_array' or 'human'")
@@ -295,11 +295,9 @@ class BalanceEnv(gym.Env[Array, Any]):
         return first, {"time": 0.0, "cause": "", "reason": ""}
 
     def _step_rig(
-        self, rig: "RigEpisode", u: float
+        self, rig: "RigEpisode", before: Observation, u: float
     ) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        if self._state is None:
-            raise InputError(ONCE)
-        got, before, self._steps = rig.step(u), self._state, self._steps + 1
+        got, self._steps = rig.step(u), self._steps + 1
         info = {"time": self._steps * self._setup.h, "cause": "", "reason": ""}
         failed = truncated = False
         if isinstance(got, np.ndarray):
@@ -317,12 +315,13 @@ class BalanceEnv(gym.Env[Array, Any]):
         if self._observe == "predicted" or (measured := self._loop.measurement()) is None:
             return predicted(self._loop)
         now, q = self._loop.now, self._setup.arm.with_held(measured.q)
-        ages = now - measured.counted_at, now - measured.measured_at
-        return np.array([measured.counts, ages[0], *q, ages[1]])
+        return np.array(
+            [measured.counts, now - measured.counted_at, *q, now - measured.measured_at]
+        )
 
     def _info(self, cause: str, guard: str = "") -> dict[str, Any]:
-        state = self._loop.state()
-        return {"time": self._loop.now, "cause": cause, "guard": guard, "state": state}
+        loop = self._loop
+        return {"time": loop.now, "cause": cause, "guard": guard, "state": loop.state()}
 
 
 class BalanceDiscreteEnv(BalanceEnv):
@@ -331,16 +330,13 @@ class BalanceDiscreteEnv(BalanceEnv):
     Everything but the action space is that of `BalanceEnv`.
     """
 
-    ACCELERATIONS: ClassVar[tuple[float, ...]] = paper.ACTIONS
-    """Acceleration of each action [m/s^2]."""
-
     def __init__(self, world: str | World = MODEL, **arguments: Any) -> None:
         """Set up the task; the arguments are those of `BalanceEnv`."""
         super().__init__(world, **arguments)
-        self.action_space = spaces.Discrete(len(self.ACCELERATIONS))
+        self.action_space = spaces.Discrete(len(paper.ACTIONS))
 
     def _acceleration(self, action: Any) -> float:
-        return self.ACCELERATIONS[int(action)]
+        return paper.ACTIONS[int(action)]
 
 
 class BoxIndexObservation(gym.ObservationWrapper[np.int64, Any, Array]):

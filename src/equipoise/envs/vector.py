@@ -8,6 +8,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from equipoise import paper
 from equipoise.control.boxes import TRUNCATED, cause_named
 from equipoise.control.controller import Observation
 from equipoise.control.trial_safety import guard_named
@@ -57,7 +58,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
     `Disabled` leaves it to `reset(options={"reset_mask": mask})`.
 
     `info` has `time` and `state` of each environment, and, where an episode ends, `cause` and
-    `guard`; a key with an underscore before it says in which rows a value stands.
+    `guard`; the key with a leading underscore marks the rows that have a value.
 
     ## Arguments
 
@@ -95,7 +96,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
 
         Raises:
             InputError: An argument cannot be used.
-            SettingsError: There is no such world.
+            SettingsError: The world does not exist.
             ArmError: The twin does not know the masses of the arm.
         """
         if world == RIG:
@@ -267,14 +268,12 @@ class BalanceDiscreteVectorEnv(BalanceVectorEnv):
     """
 
     SINGLE: ClassVar[type[BalanceEnv]] = BalanceDiscreteEnv
-    ACCELERATIONS: ClassVar[Array] = np.array(BalanceDiscreteEnv.ACCELERATIONS)
-    """Acceleration of each action [m/s^2]."""
 
     def _accelerations(self, actions: Any) -> Array:
         indices = np.asarray(actions)
         if not self.action_space.contains(indices):
             raise InputError(
                 f"the actions are {actions!r:.60}; expected whole numbers from 0 to "
-                f"{len(self.ACCELERATIONS) - 1}, shape {self.action_space.shape}"
+                f"{len(paper.ACTIONS) - 1}, shape {self.action_space.shape}"
             )
-        return self.ACCELERATIONS[indices]
+        return np.array(paper.ACTIONS)[indices]
