@@ -112,9 +112,9 @@ def test_without_prediction_it_does_not_look_ahead():
 
 def test_a_delay_that_is_longer_than_the_memory_is_refused():
     made(Actuator.assumed("kst", delay=0.090, lag=0.008))
-    with pytest.raises(SettingsError, match=r"delay is 91 ms, the controller remembers 90 ms; "):
+    with pytest.raises(SettingsError, match=r"delay is 91 ms, expected at most 90 ms, "):
         made(Actuator.assumed("kst", delay=0.091, lag=0.008))
-    with pytest.raises(SettingsError, match="remembers 45 ms"):
+    with pytest.raises(SettingsError, match="at most 45 ms"):
         made(Actuator.assumed("lag", delay=0.050), h=0.005)
 
 

@@ -128,7 +128,7 @@ class Run(RuleBasedStateMachine):
         for _ in range(n):
             self.tick(share, 0.0, SafetyInputs())
 
-    @precondition(lambda self: self.state.streaming)
+    @precondition(lambda self: self.state.phase in STREAMING)
     @rule(
         view=st.sampled_from(
             [
@@ -183,7 +183,7 @@ class Run(RuleBasedStateMachine):
         self.move(event, Cause(violation.rule.value, violation.reason, violation.from_measured))
 
     def tick(self, share, wild, view):
-        if not self.state.streaming:
+        if self.state.phase not in STREAMING:
             return
         self.speed_before = self.dq
         if self.last is not None:
@@ -192,7 +192,7 @@ class Run(RuleBasedStateMachine):
         violation = check(GUARD, self.watched, view)
         if violation:
             self.stop_for(violation)
-        if not self.state.streaming:
+        if self.state.phase not in STREAMING:
             return
         setpoint, dq = self.next(share, wild)
         broken = self.judge(setpoint)

@@ -206,7 +206,7 @@ def with_nan(values):
         (lambda t, c, s, x, r: (t[::-1], c, s, x, r), "increase"),
         (lambda t, c, s, x, r: (t, c[1:], s, x, r), "samples"),
         (lambda t, c, s, x, r: (t[:100], c[:100], s, x, r), "samples"),
-        (lambda t, c, s, x, r: (t[t < 2.5], c[t < 2.5], s, x, r), "watched"),
+        (lambda t, c, s, x, r: (t[t < 2.5], c[t < 2.5], s, x, r), "observed"),
         (
             lambda t, c, s, x, r: (t[(t < 1) | (t > 1.1)], c[(t < 1) | (t > 1.1)], s, x, r),
             "gap",

@@ -207,7 +207,7 @@ def test_of_two_speed_limits_the_lower_acts(t1, max_speed, speed):
 
 def test_the_free_joints_alone_are_asked():
     watching = new_trial_monitor(ARM, GUARD_7)
-    assert len(watching.guard.limits.upper) == len(watching.guard.torque) == 6
+    assert len(watching.params.limits.upper) == len(watching.params.torque) == 6
     assert watching.active
     assert not new_trial_monitor(ARM, None).active
 

@@ -1,1 +1,1 @@
-"""A measurement becomes a command: boxes, policy, closed-loop inverse kinematics, yardsticks."""
+"""Control: boxes, policies, closed-loop inverse kinematics, safety rules and runs."""

@@ -1,6 +1,6 @@
-"""Policies to measure a table against: LQR, LQR snapped to the eight actions, PD, random.
+"""Baseline policies: LQR, LQR snapped to the eight actions, PD, random.
 
-All know the pendulum's nominal parameters and see the same state as the table.
+They use the pendulum's nominal parameters and the same observation as the table.
 """
 
 import math
@@ -20,7 +20,7 @@ MAX_FALL_PER_STEP = 9.0
 
 
 def baselines(pendulum: PendulumParameters, h: float) -> dict[str, PolicyKernel]:
-    """Return the yardsticks by name.
+    """Return the baselines by name.
 
     Args:
         pendulum: Nominal parameters.
@@ -76,7 +76,7 @@ def lqr_gains(pendulum: PendulumParameters, h: float) -> tuple[float, float, flo
 
 
 def pd_gains(pendulum: PendulumParameters) -> tuple[float, float, float, float]:
-    """Return the gains of a PD controller of phi alone, which does not know where the track ends.
+    """Return the gains of a PD controller of phi alone, without regard to the track.
 
     Both poles of the pendulum are placed at -sqrt(w2), its own rate of fall.
     """

@@ -1,4 +1,4 @@
-"""Any policy, bound to the task that it is used on; and policies by name.
+"""Policies bound to their task, and policies by name.
 
 `load_policy` reads the file of a table, a network (`.onnx`), Python (`module:name`) or a built-in
 name (`lqr`, `lqr-snapped`, `pd`, `random`). A table brings along the task of its training. The
@@ -52,7 +52,7 @@ class BoundPolicy:
     digest: str
     """SHA-256 of the policy's file or source."""
     kernel: PolicyKernel | None
-    """The policy for compiled loops; none where it runs in Python only."""
+    """The policy for compiled loops; None for a policy in Python."""
     pendulum: Pendulum
     """Nominal pendulum."""
     arm: Arm
@@ -64,14 +64,14 @@ class BoundPolicy:
     h: float = paper.STEP
     """Time step [s]."""
     u_max: float = paper.U_MAX
-    """Largest acceleration [m/s^2], that of the paper's actions: guards and tracks are made for
-    it, and a larger u is clipped."""
+    """Largest acceleration [m/s^2], that of the paper's actions: safety limits assume it, and a
+    larger u is clipped."""
 
     def reset(self) -> None:
         """Begin a trial or a run.
 
         Raises:
-            InputError: The policy raised something.
+            InputError: The policy raised an exception.
         """
         try:
             self.policy.reset()
@@ -84,7 +84,7 @@ class BoundPolicy:
         """Return u [m/s^2], within `u_max`, for the observation (x, x_dot, phi, phi_dot).
 
         Raises:
-            InputError: The policy raised something, or returned no finite number.
+            InputError: The policy raised an exception, or returned no finite number.
         """
         state = observation.copy()  # the policy may write into its argument
         try:
@@ -123,7 +123,7 @@ def load_policy(
         settings: Settings of plant, controller and evaluation; a table has its own.
 
     Raises:
-        InputError: There is no such policy, or it cannot be used.
+        InputError: The policy does not exist or cannot be used.
         ArtefactError: The file holds no table, or one for another pendulum or arm.
         MissingExtraError: ONNX Runtime is not installed.
     """
@@ -163,7 +163,7 @@ def bind_policy(
         settings: Settings of plant, controller and evaluation; by default all defaults.
 
     Raises:
-        InputError: It is no policy.
+        InputError: `policy` is not a policy.
     """
     known = (KernelPolicy, OnnxPolicy, PythonPolicy)
     own = policy if isinstance(policy, known) else PythonPolicy(policy, name)

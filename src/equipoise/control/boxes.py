@@ -1,8 +1,8 @@
-"""The 270 boxes of the paper: which one holds a state, and what its mirror image is.
+"""The 270 boxes of the paper: box of a state, mirror image of a box.
 
 Section 4.1. The intervals come from `equipoise.paper`, ends included, converted to radians. An
-inner edge belongs to exactly one of its two neighbours; the outer limits of phi and x belong to
-none: a state on them is a failure. Index of a box: ((i_phi * 5 + i_phi_dot) * 3 + i_x) * 3 +
+inner edge belongs to exactly one of its two neighbours; the outer limits of phi and x belong to no
+box: a state on them is a failure. Index of a box: ((i_phi * 5 + i_phi_dot) * 3 + i_x) * 3 +
 i_x_dot, each axis counted from its lowest interval.
 
 Mirror symmetry (x, phi -> -x, -phi) is a map of *indices*. Re-binning -phi is not the same, since
@@ -26,6 +26,7 @@ from equipoise.compiled import inlined, kernel
 SHAPE: Final = (6, 5, 3, 3)
 """Number of intervals of phi, phi_dot, x, x_dot."""
 COUNT: Final = 270
+"""Number of boxes."""
 ACTIONS: Final = len(paper.ACTIONS)
 
 TRUNCATED: Final = 0
@@ -36,7 +37,7 @@ SAFETY_STOP: Final = 4
 """Lowest code of a safety stop; the rest names the rule, see
 `equipoise.control.trial_safety.guard_named`."""
 CAUSES: Final = ("lasted", "angle", "track", "joint limit", "guard")
-"""How a trial ends, by code: the outer limits are where a failure is declared."""
+"""Causes of the end of a trial, by code; `angle` and `track` are the outer limits."""
 
 
 class Axis(NamedTuple):
@@ -56,9 +57,9 @@ class Boxes(NamedTuple):
     x: Axis
     x_dot: Axis
     phi_limit: float
-    """[rad]"""
+    """Failure angle [rad]."""
     x_limit: float
-    """[m]"""
+    """Failure displacement [m]."""
 
 
 Intervals = Annotated[tuple[Name, ...], Field(max_length=16)]
@@ -79,7 +80,7 @@ class BoxDescription(Value):
 
 
 def cause_named(code: int) -> str:
-    """Return how a trial ended, by the code of its cause."""
+    """Return the name of the cause of a trial's end, by its code."""
     return CAUSES[min(code, SAFETY_STOP)]
 
 
@@ -161,7 +162,7 @@ def greedy_actions(Q: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
     """Return the index of the best action of each box, ties broken mirror-symmetrically.
 
     Of equal values the lowest action wins in a box of the lower half (phi < 0) and the highest in
-    its mirror image, so that a table that is symmetric gives a policy that is.
+    its mirror image, so that a symmetric table gives a symmetric policy.
 
     Args:
         Q: State-action values, shape (270, 8).

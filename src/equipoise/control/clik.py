@@ -4,14 +4,14 @@ r"""Second-order closed-loop inverse kinematics: the paper's equation (3).
 
 The flange follows a reference; e is the pose error, reference minus flange: position, then
 orientation as sin(angle) times the axis, in base axes (Siciliano 1990); e_dot is the error of the
-twist. The reference is a record like the arm's own: pose and twist in the same rows, Gamma where
-that has J_dot dq. The loop is closed on the *commanded* joint state, which is why no delay of a
-robot can make it unstable. K_p and K_d are multiples of the identity, positive definite as the
+twist. The reference is a record like the arm's own: pose and twist in the same rows, Gamma in place
+of J_dot dq. The loop is closed on the *commanded* joint state, so that no delay of a robot can make
+it unstable. K_p and K_d are multiples of the identity, positive definite as the
 paper asks.
 
 Near a singularity the inverse is damped (Nakamura & Hanafusa 1986): where the manipulability
 w = \|det J\| is below w_0, J^{-1} becomes J^T (J J^T + lambda^2)^{-1} with
-lambda = lambda_0 (1 - w/w_0), and the caller is told.
+lambda = lambda_0 (1 - w/w_0), and damped lanes are counted.
 
 Records are blocks of lanes, see `equipoise.model.elementary`.
 """
@@ -49,7 +49,7 @@ class ClikParameters(NamedTuple):
     lambda_0: float
     """Damping at a singularity."""
     wrist: Point
-    """Where the last three axes meet, in the flange frame [m]; NaN if they do not."""
+    """Intersection of the last three axes, in the flange frame [m]; NaN if they do not meet."""
 
 
 @inlined
@@ -58,11 +58,11 @@ def pose_error(frame: Array, reference: Array, n: int) -> Twist:
 
     Args:
         frame: Record of the arm's kinematics.
-        reference: Record of where the flange shall be.
+        reference: Record of the reference.
         n: Lane.
 
     Returns:
-        Position [m], and sin(angle) times the axis of the rotation that is left, in base axes.
+        Position [m], and sin(angle) times the axis of the remaining rotation, in base axes.
     """
     # The skew part of R_reference R^T, a sum over the columns of both.
     sx, sy, sz = 0.0, 0.0, 0.0
@@ -90,15 +90,14 @@ def joint_acceleration(
 
     Args:
         frame: Record of the arm's kinematics.
-        reference: Record of where the flange shall be and how it shall accelerate.
-        e: Pose error, a block of 6 rows; the paper adds noise to it before it comes here.
-            Overwritten.
+        reference: Record of the reference, with its acceleration Gamma.
+        e: Pose error, with the paper's noise, a block of 6 rows; overwritten.
         parameters: Gains and damping.
         ddq: Joint accelerations [rad/s^2], a block of 6 rows.
-        lanes: How many lanes.
+        lanes: Number of lanes.
 
     Returns:
-        In how many lanes the inverse had to be damped.
+        The number of lanes with a damped inverse.
     """
     for i in range(6):
         for n in range(lanes):
@@ -110,7 +109,7 @@ def joint_acceleration(
 
 @kernel
 def solve(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, lanes: int) -> int:
-    """Solve J y = rhs in each lane, damped near singularities; return how often it was damped."""
+    """Solve J y = rhs in each lane, damped near singularities; return the number damped."""
     wrist, w_0 = parameters.wrist, parameters.w_0
     damped = 0
     if wrist[0] != wrist[0]:
@@ -131,55 +130,37 @@ def solve(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, lanes:
 def _solve_at_wrist(frame: Array, rhs: Array, wrist: Point, y: Array, n: int) -> float:
     """Solve J y = rhs where the last three axes meet, and return the manipulability.
 
-    Seen from the wrist centre the last three joints do not move it, so J = [[A, 0], [B, C]] and
+    The last three joints do not move the wrist centre, so J = [[A, 0], [B, C]] there, and
     |det J| = |det A| |det C|: two systems of three equations, by Cramer's rule.
     """
     # From the flange to the wrist centre, in base axes.
     wx, wy, wz = wrist
     r = ROTATION
-    px = at(frame, r, n) * wx + at(frame, r + 1, n) * wy + at(frame, r + 2, n) * wz
-    py = at(frame, r + 3, n) * wx + at(frame, r + 4, n) * wy + at(frame, r + 5, n) * wz
-    pz = at(frame, r + 6, n) * wx + at(frame, r + 7, n) * wy + at(frame, r + 8, n) * wz
-    # B: axes of the first three joints; C: axes of the last three.
-    b00, b01, b02 = at(frame, ANGULAR, n), at(frame, ANGULAR + 1, n), at(frame, ANGULAR + 2, n)
-    b10, b11, b12 = at(frame, ANGULAR + 6, n), at(frame, ANGULAR + 7, n), at(frame, ANGULAR + 8, n)
-    b20, b21, b22 = (
-        at(frame, ANGULAR + 12, n),
-        at(frame, ANGULAR + 13, n),
-        at(frame, ANGULAR + 14, n),
+    p = (
+        at(frame, r, n) * wx + at(frame, r + 1, n) * wy + at(frame, r + 2, n) * wz,
+        at(frame, r + 3, n) * wx + at(frame, r + 4, n) * wy + at(frame, r + 5, n) * wz,
+        at(frame, r + 6, n) * wx + at(frame, r + 7, n) * wy + at(frame, r + 8, n) * wz,
     )
-    c00, c01, c02 = at(frame, ANGULAR + 3, n), at(frame, ANGULAR + 4, n), at(frame, ANGULAR + 5, n)
-    c10, c11, c12 = (
-        at(frame, ANGULAR + 9, n),
-        at(frame, ANGULAR + 10, n),
-        at(frame, ANGULAR + 11, n),
+    # B: axes of the first three joints, by columns; A: velocities that they give the wrist centre.
+    b0, b1, b2 = (
+        _axis(frame, ANGULAR, n),
+        _axis(frame, ANGULAR + 1, n),
+        _axis(frame, ANGULAR + 2, n),
     )
-    c20, c21, c22 = (
-        at(frame, ANGULAR + 15, n),
-        at(frame, ANGULAR + 16, n),
-        at(frame, ANGULAR + 17, n),
-    )
-    # A: what the first three joints do to the wrist centre, v + omega x p.
-    j = JACOBIAN
-    a00 = at(frame, j, n) + b10 * pz - b20 * py
-    a10 = at(frame, j + 6, n) + b20 * px - b00 * pz
-    a20 = at(frame, j + 12, n) + b00 * py - b10 * px
-    a01 = at(frame, j + 1, n) + b11 * pz - b21 * py
-    a11 = at(frame, j + 7, n) + b21 * px - b01 * pz
-    a21 = at(frame, j + 13, n) + b01 * py - b11 * px
-    a02 = at(frame, j + 2, n) + b12 * pz - b22 * py
-    a12 = at(frame, j + 8, n) + b22 * px - b02 * pz
-    a22 = at(frame, j + 14, n) + b02 * py - b12 * px
+    a0 = _velocity_at(p, _axis(frame, JACOBIAN, n), b0)
+    a1 = _velocity_at(p, _axis(frame, JACOBIAN + 1, n), b1)
+    a2 = _velocity_at(p, _axis(frame, JACOBIAN + 2, n), b2)
     # The right-hand side, moved in the same way.
     g3, g4, g5 = at(rhs, 3, n), at(rhs, 4, n), at(rhs, 5, n)
-    g0 = at(rhs, 0, n) + g4 * pz - g5 * py
-    g1 = at(rhs, 1, n) + g5 * px - g3 * pz
-    g2 = at(rhs, 2, n) + g3 * py - g4 * px
-    y0, y1, y2, det_a = _cramer(a00, a01, a02, a10, a11, a12, a20, a21, a22, g0, g1, g2)
-    g3 -= b00 * y0 + b01 * y1 + b02 * y2
-    g4 -= b10 * y0 + b11 * y1 + b12 * y2
-    g5 -= b20 * y0 + b21 * y1 + b22 * y2
-    y3, y4, y5, det_c = _cramer(c00, c01, c02, c10, c11, c12, c20, c21, c22, g3, g4, g5)
+    g = _velocity_at(p, (at(rhs, 0, n), at(rhs, 1, n), at(rhs, 2, n)), (g3, g4, g5))
+    y0, y1, y2, det_a = _cramer(a0, a1, a2, g)
+    g3 -= b0[0] * y0 + b1[0] * y1 + b2[0] * y2
+    g4 -= b0[1] * y0 + b1[1] * y1 + b2[1] * y2
+    g5 -= b0[2] * y0 + b1[2] * y1 + b2[2] * y2
+    # C: axes of the last three joints.
+    c0, c1 = _axis(frame, ANGULAR + 3, n), _axis(frame, ANGULAR + 4, n)
+    c2 = _axis(frame, ANGULAR + 5, n)
+    y3, y4, y5, det_c = _cramer(c0, c1, c2, (g3, g4, g5))
     put(y, 0, n, y0)
     put(y, 1, n, y1)
     put(y, 2, n, y2)
@@ -190,38 +171,44 @@ def _solve_at_wrist(frame: Array, rhs: Array, wrist: Point, y: Array, n: int) ->
 
 
 @inlined
-def _cramer(
-    a00: float,
-    a01: float,
-    a02: float,
-    a10: float,
-    a11: float,
-    a12: float,
-    a20: float,
-    a21: float,
-    a22: float,
-    g0: float,
-    g1: float,
-    g2: float,
-) -> tuple[float, float, float, float]:
-    """Solve three equations; return the solution (zero if there is none) and the determinant."""
+def _axis(frame: Array, row: int, n: int) -> Point:
+    """Return half a column of J in lane `n`, from its first row in the record."""
+    return at(frame, row, n), at(frame, row + 6, n), at(frame, row + 12, n)
+
+
+@inlined
+def _velocity_at(p: Point, v: Point, omega: Point) -> Point:
+    """Return the velocity v + omega x p of a point at p from one with velocity v."""
+    return (
+        v[0] + omega[1] * p[2] - omega[2] * p[1],
+        v[1] + omega[2] * p[0] - omega[0] * p[2],
+        v[2] + omega[0] * p[1] - omega[1] * p[0],
+    )
+
+
+@inlined
+def _cramer(a: Point, b: Point, c: Point, g: Point) -> tuple[float, float, float, float]:
+    """Solve x a + y b + z c = g; return x, y, z (zero if there is no solution), determinant."""
     # Rows of the adjugate are cross products of the columns.
-    n00, n01, n02 = a11 * a22 - a21 * a12, a21 * a02 - a01 * a22, a01 * a12 - a11 * a02
-    n10, n11, n12 = a12 * a20 - a22 * a10, a22 * a00 - a02 * a20, a02 * a10 - a12 * a00
-    n20, n21, n22 = a10 * a21 - a20 * a11, a20 * a01 - a00 * a21, a00 * a11 - a10 * a01
-    det = a00 * n00 + a10 * n01 + a20 * n02
+    n0, n1, n2 = _cross(b, c), _cross(c, a), _cross(a, b)
+    det = a[0] * n0[0] + a[1] * n0[1] + a[2] * n0[2]
     scale = 1.0 / (det if det != 0.0 else np.inf)
     return (
-        (n00 * g0 + n01 * g1 + n02 * g2) * scale,
-        (n10 * g0 + n11 * g1 + n12 * g2) * scale,
-        (n20 * g0 + n21 * g1 + n22 * g2) * scale,
+        (n0[0] * g[0] + n0[1] * g[1] + n0[2] * g[2]) * scale,
+        (n1[0] * g[0] + n1[1] * g[1] + n1[2] * g[2]) * scale,
+        (n2[0] * g[0] + n2[1] * g[1] + n2[2] * g[2]) * scale,
         det,
     )
 
 
+@inlined
+def _cross(a: Point, b: Point) -> Point:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
 @kernel
 def _solve_damped(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, n: int) -> int:
-    """Solve J J^T z = rhs, y = J^T z in lane `n`; return 1 where it had to be damped, else 0."""
+    """Solve J J^T z = rhs, y = J^T z in lane `n`; return 1 if damped, else 0."""
     damped = 0
     L = np.empty((6, 6))
     w = _cholesky(frame, 0.0, L, n)

@@ -1,22 +1,21 @@
-r"""A measurement becomes a command: observe, predict, (decide,) command.
+r"""Control step: observation, prediction, decision, command.
 
 Once per tick of h = 0.01 s, all on the state in `ControllerState`::
 
-    observe   counts, measured q  ->  the state that the policy sees
+    observe   counts, measured q  ->  the policy's observation
     (act)     the policy's table  ->  u
     command   u  ->  CLIK  ->  two setpoints for the joints, h / 2 apart
 
 A setpoint moves the arm only a transport delay d after it was sent, and then as fast as servo and
-drive let it. So the controller keeps a model of the arm (`equipoise.model.actuator`) that runs on
-the setpoints as they are *sent*: its present state is where the arm will be at t + d, its past says
-where the arm is now. Slow differences to the measured q are added to it. With that:
+drive allow. So the controller keeps a model of the arm (`equipoise.model.actuator`) that runs on
+the setpoints as they are *sent*: its present state is that of the arm at t + d, its history holds
+the arm's state now. Slow differences to the measured q are added to it. Therefore:
 
-1. The pendulum's observer (`equipoise.control.estimator`) takes the acceleration that the pivot
-   has now from the model's past.
-2. The prediction moves phi and phi_dot on, over the motion that is already in flight until t + d,
-   and from there to the horizon T with the velocity going over to that of the reference. At t + T
-   the arm is where the reference is now: this is the state that the policy sees, and u changes it
-   at once, as in the paper.
+1. The pendulum's observer (`equipoise.control.estimator`) takes the acceleration of the pivot now
+   from the model's history.
+2. The prediction propagates phi and phi_dot over the motion in flight until t + d, and from there
+   to the horizon T while the velocity ramps to that of the reference. At t + T the arm is where the
+   reference is now: this is the policy's observation, and u changes it at once, as in the paper.
 
 CLIK closes its loop on the *commanded* joints: no delay can make it unstable. The encoder measures
 the pendulum relative to the flange; the flange's own rotation about the spindle is added.
@@ -67,19 +66,21 @@ from equipoise.settings import Settings
 Array = npt.NDArray[np.float64]
 
 MIN_MANIPULABILITY: Final = 1e-6
-"""Below this |det J| [m^3] a home posture counts as singular; an iiwa at home has 0.09."""
+"""Minimum |det J| of a home posture [m^3]; an iiwa at home has 0.09."""
 POSE_ITERATIONS: Final = 20
+"""Maximum number of Newton steps to a posture."""
 POSE_TOLERANCE: Final = 1e-12
+"""Pose error at which they end [m], [rad]."""
 
 SETPOINTS_PER_TICK: Final = 2
 """Setpoints per tick: at 100 Hz the server's servo would move the joints in bursts of four times
 their mean speed, at 200 Hz of twice."""
 HISTORY_TICKS: Final = 12
-"""Ticks of the arm's motion that are remembered."""
+"""Number of ticks of the arm's motion in the history."""
 MIN_PREDICTION_STEP: Final = 1e-9
-"""Time that is not worth a step of the prediction [s]."""
+"""Duration below which a step of the prediction is skipped [s]."""
 
-# Rows of the remembered motion, for each tick.
+# Rows of the history, for each tick.
 PIVOT_V: Final = 0
 FLANGE_X: Final = 1
 TILT: Final = 2
@@ -91,7 +92,7 @@ EST_PHI_DOT: Final = 1
 EST_BIAS: Final = 2
 EST_PIVOT_V: Final = 3
 EST_X: Final = 4
-# Rows of what the policy sees.
+# Rows of the observation.
 OBS_X: Final = 0
 OBS_X_DOT: Final = 1
 OBS_PHI: Final = 2
@@ -116,7 +117,7 @@ class ControllerParams(NamedTuple):
     h: float
     """Time between ticks [s]."""
     has_sensor: bool
-    """Whether there is a sensor and an actuator; without them the state is known."""
+    """Whether a sensor and an actuator are modelled; otherwise the state is measured exactly."""
     actuator: ActuatorParameters
     """The model of the arm."""
     lags: Array
@@ -126,19 +127,19 @@ class ControllerParams(NamedTuple):
     delay: float
     """d, from sending a setpoint to its effect [s]."""
     horizon: float
-    """T, from the measurement to the state that the policy sees [s]; 0 without prediction."""
+    """Prediction horizon T, from the measurement to the observation [s]; 0 without prediction."""
     pendulum: PendulumParameters
     """Nominal parameters."""
     gains: Gains
-    """Of the pendulum's observer."""
+    """Gains of the pendulum's observer."""
     resolution: float
     """Angle of one encoder count, with the encoder's sign [rad]."""
     correction: float
-    """Share of the difference between measured and modelled q that is taken up per tick."""
+    """Share of the difference between measured and modelled q that is corrected per tick [-]."""
 
 
 class ControllerState(NamedTuple):
-    """What the controllers of `BATCH_SIZE` lanes remember; each field is a block of rows."""
+    """State of the controllers of `BATCH_SIZE` lanes; each field is a block of rows."""
 
     q: Array
     """Commanded free joints [rad], 6 rows."""
@@ -149,9 +150,9 @@ class ControllerState(NamedTuple):
     frame: Array
     """Record of the kinematics at q, dq."""
     reference: Array
-    """Record of where the flange shall be."""
+    """Record of the flange's reference."""
     e: Array
-    """Room for the pose error, 6 rows."""
+    """Scratch for the pose error, 6 rows."""
     noise: Array
     """Disturbance of the pose error in the next command [m], [rad], 6 rows; zero on a rig."""
     u: Array
@@ -161,7 +162,7 @@ class ControllerState(NamedTuple):
     limit_exceeded: npt.NDArray[np.int64]
     """Whether the last command left the limits of a joint, 1 row."""
     damped: npt.NDArray[np.int64]
-    """How often the inverse was damped near a singularity, in all lanes, shape (1,)."""
+    """Number of damped inverses near a singularity, in all lanes, shape (1,)."""
     counts: Array
     """Measurement: encoder counts, 1 row."""
     measured: Array
@@ -175,17 +176,17 @@ class ControllerState(NamedTuple):
     offset: Array
     """Measured minus modelled joints, slowly varying [rad], 6 rows."""
     scratch: Array
-    """Room for joints, 6 rows."""
+    """Scratch for joints, 6 rows."""
     history: Array
-    """Motion of the model at the last `PAST` ticks: pivot velocity [m/s], flange x [m], rotation of
-    the flange about the spindle [rad], joints [rad]."""
+    """Motion of the model at the last `HISTORY_TICKS` ticks: pivot velocity [m/s], flange x [m],
+    rotation of the flange about the spindle [rad], joints [rad]."""
     newest: npt.NDArray[np.int64]
-    """Which of them is the newest, shape (1,)."""
+    """Index of the newest of these ticks, shape (1,)."""
     estimate: Array
     """phi [rad], phi_dot [rad/s], bias of phi [rad], velocity of the pivot [m/s], flange x [m] at
     the tick, 5 rows."""
     observation: Array
-    """x, x_dot, phi, phi_dot as the policy sees them, 4 rows."""
+    """Observation of the policy: x [m], x_dot [m/s], phi [rad], phi_dot [rad/s], 4 rows."""
 
 
 def make_controller_params(
@@ -196,7 +197,7 @@ def make_controller_params(
     *,
     h: float,
     counts_per_rev: int,
-    observes: bool = True,
+    has_sensor: bool = True,
 ) -> ControllerParams:
     """Return the constants of a controller.
 
@@ -207,11 +208,11 @@ def make_controller_params(
         pendulum: Nominal parameters.
         h: Time between ticks [s].
         counts_per_rev: Encoder counts per revolution, after x4.
-        observes: Whether there is a sensor and an actuator.
+        has_sensor: Whether a sensor and an actuator are modelled.
 
     Raises:
         ArmError: Home is a singular posture.
-        SettingsError: The delay is longer than the controller remembers.
+        SettingsError: The delay is longer than the history.
     """
     compiled = arm.compiled()
     q, frame = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
@@ -222,22 +223,19 @@ def make_controller_params(
         raise ArmError(
             f"the home posture of {arm.name} is singular (|det J| = {w:.1e} m^3); choose another"
         )
-    longest = (HISTORY_TICKS - 3) * h
-    if actuator.delay.value > longest:
+    max_delay = (HISTORY_TICKS - 3) * h
+    if actuator.delay.value > max_delay:
         raise SettingsError(
-            f"the actuator's delay is {1e3 * actuator.delay.value:.0f} ms, the controller "
-            f"remembers {1e3 * longest:.0f} ms; shorten the delay of the link"
+            f"the actuator's delay is {1e3 * actuator.delay.value:.0f} ms, expected at most "
+            f"{1e3 * max_delay:.0f} ms, the controller's history; shorten the delay of the link"
         )
     wrist_x, wrist_y, wrist_z = (float(value) for value in compiled.wrist)
+    own, clik = settings.controller, settings.clik
     lags = np.array([lag.value for lag in actuator.lags])
     return ControllerParams(
         kinematics=compiled.kinematics,
         clik=ClikParameters(
-            K_p=settings.clik.K_p,
-            K_d=settings.clik.K_d,
-            w_0=settings.clik.singular_share * w,
-            lambda_0=settings.clik.damping,
-            wrist=(wrist_x, wrist_y, wrist_z),
+            clik.K_p, clik.K_d, clik.singular_share * w, clik.damping, (wrist_x, wrist_y, wrist_z)
         ),
         limits=np.array(
             [compiled.lower, compiled.upper, compiled.max_velocity, compiled.max_acceleration]
@@ -246,32 +244,30 @@ def make_controller_params(
         home_reference=frame[: REFERENCE_SIZE * BATCH_SIZE : BATCH_SIZE].copy(),
         pivot=arm.pivot,
         h=h,
-        has_sensor=observes,
+        has_sensor=has_sensor,
         actuator=actuator.parameters,
         lags=lags,
         share=np.repeat([float(lag_share(lag)) for lag in lags.tolist()], BATCH_SIZE),
         delay=actuator.delay.value,
-        horizon=horizon(arm, actuator, settings.controller.margin)
-        if settings.controller.predict
-        else 0.0,
+        horizon=horizon(arm, actuator, own.margin) if own.predict else 0.0,
         pendulum=pendulum,
-        gains=observer_gains(pendulum, settings.controller, counts_per_rev, h),
+        gains=observer_gains(pendulum, own, counts_per_rev, h),
         resolution=2.0 * pi / counts_per_rev,
-        correction=settings.controller.correction,
+        correction=own.correction,
     )
 
 
 def horizon(arm: Arm, actuator: Actuator, margin: float) -> float:
-    """Return how far ahead the policy has to look [s].
+    """Return the prediction horizon of the policy [s].
 
-    The transport delay, plus what its interval leaves open above it (`margin` at least: looking too
-    far costs little, not far enough costs the balance), plus the time in which the flange follows
-    along x: that of the joints, weighted by their part in the motion at home.
+    The sum of the transport delay, of its uncertainty upwards (`margin` at least: too long a
+    horizon costs little, too short a one the balance), and of the response time of the flange along
+    x: that of the joints, weighted by their part in the motion at home.
 
     Args:
         arm: The arm with its home posture.
-        actuator: Its response.
-        margin: Least addition [s].
+        actuator: Model of the arm's response.
+        margin: Minimum margin beyond the delay [s].
     """
     if actuator.kind == "ideal":
         return 0.0
@@ -283,60 +279,48 @@ def horizon(arm: Arm, actuator: Actuator, margin: float) -> float:
 
 
 def new_controller_state() -> ControllerState:
-    """Return the memory of controllers that have not begun."""
-
-    def rows(count: int) -> Array:
-        return np.zeros(count * BATCH_SIZE)
-
-    def whole(count: int) -> npt.NDArray[np.int64]:
-        return np.zeros(count, np.int64)
-
-    return ControllerState(
-        q=rows(6),
-        dq=rows(6),
-        ddq=rows(6),
-        frame=rows(FRAME_SIZE),
-        reference=rows(REFERENCE_SIZE),
-        e=rows(6),
-        noise=rows(6),
-        u=rows(1),
-        setpoints=rows(6 * SETPOINTS_PER_TICK),
-        limit_exceeded=whole(BATCH_SIZE),
-        damped=whole(1),
-        counts=rows(1),
-        measured=rows(6),
-        model_q=rows(6),
-        model_dq=rows(6),
-        model_frame=rows(FRAME_SIZE),
-        offset=rows(6),
-        scratch=rows(6),
-        history=rows(HISTORY_TICKS * HISTORY_ROWS),
-        newest=whole(1),
-        estimate=rows(5),
-        observation=rows(4),
-    )
+    """Return the state of controllers before `start_controller`."""
+    rows = {
+        "frame": FRAME_SIZE,
+        "reference": REFERENCE_SIZE,
+        "u": 1,
+        "setpoints": 6 * SETPOINTS_PER_TICK,
+        "counts": 1,
+        "model_frame": FRAME_SIZE,
+        "history": HISTORY_TICKS * HISTORY_ROWS,
+        "estimate": 5,
+        "observation": 4,
+    }
+    whole = {"limit_exceeded": BATCH_SIZE, "damped": 1, "newest": 1}
+    blocks: dict[str, Any] = {
+        name: np.zeros(whole[name], np.int64)
+        if name in whole
+        else np.zeros(rows.get(name, FREE_JOINTS) * BATCH_SIZE)
+        for name in ControllerState._fields
+    }
+    return ControllerState(**blocks)
 
 
 @kernel
 def place_command(
-    controller: ControllerParams, memory: ControllerState, x: float, x_dot: float, n: int
+    controller: ControllerParams, state: ControllerState, x: float, x_dot: float, n: int
 ) -> None:
-    """Put the command of lane `n` at a place on the track, without error.
+    """Set the command of lane `n` to a place on the track, without pose error.
 
     Args:
         controller: Constants.
-        memory: Changed in place.
+        state: Changed in place.
         x: Displacement of the flange from home along base x [m].
         x_dot: Its velocity [m/s].
         n: Lane.
     """
-    # The arm is placed in the first lane of blocks of its own, by Newton's method.
+    # Newton's method places the arm, in the first lane of separate blocks.
     q, dq, dy = np.zeros(6 * BATCH_SIZE), np.zeros(6 * BATCH_SIZE), np.zeros(6 * BATCH_SIZE)
     e, frame = np.zeros(6 * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
     reference = np.zeros(REFERENCE_SIZE * BATCH_SIZE)
     for i in range(REFERENCE_SIZE):
         put(reference, i, 0, controller.home_reference[i])
-        put(memory.reference, i, n, controller.home_reference[i])
+        put(state.reference, i, n, controller.home_reference[i])
     for i in range(6):
         put(q, i, 0, controller.home[i])
     put(reference, POSITION, 0, controller.home_reference[POSITION] + x)
@@ -356,64 +340,59 @@ def place_command(
     solve(frame, e, controller.clik, dq, 1)
     controller.kinematics(q, dq, frame, 1)
     for i in range(6):
-        put(memory.q, i, n, at(q, i, 0))
-        put(memory.dq, i, n, at(dq, i, 0))
-        put(memory.ddq, i, n, 0.0)
+        put(state.q, i, n, at(q, i, 0))
+        put(state.dq, i, n, at(dq, i, 0))
+        put(state.ddq, i, n, 0.0)
     for i in range(FRAME_SIZE):
-        put(memory.frame, i, n, at(frame, i, 0))
-    put(memory.reference, POSITION, n, at(reference, POSITION, 0))
-    put(memory.reference, TWIST, n, x_dot)
+        put(state.frame, i, n, at(frame, i, 0))
+    put(state.reference, POSITION, n, at(reference, POSITION, 0))
+    put(state.reference, TWIST, n, x_dot)
 
 
 @kernel
 def start_controller(
     controller: ControllerParams,
-    memory: ControllerState,
+    state: ControllerState,
     x: float,
     x_dot: float,
     phi: float,
     phi_dot: float,
     n: int,
 ) -> None:
-    """Begin in lane `n`, the arm moving steadily, the pendulum as it was measured.
+    """Start lane `n` with an arm that moves steadily and the measured pendulum.
 
     Args:
         controller: Constants.
-        memory: Changed in place.
+        state: Changed in place.
         x: Displacement of the flange from home along base x [m].
         x_dot: Its velocity [m/s].
         phi: Measured angle of the pendulum from upright [rad].
         phi_dot: Measured angular velocity [rad/s].
         n: Lane.
     """
-    place_command(controller, memory, x, x_dot, n)
-    memory.limit_exceeded[n] = 0
+    place_command(controller, state, x, x_dot, n)
+    state.limit_exceeded[n] = 0
     h = controller.h
     for i in range(6):
-        dq = at(memory.dq, i, n)
-        q = at(memory.q, i, n) - steady_error(dq, controller.lags[i], controller.actuator)
-        put(memory.model_q, i, n, q)
-        put(memory.model_dq, i, n, dq)
-        put(memory.offset, i, n, 0.0)
+        dq = at(state.dq, i, n)
+        q = at(state.q, i, n) - steady_error(dq, controller.lags[i], controller.actuator)
+        put(state.model_q, i, n, q)
+        put(state.model_dq, i, n, dq)
+        put(state.offset, i, n, 0.0)
         for j in range(HISTORY_TICKS):
-            entry = _entry(memory.newest[0], j)
-            put(memory.history, entry + MODEL_Q + i, n, q - j * h * dq)
+            entry = _entry(state.newest[0], j)
+            put(state.history, entry + MODEL_Q + i, n, q - j * h * dq)
     for j in range(HISTORY_TICKS):
-        entry = _entry(memory.newest[0], j)
-        put(memory.history, entry + PIVOT_V, n, x_dot)
-        put(memory.history, entry + FLANGE_X, n, x - j * h * x_dot)
-        put(memory.history, entry + TILT, n, 0.0)
-    put(memory.estimate, EST_PHI, n, phi)
-    put(memory.estimate, EST_PHI_DOT, n, phi_dot)
-    put(memory.estimate, EST_BIAS, n, 0.0)
-    put(memory.estimate, EST_PIVOT_V, n, x_dot)
-    put(memory.estimate, EST_X, n, x)
+        entry = _entry(state.newest[0], j)
+        put(state.history, entry + PIVOT_V, n, x_dot)
+        put(state.history, entry + FLANGE_X, n, x - j * h * x_dot)
+        put(state.history, entry + TILT, n, 0.0)
+    for row, value in enumerate((phi, phi_dot, 0.0, x_dot, x)):
+        put(state.estimate, row, n, value)
     # The arm moves steadily: over the horizon the pendulum falls by itself.
     phi, phi_dot = runge_kutta(phi, phi_dot, 0.0, controller.horizon, 0.0, controller.pendulum)
-    put(memory.observation, OBS_X, n, x)
-    put(memory.observation, OBS_X_DOT, n, x_dot)
-    put(memory.observation, OBS_PHI, n, phi)
-    put(memory.observation, OBS_PHI_DOT, n, phi_dot)
+    for row, value in enumerate((x, x_dot, phi, phi_dot)):
+        put(state.observation, row, n, value)
 
 
 @inlined
@@ -431,27 +410,23 @@ def _wrapped(angle: float) -> float:
 @kernel
 def observe(
     controller: ControllerParams,
-    memory: ControllerState,
+    state: ControllerState,
     encoder_age: float,
     reply_age: float,
     lanes: int,
 ) -> None:
-    """Turn the measurements in `memory` into what the policy sees, in the first lanes.
+    """Compute the observations from the measurements in `state`, in the first lanes.
 
     Args:
         controller: Constants.
-        memory: Reads `counts` and `measured`; changed in place.
-        encoder_age: How old the counts are [s].
-        reply_age: How old the measured joints are [s].
-        lanes: How many lanes.
+        state: Reads `counts` and `measured`; changed in place.
+        encoder_age: Age of the counts [s].
+        reply_age: Age of the measured joints [s].
+        lanes: Number of lanes.
     """
-    past, newest, estimate, seen = (
-        memory.history,
-        memory.newest[0],
-        memory.estimate,
-        memory.observation,
-    )
-    measured, offset, counts, frame = memory.measured, memory.offset, memory.counts, memory.frame
+    past, newest = state.history, state.newest[0]
+    estimate, obs = state.estimate, state.observation
+    measured, offset, counts, frame = state.measured, state.offset, state.counts, state.frame
     h, delay, pendulum = controller.h, controller.delay, controller.pendulum
     on_phi, on_phi_dot, on_bias = controller.gains
     resolution, correction = controller.resolution, controller.correction
@@ -469,13 +444,9 @@ def observe(
     near, far, f = _entry(newest, int(back)), _entry(newest, int(back) + 1), back - int(back)
     for n in range(lanes):
         tilt = at(past, near + TILT, n)
-        # Room until the estimate is made: the angle in space that the encoder shows.
-        put(
-            seen,
-            OBS_PHI,
-            n,
-            pi - at(counts, 0, n) * resolution + tilt + f * (at(past, far + TILT, n) - tilt),
-        )
+        turned = at(past, far + TILT, n) - tilt
+        # Scratch for the angle in space that the encoder shows, until the estimate is made.
+        put(obs, OBS_PHI, n, pi - at(counts, 0, n) * resolution + tilt + f * turned)
     whole = int(delay / h)
     near, far, f = _entry(newest, whole), _entry(newest, whole + 1), delay / h - whole
     for n in range(lanes):
@@ -486,20 +457,20 @@ def observe(
             at(estimate, EST_PHI, n), at(estimate, EST_PHI_DOT, n), u, h, 0.0, pendulum
         )
         bias = at(estimate, EST_BIAS, n)
-        surprise = _wrapped(at(seen, OBS_PHI, n) - bias - phi + encoder_age * phi_dot)
+        surprise = _wrapped(at(obs, OBS_PHI, n) - bias - phi + encoder_age * phi_dot)
         phi += on_phi * surprise
         phi_dot += on_phi_dot * surprise
         put(estimate, EST_PHI, n, phi)
         put(estimate, EST_PHI_DOT, n, phi_dot)
         put(estimate, EST_BIAS, n, bias + on_bias * surprise)
         put(estimate, EST_PIVOT_V, n, v)
-        put(seen, OBS_PHI, n, phi)
-        put(seen, OBS_PHI_DOT, n, phi_dot)
-        put(seen, OBS_X_DOT, n, v)
+        put(obs, OBS_PHI, n, phi)
+        put(obs, OBS_PHI_DOT, n, phi_dot)
+        put(obs, OBS_X_DOT, n, v)
         x = at(past, near + FLANGE_X, n)
         x += f * (at(past, far + FLANGE_X, n) - x)
         put(estimate, EST_X, n, x)
-        put(seen, OBS_X, n, x)
+        put(obs, OBS_X, n, x)
     if controller.horizon == 0.0:
         return
     part = delay - whole * h
@@ -507,50 +478,44 @@ def observe(
         if part > MIN_PREDICTION_STEP:
             to = _entry(newest, j)
             for n in range(lanes):
-                _propagate(seen, at(past, to + PIVOT_V, n), part, pendulum, n)
+                _propagate(obs, at(past, to + PIVOT_V, n), part, pendulum, n)
         part = h
     part = controller.horizon - delay
     home_x = controller.home_reference[POSITION]
     if part > MIN_PREDICTION_STEP:
         for n in range(lanes):
-            _propagate(seen, at(frame, TWIST, n), part, pendulum, n)
+            _propagate(obs, at(frame, TWIST, n), part, pendulum, n)
     for n in range(lanes):
-        put(seen, OBS_X, n, at(frame, POSITION, n) - home_x)
-        put(seen, OBS_X_DOT, n, at(frame, TWIST, n))
+        put(obs, OBS_X, n, at(frame, POSITION, n) - home_x)
+        put(obs, OBS_X_DOT, n, at(frame, TWIST, n))
 
 
 @inlined
-def _propagate(seen: Array, v: float, time: float, pendulum: PendulumParameters, n: int) -> None:
-    """Move the seen pendulum of lane `n` on while the pivot's velocity goes over to `v`."""
-    u = (v - at(seen, OBS_X_DOT, n)) / time
-    phi, phi_dot = at(seen, OBS_PHI, n), at(seen, OBS_PHI_DOT, n)
+def _propagate(obs: Array, v: float, time: float, pendulum: PendulumParameters, n: int) -> None:
+    """Propagate the predicted pendulum of lane `n` while the pivot velocity ramps to `v`."""
+    u = (v - at(obs, OBS_X_DOT, n)) / time
+    phi, phi_dot = at(obs, OBS_PHI, n), at(obs, OBS_PHI_DOT, n)
     phi, phi_dot = runge_kutta(phi, phi_dot, u, time, 0.0, pendulum)
-    put(seen, OBS_PHI, n, phi)
-    put(seen, OBS_PHI_DOT, n, phi_dot)
-    put(seen, OBS_X_DOT, n, v)
+    put(obs, OBS_PHI, n, phi)
+    put(obs, OBS_PHI_DOT, n, phi_dot)
+    put(obs, OBS_X_DOT, n, v)
 
 
 @kernel
-def command(controller: ControllerParams, memory: ControllerState, lanes: int) -> None:
-    """Turn u into setpoints for the joints, in the first lanes.
+def command(controller: ControllerParams, state: ControllerState, lanes: int) -> None:
+    """Compute the setpoints of the joints from u, in the first lanes.
 
-    Reads `memory.u` and `memory.noise`; writes `memory.setpoints`, and brings the commanded joints
+    Reads `state.u` and `state.noise`; writes `state.setpoints`, and advances the commanded joints
     and the model of the arm to the end of the tick.
 
     Args:
         controller: Constants.
-        memory: Changed in place.
-        lanes: How many lanes.
+        state: Changed in place.
+        lanes: Number of lanes.
     """
-    q, dq, ddq, frame, reference = memory.q, memory.dq, memory.ddq, memory.frame, memory.reference
-    e, noise, u, setpoints, beyond = (
-        memory.e,
-        memory.noise,
-        memory.u,
-        memory.setpoints,
-        memory.limit_exceeded,
-    )
-    h, limits = controller.h, controller.limits
+    q, dq, ddq, frame, reference = state.q, state.dq, state.ddq, state.frame, state.reference
+    e, noise, u, setpoints = state.e, state.noise, state.u, state.setpoints
+    beyond, h, limits = state.limit_exceeded, controller.h, controller.limits
     for n in range(lanes):
         e0, e1, e2, e3, e4, e5 = pose_error(frame, reference, n)
         put(e, 0, n, e0 + at(noise, 0, n))
@@ -560,7 +525,7 @@ def command(controller: ControllerParams, memory: ControllerState, lanes: int) -
         put(e, 4, n, e4 + at(noise, 4, n))
         put(e, 5, n, e5 + at(noise, 5, n))
         put(reference, GAMMA, n, u[n])
-    memory.damped[0] += joint_acceleration(frame, reference, e, controller.clik, ddq, lanes)
+    state.damped[0] += joint_acceleration(frame, reference, e, controller.clik, ddq, lanes)
     for n in range(lanes):
         beyond[n] = 0
         move = at(reference, TWIST, n) * h + 0.5 * u[n] * h * h
@@ -577,47 +542,36 @@ def command(controller: ControllerParams, memory: ControllerState, lanes: int) -
             put(setpoints, 6 + i, n, angle)
             put(q, i, n, angle)
             put(dq, i, n, v)
-            within = (
-                (lower <= angle)
-                & (angle <= upper)
-                & (abs(v) <= max_velocity)
-                & (abs(a) <= max_acceleration)
-            )
-            beyond[n] = beyond[n] if within else 1
+            slow = (abs(v) <= max_velocity) & (abs(a) <= max_acceleration)
+            beyond[n] = beyond[n] if (lower <= angle) & (angle <= upper) & slow else 1
     controller.kinematics(q, dq, frame, lanes)
     if controller.has_sensor:
-        _advance_arm_model(controller, memory, lanes)
+        _advance_arm_model(controller, state, lanes)
 
 
 @kernel
-def _advance_arm_model(controller: ControllerParams, memory: ControllerState, lanes: int) -> None:
-    """Bring the model of the arm to the end of the tick, and remember its motion."""
-    room, past, frame = memory.scratch, memory.history, memory.model_frame
+def _advance_arm_model(controller: ControllerParams, state: ControllerState, lanes: int) -> None:
+    """Advance the model of the arm to the end of the tick, and record its motion."""
+    scratch, past, frame = state.scratch, state.history, state.model_frame
+    q, dq, share = state.model_q, state.model_dq, controller.share
     cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
     for s in range(SETPOINTS_PER_TICK):
-        target = memory.setpoints[6 * s * BATCH_SIZE : 6 * (s + 1) * BATCH_SIZE]
+        target = state.setpoints[6 * s * BATCH_SIZE : 6 * (s + 1) * BATCH_SIZE]
         for _ in range(cycles):
-            follow(
-                memory.model_q,
-                memory.model_dq,
-                target,
-                controller.share,
-                controller.actuator,
-                lanes,
-            )
-    memory.newest[0] = (memory.newest[0] + 1) % HISTORY_TICKS
-    entry = _entry(memory.newest[0], 0)
+            follow(q, dq, target, share, controller.actuator, lanes)
+    state.newest[0] = (state.newest[0] + 1) % HISTORY_TICKS
+    entry = _entry(state.newest[0], 0)
     for i in range(6):
         for n in range(lanes):
-            angle = at(memory.model_q, i, n)
+            angle = at(q, i, n)
             put(past, entry + MODEL_Q + i, n, angle)
-            put(room, i, n, angle + at(memory.offset, i, n))
-    controller.kinematics(room, memory.model_dq, frame, lanes)
+            put(scratch, i, n, angle + at(state.offset, i, n))
+    controller.kinematics(scratch, dq, frame, lanes)
     home_x = controller.home_reference[POSITION]
     for n in range(lanes):
         put(past, entry + PIVOT_V, n, pivot_velocity(frame, controller.pivot, n))
         put(past, entry + FLANGE_X, n, at(frame, POSITION, n) - home_x)
-        put(past, entry + TILT, n, -pose_error(frame, memory.reference, n)[4])
+        put(past, entry + TILT, n, -pose_error(frame, state.reference, n)[4])
 
 
 @inlined
@@ -626,7 +580,7 @@ def pivot_velocity(frame: Array, pivot: tuple[float, float, float], n: int) -> f
 
     Args:
         frame: Record of the arm's kinematics.
-        pivot: In the flange frame [m].
+        pivot: The pivot in the flange frame [m].
         n: Lane.
     """
     px, py, pz = pivot
@@ -637,21 +591,14 @@ def pivot_velocity(frame: Array, pivot: tuple[float, float, float], n: int) -> f
 
 
 @kernel
-def copy_controller_state(memory: ControllerState, source: int, target: int) -> None:
-    """Copy the memory of one lane to another, which closes the gap that a finished one leaves."""
-    copy_rows(memory.q, source, target)
-    copy_rows(memory.dq, source, target)
-    copy_rows(memory.ddq, source, target)
-    copy_rows(memory.frame, source, target)
-    copy_rows(memory.reference, source, target)
-    copy_rows(memory.setpoints, source, target)
-    copy_rows(memory.model_q, source, target)
-    copy_rows(memory.model_dq, source, target)
-    copy_rows(memory.offset, source, target)
-    copy_rows(memory.history, source, target)
-    copy_rows(memory.estimate, source, target)
-    copy_rows(memory.observation, source, target)
-    memory.limit_exceeded[target] = memory.limit_exceeded[source]
+def copy_controller_state(state: ControllerState, source: int, target: int) -> None:
+    """Copy the state of one lane to another, to close the gap of a finished one."""
+    commanded = state.q, state.dq, state.ddq, state.frame, state.reference, state.setpoints
+    modelled = state.model_q, state.model_dq, state.offset, state.history
+    observed = state.estimate, state.observation
+    for block in commanded + modelled + observed:
+        copy_rows(block, source, target)
+    state.limit_exceeded[target] = state.limit_exceeded[source]
 
 
 @kernel

@@ -1,7 +1,7 @@
-"""The controller of one arm, as Python drives it: the kernels of the training, on one lane.
+"""Controller of one arm for Python: the kernels of the training, on one lane.
 
-Nothing is computed here: measurements go into the lane's memory, `observe`, `act` and `command` of
-`equipoise.control.control_step` and `.policy` run, and what they leave there comes out.
+`Controller` writes measurements into the lane's state, calls `observe` and `command` of
+`equipoise.control.control_step`, and reads their results from there.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Observation(NamedTuple):
-    """What the policy sees."""
+    """Observation of the policy."""
 
     x: float
     """Displacement of the flange from home [m]."""
@@ -51,14 +51,14 @@ class Observation(NamedTuple):
 
 
 class StateEstimate(NamedTuple):
-    """What the observer believes now."""
+    """Estimate of the observer at the tick."""
 
     phi: float
     """Angle of the pendulum from upright [rad]."""
     phi_dot: float
     """Its rate [rad/s]."""
     bias: float
-    """What the encoder reads too much of phi [rad]."""
+    """Encoder zero offset [rad]."""
     v: float
     """Velocity of the pivot along x [m/s]."""
     x: float
@@ -66,52 +66,44 @@ class StateEstimate(NamedTuple):
 
 
 class Controller:
-    """A controller with its memory."""
+    """A controller with its state."""
 
     def __init__(self, arm: Arm, controller: ControllerParams) -> None:
         """Begin at home, at rest."""
         self._arm, self._controller = arm, controller
-        self._memory, self._boxes = new_controller_state(), boxes()
+        self._state, self._boxes = new_controller_state(), boxes()
         self._free = list(arm.free)
         self._home_x = float(controller.home_reference[POSITION])
         self.begin(0.0, 0.0)
 
-    @property
-    def h(self) -> float:
-        """Time between ticks [s]."""
-        return self._controller.h
-
     def begin(self, phi: float, phi_dot: float) -> None:
-        """Begin at home, at rest, with the pendulum as it was measured [rad], [rad/s]."""
-        start_controller(self._controller, self._memory, 0.0, 0.0, phi, phi_dot, 0)
+        """Begin at home, at rest, with the measured pendulum [rad], [rad/s]."""
+        start_controller(self._controller, self._state, 0.0, 0.0, phi, phi_dot, 0)
 
     def observe(
         self, counts: float, encoder_age: float, q: Sequence[float], reply_age: float
-    ) -> Observation:
-        """Take the measurements of a tick, and return what the policy sees.
+    ) -> None:
+        """Compute the observation from the measurements of a tick.
 
         Args:
             counts: Encoder counts from hanging, growing with theta.
-            encoder_age: How old they are [s].
+            encoder_age: Age of the counts [s].
             q: Measured joints, all of them [rad].
-            reply_age: How old those are [s].
+            reply_age: Age of the joints [s].
         """
-        memory = self._memory
-        memory.counts[0] = counts
-        for row, joint in enumerate(self._free):
-            memory.measured[row * BATCH_SIZE] = q[joint]
-        observe(self._controller, memory, encoder_age, reply_age, 1)
-        return self.observation
+        self._state.counts[0] = counts
+        self._state.measured[::BATCH_SIZE] = [q[joint] for joint in self._free]
+        observe(self._controller, self._state, encoder_age, reply_age, 1)
 
     @property
     def observation(self) -> Observation:
-        """What the policy sees."""
-        return Observation(*self._memory.observation[::BATCH_SIZE].tolist())
+        """Observation of the policy."""
+        return Observation(*self._state.observation[::BATCH_SIZE].tolist())
 
     @property
     def estimate(self) -> StateEstimate:
-        """What the observer believes."""
-        return StateEstimate(*self._memory.estimate[::BATCH_SIZE].tolist())
+        """Estimate of the observer."""
+        return StateEstimate(*self._state.estimate[::BATCH_SIZE].tolist())
 
     def decide(self, policy: Policy) -> float:
         """Return the policy's u [m/s^2] for the observation."""
@@ -124,49 +116,45 @@ class Controller:
 
     def command(self, u: float) -> tuple[tuple[float, ...], ...]:
         """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""
-        memory = self._memory
-        memory.u[0] = u
-        command(self._controller, memory, 1)
-        free = memory.setpoints[::BATCH_SIZE].reshape(SETPOINTS_PER_TICK, FREE_JOINTS).tolist()
-        return tuple(self._all(one) for one in free)
+        self._state.u[0] = u
+        command(self._controller, self._state, 1)
+        setpoints = self._state.setpoints.reshape(SETPOINTS_PER_TICK, -1)
+        return tuple(self._all_joints(self._arm.home, setpoint) for setpoint in setpoints)
 
     @property
     def limit_exceeded(self) -> bool:
-        """Whether the last command left a limit of a joint."""
-        return bool(self._memory.limit_exceeded[0])
+        """Whether the last command exceeded a limit of a joint."""
+        return bool(self._state.limit_exceeded[0])
 
     @property
     def q(self) -> tuple[float, ...]:
         """Commanded joints at the end of the tick, all of them [rad]."""
-        return self._all(self._memory.q[::BATCH_SIZE].tolist())
+        return self._all_joints(self._arm.home, self._state.q)
 
     @property
     def dq(self) -> tuple[float, ...]:
         """Their velocities [rad/s]."""
-        rates = [0.0] * len(self._arm.joints)
-        for joint, rate in zip(self._free, self._memory.dq[::BATCH_SIZE].tolist(), strict=True):
-            rates[joint] = rate
-        return tuple(rates)
+        return self._all_joints((0.0,) * len(self._arm.joints), self._state.dq)
 
     @property
     def x(self) -> float:
         """Commanded displacement of the flange at the end of the tick [m]."""
-        return float(self._memory.frame[POSITION * BATCH_SIZE]) - self._home_x
+        return float(self._state.frame[POSITION * BATCH_SIZE]) - self._home_x
 
     @property
     def x_dot(self) -> float:
         """Its velocity [m/s]."""
-        return float(self._memory.frame[TWIST * BATCH_SIZE])
+        return float(self._state.frame[TWIST * BATCH_SIZE])
 
-    def _all(self, free: Sequence[float]) -> tuple[float, ...]:
-        joints = list(self._arm.home)
-        for joint, angle in zip(self._free, free, strict=True):
-            joints[joint] = angle
-        return tuple(joints)
+    def _all_joints(self, held: Sequence[float], free: Array) -> tuple[float, ...]:
+        """Return `held` with the free joints of a block."""
+        joints = np.array(held, np.float64)
+        joints[self._free] = free[::BATCH_SIZE]
+        return tuple(joints.tolist())
 
 
 class FlangePose(NamedTuple):
-    """Where the flange is, by measured joints."""
+    """Pose of the flange, from measured joints."""
 
     x: float
     """Displacement from home along base x [m]."""
@@ -179,24 +167,21 @@ class FlangePose(NamedTuple):
 
 
 class FlangeKinematics:
-    """Where the flange is, for whoever watches over it."""
+    """Forward kinematics of measured joints, for the safety rules."""
 
     def __init__(self, arm: Arm, controller: ControllerParams) -> None:
-        """Take the arm's kinematics."""
-        self._kinematics = controller.kinematics
-        self._home = controller.home_reference
-        self._free = list(arm.free)
+        """Allocate the blocks of a pose."""
+        self._controller, self._free = controller, list(arm.free)
         self._q, self._dq = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FREE_JOINTS * BATCH_SIZE)
         self._frame = np.zeros(FRAME_SIZE * BATCH_SIZE)
 
-    def place(self, q: Sequence[float]) -> FlangePose:
-        """Return where measured joints, all of them [rad], have the flange."""
-        for row, joint in enumerate(self._free):
-            self._q[row * BATCH_SIZE] = q[joint]
-        x, drift, tilt, w = flange_pose(
-            self._kinematics, self._q, self._dq, self._frame, self._home
+    def pose(self, q: Sequence[float]) -> FlangePose:
+        """Return the pose of the flange at measured joints, all of them [rad]."""
+        self._q[::BATCH_SIZE] = [q[joint] for joint in self._free]
+        kinematics, home = self._controller.kinematics, self._controller.home_reference
+        return FlangePose(
+            *map(float, flange_pose(kinematics, self._q, self._dq, self._frame, home))
         )
-        return FlangePose(float(x), float(drift), float(tilt), float(w))
 
 
 @kernel
@@ -206,10 +191,10 @@ def flange_pose(
     """Return the entries of `FlangePose`, for the first lane of a block of joints.
 
     Args:
-        kinematics: Of the arm.
+        kinematics: Kinematics of the arm.
         q: Free joints [rad], a block of 6 rows.
         dq: Zero, a block of 6 rows.
-        frame: Room for the record.
+        frame: Scratch for the record.
         home: Pose of the flange at home, shape (24,).
     """
     kinematics(q, dq, frame, 1)

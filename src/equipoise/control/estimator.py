@@ -6,13 +6,12 @@ acceleration of the pivot; then the newest count corrects it:
 .. math:: \hat s \leftarrow \hat s + L\,(y - \hat\varphi - \hat\beta), \qquad
           \hat s = (\hat\varphi, \hat{\dot\varphi}, \hat\beta)
 
-The bias beta is what the encoder reads too much: a wrong zero. A pendulum that stands is, on
-average, upright, whatever its encoder says: a persistent lean would show as a mean acceleration of
-the pivot of g beta. That makes beta observable; it may drift slowly.
+The bias beta is the encoder's zero offset. A balanced pendulum is upright on average: a persistent
+lean would require a mean acceleration of the pivot of g beta. That makes beta observable; it may
+drift slowly.
 
-L is the stationary Kalman gain at upright. It needs no window of past counts, weighs each count by
-what it says about the rate, and takes a count from its own time (see
-`equipoise.control.control_step` for the formulas that run).
+L is the stationary Kalman gain at upright. The observer needs no window of past counts, and uses
+each count at its own time (`equipoise.control.control_step` has the formulas).
 """
 
 from math import pi
@@ -33,7 +32,7 @@ def observer_gains(
 
     Args:
         pendulum: Nominal parameters.
-        settings: What shakes the pendulum, and how fast the bias may drift.
+        settings: Disturbance of the pendulum, noise of the angle and drift of the bias.
         counts_per_rev: Encoder counts per revolution.
         h: Time between ticks [s].
     """

@@ -1,9 +1,9 @@
-r"""The smoothest way from rest to rest: a polynomial of fifth order (Flash & Hogan 1985).
+r"""Minimum-jerk paths from rest to rest: polynomials of fifth order (Flash & Hogan 1985).
 
 .. math:: s(\tau) = 10 \tau^3 - 15 \tau^4 + 6 \tau^5, \qquad \tau = t / T
 
-Velocity and acceleration are zero at both ends; s never leaves [0, 1]. All joints, or one place on
-the track, go along a straight line together.
+Velocity and acceleration are zero at both ends; s stays within [0, 1]. All joints, or one position
+on the track, move along a straight line together.
 """
 
 from collections.abc import Sequence
@@ -21,28 +21,28 @@ Numbers = tuple[float, ...]
 
 
 class Point(NamedTuple):
-    """Where a path is at a time."""
+    """State of a path at a time."""
 
     q: Numbers
-    """Places, such as joints [rad] or metres."""
+    """Positions: joints [rad] or the track [m]."""
     dq: Numbers
-    """Their velocities."""
+    """Their velocities [rad/s] or [m/s]."""
     ddq: Numbers
-    """Their accelerations."""
+    """Their accelerations [rad/s^2] or [m/s^2]."""
 
 
 class Path(NamedTuple):
     """A minimum-jerk path from rest to rest."""
 
     start: Numbers
-    """Where it begins."""
+    """Positions at its start."""
     end: Numbers
-    """Where it ends."""
+    """Positions at its end."""
     duration: float
-    """T [s]; zero where there is no way to go."""
+    """Duration T [s]; zero without motion."""
 
     def at(self, time: float) -> Point:
-        """Return the path at a time since its begin [s]; before and after it rests."""
+        """Return the state at a time since the start [s]; at rest before and after the path."""
         if time <= 0.0 and self.duration > 0.0:
             return Point(self.start, (0.0,) * len(self.start), (0.0,) * len(self.start))
         if time >= self.duration:
@@ -69,8 +69,8 @@ def path_within(
     """Return the quickest minimum-jerk path within limits.
 
     Args:
-        start: Where it begins, shape (n,).
-        end: Where it ends, shape (n,).
+        start: Positions at its start, shape (n,).
+        end: Positions at its end, shape (n,).
         velocity: Limits of the velocities, positive, shape (n,).
         acceleration: Limits of the accelerations, positive, shape (n,).
 

@@ -22,7 +22,7 @@ TYPES: Final = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 
 class OnnxPolicy:
-    """A network without a state of its own."""
+    """A network without a state."""
 
     def __init__(self, path: StrPath, digest: str | None = None) -> None:
         """Read a network.

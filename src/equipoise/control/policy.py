@@ -1,8 +1,8 @@
 """Policies: maps from the observation (x, x_dot, phi, phi_dot) to an acceleration u of the flange.
 
-`Policy` is the protocol of two methods that every policy meets. `TaskPolicy` adds what trials and
-runs need beside it: pendulum, arm, actuator, settings and a digest. `TabularPolicy`, the paper's
-table as a file, brings all of that along; `equipoise.control.bound_policy` adds it to any other.
+Every policy has the two methods of `Policy`. `TaskPolicy` adds the task of trials and runs:
+pendulum, arm, actuator, settings and a digest. `TabularPolicy`, the paper's table as a file,
+includes them; `equipoise.control.bound_policy` adds them to any other policy.
 
 Compiled loops call the kernel `act` with a `PolicyKernel`; a policy without one runs in Python.
 """
@@ -36,7 +36,7 @@ RANDOM: Final = 3
 
 
 class Policy(Protocol):
-    """A map from observations to accelerations of the flange, which may keep a state."""
+    """A map from observations to accelerations of the flange; it may have a state."""
 
     def reset(self) -> None:
         """Begin a trial or a run: forget the state of the one before."""
@@ -63,7 +63,7 @@ class PolicyKernel(NamedTuple):
 
 
 class TaskPolicy(Policy, Protocol):
-    """A policy with the task that it is used on: the argument of evaluations, studies and runs."""
+    """A policy with its task: the argument of evaluations, studies and runs."""
 
     @property
     def name(self) -> str:
@@ -77,7 +77,7 @@ class TaskPolicy(Policy, Protocol):
 
     @property
     def kernel(self) -> PolicyKernel | None:
-        """The policy for compiled loops; none where it runs in Python only."""
+        """The policy for compiled loops; None for a policy in Python."""
         ...
 
     @property
@@ -150,7 +150,7 @@ def policy_kernel(
     u_of_box: Array | None = None,
     gains: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
 ) -> PolicyKernel:
-    """Return a `PolicyKernel`; what its kind does not use stays zero."""
+    """Return a `PolicyKernel`; values that its kind does not use are zero."""
     return PolicyKernel(
         kind=kind,
         u_of_box=np.zeros(boxes.COUNT) if u_of_box is None else np.array(u_of_box),
@@ -210,12 +210,12 @@ class _Numbers(Value):
 
 
 class LearningPoint(Value):
-    """State of the training after some episodes."""
+    """Point of the learning curve: state of the training after some episodes."""
 
     episodes: Count
-    """Episodes so far."""
+    """Number of episodes."""
     steps: Count
-    """Control steps so far."""
+    """Number of control steps."""
     duration: Number
     """Mean duration of the training episodes that ended since the last point [s]."""
     survival: Share | None = None
@@ -230,7 +230,7 @@ class Checkpoint(Value):
     trials: Count
     """Number of selection trials."""
     survived: Count
-    """Number of trials that lasted."""
+    """Number of trials survived."""
     mean_duration: Number
     """Mean duration of the trials [s]."""
     rms_x: Number
@@ -240,7 +240,7 @@ class Checkpoint(Value):
 
 
 class TabularPolicy(Viewable, Artefact):
-    """A trained table, with all that is needed to run it and to train it again."""
+    """A trained table, with its task and the settings to train it again."""
 
     FORMAT: ClassVar[str] = "equipoise-policy"
     VERSION: ClassVar[int] = 3
@@ -344,7 +344,7 @@ def greedy_accelerations(Q: Array) -> Array:
 
 @functools.lru_cache(maxsize=16)
 def _greedy(Q: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
-    """Return the same as Python numbers; cached, since `act` needs them in every step."""
+    """Return the greedy accelerations as Python numbers; cached, since every `act` needs them."""
     return tuple(greedy_accelerations(np.array(Q)).tolist())
 
 

@@ -76,7 +76,7 @@ class PythonPolicy:
         return PythonPolicy, (self._source, self.name)
 
     def reset(self) -> None:
-        """Call the policy's own `reset`; make an object anew if its class has none."""
+        """Call the policy's `reset`; create a new object of a class without one."""
         if hasattr(self._decide, "reset"):
             self._decide.reset()
         elif self._is_class:
@@ -108,7 +108,7 @@ def _digest(source: Any, name: str, module: ModuleType | None) -> str:
     files = set[str]() if module is None else {source_digest(module)}
     try:
         files.add(source_digest(defined))
-    except InputError:  # compiled code: the module that names it stands for it
+    except InputError:  # compiled code: its module has a digest
         if module is None:
             raise
     text = "\n".join((name, *sorted(files)))

@@ -1,21 +1,21 @@
-r"""Is a hand on the pendulum? Told from the encoder alone: held, armed, released.
+r"""Detection of the release from the encoder alone: held, armed, released.
 
 Armed
     The pendulum stands: |phi| < 1 deg and |mean phi_dot over 0.2 s| < 5 deg/s, for 0.5 s.
 Released
-    From armed, beyond 1.5 deg, it falls as a pendulum falls by itself: over the last 40 ms
-    phi_ddot agrees with w2 sin(phi) - c phi_dot within 30 %, its derivative with w2 phi_dot as far
-    as counts show it, and phi_dot / (w phi) lies in 0.6 to 3, w = sqrt(w2). This has to hold for
-    10 ms. Where \|phi + phi_dot / w\| has reached 4 deg there is no time left: then two samples
-    do, also before 1.5 deg, and phi_ddot may be off by what counts leave open.
+    From armed, beyond 1.5 deg, the pendulum falls freely: over the last 40 ms phi_ddot agrees with
+    w2 sin(phi) - c phi_dot within 30 %, its derivative with w2 phi_dot within the resolution of
+    the counts, and phi_dot / (w phi) lies in 0.6 to 3, w = sqrt(w2). This has to hold for 10 ms.
+    From \|phi + phi_dot / w\| = 4 deg on time is short: two samples suffice, also before 1.5 deg,
+    and phi_ddot has the tolerance of the counts' noise.
 Held again
-    It was not found falling, and is beyond 4 deg, has come back below 1.5 deg, or stayed between
-    them for longer than a fall does: the hand is still on.
+    No fall was detected, and the pendulum is beyond 4 deg, has come back below 1.5 deg, or stayed
+    between them for longer than a fall: the hand is still on.
 
 phi + phi_dot / w grows as e^{w t}, by 40 % in 40 ms; phi - phi_dot / w dies away. The ratio is 1
-where a fall from rest ends. It starts above 1 where a trembling hand lets go with a rate: what
-falls from phi = 0 comes below 1.4 only after the growing part has become 2.4 times as large. Why
-the ratio goes to 3 and what the 10 ms and the 4 deg are for: `docs/decisions/release.md`.
+where a fall from rest ends. It starts above 1 where a trembling hand releases with a rate: in a
+fall from phi = 0 it comes below 1.4 only after the growing part has become 2.4 times as large.
+`docs/decisions/release.md` gives the reasons for the ratio of 3, the 10 ms and the 4 deg.
 """
 
 from enum import Enum
@@ -81,7 +81,7 @@ class ReleaseState(Enum):
     HELD = "held"
     """Held by a hand, or unknown."""
     ARMED = "armed"
-    """Held still by a hand, which may let go."""
+    """Held still by a hand, which may release it."""
     RELEASED = "released"
     """Released: it falls, and has to be balanced now."""
 
@@ -166,11 +166,8 @@ class ReleaseDetector:
         """Arm a pendulum that has been still for long enough."""
         before, phi_before = self._of(self._oldest)
         long_enough = time - before >= ARM_AVERAGING_TIME
-        if not (
-            long_enough
-            and abs(phi) < ARM_ANGLE
-            and abs(phi - phi_before) < ARM_RATE * (time - before)
-        ):
+        still = abs(phi) < ARM_ANGLE and abs(phi - phi_before) < ARM_RATE * (time - before)
+        if not (long_enough and still):
             self._still_since = inf
             return
         self._still_since = min(self._still_since, time)
@@ -186,9 +183,8 @@ class ReleaseDetector:
         falls, grown = self._falls(time)
         falls = falls and (beyond or grown >= FALL_GROWTH_ANGLE)
         self._falling_since = min(self._falling_since, time) if falls else inf
-        if falls and time - self._falling_since >= (
-            FALL_TIME if grown < FALL_GROWTH_ANGLE else FAST_FALL_TIME
-        ):
+        min_time = FALL_TIME if grown < FALL_GROWTH_ANGLE else FAST_FALL_TIME
+        if falls and time - self._falling_since >= min_time:
             self.grip = ReleaseState.RELEASED
         elif beyond:
             self._beyond_since = min(self._beyond_since, time)
@@ -216,10 +212,8 @@ class ReleaseDetector:
         phi, phi_dot = phi * c + phi_dot * s / w, phi * w * s + phi_dot * c
         grown = abs(phi + phi_dot / w)
         share = ACCELERATION_TOLERANCE * abs(free)
-        agrees = (
-            off <= (share if grown < FALL_GROWTH_ANGLE else max(share, ACCELERATION_NOISE))
-            and off_jerk <= JERK_TOLERANCE
-        )
+        tolerance = share if grown < FALL_GROWTH_ANGLE else max(share, ACCELERATION_NOISE)
+        agrees = off <= tolerance and off_jerk <= JERK_TOLERANCE
         # The ratio's bounds, without a division by phi.
         along = phi_dot if phi > 0.0 else -phi_dot
         fast = RATE_RATIO[0] * w * abs(phi) <= along <= RATE_RATIO[1] * w * abs(phi)

@@ -3,27 +3,27 @@ r"""Safety rules of a run on a rig: pure functions that return the first broken 
 Two checks, both without a clock and without I/O:
 
 `check_setpoint`, `check_first`
-    Whether a setpoint may be sent; called for each, just before it is sent.
+    Check of a setpoint, just before it is sent.
 `check`
-    Whether the run may go on; called once per tick with the current state (`SafetyInputs`) and the
-    state of the checks that span several ticks (`MonitorState`, from `update_monitor`).
+    Check of the run, once per tick, from its current state (`SafetyInputs`) and the state of the
+    checks that span several ticks (`MonitorState`, from `update_monitor`).
 
 Each returns the first broken rule in the order of `Rule`, or None. A broken rule leads to a latched
 stop (`equipoise.control.states`, `equipoise.control.stop`).
 
 The deciding functions are `@compilable`: the same ones run in the trials of the digital twin
 (`equipoise.control.trial_safety`), where a broken rule ends the trial. They return codes and
-numbers; the messages are written here.
+numbers; this module adds the messages.
 
-Rules never clip. Neither a forbidden setpoint nor a speed is reduced: the controller would go on
-with a motion that does not happen.
+Rules never clip: with a reduced setpoint the controller would continue a motion that does not
+happen.
 
 The joints' limits are those of the rig's arm; all other limits stand here with their reasons. These
 rules are no safety functions in the sense of a standard: they run on a PC that may fail, and a KST
-server then goes on to its last target. The rules keep that target near.
+server then moves on to its last target. The rules keep that target near.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from enum import Enum
 from math import copysign, inf, isfinite, nan, pi, radians
 from typing import Final, NamedTuple
@@ -132,7 +132,7 @@ class Rule(Enum):
     ACCELERATION = "joint acceleration"
     """A setpoint asks for more than the joint's acceleration."""
     SINGULAR = "near singularity"
-    """The arm is close to a posture in which it cannot move the flange at will."""
+    """The arm is close to a singular posture."""
     TRACK = "track"
     """The flange could not be stopped within its track any more."""
     SPEED = "flange speed"
@@ -159,7 +159,6 @@ RULES: Final = tuple(Rule)
 """Rules by code: compiled functions name a rule by its index here."""
 NO_VIOLATION: Final = -1
 """Code for no broken rule."""
-TORQUE_CODE: Final = RULES.index(Rule.TORQUE)
 FOLLOWING_CODE: Final = RULES.index(Rule.FOLLOWING)
 POSITION_CODE: Final = RULES.index(Rule.POSITION)
 JUMP_CODE: Final = RULES.index(Rule.JUMP)
@@ -189,12 +188,65 @@ class Violation(NamedTuple):
     limit: float
     """Limit of the rule."""
     joint: int | None = None
-    """Number of the joint, from one; None for a rule that concerns no single joint."""
+    """Number of the joint, from one; None for a rule about the whole arm or rig."""
 
     @property
     def from_measured(self) -> bool:
         """Whether the targets have to restart from the measured posture."""
         return self.rule in FROM_MEASURED
+
+
+MESSAGES: Final = {
+    Rule.NUMBER: "{what}, expected a finite number",
+    Rule.COUNT: "{what} has {value:g} numbers, expected {limit:g}, one per joint",
+    Rule.LINK: "the robot has not answered for {milli:.0f} ms, expected at most {max_milli:.0f} "
+    "ms; software may be unable to stop it: use the emergency stop",
+    Rule.NOT_FOLLOWING: "the arm stands still where a joint should have moved by {value:.3f} rad: "
+    "emergency stop, enabling switch, protective stop or another mode",
+    Rule.TORQUE: "the external torque at joint {joint} is {value:.1f} N m from that at rest, "
+    "expected at most {limit:.1f} N m: something touches the arm",
+    Rule.FOLLOWING: "joint {joint} is {value:.3f} rad from where it is expected for "
+    "{astray:.0f} ms, expected at most {limit:g} rad",
+    Rule.FIRST: "the first setpoint of joint {joint} is {value:.4f} rad from where it is "
+    "measured, expected at most {limit:g} rad",
+    Rule.POSITION: "the setpoint of joint {joint} {what} at {value:.4f} rad, expected {lower:.4f} "
+    "to {upper:.4f} rad: its limits less the margin of the rig",
+    Rule.JUMP: "the setpoint of joint {joint} jumps by {value:.4f} rad, expected at most "
+    "{limit:.4f} rad; are its units right?",
+    Rule.VELOCITY: "the setpoint of joint {joint} asks for {value:.3f} rad/s, expected at most "
+    "{limit:.3f} rad/s",
+    Rule.ACCELERATION: "the setpoint of joint {joint} asks for {value:.2f} rad/s^2, expected at "
+    "most {limit:.2f} rad/s^2",
+    Rule.SINGULAR: "the arm is near a singularity: |det J| is {value:.2g} m^3, expected at least "
+    "{limit:.2g} m^3",
+    Rule.TRACK: "the flange is at {x:.3f} m with {x_dot:.3f} m/s and could be stopped at "
+    "{reach:.3f} m, expected less than {limit:g} m from home",
+    Rule.SPEED: "the flange moves at {value:.3f} m/s, expected less than {limit:.3g} m/s",
+    Rule.DRIFT: "the flange is {milli:.1f} mm off its line, expected at most {max_milli:g} mm",
+    Rule.TILT: "the flange is tilted by {degrees:.2f} deg, expected at most {max_degrees:g} deg",
+    Rule.TICK: "the loop {what}; `equipoise rig doctor` looks for the cause",
+    Rule.ENCODER_STALE: "the newest encoder sample is {milli:.1f} ms old, expected at most "
+    "{max_milli:g} ms; look at its cable",
+    Rule.ENCODER_ILLEGAL: "the encoder's lines changed both at once: counts are lost; look at its "
+    "wiring",
+    Rule.ENCODER_GAP: "{value:g} encoder samples are missing, expected one at most, and that "
+    "seldom; look at its cable and at the load of this machine",
+    Rule.ENCODER_JUMP: "the encoder jumped by {degrees:.2f} deg more than a pendulum moves, "
+    "expected at most {max_degrees:g} deg; look at its coupling",
+    Rule.ANGLE: "the pendulum leans by {degrees:.1f} deg, expected less than {max_degrees:g} deg",
+}
+"""Message of each rule; `milli` is the value in thousandths, `degrees` converted from radians."""
+
+
+def _violation(
+    rule: Rule, value: float, limit: float, joint: int | None = None, **more: object
+) -> Violation:
+    """Return the violation of a rule, `more` being further values of its message."""
+    milli, degrees = (1e3 * value, 1e3 * limit), (np.rad2deg(value), np.rad2deg(limit))
+    more |= {"milli": milli[0], "max_milli": milli[1]}
+    more |= {"degrees": degrees[0], "max_degrees": degrees[1]}
+    reason = MESSAGES[rule].format(value=value, limit=limit, joint=joint, **more)
+    return Violation(rule, reason, value, limit, joint)
 
 
 class Limits(NamedTuple):
@@ -220,8 +272,8 @@ def limits_of(arm: Arm, *, margin: float = POSITION_MARGIN, speed_share: float =
 
     Args:
         arm: The arm.
-        margin: Setpoints stay so far inside the joints' limits [rad].
-        speed_share: ... and below this share of their velocity limits.
+        margin: Margin of setpoints inside the joints' position limits [rad].
+        speed_share: Usable share of the joints' velocity limits [-].
     """
     return Limits(
         lower=tuple(joint.lower + margin for joint in arm.joints),
@@ -272,11 +324,11 @@ def make_safety_params(
         u_max: Largest acceleration that the policy commands [m/s^2].
         h: Time between ticks [s].
         counts_per_rev: Encoder counts per revolution, after x4.
-        speed: The flange stays below this [m/s].
-        margin: Setpoints stay so far inside the joints' limits [rad].
-        speed_share: ... and below this share of their velocity limits.
-        torque_share: Of the torque that a joint can give: how far an external one may be from that
-            at home.
+        speed: Flange speed limit [m/s]; inf for none.
+        margin: Margin of setpoints inside the joints' position limits [rad].
+        speed_share: Usable share of the joints' velocity limits [-].
+        torque_share: Maximum change of an external torque from that at home, as a share of the
+            joint's torque limit [-].
     """
     at_home = abs(float(np.linalg.det(arm.kinematics(arm.home_free).jacobian)))
     return SafetyParams(
@@ -297,8 +349,8 @@ def make_safety_params(
 def check_setpoint(
     limits: Limits,
     q: Sequence[float],
-    last: Numbers,
-    before: Numbers,
+    last: Sequence[float],
+    before: Sequence[float],
     dt: float,
     to_rest: bool = False,
 ) -> Violation | None:
@@ -313,54 +365,41 @@ def check_setpoint(
         to_rest: Whether it belongs to a way to rest that ends inside the limits; the stopping
             position is not checked then.
     """
-    broken = _not_numbers(limits, q)
-    return broken or _worded_setpoint(
-        limits, q, broken_setpoint(limits, q, last, before, dt, to_rest)
-    )
+    if invalid := _invalid_numbers(limits, q, "a setpoint"):
+        return invalid
+    code, joint, value, limit = broken_setpoint(limits, q, last, before, dt, to_rest)
+    if code == NO_VIOLATION:
+        return None
+    what = "is" if value == q[joint - 1] else "could only be stopped"
+    lower, upper = limits.lower[joint - 1], limits.upper[joint - 1]
+    return _violation(RULES[code], value, limit, joint, what=what, lower=lower, upper=upper)
 
 
 def check_first(limits: Limits, q: Sequence[float], measured: Sequence[float]) -> Violation | None:
     """Return the rule that forbids the first setpoint of a stream, or None.
 
     Args:
-        limits: What it has to keep to.
+        limits: Limits of setpoints.
         q: The setpoint [rad], shape (n,).
         measured: The measured joints [rad], shape (n,).
     """
-    broken = _not_numbers(limits, q) or _not_numbers(limits, measured, "the measured posture")
-    if broken is not None:
-        return broken
-    for number, (place, there) in enumerate(zip(q, measured, strict=True), start=1):
-        away = abs(place - there)
-        if away > FIRST_LIMIT:
-            return Violation(
-                Rule.FIRST,
-                f"the first setpoint of joint {number} is {away:.4f} rad from where it is "
-                f"measured, expected at most {FIRST_LIMIT:g} rad",
-                away,
-                FIRST_LIMIT,
-                number,
-            )
-    return _worded_setpoint(limits, q, broken_setpoint(limits, q, q, q, inf))
+    for values, name in ((q, "a setpoint"), (measured, "the measured posture")):
+        if invalid := _invalid_numbers(limits, values, name):
+            return invalid
+    for joint, (angle, measured_angle) in enumerate(zip(q, measured, strict=True), start=1):
+        distance = abs(angle - measured_angle)
+        if distance > FIRST_LIMIT:
+            return _violation(Rule.FIRST, distance, FIRST_LIMIT, joint)
+    return check_setpoint(limits, q, q, q, inf)
 
 
-def _not_numbers(limits: Limits, q: Sequence[float], name: str = "a setpoint") -> Violation | None:
+def _invalid_numbers(limits: Limits, q: Sequence[float], name: str) -> Violation | None:
     if len(q) != limits.joints:
-        return Violation(
-            Rule.COUNT,
-            f"{name} has {len(q)} numbers, expected {limits.joints}, one per joint",
-            float(len(q)),
-            float(limits.joints),
-        )
-    for number, place in enumerate(q, start=1):
-        if not isfinite(place):
-            return Violation(
-                Rule.NUMBER,
-                f"{name} has {place} for joint {number}, expected a finite number",
-                place,
-                nan,
-                number,
-            )
+        return _violation(Rule.COUNT, float(len(q)), float(limits.joints), what=name)
+    for joint, angle in enumerate(q, start=1):
+        if not isfinite(angle):
+            what = f"{name} has {angle} for joint {joint}"
+            return _violation(Rule.NUMBER, angle, nan, joint, what=what)
     return None
 
 
@@ -371,15 +410,15 @@ def broken_setpoint(
     """Return the first rule that a setpoint breaks: its code, the joint, the value, the limit.
 
     Args:
-        limits: What it has to keep to.
+        limits: Limits of setpoints.
         q: The setpoint [rad], shape (n,), finite numbers.
         last: The one sent before [rad], shape (n,).
         before: The one before that [rad], shape (n,).
         dt: Time between setpoints in the stream [s].
-        to_rest: Whether it is on a way to rest that ends inside the limits.
+        to_rest: Whether it belongs to a way to rest that ends inside the limits.
 
     Returns:
-        The joint is counted from one; `NO_VIOLATION` and zeros where none is broken.
+        The joint is counted from one; `NO_VIOLATION` and zeros without a broken rule.
     """
     for i in range(len(q)):
         lower, upper = limits.lower[i], limits.upper[i]
@@ -404,32 +443,6 @@ def broken_setpoint(
     return NO_VIOLATION, 0, 0.0, 0.0
 
 
-def _worded_setpoint(
-    limits: Limits, q: Sequence[float], broken: tuple[int, int, float, float]
-) -> Violation | None:
-    code, joint, value, limit = broken
-    if code == NO_VIOLATION:
-        return None
-    where = f"the setpoint of joint {joint}"
-    if code == POSITION_CODE:
-        what = "is" if value == q[joint - 1] else "could only be stopped"
-        lower, upper = limits.lower[joint - 1], limits.upper[joint - 1]
-        reason = (
-            f"{where} {what} at {value:.4f} rad, expected {lower:.4f} to {upper:.4f} rad: its "
-            "limits less the margin of the rig"
-        )
-    elif code == JUMP_CODE:
-        reason = (
-            f"{where} jumps by {value:.4f} rad, expected at most {limit:.4f} rad; are its units "
-            "right?"
-        )
-    elif code == VELOCITY_CODE:
-        reason = f"{where} asks for {value:.3f} rad/s, expected at most {limit:.3f} rad/s"
-    else:
-        reason = f"{where} asks for {value:.2f} rad/s^2, expected at most {limit:.2f} rad/s^2"
-    return Violation(RULES[code], reason, value, limit, joint)
-
-
 # The run.
 
 
@@ -449,7 +462,7 @@ class SafetyInputs(NamedTuple):
     encoder_age: float = 0.0
     """Age of the newest encoder sample [s]."""
     encoder_illegal: bool = False
-    """Whether the board has seen an illegal transition since the tick before."""
+    """Whether the board found an illegal transition since the tick before."""
     encoder_missing: int = 0
     """Encoder samples lost since the tick before."""
     encoder_jump: float = 0.0
@@ -465,7 +478,7 @@ class SafetyInputs(NamedTuple):
     on_track: bool = False
     """Whether the flange has to be on its track, in line and orientation; not on the way home."""
     manipulability: float = inf
-    """|det J| [m^3]; inf where it is not checked."""
+    """Manipulability |det J| [m^3]; inf if unchecked."""
     drift: float = 0.0
     """Distance of the flange from its line [m]."""
     tilt: float = 0.0
@@ -487,110 +500,84 @@ class MonitorState(NamedTuple):
     """Maximum expected motion of a joint since then [rad]."""
 
 
-def update_monitor(guard: SafetyParams, before: MonitorState, view: SafetyInputs) -> MonitorState:
+def update_monitor(
+    params: SafetyParams, before: MonitorState, inputs: SafetyInputs
+) -> MonitorState:
     """Return the state of the checks that span several ticks, a tick later.
 
     Args:
-        guard: The rules.
+        params: Safety limits of the rig.
         before: The state at the tick before.
-        view: State of the run now; call `check` first, which finds invalid numbers.
+        inputs: State of the run now, checked for invalid numbers by `check` in the same tick.
     """
-    missed = before.missed + 1 if view.lateness >= guard.h else 0
-    measured, expected = view.measured, view.expected
+    missed = before.missed + 1 if inputs.lateness >= params.h else 0
+    measured, expected = inputs.measured, inputs.expected
     if measured is None or expected is None:
         return before._replace(missed=missed)
     error, _ = largest_difference(measured, expected)
-    astray = time_astray(before.astray, error, guard.h)
-    if (
-        before.rest is None
-        or before.expected is None
-        or largest_difference(measured, before.rest)[0] > STILL_ANGLE
-    ):
+    astray = time_astray(before.astray, error, params.h)
+    rest, then = before.rest, before.expected
+    if rest is None or then is None or largest_difference(measured, rest)[0] > STILL_ANGLE:
         return MonitorState(missed, astray, measured, expected)
-    farthest = max(before.farthest, largest_difference(expected, before.expected)[0])
-    return MonitorState(missed, astray, before.rest, before.expected, farthest)
+    farthest = max(before.farthest, largest_difference(expected, then)[0])
+    return MonitorState(missed, astray, rest, then, farthest)
 
 
-def check(guard: SafetyParams, watched: MonitorState, view: SafetyInputs) -> Violation | None:
+def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> Violation | None:
     """Return the broken rule that stops the run, or None; of several the first of `Rule`.
 
     Args:
-        guard: The rules.
-        watched: State of the checks that span several ticks, this one included.
-        view: State of the run now.
+        params: Safety limits of the rig.
+        monitor: State of the checks that span several ticks, this one included.
+        inputs: State of the run now.
     """
-    return (
-        _numbers(view)
-        or _link(view)
-        or _motion(guard, watched, view)
-        or (_flange(guard, view) if view.on_track else None)
-        or _tick(watched, view)
-        or _encoder(view)
-        or (_angle(view) if view.balancing else None)
-    )
+    return next(_violations(params, monitor, inputs), None)
 
 
-def _numbers(view: SafetyInputs) -> Violation | None:
-    for name, value in zip(view._fields, view, strict=True):
-        if value is None:
-            continue
-        if name == "manipulability" and value == inf:
+def _violations(
+    params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
+) -> Iterator[Violation]:
+    """Yield the broken rules in the order of `Rule`."""
+    for name, value in zip(inputs._fields, inputs, strict=True):
+        if value is None or (name == "manipulability" and value == inf):
             continue
         for number in value if isinstance(value, tuple) else (value,):
             if not isfinite(number):
-                return Violation(
-                    Rule.NUMBER,
-                    f"{name} is {number}, expected a finite number",
-                    number,
-                    nan,
-                )
-    return None
-
-
-def _link(view: SafetyInputs) -> Violation | None:
-    if view.overdue <= MAX_REPLY_TIME:
-        return None
-    return Violation(
-        Rule.LINK,
-        f"the robot has not answered for {1e3 * view.overdue:.0f} ms, expected at most "
-        f"{1e3 * MAX_REPLY_TIME:.0f} ms; software may be unable to stop it: use the emergency stop",
-        view.overdue,
-        MAX_REPLY_TIME,
-    )
-
-
-def _motion(guard: SafetyParams, watched: MonitorState, view: SafetyInputs) -> Violation | None:
-    if watched.farthest > EXPECTED_MOTION:
-        return Violation(
-            Rule.NOT_FOLLOWING,
-            f"the arm stands still where a joint should have moved by {watched.farthest:.3f} rad: "
-            "emergency stop, enabling switch, protective stop or another mode",
-            watched.farthest,
-            EXPECTED_MOTION,
+                yield _violation(Rule.NUMBER, number, nan, what=f"{name} is {number}")
+    if inputs.overdue > MAX_REPLY_TIME:
+        yield _violation(Rule.LINK, inputs.overdue, MAX_REPLY_TIME)
+    if monitor.farthest > EXPECTED_MOTION:
+        yield _violation(Rule.NOT_FOLLOWING, monitor.farthest, EXPECTED_MOTION)
+    if inputs.torque is not None and (joint := pushed(inputs.torque, params.torque)):
+        yield _violation(Rule.TORQUE, inputs.torque[joint - 1], params.torque[joint - 1], joint)
+    if is_astray(monitor.astray) and inputs.measured is not None and inputs.expected is not None:
+        error, joint = largest_difference(inputs.measured, inputs.expected)
+        yield _violation(Rule.FOLLOWING, error, FOLLOWING_LIMIT, joint, astray=1e3 * monitor.astray)
+    if inputs.on_track:
+        x, x_dot = inputs.x, inputs.x_dot
+        code, value, limit = broken_flange(
+            params, x, x_dot, inputs.drift, inputs.tilt, inputs.manipulability
         )
-    if view.torque is not None:
-        number = pushed(view.torque, guard.torque)
-        if number > 0:
-            torque, limit = view.torque[number - 1], guard.torque[number - 1]
-            return Violation(
-                Rule.TORQUE,
-                f"the external torque at joint {number} is {torque:.1f} N m from that at rest, "
-                f"expected at most {limit:.1f} N m: something touches the arm",
-                torque,
-                limit,
-                number,
-            )
-    if is_astray(watched.astray) and view.measured is not None and view.expected is not None:
-        error, number = largest_difference(view.measured, view.expected)
-        return Violation(
-            Rule.FOLLOWING,
-            f"joint {number} is {error:.3f} rad from where it is expected for "
-            f"{1e3 * watched.astray:.0f} ms, expected at most {FOLLOWING_LIMIT:g} rad",
-            error,
-            FOLLOWING_LIMIT,
-            number,
-        )
-    return None
+        if code != NO_VIOLATION:
+            reach = stopping_reach(x, x_dot, params.reaction, params.u_max)
+            yield _violation(RULES[code], value, limit, x=x, x_dot=x_dot, reach=reach)
+    if inputs.lateness > MAX_TICK_LATENESS:
+        late, most = 1e3 * inputs.lateness, 1e3 * MAX_TICK_LATENESS
+        what = f"was {late:.1f} ms late, expected at most {most:g} ms"
+        yield _violation(Rule.TICK, inputs.lateness, MAX_TICK_LATENESS, what=what)
+    if monitor.missed >= MAX_MISSED_TICKS:
+        what = f"missed {monitor.missed} ticks in a row, expected fewer than {MAX_MISSED_TICKS}"
+        yield _violation(Rule.TICK, float(monitor.missed), float(MAX_MISSED_TICKS), what=what)
+    if inputs.encoder_age > ENCODER_STALE:
+        yield _violation(Rule.ENCODER_STALE, inputs.encoder_age, ENCODER_STALE)
+    if inputs.encoder_illegal:
+        yield _violation(Rule.ENCODER_ILLEGAL, 1.0, 0.0)
+    if inputs.encoder_missing > 0:
+        yield _violation(Rule.ENCODER_GAP, float(inputs.encoder_missing), 0.0)
+    if inputs.encoder_jump > MAX_COUNT_JUMP:
+        yield _violation(Rule.ENCODER_JUMP, inputs.encoder_jump, MAX_COUNT_JUMP)
+    if inputs.balancing and has_fallen(inputs.phi):
+        yield _violation(Rule.ANGLE, inputs.phi, ANGLE_RULE_LIMIT)
 
 
 @compilable
@@ -646,45 +633,14 @@ def newest_before(sent: Row, count: int, since: float) -> int:
     return count % length
 
 
-def _flange(guard: SafetyParams, view: SafetyInputs) -> Violation | None:
-    code, value, limit = broken_flange(
-        guard, view.x, view.x_dot, view.drift, view.tilt, view.manipulability
-    )
-    if code == NO_VIOLATION:
-        return None
-    if code == SINGULAR_CODE:
-        reason = (
-            f"the arm is near a singularity: |det J| is {value:.2g} m^3, expected at least "
-            f"{limit:.2g} m^3"
-        )
-    elif code == TRACK_CODE:
-        reach = stopping_reach(view.x, view.x_dot, guard.reaction, guard.u_max)
-        reason = (
-            f"the flange is at {view.x:.3f} m with {view.x_dot:.3f} m/s and could be stopped at "
-            f"{reach:.3f} m, expected less than {limit:g} m from home"
-        )
-    elif code == SPEED_CODE:
-        reason = f"the flange moves at {value:.3f} m/s, expected less than {limit:.3g} m/s"
-    elif code == DRIFT_CODE:
-        reason = (
-            f"the flange is {1e3 * value:.1f} mm off its line, expected at most {1e3 * limit:g} mm"
-        )
-    else:
-        reason = (
-            f"the flange is tilted by {np.rad2deg(value):.2f} deg, expected at most "
-            f"{np.rad2deg(limit):g} deg"
-        )
-    return Violation(RULES[code], reason, value, limit)
-
-
 @compilable
 def broken_flange(
-    guard: SafetyParams, x: float, x_dot: float, drift: float, tilt: float, manipulability: float
+    params: SafetyParams, x: float, x_dot: float, drift: float, tilt: float, manipulability: float
 ) -> tuple[int, float, float]:
     """Return the first broken rule of the flange: its code, the value, the limit.
 
     Args:
-        guard: The rules.
+        params: Safety limits of the rig.
         x: Displacement from home along base x [m].
         x_dot: Its velocity [m/s].
         drift: Distance from its line [m].
@@ -692,16 +648,16 @@ def broken_flange(
         manipulability: |det J| [m^3].
 
     Returns:
-        `NO_VIOLATION` and zeros where none is broken.
+        `NO_VIOLATION` and zeros without a broken rule.
     """
-    if manipulability < guard.least_manipulability:
-        return SINGULAR_CODE, manipulability, guard.least_manipulability
-    reach = stopping_reach(x, x_dot, guard.reaction, guard.u_max)
+    if manipulability < params.least_manipulability:
+        return SINGULAR_CODE, manipulability, params.least_manipulability
+    reach = stopping_reach(x, x_dot, params.reaction, params.u_max)
     # Written so that NaN breaks the rule.
     if not (reach < TRACK_LIMIT and abs(x) < TRACK_LIMIT):
         return TRACK_CODE, max(reach, abs(x)), TRACK_LIMIT
-    if abs(x_dot) >= guard.speed:
-        return SPEED_CODE, x_dot, guard.speed
+    if abs(x_dot) >= params.speed:
+        return SPEED_CODE, x_dot, params.speed
     if drift > DRIFT_LIMIT:
         return DRIFT_CODE, drift, DRIFT_LIMIT
     if abs(tilt) > TILT_LIMIT:
@@ -721,7 +677,7 @@ def stopping_reach(x: float, x_dot: float, reaction: float, u_max: float) -> flo
 
     Args:
         x: Displacement from home along base x [m].
-        x_dot: Its velocity [m/s]; at rest it may go out on the side where it is.
+        x_dot: Its velocity [m/s]; at rest the outward side counts.
         reaction: T, transport delay and lag of the arm [s].
         u_max: Largest acceleration commanded [m/s^2].
     """
@@ -731,82 +687,13 @@ def stopping_reach(x: float, x_dot: float, reaction: float, u_max: float) -> flo
     return s * x + gained + (speed + u_max * T) ** 2 / (2.0 * STOP_DECELERATION)
 
 
-def _tick(watched: MonitorState, view: SafetyInputs) -> Violation | None:
-    if view.lateness > MAX_TICK_LATENESS:
-        return Violation(
-            Rule.TICK,
-            f"the loop was {1e3 * view.lateness:.1f} ms late, expected at most "
-            f"{1e3 * MAX_TICK_LATENESS:g} ms; `equipoise rig doctor` looks for the cause",
-            view.lateness,
-            MAX_TICK_LATENESS,
-        )
-    if watched.missed >= MAX_MISSED_TICKS:
-        return Violation(
-            Rule.TICK,
-            f"the loop missed {watched.missed} ticks in a row, expected fewer than "
-            f"{MAX_MISSED_TICKS}; `equipoise rig doctor` looks for the cause",
-            float(watched.missed),
-            float(MAX_MISSED_TICKS),
-        )
-    return None
-
-
-def _encoder(view: SafetyInputs) -> Violation | None:
-    if view.encoder_age > ENCODER_STALE:
-        return Violation(
-            Rule.ENCODER_STALE,
-            f"the newest encoder sample is {1e3 * view.encoder_age:.1f} ms old, expected at most "
-            f"{1e3 * ENCODER_STALE:g} ms; look at its cable",
-            view.encoder_age,
-            ENCODER_STALE,
-        )
-    if view.encoder_illegal:
-        return Violation(
-            Rule.ENCODER_ILLEGAL,
-            "the encoder's lines changed both at once: counts are lost; look at its wiring",
-            1.0,
-            0.0,
-        )
-    if view.encoder_missing > 0:
-        return Violation(
-            Rule.ENCODER_GAP,
-            f"{view.encoder_missing} encoder samples are missing, expected one at most, and that "
-            "seldom; look at its cable and at the load of this machine",
-            float(view.encoder_missing),
-            0.0,
-        )
-    if view.encoder_jump > MAX_COUNT_JUMP:
-        return Violation(
-            Rule.ENCODER_JUMP,
-            f"the encoder jumped by {np.rad2deg(view.encoder_jump):.2f} deg more than a pendulum "
-            f"moves, expected at most {np.rad2deg(MAX_COUNT_JUMP):g} deg; look at its coupling",
-            view.encoder_jump,
-            MAX_COUNT_JUMP,
-        )
-    return None
-
-
-def _angle(view: SafetyInputs) -> Violation | None:
-    if not has_fallen(view.phi):
-        return None
-    return Violation(
-        Rule.ANGLE,
-        f"the pendulum leans by {np.rad2deg(view.phi):.1f} deg, expected less than "
-        f"{paper.PHI_LIMIT_DEG:g} deg",
-        view.phi,
-        ANGLE_RULE_LIMIT,
-    )
-
-
 @compilable
 def has_fallen(phi: float) -> bool:
     """Return whether a pendulum at this angle from upright [rad] has fallen; NaN has."""
     return not abs(phi) < ANGLE_RULE_LIMIT
 
 
-def unexplained(
-    times: tuple[float, float, float], counts: tuple[int, int, int], resolution: float
-) -> float:
+def unexplained(times: Sequence[float], counts: Sequence[int], resolution: float) -> float:
     """Return the deviation of the newest of three counts from a pendulum's motion [rad].
 
     A pendulum continues the straight line of the two counts before, but for the encoder's

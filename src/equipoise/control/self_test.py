@@ -1,18 +1,18 @@
 r"""Self-test of a rig: response of the hanging pendulum to a known motion, and the encoder's zero.
 
-The flange makes a minimum-jerk move of 40 mm in 0.8 s, which is about a period: the pendulum
-answers with a swing of several degrees, that then decays. The model is driven by the *measured*
-motion of the pivot, and fitted to the encoder:
+The flange makes a minimum-jerk move of 40 mm in 0.8 s, about a period: the pendulum responds with a
+swing of several degrees, which then decays. The *measured* motion of the pivot drives the model,
+which is fitted to the encoder:
 
 .. math:: counts(t + \tau) \cdot 2\pi/N = G\,\theta(t) + zero, \qquad
           \ddot\theta = -w_2 \sin\theta - c\,\dot\theta - f\,\mathrm{sign}\,\dot\theta
                         - \frac{w_2}{g} \cos\theta\;\ddot x
 
-G is 1 where sign and counts per revolution are right. w2 is mostly the period's, G the amplitude's,
-tau the phase's, and the zero is the middle of the swing: five numbers that a wrong rig gets wrong
-one by one. The friction c, f and the first state are fitted along.
+G is 1 for the right sign and counts per revolution. The period determines w2, the amplitude G, the
+phase tau, the middle of the swing the zero: each fault of a rig shows in one number. The fit also
+estimates the friction c, f and the initial state.
 
-The intervals come from blocks of half a period: errors within a block hang together.
+The intervals come from blocks of half a period: errors within a block are autocorrelated.
 """
 
 from enum import Enum
@@ -95,13 +95,13 @@ class SelfTestVerdict(Enum):
     REPEAT = "repeat"
     """The response is that of the model, but the zero's interval is too wide: repeat the swing."""
     SIGN = "encoder sign"
-    """The counts grow the wrong way, or the pendulum is mounted the other way round."""
+    """The sign of the counts is wrong, or the pendulum is mounted the other way round."""
     COUNTS = "counts factor"
     """The encoder has another number of counts per revolution."""
     W2 = "w2"
-    """It is another pendulum, or its mass has moved."""
+    """w2 differs: another pendulum, or its mass has moved."""
     DELAY = "delay"
-    """The answer comes later or earlier than it should."""
+    """The response is later or earlier than expected."""
     ZERO = "zero"
     """The pendulum did not hang straight when it was referenced."""
     NOT_UNDERSTOOD = "not understood"
@@ -121,26 +121,26 @@ class SelfTest(NamedTuple):
     """Result of a self-test."""
 
     verdict: SelfTestVerdict
-    """First fault found, or none."""
+    """First fault found, or PASSED."""
     reason: str
     """Message for the operator."""
     gain: ParameterInterval
-    """G, encoder over model."""
+    """Gain G, encoder over model [-]."""
     w2: ParameterInterval
     """Gravity over inertia [1/s^2]."""
     delay: ParameterInterval
-    """tau, of the encoder behind the measured motion [s]."""
+    """Delay tau of the encoder behind the measured motion [s]."""
     zero: ParameterInterval
     """Counts at which the pendulum hangs, less the resting count [rad]."""
     misfit: float
-    """Root mean square of the residual over the answer's standard deviation."""
+    """Root mean square of the residual over the response's standard deviation [-]."""
 
 
 def excitation(x: float, direction: float = 1.0) -> Path:
     """Return the path of the flange, from x to 40 mm further [m].
 
     Args:
-        x: Where it begins [m].
+        x: Start of the path [m].
         direction: 1 or -1.
     """
     return Path((x,), (x + direction * MOVE_DISTANCE,), MOVE_TIME)
@@ -177,11 +177,10 @@ def self_test(
         counts: Encoder counts, shape (n,).
         pivot_time: Times of the measured joints [s], over at least the same time, shape (m,).
         pivot_x: Place of the pivot along base x, from the measured joints [m], shape (m,).
-        pendulum: The pendulum as it was identified; k / w2 is 1 / g.
+        pendulum: The identified pendulum; k / w2 is 1 / g.
         counts_per_rev: Encoder counts per revolution, after x4.
         resting: The count at which it was referenced.
-        delay: How much later the encoder's time stamps are expected to show the pendulum than
-            those of the joints show the arm [s].
+        delay: Expected delay of the encoder's time stamps behind those of the joints [s].
     """
     problem = _unusable(time, counts, pivot_time, pivot_x)
     if problem:
@@ -194,19 +193,17 @@ def self_test(
             f"least {np.degrees(MIN_RESPONSE):g} deg: is the pendulum free, the encoder connected?"
         )
     every = -(-len(time) // MAX_SAMPLES)
-    recorded = _Answer.of(time[::every], angle[::every], pivot_time, pivot_x, pendulum)
+    recorded = _Response.of(time[::every], angle[::every], pivot_time, pivot_x, pendulum)
     guess = recorded.guess(delay, until=_rest(pivot_time, pivot_x))
     return _judged(recorded, recorded.fitted(guess), answer, delay)
 
 
 def _unusable(time: Array, counts: Array, pivot_time: Array, pivot_x: Array) -> str:
-    """Return why the samples cannot be judged; empty if they can."""
+    """Return the reason why the samples are unusable; empty if they are usable."""
     for name, times, values in (("encoder", time, counts), ("pivot", pivot_time, pivot_x)):
         if times.shape != values.shape or times.ndim != 1 or len(times) < MIN_SAMPLES:
-            return (
-                f"the {name} gave {len(values)} samples for {len(times)} times, expected "
-                f"{MIN_SAMPLES} or more"
-            )
+            got = f"{len(values)} samples for {len(times)} times"
+            return f"the {name} gave {got}, expected {MIN_SAMPLES} or more"
         if not (np.all(np.isfinite(times)) and np.all(np.isfinite(values))):
             return f"the {name} gave values that are not finite numbers"
         if not np.all(np.diff(times) > 0.0):
@@ -220,9 +217,8 @@ def _unusable(time: Array, counts: Array, pivot_time: Array, pivot_x: Array) -> 
         return f"the flange was measured to move by {1e3 * moved:.1f} mm, {expected}"
     left = float(time[-1]) - _rest(pivot_time, pivot_x)
     if left < MIN_SWING_SHARE * SWING_TIME:
-        return (
-            f"the pendulum was watched for {left:.1f} s after the move, expected {SWING_TIME:g} s"
-        )
+        expected = f"expected {SWING_TIME:g} s"
+        return f"the pendulum was observed for {left:.1f} s after the move, {expected}"
     return ""
 
 
@@ -232,11 +228,11 @@ def _rest(pivot_time: Array, pivot_x: Array) -> float:
     return float(pivot_time[np.flatnonzero(away)[-1]])
 
 
-class _Answer(NamedTuple):
+class _Response(NamedTuple):
     """Recorded response, and the grid of the model."""
 
     time: Array
-    """Of the encoder samples [s]."""
+    """Times of the encoder samples [s]."""
     angle: Array
     """Counts less the resting count, as an angle [rad]."""
     grid: Array
@@ -244,12 +240,12 @@ class _Answer(NamedTuple):
     u: Array
     """Acceleration of the pivot between them [m/s^2]."""
     pendulum: PendulumParameters
-    """As identified."""
+    """The identified pendulum."""
 
     @classmethod
     def of(
         cls, time: Array, angle: Array, pivot_time: Array, pivot_x: Array, p: PendulumParameters
-    ) -> "_Answer":
+    ) -> "_Response":
         from scipy.interpolate import make_lsq_spline
 
         # Twice the derivative of noise is mostly fast, and the pendulum is slow: knots that follow
@@ -258,7 +254,7 @@ class _Answer(NamedTuple):
         pieces = max(int((end - begin) / KNOT_SPACING), 1)
         inner = np.linspace(begin, end, pieces + 1)[1:-1]
         knots = np.concatenate(([begin] * 6, inner, [end] * 6))
-        # The stub of SciPy does not know the second derivative's type.
+        # The stub of SciPy lacks the second derivative's type.
         u_of = make_lsq_spline(pivot_time, pivot_x, knots, k=5).derivative(2)
         grid = np.arange(time[0] - MODEL_MARGIN, time[-1] + MODEL_MARGIN, MODEL_STEP)
         middle = grid[:-1] + 0.5 * MODEL_STEP
@@ -267,7 +263,7 @@ class _Answer(NamedTuple):
         return cls(time, angle, grid, u, p)
 
     def model(self, unknowns: Array) -> Array:
-        """Return what the encoder shows of the model [rad], shape (n,)."""
+        """Return the model's encoder angle [rad], shape (n,)."""
         gain, w2, tau, zero, c, coulomb, theta, theta_dot = map(float, unknowns)
         k = w2 * self.pendulum.k / self.pendulum.w2
         thetas = np.empty_like(self.grid)
@@ -277,7 +273,7 @@ class _Answer(NamedTuple):
         return gain * np.interp(self.time - tau, self.grid, thetas) + zero
 
     def guess(self, delay: float, until: float) -> Array:
-        """Return where to begin: w2 from the swing after the move, G and tau from a few tries."""
+        """Return initial unknowns: w2 from the swing after the move, G and tau from a search."""
         rate, decay = self._oscillation(until)
         best, least = np.zeros(UNKNOWNS), np.inf
         for tau in delay + np.array(START_DELAYS):
@@ -300,9 +296,8 @@ class _Answer(NamedTuple):
         for rate in sqrt(self.pendulum.w2) * np.linspace(*RATE_SHARES):
             for decay in DECAY_RATES:
                 faded = np.exp(-decay * t)
-                columns = np.stack(
-                    [faded * np.cos(rate * t), faded * np.sin(rate * t), np.ones_like(t)], axis=1
-                )
+                swings = [faded * np.cos(rate * t), faded * np.sin(rate * t), np.ones_like(t)]
+                columns = np.stack(swings, axis=1)
                 solution = np.linalg.lstsq(columns, y, rcond=None)[0]
                 left = float(np.sum((y - columns @ solution) ** 2))
                 if left < least:
@@ -312,21 +307,17 @@ class _Answer(NamedTuple):
     def sensitivities(self, unknowns: Array) -> Array:
         """Return the derivatives of the model by the unknowns over their scales, (n, UNKNOWNS)."""
         here = self.model(unknowns)
-        columns: list[Array] = []
-        for i in range(UNKNOWNS):
-            there = unknowns.copy()
-            there[i] += DIFFERENCE_STEP * SCALES[i]
-            columns.append((self.model(there) - here) / DIFFERENCE_STEP)
-        return np.stack(columns, axis=1)
+        moved = unknowns + np.diag(DIFFERENCE_STEP * SCALES)
+        return np.stack([(self.model(row) - here) / DIFFERENCE_STEP for row in moved], axis=1)
 
     def fitted(self, guess: Array) -> Array:
-        """Return the unknowns that leave the least squares."""
+        """Return the unknowns with the least sum of squares."""
         from scipy.optimize import least_squares
 
         solution = least_squares(
             lambda z: self.model(z * SCALES) - self.angle,
             guess / SCALES,
-            # The stub of SciPy knows a name here, but no function.
+            # The stub of SciPy has a name here, but no function.
             jac=lambda z: self.sensitivities(z * SCALES),  # pyright: ignore[reportArgumentType]
             method="lm",
             xtol=1e-5,
@@ -347,37 +338,29 @@ class _Answer(NamedTuple):
         pulls = np.stack([J[block == b].T @ residual[block == b] for b in range(blocks)])
         inverse = np.linalg.pinv(J.T @ J)
         spread = inverse @ (pulls.T @ pulls) @ inverse * blocks / (blocks - 1)
-        # Where two unknowns cannot be told apart, rounding may leave less than nothing.
+        # Where two unknowns are indistinguishable, rounding may make a variance negative.
         deviation = SCALES * np.sqrt(np.maximum(np.diag(spread), 0.0))
         return float(student.ppf(INTERVAL_QUANTILE, blocks - 1)) * deviation
 
 
-def _judged(recorded: _Answer, unknowns: Array, answer: float, delay: float) -> SelfTest:
+def _judged(recorded: _Response, unknowns: Array, answer: float, delay: float) -> SelfTest:
     residual = recorded.angle - recorded.model(unknowns)
     misfit = float(np.sqrt(np.mean(residual**2))) / answer
     half = recorded.halves(unknowns, residual)
+    gain, w2, tau, zero = (
+        ParameterInterval(float(unknowns[i]), float(half[i])) for i in (GAIN, W2, TAU, ZERO)
+    )
+    result = SelfTest(SelfTestVerdict.PASSED, "", gain, w2, tau, zero, misfit)
+    verdict, reason = _verdict(result, recorded.pendulum.w2, delay)
+    return result._replace(verdict=verdict, reason=reason)
 
-    def interval(i: int) -> ParameterInterval:
-        return ParameterInterval(float(unknowns[i]), float(half[i]))
 
-    gain, w2, tau, zero = (interval(i) for i in (GAIN, W2, TAU, ZERO))
-    verdict, reason = _verdict(gain, w2, tau, zero, misfit, recorded.pendulum.w2, delay)
-    return SelfTest(verdict, reason, gain, w2, tau, zero, misfit)
-
-
-def _verdict(
-    gain: ParameterInterval,
-    w2: ParameterInterval,
-    tau: ParameterInterval,
-    zero: ParameterInterval,
-    misfit: float,
-    known: float,
-    delay: float,
-) -> tuple[SelfTestVerdict, str]:
+def _verdict(result: SelfTest, known_w2: float, delay: float) -> tuple[SelfTestVerdict, str]:
+    _, _, gain, w2, tau, zero, misfit = result
     if not misfit < MAX_MISFIT:
         return SelfTestVerdict.NOT_UNDERSTOOD, (
             f"the model leaves {misfit:.0%} of the answer, expected less than {MAX_MISFIT:.0%}: is "
-            "the pendulum free, and nobody near it?"
+            "the pendulum free, and untouched?"
         )
     if gain.value < 0.0:
         return SelfTestVerdict.SIGN, (
@@ -389,9 +372,9 @@ def _verdict(
             f"the encoder shows {gain.value:.3f} of the answer, expected 1 within "
             f"{COUNTS_TOLERANCE:g}; correct its counts per revolution"
         )
-    if abs(w2.value / known - 1.0) > W2_TOLERANCE:
+    if abs(w2.value / known_w2 - 1.0) > W2_TOLERANCE:
         return SelfTestVerdict.W2, (
-            f"w2 is {w2.value:.2f} 1/s^2, expected {known:.2f} 1/s^2 within {W2_TOLERANCE:.0%}; "
+            f"w2 is {w2.value:.2f} 1/s^2, expected {known_w2:.2f} 1/s^2 within {W2_TOLERANCE:.0%}; "
             "identify this pendulum"
         )
     if abs(tau.value - delay) > DELAY_TOLERANCE:

@@ -15,10 +15,10 @@ r"""States of a run on a rig, and the transitions between them.
 Setpoints are sent in the streaming states, HOMING to STOPPING, and in no other.
 
 A stop is latched. Only the operator leads out of STOPPED, by re-arming; the run then begins anew,
-and its first setpoint is the measured posture. The first cause is kept. LOST is final: the link is
-gone, software commands nothing any more, and nothing reconnects.
+and its first setpoint is the measured posture. The first cause is kept. LOST is final: software
+commands nothing without a link, and nothing reconnects.
 
-An event that is not in the table changes nothing: a late event must not move an arm.
+An event without an entry in the table changes nothing: a late event must not move an arm.
 """
 
 from collections.abc import Mapping
@@ -42,7 +42,7 @@ class Phase(Enum):
     LIFTING = "lifting"
     """Held, the operator lifts the pendulum."""
     ARMED = "armed"
-    """Held, the pendulum stands in a hand that may let go."""
+    """Held, the pendulum stands in a hand that may release it."""
     BALANCING = "balancing"
     """The policy commands."""
     STOPPING = "stopping"
@@ -50,7 +50,7 @@ class Phase(Enum):
     STOPPED = "stopped"
     """At rest, the servo not running. Latched."""
     LOST = "lost"
-    """The link is gone: the arm holds or approaches the last target by itself. Latched, final."""
+    """The link is lost: the arm holds or approaches the last target. Latched, final."""
 
 
 class RunEvent(Enum):
@@ -73,29 +73,18 @@ class RunEvent(Enum):
     DENIED = "denied"
     """The hand is still on."""
     RELEASED = "released"
-    """The pendulum falls by itself."""
+    """The pendulum falls freely."""
     STOP = "stop"
     """A safety rule, a key, a signal, an error or the end of the run."""
     AT_REST = "at rest"
     """The ramp and the servo have ended, and the arm is measured at rest."""
     LOST = "lost"
-    """Robot or link do not answer any more."""
+    """The robot or its link has stopped answering."""
     REARMED = "re-armed"
-    """The operator has seen the cause and lets the run begin anew."""
+    """The operator acknowledges the cause and starts the run anew."""
 
 
-STREAMING: Final = frozenset(
-    {
-        Phase.HOMING,
-        Phase.AT_HOME,
-        Phase.REFERENCING,
-        Phase.SELF_TEST,
-        Phase.LIFTING,
-        Phase.ARMED,
-        Phase.BALANCING,
-        Phase.STOPPING,
-    }
-)
+STREAMING: Final = frozenset(Phase) - {Phase.IDLE, Phase.STOPPED, Phase.LOST}
 """Phases in which setpoints are sent."""
 LATCHED: Final = frozenset({Phase.STOPPING, Phase.STOPPED, Phase.LOST})
 """Phases in which a stop is latched."""
@@ -139,11 +128,6 @@ class RunState(NamedTuple):
     """Cause of the latched stop, if any."""
     from_measured: bool = False
     """Whether any cause so far shows that the arm is not at its setpoint."""
-
-    @property
-    def streaming(self) -> bool:
-        """Whether setpoints are sent."""
-        return self.phase in STREAMING
 
     @property
     def latched(self) -> bool:

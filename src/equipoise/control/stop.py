@@ -5,15 +5,13 @@ From the commanded joints q0, with their velocities dq0, every joint slows down 
 .. math:: q(t) = q_0 + \dot q_0\, \sigma(t), \qquad \sigma(t) = t - \tfrac12 r t^2, \qquad
           0 \le t \le 1/r
 
-so that the arm goes on in the direction in which it moves, ever slower, and is at rest at 1/r. The
-rate r is such that the flange slows down at 4 m/s^2, or sooner at rest where a position limit is
-near, but no joint decelerates by more than its limit. A flange that does not move says nothing
-about r: then the joints alone decide. A joint that would reach its position limit all the same,
-because another one cannot stop so soon, stops sooner than the rest.
+so that the arm keeps its direction of motion and is at rest at 1/r. The rate r makes the flange
+decelerate at 4 m/s^2, or faster near a position limit, but no joint exceeds its acceleration limit.
+With the flange at rest, the joints alone determine r. A joint that would still reach its position
+limit, because another one cannot stop in time, stops before the others.
 
 Where the arm was not at its setpoint (`from_measured`), a minimum-jerk path follows the ramp, from
-its end to the measured joints: then nothing pulls at the arm, and no old target is left for it to
-go to when its brakes open.
+its end to the measured joints: then no target pulls at the arm, or moves it when its brakes open.
 """
 
 from collections.abc import Sequence
@@ -65,7 +63,7 @@ class Ramp(NamedTuple):
 
 
 def at_rest(q: Sequence[float]) -> Ramp:
-    """Return the ramp of joints that do not move."""
+    """Return the ramp of joints at rest."""
     return Ramp(tuple(q), (0.0,) * len(q), (inf,) * len(q))
 
 
@@ -79,8 +77,8 @@ def stoppable_speeds(
 ) -> Numbers:
     """Return the velocities at the start of a ramp [rad/s], shape (n,).
 
-    The commanded ones; for an accelerating joint the mean one on the way to the last setpoint, for
-    which the safety rules have checked that the joint can be stopped.
+    The commanded velocities; for an accelerating joint the mean velocity to the last setpoint, from
+    which it can be stopped by the safety rules.
 
     Args:
         dq: The commanded velocities at the last setpoint [rad/s], shape (n,).
@@ -96,13 +94,13 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
     """Return the ramp to rest.
 
     Args:
-        q: The joints as commanded last [rad], shape (n,).
+        q: The last commanded joints [rad], shape (n,).
         dq: Their velocities [rad/s], shape (n,).
         flange_speed: Speed of the flange there [m/s].
-        limits: Of the joints.
+        limits: Limits of the joints.
 
     Raises:
-        InputError: Something is not a finite number, or there are not n of them.
+        InputError: A value is not finite, or their number is not n.
     """
     for name, values in (("q", q), ("dq", dq), ("flange_speed", (flange_speed,) * limits.joints)):
         if len(values) != limits.joints or not all(isfinite(value) for value in values):
@@ -117,8 +115,8 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
     most = {i: limits.acceleration[i] / abs(dq[i]) for i in moving}
     least: dict[int, float] = {}
     for i in moving:
-        room = limits.upper[i] - q[i] if dq[i] > 0.0 else q[i] - limits.lower[i]
-        least[i] = 0.5 * abs(dq[i]) / (room * (1.0 - ROUNDING_RESERVE)) if room > 0.0 else inf
+        left = limits.upper[i] - q[i] if dq[i] > 0.0 else q[i] - limits.lower[i]
+        least[i] = 0.5 * abs(dq[i]) / (left * (1.0 - ROUNDING_RESERVE)) if left > 0.0 else inf
     together = min(most.values())
     if flange_speed != 0.0:
         together = min(together, max(STOP_DECELERATION / abs(flange_speed), *least.values()))
@@ -132,9 +130,9 @@ def way_back(q: Sequence[float], measured: Sequence[float], limits: Limits) -> P
     """Return the path from the end of a ramp to the measured posture.
 
     Args:
-        q: The joints at rest, as commanded last [rad], shape (n,).
+        q: The last commanded joints, at rest [rad], shape (n,).
         measured: The measured joints [rad], shape (n,).
-        limits: Of the joints.
+        limits: Limits of the joints.
     """
     # A measured joint may be beyond a limit by its noise; a setpoint may not.
     end = [

@@ -1,7 +1,6 @@
 """Inputs and outputs of a control tick of a run on a rig.
 
-A tick handler decides (`equipoise.control.run_controller`). It knows no device, no clock and no
-file. The protocols here name the attributes that it reads of a device's values.
+A tick handler, such as `equipoise.control.run_controller`, uses no device, clock or file.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,60 +9,36 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 
 OK: Final = "ok"
-"""Among an event's answers: what Enter says there, and the pendulum's button does as well."""
+"""Answer that Enter gives, and the pendulum's button."""
 
 
-class EncoderSample(Protocol):
+class Sample(NamedTuple):
     """One count of the encoder."""
 
-    @property
-    def time(self) -> float:
-        """When it was counted [s]."""
-        ...
-
-    @property
-    def counts(self) -> int:
-        """Counts, which grow with theta, after x4."""
-        ...
-
-    @property
-    def pressed(self) -> bool:
-        """Whether the button was pressed since the one before."""
-        ...
-
-    @property
-    def illegal(self) -> bool:
-        """Whether the board met a transition that cannot be."""
-        ...
-
-    @property
-    def missing(self) -> int:
-        """Samples lost since the one before."""
-        ...
+    time: float
+    """Time of the count [s]."""
+    counts: int
+    """Counts since the board was switched on, after x4, growing with theta."""
+    pressed: bool
+    """Whether the button was pressed since the sample before."""
+    illegal: bool
+    """Whether the board detected an illegal transition of its two lines."""
+    missing: int
+    """Number of samples lost since the one before."""
 
 
-class RobotReply(Protocol):
-    """What a robot said to one setpoint."""
+class Reply(NamedTuple):
+    """Answer of a robot to one setpoint: measured joints, external torques, or both."""
 
-    @property
-    def sent(self) -> float:
-        """When that setpoint was sent [s]."""
-        ...
-
-    @property
-    def received(self) -> float:
-        """When the reply was read [s]."""
-        ...
-
-    @property
-    def q(self) -> Sequence[float] | None:
-        """Measured joints [rad], if they were asked for."""
-        ...
-
-    @property
-    def torque(self) -> Sequence[float] | None:
-        """External torques [N m], if they were asked for."""
-        ...
+    sent: float
+    """Time at which that setpoint was sent [s]."""
+    received: float
+    """Time at which the reply was read [s]. The joints count as measured half-way between."""
+    q: tuple[float, ...] | None
+    """Measured joints [rad], shape (joints,); None in a reply without them."""
+    torque: tuple[float, ...] | None
+    """External torques [N m], shape (joints,); None in a reply without them. The safety rules need
+    them a few times a second, not in each reply."""
 
 
 Job = Callable[[], Any]
@@ -71,41 +46,41 @@ Job = Callable[[], Any]
 
 
 class OperatorMessage(NamedTuple):
-    """Something that an operator is told."""
+    """Message to the operator."""
 
     name: str
-    """One word: a state that has begun, or what is asked for."""
+    """Name of the new state or of the question, one word."""
     text: str = ""
-    """The sentence for a person."""
+    """Sentence for the operator."""
     answers: tuple[str, ...] = ()
-    """Words of which one is expected to be typed."""
+    """Expected answers; empty for a message that needs none."""
 
 
 class TickRecord(NamedTuple):
-    """What a heart saw and decided in a tick, for the log; NaN where it did not look."""
+    """Observation and decision of a tick, for the log; NaN outside the balance."""
 
     x: float = np.nan
-    """Displacement of the flange as the policy sees it [m]."""
+    """Displacement of the flange in the observation [m]."""
     x_dot: float = np.nan
     """Its velocity [m/s]."""
     phi: float = np.nan
-    """Angle of the pendulum from upright as the policy sees it [rad]."""
+    """Angle of the pendulum from upright in the observation [rad]."""
     phi_dot: float = np.nan
     """Its rate [rad/s]."""
     box: int = -1
-    """Box of the table; -1 for none."""
+    """Box of the table; -1 outside the balance."""
     u: float = 0.0
     """Commanded acceleration of the flange [m/s^2]."""
     estimated_phi: float = np.nan
-    """phi now [rad]."""
+    """Estimate of phi at the tick [rad]."""
     estimated_phi_dot: float = np.nan
-    """phi_dot now [rad/s]."""
+    """Estimate of phi_dot at the tick [rad/s]."""
     bias: float = 0.0
     """Estimated error of the zero [rad]."""
 
 
 class TickOutput(NamedTuple):
-    """What a heart wants of a tick."""
+    """Output of a tick handler."""
 
     setpoints: tuple[Sequence[float], ...]
     """All joints now, and h / 2 later [rad]."""
@@ -114,38 +89,38 @@ class TickOutput(NamedTuple):
     dq: Sequence[float]
     """Their velocities [rad/s]."""
     state: int
-    """Where in the run it is."""
+    """Index of the phase of the run."""
     record: TickRecord
-    """For the log."""
+    """Record for the log."""
     events: Sequence[OperatorMessage]
-    """For the operator, and for the log."""
+    """Messages for the operator and the log."""
     job: Job | None = None
-    """What takes longer than a tick, and is to be done beside the loop."""
+    """Work that takes longer than a tick, for another process; None without any."""
     to_rest: bool = False
-    """Whether the setpoints are on a way to rest: from them on the arm need not be stopped."""
+    """Whether the setpoints lead to rest, so that the arm need not be stopped."""
     done: bool = False
     """Whether the arm is at rest and the run is over; the setpoints are sent."""
 
 
 class TickInputs(NamedTuple):
-    """What happened since the last tick."""
+    """Inputs since the last tick."""
 
-    samples: Sequence[EncoderSample]
-    """Of the encoder."""
-    replies: Sequence[RobotReply]
-    """Of the robot."""
+    samples: Sequence[Sample]
+    """Samples of the encoder."""
+    replies: Sequence[Reply]
+    """Replies of the robot."""
     words: Sequence[str]
-    """Of the operator."""
+    """Lines typed by the operator."""
     faults: Sequence[str]
-    """What failed, in words: the encoder's link, a setpoint that the guard held back."""
+    """Messages of failures: the encoder's link, a setpoint held back."""
     lateness: float
-    """How late the tick began [s]."""
+    """Lateness of the tick [s]."""
     result: Any = None
-    """What came of a job, once; an exception where it failed."""
+    """Result of a job, passed once; an exception where it failed."""
 
 
 class TickHandler(Protocol):
-    """What decides: equal inputs at equal times give equal outputs."""
+    """Controller of a loop: equal inputs at equal times give equal outputs."""
 
     @property
     def h(self) -> float:
@@ -153,5 +128,5 @@ class TickHandler(Protocol):
         ...
 
     def tick(self, now: float, inputs: TickInputs) -> TickOutput:
-        """Decide."""
+        """Return the setpoints and messages of a tick at a time [s]."""
         ...

@@ -403,7 +403,7 @@ def warm_up(request: RunRequest) -> None:
         u = controller.decide(policy)
         took.append(perf_counter() - began)
         controller.command(u)
-    FlangeKinematics(arm, params).place(arm.home)
+    FlangeKinematics(arm, params).pose(arm.home)
     typical, limit = median(took), POLICY_TIME_SHARE * request.policy.h
     if typical > limit:
         raise InputError(

@@ -11,25 +11,13 @@ from typing import Final, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.control.ticks import Reply, Sample
+
 Array = npt.NDArray[np.float64]
 
 SETPOINT_PERIOD: Final = 0.005
 """Time between two setpoints [s]: half a tick of 10 ms. KST servers need 200 Hz for a smooth
 motion."""
-
-
-class Reply(NamedTuple):
-    """Answer of a robot to one setpoint: measured joints, external torques, or both."""
-
-    sent: float
-    """Time at which that setpoint was sent [s]."""
-    received: float
-    """Time at which the reply was read [s]. The joints count as measured half-way between."""
-    q: tuple[float, ...] | None
-    """Measured joints [rad], shape (joints,); None in a reply without them."""
-    torque: tuple[float, ...] | None
-    """External torques [N m], shape (joints,); None in a reply without them. The safety rules need
-    them a few times a second, not in each reply."""
 
 
 class Request(NamedTuple):
@@ -41,21 +29,6 @@ class Request(NamedTuple):
     """Measured joints [rad], shape (joints,)."""
     torque: tuple[float, ...] | None
     """External torques [N m], shape (joints,); None in a request without them."""
-
-
-class Sample(NamedTuple):
-    """One count of the encoder."""
-
-    time: float
-    """Time of the count [s]."""
-    counts: int
-    """Counts since the board was switched on, after x4."""
-    pressed: bool
-    """Whether the button was pressed since the sample before."""
-    illegal: bool
-    """Whether the board detected an illegal transition of its two lines."""
-    missing: int
-    """Number of samples lost since the one before."""
 
 
 @runtime_checkable

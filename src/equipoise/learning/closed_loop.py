@@ -181,7 +181,7 @@ def make_loop_params(
             pendulum,
             h=h,
             counts_per_rev=settings.plant.counts_per_rev,
-            observes=actuator.kind != "ideal",
+            has_sensor=actuator.kind != "ideal",
         ),
         phi_limit=limits.phi_limit,
         x_limit=limits.x_limit,
