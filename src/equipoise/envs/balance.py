@@ -112,8 +112,8 @@ class BalanceEnv(gym.Env[Array, Any]):
     | `robot`, `encoder`, `rig`, `log` | `None` | for `rig`: addresses, `rig.toml`, log file |
     | `operator` | `None` | for `rig`: an `equipoise.devices.operator.Operator` |
 
-    With `world="rig"` `reset` runs the course of a run from the pre-flight to the release, `step`
-    is one tick under guards and state machine, and `close` brings the arm to rest. A stop of any
+    With `world="rig"` `reset` performs a run from the pre-flight to the release, `step` is one tick
+    under safety rules and state machine, and `close` brings the arm to rest. A stop of any
     kind is termination, and `info` has its `cause` and `reason`; the last observation is then that
     of the tick before. `robot="twin:nominal"` is an emulated rig in virtual time. On a robot, such
     as `robot="kst://172.31.1.147:30001", encoder="serial:///dev/ttyACM0"`, time is real: an action
@@ -191,10 +191,8 @@ class BalanceEnv(gym.Env[Array, Any]):
 
             described = read_rig(None if rig is None else Path(rig))
             self._setup = self._setup._replace(arm=described.described_arm)
-            path = None if log is None else Path(log)
-            self._rig = Episode(
-                self._setup, described, robot or "", encoder, duration, path, operator
-            )
+            log, robot = None if log is None else Path(log), robot or ""
+            self._rig = Episode(self._setup, described, robot, encoder, duration, log, operator)
             return
         self._simulation = simulate(world, self._setup, seed=0, stream=ENVIRONMENT)
         self._loop, self._window = self._simulation.loop(), None

@@ -1,9 +1,9 @@
-"""Episodes on a rig: a run in a thread of its own, whose policy asks the environment for u.
+"""Episodes on a rig: a run in a separate thread, whose policy receives u from the environment.
 
 The run is that of `equipoise deploy`: pre-flight, checklist, way home, self-test, release, and the
-state machine with its guards. Two queues of one entry hand over observation and u, so that either
-the run or the environment waits: in virtual time an episode is deterministic. On a robot the loop
-runs in a process of its own, and a pipe extends the two queues to it.
+state machine with its safety rules. Two queues exchange observation and u, so that either the run
+or the environment waits: in virtual time an episode is deterministic. On a robot the loop runs in a
+separate process, and a pipe extends the two queues to it.
 """
 
 import multiprocessing
@@ -46,9 +46,9 @@ class End(NamedTuple):
     """End of an episode."""
 
     cause: str
-    """Cause in a word or two, as in the log of a run."""
+    """Cause, as in the log of a run."""
     reason: str
-    """The same in a sentence."""
+    """Message with the cause."""
     failed: bool
     """Whether anything but the time limit ended the episode."""
 
@@ -81,7 +81,7 @@ class _Handover:
         self._operator = operator
 
     def reset(self) -> None:
-        """Do nothing: the environment begins with the first observation."""
+        """Do nothing: the episode starts with the first observation."""
 
     def act(self, observation: Array) -> float:
         """Hand over the observation, and wait for u [m/s^2]."""
@@ -126,7 +126,7 @@ class _RemotePolicy:
 
 
 class RigEpisode:
-    """One episode on a rig after the other."""
+    """Successive episodes on a rig."""
 
     def __init__(
         self,
@@ -138,13 +138,13 @@ class RigEpisode:
         log: Path | None,
         operator: Operator | None,
     ) -> None:
-        """Name a rig; nothing is connected before `begin`.
+        """Set up the rig; `begin` connects it.
 
         Args:
             setup: The task; its arm is that of the rig.
             settings: Content of `rig.toml`.
             robot: Address of the robot.
-            encoder: Address of the encoder; none where the robot has its own.
+            encoder: Address of the encoder; None where the robot has its own.
             duration: Length of an episode [s].
             log: Log of the first episode; the next are FILE-2, FILE-3 and so on.
             operator: Operator besides the emulated one; on a robot by default `TerminalLines`.
@@ -162,7 +162,7 @@ class RigEpisode:
         self._thread: Thread | None = None
 
     def begin(self, seed: int) -> Array:
-        """Run the course until the release, and return the first observation.
+        """Run until the release, and return the first observation.
 
         Raises:
             EquipoiseError: The run ended before the release.
@@ -212,7 +212,7 @@ class RigEpisode:
         return first
 
     def step(self, u: float) -> Array | End:
-        """Command u [m/s^2] for one tick; return the next observation, or how the run ended."""
+        """Command u [m/s^2] for one tick; return the next observation, or the end of the run."""
         self._between.actions.put(u)
         return self._next()
 
