@@ -12,7 +12,7 @@ import pytest
 from tests.cli.conftest import verbs
 
 VERBS = tuple(verbs())
-STORY = ("reproduce", "identify", "train", "evaluate", "gap", "refine")
+PIPELINE = ("reproduce", "identify", "train", "evaluate", "gap", "refine")
 RIG = ("doctor", "emulate", "record", "rehearse")
 LOG = ("explain", "replay", "export", "show")
 NEEDS = {
@@ -31,9 +31,9 @@ HEAVY = ("numba", "numpy", "scipy", "mujoco", "matplotlib", "mcap")
 def test_help_shows_the_verbs_in_their_panels(equipoise):
     ran = equipoise("--help")
     assert ran.code == 0
-    story, rest = ran.out.split("The story")[1].split("The robot")
+    pipeline, rest = ran.out.split("Pipeline")[1].split("The robot")
     robot, logs = rest.split("Logs")
-    assert all(f" {verb} " in story for verb in STORY)
+    assert all(f" {verb} " in pipeline for verb in PIPELINE)
     assert all(f" {verb} " in robot for verb in ("deploy", "rig"))
     assert " log " in logs
     for group, members in (("rig", RIG), ("log", LOG)):

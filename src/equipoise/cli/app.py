@@ -1,4 +1,4 @@
-"""The command and its verbs, grouped as they are used: the story, the robot, the logs."""
+"""The command and its verbs, grouped: pipeline, robot, logs."""
 
 from functools import partial
 
@@ -20,7 +20,7 @@ from equipoise.cli.reproduce import reproduce
 from equipoise.cli.show import show
 from equipoise.cli.train import train
 
-STORY = "The story"
+PIPELINE = "Pipeline"
 ROBOT = "The robot"
 LOGS = "Logs"
 
@@ -40,7 +40,7 @@ rig = group(help="Check, emulate, use and test a rig: doctor, emulate, record, r
 log = group(help="Read the log of a run, or another file: explain, replay, export, show.")
 
 for verb in (reproduce, identify, train, evaluate, gap, refine):
-    app.command(rich_help_panel=STORY)(verb)
+    app.command(rich_help_panel=PIPELINE)(verb)
 app.command(rich_help_panel=ROBOT)(deploy)
 for verb in (doctor, emulate, record, rehearse):
     rig.command()(verb)

@@ -103,7 +103,7 @@ def _effects(part: Any, gap: Gap, controller: study.Controller) -> None:
     _title(
         part,
         f"{label[0].upper()}{label[1:]}: {own:.1f} s on its own training plant; "
-        "change of the study.mean beside each effect",
+        "change of the mean beside each effect",
     )
     alone = [gap.point("alone", controller, name) for name in names]
     without = [gap.point("without", controller, name) for name in names]
@@ -164,7 +164,7 @@ def _seconds_axis(panel: Any, axis: Literal["x", "y"], gap: Gap) -> None:
 
 
 def _intervals(gap: Gap, points: Sequence[GapPoint]) -> tuple[list[float], list[list[float]]]:
-    """Return study.mean survival and the lengths of its error bars; their ends are positive [s]."""
+    """Return mean survival and the lengths of its error bars; their ends are positive [s]."""
     found = [study.mean(p.results, gap.duration) for p in points]
     lower = [s.mean - max(s.low, MIN_SECONDS) for s in found]
     return [s.mean for s in found], [lower, [s.high - s.mean for s in found]]
