@@ -1,4 +1,4 @@
-"""Train a policy on an iiwa 14 and see how long it stands, beside the yardsticks.
+"""Train a policy on an iiwa 14 and compare its survival with the baselines.
 
 python examples/train_and_evaluate.py
 """
