@@ -134,12 +134,13 @@ def test_only_a_negative_viscous_friction_would_reach_the_reference_of_the_quadr
     swing = recording(ARM)
     pendulum = identify(swing, with_friction("quadratic"))
     assert pendulum.c.value == 0.0
+    single, settings = np.zeros_like(swing.time), IdentificationSettings()
     whole = fitting.SwingRecording(
-        0.0, swing.time, swing.theta, np.zeros_like(swing.time), False, 0.006, (16.0, 256.0)
+        0.0, swing.time, swing.theta, single, False, 0.768, (16.0, 256.0), settings
     )
     start = [pendulum.w2.value, 0.0, pendulum.coulomb.value, pendulum.drag.value]
     state = [pendulum.fit.theta, pendulum.fit.theta_dot, pendulum.fit.offset]
-    unbounded = fitting._least_squares(whole, np.array([*start, *state]), list(range(7)))
+    unbounded = fitting._least_squares(whole, np.array([*start, *state]), list(range(7)), 1e-12)
     assert unbounded[fitting.C] < 0.0
     assert np.rad2deg(fitting.rms(whole.residual(unbounded))) == pytest.approx(0.158, abs=5e-4)
 

@@ -14,39 +14,18 @@ recording holds theta plus a zero offset, or theta_dot of a gyro plus a bias.
 4. Warn if the model does not explain the recording, with a remedy.
 """
 
+from collections.abc import Sequence
 from math import pi, sqrt
+from typing import Final
 
 import numpy as np
 
 from equipoise.artefacts import Estimate
 from equipoise.errors import RecordingError
+from equipoise.identification import fit as fitting
 from equipoise.identification.averages import average
-from equipoise.identification.fit import (
-    COULOMB,
-    DRAG,
-    FRICTIONS,
-    MAX_MISFIT,
-    OFFSET,
-    THETA,
-    THETA_DOT,
-    W2,
-    Array,
-    C,
-    FittedUnknowns,
-    SwingRecording,
-    covariance,
-    fit_growing,
-    fit_richer,
-    misfit,
-    noise_of,
-    rms,
-)
-from equipoise.identification.release import (
-    SAMPLES_PER_PERIOD,
-    FreeSwing,
-    find_free_swing,
-    without_spikes,
-)
+from equipoise.identification.fit import COULOMB, DRAG, W2, C, FittedUnknowns, SwingRecording
+from equipoise.identification.release import SAMPLES_PER_PERIOD, find_free_swing, without_spikes
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.settings import Friction, IdentificationSettings
 from equipoise.trajectory import Trajectory
@@ -56,6 +35,10 @@ __all__ = ["identify"]
 SMALL_AMPLITUDE = np.deg2rad(10.0)
 """Amplitude below which a swing gives a warning [rad]: on one rig w2 was 1.4 % higher at 3.6 deg
 than at 56 deg, and differed by 0.2 % from there to 149 deg."""
+MODELS: Final = list(fitting.FRICTIONS)
+"""Friction models, from the paper's to the richest."""
+RICHEST: Final = MODELS[-1]
+"""The richest friction model."""
 SUSPECT_AMPLITUDE = np.deg2rad(1.5)
 """Amplitude below which radians may have been read as degrees [rad]."""
 
@@ -93,61 +76,51 @@ def identify(
     rough, free = find_free_swing(cleaned, settings)
     inside = (cleaned.time >= free.begin) & (cleaned.time <= free.end)
     time, values, w2 = cleaned.time[inside], cleaned.values[inside], free.starts[0][W2]
+    is_rate, bounds = trajectory.theta is None, (0.25 * w2, 4.0 * w2)
+    single = np.zeros_like(time)
     whole = SwingRecording(
-        free.begin,
-        time,
-        values,
-        spread=np.zeros_like(time),
-        is_rate=trajectory.theta is None,
-        h=rough.period / settings.steps_per_period,
-        w2_range=(0.25 * w2, 4.0 * w2),
+        free.begin, time, values, single, is_rate, rough.period, bounds, settings
     )
     means = average(time, values, rough.period / SAMPLES_PER_PERIOD)
     recording = whole._replace(**means._asdict())
-    fit = fit_growing(recording, free.starts, rough.period, settings)
+    fit = fitting.fit_growing(recording, free.starts, settings.friction)
     if settings.friction != "viscous":
-        fit = _nested(recording, fit, free, rough.period, settings)
+        fit = _nested(recording, fit, free.starts)
     residual = whole.residual(fit.unknowns)
-    periods = float(np.ptp(whole.time)) / rough.period
     swing_fit = SwingFit(
         source=trajectory.source,
         sha256=trajectory.sha256,
-        quantity="rate" if recording.is_rate else "angle",
+        quantity="rate" if is_rate else "angle",
         window=(free.begin, free.end),
         release=free.release,
-        samples=len(whole.time),
-        periods=periods,
-        rms=rms(residual),
-        noise=noise_of(residual, trajectory.resolution),
-        offset=float(fit.unknowns[OFFSET]),
-        theta=float(fit.unknowns[THETA]),
-        theta_dot=float(fit.unknowns[THETA_DOT]),
+        samples=len(time),
+        periods=float(np.ptp(time)) / rough.period,
+        rms=fitting.rms(residual),
+        noise=fitting.noise_of(residual, trajectory.resolution),
+        offset=float(fit.unknowns[fitting.OFFSET]),
+        theta=float(fit.unknowns[fitting.THETA]),
+        theta_dot=float(fit.unknowns[fitting.THETA_DOT]),
         settings=settings,
     )
-    _reject_unexplained(recording, free, rough.period, swing_fit)
-    warnings = _warnings(recording, whole, fit, rough.period, swing_fit)
-    swing_fit = swing_fit.model_copy(update={"warnings": (*notes, *free.warnings, *warnings)})
-    blocks = max(round(periods), settings.least_blocks)
-    spread = covariance(recording, fit, blocks)
-    return _pendulum(fit.unknowns, spread, blocks, mass, length, swing_fit)
+    _reject_unexplained(recording, free.starts[:1], swing_fit)
+    warnings = (*notes, *free.warnings, *_warnings(recording, whole, fit, swing_fit))
+    swing_fit = swing_fit.model_copy(update={"warnings": warnings})
+    return _pendulum(recording, fit, mass, length, swing_fit)
 
 
 def _reject_unexplained(
-    recording: SwingRecording, free: FreeSwing, period: float, swing_fit: SwingFit
+    recording: SwingRecording, starts: Sequence[fitting.Array], swing_fit: SwingFit
 ) -> None:
-    settings, spread = swing_fit.settings, float(np.std(recording.values))
-    left = misfit(swing_fit.rms, swing_fit.noise) / spread
+    settings = swing_fit.settings
+    left = fitting.misfit(swing_fit.rms, swing_fit.noise) / float(np.std(recording.values))
     if left <= settings.unexplained:
         return
     begin, end = swing_fit.window
-    richest = list(FRICTIONS)[-1]
     cure = "choose a free swing with --start and --end"
-    if settings.friction != richest:
-        richer = settings.model_copy(update={"friction": richest})
-        fit = fit_growing(recording, free.starts[:1], period, richer)
-        residual = recording.residual(fit.unknowns)
-        if misfit(rms(residual), noise_of(residual)) < MAX_MISFIT * spread:
-            cure = f"try --friction {richest}, which explains it"
+    if settings.friction != RICHEST:
+        fit = fitting.fit_growing(recording, starts, RICHEST)
+        if recording.misfit_share(fit.unknowns) < fitting.MAX_MISFIT:
+            cure = f"try --friction {RICHEST}, which explains it"
     raise RecordingError(
         f"{swing_fit.source} is not a free swing with {settings.friction} friction: the pendulum's "
         f"equation leaves {left:.0%} of the motion from {begin:.2f} s to {end:.2f} s unexplained, "
@@ -156,48 +129,32 @@ def _reject_unexplained(
 
 
 def _nested(
-    recording: SwingRecording,
-    fit: FittedUnknowns,
-    free: FreeSwing,
-    period: float,
-    settings: IdentificationSettings,
+    recording: SwingRecording, fit: FittedUnknowns, starts: Sequence[fitting.Array]
 ) -> FittedUnknowns:
     """Return the better of a fit and a fit that starts from the optima of the simpler models."""
-    models = list(FRICTIONS)
-    viscous = settings.model_copy(update={"friction": models[0]})
-    simple = fit_growing(recording, free.starts, period, viscous)
-    for model in models[1 : models.index(settings.friction) + 1]:
-        simple = fit_richer(recording, model, simple, period, settings)
-    return min(fit, simple, key=lambda found: rms(recording.residual(found.unknowns)))
+    simple = fitting.fit_growing(recording, starts, MODELS[0])
+    for model in MODELS[1 : MODELS.index(recording.settings.friction) + 1]:
+        simple = fitting.fit_richer(recording, model, simple, fitting.FINE)
+    return min(fit, simple, key=lambda found: recording.rms(found.unknowns))
 
 
 def _warnings(
-    recording: SwingRecording,
-    whole: SwingRecording,
-    fit: FittedUnknowns,
-    period: float,
-    swing_fit: SwingFit,
-) -> tuple[str, ...]:
+    recording: SwingRecording, whole: SwingRecording, fit: FittedUnknowns, swing_fit: SwingFit
+) -> list[str]:
     settings = swing_fit.settings
     unit = "deg/s" if recording.is_rate else "deg"
     residual = f"{np.rad2deg(swing_fit.rms):.3g} {unit} RMS"
-    model, left = _best_friction(recording, whole, fit, period, swing_fit)
+    model, left = _best_friction(recording, whole, fit, swing_fit)
     better = model != settings.friction
-    richest = settings.friction == list(FRICTIONS)[-1]
     warnings = list[str]()
     amplitude = float(np.max(np.abs(recording.values - swing_fit.offset)))
-    unexplained = misfit(swing_fit.rms, swing_fit.noise) / amplitude
+    unexplained = fitting.misfit(swing_fit.rms, swing_fit.noise) / amplitude
     if unexplained > settings.misfit_share:
-        look = (
-            "look for play, vibration or a pivot that moves, or choose another window with "
-            "--start and --end"
-        )
-        if better:
-            advice = f"try --friction {model}"
-        elif richest:
-            advice = f"it is the richest model here: {look}"
-        else:
-            advice = f"the richer models leave {left / swing_fit.rms:.0%} of it: {look}"
+        why = f"the richer models leave {left / swing_fit.rms:.0%} of it"
+        if settings.friction == RICHEST:
+            why = "it is the richest model here"
+        look = "look for play, vibration or a moving pivot, or choose another window with --start"
+        advice = f"try --friction {model}" if better else f"{why}: {look} and --end"
         warnings.append(
             f"{settings.friction} friction does not explain the recording: it leaves {residual}, "
             f"{unexplained:.1%} of the amplitude, where the noise is "
@@ -219,26 +176,20 @@ def _warnings(
             f"the swing lasts {swing_fit.periods:.1f} periods only, and the intervals are rough; "
             "record ten"
         )
-    largest = amplitude / (2.0 * pi / period if recording.is_rate else 1.0)
+    largest = amplitude / (2.0 * pi / recording.period if recording.is_rate else 1.0)
     if largest < SMALL_AMPLITUDE:
-        unit_wrong = (
-            "" if recording.is_rate else ", or name the column theta_rad if it holds radians"
-        )
+        suspect = largest < SUSPECT_AMPLITUDE and not recording.is_rate
+        unit_wrong = ", or name the column theta_rad if it holds radians" if suspect else ""
         warnings.append(
             f"the swing stays within {np.rad2deg(largest):.2g} deg, where play and dry friction "
             "count most: the intervals do not cover that w2 may be 1 or 2 % lower in larger "
-            "swings; release the pendulum from 40 to 60 deg"
-            + (unit_wrong if largest < SUSPECT_AMPLITUDE else "")
+            f"swings; release the pendulum from 40 to 60 deg{unit_wrong}"
         )
-    return tuple(warnings)
+    return warnings
 
 
 def _best_friction(
-    recording: SwingRecording,
-    whole: SwingRecording,
-    fit: FittedUnknowns,
-    period: float,
-    swing_fit: SwingFit,
+    recording: SwingRecording, whole: SwingRecording, fit: FittedUnknowns, swing_fit: SwingFit
 ) -> tuple[Friction, float]:
     """Return the simplest friction model that is clearly better than all simpler ones.
 
@@ -253,12 +204,10 @@ def _best_friction(
     if swing_fit.noise > settings.better_share * left or left < enough:
         return best, left
     # A quarter of the means suffices to compare models.
-    recording = recording.every(4) if np.any(recording.spread) else recording
-    models = list(FRICTIONS)
-    richer = fit
-    for model in models[models.index(settings.friction) + 1 :]:
-        richer = fit_richer(recording, model, richer, period, settings, tolerance=1e-6)
-        its = rms(whole.residual(richer.unknowns))
+    recording = recording.part(slice(None, None, 4 if np.any(recording.spread) else 1))
+    for model in MODELS[MODELS.index(settings.friction) + 1 :]:
+        fit = fitting.fit_richer(recording, model, fit, fitting.COARSE)
+        its = whole.rms(fit.unknowns)
         least = min(least, its)
         if its < settings.better_share * left:
             best, left = model, its
@@ -266,18 +215,19 @@ def _best_friction(
 
 
 def _pendulum(
-    unknowns: Array,
-    spread: Array,
-    blocks: int,
+    recording: SwingRecording,
+    fit: FittedUnknowns,
     mass: Estimate | None,
     length: Estimate | None,
     swing_fit: SwingFit,
 ) -> Pendulum:
     from scipy.stats import t as student
 
-    settings = swing_fit.settings
+    settings, unknowns = swing_fit.settings, fit.unknowns
+    blocks = max(round(swing_fit.periods), settings.least_blocks)
+    spread = fitting.covariance(recording, fit, blocks)
     quantile = float(student.ppf(0.975, blocks - 1))
-    fitted = [W2, *FRICTIONS[settings.friction]]
+    fitted = [W2, *fitting.FRICTIONS[settings.friction]]
 
     def estimate(place: int, factor: float = 1.0) -> Estimate:
         width = quantile * sqrt(spread[place, place])

@@ -44,14 +44,13 @@ Whole = npt.NDArray[np.intp]
 DELAY, T_C, LAG, LOAD_BIAS = 0, 1, 2, 2 + FREE_JOINTS
 """Indices of the unknowns: the delay, t_c, a lag and a load bias of each joint."""
 
-COMMON: Final[dict[Kind, list[int]]] = {"ideal": [DELAY], "lag": [DELAY], "kst": [DELAY, T_C]}
-"""Unknowns that all joints share, for each kind."""
-PER_JOINT: Final[dict[Kind, list[int]]] = {
-    "ideal": [LOAD_BIAS],
-    "lag": [LAG, LOAD_BIAS],
-    "kst": [LAG, LOAD_BIAS],
+_LAGS, _BIASES = range(LAG, LOAD_BIAS), range(LOAD_BIAS, LOAD_BIAS + FREE_JOINTS)
+FITTED: Final[dict[Kind, list[int]]] = {
+    "ideal": [DELAY, *_BIASES],
+    "lag": [DELAY, *_LAGS, *_BIASES],
+    "kst": [DELAY, T_C, *_LAGS, *_BIASES],
 }
-"""Unknowns of each joint, by their index for the first joint."""
+"""Indices of the unknowns of each kind."""
 
 
 def _unknowns(delay: float, t_c: float, lag: float, bias: float) -> Array:
@@ -66,7 +65,7 @@ UPPER_BOUNDS: Final = _unknowns(0.1, 1e-2, 0.1, np.inf)
 """Upper bounds of the unknowns: a robot with more delay or lag cannot balance."""
 DELAY_GRID: Final = 5e-3
 """Grid step of the delay search [s]: a small part of any period."""
-DELAY_JITTER: Final = 1e-3
+JITTER: Final = 1e-3
 """Largest deviation of a setpoint's delay from the mean [s], from the server's cycle and a quiet
 network. The log hardly shows it; the intervals allow for twice its square. With a true value of
 2 ms the estimated delay is 0.2 ms too short."""
@@ -128,31 +127,18 @@ class Log(NamedTuple):
         return blocks_of_time(self.time, BLOCKS)
 
     def predict(
-        self,
-        kind: Kind,
-        unknowns: Array,
-        joint: int,
-        memory: float = 1.0,
-        spread: float = DELAY_JITTER,
+        self, kind: Kind, unknowns: Array, joint: int, memory: float = 1.0, spread: float = JITTER
     ) -> Array:
         """Simulate the positions of a joint [rad], shape (n,)."""
+        delay, t_c, lag, bias = map(float, unknowns[[DELAY, T_C, LAG + joint, LOAD_BIAS + joint]])
+        actuator = ActuatorParameters(KINDS.index(kind), t_c)
+        stream = self.stream_time, self.stream_q[joint]
+        replies = self.reply_time, self.reply_q[joint]
         predicted = np.empty_like(self.reply_time)
-        track(
-            self.stream_time,
-            self.stream_q[joint],
-            self.reply_time,
-            self.reply_q[joint],
-            float(unknowns[DELAY]),
-            spread,
-            float(unknowns[LAG + joint]),
-            float(unknowns[LOAD_BIAS + joint]),
-            memory,
-            ActuatorParameters(KINDS.index(kind), float(unknowns[T_C])),
-            predicted,
-        )
+        track(*stream, *replies, delay, spread, lag, bias, memory, actuator, predicted)
         return predicted[self.settled :]
 
-    def residual(self, kind: Kind, unknowns: Array, spread: float = DELAY_JITTER) -> Array:
+    def residual(self, kind: Kind, unknowns: Array, spread: float = JITTER) -> Array:
         """Return measured minus predicted positions [rad], shape (6, n)."""
         joints = range(FREE_JOINTS)
         return self.measured - [self.predict(kind, unknowns, j, spread=spread) for j in joints]
@@ -215,20 +201,26 @@ def identify_actuator(
             that follows its setpoints.
     """
     log = _read(stream_time, stream_q, reply_time, reply_q)
-    fits = {each: _fit(log, each) for each in (KINDS if kind == "auto" else (kind,))}
+    kinds = KINDS if kind == "auto" else (kind,)
+    fits = {each: _fit(log, each, FITTED[each]) for each in kinds}
     best = next(iter(fits.values()))
     for richer in fits.values():
         if richer.rms < MAX_RESIDUAL_RATIO * best.rms:
             best = richer
     _reject_unexplained(log, best)
     covariance = _covariance(log, best)
-    if (
-        T_C in best.fitted
-        and _half_width(covariance, T_C) > MAX_T_C_UNCERTAINTY * best.unknowns[T_C]
-    ):
-        best = _fit(log, best.kind, t_c_kept=True)
+    # Zero where t_c is fixed.
+    if _half_width(covariance, T_C) > MAX_T_C_UNCERTAINTY * best.unknowns[T_C]:
+        best = _fit(log, best.kind, [place for place in best.fitted if place != T_C])
         covariance = _covariance(log, best)
-    estimates = _estimates(best, covariance)
+    estimates = [
+        Estimate.around(
+            float(value),
+            _half_width(covariance, place),
+            "identified" if place in best.fitted else "assumed",
+        ).not_negative()
+        for place, value in enumerate(best.unknowns[:LOAD_BIAS])
+    ]
     noise, duration = _noise(best.residual), float(log.time[-1] - log.time[0])
     return Actuator(
         kind=best.kind,
@@ -325,10 +317,8 @@ def speed_ranges(time: Array, q: Array) -> Array:
     return np.ptp(np.quantile(velocity, [0.02, 0.98], axis=0), axis=0)
 
 
-def _fit(log: Log, kind: Kind, *, t_c_kept: bool = False) -> JointFit:
+def _fit(log: Log, kind: Kind, fitted: list[int]) -> JointFit:
     """Fit one kind of actuator, weighted by residual first, then by the effective noise."""
-    common = [DELAY] if t_c_kept else COMMON[kind]
-    fitted = [*common, *(first + j for first in PER_JOINT[kind] for j in range(FREE_JOINTS))]
     delays = np.arange(0.0, UPPER_BOUNDS[DELAY], DELAY_GRID)
     starts = np.tile(START, (len(delays), 1))
     starts[:, DELAY] = delays
@@ -353,16 +343,13 @@ def _least_squares(log: Log, kind: Kind, start: Array, fitted: list[int], weight
         unknowns[fitted] = x * scales
         return unknowns
 
-    def residual(x: Array) -> Array:
-        return -(weights[:, None] * log.residual(kind, at(x))).ravel()
-
     def jacobian(x: Array) -> Array:
         J = log.sensitivities(kind, at(x), fitted)
         return (weights[:, None, None] * J).reshape(-1, len(fitted))
 
     inside = np.clip(start[fitted], low + 1e-3 * scales, high - 1e-3 * scales)
     solution = least_squares(
-        residual,
+        lambda x: -(weights[:, None] * log.residual(kind, at(x))).ravel(),
         inside / scales,
         # SciPy's stub accepts a name here, but no function.
         jac=jacobian,  # pyright: ignore[reportArgumentType]
@@ -403,13 +390,12 @@ def _covariance(log: Log, fit: JointFit) -> Array:
     sensitivities = log.sensitivities(fit.kind, fit.unknowns, fit.fitted)
     J = (weights[:, :, None] * sensitivities).reshape(-1, k)
     residual, block = (weights * fit.residual).ravel(), np.tile(log.blocks, FREE_JOINTS)
-    jittered = log.residual(fit.kind, fit.unknowns, spread=sqrt(2.0) * DELAY_JITTER)
+    jittered = log.residual(fit.kind, fit.unknowns, spread=sqrt(2.0) * JITTER)
     change = (weights * (jittered - fit.residual)).ravel()
     move = np.linalg.lstsq(J.T @ J, J.T @ change, rcond=None)[0]
+    spread = jackknife(J, residual, block) + np.outer(move, move)
     covariance = np.zeros((len(fit.unknowns), len(fit.unknowns)))
-    covariance[np.ix_(fit.fitted, fit.fitted)] = np.outer(scales, scales) * (
-        jackknife(J, residual, block) + np.outer(move, move)
-    )
+    covariance[np.ix_(fit.fitted, fit.fitted)] = np.outer(scales, scales) * spread
     return covariance
 
 
@@ -418,18 +404,6 @@ def _half_width(covariance: Array, place: int) -> float:
     from scipy.stats import t as student
 
     return float(student.ppf(0.975, BLOCKS - 1)) * sqrt(covariance[place, place])
-
-
-def _estimates(fit: JointFit, covariance: Array) -> list[Estimate]:
-    """Return delay, t_c and lags with their intervals, limited to non-negative values."""
-    return [
-        Estimate.around(
-            float(fit.unknowns[place]),
-            _half_width(covariance, place),
-            "identified" if place in fit.fitted else "assumed",
-        ).not_negative()
-        for place in range(LOAD_BIAS)
-    ]
 
 
 def _one_step(log: Log, kind: Kind, unknowns: Array) -> Array:

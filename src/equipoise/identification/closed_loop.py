@@ -19,9 +19,8 @@ While a policy balances, phi and x_ddot are correlated, and separate estimates o
 A rigid pendulum has k = w2 / g; with this constraint a log of a minute gives the inertia to 0.1 %.
 """
 
-from contextlib import suppress
 from math import sqrt
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -60,10 +59,6 @@ MIRRORED_RATIO: Final = 0.5
 """Ratio of the unexplained shares with x negated and as given, below which phi and x count in
 opposite directions."""
 
-Derivatives = Literal["weak", "savitzky-golay"]
-"""Differentiation: the weak form, or polynomials of Savitzky & Golay (11 samples, cubic) as in
-published regressions, with their bias."""
-
 
 class ClosedLoopFit(Value):
     """Pendulum parameters from a closed-loop log, with 95 % intervals."""
@@ -89,8 +84,8 @@ class ClosedLoopFit(Value):
     """Whether k was constrained to w2 / g."""
     g: float
     """Acceleration of gravity [m/s^2]."""
-    derivatives: Derivatives
-    """Method of differentiation."""
+    derivatives: Literal["weak"] = "weak"
+    """Method of differentiation: the weak form."""
     duration: float
     """Length of the log [s]."""
     samples: int
@@ -140,14 +135,7 @@ def _readable(estimate: Estimate) -> str:
 
 
 def regress(
-    time: Array,
-    phi: Array,
-    x: Array,
-    *,
-    tied: bool = True,
-    derivatives: Derivatives = "weak",
-    window: float = WINDOW,
-    g: float = GRAVITY,
+    time: Array, phi: Array, x: Array, *, tied: bool = True, g: float = GRAVITY
 ) -> ClosedLoopFit:
     """Regress the pendulum's equation on a log with a moving pivot.
 
@@ -164,8 +152,6 @@ def regress(
         x: Measured, not commanded, displacement of the pivot [m], shape (n,).
         tied: Constrain k = w2 / g. Otherwise the log needs motion that separates them, such as a
             swing-up.
-        derivatives: Method of differentiation.
-        window: Length of the smooth window of the weak form [s].
         g: Acceleration of gravity [m/s^2].
 
     Returns:
@@ -176,39 +162,33 @@ def regress(
             equation, or phi and x are counted in opposite directions.
     """
     _check(time, phi, x)
-    options: dict[str, Any] = {"tied": tied, "derivatives": derivatives, "window": window, "g": g}
-    left = 1.0
     try:
-        fit = _regress(time, phi, x, **options)
-        if (left := fit.unexplained) <= ROUGH_FIT:
-            return fit
-        rejection = None
-    except RecordingError as error:
-        fit, rejection = None, error
-    with suppress(RecordingError):
-        mirrored = _regress(time, phi, -x, **options)
-        if mirrored.unexplained < MIRRORED_RATIO * left:
-            rejection = RecordingError(
-                "phi and x are counted in opposite directions: the equation holds with x "
-                f"negated ({mirrored.unexplained:.0%} of the acceleration unexplained) and not "
-                "as they are; correct the sign of x, or that of the encoder (encoder_sign in "
-                "rig.toml)"
-            )
-    if fit is None or rejection is not None:
-        raise rejection or RecordingError("the log does not follow the equation")
+        fit = _regress(time, phi, x, tied, g)
+    except RecordingError:
+        _reject_mirrored(time, phi, x, tied, g, 1.0)
+        raise
+    if fit.unexplained > ROUGH_FIT:
+        _reject_mirrored(time, phi, x, tied, g, fit.unexplained)
     return fit
 
 
-def _regress(
-    time: Array,
-    phi: Array,
-    x: Array,
-    *,
-    tied: bool,
-    derivatives: Derivatives,
-    window: float,
-    g: float,
-) -> ClosedLoopFit:
+def _reject_mirrored(
+    time: Array, phi: Array, x: Array, tied: bool, g: float, unexplained: float
+) -> None:
+    """Reject a log that follows the equation clearly better with x negated."""
+    try:
+        mirrored = _regress(time, phi, -x, tied, g).unexplained
+    except RecordingError:
+        return
+    if mirrored < MIRRORED_RATIO * unexplained:
+        raise RecordingError(
+            "phi and x are counted in opposite directions: the equation holds with x negated "
+            f"({mirrored:.0%} of the acceleration unexplained) and not as they are; correct the "
+            "sign of x, or that of the encoder (encoder_sign in rig.toml)"
+        ) from None
+
+
+def _regress(time: Array, phi: Array, x: Array, tied: bool, g: float) -> ClosedLoopFit:
     """Regress the equation with the signs as given; see `regress`."""
     from scipy.interpolate import CubicSpline
     from scipy.stats import t as student
@@ -216,23 +196,26 @@ def _regress(
     phi, length = np.unwrap(phi), float(np.ptp(time))
     blocks = max(round(length / BLOCK_DURATION), MIN_BLOCKS)
 
-    def solved(x: Array) -> _Solution:
-        if derivatives == "weak":
-            rows = _averaged(_rows(_by_splines(time, phi, x), g, tied), window)
-        else:
-            rows = _rows(_by_polynomials(time, phi, x), g, tied)
-        rows = rows.without_gaps()
-        if not len(rows.time) or np.ptp(rows.time) < MIN_BLOCKS * window:
-            raise RecordingError(
-                f"the log holds {length:.2f} s, expected at least "
-                f"{(MIN_BLOCKS + 2) * window:.1f} s without gaps; balance for longer"
-            )
-        solution = _solve(rows, blocks)
-        _reject(float(solution.values[0]), coupling(solution), solution.unexplained)
-        return solution
-
     def coupling(solution: _Solution) -> float:
         return float(solution.values[0]) / g if tied else float(solution.values[1])
+
+    def solved(x: Array) -> _Solution:
+        rows = _rows(time, phi, x, g, tied)
+        if not len(rows.time) or np.ptp(rows.time) < MIN_BLOCKS * WINDOW:
+            raise RecordingError(
+                f"the log holds {length:.2f} s, expected at least "
+                f"{(MIN_BLOCKS + 2) * WINDOW:.1f} s without gaps; balance for longer"
+            )
+        solution = _solve(rows, blocks)
+        w2, left = float(solution.values[0]), solution.unexplained
+        if min(w2, coupling(solution)) <= 0.0 or left > MAX_UNEXPLAINED:
+            raise RecordingError(
+                f"the pendulum's equation leaves {left:.0%} of the acceleration unexplained "
+                f"(w2 = {w2:.3g} 1/s^2), expected less than {MAX_UNEXPLAINED:.0%}: the pendulum "
+                "stands too still for its encoder, or phi and x do not belong together; look at "
+                "their units, signs and clocks, and that phi is 0 upright"
+            )
+        return solution
 
     # The latency is linearised, so x is shifted by the first estimate and solved again.
     solution = solved(x)
@@ -247,9 +230,8 @@ def _regress(
         w[list(weights)] = list(weights.values())
         value = offset + float(w @ solution.values)
         half = quantile * sqrt(float(w @ solution.spread @ w))
-        return Estimate(
-            value=value, low=value - half, high=value + half + reach, source="identified"
-        )
+        low, high = value - half, value + half + reach
+        return Estimate(value=value, low=low, high=high, source="identified")
 
     of_w2, of_k = solution.reach[:2].tolist()
     fit = ClosedLoopFit(
@@ -263,7 +245,6 @@ def _regress(
         rate=solution.rate,
         tied=tied,
         g=g,
-        derivatives=derivatives,
         duration=length,
         samples=len(time),
         blocks=blocks,
@@ -331,21 +312,6 @@ def _z(before: Estimate, now: Estimate) -> float:
     return 1.96 * (high.value - low.value) / float(np.hypot(*halves))
 
 
-class _Motion(NamedTuple):
-    """Differentiated log; each of shape (n,)."""
-
-    time: Array
-    phi: Array
-    phi_dot: Array
-    phi_ddot: Array
-    x_ddot: Array
-    x_dddot: Array
-    rate: Array
-    """Smoothed phi_dot, for its sign [rad/s]."""
-    gap: Array
-    """1 within a gap of the log, else 0."""
-
-
 class _Rows(NamedTuple):
     """Equation at each time, or averaged over a window around it."""
 
@@ -359,11 +325,6 @@ class _Rows(NamedTuple):
     """Zero outside the neighbourhood of gaps, shape (n,)."""
     rate: Array
     """Smoothed phi_dot [rad/s], shape (n,)."""
-
-    def without_gaps(self) -> "_Rows":
-        # Convolution by FFT leaves 1e-17 outside gaps.
-        keep = self.gap < 1e-6
-        return _Rows(*(column[keep] for column in self))
 
 
 class _Solution(NamedTuple):
@@ -399,8 +360,8 @@ def _check(time: Array, phi: Array, x: Array) -> None:
         )
 
 
-def _by_splines(time: Array, phi: Array, x: Array) -> _Motion:
-    """Differentiate the cubic splines through the samples."""
+def _rows(time: Array, phi: Array, x: Array, g: float, tied: bool) -> _Rows:
+    """Return the equation averaged over a moving window, without gaps; empty for a short log."""
     from scipy.interpolate import CubicSpline
     from scipy.signal import oaconvolve
 
@@ -408,57 +369,26 @@ def _by_splines(time: Array, phi: Array, x: Array) -> _Motion:
     step = usual / POINTS_PER_SAMPLE
     fine = np.arange(time[0], time[-1], step)
     angle, pivot = CubicSpline(time, phi), CubicSpline(time, x)
-    phi_dot = angle(fine, 1)
-    steps = np.diff(time)[np.searchsorted(time, fine, side="right") - 1]
-    return _Motion(
-        time=fine,
-        phi=angle(fine),
-        phi_dot=phi_dot,
-        phi_ddot=angle(fine, 2),
-        x_ddot=pivot(fine, 2),
-        x_dddot=pivot(fine, 3),
-        rate=oaconvolve(phi_dot, _bump(RATE_WINDOW, step), "same"),
-        gap=np.asarray(steps > GAP_RATIO * usual, dtype=np.float64),
-    )
-
-
-def _by_polynomials(time: Array, phi: Array, x: Array) -> _Motion:
-    """Differentiate the cubics that fit 11 samples each (Savitzky & Golay)."""
-    from scipy.signal import savgol_filter
-
-    step = float(np.median(np.diff(time)))
-    uneven = float(np.max(np.abs(np.diff(time) / step - 1.0)))
-    if uneven > 0.1:
-        raise RecordingError(
-            f"the steps of the log differ by up to {uneven:.0%}, expected less than 10 % for "
-            "polynomials; use the weak form"
-        )
-
-    def derivative(values: Array, order: int) -> Array:
-        return np.asarray(savgol_filter(values, 11, 3, deriv=order, delta=step))
-
-    phi_dot = derivative(phi, 1)
-    return _Motion(
-        time=time,
-        phi=phi,
-        phi_dot=phi_dot,
-        phi_ddot=derivative(phi, 2),
-        x_ddot=derivative(x, 2),
-        x_dddot=derivative(x, 3),
-        rate=phi_dot,
-        gap=np.zeros(len(time)),
-    )
-
-
-def _rows(motion: _Motion, g: float, tied: bool) -> _Rows:
-    sine, cosine = np.sin(motion.phi), np.cos(motion.phi)
-    push = motion.x_ddot * cosine
+    sine, cosine = np.sin(angle(fine)), np.cos(angle(fine))
+    phi_dot, x_ddot = angle(fine, 1), pivot(fine, 2)
+    rate = oaconvolve(phi_dot, _bump(RATE_WINDOW, step), "same")
+    push = x_ddot * cosine
     terms = [sine - push / g] if tied else [sine, -push]
     # To first order, a zero error rotates gravity and the pivot's acceleration relative to phi, and
     # a latency tau of x subtracts tau x_dddot.
-    turned = cosine + motion.x_ddot * sine / g
-    terms += [-motion.phi_dot, -np.sign(motion.rate), -turned, -motion.x_dddot * cosine]
-    return _Rows(motion.time, np.stack(terms, axis=1), motion.phi_ddot, motion.gap, motion.rate)
+    turned = cosine + x_ddot * sine / g
+    terms += [-phi_dot, -np.sign(rate), -turned, -pivot(fine, 3) * cosine]
+    steps = np.diff(time)[np.searchsorted(time, fine, side="right") - 1]
+    gap = np.asarray(steps > GAP_RATIO * usual, dtype=np.float64)
+    rows = _Rows(fine, np.stack(terms, axis=1), angle(fine, 2), gap, rate)
+    bump = _bump(WINDOW, float(fine[1] - fine[0]))
+    if len(bump) > len(fine):
+        return _Rows(*(column[:0] for column in rows))
+    shape = {1: (-1,), 2: (-1, 1)}
+    means = (oaconvolve(each, bump.reshape(shape[each.ndim]), "valid", axes=0) for each in rows)
+    rows = _Rows(*(mean[::POINTS_PER_SAMPLE] for mean in means))
+    # Convolution by FFT leaves 1e-17 outside gaps.
+    return _Rows(*(column[rows.gap < 1e-6] for column in rows))
 
 
 def _bump(length: float, step: float) -> Array:
@@ -466,24 +396,6 @@ def _bump(length: float, step: float) -> Array:
     n = max(round(length / step), 4)
     bump = (1.0 - np.linspace(-1.0, 1.0, n + 1)[1:-1] ** 2) ** 3
     return bump / np.sum(bump)
-
-
-def _averaged(rows: _Rows, window: float) -> _Rows:
-    """Return the equation averaged over a window that moves by one sample per row."""
-    from scipy.signal import oaconvolve
-
-    bump = _bump(window, float(rows.time[1] - rows.time[0]))
-    if len(bump) > len(rows.time):
-        return _Rows(*(column[:0] for column in rows))
-    shape = {1: (-1,), 2: (-1, 1)}
-    return _Rows(
-        *(
-            oaconvolve(column, bump.reshape(shape[column.ndim]), "valid", axes=0)[
-                ::POINTS_PER_SAMPLE
-            ]
-            for column in rows
-        )
-    )
 
 
 def _solve(rows: _Rows, blocks: int) -> _Solution:
@@ -517,13 +429,3 @@ def _warnings(fit: ClosedLoopFit, phi: Array) -> tuple[str, ...]:
             "the fit allows for it, but look at the clocks"
         )
     return tuple(warnings)
-
-
-def _reject(w2: float, k: float, unexplained: float) -> None:
-    if w2 <= 0.0 or k <= 0.0 or unexplained > MAX_UNEXPLAINED:
-        raise RecordingError(
-            f"the pendulum's equation leaves {unexplained:.0%} of the acceleration unexplained "
-            f"(w2 = {w2:.3g} 1/s^2), expected less than {MAX_UNEXPLAINED:.0%}: the pendulum stands "
-            "too still for its encoder, or phi and x do not belong together; look at their units, "
-            "signs and clocks, and that phi is 0 upright"
-        )

@@ -30,6 +30,8 @@ FRICTIONS: dict[Friction, list[int]] = {
 MAX_MISFIT = 0.05
 """Largest misfit of a fit in the global minimum, as a share of the motion's standard deviation. The
 wrong friction model over 60 periods leaves that much."""
+COARSE, FINE = 1e-6, 1e-12
+"""Relative changes of the sum of squares at which a comparison and a final fit stop."""
 
 
 class SwingRecording(NamedTuple):
@@ -45,19 +47,17 @@ class SwingRecording(NamedTuple):
     """Standard deviation of the times within a mean [s], shape (n,); zero for single samples."""
     is_rate: bool
     """Whether a gyro recorded the rate."""
-    h: float
-    """Length of the Runge-Kutta steps [s]."""
+    period: float
+    """Period of the swing [s]."""
     w2_range: tuple[float, float]
     """Bounds of w2 [1/s^2]; they exclude the second, upside-down solution with w2 < 0."""
+    settings: IdentificationSettings
+    """Settings of the fit."""
 
-    def until(self, end: float) -> "SwingRecording":
-        """Return the samples up to a time [s]."""
-        n = int(np.searchsorted(self.time, end, side="right"))
-        return self._replace(time=self.time[:n], values=self.values[:n], spread=self.spread[:n])
-
-    def every(self, n: int) -> "SwingRecording":
-        """Return every n-th sample."""
-        return self._replace(time=self.time[::n], values=self.values[::n], spread=self.spread[::n])
+    def part(self, kept: slice) -> "SwingRecording":
+        """Return some of the samples."""
+        time, values, spread = self.time[kept], self.values[kept], self.spread[kept]
+        return self._replace(time=time, values=values, spread=spread)
 
     def predict(self, unknowns: Array) -> Array:
         """Simulate the recorded values, shape (n,).
@@ -71,13 +71,23 @@ class SwingRecording(NamedTuple):
         thetas, theta_dots = np.empty_like(time), np.empty_like(time)
         w2, c, coulomb, drag, theta, theta_dot, offset = map(float, unknowns)
         pendulum = PendulumParameters(w2, 0.0, c, coulomb, drag)
-        swing(time, theta, theta_dot, self.h, pendulum, thetas, theta_dots)
+        h = self.period / self.settings.steps_per_period
+        swing(time, theta, theta_dot, h, pendulum, thetas, theta_dots)
         motion = (theta_dots if self.is_rate else thetas)[1:]
         return motion.reshape(-1, len(points)).mean(axis=1) + offset
 
     def residual(self, unknowns: Array) -> Array:
         """Return recorded minus predicted values, shape (n,)."""
         return self.values - self.predict(unknowns)
+
+    def rms(self, unknowns: Array) -> float:
+        """Return the root mean square residual."""
+        return rms(self.residual(unknowns))
+
+    def misfit_share(self, unknowns: Array) -> float:
+        """Return the misfit as a share of the motion's standard deviation."""
+        residual = self.residual(unknowns)
+        return misfit(rms(residual), noise_of(residual)) / float(np.std(self.values))
 
 
 class FittedUnknowns(NamedTuple):
@@ -92,10 +102,7 @@ class FittedUnknowns(NamedTuple):
 
 
 def fit_growing(
-    recording: SwingRecording,
-    starts: Sequence[Array],
-    period: float,
-    settings: IdentificationSettings,
+    recording: SwingRecording, starts: Sequence[Array], friction: Friction
 ) -> FittedUnknowns:
     """Fit the recording over a growing horizon.
 
@@ -106,44 +113,32 @@ def fit_growing(
     Args:
         recording: The free swing.
         starts: Initial guesses of the unknowns, the likeliest first; shape (7,) each.
-        period: Period of the swing [s].
-        settings: Friction model and horizons.
+        friction: The friction model.
     """
-    length = float(recording.time[-1] - recording.begin)
-    first = min(settings.first_horizon_periods * period, length)
+    settings, length = recording.settings, float(recording.time[-1] - recording.begin)
+    first = min(settings.first_horizon_periods * recording.period, length)
     growing = [max(share * length, first) for share in settings.horizons]
     slowly = [first * 1.5**i for i in range(ceil(log(length / first, 1.5)))]
     others = starts[1:]
     attempts = [(growing, starts[0]), *((slowly, start) for start in others[:1])]
     attempts += [*((growing, start) for start in others), (slowly, starts[0])]
-    found = list[tuple[float, FittedUnknowns]]()
-    for horizons, start in attempts:
-        fit = FittedUnknowns(start, [], [])
+    found = list[tuple[float, Array]]()
+    for horizons, unknowns in attempts:
         for horizon in (*horizons, length):
-            part = recording.until(recording.begin + horizon)
-            fit = fit_bounded(part, settings.friction, fit.unknowns, tolerance=1e-6)
-        share = _unexplained(recording, fit)
+            end = np.searchsorted(recording.time, recording.begin + horizon, side="right")
+            part = recording.part(slice(int(end)))
+            unknowns = fit_bounded(part, friction, unknowns, COARSE, False).unknowns
+        share = recording.misfit_share(unknowns)
         again = any(abs(share - other) < 0.01 * other for other, _ in found)
-        found.append((share, fit))
+        found.append((share, unknowns))
         if share < MAX_MISFIT or (again and share < settings.unexplained):
             break
     best = min(found, key=lambda one: one[0])[1]
-    return fit_bounded(recording, settings.friction, best.unknowns, thorough=True)
-
-
-def _unexplained(recording: SwingRecording, fit: FittedUnknowns) -> float:
-    """Return the misfit as a share of the motion's standard deviation."""
-    residual = recording.residual(fit.unknowns)
-    return misfit(rms(residual), noise_of(residual)) / float(np.std(recording.values))
+    return fit_bounded(recording, friction, best, FINE, True)
 
 
 def fit_richer(
-    recording: SwingRecording,
-    friction: Friction,
-    simple: FittedUnknowns,
-    period: float,
-    settings: IdentificationSettings,
-    tolerance: float = 1e-12,
+    recording: SwingRecording, friction: Friction, simple: FittedUnknowns, tolerance: float
 ) -> FittedUnknowns:
     """Fit a friction model from the optimum of a simpler one; return the better of both.
 
@@ -151,8 +146,6 @@ def fit_richer(
         recording: The free swing.
         friction: The richer friction model.
         simple: Best fit of a simpler model.
-        period: Period of the swing [s].
-        settings: Horizons.
         tolerance: Relative change of the sum of squares at which the fit stops.
     """
     known = simple.unknowns
@@ -167,27 +160,20 @@ def fit_richer(
             start[place] = share * start[C]
             starts.append(start)
     fitted = [W2, *FRICTIONS[friction], THETA, THETA_DOT, OFFSET]
-    optima = [_least_squares(recording, start, fitted, 1e-6) for start in starts]
-    best = min(optima, key=lambda unknowns: rms(recording.residual(unknowns)))
-    fits = [fit_bounded(recording, friction, best, thorough=True, tolerance=tolerance)]
-    if _unexplained(recording, fits[0]) > MAX_MISFIT:
+    optima = [_least_squares(recording, start, fitted, COARSE) for start in starts]
+    fits = [fit_bounded(recording, friction, min(optima, key=recording.rms), tolerance, True)]
+    if recording.misfit_share(fits[0].unknowns) > MAX_MISFIT:
         # The fit of the simpler model may be off by a period.
-        richer = settings.model_copy(update={"friction": friction})
-        fits.append(fit_growing(recording, starts[1:], period, richer))
-    least = min(fits, key=lambda fit: rms(recording.residual(fit.unknowns)))
-    if rms(recording.residual(least.unknowns)) <= rms(recording.residual(known)):
+        fits.append(fit_growing(recording, starts[1:], friction))
+    least = min(fits, key=lambda fit: recording.rms(fit.unknowns))
+    if recording.rms(least.unknowns) <= recording.rms(known):
         return least
     bound = [place for place in FRICTIONS[friction] if place not in simple.fitted]
     return FittedUnknowns(known, simple.fitted, bound)
 
 
 def fit_bounded(
-    recording: SwingRecording,
-    friction: Friction,
-    start: Array,
-    *,
-    thorough: bool = False,
-    tolerance: float = 1e-12,
+    recording: SwingRecording, friction: Friction, start: Array, tolerance: float, thorough: bool
 ) -> FittedUnknowns:
     """Fit a friction model whose frictions are not negative.
 
@@ -195,9 +181,9 @@ def fit_bounded(
         recording: The free swing.
         friction: The friction model.
         start: Initial guess of the unknowns, shape (7,).
+        tolerance: Relative change of the sum of squares at which the fit stops.
         thorough: If a friction is negative, fix each in turn at zero and return the best fit;
             otherwise fix the most negative one.
-        tolerance: Relative change of the sum of squares at which the fit stops.
     """
     found: dict[tuple[int, ...], Array] = {}
 
@@ -205,8 +191,7 @@ def fit_bounded(
         if frictions in found:
             return
         fitted = [W2, *frictions, THETA, THETA_DOT, OFFSET]
-        unknowns = _least_squares(recording, guess, fitted, tolerance)
-        found[frictions] = unknowns
+        unknowns = found[frictions] = _least_squares(recording, guess, fitted, tolerance)
         scales = _scales(unknowns)
         if all(unknowns[place] > 0.0 for place in frictions):
             return
@@ -218,7 +203,7 @@ def fit_bounded(
     descend(tuple(FRICTIONS[friction]), start)
     kept = min(
         (frictions for frictions in found if all(found[frictions][i] > 0.0 for i in frictions)),
-        key=lambda frictions: rms(recording.residual(found[frictions])),
+        key=lambda frictions: recording.rms(found[frictions]),
     )
     bound = [place for place in FRICTIONS[friction] if place not in kept]
     return FittedUnknowns(found[kept], [W2, *kept, THETA, THETA_DOT, OFFSET], bound)
@@ -236,20 +221,16 @@ def _without(
     J = sensitivities(recording, unknowns, [*others, place])
     guess = unknowns.copy()
     if np.all(np.isfinite(J)):
-        change = np.linalg.lstsq(
-            J[:, :-1] * scales[others], J[:, -1] * unknowns[place], rcond=None
-        )[0]
-        guess[others] += change * scales[others]
+        M, y = J[:, :-1] * scales[others], J[:, -1] * unknowns[place]
+        guess[others] += np.linalg.lstsq(M, y, rcond=None)[0] * scales[others]
     if not np.all(np.isfinite(recording.predict(guess))):
         guess = start.copy()
-    for i in (C, COULOMB, DRAG):
-        if i not in others:
-            guess[i] = 0.0
+    guess[[i for i in (C, COULOMB, DRAG) if i not in others]] = 0.0
     return guess
 
 
 def _least_squares(
-    recording: SwingRecording, start: Array, fitted: list[int], tolerance: float = 1e-12
+    recording: SwingRecording, start: Array, fitted: list[int], tolerance: float
 ) -> Array:
     from scipy.optimize import least_squares
 

@@ -96,30 +96,29 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
     """
     time, values, name = trajectory.time, trajectory.values, trajectory.source
     unit = "rad/s" if trajectory.theta is None else "rad"
-    if len(time) < 2 * settings.samples_per_period:
+    least, several = settings.samples_per_period, "record at least three periods, better ten"
+    if len(time) < 2 * least:
         raise RecordingError(
-            f"{name} has {len(time)} samples, expected at least "
-            f"{2 * settings.samples_per_period:.0f}; record a swing of a few periods"
+            f"{name} has {len(time)} samples, expected at least {2 * least:.0f}; {several}"
         )
     lasts = float(np.ptp(time))
     sampled = f"{(len(time) - 1) / lasts:.3g} samples per second"
     spread, noise = float(np.ptp(values)), _white_noise(values)
     quiet = max(1.5 * settings.noise_multiple * noise, 4.0 * trajectory.resolution, MIN_MOTION)
-    least = max(settings.noise_multiple * noise, settings.turn_share * spread)
-    turns = _turning_points(values, max(least, 2.0 * trajectory.resolution))
-    if spread <= quiet or len(turns) < 2:
-        in_a_period = _samples_per_period(values)
-        if in_a_period < settings.samples_per_period:
-            raise RecordingError(
-                f"{name} is sampled too slowly: {sampled}, about {in_a_period:.1f} in a period, "
-                f"expected {settings.samples_per_period:g} or more; sample faster"
-            )
+    reversal = max(settings.noise_multiple * noise, settings.turn_share * spread)
+    turns = _turning_points(values, max(reversal, 2.0 * trajectory.resolution))
+    hardly = spread <= quiet or len(turns) < 2
+    if hardly and (in_a_period := _samples_per_period(values)) < least:
+        raise RecordingError(
+            f"{name} is sampled too slowly: {sampled}, about {in_a_period:.1f} in a period, "
+            f"expected {least:g} or more; sample faster"
+        )
     if spread <= quiet and noise > MAX_NOISE:
         jump = float(np.median(np.abs(np.diff(values))))
         raise RecordingError(
             f"{name} is sampled too slowly, or holds nothing but noise: at {sampled} it moves by "
-            f"{jump:.2g} {unit} from one to the next, expected "
-            f"{settings.samples_per_period:g} samples or more in a period; sample faster"
+            f"{jump:.2g} {unit} from one to the next, expected {least:g} samples or more in a "
+            "period; sample faster"
         )
     if spread <= quiet:
         raise RecordingError(
@@ -130,20 +129,19 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
     if len(turns) < 2:
         raise RecordingError(
             f"{name} holds less than one period of a swing: in {lasts:.3g} s it turns round "
-            f"{len(turns)} times; record at least three periods, better ten"
+            f"{len(turns)} times; {several}"
         )
     period = 2.0 * float(np.median(np.diff(time[turns])))
     if lasts < period:
         raise RecordingError(
             f"{name} holds less than one period of a swing: it lasts {lasts:.3g} s, and a period "
-            f"is about {period:.3g} s; record at least three periods, better ten"
+            f"is about {period:.3g} s; {several}"
         )
-    if (rate := len(time) * period / lasts) < settings.samples_per_period:
+    if (rate := len(time) * period / lasts) < least:
         raise RecordingError(
             f"{name} shows no oscillation above the noise, or is sampled too slowly: at {sampled} "
-            f"it turns round every {0.5 * rate:.1f} samples, expected "
-            f"{0.5 * settings.samples_per_period:g} or more; sample faster, or release the "
-            "pendulum from a larger angle"
+            f"it turns round every {0.5 * rate:.1f} samples, expected {0.5 * least:g} or more; "
+            "sample faster, or release the pendulum from a larger angle"
         )
     spacing = np.diff(time[turns]) / (0.5 * period)
     run = _longest_run((spacing > 0.6) & (spacing < 1.6))
@@ -151,21 +149,17 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
     begin, end = float(time[turns[0]]), float(time[turns[-1]])
     margin = max(0.5 * (period - (end - begin)), 0.0)
     ends = values[turns]
+    middle = float(np.median(ends[1:] + ends[:-1])) / 2.0
     amplitude = float(np.median(np.abs(np.diff(ends)))) / 2.0
     w2 = _w2_from_period(period, amplitude, trajectory.theta is None)
-    if not PERIOD_RANGE[0] <= (small := 2.0 * pi / float(np.sqrt(w2))) <= PERIOD_RANGE[1]:
+    rough = Oscillation(period, middle, amplitude, (begin - margin, end + margin), w2)
+    if not PERIOD_RANGE[0] <= rough.small_period <= PERIOD_RANGE[1]:
         raise RecordingError(
-            f"{name}: a small swing would have a period of {small:.3g} s, expected "
+            f"{name}: a small swing would have a period of {rough.small_period:.3g} s, expected "
             f"{PERIOD_RANGE[0]:g} to {PERIOD_RANGE[1]:g} s; is the time in seconds? Name its "
             "column time_ms or time_us where it is not"
         )
-    return Oscillation(
-        period=period,
-        middle=float(np.median(ends[1:] + ends[:-1])) / 2.0,
-        amplitude=amplitude,
-        steady=(begin - margin, end + margin),
-        w2=w2,
-    )
+    return rough
 
 
 def _samples_per_period(values: Array) -> float:
@@ -244,7 +238,7 @@ class _Motion(NamedTuple):
     """Derivative of the rate [rad/s^2]."""
 
 
-class _RoughModel(NamedTuple):
+class _SwingLaw(NamedTuple):
     """Equation of the swing with rough parameters."""
 
     w2: float
@@ -283,12 +277,10 @@ def without_spikes(trajectory: Trajectory) -> tuple[Trajectory, list[str]]:
         return trajectory, []
     at = int(np.flatnonzero(wrong)[0])
     off = np.rad2deg(values[at] - np.median(values[max(at - 2, 0) : at + 3]))
-    if n == 1:
-        found = f"a single sample is left out: at {trajectory.time[at]:.3f} s it is"
-    else:
-        found = f"{n} single samples are left out: the first, at {trajectory.time[at]:.3f} s, is"
+    left_out = "a single sample is" if n == 1 else f"{n} single samples are"
     return _part(trajectory, ~wrong), [
-        f"{found} {off:+.3g} {unit} off its neighbours; look at the sensor and its cable"
+        f"{left_out} left out: at {trajectory.time[at]:.3f} s the recording is {off:+.3g} {unit} "
+        "off its neighbours; look at the sensor and its cable"
     ]
 
 
@@ -340,24 +332,20 @@ def _end_of_rotation(trajectory: Trajectory) -> float | None:
     Raises:
         RecordingError: The rotations alternate in direction, which no free pendulum does.
     """
-    time, angle, slack = trajectory.time, trajectory.theta, 0.0
+    time = trajectory.time
     if len(time) < 20:
         return None
-    if angle is None:
-        # The bias of a gyro adds to the travel of half a swing.
-        angle, slack = _trapezoids(time, trajectory.values), 0.5
-    least = max(MIN_REVERSAL, 8.0 * _white_noise(angle), 2.0 * trajectory.resolution)
-    turns = np.concatenate(([0], _turning_points(angle, least), [len(time) - 1]))
+    angle, turns = _reversals(trajectory, time, trajectory.values)
+    turns = np.concatenate(([0], turns, [len(time) - 1]))
     travel = np.abs(np.diff(angle[turns]))
+    # The bias of a gyro adds to the travel of half a swing.
+    slack = 0.5 if trajectory.theta is None else 0.0
     rotations = np.flatnonzero(travel >= 2.0 * pi + slack)
     if rotations.size >= 3 and np.any(np.diff(rotations, 2) == 0):
         largest = float(np.max(travel)) / 2.0
-        unit = (
-            "is the rate in deg/s? Give it in rad/s"
-            if trajectory.theta is None
-            else "are these degrees? Name the column theta_deg, and give counts their "
-            "--counts-per-rev"
-        )
+        unit = "are these degrees? Name the column theta_deg, or give counts --counts-per-rev"
+        if trajectory.theta is None:
+            unit = "is the rate in deg/s? Give it in rad/s"
         raise RecordingError(
             f"{trajectory.source}: the pendulum swings to and fro by {largest:.3g} rad, "
             f"{largest / (2.0 * pi):.1f} turns to each side, expected less than half a turn; {unit}"
@@ -365,9 +353,16 @@ def _end_of_rotation(trajectory: Trajectory) -> float | None:
     return float(time[turns[rotations[-1] + 1]]) if rotations.size else None
 
 
-def _trapezoids(time: Array, rate: Array) -> Array:
-    """Return the integral of a rate, zero at the first sample."""
-    return np.concatenate(([0.0], np.cumsum(np.diff(time) * (rate[1:] + rate[:-1]) / 2.0)))
+def _reversals(
+    trajectory: Trajectory, time: Array, angle: Array
+) -> tuple[Array, npt.NDArray[np.intp]]:
+    """Return an angle, or the integral of a rate [rad], with its clear turning points."""
+    if trajectory.theta is None:
+        steps = np.diff(time) * (angle[1:] + angle[:-1]) / 2.0
+        angle = np.concatenate(([0.0], np.cumsum(steps)))
+    noise = _white_noise(angle) if len(angle) >= 20 else 0.0
+    least = max(MIN_REVERSAL, 8.0 * noise, 2.0 * trajectory.resolution)
+    return angle, _turning_points(angle, least)
 
 
 def _after_the_top(trajectory: Trajectory, until: float) -> Trajectory:
@@ -377,11 +372,8 @@ def _after_the_top(trajectory: Trajectory, until: float) -> Trajectory:
         RecordingError: Less than one period follows.
     """
     kept = trajectory.time > until
-    time, angle = trajectory.time[kept], trajectory.values[kept]
-    if trajectory.theta is None:
-        angle = _trapezoids(time, angle)
-    noise = _white_noise(angle) if len(angle) > 20 else 0.0
-    turns = _turning_points(angle, max(MIN_REVERSAL, 8.0 * noise, 2.0 * trajectory.resolution))
+    time = trajectory.time[kept]
+    angle, turns = _reversals(trajectory, time, trajectory.values[kept])
     if len(turns) < 2:
         raise RecordingError(f"{trajectory.source}: less than a period is left; record longer")
     amplitude = np.abs(np.diff(angle[turns])) / 2.0
@@ -431,19 +423,22 @@ def _find_free(
         begin, end = _longest_stretch(touched, moved)
         if begin > 0:
             first = min(int(np.searchsorted(time, motion.time[begin - 1] + half)), last)
-            swung = _swings(~touched[:begin], moved[:begin], rough, half)
-            clear = float(np.max(share[:begin])) > 2.0
-            if swung:
+            if _swings(~touched[:begin], moved[:begin], rough, half):
                 warnings.append(_touch_warning(motion.time[begin - 1], time[first], "from"))
-            elif clear:
+            elif float(np.max(share[:begin])) > 2.0:
                 release = float(time[first])
         if end < len(touched):
             last = int(np.searchsorted(time, motion.time[end] - half)) - 1
             if float(np.max(share[end:])) > 2.0:
                 warnings.append(_touch_warning(motion.time[end], time[max(last, 0)], "up to"))
-    if (over := _last_over_the_top(time, values, law, theta, slice(first, last + 1))) is not None:
+    part = slice(first, last + 1)
+    if (over := _last_over_the_top(time[part], values[part], theta[part], law)) is not None:
         return over
-    last = _last_before_rest(time, np.abs(theta), first, last, rough.period, settings.rest_share)
+    if last > first:
+        size = np.abs(theta[part])
+        moving = time[part][size > settings.rest_share * np.max(size)][-1]
+        last = min(last, int(np.searchsorted(time, moving + 0.5 * rough.period)))
+        part = slice(first, last + 1)
     if (lasts := float(time[last] - time[first]) if last > first else 0.0) < rough.period:
         raise RecordingError(
             f"{name} holds less than one period of a free swing: it is free for {lasts:.3g} s, and "
@@ -454,7 +449,7 @@ def _find_free(
         begin=float(time[first] if first > 0 else trajectory.time[0]),
         end=float(time[last] if last < len(time) - 1 else trajectory.time[-1]),
         release=release,
-        starts=_first_guesses(time, values, theta, first, last, law, rough),
+        starts=_first_guesses(time[part], values[part], theta[part], law, rough),
         warnings=warnings,
     )
 
@@ -476,24 +471,17 @@ def _swings(free: Flags, moved: Array, rough: Oscillation, half: float) -> bool:
 
 
 def _first_guesses(
-    time: Array,
-    values: Array,
-    theta: Array,
-    first: int,
-    last: int,
-    law: "_RoughModel",
-    rough: Oscillation,
+    time: Array, values: Array, theta: Array, law: _SwingLaw, rough: Oscillation
 ) -> list[Array]:
     """Return initial guesses of the unknowns, the likeliest first; shape (7,) each."""
     starts: list[Array] = []
     for w2, share in [*((law.w2, share) for share in STATE_WINDOWS), (rough.w2, STATE_WINDOWS[0])]:
         window = share * 2.0 * pi / float(np.sqrt(w2))
-        until = int(np.searchsorted(time, time[first] + window))
-        near = slice(first, min(max(until, first + 7), last + 1))
-        elapsed = time[near] - time[first]
+        near = slice(max(int(np.searchsorted(time, time[0] + window)), 7))
+        elapsed = time[near] - time[0]
         powers = np.vander(elapsed / elapsed[-1], 4, increasing=True)
         value, slope = np.linalg.lstsq(powers, values[near], rcond=None)[0][:2]
-        angle = float(theta[first] if law.is_rate else value - law.offset)
+        angle = float(theta[0] if law.is_rate else value - law.offset)
         rate = float(value - law.offset if law.is_rate else slope / elapsed[-1])
         # A faster pendulum would go over the top, and the fit would begin with a rotation.
         fastest = 0.99 * 2.0 * float(np.sqrt(w2)) * abs(float(np.cos(0.5 * angle)))
@@ -513,12 +501,9 @@ def _angle(time: Array, rate: Array) -> Array:
 def _local_motion(time: Array, values: Array, angle: Array, half: float, is_rate: bool) -> _Motion:
     """Compute angle, rate and acceleration in windows of half width `half` [s]."""
     centres = np.arange(time[0] + half, time[-1] - half, half / 6.0)
-    low = np.searchsorted(time, centres - half)
-    high = np.searchsorted(time, centres + half, side="right")
     # Batches of windows limit the size of the arrays.
-    parts = [np.arange(i, min(i + 512, len(centres))) for i in range(0, len(centres), 512)]
-    rows = [_polynomials(time, values, centres[i], low[i], high[i], half) for i in parts]
-    found = np.concatenate(rows) if rows else np.empty((0, 3))
+    batches = np.split(centres, range(512, len(centres), 512))
+    found = np.concatenate([_polynomials(time, values, batch, half) for batch in batches])
     found /= half ** np.arange(3)
     good = np.isfinite(found[:, 0])
     centres, found = centres[good], found[good]
@@ -528,19 +513,14 @@ def _local_motion(time: Array, values: Array, angle: Array, half: float, is_rate
     return _Motion(centres, elapsed, np.interp(centres, time, angle), found[:, 0], found[:, 1])
 
 
-def _polynomials(
-    time: Array,
-    values: Array,
-    centres: Array,
-    low: npt.NDArray[np.intp],
-    high: npt.NDArray[np.intp],
-    half: float,
-) -> Array:
+def _polynomials(time: Array, values: Array, centres: Array, half: float) -> Array:
     """Return value, slope and curvature at the centres of windows, shape (m, 3).
 
     Fits polynomials of fourth order, of third order to fewer than seven samples; returns NaN for
     windows with fewer than five samples or with a gap.
     """
+    low = np.searchsorted(time, centres - half)
+    high = np.searchsorted(time, centres + half, side="right")
     count = high - low
     places = low[:, np.newaxis] + np.arange(int(np.max(count, initial=0)))
     inside = places < high[:, np.newaxis]
@@ -566,7 +546,7 @@ def _polynomials(
     return found
 
 
-def _fit_rough_model(motion: _Motion, rough: Oscillation, is_rate: bool) -> _RoughModel:
+def _fit_rough_model(motion: _Motion, rough: Oscillation, is_rate: bool) -> _SwingLaw:
     """Fit the equation to the accelerations with a loss that is robust against outliers."""
     from scipy.optimize import least_squares
 
@@ -582,8 +562,8 @@ def _fit_rough_model(motion: _Motion, rough: Oscillation, is_rate: bool) -> _Rou
     high = np.array([4.0 * w2, np.inf, np.inf, np.inf, np.inf])
     scales = np.array([w2, rough.amplitude, np.sqrt(w2), size, 1.0])
 
-    def law(x: Array) -> _RoughModel:
-        return _RoughModel(*np.append(x, anchor)[:5].tolist(), slow=slow, is_rate=is_rate)
+    def law(x: Array) -> _SwingLaw:
+        return _SwingLaw(*np.append(x, anchor)[:5].tolist(), slow=slow, is_rate=is_rate)
 
     solution = least_squares(
         lambda x: law(x).unexplained(motion) / size,
@@ -609,11 +589,7 @@ def _w2_from_period(period: float, amplitude: float, is_rate: bool) -> float:
 
 
 def _unexplained_share(
-    motion: _Motion,
-    law: _RoughModel,
-    steady: Flags,
-    period: float,
-    settings: IdentificationSettings,
+    motion: _Motion, law: _SwingLaw, steady: Flags, period: float, settings: IdentificationSettings
 ) -> Array:
     """Return the ratio of the unexplained acceleration to the threshold of a touch."""
     unexplained = np.abs(law.unexplained(motion))
@@ -628,7 +604,7 @@ def _unexplained_share(
 
 
 def _remove_false_touches(
-    touched: Flags, motion: _Motion, law: _RoughModel, rough: Oscillation
+    touched: Flags, motion: _Motion, law: _SwingLaw, rough: Oscillation
 ) -> Flags:
     """Return the touched windows without those that leave the swing unchanged.
 
@@ -637,14 +613,13 @@ def _remove_false_touches(
     """
     places = np.flatnonzero(touched)
     # A wrong sample affects some of the windows that overlap it; a window spans twelve.
-    breaks = np.flatnonzero(np.diff(places) > 12)
-    begins = places[np.concatenate(([0], breaks + 1))] if places.size else places
-    ends = places[np.concatenate((breaks, [-1]))] + 1 if places.size else places
+    groups = np.split(places, np.flatnonzero(np.diff(places) > 12) + 1) if places.size else []
     theta = law.theta(motion.angle, motion.elapsed)
     theta_dot = law.theta_dot(motion.rate)
     w, result = float(np.sqrt(law.w2)), touched.copy()
     model = PendulumParameters(law.w2, 0.0, law.c, law.coulomb)
-    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+    for group in groups:
+        begin, end = int(group[0]), int(group[-1]) + 1
         if begin == 0 or end == len(touched):
             continue
         before, after = max(begin - 6, 0), min(end + 5, len(touched) - 1)
@@ -671,27 +646,13 @@ def _longest_stretch(touched: Flags, moved: Array) -> tuple[int, int]:
     return int(begins[longest]), int(ends[longest])
 
 
-def _last_over_the_top(
-    time: Array, values: Array, law: _RoughModel, theta: Array, part: slice
-) -> float | None:
+def _last_over_the_top(time: Array, values: Array, theta: Array, law: _SwingLaw) -> float | None:
     """Return the last time at which the pendulum goes over the top [s], or None."""
-    time, theta = time[part], theta[part]
     if not law.is_rate:
         over = np.flatnonzero(np.abs(theta) >= pi)
         return float(time[over[-1]]) if over.size else None
     # The integral of a rate drifts, but not within a turn.
-    falling = law.theta_dot(values[part]) < 0.0
+    falling = law.theta_dot(values) < 0.0
     turns = np.concatenate(([0], np.flatnonzero(np.diff(falling)), [len(time) - 1]))
     over = np.flatnonzero(np.abs(np.diff(theta[turns])) >= 2.0 * pi)
     return float(time[turns[over[-1] + 1]]) if over.size else None
-
-
-def _last_before_rest(
-    time: Array, size: Array, first: int, last: int, period: float, share: float
-) -> int:
-    """Return the last sample before the amplitude falls to `share` of its maximum."""
-    if last <= first:
-        return last
-    part = size[first : last + 1]
-    moving = first + int(np.flatnonzero(part > share * float(np.max(part)))[-1])
-    return min(last, int(np.searchsorted(time, time[moving] + 0.5 * period)))
