@@ -35,7 +35,7 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.random import TEST
 from equipoise.model.sim_configs import MODEL, PivotFriction, TwinSettings, World, pivot_friction
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
-from equipoise.simulation import Trials, find_world, run_trials, setup_of, simulate
+from equipoise.simulation import Trials, find_world, setup_of, simulate
 from equipoise.views import Viewable
 
 CONFIDENCE = 0.95
@@ -210,7 +210,7 @@ def evaluate(
 
         with finished:
             span = settings.evaluation.duration
-            run_trials(simulation, policy, trials, todo, duration=span, workers=workers, done=add)
+            simulation.run(policy, trials, todo, duration=span, workers=workers, done=add)
         survival = tuple(round(steps * h, 6) for steps in trials.steps.tolist())
         codes = trials.cause.tolist()
         causes, guards = (tuple(map(named, codes)) for named in (cause_named, guard_named))

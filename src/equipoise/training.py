@@ -10,10 +10,11 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
 from threading import Lock
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,14 +33,7 @@ from equipoise.control.policy import (
     policy_kernel,
 )
 from equipoise.errors import ArtefactError, InputError
-from equipoise.learning.checkpoint import (
-    Finalist,
-    LearnerState,
-    ResumePoint,
-    pack,
-    table,
-    unpack,
-)
+from equipoise.learning.checkpoint import Finalist, LearnerState, ResumePoint, pack, table, unpack
 from equipoise.learning.choice import compile_learner, load_learner, with_digests
 from equipoise.learning.closed_loop import LoopParams, make_loop_params
 from equipoise.learning.episodes import (
@@ -56,7 +50,7 @@ from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import FINAL_ROUND, SCREENING
-from equipoise.settings import LearningSettings, Settings
+from equipoise.settings import Settings
 from equipoise.simulation.plant import PlantSimulation
 
 Array = npt.NDArray[np.float64]
@@ -71,14 +65,6 @@ Report = Callable[[LearningPoint], None]
 """Callback for each new point of the learning curve."""
 Selecting = Callable[[int, int], None]
 """Callback for the progress of the final round: finished trials, all trials."""
-
-
-class _Snapshot(NamedTuple):
-    """Table of a candidate."""
-
-    Q: Array
-    visits: npt.NDArray[np.int64]
-    candidate: Checkpoint
 
 
 def train(
@@ -196,7 +182,7 @@ def score_policy(
     parameters = policy.pendulum.parameters(linearised=policy.settings.plant.linearised)
     plant = make_loop_params(policy.arm, policy.settings, policy.h, parameters, policy.actuator)
     selection = _Selection(plant, policy.arm, parameters, policy.settings, seed, workers)
-    return selection.final(policy.u_of_box, policy.episodes, done)
+    return selection.run(policy.u_of_box, policy.episodes, done, final=True)
 
 
 class _Task(NamedTuple):
@@ -246,8 +232,7 @@ def _train(
     selection = _Selection(plant, task.arm, parameters, settings, seed, workers)
     every = settings.selection.every or max(1, config.episodes // MAX_REPORTS)
     curve: list[LearningPoint] = []
-    h = plant.controller.h
-    if (before := checkpoints.of(learner)) is not None:
+    if (before := checkpoints.states.get(str(learner))) is not None:
         unpack(before.training, training)
         selection.restore(before)
         curve += before.curve
@@ -260,11 +245,16 @@ def _train(
         ended, steps = int(totals[ENDED]), int(totals[ENDED_STEPS])
         until = min(ended + every, config.episodes)
         train_episodes(of_episodes, parameters, config, kernel, training, until, seed, learner)
-        _check_finite(training, settings.learning)
+        if not np.isfinite(tables.Q).all():
+            raise InputError(
+                f"the table holds a value that is not finite after {totals[ENDED]} episodes with "
+                f"the learner {settings.learning.learner} and the reward "
+                f"{settings.learning.reward}; bound the reward, or lower the learning rate"
+            )
         point = LearningPoint(
             episodes=int(totals[ENDED]),
             steps=int(totals[STEPS]),
-            duration=h * (int(totals[ENDED_STEPS]) - steps) / (int(totals[ENDED]) - ended),
+            duration=paper.STEP * (int(totals[ENDED_STEPS]) - steps) / (int(totals[ENDED]) - ended),
         )
         if settings.selection.every > 0:
             screened = selection.screen(training)
@@ -273,13 +263,13 @@ def _train(
         keep()
         report(point)
     finalists = selection.final_round(keep, selecting)
-    Q, visits = (finalists[0].Q, finalists[0].visits) if finalists else (tables.Q, tables.visits)
+    Q, visits = _tables(finalists[0]) if finalists else (tables.Q, tables.visits)
     return TabularPolicy(
         boxes=boxes.describe(),
         actions=paper.ACTIONS,
         Q=tuple(tuple(row) for row in Q.tolist()),
         visits=tuple(tuple(row) for row in visits.tolist()),
-        h=h,
+        h=paper.STEP,
         pendulum=pendulum,
         arm=task.arm,
         actuator=task.actuator,
@@ -289,18 +279,8 @@ def _train(
         episodes=int(totals[ENDED]),
         steps=int(totals[STEPS]),
         learning_curve=tuple(curve),
-        checkpoints=tuple(snapshot.candidate for snapshot in finalists),
+        checkpoints=tuple(finalist.candidate for finalist in finalists),
     )
-
-
-def _check_finite(training: TrainingState, settings: LearningSettings) -> None:
-    """Raise an `InputError` if a value of the table is not finite."""
-    if not np.isfinite(training.tables.Q).all():
-        raise InputError(
-            f"the table holds a value that is not finite after {training.totals[ENDED]} episodes "
-            f"with the learner {settings.learner} and the reward {settings.reward}; bound the "
-            "reward, or lower the learning rate"
-        )
 
 
 class _Checkpoints(PartialFile):
@@ -308,8 +288,20 @@ class _Checkpoints(PartialFile):
 
     def __init__(self, path: StrPath | None, task: _Task, learners: Sequence[int]) -> None:
         super().__init__(path, "train", self._checkpoint)
-        self._deciding = _input_digests(task, learners)
-        self._states: dict[str, LearnerState] = {}
+        self.states: dict[str, LearnerState] = {}
+        # Digests of the inputs that determine the bits, by name.
+        self._deciding = {
+            "pendulum": task.pendulum.digest,
+            "arm": task.arm.digest,
+            "actuator": task.actuator.digest,
+            "learner": task.settings.learning.learner,
+            "reward": task.settings.learning.reward,
+            "settings": value_digest(task.settings),
+            "seed": str(task.seed),
+            "number of learners": ", ".join(map(str, learners)),
+            "policy to go on from": "" if task.init_policy is None else task.init_policy.digest,
+            "version of Equipoise or its libraries": software(),
+        }
         if path is None or not Path(path).exists():
             return
         found = ResumePoint.load(path)
@@ -318,36 +310,16 @@ class _Checkpoints(PartialFile):
                 f"{path} holds an interrupted training with another {' and '.join(other)}; go on "
                 "with what it began with, or delete it to begin anew"
             )
-        self._states = dict(found.learners)
-
-    def of(self, learner: int) -> LearnerState | None:
-        """Return the state of a learner; None if it has not begun."""
-        return self._states.get(str(learner))
+        self.states |= found.learners
 
     def keep(self, learner: int, state: LearnerState) -> None:
         """Store the state of a learner."""
-        self._states[str(learner)] = state
+        self.states[str(learner)] = state
         self.update()
 
     def _checkpoint(self) -> ResumePoint | None:
-        states = dict(self._states)
+        states = dict(self.states)
         return ResumePoint(deciding=self._deciding, learners=states) if states else None
-
-
-def _input_digests(task: _Task, learners: Sequence[int]) -> dict[str, str]:
-    """Return the digests of the inputs that determine the bits, by name."""
-    return {
-        "pendulum": task.pendulum.digest,
-        "arm": task.arm.digest,
-        "actuator": task.actuator.digest,
-        "learner": task.settings.learning.learner,
-        "reward": task.settings.learning.reward,
-        "settings": value_digest(task.settings),
-        "seed": str(task.seed),
-        "number of learners": ", ".join(map(str, learners)),
-        "policy to go on from": "" if task.init_policy is None else task.init_policy.digest,
-        "version of Equipoise or its libraries": software(),
-    }
 
 
 def software() -> str:
@@ -357,78 +329,57 @@ def software() -> str:
 
 def training_config(settings: Settings) -> TrainingConfig:
     """Return the configuration of the episode loop."""
-    s, plant = settings.learning, settings.plant
+    s = settings.learning
+    values: dict[str, Any] = {**dict(settings.plant), **dict(s)}
     return TrainingConfig(
-        episodes=s.episodes,
+        **{name: values[name] for name in TrainingConfig._fields if name in values},
         max_steps=round(s.episode_duration / paper.STEP),
-        gamma=s.gamma,
-        epsilon_initial=s.epsilon_initial,
-        epsilon_until=s.epsilon_until,
-        reward_failure=s.reward_failure,
-        hold_action=s.hold_action,
-        update=UpdateParams(
-            alpha_initial=s.alpha_initial,
-            alpha_decay=s.alpha_decay,
-            alpha_minimum=s.alpha_minimum,
-            trace_decay=s.trace_decay,
-            mirrored=s.mirrored,
-        ),
+        update=UpdateParams(*(values[name] for name in UpdateParams._fields)),
         start=(s.start_x, s.start_x_dot, s.start_phi, s.start_phi_dot),
-        inertia_sigma=plant.inertia_sigma,
-        friction_sigma=plant.friction_sigma,
-        delay_spread=plant.delay_spread,
-        lag_spread=plant.lag_spread,
-        zero_error=plant.zero_error,
         boxes=boxes.boxes(),
         actions=paper.ACTIONS,
     )
 
 
+@dataclass
 class _Selection:
     """Selection of the best greedy policy of one training."""
 
-    def __init__(
-        self,
-        plant: LoopParams,
-        arm: Arm,
-        pendulum: PendulumParameters,
-        settings: Settings,
-        seed: int,
-        workers: int,
-    ) -> None:
-        self._plant, self._arm = plant, arm
-        self._pendulum, self._settings = pendulum, settings
-        self._seed, self._workers = seed, workers
-        self._averaged, self._screened = np.zeros((boxes.COUNT, boxes.ACTIONS)), 0
-        self._known: dict[str, Checkpoint] = {}
-        self._best: list[_Snapshot] = []
-        self._final: list[Checkpoint] = []
+    plant: LoopParams
+    arm: Arm
+    pendulum: PendulumParameters
+    settings: Settings
+    seed: int
+    workers: int
+    screened: int = 0
+    averaged: Array = field(default_factory=lambda: np.zeros((boxes.COUNT, boxes.ACTIONS)))
+    known: dict[str, Checkpoint] = field(default_factory=dict[str, Checkpoint])
+    best: list[Finalist] = field(default_factory=list[Finalist])
+    final: list[Checkpoint] = field(default_factory=list[Checkpoint])
 
     def screen(self, training: TrainingState) -> Checkpoint:
         """Run the screening trials of the averaged table's greedy policy, once per policy."""
-        self._screened += 1
-        newest = max(self._settings.selection.averaging, 1.0 / self._screened)
-        self._averaged += newest * (training.tables.Q - self._averaged)
-        u_of_box = greedy_accelerations(self._averaged)
+        self.screened += 1
+        share = max(self.settings.selection.averaging, 1.0 / self.screened)
+        self.averaged += share * (training.tables.Q - self.averaged)
+        u_of_box = greedy_accelerations(self.averaged)
         policy = hashlib.sha256(u_of_box.tobytes()).hexdigest()
-        if policy not in self._known:
-            selection, episodes = self._settings.selection, int(training.totals[ENDED])
-            trials, duration = selection.screening_trials, selection.duration
-            candidate = self._run(u_of_box, episodes, SCREENING, trials, duration)
-            self._known[policy] = candidate
-            snapshot = _Snapshot(self._averaged.copy(), training.tables.visits.copy(), candidate)
-            self._best = _sorted([*self._best, snapshot])[: selection.finalists]
-        return self._known[policy]
+        if policy not in self.known:
+            candidate = self.known[policy] = self.run(u_of_box, int(training.totals[ENDED]))
+            Q, visits = self.averaged.tobytes(), training.tables.visits.tobytes()
+            newest = Finalist(Q=Q, visits=visits, candidate=candidate)
+            self.best = _sorted([*self.best, newest])[: self.settings.selection.finalists]
+        return self.known[policy]
 
-    def final_round(self, keep: Callable[[], None], selecting: Selecting) -> list[_Snapshot]:
+    def final_round(self, keep: Callable[[], None], selecting: Selecting) -> list[Finalist]:
         """Run the longer trials of the finalists; return them with the best first.
 
         Args:
             keep: Called after each finalist.
             selecting: Called as trials finish.
         """
-        trials = self._settings.selection.final_trials
-        finished, of = len(self._final) * trials, len(self._best) * trials
+        trials = self.settings.selection.final_trials
+        finished, of = len(self.final) * trials, len(self.best) * trials
         lock = Lock()
 
         def done(count: int) -> None:
@@ -439,75 +390,54 @@ class _Selection:
 
         if of:
             done(0)
-        for snapshot in self._best[len(self._final) :]:
-            u_of_box = greedy_accelerations(snapshot.Q)
-            self._final.append(self.final(u_of_box, snapshot.candidate.episodes, done))
+        for finalist in self.best[len(self.final) :]:
+            u_of_box = greedy_accelerations(_tables(finalist)[0])
+            self.final.append(self.run(u_of_box, finalist.candidate.episodes, done, final=True))
             keep()
-        pairs = zip(self._best, self._final, strict=True)
-        return _sorted([snapshot._replace(candidate=candidate) for snapshot, candidate in pairs])
-
-    def final(
-        self, u_of_box: Array, episodes: int, done: Callable[[int], None] = lambda _: None
-    ) -> Checkpoint:
-        """Run the longer trials of the greedy policy after `episodes` episodes."""
-        selection = self._settings.selection
-        return self._run(
-            u_of_box, episodes, FINAL_ROUND, selection.final_trials, selection.final_duration, done
-        )
+        pairs = zip(self.best, self.final, strict=True)
+        return _sorted([best.model_copy(update={"candidate": final}) for best, final in pairs])
 
     def restore(self, state: LearnerState) -> None:
         """Restore the state of a selection."""
-        self._averaged, self._screened = table(state.averaged, np.float64), state.screened
-        self._known, self._final = dict(state.known), list(state.final[: len(state.best)])
-        self._best = [
-            _Snapshot(table(one.Q, np.float64), table(one.visits, np.int64), one.candidate)
-            for one in state.best
-        ]
+        self.averaged, self.screened = table(state.averaged, np.float64), state.screened
+        self.known, self.best = dict(state.known), list(state.best)
+        self.final = list(state.final[: len(state.best)])
+        for finalist in self.best:
+            _tables(finalist)  # rejects a damaged checkpoint before the training goes on
 
     def state(self, training: TrainingState, curve: Sequence[LearningPoint]) -> LearnerState:
         """Return the state of the training and its selection."""
         return LearnerState(
             training=pack(training),
-            averaged=self._averaged.tobytes(),
-            screened=self._screened,
-            known=dict(self._known),
-            best=tuple(
-                Finalist(Q=one.Q.tobytes(), visits=one.visits.tobytes(), candidate=one.candidate)
-                for one in self._best
-            ),
-            final=tuple(self._final),
+            averaged=self.averaged.tobytes(),
+            screened=self.screened,
+            known=dict(self.known),
+            best=tuple(self.best),
+            final=tuple(self.final),
             curve=tuple(curve),
         )
 
-    def _run(
+    def run(
         self,
         u_of_box: Array,
         episodes: int,
-        stream: int,
-        count: int,
-        duration: float,
         done: Callable[[int], None] = lambda _: None,
+        final: bool = False,
     ) -> Checkpoint:
-        selection = self._settings.selection
-        simulation = PlantSimulation(
-            self._plant,
-            self._arm,
-            self._pendulum,
-            self._settings,
-            seed=self._seed,
-            stream=stream,
-            spread=selection.spread,
-        )
+        """Run the screening, or the longer trials, of a greedy policy after some episodes."""
+        s, model = self.settings.selection, (self.plant, self.arm, self.pendulum, self.settings)
+        stream, count, duration = SCREENING, s.screening_trials, s.duration
+        if final:
+            stream, count, duration = FINAL_ROUND, s.final_trials, s.final_duration
+        simulation = PlantSimulation(*model, seed=self.seed, stream=stream, spread=s.spread)
         trials, kernel = simulation.draw(count), policy_kernel(TABLE, u_of_box=u_of_box)
-        simulation.run(
-            kernel,
-            trials,
-            range(count),
-            duration=duration,
-            workers=self._workers,
-            done=lambda rows: done(len(rows)),
-        )
-        mean_duration = float(np.mean(trials.steps)) * self._plant.controller.h
+
+        def rows_done(rows: Sequence[int]) -> None:
+            done(len(rows))
+
+        rows, cores = range(count), self.workers
+        simulation.run(kernel, trials, rows, duration=duration, workers=cores, done=rows_done)
+        mean_duration = float(np.mean(trials.steps)) * self.plant.controller.h
         rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))
         return Checkpoint(
             episodes=episodes,
@@ -515,9 +445,13 @@ class _Selection:
             survived=int(np.sum(trials.cause == TRUNCATED)),
             mean_duration=mean_duration,
             rms_x=rms_x,
-            score=mean_duration / duration - selection.rms_x_weight * rms_x / paper.X_LIMIT,
+            score=mean_duration / duration - s.rms_x_weight * rms_x / paper.X_LIMIT,
         )
 
 
-def _sorted(snapshots: list[_Snapshot]) -> list[_Snapshot]:
-    return sorted(snapshots, key=lambda snapshot: -snapshot.candidate.score)
+def _sorted(finalists: list[Finalist]) -> list[Finalist]:
+    return sorted(finalists, key=lambda finalist: -finalist.candidate.score)
+
+
+def _tables(finalist: Finalist) -> tuple[Array, npt.NDArray[np.int64]]:
+    return table(finalist.Q, np.float64), table(finalist.visits, np.int64)

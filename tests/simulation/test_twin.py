@@ -20,14 +20,14 @@ from equipoise.control.trial_safety import guard_named
 from equipoise.devices.twin.twin import Twin
 from equipoise.learning.closed_loop import DomainRandomization
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import TWIST
+from equipoise.model.arms.compiler import TWIST
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
 from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import Settings
-from equipoise.simulation import Recorder, Trial, run_trial
+from equipoise.simulation import Recorder, Setup, Trial, run_trial
 from equipoise.simulation.trials import draw_trials
 from equipoise.simulation.twin import TwinSimulation
 from tests.simulation.recorded import record, run_all
@@ -67,7 +67,8 @@ class Kernel:
 
 def twins(world=WORLD, seed=1, settings=None):
     settings = Settings() if settings is None else settings
-    return TwinSimulation(world, PENDULUM, ARM, settings, ACTUATOR, 0.01, seed=seed, stream=TEST)
+    setup = Setup(PENDULUM, ARM, settings, ACTUATOR, 0.01)
+    return TwinSimulation(world, setup, seed=seed, stream=TEST)
 
 
 def run(policy, trials=TRIALS, duration=2.0, workers=1, seed=1, world=WORLD):

@@ -1,24 +1,20 @@
 """Trials in a simulated world: their conditions, one closed loop, and running any policy in it."""
 
-from typing import NamedTuple
-
 from equipoise.control.policy import TaskPolicy
 from equipoise.learning.closed_loop import make_loop_params
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
-from equipoise.model.arms.arm import Arm
-from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import IDEAL, MODEL, TwinSettings, World, read_world
 from equipoise.settings import Settings
 from equipoise.simulation.interface import (
     ClosedLoop,
     Measurement,
     Recorder,
+    Setup,
     Simulation,
     TrialRecord,
     estimated,
     predicted,
     run_trial,
-    run_trials,
 )
 from equipoise.simulation.plant import PlantSimulation
 from equipoise.simulation.trials import Trial, Trials, available_cores
@@ -37,7 +33,6 @@ __all__ = [
     "find_world",
     "predicted",
     "run_trial",
-    "run_trials",
     "setup_of",
     "simulate",
 ]
@@ -52,21 +47,6 @@ def find_world(world: str | World) -> tuple[str, TwinSettings | None]:
     if isinstance(world, str) and world in (IDEAL, MODEL):
         return world, None
     return world if isinstance(world, World) else read_world(world)
-
-
-class Setup(NamedTuple):
-    """What is balanced, and by which controller."""
-
-    pendulum: Pendulum
-    """The pendulum, which trials vary."""
-    arm: Arm
-    """The arm with its home posture."""
-    settings: Settings
-    """Ranges of the trials' conditions, noise of the plant, the controller."""
-    actuator: Actuator
-    """The controller's model of the arm's response."""
-    h: float
-    """Time between ticks [s]."""
 
 
 def setup_of(
@@ -98,13 +78,11 @@ def simulate(world: str | World, setup: Setup, *, seed: int, stream: int) -> Sim
         SettingsError: There is no such world, or the delay is longer than the controller remembers.
     """
     _, numbers = find_world(world)
-    pendulum, arm, settings, actuator, h = setup
     if numbers is not None:
         from equipoise.simulation.twin import TwinSimulation
 
-        return TwinSimulation(
-            numbers, pendulum, arm, settings, actuator, h, seed=seed, stream=stream
-        )
+        return TwinSimulation(numbers, setup, seed=seed, stream=stream)
+    pendulum, arm, settings, actuator, h = setup
     nominal = pendulum.parameters(linearised=settings.plant.linearised)
     params = make_loop_params(arm, settings, h, nominal, actuator)
     return PlantSimulation(params, arm, nominal, settings, seed=seed, stream=stream)

@@ -6,10 +6,11 @@ a twin each loop is one of its own. A loop has the same bits as one that runs al
 (`equipoise.simulation.interface.ClosedLoop`).
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba.typed import List
@@ -49,25 +50,27 @@ class LoopArrays(NamedTuple):
 
 def new_loop_arrays(count: int) -> LoopArrays:
     """Return arrays for `count` loops."""
-    return LoopArrays(
-        predicted=np.zeros((count, 4)),
-        estimated=np.zeros((count, 4)),
-        state=np.zeros((count, 4)),
-        encoder=np.zeros((count, 2)),
-        measured=np.zeros((count, FREE_JOINTS + 1)),
-        cause=np.full(count, TRUNCATED, np.int64),
-        tick=np.zeros(count, np.int64),
-    )
+    predicted, estimated, state = np.zeros((3, count, 4))
+    encoder, measured = np.zeros((count, 2)), np.zeros((count, FREE_JOINTS + 1))
+    cause, tick = np.full(count, TRUNCATED, np.int64), np.zeros(count, np.int64)
+    return LoopArrays(predicted, estimated, state, encoder, measured, cause, tick)
 
 
-class Fleet(Protocol):
+class Fleet(ABC):
     """Closed loops that advance together."""
 
-    @property
-    def values(self) -> LoopArrays:
-        """Newest values of all loops; `reset` and `step` change them in place."""
-        ...
+    def __init__(self, count: int, threads: int) -> None:
+        """Allocate the values, and start the threads.
 
+        Args:
+            count: Number of loops.
+            threads: Number of threads besides the caller's.
+        """
+        self.values = new_loop_arrays(count)
+        """Newest values of all loops; `reset` and `step` change them in place."""
+        self._pool = ThreadPoolExecutor(threads) if threads > 0 else None
+
+    @abstractmethod
     def reset(self, loops: Whole, trials: Trials) -> None:
         """Release the pendulums of some loops.
 
@@ -75,19 +78,19 @@ class Fleet(Protocol):
             loops: Indices of the loops, shape (m,).
             trials: Conditions, m rows.
         """
-        ...
 
+    @abstractmethod
     def step(self, u: Array) -> None:
         """Advance all loops by one tick.
 
         Args:
             u: Acceleration of each flange along x [m/s^2], shape (n,).
         """
-        ...
 
     def close(self) -> None:
         """End the threads."""
-        ...
+        if self._pool is not None:
+            self._pool.shutdown()
 
 
 def new_fleet(simulation: Simulation, count: int, workers: int) -> Fleet:
@@ -121,9 +124,10 @@ def new_batches(lanes: Any) -> Any:
 
 
 @kernel
-def append_batch(batches: Any, lanes: Any) -> None:
-    """Append a batch of lanes to a list."""
+def append_batch(batches: Any, lanes: Any) -> Any:
+    """Append a batch of lanes to a list, and return the list."""
     batches.append(lanes)
+    return batches
 
 
 @kernel
@@ -173,33 +177,23 @@ def read_lane(values: LoopArrays, lanes: Any, loop: int, n: int) -> None:
             values.estimated[loop, i] = values.predicted[loop, i]
 
 
-class PlantFleet:
+class PlantFleet(Fleet):
     """A fleet on the plant of the training."""
 
     def __init__(self, simulation: PlantSimulation, count: int, workers: int) -> None:
         """Allocate the states; no pendulum is released yet."""
-        self.values, self._simulation = new_loop_arrays(count), simulation
-        self._key = np.zeros(2, np.int64)
         number = -(-count // BATCH_SIZE)
-        batches: Any = None
-        for _ in range(number):
-            lanes = new_lanes(
-                simulation.params,
-                simulation.pendulum,
-                new_batch_state(),
-                np.zeros(BATCH_SIZE, np.int64),
-                np.zeros(BATCH_SIZE, np.int64),
-                self._key,
-            )
-            if batches is None:
-                batches = new_batches(lanes)
-            else:
-                append_batch(batches, lanes)
-        self._handle = new_fleet_handle(batches, self.values)
         threads = max(1, min(workers, number // BATCHES_PER_THREAD))
+        super().__init__(count, threads - 1)
+        self._simulation, self._key = simulation, np.zeros(2, np.int64)
+        model, batches = (simulation.params, simulation.pendulum), None
+        for _ in range(number):
+            numbers, ticks = np.zeros((2, BATCH_SIZE), np.int64)
+            lanes = new_lanes(*model, new_batch_state(), numbers, ticks, self._key)
+            batches = new_batches(lanes) if batches is None else append_batch(batches, lanes)
+        self._handle = new_fleet_handle(batches, self.values)
         ends: list[int] = np.linspace(0, number, threads + 1).round().astype(int).tolist()
         self._first, *self._pieces = pairwise(ends)
-        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
     def reset(self, loops: Whole, trials: Trials) -> None:
         """Release the pendulums of some loops; see `Fleet.reset`."""
@@ -216,22 +210,16 @@ class PlantFleet:
         for other in others:
             other.result()
 
-    def close(self) -> None:
-        """End the threads."""
-        if self._pool is not None:
-            self._pool.shutdown()
 
-
-class LoopFleet:
+class LoopFleet(Fleet):
     """A fleet of closed loops, each advanced by itself."""
 
     def __init__(self, loops: Sequence[ClosedLoop], workers: int) -> None:
         """Take the loops; no pendulum is released yet."""
-        self.values = new_loop_arrays(len(loops))
-        self._loops = loops
         threads = min(workers, len(loops))
+        super().__init__(len(loops), threads if threads > 1 else 0)
+        self._loops = loops
         self._pieces = [range(first, len(loops), threads) for first in range(threads)]
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def reset(self, loops: Whole, trials: Trials) -> None:
         """Release the pendulums of some loops; see `Fleet.reset`."""
@@ -251,11 +239,6 @@ class LoopFleet:
             step(self._pieces[0])
         else:
             list(self._pool.map(step, self._pieces))
-
-    def close(self) -> None:
-        """End the threads."""
-        if self._pool is not None:
-            self._pool.shutdown()
 
     def _read(self, loop: int, cause: int) -> None:
         values, source = self.values, self._loops[loop]

@@ -6,9 +6,10 @@ which Python drives tick by tick. Both ways run the same kernels with the same r
 by (seed, trial, tick): a trial has the same bits either way.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from math import nan
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +24,12 @@ from equipoise.control.control_step import (
     ControllerState,
 )
 from equipoise.control.policy import Policy, PolicyKernel, TaskPolicy
-from equipoise.model.arms.arm import FREE_JOINTS
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.elementary import BATCH_SIZE
-from equipoise.model.pendulum import PendulumParameters
-from equipoise.simulation.trials import Trial, Trials
+from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.settings import Settings
+from equipoise.simulation.trials import Trial, Trials, run_over_cores
 
 Array = npt.NDArray[np.float64]
 Finished = Callable[[Sequence[int]], None]
@@ -87,43 +90,81 @@ class ClosedLoop(Protocol):
         ...
 
 
-class Simulation(Protocol):
+class Setup(NamedTuple):
+    """Pendulum, arm and controller of trials."""
+
+    pendulum: Pendulum
+    """The pendulum, which trials vary."""
+    arm: Arm
+    """The arm with its home posture."""
+    settings: Settings
+    """Ranges of the trials' conditions, noise of the plant, the controller."""
+    actuator: Actuator
+    """The controller's model of the arm's response."""
+    h: float
+    """Time between ticks [s]."""
+
+
+class Simulation(ABC):
     """Trials in a simulated world."""
 
+    PIECE: ClassVar[int]
+    """Number of trials that a thread takes at a time."""
     seed: int
     """Master seed of the trials."""
     stream: int
     """Purpose of the trials: each has random numbers of its own."""
 
+    @abstractmethod
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""
-        ...
 
+    @abstractmethod
     def loop(self) -> ClosedLoop:
         """Return a closed loop for `reset`."""
-        ...
+
+    @abstractmethod
+    def run_piece(
+        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
+    ) -> None:
+        """Run trials of a compiled policy in this thread; see `run`."""
 
     def run(
         self,
-        policy: PolicyKernel,
+        policy: TaskPolicy | PolicyKernel,
         trials: Trials,
         rows: Sequence[int],
         *,
         duration: float,
-        workers: int,
-        done: Finished,
+        workers: int = 1,
+        done: Finished = lambda _: None,
     ) -> None:
-        """Run trials of a compiled policy over the cores.
+        """Run trials of any policy: compiled where it has a kernel, else from Python, one by one.
 
         Args:
-            policy: The policy.
-            trials: Conditions; receives the results.
+            policy: The policy, or its kernel alone.
+            trials: Conditions, from `draw`; receives the results.
             rows: Rows of the trials to run.
             duration: Length of a trial [s].
-            workers: Number of threads; the results do not depend on it.
-            done: Called with the rows of trials that have just finished.
+            workers: Number of threads for a compiled policy; the results do not depend on it.
+            done: Called with the rows of trials that have just finished; from any thread.
         """
-        ...
+        kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
+        if kernel is not None:
+
+            def run_piece(piece: Sequence[int]) -> None:
+                self.run_piece(kernel, trials, piece, duration)
+                done(piece)
+
+            size = self.PIECE
+            pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
+            run_over_cores(run_piece, pieces, workers)
+        elif not isinstance(policy, PolicyKernel):
+            loop = self.loop()
+            for row in rows:
+                ended = run_trial(loop, policy, trials.trial(row), duration)
+                trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
+                done([row])
 
 
 def predicted(loop: ClosedLoop) -> Array:
@@ -137,38 +178,6 @@ def estimated(loop: ClosedLoop) -> Array:
         return predicted(loop)
     rows = loop.controller.estimate[::BATCH_SIZE]
     return rows[[EST_X, EST_PIVOT_V, EST_PHI, EST_PHI_DOT]]
-
-
-def run_trials(
-    simulation: Simulation,
-    policy: TaskPolicy | PolicyKernel,
-    trials: Trials,
-    rows: Sequence[int],
-    *,
-    duration: float,
-    workers: int = 1,
-    done: Finished = lambda _: None,
-) -> None:
-    """Run trials of any policy: compiled where it has a kernel, else from Python, one by one.
-
-    Args:
-        simulation: The world.
-        policy: The policy, or its kernel alone.
-        trials: Conditions, from `Simulation.draw`; receives the results.
-        rows: Rows of the trials to run.
-        duration: Length of a trial [s].
-        workers: Number of threads for a compiled policy; the results do not depend on it.
-        done: Called with the rows of trials that have just finished.
-    """
-    kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
-    if kernel is not None:
-        simulation.run(kernel, trials, rows, duration=duration, workers=workers, done=done)
-    elif not isinstance(policy, PolicyKernel):
-        loop = simulation.loop()
-        for row in rows:
-            ended = run_trial(loop, policy, trials.trial(row), duration)
-            trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
-            done([row])
 
 
 def run_trial(

@@ -5,7 +5,8 @@ delay, servo and drive, and the controller observes through an encoder.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -32,12 +33,8 @@ from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import philox, uniform
 from equipoise.settings import Settings
-from equipoise.simulation.interface import Array, Finished, Measurement
-from equipoise.simulation.trials import Trial, Trials, Whole, draw_trials, run_over_cores
-
-PIECE = 4 * BATCH_SIZE
-"""Number of trials that a thread takes at a time."""
-
+from equipoise.simulation.interface import Array, Measurement, Simulation
+from equipoise.simulation.trials import Trial, Trials, Whole, draw_trials
 
 Lanes: Any = handle("Lanes", __name__, ("plant", "pendulum", "batch", "number", "tick", "key"))
 
@@ -74,65 +71,43 @@ def advance_lanes(lanes: Any, count: int) -> None:
         lanes.tick[n] += 1
 
 
-class PlantSimulation:
+@dataclass
+class PlantSimulation(Simulation):
     """Trials on the plant of the training."""
 
-    def __init__(
-        self,
-        params: LoopParams,
-        arm: Arm,
-        pendulum: PendulumParameters,
-        settings: Settings,
-        *,
-        seed: int,
-        stream: int,
-        spread: float = 1.0,
-    ) -> None:
-        """Set up a simulation.
+    PIECE: ClassVar[int] = 4 * BATCH_SIZE
 
-        Args:
-            params: Constants of the closed loop.
-            arm: The arm.
-            pendulum: Nominal parameters, which the trials vary.
-            settings: Ranges of the trials' conditions.
-            seed: Master seed.
-            stream: Purpose of the trials.
-            spread: Factor on the variation of the plants.
-        """
-        self.params, self.arm, self.pendulum = params, arm, pendulum
-        self.seed, self.stream = seed, stream
-        self._settings, self._spread = settings, spread
+    params: LoopParams
+    """Constants of the closed loop."""
+    arm: Arm
+    """The arm."""
+    pendulum: PendulumParameters
+    """Nominal parameters, which the trials vary."""
+    settings: Settings
+    """Ranges of the trials' conditions."""
+    seed: int
+    """Master seed."""
+    stream: int
+    """Purpose of the trials."""
+    spread: float = 1.0
+    """Factor on the variation of the plants."""
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""
-        return draw_trials(count, self._settings, self.seed, self.stream, self._spread, first)
+        return draw_trials(count, self.settings, self.seed, self.stream, self.spread, first)
 
     def loop(self) -> "PlantLoop":
         """Return a closed loop for `reset`."""
         return PlantLoop(self)
 
-    def run(
-        self,
-        policy: PolicyKernel,
-        trials: Trials,
-        rows: Sequence[int],
-        *,
-        duration: float,
-        workers: int = 1,
-        done: Finished = lambda _: None,
+    def run_piece(
+        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
     ) -> None:
-        """Run trials of a compiled policy over the cores; see `Simulation.run`."""
-        max_steps, seed, stream = round(duration / self.params.controller.h), self.seed, self.stream
-
-        def run_piece(piece: Sequence[int]) -> None:
-            batch, taken = new_batch_state(), np.array(piece, np.int64)
-            run_trials(
-                self.params, batch, policy, self.pendulum, trials, taken, max_steps, seed, stream
-            )
-            done(piece)
-
-        pieces = (rows[first : first + PIECE] for first in range(0, len(rows), PIECE))
-        run_over_cores(run_piece, pieces, workers)
+        """Run trials of a compiled policy in this thread; see `Simulation.run`."""
+        plant, pendulum, taken = self.params, self.pendulum, np.array(rows, np.int64)
+        batch, max_steps = new_batch_state(), round(duration / plant.controller.h)
+        keys = self.seed, self.stream
+        run_trials(plant, batch, policy, pendulum, trials, taken, max_steps, *keys)
 
 
 class PlantLoop:

@@ -5,9 +5,8 @@ or on the policy, so that policies are compared on the same trials.
 """
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from threading import Lock
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -104,7 +103,7 @@ def draw_trials(
     )
 
 
-def run_over_cores(work: Callable[[Item], object], items: Iterable[Item], workers: int) -> None:
+def run_over_cores(work: Callable[[Item], object], items: Sequence[Item], workers: int) -> None:
     """Call `work(item)` for each item, on threads; the first error ends them all.
 
     Args:
@@ -112,19 +111,15 @@ def run_over_cores(work: Callable[[Item], object], items: Iterable[Item], worker
         items: Taken one by one, when a thread is free.
         workers: Number of threads; one runs in the caller's.
     """
-    waiting, taking = iter(items), Lock()
+    waiting = list(items)
+    taking = iter(waiting)  # threads share the iterator of a list
 
     def work_on() -> None:
-        nonlocal waiting
         try:
-            while True:
-                with taking:
-                    item = next(waiting, None)
-                if item is None:
-                    return
+            for item in taking:
                 work(item)
         except BaseException:
-            waiting = iter(())
+            waiting.clear()
             raise
 
     if workers == 1:
@@ -134,9 +129,8 @@ def run_over_cores(work: Callable[[Item], object], items: Iterable[Item], worker
         try:
             for thread in threads:
                 thread.result()
-        except BaseException:
-            waiting = iter(())
-            raise
+        finally:
+            waiting.clear()
 
 
 def available_cores() -> int:

@@ -1,7 +1,7 @@
 """Trials on the digital twin: worlds `twin:NAME` and `twin:FILE`."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,13 +19,10 @@ from equipoise.devices.twin.servo_model import make_servo_params
 from equipoise.devices.twin.trial import release, run_trial, step
 from equipoise.devices.twin.twin import Twin, TwinKernel, truth
 from equipoise.learning.closed_loop import scaled
-from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import Arm
-from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import TwinSettings, pivot_friction
-from equipoise.settings import Settings
-from equipoise.simulation.interface import Array, Finished, Measurement
-from equipoise.simulation.trials import Trial, Trials, draw_trials, run_over_cores
+from equipoise.simulation.interface import Array, Measurement, Setup, Simulation
+from equipoise.simulation.trials import Trial, Trials, draw_trials
 
 TwinHandle: Any = handle("TwinHandle", __name__, ("twin", "params", "state", "limits", "monitor"))
 
@@ -57,30 +54,17 @@ def advance_twin(loop: Any, true_state: Array) -> int:
     return cause
 
 
-class TwinSimulation:
+class TwinSimulation(Simulation):
     """Trials on a digital twin."""
 
-    def __init__(
-        self,
-        world: TwinSettings,
-        pendulum: Pendulum,
-        arm: Arm,
-        settings: Settings,
-        actuator: Actuator,
-        h: float,
-        *,
-        seed: int,
-        stream: int,
-    ) -> None:
+    PIECE: ClassVar[int] = 1
+
+    def __init__(self, world: TwinSettings, setup: Setup, *, seed: int, stream: int) -> None:
         """Set up a simulation.
 
         Args:
             world: Numbers of the twin.
-            pendulum: The pendulum, which the trials vary.
-            arm: The arm with its home posture.
-            settings: Ranges of the trials' conditions, the controller.
-            actuator: The controller's model of the arm's response.
-            h: Time between ticks [s].
+            setup: Pendulum, arm and controller.
             seed: Master seed.
             stream: Purpose of the trials.
 
@@ -88,15 +72,14 @@ class TwinSimulation:
             ArmError: The masses of the arm's links are not known, or home is a singular posture.
             SettingsError: The delay is longer than the controller remembers.
         """
+        pendulum, arm, settings, actuator, h = setup
         self._nominal = pendulum.parameters(linearised=settings.plant.linearised)
         self._friction = pivot_friction(pendulum, world)
         self._arm, self._world, self._settings = arm, world, settings
         self.seed, self.stream = seed, stream
         self._servo = make_servo_params(arm, world)
-        counts = world.counts_per_rev
-        self.params = make_controller_params(
-            arm, settings, actuator, self._nominal, h=h, counts_per_rev=counts
-        )
+        model = arm, settings, actuator, self._nominal
+        self.params = make_controller_params(*model, h=h, counts_per_rev=world.counts_per_rev)
         self._safety = trial_safety(arm, world, actuator, h, settings.plant.max_speed)
 
     def draw(self, count: int, first: int = 0) -> Trials:
@@ -105,10 +88,8 @@ class TwinSimulation:
         I and b vary as the numbers of the twin say; jitter, noise and the error of the encoder's
         zero are the twin's own.
         """
-        sigmas = {
-            "inertia_sigma": self._world.inertia_sigma,
-            "friction_sigma": self._world.friction_sigma,
-        }
+        world = self._world
+        sigmas = {"inertia_sigma": world.inertia_sigma, "friction_sigma": world.friction_sigma}
         plant = self._settings.plant.model_copy(update=sigmas)
         settings = self._settings.model_copy(update={"plant": plant})
         return draw_trials(count, settings, self.seed, self.stream, 1.0, first)
@@ -117,20 +98,12 @@ class TwinSimulation:
         """Return a closed loop for `reset`."""
         return TwinLoop(self)
 
-    def run(
-        self,
-        policy: PolicyKernel,
-        trials: Trials,
-        rows: Sequence[int],
-        *,
-        duration: float,
-        workers: int = 1,
-        done: Finished = lambda _: None,
+    def run_piece(
+        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
     ) -> None:
-        """Run trials of a compiled policy over the cores; see `Simulation.run`."""
+        """Run trials of a compiled policy in this thread; see `Simulation.run`."""
         max_steps, limits = round(duration / self.params.h), boxes()
-
-        def run_one(row: int) -> None:
+        for row in rows:
             trial = trials.trial(row)
             _, _, phi, phi_dot = trial.start
             # The twin owns the memory of the engine and has to outlive the kernel's run.
@@ -138,9 +111,6 @@ class TwinSimulation:
             trials.steps[row], trials.cause[row], trials.sum_x2[row] = run_trial(
                 twin.kernel, self.params, state, policy, phi, phi_dot, max_steps, limits, monitor
             )
-            done([row])
-
-        run_over_cores(run_one, rows, workers)
 
     def pendulum(self, trial: Trial) -> PendulumParameters:
         """Return the pendulum of a trial, with the friction that acts in the twin."""
@@ -150,14 +120,8 @@ class TwinSimulation:
 
     def twin(self, trial: Trial) -> Twin:
         """Return the twin of a trial."""
-        return Twin(
-            self._arm,
-            self.pendulum(trial),
-            self._world,
-            seed=self.seed,
-            index=trial.number,
-            servo=self._servo,
-        )
+        model, number = (self._arm, self.pendulum(trial), self._world), trial.number
+        return Twin(*model, seed=self.seed, index=number, servo=self._servo)
 
     def monitor(self) -> TrialSafetyMonitor:
         """Return the rules of the world for one trial."""
