@@ -22,7 +22,7 @@ from equipoise.learning.closed_loop import (
     reset,
     step,
 )
-from equipoise.model.arms.arm import FRAME_SIZE, POSITION, ROTATION, TWIST
+from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters

@@ -35,7 +35,7 @@ from equipoise.learning.closed_loop import (
     step,
 )
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
-from equipoise.model.arms.arm import FRAME_SIZE
+from equipoise.model.arms.compiler import FRAME_SIZE
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
-from equipoise.model.arms.arm import BIAS, JACOBIAN, POSITION, ROTATION, TWIST
+from equipoise.model.arms.compiler import BIAS, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.model.elementary import at, put
 
 Array = npt.NDArray[np.float64]

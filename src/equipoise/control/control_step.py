@@ -50,15 +50,8 @@ from equipoise.model.actuator import (
     lag_share,
     steady_error,
 )
-from equipoise.model.arms.arm import (
-    FRAME_SIZE,
-    FREE_JOINTS,
-    POSITION,
-    ROTATION,
-    TWIST,
-    Arm,
-    KinematicsFunction,
-)
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST, KinematicsFunction
 from equipoise.model.elementary import BATCH_SIZE, at, put
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.settings import Settings

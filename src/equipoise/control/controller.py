@@ -23,15 +23,8 @@ from equipoise.control.control_step import (
     start_controller,
 )
 from equipoise.control.policy import Policy
-from equipoise.model.arms.arm import (
-    FRAME_SIZE,
-    FREE_JOINTS,
-    POSITION,
-    ROTATION,
-    TWIST,
-    Arm,
-    KinematicsFunction,
-)
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST, KinematicsFunction
 from equipoise.model.elementary import BATCH_SIZE, at
 
 Array = npt.NDArray[np.float64]

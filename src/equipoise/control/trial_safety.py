@@ -26,7 +26,8 @@ from equipoise.control.control_step import (
 from equipoise.control.controller import flange_pose
 from equipoise.control.safety import NO_VIOLATION, Limits, SafetyParams
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import FRAME_SIZE, FREE_JOINTS, Arm
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.arms.compiler import FRAME_SIZE
 from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.sim_configs import TwinSettings
 

@@ -59,7 +59,8 @@ from equipoise.model.actuator import (
     lag_share,
     steady_error,
 )
-from equipoise.model.arms.arm import FRAME_SIZE, FREE_JOINTS, POSITION, TWIST, Arm
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, TWIST
 from equipoise.model.elementary import BATCH_SIZE, at, put, sincos
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.model.pendulum import step as pendulum_step

@@ -18,8 +18,7 @@ The training plant, the controller's observer and the identification use the ker
 """
 
 import functools
-from importlib import resources
-from math import exp, expm1, inf, log, log1p, sqrt
+from math import exp, inf, log, log1p, sqrt
 from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
 
 import numpy as np
@@ -27,7 +26,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
-from equipoise.compiled import inlined, kernel
+from equipoise.compiled import PACKAGE, inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import at, put
 
@@ -239,30 +238,16 @@ def steady_error(dq: float, lag: float, actuator: ActuatorParameters) -> float:
     return e if dq >= 0.0 else -e
 
 
-def shaped_peak(speed: float, period: float) -> float:
-    r"""Return the peak velocity command of the shaping law for constant-speed setpoints [rad/s].
+def speed_of_peak(peak: float, period: float) -> float:
+    r"""Return the setpoint velocity v that gives a peak velocity command [rad/s].
 
     Setpoints at intervals of P differ by v P. Each raises the error to e_0, from which it falls by
     v P until the next. For small errors the law is quadratic, k = a / (b^2 t_c), and
 
-    .. math:: e_0 = \frac{v P}{2} + \sqrt{\left(\frac{v P}{2}\right)^2 + \frac{v}{k}}, \qquad
-              \dot q_c = \frac{a}{t_c} \left(1 - e^{-(e_0 / b)^2}\right)
+    .. math:: \dot q_c = \frac{a}{t_c} \left(1 - e^{-(e_0 / b)^2}\right), \qquad
+              v = \frac{k e_0^2}{1 + k e_0 P}
 
     The lag of a drive smooths the steps and lowers the peak.
-
-    Args:
-        speed: Velocity v of the setpoints [rad/s].
-        period: Period P of the setpoints [s].
-    """
-    half, k = 0.5 * speed * period, AMPLITUDE / (INTERVAL_WIDTH**2 * CYCLE)
-    e = half + sqrt(half**2 + speed / k)
-    return AMPLITUDE / CYCLE * -expm1(-((e / INTERVAL_WIDTH) ** 2))
-
-
-def speed_of_peak(peak: float, period: float) -> float:
-    """Return the setpoint velocity that gives a peak velocity command [rad/s].
-
-    The inverse of `shaped_peak`: v = k e_0^2 / (1 + k e_0 P).
 
     Args:
         peak: Peak velocity command of the law, below a / t_c = 70 [rad/s].
@@ -358,12 +343,8 @@ class Actuator(Artefact):
     @property
     def parameters(self) -> ActuatorParameters:
         """Best values as parameters for kernels."""
-        return ActuatorParameters(
-            kind=KINDS.index(self.kind),
-            cycle=self.cycle.value,
-            amplitude=self.amplitude,
-            width=self.width,
-        )
+        kind, cycle = KINDS.index(self.kind), self.cycle.value
+        return ActuatorParameters(kind, cycle, self.amplitude, self.width)
 
     def response_time(self, joint: int, speed: float = TYPICAL_SPEED) -> float:
         """Return the response time of a joint to a small change, without transport [s].
@@ -390,5 +371,4 @@ IDEAL_ACTUATOR: Final = Actuator.assumed("ideal")
 @functools.cache
 def shipped_actuator() -> Actuator:
     """Load the actuator that ships with Equipoise, identified from the twin `nominal`."""
-    with resources.as_file(resources.files("equipoise") / "data" / "actuator.json") as path:
-        return Actuator.load(path)
+    return Actuator.load(PACKAGE / "data" / "actuator.json")

@@ -11,16 +11,15 @@ phi = 0. Coulomb friction and quadratic drag go beyond the paper; they are zero 
 """
 
 import functools
-from importlib import resources
 from math import pi
-from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
-from equipoise.compiled import inlined, kernel
+from equipoise.compiled import PACKAGE, inlined, kernel
 from equipoise.errors import RecordingError
 from equipoise.model.elementary import sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
@@ -36,6 +35,8 @@ MAX_FRICTION: Final = 1e4
 swings."""
 Variance = Annotated[float, Field(ge=-1e24, le=1e24)]
 """Covariance of two quantities below 1e12."""
+Variances = tuple[Variance, Variance, Variance, Variance]
+"""Row of a covariance of four quantities."""
 
 
 class PendulumParameters(NamedTuple):
@@ -250,10 +251,7 @@ class Pendulum(Viewable, Artefact):
     """Coulomb friction over inertia [1/s^2]."""
     drag: Estimate
     """Quadratic drag over inertia [1/rad]."""
-    covariance: Annotated[
-        tuple[tuple[Variance, Variance, Variance, Variance], ...],
-        Field(min_length=4, max_length=4),
-    ]
+    covariance: Annotated[tuple[Variances, ...], Field(min_length=4, max_length=4)]
     """Covariance of w2, c, coulomb and drag in their units; zero for a parameter that was not
     fitted."""
     friction_model: Friction
@@ -280,15 +278,12 @@ class Pendulum(Viewable, Artefact):
                 f"w2 is {w2:.3g} 1/s^2, expected that of a period from {MIN_PERIOD:g} s to "
                 f"{MAX_PERIOD:g} s"
             )
-        if not 0.01 * w2 <= self.g * self.k.value <= 100.0 * w2:
-            raise ValueError(
-                f"k is {self.k.value:.3g} 1/m, expected about w2 / g = {w2 / self.g:.3g}"
-            )
-        for name, value in (("coulomb", self.coulomb.value), ("drag", self.drag.value)):
-            if not 0.0 <= value <= MAX_FRICTION:
+        k, expected = self.k.value, w2 / self.g
+        if not 0.01 * w2 <= self.g * k <= 100.0 * w2:
+            raise ValueError(f"k is {k:.3g} 1/m, expected about w2 / g = {expected:.3g}")
+        for name, least in (("coulomb", 0.0), ("drag", 0.0), ("c", -MAX_FRICTION)):
+            if not least <= (value := getattr(self, name).value) <= MAX_FRICTION:
                 raise ValueError(f"{name} is {value:.3g}, expected 0 to {MAX_FRICTION:g}")
-        if abs(self.c.value) > MAX_FRICTION:
-            raise ValueError(f"c is {self.c.value:.3g} 1/s, expected 0 to {MAX_FRICTION:g}")
         return self
 
     @classmethod
@@ -301,16 +296,9 @@ class Pendulum(Viewable, Artefact):
             g: Acceleration of gravity [m/s^2].
         """
         w2_, k_, c_, zero = (Estimate.around(v, 0.0, "assumed") for v in (w2, w2 / g, c, 0.0))
-        return cls(
-            w2=w2_,
-            k=k_,
-            c=c_,
-            coulomb=zero,
-            drag=zero,
-            covariance=((0.0, 0.0, 0.0, 0.0),) * 4,
-            friction_model="viscous",
-            g=g,
-        )
+        numbers: dict[str, Any] = {"w2": w2_, "k": k_, "c": c_, "coulomb": zero, "drag": zero}
+        exact = ((0.0, 0.0, 0.0, 0.0),) * 4
+        return cls(**numbers, covariance=exact, friction_model="viscous", g=g)
 
     def __repr__(self) -> str:
         """Return one line with the best values and their recording."""
@@ -332,21 +320,14 @@ class Pendulum(Viewable, Artefact):
         Args:
             linearised: Use sin(phi) = phi, cos(phi) = 1, as equation (7) is printed.
         """
-        return PendulumParameters(
-            w2=self.w2.value,
-            k=self.k.value,
-            c=self.c.value,
-            coulomb=self.coulomb.value,
-            drag=self.drag.value,
-            linearised=linearised,
-        )
+        best = (each.value for each in (self.w2, self.k, self.c, self.coulomb, self.drag))
+        return PendulumParameters(*best, linearised=linearised)
 
 
 @functools.cache
 def shipped_pendulum() -> Pendulum:
     """Load the pendulum that ships with Equipoise."""
-    with resources.as_file(resources.files("equipoise") / "data" / "pendulum.json") as path:
-        return Pendulum.load(path)
+    return Pendulum.load(PACKAGE / "data" / "pendulum.json")
 
 
 def fit_of(trajectory: Trajectory, pendulum: Pendulum) -> SwingFit:
@@ -378,9 +359,8 @@ def amplitudes(pendulum: Pendulum) -> tuple[float, float]:
         raise RecordingError("the pendulum was assumed; identify it from a free swing")
     theta, theta_dot = np.empty(2), np.empty(2)
     h = pendulum.period / fit.settings.steps_per_period
-    swing(
-        np.array(fit.window), fit.theta, fit.theta_dot, h, pendulum.parameters(), theta, theta_dot
-    )
+    window = np.array(fit.window)
+    swing(window, fit.theta, fit.theta_dot, h, pendulum.parameters(), theta, theta_dot)
     # At the turning point all energy is gravity's: w2 (1 - cos A) = E.
     height = (1.0 - np.cos(theta)) + 0.5 * theta_dot**2 / pendulum.w2.value
     first, last = np.arccos(np.clip(1.0 - height, -1.0, 1.0))

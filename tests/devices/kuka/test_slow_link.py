@@ -1,5 +1,7 @@
 """How fast the flange may move over a slow link, against a servo simulated cycle by cycle."""
 
+from math import expm1, sqrt
+
 import numpy as np
 import pytest
 
@@ -11,13 +13,20 @@ from equipoise.devices.twin.servo_model import (
     serve,
     start,
 )
-from equipoise.model.actuator import shaped_peak, speed_of_peak
+from equipoise.model.actuator import AMPLITUDE, CYCLE, INTERVAL_WIDTH, speed_of_peak
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.sim_configs import TwinSettings
 
 WORLD = TwinSettings(transport=0.0, transport_jitter=0.0)
 IIWA = {size: iiwa(size) for size in (7, 14)}
 PERIODS = pytest.mark.parametrize("period_ms", [5, 7, 10, 15])
+
+
+def shaped_peak(speed, period):
+    """Return the peak velocity command of the shaping law for constant-speed setpoints [rad/s]."""
+    half, k = 0.5 * speed * period, AMPLITUDE / (INTERVAL_WIDTH**2 * CYCLE)
+    e = half + sqrt(half**2 + speed / k)
+    return AMPLITUDE / CYCLE * -expm1(-((e / INTERVAL_WIDTH) ** 2))
 
 
 def peak_of_the_cabinet(speed, period_ms, lag):

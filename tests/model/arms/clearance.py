@@ -7,7 +7,7 @@ import numpy as np
 
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.posture import along_x
-from equipoise.model.arms.scene import SIZES, Sizes, _drawn, _Part
+from equipoise.model.arms.scene import SIZES, Sizes, scene
 from equipoise.paper import X_LIMIT
 
 
@@ -18,6 +18,14 @@ class Clearance(NamedTuple):
     """Between parts of the arm, the bracket and the pendulum that are not joined [m]."""
     table: float
     """Between the table and all that moves [m]."""
+
+
+class _Part(NamedTuple):
+    """The drawing between two joints that are apart, with the housings at its root."""
+
+    geoms: list[str]
+    length: float
+    radius: float
 
 
 def clearance(
@@ -36,7 +44,9 @@ def clearance(
     Raises:
         ArmError: The arm cannot reach the ends of the track.
     """
-    spec, parts = _drawn(arm, table_height, sizes)
+    spec = scene(arm, sizes)
+    spec.geom("table").pos = [0.0, 0.0, table_height - 0.05]
+    parts = _parts(arm, sizes, spec)
     model = spec.compile()
     data = mj.MjData(model)
     nowhere = np.zeros(6)
@@ -75,3 +85,20 @@ def _not_joined(i: int, parts: list[_Part], sizes: Sizes) -> list[_Part]:
         if between > parts[i].radius + other.radius:
             others.append(other)
     return others
+
+
+def _parts(arm: Arm, sizes: Sizes, spec: mj.MjSpec) -> list[_Part]:
+    """Return the parts from the base to the pendulum."""
+    steps = [joint.xyz for joint in arm.joints] + [arm.flange_xyz]
+    lengths = {f"link {number}": np.linalg.norm(step) for number, step in enumerate(steps)}
+    lengths |= {"bracket": np.linalg.norm(arm.pivot), "rod": sizes.rod_length}
+    parts: list[_Part] = []
+    housings: list[str] = []
+    for geom in spec.geoms:
+        if geom.name.startswith("housing"):
+            housings.append(geom.name)
+        elif geom.name != "table":
+            part = _Part([geom.name, *housings], float(lengths[geom.name]), float(geom.size[0]))
+            parts.append(part)
+            housings = []
+    return parts

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from equipoise.model.arms import compiler
-from equipoise.model.arms.arm import FRAME_SIZE
+from equipoise.model.arms.compiler import FRAME_SIZE
 from equipoise.model.arms.iiwa import iiwa, main
 from equipoise.model.arms.symbols import Tape
 from equipoise.model.elementary import BATCH_SIZE
@@ -151,7 +151,7 @@ def test_where_the_cache_cannot_be_written_one_warning_is_given(tmp_path, monkey
 SESSION = """
 import sys
 import numba, numpy as np
-from equipoise.model.arms.arm import FRAME_SIZE
+from equipoise.model.arms.compiler import FRAME_SIZE
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 sys.path.insert(0, {folder!r})

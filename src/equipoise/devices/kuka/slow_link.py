@@ -2,8 +2,8 @@
 
 The servo of a KST server moves towards each setpoint on arrival, at a speed that grows with the
 distance. With a slow stream the joints move in steps that are faster than the commanded motion
-(`equipoise.model.actuator.shaped_peak`). Their peaks must stay below the speed at which the cabinet
-stops the arm.
+(`equipoise.model.actuator.speed_of_peak`). Their peaks must stay below the speed at which the
+cabinet stops the arm.
 """
 
 from collections.abc import Iterator

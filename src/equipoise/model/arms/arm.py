@@ -19,16 +19,7 @@ from equipoise.artefacts import Name, Value, first_fault, shortened, value_diges
 from equipoise.compiled import function_pointer
 from equipoise.errors import ArmError
 from equipoise.model.arms.chain import FREE_JOINTS, Chain, Floats, Triple, links, wrist_centre
-from equipoise.model.arms.compiler import (
-    BIAS,
-    FRAME_SIZE,
-    JACOBIAN,
-    POSITION,
-    ROTATION,
-    TWIST,
-    KinematicsFunction,
-    load,
-)
+from equipoise.model.arms.compiler import FRAME_SIZE, PARTS, KinematicsFunction, load
 from equipoise.model.elementary import BATCH_SIZE
 
 T = TypeVar("T")
@@ -112,29 +103,18 @@ class Joint(_Described):
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
-        if not self.lower < self.upper:
+        low, high = self.lower, self.upper
+        if not low < high:
             raise ValueError(
-                f"limits from {self.lower:g} to {self.upper:g} rad; "
-                "the lower must be below the upper"
+                f"limits from {low:g} to {high:g} rad; the lower must be below the upper"
             )
-        for limit in ("velocity", "acceleration", "torque"):
-            if not getattr(self, limit) > 0.0:
-                raise ValueError(
-                    f"{limit} limit of {getattr(self, limit):g}; give a positive number"
-                )
+        for name in ("velocity", "acceleration", "torque"):
+            if not (limit := getattr(self, name)) > 0.0:
+                raise ValueError(f"{name} limit of {limit:g}; give a positive number")
         if not 1e-6 <= hypot(*self.axis) <= 1e6:
             x, y, z = self.axis
             raise ValueError(f"axis {x:g} {y:g} {z:g}; give a direction, best of length 1")
         return self
-
-
-class Pose(NamedTuple):
-    """Pose of the flange."""
-
-    position: Floats
-    """Position in the base [m], shape (3,)."""
-    rotation: Floats
-    """Rotation from flange to base, shape (3, 3)."""
 
 
 class Kinematics(NamedTuple):
@@ -202,9 +182,9 @@ class Arm(_Described):
         if len(self.home) != n:
             raise ValueError(f"home has {len(self.home)} angles; give one for each of {n} joints")
         if held is not None and not isclose(self.home[held - 1], self.held_angle, abs_tol=1e-9):
+            at, angle = self.home[held - 1], self.held_angle
             raise ValueError(
-                f"home has joint {held} at {self.home[held - 1]:g} rad, but it is held at "
-                f"{self.held_angle:g} rad; give one angle"
+                f"home has joint {held} at {at:g} rad, but it is held at {angle:g} rad; give one"
             )
         for number, (joint, q) in enumerate(zip(self.joints, self.home, strict=True), start=1):
             if not joint.lower <= q <= joint.upper:
@@ -235,10 +215,7 @@ class Arm(_Described):
     @property
     def chain(self) -> Chain:
         """Geometry from which the kinematics is generated."""
-        steps = links(
-            self.joints, self.held_joint, self.held_angle, self.flange_xyz, self.flange_rpy
-        )
-        return Chain(self.name, self.geometry_digest, steps)
+        return Chain(self.name, self.geometry_digest, links(self))
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -281,19 +258,12 @@ class Arm(_Described):
         q_block[::BATCH_SIZE] = (float(angle) for angle in q)
         dq_block[::BATCH_SIZE] = (float(rate) for rate in dq)
         _kinematics(self)(q_block, dq_block, frame, 1)
-        record = np.array(frame[::BATCH_SIZE])
-        return Kinematics(
-            position=record[POSITION:ROTATION],
-            rotation=record[ROTATION:TWIST].reshape(3, 3),
-            twist=record[TWIST:BIAS],
-            bias=record[BIAS:JACOBIAN],
-            jacobian=record[JACOBIAN:].reshape(6, FREE_JOINTS),
-        )
+        position, R, twist, bias, J = np.split(np.array(frame[::BATCH_SIZE]), PARTS[1:])
+        return Kinematics(position, R.reshape(3, 3), twist, bias, J.reshape(6, FREE_JOINTS))
 
-    def pose(self, q: Sequence[float] | Floats) -> Pose:
-        """Return the pose of the flange for the free joints `q` [rad], shape (6,)."""
-        flange = self.kinematics(q)
-        return Pose(flange.position, flange.rotation)
+    def pose(self, q: Sequence[float] | Floats) -> Kinematics:
+        """Return the flange at rest for the free joints `q` [rad], shape (6,)."""
+        return self.kinematics(q)
 
     def compiled(self) -> ArmKernel:
         """Return the arm as kernels take it; the first call compiles it or loads it."""
@@ -328,11 +298,5 @@ def _compiled(arm: Arm) -> ArmKernel:
     limits = np.array([(j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints])
     lower, upper, velocity, acceleration = np.ascontiguousarray(limits.T)
     signature = numba.void(array, array, array, numba.int64)
-    return ArmKernel(
-        kinematics=function_pointer(_kinematics(arm), signature),
-        wrist=wrist_centre(arm.chain.links),
-        lower=lower,
-        upper=upper,
-        max_velocity=velocity,
-        max_acceleration=acceleration,
-    )
+    kinematics, wrist = function_pointer(_kinematics(arm), signature), wrist_centre(arm.chain.links)
+    return ArmKernel(kinematics, wrist, lower, upper, velocity, acceleration)

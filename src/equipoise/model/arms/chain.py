@@ -5,10 +5,13 @@ the frame's own z axis. The result is six free joints of one kind and seven cons
 """
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from equipoise.model.arms.arm import Arm
 
 Floats = npt.NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -42,54 +45,21 @@ class Chain(NamedTuple):
     """Steps to each of the six free joints and to the flange."""
 
 
-class Placement(Protocol):
-    """Place and axis of a joint."""
-
-    @property
-    def xyz(self) -> Triple:
-        """Origin in the frame of the previous joint [m]."""
-        ...
-
-    @property
-    def rpy(self) -> Triple:
-        """Roll, pitch and yaw about the fixed axes of the previous frame [rad]."""
-        ...
-
-    @property
-    def axis(self) -> Triple:
-        """Axis of rotation in the joint's own frame."""
-        ...
-
-
-def links(
-    joints: Sequence[Placement],
-    held_joint: int | None,
-    held_angle: float,
-    flange_xyz: Triple,
-    flange_rpy: Triple,
-) -> tuple[Link, ...]:
-    """Return the constants of a chain: a step to each free joint and one to the flange.
-
-    Args:
-        joints: All joints, from the base to the flange.
-        held_joint: Number of the joint that does not move, counted from one.
-        held_angle: Its angle [rad].
-        flange_xyz: Origin of the flange in the last joint's frame [m].
-        flange_rpy: Roll, pitch and yaw of the flange in the last joint's frame [rad].
-    """
+def links(arm: "Arm") -> tuple[Link, ...]:
+    """Return the constants of an arm: a step to each free joint and one to the flange."""
     chain: list[Link] = []
     rotation, offset = np.eye(3), np.zeros(3)  # since the last free joint
-    for number, joint in enumerate(joints, start=1):
+    for number, joint in enumerate(arm.joints, start=1):
         offset = offset + rotation @ joint.xyz
         rotation = rotation @ rotation_from_rpy(joint.rpy)
-        if number == held_joint:
-            rotation = rotation @ rotation_about(np.array(joint.axis), held_angle)
+        if number == arm.held_joint:
+            rotation = rotation @ rotation_about(np.array(joint.axis), arm.held_angle)
         else:
             along_z = _turned_to(np.array(joint.axis))
             chain.append(Link(_exact(rotation @ along_z), offset))
             rotation, offset = along_z.T, np.zeros(3)
-    offset = offset + rotation @ flange_xyz
-    return (*chain, Link(_exact(rotation @ rotation_from_rpy(flange_rpy)), offset))
+    offset = offset + rotation @ arm.flange_xyz
+    return (*chain, Link(_exact(rotation @ rotation_from_rpy(arm.flange_rpy)), offset))
 
 
 def rotation_about(axis: Floats, angle: float) -> Floats:

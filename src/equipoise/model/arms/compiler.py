@@ -32,6 +32,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from equipoise.artefacts import write_whole
 from equipoise.compiled import cache_directory, cache_folder, warn_of_cache
 from equipoise.errors import OutsideError
@@ -43,12 +45,10 @@ KinematicsFunction = Callable[[Any, Any, Any, int], None]
 """Function kinematics(q, dq, frame, lanes): reads blocks of joint angles [rad] and velocities
 [rad/s] and writes the records of the first `lanes` lanes."""
 
-POSITION: Final = 0
-ROTATION: Final = 3
-TWIST: Final = 12
-BIAS: Final = 18
-JACOBIAN: Final = 24
+POSITION, ROTATION, TWIST, BIAS, JACOBIAN = PARTS = (0, 3, 12, 18, 24)
+"""First row of each part of a record."""
 FRAME_SIZE: Final = 60
+"""Number of rows of a record."""
 
 COMMITTED: Final = ("iiwa7", "iiwa14")
 """Names of the arms whose modules are part of the package."""
@@ -105,14 +105,10 @@ def trace(links: Sequence[Link]) -> tuple[Tape, dict[str, dict[str, Symbol]]]:
     dq = [tape.input(f"dq_{i}", f"dq[{_entry(i - 1)}]") for i in numbers]
 
     zero = _constant(tape, (0.0, 0.0, 0.0))
-    axes: Axes = (
-        _constant(tape, (1.0, 0.0, 0.0)),
-        _constant(tape, (0.0, 1.0, 0.0)),
-        _constant(tape, (0.0, 0.0, 1.0)),
-    )
+    x, y, z_axis = (_constant(tape, axis) for axis in np.eye(3))
+    axes: Axes = (x, y, z_axis)
     w, w_dot, v, v_dot = zero, zero, zero, zero
-    r: list[Vector] = []
-    z: list[Vector] = []
+    r, z = list[Vector](), list[Vector]()
     for i, link in enumerate(links, start=1):
         tape.block = (
             f"r_{i} = R r'; v += w x r; v_dot += w_dot x r + w x (w x r)  ({_place(i)}, "

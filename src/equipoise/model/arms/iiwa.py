@@ -81,19 +81,11 @@ def iiwa(size: Literal[7, 14], *, media_flange: float = 0.0) -> Arm:
     model = _MODELS[size]
     base, upper_arm, forearm, hand = model.d
     # d runs along the joint's own axis, which is the twisted z of the frame before it.
-    places = (
-        (0.0, 0.0, base),
-        (0.0, 0.0, 0.0),
-        (0.0, -upper_arm, 0.0),
-        (0.0, 0.0, 0.0),
-        (0.0, forearm, 0.0),
-        (0.0, 0.0, 0.0),
-        (0.0, 0.0, 0.0),
-    )
+    along_y = (0.0, 0.0, -upper_arm, 0.0, forearm, 0.0, 0.0)
     joints = tuple(
         Joint(
             name=f"A{number}",
-            xyz=xyz,
+            xyz=(0.0, y, base if number == 1 else 0.0),
             rpy=(radians(alpha), 0.0, 0.0),
             lower=-radians(limit),
             upper=radians(limit),
@@ -101,8 +93,8 @@ def iiwa(size: Literal[7, 14], *, media_flange: float = 0.0) -> Arm:
             acceleration=ACCELERATION,
             torque=torque,
         )
-        for number, (xyz, alpha, limit, speed, torque) in enumerate(
-            zip(places, ALPHA_DEG, LIMIT_DEG, model.speed_deg, model.torque, strict=True), start=1
+        for number, (y, alpha, limit, speed, torque) in enumerate(
+            zip(along_y, ALPHA_DEG, LIMIT_DEG, model.speed_deg, model.torque, strict=True), start=1
         )
     )
     return Arm(

@@ -83,14 +83,9 @@ def place_links(joints: Sequence[Joint], size: int) -> tuple[Joint, ...]:
         origin = origin + rotation @ joint.xyz
         rotation = rotation @ rotation_from_rpy(joint.rpy)
         published = published + link.origin
-        inertia = rotation.T @ inertia_matrix(link.inertia) @ rotation
-        x, y, z = (rotation.T @ (published + link.com - origin)).tolist()
-        placed = Inertial(
-            name=f"link {number}",
-            mass=link.mass,
-            com=(x, y, z),
-            inertia=inertia_entries(inertia),
-        )
+        inertia = inertia_entries(rotation.T @ inertia_matrix(link.inertia) @ rotation)
+        com = tuple((rotation.T @ (published + link.com - origin)).tolist())
+        placed = Inertial(name=f"link {number}", mass=link.mass, com=com, inertia=inertia)
         result.append(joint.model_copy(update={"link": placed}))
     return tuple(result)
 

@@ -13,7 +13,6 @@ from equipoise.artefacts import quoted
 from equipoise.errors import ArmError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import Triple
-from equipoise.model.arms.iiwa import ACCELERATION
 from equipoise.model.arms.urdf import read_urdf
 
 GROUP: Final = "equipoise.arms"
@@ -48,24 +47,17 @@ def resolve_arm(
     Raises:
         ArmError: There is no such arm, or an argument does not fit it.
     """
-    of_urdf = {"held": held, "base": base, "tip": tip, "acceleration": acceleration}
+    options = {"held": held, "base": base, "tip": tip, "acceleration": acceleration}
+    given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     if Path(name).suffix.lower() in SUFFIXES:
-        return read_urdf(
-            name,
-            base=base,
-            tip=tip,
-            held=held,
-            home=home,
-            pivot=pivot,
-            acceleration=ACCELERATION if acceleration is None else acceleration,
-        )
+        return read_urdf(name, home=home, pivot=pivot, **given)
     registered = registered_arms()
     if name not in registered:
         raise ArmError(
             f"there is no arm {quoted(name)}; choose {', '.join(sorted(registered))} or a file "
             "that ends in .urdf"
         )
-    if given := [option for option, value in of_urdf.items() if value is not None]:
+    if given:
         raise ArmError(
             f"{' and '.join(given)} belong to an arm from a URDF, and {name} is a registered arm; "
             "leave them out"

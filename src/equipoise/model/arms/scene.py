@@ -44,14 +44,6 @@ FULL_LENGTH: Final = 1.2
 """Length from which a stretched arm has the sizes of an iiwa [m]; the iiwa 7 has 1.27 m."""
 
 
-class _Part(NamedTuple):
-    """What is drawn between two joints that are apart, with the housings at its root."""
-
-    geoms: list[str]
-    length: float
-    radius: float
-
-
 def sizes_for(arm: Arm, sizes: Sizes = SIZES) -> Sizes:
     """Return sizes in proportion to the length of an arm; at most those given.
 
@@ -61,16 +53,11 @@ def sizes_for(arm: Arm, sizes: Sizes = SIZES) -> Sizes:
     """
     steps = [joint.xyz for joint in arm.joints] + [arm.flange_xyz]
     share = min(1.0, float(sum(np.linalg.norm(step) for step in steps)) / FULL_LENGTH)
-    return sizes._replace(
-        link=share * sizes.link,
-        pulled_in=share * sizes.pulled_in,
-        housing=share * sizes.housing,
-        housing_reach=share * sizes.housing_reach,
-        hand=share * sizes.hand,
-    )
+    scaled = ("link", "pulled_in", "housing", "housing_reach", "hand")
+    return sizes._replace(**{name: share * getattr(sizes, name) for name in scaled})
 
 
-def scene(arm: Arm, *, table_height: float = 0.0, sizes: Sizes = SIZES) -> Any:
+def scene(arm: Arm, sizes: Sizes = SIZES) -> Any:
     """Return a MuJoCo model of the rig: every joint of the arm, then the pendulum.
 
     Its keyframe `home` has the arm at home and the pendulum hanging. Nothing collides, and the
@@ -78,55 +65,40 @@ def scene(arm: Arm, *, table_height: float = 0.0, sizes: Sizes = SIZES) -> Any:
 
     Args:
         arm: The arm.
-        table_height: Top of the table above the arm's base plane [m].
         sizes: Thickness of the parts.
 
     Returns:
         A `mujoco.MjSpec`.
     """
-    return _drawn(arm, table_height, sizes)[0]
-
-
-def _drawn(arm: Arm, table_height: float, sizes: Sizes) -> tuple[Any, list[_Part]]:
-    """Return the model, and its parts from the base to the pendulum."""
     mj = mujoco()
     spec = mj.MjSpec()
     spec.modelname = arm.name
     spec.compiler.degree = False
     spec.compiler.boundmass, spec.compiler.boundinertia = 1e-3, 1e-6  # of frames without geometry
-    spec.worldbody.add_geom(
-        name="table",
-        type=mj.mjtGeom.mjGEOM_BOX,
-        size=[1.5, 1.5, 0.05],
-        pos=[0.0, 0.0, table_height - 0.05],
-        contype=0,
-        conaffinity=0,
-    )
 
-    def capsule(body: Any, name: str, start: Floats, end: Floats, radius: float) -> str:
+    def geom(body: Any, name: str, shape: Any, **place: Any) -> None:
+        body.add_geom(name=name, type=shape, contype=0, conaffinity=0, **place)
+
+    def capsule(body: Any, name: str, start: Floats, end: Floats, radius: float) -> None:
         ends = np.concatenate([start, end])
-        size = [radius, 0.0, 0.0]
-        shape = mj.mjtGeom.mjGEOM_CAPSULE
-        body.add_geom(name=name, type=shape, fromto=ends, size=size, contype=0, conaffinity=0)
-        return name
+        geom(body, name, mj.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[radius, 0.0, 0.0])
 
     def child(body: Any, name: str, xyz: Any, rotation: Floats) -> Any:
         quaternion = np.zeros(4)
         mj.mju_mat2Quat(quaternion, rotation.ravel())
         return body.add_body(name=name, pos=xyz, quat=quaternion)
 
+    body, size, place = spec.worldbody, [1.5, 1.5, 0.05], [0.0, 0.0, -0.05]
+    geom(body, "table", mj.mjtGeom.mjGEOM_BOX, size=size, pos=place)
     steps = [np.array(joint.xyz) for joint in arm.joints] + [np.array(arm.flange_xyz)]
     last = max(number for number, step in enumerate(steps) if step.any())
     across = _across(arm, steps)
-    body, parts, housings = spec.worldbody, list[_Part](), list[str]()
     for number, step in enumerate(steps):
         if step.any():
             length = float(np.linalg.norm(step))
             radius = sizes.hand if number == last else sizes.link
             inset = step * min(sizes.pulled_in / length, 0.5)
-            name = capsule(body, f"link {number}", inset, step - inset, radius)
-            parts.append(_Part([name, *housings], length, radius))
-            housings = []
+            capsule(body, f"link {number}", inset, step - inset, radius)
         if number < len(arm.joints):
             joint = arm.joints[number]
             body = child(body, f"frame {number + 1}", step, rotation_from_rpy(joint.rpy))
@@ -135,21 +107,18 @@ def _drawn(arm: Arm, table_height: float, sizes: Sizes) -> tuple[Any, list[_Part
             body.add_joint(name=joint.name, type=hinge, axis=joint.axis, range=limits)
             if across[number]:
                 reach = sizes.housing_reach * np.array(joint.axis) / np.linalg.norm(joint.axis)
-                name = f"housing {number + 1}"
-                housings.append(capsule(body, name, -reach, reach, sizes.housing))
+                capsule(body, f"housing {number + 1}", -reach, reach, sizes.housing)
 
     flange = child(body, "flange", steps[-1], rotation_from_rpy(arm.flange_rpy))
     pivot = np.array(arm.pivot)
     if pivot.any():
-        name = capsule(flange, "bracket", np.zeros(3), pivot, sizes.bracket)
-        parts.append(_Part([name], float(np.linalg.norm(pivot)), sizes.bracket))
+        capsule(flange, "bracket", np.zeros(3), pivot, sizes.bracket)
     pendulum = child(flange, "pendulum", pivot, arm.pose(arm.home_free).rotation.T)
     pendulum.add_joint(name="phi", type=mj.mjtJoint.mjJNT_HINGE, axis=[0.0, 1.0, 0.0])
     top = np.array([0.0, 0.0, sizes.rod_length])
-    name = capsule(pendulum, "rod", np.zeros(3), top, sizes.rod)
-    parts.append(_Part([name], sizes.rod_length, sizes.rod))
+    capsule(pendulum, "rod", np.zeros(3), top, sizes.rod)
     spec.add_key(name="home", qpos=[*arm.home, np.pi])
-    return spec, parts
+    return spec
 
 
 def _across(arm: Arm, steps: list[Floats]) -> list[bool]:
