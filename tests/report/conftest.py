@@ -5,7 +5,7 @@ import pytest
 
 from equipoise.errors import OutsideError
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.report.pictures import frames
+from tests.report.made_up import frames
 
 
 @pytest.fixture(scope="session")

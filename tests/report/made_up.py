@@ -1,5 +1,7 @@
 """Results of a reproduction that nobody ran: small, quick to draw, as odd as a test wants them."""
 
+from itertools import repeat
+
 import numpy as np
 
 from equipoise import paper
@@ -13,6 +15,8 @@ from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.model.sim_configs import MODEL, read_world
+from equipoise.report.pictures.rendering import draw
+from equipoise.report.pictures.scene import stage
 from equipoise.settings import resolve
 from equipoise.studies.results import PipelineStage, Results, StageRecord, digests
 from equipoise.studies.synthetic_swing import SyntheticSwing
@@ -233,3 +237,8 @@ def results(
     )
     record = found.record.model_copy(update={"files": dict(digests(found))})
     return found._replace(record=record)
+
+
+def frames(arm, q, phi, u=None, *, size):
+    """Pictures of poses of the rig, without an arrow where no command is given."""
+    return draw(stage(arm, size), q, phi, repeat(0.0) if u is None else u)

@@ -13,7 +13,7 @@ from equipoise.errors import RecordingError
 from equipoise.model.pendulum import fitted_curve
 from equipoise.model.sim_configs import MODEL
 from equipoise.report import figures
-from equipoise.report.style import save, to_png, to_svg
+from equipoise.report.style import render, save
 from tests.report import made_up
 
 
@@ -155,15 +155,15 @@ def test_equal_values_give_equal_files(results, tmp_path, monkeypatch):
     monkeypatch.setattr("equipoise.report.style.DPI", 40)
     first, second = (DRAW["figure 6"](results) for _ in range(2))
     svg, png = save(first, tmp_path / "deep" / "figure")
-    assert svg.read_text(encoding="utf-8") == to_svg(second)
-    assert png.read_bytes() == to_png(second)
+    assert svg.read_text(encoding="utf-8") == render(second, "svg").decode()
+    assert png.read_bytes() == render(second, "png")
     assert svg.read_text(encoding="utf-8").startswith("<?xml")
     assert png.read_bytes().startswith(b"\x89PNG")
 
 
 def test_our_style_is_nobody_elses(results):
     before = dict(rcParams)
-    to_svg(figures.pendulum(results.run))
+    render(figures.pendulum(results.run), "svg")
     assert dict(rcParams) == before
 
 

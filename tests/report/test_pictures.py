@@ -15,13 +15,14 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
 from equipoise.model.arms.scene import SIZES
-from equipoise.report.pictures import animation, frames, rendering, strip, video, write_video
+from equipoise.report.pictures import animation, rendering, strip, video, write_video
 from equipoise.report.pictures.film import BAR, FPS
 from equipoise.report.pictures.moments import moments
 from equipoise.report.pictures.scene import stage
 from equipoise.report.pictures.strip import key_moments
 from tests.logs.made_up import changed_table
 from tests.report import made_up
+from tests.report.made_up import frames
 
 ARM = iiwa(7)
 SIZE = (240, 270)
@@ -161,12 +162,6 @@ def test_what_moves_and_the_posts_stay_in_the_picture(canvas, arm, size):
     )
     height = max(r for _, r in places) - min(rows.min(), *(r for _, r in places))
     assert max(width / size[0], height / size[1]) > 0.6
-
-
-@pytest.mark.parametrize(("q", "phi"), [((3, 6), 3), ((3, 7), 2), ((7,), 1)])
-def test_positions_of_another_shape_are_refused(q, phi):
-    with pytest.raises(ArmError, match="give all joints of iiwa7, one row for each angle"):
-        frames(ARM, np.zeros(q), np.zeros(phi), size=SIZE)
 
 
 def test_a_machine_without_opengl_is_told_what_to_install(monkeypatch):

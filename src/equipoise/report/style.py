@@ -7,7 +7,7 @@ screen. Equal input gives equal SVG.
 
 import functools
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
@@ -15,11 +15,9 @@ from equipoise.artefacts import write_whole
 from equipoise.printable import printable
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 P = ParamSpec("P")
-Offset = tuple[float, float]
 
 INK: Final = "#222222"
 BLUE: Final = "#0072B2"
@@ -31,6 +29,12 @@ PURPLE: Final = "#CC79A7"
 GREY: Final = "#767676"
 PALE: Final = "#E4E4E4"
 
+DASHES: Final = (0, (5, 2))
+DASH_DOTS: Final = (0, (6, 1.5, 1, 1.5))
+DOTS: Final = (0, (1, 1.5))
+
+BESIDE: Final[Any] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+"""Coordinates of a remark: x in shares of the axes, y of the data, and an offset [pt]."""
 WIDTH: Final = 7.4
 """Width of every figure [inch]."""
 DPI: Final = 160
@@ -38,26 +42,20 @@ DPI: Final = 160
 
 STYLE: Final[dict[str, Any]] = {
     "font.family": "DejaVu Sans",
-    "font.size": 8.5,
-    "axes.titlesize": 8.5,
     "axes.titlelocation": "left",
-    "axes.labelsize": 8.5,
     "axes.edgecolor": GREY,
-    "axes.linewidth": 0.7,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.color": PALE,
     "grid.linewidth": 0.6,
-    **{f"{axis}tick.color": INK for axis in "xy"},
-    **{f"{axis}tick.labelsize": 8.0 for axis in "xy"},
-    **{f"{axis}tick.major.width": 0.7 for axis in "xy"},
-    "text.color": INK,
-    "axes.labelcolor": INK,
+    **dict.fromkeys(("xtick.color", "ytick.color", "text.color", "axes.labelcolor"), INK),
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8.0),
+    **dict.fromkeys(("axes.linewidth", "xtick.major.width", "ytick.major.width"), 0.7),
+    **dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 8.5),
     "lines.linewidth": 1.1,
     "legend.frameon": False,
-    "legend.fontsize": 8.0,
     "figure.titlesize": 10.0,
     "figure.titleweight": "bold",
     "figure.facecolor": "white",
@@ -101,36 +99,9 @@ def plain(text: str) -> str:
     return printable(text).replace("$", r"\$")
 
 
-def limit_lines(axes: "Axes", values: Sequence[float], label: str = "") -> None:
-    """Draw the failure limits; the label stands above the highest, on the left."""
-    for value in values:
-        axes.axhline(value, color=INK, linewidth=1.0, linestyle=(0, (6, 2)))
-    if label:
-        remark(axes, label, (0.0, max(values)), (3, 2), 7.5)
-
-
-def remark(
-    axes: "Axes", text: str, place: tuple[float, float], offset: Offset, size: float, **look: Any
-) -> None:
-    """Write a text at an x in shares of the axes and a y of the data, with an offset [pt]."""
-    frame: Any = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
-    axes.annotate(text, place, offset, fontsize=size, **frame, **look)
-
-
-def edge_lines(axes: "Axes", values: Sequence[float]) -> None:
-    """Draw the inner edges of the boxes."""
-    for value in values:
-        axes.axhline(value, color=GREY, linewidth=0.6, linestyle=(0, (1, 2)))
-
-
-def to_svg(figure: "Figure") -> str:
-    """Return a figure as SVG; equal figures give equal text."""
-    return _rendered(figure, "svg").decode()
-
-
-def to_png(figure: "Figure") -> bytes:
-    """Return a figure as PNG."""
-    return _rendered(figure, "png")
+def typeset(text: str) -> str:
+    """Return the text of a number with a minus sign in place of a hyphen."""
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 def save(figure: "Figure", stem: Path) -> tuple[Path, Path]:
@@ -147,12 +118,13 @@ def save(figure: "Figure", stem: Path) -> tuple[Path, Path]:
         OutsideError: Writing fails.
     """
     svg, png = (stem.with_name(f"{stem.name}.{ending}") for ending in ("svg", "png"))
-    write_whole(svg, to_svg(figure))
-    write_whole(png, to_png(figure))
+    for path in (svg, png):
+        write_whole(path, render(figure, path.suffix[1:]))
     return svg, png
 
 
-def _rendered(figure: "Figure", kind: str) -> bytes:
+def render(figure: "Figure", kind: str) -> bytes:
+    """Return a figure as a file of a `kind`, `svg` or `png`; equal figures give equal bytes."""
     from matplotlib import style
 
     stream = io.BytesIO()

@@ -10,7 +10,7 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.report import figures
 from equipoise.report.markup import escape
-from equipoise.report.style import to_svg
+from equipoise.report.style import render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,7 +47,7 @@ def html(value: object) -> str:
     """Return a value as HTML: its one-line representation, and its figure if available."""
     line = f"<p><code>{escape(repr(value))}</code></p>"
     try:
-        picture = base64.b64encode(to_svg(plot(value)).encode()).decode()
+        picture = base64.b64encode(render(plot(value), "svg")).decode()
     except RecordingError:
         return line
     # Browsers run no script of an SVG inside an `img`, whatever text is in the SVG.

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 LINES: Final[dict[tuple[study.Controller, bool], dict[str, Any]]] = {
     (study.CURED, False): {"color": style.BLUE, "linestyle": "-", "linewidth": 3.2, "marker": "o"},
-    (study.NOT_TOLD, False): {"color": style.SKY, "linestyle": (0, (5, 2)), "marker": "s"},
+    (study.NOT_TOLD, False): {"color": style.SKY, "linestyle": style.DASHES, "marker": "s"},
     (study.NO_PREDICTION, False): {
         "color": style.ORANGE,
-        "linestyle": (0, (6, 1.5, 1, 1.5)),
+        "linestyle": style.DASH_DOTS,
         "marker": "^",
     },
-    (study.NO_BIAS, False): {"color": style.GREEN, "linestyle": (0, (1, 1.5)), "marker": "D"},
+    (study.NO_BIAS, False): {"color": style.GREEN, "linestyle": style.DOTS, "marker": "D"},
     (study.PAPER, False): {"color": style.VERMILION, "linestyle": "-", "marker": "v"},
     (study.PAPER, True): {"color": style.INK, "linestyle": (0, (3, 1.5)), "marker": "x"},
 }
@@ -37,16 +37,12 @@ BARS: Final[dict[str, Any]] = {"markersize": 4, "capsize": 2}
 @style.drawn
 def gap_figure(gap: Gap) -> "Figure":
     """Draw a gap study."""
-    effects, variants = len(gap.names("alone")), gap.names("variant")
-    heights = [2.3, 0.9, *(ROW * effects + 0.75 for _ in gap.apart)]
-    if variants:
-        heights.append(ROW * len(variants) + 0.75)
-    figure = style.new_figure(
-        sum(heights) + 1.1, f"Gap between training plant and the twin {gap.world}"
-    )
-    parts: Any = figure.subfigures(
-        len(heights) - 1, 1, height_ratios=(heights[0] + heights[1] + 0.6, *heights[2:])
-    )
+    effects, variants = len(gap.names("alone")), len(gap.names("variant"))
+    rows = [*(effects for _ in gap.apart), *([variants] if variants else [])]
+    heights = [3.8, *(ROW * count + 0.75 for count in rows)]
+    title = f"Gap between training plant and the twin {gap.world}"
+    figure = style.new_figure(sum(heights) + 0.5, title)
+    parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights)
     top, *rest = parts
     _curves(top, gap)
     for part, controller in zip(rest, gap.apart, strict=False):
@@ -64,8 +60,8 @@ def _curves(part: Any, gap: Gap) -> None:
     axes[1, 0].set_ylabel("falls on the\ntrack limit [%]")
     axes[1, 0].set_xlabel("transport delay [ms]")
     axes[1, 1].set_xlabel("error of the encoder's zero [°]")
-    number = f"{gap.trials} trials of {gap.duration:g} s at each point, 95 % intervals"
-    _title(part, f"{number}{'; the short form' if gap.quick else ''}")
+    short = "; the short form" if gap.quick else ""
+    _title(part, f"{gap.trials} trials of {gap.duration:g} s at each point, 95 % intervals{short}")
     # The left panels hold all curves.
     handles, labels = axes[0, 0].get_legend_handles_labels()
     part.legend(handles, labels, loc="outside lower center", ncols=3)
@@ -85,8 +81,7 @@ def _against(axes: Any, gap: Gap, what: Literal["delay", "zero"]) -> None:
         label = study.LABELS[key[0]] + (", rest of the twin clean" if key[1] else "")
         above.errorbar(x, *_intervals(gap, curve), label=label, elinewidth=1.1, **BARS, **line)
         shares = [(at, study.track_share(p.results)) for at, p in zip(x, curve, strict=True)]
-        fell = [(at, 100.0 * share) for at, share in shares if share is not None]
-        if fell:
+        if fell := [(at, 100.0 * share) for at, share in shares if share is not None]:
             below.plot(*zip(*fell, strict=True), markersize=4, **line)
     below.set_ylim(-8.0, 108.0)
     below.set_yticks([0, 50, 100])
@@ -100,11 +95,8 @@ def _effects(part: Any, gap: Gap, controller: study.Controller) -> None:
     plant, clean, world = (gap.point(p, controller) for p in ("plant", "clean", "world"))
     own, at_best, as_is = (study.mean(p.results, gap.duration).mean for p in (plant, clean, world))
     label = study.LABELS[controller]
-    _title(
-        part,
-        f"{label[0].upper()}{label[1:]}: {own:.1f} s on its own training plant; "
-        "change of the mean beside each effect",
-    )
+    trained = f"{label[0].upper()}{label[1:]}: {own:.1f} s on its own training plant"
+    _title(part, f"{trained}; change of the mean beside each effect")
     alone = [gap.point("alone", controller, name) for name in names]
     without = [gap.point("without", controller, name) for name in names]
     for panel, reference, points, title in (
@@ -118,7 +110,7 @@ def _effects(part: Any, gap: Gap, controller: study.Controller) -> None:
         dashed: Any = {"linewidth": 1.0, "linestyle": (0, (4, 2)), "zorder": 0.9}
         panel.axvline(found.mean, color=style.GREY, **dashed)
         for row, point in enumerate(points):
-            _remark(panel, row, _signed(study.difference(point.results, reference.results)))
+            _remark(panel, row, _change(study.difference(point.results, reference.results)))
         panel.set_title(title)
     left.set_yticks(range(len(names)), names)
 
@@ -133,9 +125,8 @@ def _variants(part: Any, gap: Gap) -> None:
         ends = "none fell" if share is None else f"{percent(share)} of the falls on the track limit"
         _remark(panel, row, f"{study.spelled(study.mean(point.results, gap.duration))}, {ends}")
     panel.set_yticks(range(len(names)), names)
-    panel.set_title(
-        f"an open question: alternative models of the cabinet, {study.LABELS[study.CURED]}"
-    )
+    title = "an open question: alternative models of the cabinet"
+    panel.set_title(f"{title}, {study.LABELS[study.CURED]}")
 
 
 def _rows(panel: Any, gap: Gap, points: list[GapPoint], colour: str) -> None:
@@ -149,7 +140,8 @@ def _rows(panel: Any, gap: Gap, points: list[GapPoint], colour: str) -> None:
 
 
 def _remark(panel: Any, row: int, text: str) -> None:
-    style.remark(panel, text, (1.0, row), (3, 0), 7.0, va="center", annotation_clip=False)
+    look: Any = {"fontsize": 7.0, "va": "center", "annotation_clip": False}
+    panel.annotate(text, (1.0, row), (3, 0), **style.BESIDE, **look)
 
 
 def _seconds_axis(panel: Any, axis: Literal["x", "y"], gap: Gap) -> None:
@@ -170,10 +162,9 @@ def _intervals(gap: Gap, points: Sequence[GapPoint]) -> tuple[list[float], list[
     return [s.mean for s in found], [lower, [s.high - s.mean for s in found]]
 
 
-def _signed(found: study.Seconds) -> str:
-    if found == study.Seconds(0.0, 0.0, 0.0):
-        return "no difference"
-    return f"{found.mean:+.1f} s [{found.low:+.1f}, {found.high:+.1f}]".replace("-", "−")
+def _change(found: study.Seconds) -> str:
+    change = f"{found.mean:+.1f} s [{found.low:+.1f}, {found.high:+.1f}]"
+    return style.typeset(change) if any(found) else "no difference"
 
 
 def _title(part: Any, text: str) -> None:

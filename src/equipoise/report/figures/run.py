@@ -17,7 +17,7 @@ import numpy.typing as npt
 from equipoise import paper
 from equipoise.logs.run_log import RunLog
 from equipoise.report import style
-from equipoise.report.style import drawn, edge_lines, limit_lines, new_figure
+from equipoise.report.style import drawn, new_figure, typeset
 from equipoise.studies.formatting import LASTED, how_it_ended
 from equipoise.studies.results import seen_otherwise
 
@@ -30,14 +30,14 @@ JOINT_LINES: tuple[dict[str, Any], ...] = (
     {"color": style.SKY, "linestyle": "-", "linewidth": 2.8},
     {"color": style.VERMILION, "linestyle": (0, (5, 1.5))},
     {"color": style.PALE, "linestyle": "-", "linewidth": 2.8},
-    {"color": style.GREEN, "linestyle": (0, (6, 1.5, 1, 1.5))},
+    {"color": style.GREEN, "linestyle": style.DASH_DOTS},
     {"color": style.GREY, "linestyle": (0, (1.5, 1))},
     {"color": style.PURPLE, "linestyle": (0, (8, 2))},
     {"color": style.INK, "linestyle": (0, (3, 1.5))},
 )
 """Wide pale lines for joints that another joint's line covers: A1 below A7, A3 below A5."""
 
-LEVELS: Final = [f"{action:+g}".replace("-", "\N{MINUS SIGN}") for action in paper.ACTIONS]
+LEVELS: Final = [typeset(f"{action:+g}") for action in paper.ACTIONS]
 """Tick labels of the accelerations."""
 CLOSE_UP: Final = 1.0
 """Length of the close-up that shows the lag of the flange [s]."""
@@ -45,6 +45,8 @@ CLOSE_UP: Final = 1.0
 TRUE_LINE: Final[dict[str, Any]] = {"color": style.SKY, "linewidth": 2.4}
 """True state: wide and pale below the thin dark line of the observation, distinct in grey too."""
 OBSERVED_LINE: Final[dict[str, Any]] = {"color": style.INK, "linewidth": 0.8}
+LIMIT_LINE: Final[dict[str, Any]] = {"color": style.INK, "linewidth": 1.0, "linestyle": (0, (6, 2))}
+EDGE_LINE: Final[dict[str, Any]] = {"color": style.GREY, "linewidth": 0.6, "linestyle": (0, (1, 2))}
 ONLY_LINE: Final[dict[str, Any]] = {"color": style.BLUE, "linewidth": 0.9}
 
 
@@ -151,27 +153,19 @@ def _joint_lines(panel: Any, run: RunLog, values: Array, until: float) -> None:
 def pendulum(run: RunLog) -> "Figure":
     """Draw angle and angular velocity of the pendulum, with the edges of the boxes."""
     title = "Angle and angular velocity of the pendulum (the paper's figure 6)"
-    limit, true, deg = paper.PHI_LIMIT_DEG, run.truth, np.rad2deg
-    return _series(
-        run,
-        title,
-        ("φ [°]", deg(run.phi), deg(true.phi), paper.PHI_INTERVALS_DEG),
-        ("dφ/dt [°/s]", deg(run.phi_dot), deg(true.phi_dot), paper.PHI_DOT_INTERVALS_DEG),
-        (limit, f"failure at ±{limit:g}°"),
-    )
+    true, deg = run.truth, np.rad2deg
+    top = ("φ [°]", deg(run.phi), deg(true.phi), paper.PHI_INTERVALS_DEG)
+    bottom = ("dφ/dt [°/s]", deg(run.phi_dot), deg(true.phi_dot), paper.PHI_DOT_INTERVALS_DEG)
+    return _series(run, title, top, bottom, paper.PHI_LIMIT_DEG, "°")
 
 
 @drawn
 def flange(run: RunLog) -> "Figure":
     """Draw displacement and velocity of the flange, with the ends of the track."""
     title = "Displacement and velocity of the flange along x (the paper's figure 7)"
-    return _series(
-        run,
-        title,
-        ("x [m]", run.x, run.truth.x, paper.X_INTERVALS),
-        ("dx/dt [m/s]", run.x_dot, run.truth.x_dot, paper.X_DOT_INTERVALS),
-        (paper.X_LIMIT, f"failure at ±{paper.X_LIMIT:g} m"),
-    )
+    top = ("x [m]", run.x, run.truth.x, paper.X_INTERVALS)
+    bottom = ("dx/dt [m/s]", run.x_dot, run.truth.x_dot, paper.X_DOT_INTERVALS)
+    return _series(run, title, top, bottom, paper.X_LIMIT, " m")
 
 
 @drawn
@@ -203,23 +197,25 @@ Series = tuple[str, Array, Array, Sequence[paper.Interval]]
 
 
 def _series(
-    run: RunLog, title: str, top: Series, bottom: Series, limit: tuple[float, str]
+    run: RunLog, title: str, top: Series, bottom: Series, limit: float, unit: str
 ) -> "Figure":
-    """Draw two quantities against time; `limit` is the failure limit of the top one."""
+    """Draw two quantities against time; `limit` is the failure limit of the top one, in `unit`."""
     from matplotlib.lines import Line2D
 
     figure, real, spans = new_figure(4.8, title), seen_otherwise(run), _spans(run)
     axes: Any = figure.subplots(2, len(spans), sharex="col", sharey="row", squeeze=False)
-    limits = ((-limit[0], limit[0]), ())
+    failure = f"failure at ±{limit:g}{unit}"
+    axes[0, 0].annotate(failure, (0.0, limit), (3, 2), fontsize=7.5, **style.BESIDE)
     for row, (label, observed, true, boxes) in enumerate((top, bottom)):
         edges = [interval.high for interval in boxes[:-1]]
-        for column, (until, span_title) in enumerate(spans):
+        limits = [-limit, limit] if row == 0 else []
+        for column, (until, _) in enumerate(spans):
             panel, shown = axes[row, column], run.time < until
             panel.grid(visible=False, axis="y")
-            edge_lines(panel, edges)
-            if row == 0:
-                limit_lines(panel, limits[row], limit[1] if column == 0 else "")
-                panel.set_title(span_title)
+            for edge in edges:
+                panel.axhline(edge, **EDGE_LINE)
+            for end in limits:
+                panel.axhline(end, **LIMIT_LINE)
             if not real:
                 panel.plot(run.time[shown], observed[shown], **ONLY_LINE)
             elif column == 0:
@@ -229,16 +225,16 @@ def _series(
                 panel.plot(run.time[shown], true[shown], **TRUE_LINE | {"linewidth": 1.0})
             panel.set_xlim(0.0, until)
         axes[row, 0].set_ylabel(label)
-        curves = np.concatenate((observed, true if real else [], edges, limits[row]))
+        curves = np.concatenate((observed, true if real else [], edges, limits))
         largest = float(np.max(np.abs(curves)))
         axes[row, 0].set_ylim(-1.2 * largest, 1.2 * largest)
-    for panel in axes[-1]:
-        panel.set_xlabel("time [s]")
+    for column, (_, span_title) in enumerate(spans):
+        axes[0, column].set_title(span_title)
+        axes[1, column].set_xlabel("time [s]")
     figure.align_ylabels(axes[:, 0])
-    lines, labels = axes[0, 0].get_legend_handles_labels()
-    lines.append(Line2D([], [], color=style.GREY, linewidth=0.6, linestyle=(0, (1, 2))))
-    labels.append("edges of the boxes")
-    figure.legend(lines, labels, loc="outside lower center", ncols=3)
+    lines, _ = axes[0, 0].get_legend_handles_labels()
+    lines.append(Line2D([], [], label="edges of the boxes", **EDGE_LINE))
+    figure.legend(handles=lines, loc="outside lower center", ncols=3)
     return figure
 
 

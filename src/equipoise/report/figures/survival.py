@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 LINES: tuple[dict[str, Any], ...] = (
     {"color": style.BLUE, "linewidth": 3.2, "linestyle": "-"},
-    {"color": style.INK, "linewidth": 1.3, "linestyle": (0, (5, 2))},
-    {"color": style.ORANGE, "linewidth": 1.6, "linestyle": (0, (1, 1.5))},
-    {"color": style.VERMILION, "linewidth": 1.3, "linestyle": (0, (6, 1.5, 1, 1.5))},
+    {"color": style.INK, "linewidth": 1.3, "linestyle": style.DASHES},
+    {"color": style.ORANGE, "linewidth": 1.6, "linestyle": style.DOTS},
+    {"color": style.VERMILION, "linewidth": 1.3, "linestyle": style.DASH_DOTS},
     {"color": style.GREEN, "linewidth": 1.0, "linestyle": "-"},
     {"color": style.PURPLE, "linewidth": 1.3, "linestyle": (0, (3, 1, 1, 1, 1, 1))},
 )
@@ -38,16 +38,11 @@ def survival(evaluation: Evaluation) -> "Figure":
     left, right = axes
     shortest = min(min(results.survival) for results in everyone)
     for results, line in zip(everyone, LINES, strict=False):
-        left.plot(
-            *_curve(results, shortest, evaluation.duration),
-            drawstyle="steps-post",
-            label=plain(results.name),
-            **line,
-        )
+        curve = _curve(results, shortest, evaluation.duration)
+        left.plot(*curve, drawstyle="steps-post", label=plain(results.name), **line)
     left.set_xscale("log")
-    left.set_xlim(0.8 * shortest, evaluation.duration)
-    every_tick = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60)
-    ticks = [t for t in every_tick if 0.8 * shortest <= t <= evaluation.duration]
+    begin, end = left.set_xlim(0.8 * shortest, evaluation.duration)
+    ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60) if begin <= t <= end]
     left.set_xticks(ticks, [f"{t:g}" for t in ticks])
     left.minorticks_off()
     left.set_ylim(-4.0, 104.0)
@@ -66,9 +61,8 @@ def _curve(
     results: TrialResults, shortest: float, duration: float
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return the times [s] and the share of trials that stand from each time on [%]."""
-    falls = np.sort(
-        [s for s, c in zip(results.survival, results.causes, strict=True) if c != LASTED]
-    )
+    trials = zip(results.survival, results.causes, strict=True)
+    falls = np.sort([survival for survival, cause in trials if cause != LASTED])
     standing = 100.0 * (1.0 - np.arange(len(falls) + 1) / len(results.survival))
     time = np.concatenate(([0.5 * shortest], falls, [duration]))
     return time, np.append(standing, standing[-1])
@@ -81,14 +75,9 @@ def _shares(panel: Any, everyone: list[TrialResults], duration: float) -> None:
         colour = line["color"]
         panel.plot([low, high], [row, row], color=colour, linewidth=2.2, solid_capstyle="butt")
         panel.plot(rate, row, "o", color=colour, markeredgecolor=style.INK, markersize=5.5)
-        panel.annotate(
-            f"{rate:.3g} %  [{low:.3g}, {high:.3g}]",
-            (0.5 * (low + high), row),
-            xytext=(0, 6),
-            textcoords="offset points",
-            ha="left" if rate < 50.0 else "right",
-            fontsize=7.5,
-        )
+        text, middle = f"{rate:.3g} %  [{low:.3g}, {high:.3g}]", (0.5 * (low + high), row)
+        look: Any = {"ha": "left" if rate < 50.0 else "right", "fontsize": 7.5}
+        panel.annotate(text, middle, (0, 6), textcoords="offset points", **look)
     panel.set_yticks(range(len(everyone)), [plain(results.name) for results in everyone])
     panel.set_ylim(len(everyone) - 0.5, -0.7)
     panel.set_xlim(-4.0, 104.0)

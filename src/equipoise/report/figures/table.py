@@ -9,13 +9,15 @@ from equipoise import paper
 from equipoise.control.boxes import SHAPE
 from equipoise.control.policy import TabularPolicy
 from equipoise.logs.run_log import RunLog
-from equipoise.report.style import INK, drawn, new_figure
+from equipoise.report.style import INK, drawn, new_figure, typeset
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAP = "RdBu_r"
 """Diverging colour map: blue below zero, white at zero, red above; numbers serve grey prints."""
+HATCHED: dict[str, Any] = {"fill": False, "hatch": "/////", "linewidth": 0.0}
+"""Style of unvisited boxes, without a frame: frames mark the boxes of the run."""
 LUMA = np.array([0.299, 0.587, 0.114])
 """Luma coefficients of red, green and blue (ITU-R BT.601)."""
 
@@ -53,12 +55,9 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
             fill = colours_of[j, i]
             pen = INK if fill[:3] @ LUMA > 0.5 else "white"
             if unvisited[i, j, k, m]:
-                hatched = Rectangle((i, j), 1, 1, fill=False, hatch="/////", edgecolor=pen)
-                hatched.set_linewidth(0.0)  # frames mark the boxes of the run
-                _add(panel, hatched)
-            text = panel.text(
-                i + 0.5, j + 0.5, _signed(float(u[i, j, k, m])), color=pen, fontsize=6.8
-            )
+                _add(panel, Rectangle((i, j), 1, 1, edgecolor=pen, **HATCHED))
+            command = typeset(f"{u[i, j, k, m]:+g}")
+            text = panel.text(i + 0.5, j + 0.5, command, color=pen, fontsize=6.8)
             text.set(ha="center", va="center", in_layout=False)
             if unvisited[i, j, k, m]:
                 text.set_bbox({"facecolor": fill, "edgecolor": "none", "pad": 1.0})
@@ -68,29 +67,20 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
                     frame = Rectangle((i + 0.07, j + 0.07), 0.86, 0.86, fill=False, zorder=3)
                     frame.set(edgecolor=colour, linewidth=width)
                     _add(panel, frame)
-    for k, interval in enumerate(paper.X_INTERVALS):
-        where = ("left", "middle", "right")[k]
-        axes[0, k].set_title(f"{where}: {_between('x', interval)} m", ha="center", x=0.5)
-    for m, interval in enumerate(paper.X_DOT_INTERVALS):
-        how = ("moving left", "slow", "moving right")[m]
-        axes[SHAPE[3] - 1 - m, -1].annotate(
-            f"{how}:\n{_between('dx/dt', interval)} m/s",
-            (1.03, 0.5),
-            xycoords="axes fraction",
-            rotation=-90,
-            va="center",
-            ma="center",
-        )
+    for k, where in enumerate(("left", "middle", "right")):
+        title = f"{where}: {_between('x', paper.X_INTERVALS[k])} m"
+        axes[0, k].set_title(title, ha="center", x=0.5)
+    for m, how in enumerate(("moving left", "slow", "moving right")):
+        title = f"{how}:\n{_between('dx/dt', paper.X_DOT_INTERVALS[m])} m/s"
+        look: Any = {"rotation": -90, "va": "center", "ma": "center"}
+        axes[SHAPE[3] - 1 - m, -1].annotate(title, (1.03, 0.5), xycoords="axes fraction", **look)
     _edges(axes)
-    bar = figure.colorbar(
-        ScalarMappable(norm, colours), ax=axes, location="right", shrink=0.6, aspect=30, pad=0.02
-    )
-    bar.set_ticks(actions.tolist(), labels=[_signed(action) for action in actions])
+    shape: Any = {"location": "right", "shrink": 0.6, "aspect": 30, "pad": 0.02}
+    bar = figure.colorbar(ScalarMappable(norm, colours), ax=axes, **shape)
+    bar.set_ticks(actions.tolist(), labels=[typeset(f"{action:+g}") for action in actions])
     bar.minorticks_off()
     bar.set_label("u [m/s²]: the flange accelerates towards \N{MINUS SIGN}x (blue) or +x (red)")
-    unvisited_note = Patch(fill=False, edgecolor=INK, hatch="/////", linewidth=0.0)
-    unvisited_note.set_label("never visited in training")
-    notes = [unvisited_note]
+    notes = [Patch(label="never visited in training", edgecolor=INK, **HATCHED)]
     if run is not None:
         label = f"{int(visited_by_run.sum())} boxes visited by the recorded run"
         notes.append(Patch(fill=False, edgecolor=INK, linewidth=1.6, label=label))
@@ -99,18 +89,19 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
 
 
 def _edges(axes: Any) -> None:
-    phi = [paper.PHI_INTERVALS_DEG[0].low, *(i.high for i in paper.PHI_INTERVALS_DEG)]
-    phi_dot = [paper.PHI_DOT_INTERVALS_DEG[0].low, *(i.high for i in paper.PHI_DOT_INTERVALS_DEG)]
+    phi, phi_dot = (
+        [_number(intervals[0].low), *(_number(interval.high) for interval in intervals)]
+        for intervals in (paper.PHI_INTERVALS_DEG, paper.PHI_DOT_INTERVALS_DEG)
+    )
     for panel in axes[-1]:
-        panel.set_xticks(range(len(phi)), [_number(edge) for edge in phi])
+        panel.set_xticks(range(len(phi)), phi)
         panel.set_xlabel("φ [°]")
     for panel in axes[:, 0]:
-        panel.set_yticks(range(len(phi_dot)), [_number(edge) for edge in phi_dot])
+        panel.set_yticks(range(len(phi_dot)), phi_dot)
         panel.set_ylabel("dφ/dt [°/s]")
     for panel in axes.flat:
         panel.tick_params(length=0)
-        for spine in panel.spines.values():
-            spine.set_visible(False)
+        panel.spines[:].set_visible(False)
 
 
 def _add(panel: Any, patch: Any) -> None:
@@ -130,13 +121,5 @@ def _between(name: str, interval: paper.Interval) -> str:
     return f"{low} {left} {name} {right} {high}"
 
 
-def _signed(value: float) -> str:
-    return _minus(f"{value:+g}")
-
-
 def _number(value: float) -> str:
-    return _minus(f"{value:g}".replace("inf", "∞"))
-
-
-def _minus(text: str) -> str:
-    return text.replace("-", "\N{MINUS SIGN}")
+    return typeset(f"{value:g}".replace("inf", "∞"))

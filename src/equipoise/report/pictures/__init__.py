@@ -4,8 +4,7 @@ MuJoCo draws the rig off-screen from recorded joint positions and angles.
 """
 
 from equipoise.report.pictures.film import Animation, animation
-from equipoise.report.pictures.rendering import frames
 from equipoise.report.pictures.strip import strip
 from equipoise.report.pictures.video import find_encoder, write_video
 
-__all__ = ["Animation", "animation", "find_encoder", "frames", "strip", "write_video"]
+__all__ = ["Animation", "animation", "find_encoder", "strip", "write_video"]

@@ -74,8 +74,7 @@ def animation(
     for picture in film(run, arm, np.arange(count) / FPS, size):
         images.append(Image.fromarray(picture))
         report(len(images) / count)
-    pause = round(1e3 / FPS)
-    durations = [pause] * (count - 1) + [round(1e3 * HOLD)]
+    durations = [round(1e3 / FPS)] * (count - 1) + [round(1e3 * HOLD)]
     moving, still = io.BytesIO(), io.BytesIO()
     loop: Any = {"save_all": True, "append_images": images[1:], "duration": durations, "loop": 0}
     images[0].save(moving, "webp", quality=QUALITY, method=2, **loop)
@@ -96,11 +95,9 @@ def film(run: RunLog, arm: Arm, times: Floats, size: Size) -> Iterator[Picture]:
         ImageFont.truetype(fonts / name, round(share * unit))
         for name, share in (("DejaVuSans-Bold.ttf", 0.3), ("DejaVuSans.ttf", 0.27))
     )
-    where = run.conditions.world
-    captions = shown.captions()
-    phases = shown.phase or ("",) * len(captions)
+    phases = shown.phase or ("",) * len(times)
     pictures = draw(scene, shown.q, shown.phi, shown.u)
-    for picture, lines, phase in zip(pictures, captions, phases, strict=True):
+    for picture, lines, phase in zip(pictures, shown.captions(), phases, strict=True):
         image = Image.new("RGB", size, "white")
         image.paste(Image.fromarray(picture))
         pen = ImageDraw.Draw(image)
@@ -108,6 +105,6 @@ def film(run: RunLog, arm: Arm, times: Floats, size: Size) -> Iterator[Picture]:
             pen.text((column, row), text, INK, small, "mm")
         for place, line in zip(COLUMNS, lines, strict=True):
             pen.text((place * width, height - 0.72 * bar), line, INK, large, "lm")
-        note = " · ".join(filter(None, (arm.name, where, phase)))
+        note = " · ".join(filter(None, (arm.name, run.conditions.world, phase)))
         pen.text((0.03 * width, height - 0.27 * bar), note, GREY, small, "lm")
         yield np.asarray(image)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from equipoise.errors import ArmError
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
+from equipoise.report.style import typeset
 
 Floats = npt.NDArray[np.float64]
 
@@ -38,17 +39,11 @@ class Moments(NamedTuple):
 
     def captions(self) -> list[tuple[str, str, str, str]]:
         """Return formatted time, displacement, angle and command of each picture."""
-        return [
-            (
-                f"t = {time:.2f} s".replace("-", MINUS),
-                f"x = {signed(x, 3)} m",
-                f"φ = {signed(phi_deg, 1)}°",
-                f"u = {signed(u, 1)} m/s²",
-            )
-            for time, x, phi_deg, u in zip(
-                self.time, self.x, np.rad2deg(self.phi), self.u, strict=True
-            )
-        ]
+        time = [typeset(f"t = {t:.2f} s") for t in self.time]
+        x = [f"x = {signed(x, 3)} m" for x in self.x]
+        phi = [f"φ = {signed(degrees, 1)}°" for degrees in np.rad2deg(self.phi)]
+        u = [f"u = {signed(u, 1)} m/s²" for u in self.u]
+        return list(zip(time, x, phi, u, strict=True))
 
 
 def span(run: RunLog) -> tuple[float, float]:
@@ -106,10 +101,7 @@ def _tick(time: Floats, at: Floats) -> npt.NDArray[np.intp]:
     return np.maximum(np.searchsorted(time, at, side="right") - 1, 0)
 
 
-MINUS: Final = "\N{MINUS SIGN}"
-
-
 def signed(value: float, digits: int) -> str:
     """Format a number with its sign; a value that rounds to zero has no sign."""
     text = f"{value:+.{digits}f}"
-    return text.replace("-", MINUS) if float(text) else text[1:]
+    return typeset(text) if float(text) else text[1:]

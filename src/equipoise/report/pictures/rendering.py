@@ -11,17 +11,15 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from ctypes.util import find_library
 from importlib import import_module
-from itertools import repeat
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.errors import ArmError, OutsideError
-from equipoise.model.arms.arm import Arm
+from equipoise.errors import OutsideError
 from equipoise.model.physics_engine import mujoco
 from equipoise.report.pictures.camera import Size
-from equipoise.report.pictures.scene import CAMERA, PictureScene, stage
+from equipoise.report.pictures.scene import CAMERA, PictureScene
 
 Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
@@ -39,38 +37,16 @@ ARROW_BELOW: Final = 0.09
 """Distance of the arrow below the pivot [m]; the hand never covers it."""
 
 
-def frames(
-    arm: Arm, q: Floats, phi: Floats, u: Floats | None = None, *, size: Size
+def draw(
+    scene: PictureScene, q: Iterable[Floats], phi: Iterable[float], u: Iterable[float]
 ) -> Iterator[Picture]:
-    """Draw a sequence of poses of the rig.
+    """Draw a sequence of poses of the rig, each on demand.
 
     Args:
-        arm: The arm.
+        scene: The scene, as `stage` builds it.
         q: All joints [rad], shape (n, joints).
         phi: Angle of the pendulum from upright [rad], shape (n,).
-        u: Commanded acceleration, shown as an arrow [m/s^2], shape (n,); no arrow if not given.
-        size: Size of the pictures.
-
-    Returns:
-        An iterator that draws each picture on demand.
-
-    Raises:
-        ArmError: The shape of the joint positions does not match the arm or the angles.
-        OutsideError: OpenGL is not available.
-    """
-    expected = (len(phi), len(arm.joints))
-    if np.shape(q) != expected:
-        raise ArmError(
-            f"joint positions have shape {np.shape(q)}, expected {expected}: "
-            f"give all joints of {arm.name}, one row for each angle"
-        )
-    return draw(stage(arm, size), q, phi, u)
-
-
-def draw(
-    scene: PictureScene, q: Iterable[Floats], phi: Iterable[float], u: Iterable[float] | None = None
-) -> Iterator[Picture]:
-    """Draw a sequence of poses in a scene; `frames` makes the scene and checks the shapes.
+        u: Commanded acceleration, shown as an arrow unless zero [m/s^2], shape (n,).
 
     Raises:
         OutsideError: OpenGL is not available.
@@ -82,8 +58,7 @@ def draw(
     camera.type, camera.fixedcamid = mj.mjtCamera.mjCAMERA_FIXED, model.camera(CAMERA).id
     whole, picture = mj.MjrRect(0, 0, width, height), np.empty((height, width, 3), np.uint8)
     with _canvas(model, scene.camera.size) as (make_current, canvas):
-        pushes = repeat(0.0) if u is None else u
-        for joints, angle, push in zip(q, phi, pushes, strict=False):
+        for joints, angle, push in zip(q, phi, u, strict=False):
             data.qpos[:] = [*joints, angle]
             mj.mj_kinematics(model, data)
             mj.mj_camlight(model, data)
@@ -161,12 +136,8 @@ def _canvas(model: Any, size: Size) -> Generator[tuple[Callable[[], None], Any]]
         context.free()
 
 
-BACKENDS: Final = {
-    "egl": "mujoco.egl",
-    "osmesa": "mujoco.osmesa",
-    "glfw": "mujoco.glfw",
-    "glx": "mujoco.glfw",
-}
+GLFW: Final = "mujoco.glfw"
+BACKENDS: Final = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa", "glfw": GLFW, "glx": GLFW}
 """Module that opens an OpenGL context, by the value of `MUJOCO_GL` on Linux."""
 LIBRARIES: Final = {"mujoco.egl": "EGL", "mujoco.osmesa": "OSMesa"}
 """System library of each module; the default is the first installed one."""
@@ -184,9 +155,8 @@ def _backend() -> str:
         if chosen not in BACKENDS:
             raise _opengl_error(f"MUJOCO_GL is {chosen!r}")
         return BACKENDS[chosen]
-    for backend, library in LIBRARIES.items():
-        if find_library(library):
-            return backend
+    if installed := [backend for backend, library in LIBRARIES.items() if find_library(library)]:
+        return installed[0]
     raise _opengl_error("neither library EGL nor OSMesa is installed")
 
 

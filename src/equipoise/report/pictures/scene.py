@@ -17,7 +17,7 @@ from equipoise.model.arms.scene import Sizes, scene, sizes_for
 from equipoise.model.physics_engine import mujoco
 from equipoise.paper import X_LIMIT
 from equipoise.report.pictures.camera import FOV_DEG, Camera, Size, camera_that_sees
-from equipoise.report.style import BLUE, INK, VERMILION
+from equipoise.report.style import BLUE, INK, VERMILION, typeset
 
 Floats = npt.NDArray[np.float64]
 
@@ -99,10 +99,8 @@ class PictureScene(NamedTuple):
 
     def labels(self) -> list[tuple[str, tuple[float, float]]]:
         """Return the label of each post, and the position of its centre in the picture [px]."""
-        return [
-            (f"{post.x:+g} m".replace("-", "\N{MINUS SIGN}"), self.camera.pixel(post.foot + LABEL))
-            for post in self.posts
-        ]
+        places = [self.camera.pixel(post.foot + LABEL) for post in self.posts]
+        return [(typeset(f"{p.x:+g} m"), at) for p, at in zip(self.posts, places, strict=True)]
 
 
 def stage(arm: Arm, size: Size) -> PictureScene:
@@ -185,23 +183,13 @@ def _add_table(spec: Any, table: Any, surface: float, posts: tuple[Post, ...]) -
     for x, y in product((low[0] + 0.04, high[0] - 0.04), (low[1] + 0.04, high[1] - 0.04)):
         head = np.array([x, y, surface - TABLE_TOP])
         _add_cylinder(world, "table", head, head + LEG * down, 0.025)
+    mj, infinite, depth = mujoco(), [0.0, 0.0, 1.0], surface - TABLE_TOP - LEG
     ground = spec.add_material(name="floor", texrepeat=[1.0 / TILE] * 2, texuniform=True)
-    spec.add_texture(
-        name="tiles",
-        type=mujoco().mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco().mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=FLOOR[0],
-        rgb2=FLOOR[1],
-        width=64,
-        height=64,
-    )
-    ground.textures[mujoco().mjtTextureRole.mjTEXROLE_RGB] = "tiles"
-    world.add_geom(
-        type=mujoco().mjtGeom.mjGEOM_PLANE,
-        size=[0.0, 0.0, 1.0],  # infinite
-        pos=[0.0, 0.0, surface - TABLE_TOP - LEG],
-        material="floor",
-    )
+    kinds = {"type": mj.mjtTexture.mjTEXTURE_2D, "builtin": mj.mjtBuiltin.mjBUILTIN_CHECKER}
+    spec.add_texture(name="tiles", rgb1=FLOOR[0], rgb2=FLOOR[1], width=64, height=64, **kinds)
+    ground.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    plane = {"type": mj.mjtGeom.mjGEOM_PLANE, "material": "floor"}
+    world.add_geom(size=infinite, pos=[0.0, 0.0, depth], **plane)
     for post in posts:
         _add_cylinder(world, "post", post.foot, post.top, 0.005)
         _add_cylinder(world, "post", post.foot, post.foot - 0.004 * down, FOOT_RADIUS)
@@ -215,14 +203,9 @@ def _add_table(spec: Any, table: Any, surface: float, posts: tuple[Post, ...]) -
 
 def _add_light(spec: Any) -> None:
     """Add soft light from above the camera; `rendering` draws the shadows."""
-    mj = mujoco()
-    spec.worldbody.add_light(
-        type=mj.mjtLightType.mjLIGHT_DIRECTIONAL,
-        dir=[0.6, 0.5, -1.0],
-        diffuse=[0.45] * 3,
-        specular=[0.15] * 3,
-        castshadow=False,
-    )
+    kind = {"type": mujoco().mjtLightType.mjLIGHT_DIRECTIONAL, "castshadow": False}
+    colours = {"diffuse": [0.45] * 3, "specular": [0.15] * 3}
+    spec.worldbody.add_light(dir=[0.6, 0.5, -1.0], **kind, **colours)
     head = spec.visual.headlight
     head.ambient, head.diffuse, head.specular = [0.45] * 3, [0.35] * 3, [0.05] * 3
 
@@ -255,9 +238,5 @@ def _axis(geom: Any) -> tuple[Floats, Floats, Floats]:
 
 
 def _add_cylinder(body: Any, material: str, start: Floats, end: Floats, radius: float) -> None:
-    body.add_geom(
-        type=mujoco().mjtGeom.mjGEOM_CYLINDER,
-        fromto=[*start, *end],
-        size=[radius, 0.0, 0.0],
-        material=material,
-    )
+    kind, size = mujoco().mjtGeom.mjGEOM_CYLINDER, [radius, 0.0, 0.0]
+    body.add_geom(type=kind, fromto=[*start, *end], size=size, material=material)

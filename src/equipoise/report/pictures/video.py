@@ -70,16 +70,12 @@ def write_video(
     try:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "run.mp4"
+            kind: Any = {"codec": "libx264", "pix_fmt_out": "yuv420p", "quality": QUALITY}
+            # Fast encoding, and playback during download.
+            options: Any = ["-preset", "veryfast", "-movflags", "+faststart"]
+            log: Any = {"ffmpeg_log_level": "error"}
             encoder = ffmpeg.write_frames(
-                file,
-                FRAME,
-                fps=fps,
-                codec="libx264",
-                pix_fmt_out="yuv420p",
-                quality=QUALITY,
-                ffmpeg_log_level="error",
-                # Fast encoding, and playback during download.
-                output_params=["-preset", "veryfast", "-movflags", "+faststart"],
+                file, FRAME, fps=fps, output_params=options, **kind, **log
             )
             with closing(encoder):
                 encoder.send(None)
