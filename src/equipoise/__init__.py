@@ -2,9 +2,8 @@
 
 Identify, train, evaluate, deploy.
 
-All that a program needs is here by name; each name is imported from its own module when it is
-first used, so that `import equipoise` costs nothing. Values are immutable, units are SI and
-radians::
+This module provides the public names. The first use of a name imports its module, so that
+`import equipoise` costs nothing. Values are immutable, units are SI and radians::
 
     Trajectory -> identify -> Pendulum -> train -> TabularPolicy -> evaluate -> Evaluation
     excite -> RunLog -> identify_run -> Actuator ---^            `-> deploy -> RunLog

@@ -40,7 +40,7 @@ MEBIBYTE: Final = 2**20
 MAX_FILE_SIZE: Final = 128 * MEBIBYTE
 """Size limit of a file of Equipoise [bytes]: an evaluation of a million trials with its baselines
 takes about 100 MB."""
-LONGEST_QUOTE: Final = 60
+MAX_QUOTE_LENGTH: Final = 60
 """Length limit of a quoted value in a message [characters]: a line of a terminal."""
 
 
@@ -283,7 +283,7 @@ def first_fault(error: ValidationError) -> FieldError:
     first = error.errors(include_url=False, include_context=False)[0]
     return FieldError(
         where=".".join(shortened(str(part)) for part in first["loc"]),
-        what=shortened(first["msg"].removeprefix("Value error, "), 5 * LONGEST_QUOTE),
+        what=shortened(first["msg"].removeprefix("Value error, "), 5 * MAX_QUOTE_LENGTH),
         got=quoted(first["input"]),
         unknown=first["type"] == "extra_forbidden",
     )
@@ -296,21 +296,21 @@ def quoted(value: Any) -> str:
         >>> quoted(0.97), quoted("a" * 1000)
         ('0.97', "'aaaaaaaaaaaaaaaaaaaaaaaaaaa...aaaaaaaaaaaaaaaaaaaaaaaaaaaa'")
     """
-    if isinstance(value, int) and abs(value) >= 10**LONGEST_QUOTE:
+    if isinstance(value, int) and abs(value) >= 10**MAX_QUOTE_LENGTH:
         return f"an integer of {value.bit_length()} bits"
     if isinstance(value, float):
         return f"{value:.10g}"
-    return shortened(_QUOTES.repr(value), 2 * LONGEST_QUOTE)
+    return shortened(_QUOTES.repr(value), 2 * MAX_QUOTE_LENGTH)
 
 
-def shortened(text: str, length: int = LONGEST_QUOTE) -> str:
+def shortened(text: str, length: int = MAX_QUOTE_LENGTH) -> str:
     """Return a text on one line of at most `length` characters."""
     line = " ".join(text.splitlines())
     return line if len(line) <= length else f"{line[: length - 3]}..."
 
 
 _QUOTES: Final = reprlib.Repr()
-_QUOTES.maxstring = _QUOTES.maxother = LONGEST_QUOTE
+_QUOTES.maxstring = _QUOTES.maxother = MAX_QUOTE_LENGTH
 _QUOTES.maxlevel = 2
 
 

@@ -71,7 +71,7 @@ def format_error(error: BaseException, hidden: str = __file__) -> str:
 
     Args:
         error: The error.
-        hidden: File whose lines are skipped, that of the caller.
+        hidden: Path of the caller's file, whose lines are skipped.
     """
     frames = traceback.extract_tb(error.__traceback__)
     lines = [(f.filename, f.lineno) for f in frames if f.filename not in (hidden, __file__)]

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-MOST_LINKS: Final = 40
+MAX_LINKS: Final = 40
 """Limit on the symbolic links in a path, as in Linux."""
 OTHERS: Final = stat.S_IWGRP | stat.S_IWOTH
 """Permission bits for writing by others."""
@@ -59,7 +59,7 @@ def writable_by_others(folder: Path, *, contents: bool = True) -> str:
         if stat.S_ISLNK(status.st_mode):
             return f"{place} is a symbolic link"
         if shut and status.st_uid in (0, os.geteuid()):
-            continue  # the folder is closed to others, whatever the permissions of its files
+            continue  # the folder is closed to others, so permissions of its files do not matter
         if fault := _fault(place, status, sticky=False):
             return fault
     return ""
@@ -79,7 +79,7 @@ def _steps(path: Path) -> Iterator[Path]:
             continue
         yield step
         links += 1
-        if links > MOST_LINKS:
+        if links > MAX_LINKS:
             raise OSError(f"too many symbolic links in {path}")
         target = step.readlink()
         if target.is_absolute():

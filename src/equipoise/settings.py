@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from equipoise import paper
 from equipoise.artefacts import (
-    LONGEST_QUOTE,
+    MAX_QUOTE_LENGTH,
     Name,
     StrPath,
     Value,
@@ -492,7 +492,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     except RecursionError:
         raise ValueError("its tables or lists are nested too deeply") from None
     except ValueError as error:
-        raise ValueError(shortened(str(error), 2 * LONGEST_QUOTE)) from None
+        raise ValueError(shortened(str(error), 2 * MAX_QUOTE_LENGTH)) from None
 
 
 def _toml_value(text: str) -> Any:

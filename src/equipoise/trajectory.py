@@ -140,8 +140,7 @@ def read_swing(
 
     Raises:
         RecordingError: The file is missing or too large, has other columns, holds a value that is
-        not
-            a finite number, its time does not increase, or no samples are left.
+            not a finite number, its time does not increase, or no samples are left.
     """
     path = Path(path)
     data = read_bytes(path, MAX_RECORDING_SIZE, "a recording", RecordingError)

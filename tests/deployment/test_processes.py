@@ -335,7 +335,7 @@ def test_where_the_operator_cannot_be_told_anything_the_arm_comes_to_rest(run, t
 
 @pytest.mark.parametrize("word", [processes.STOP, processes.ALONE])
 def test_a_wait_for_the_robot_can_be_given_up(word):
-    recorder = Recorder(7, memoryview(bytearray(Recorder.room(7))))
+    recorder = Recorder(7, memoryview(bytearray(Recorder.buffer_size(7))))
     across = processes.OperatorProxy(recorder)
     recorder.typed.push(b"ok")
     across.attend("start the server again")

@@ -11,7 +11,7 @@ from mcap.writer import Writer
 
 from equipoise.errors import ArtefactError, OutsideError
 from equipoise.logs.conditions import RunEnd
-from equipoise.logs.container import sealed
+from equipoise.logs.container import with_checksum
 from equipoise.logs.layout import TABLES
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.writer import FORMAT
@@ -184,7 +184,9 @@ def edited(file, change):
     with file.open("rb") as stream:
         reader = make_reader(stream)
         for metadata in reader.iter_metadata():
-            writer.add_metadata(metadata.name, sealed(change("metadata", dict(metadata.metadata))))
+            writer.add_metadata(
+                metadata.name, with_checksum(change("metadata", dict(metadata.metadata)))
+            )
         channels, sequence = {}, 0
         for schema, channel, message in reader.iter_messages():
             if channel.topic not in channels:

@@ -160,7 +160,7 @@ def test_a_ring_that_nobody_drains_drops_and_counts():
 
 
 def test_rings_lie_in_memory_that_two_share():
-    buffer = bytearray(Recorder.room(7))
+    buffer = bytearray(Recorder.buffer_size(7))
     one, other = Recorder(7, buffer), Recorder(7, buffer)
     push(one, 3)
     assert other.stream.take()["time"] == pytest.approx([0.0, 0.01, 0.02])

@@ -19,7 +19,7 @@ from equipoise.deployment import deploy
 from equipoise.errors import ArtefactError, EquipoiseError
 from equipoise.identification.actuator import identify_run
 from equipoise.logs import container
-from equipoise.logs.container import sealed
+from equipoise.logs.container import with_checksum
 from equipoise.logs.recorder import Recorder
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.writer import RunWriter
@@ -217,7 +217,7 @@ def forged(data, count, seed=0):
         out = io.BytesIO()
         writer = Writer(out)
         writer.start(profile="", library="")
-        writer.add_metadata(metadata.name, sealed(entries))
+        writer.add_metadata(metadata.name, with_checksum(entries))
         channels = {}
         for number, (schema, channel, message) in enumerate(messages):
             if channel.topic not in channels:
@@ -284,7 +284,7 @@ def test_sizes_that_a_file_claims_take_no_memory(log, tmp_path):
     writer = Writer(out)
     writer.start(profile="", library="")
     many = dict(metadata.metadata) | {"conditions": json.dumps(conditions)}
-    writer.add_metadata(metadata.name, sealed(many))
+    writer.add_metadata(metadata.name, with_checksum(many))
     writer.finish()
     hostile = [
         begin + struct.pack("<BQ", kind, 2**60) for kind in (1, 6, 12, 200)
@@ -304,7 +304,7 @@ def test_sizes_that_a_file_claims_take_no_memory(log, tmp_path):
         try:
             with pytest.raises(EquipoiseError):
                 load_run(path)
-            assert tracemalloc.get_traced_memory()[1] < 5 * container.LARGEST_CHUNK
+            assert tracemalloc.get_traced_memory()[1] < 5 * container.MAX_CHUNK_SIZE
         finally:
             tracemalloc.stop()
 

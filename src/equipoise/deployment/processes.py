@@ -96,7 +96,7 @@ def run_in_processes(
         ) from None
     context = multiprocessing.get_context("spawn")
     joints = len(request.settings.described_arm.joints)
-    memory = context.RawArray(ctypes.c_char, Recorder.room(joints))
+    memory = context.RawArray(ctypes.c_char, Recorder.buffer_size(joints))
     recorder = Recorder(joints, memoryview(memory).cast("B"))
     theirs, ours = context.Pipe()
     log_pipe, done = context.Pipe(), context.Event()

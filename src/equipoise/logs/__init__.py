@@ -2,11 +2,11 @@
 
 ::
 
-    tick loop -> Recorder (rings) -> RunWriter (file, while the run goes on) -+
+    tick loop -> Recorder (rings) -> RunWriter (file, during the run) -+
                                                                               +-> MCAP -> RunLog
-    simulation -> RunLog.simulated -> RunLog.save (file, whole or not at all) +
+    simulation -> RunLog.simulated -> RunLog.save (file, atomically) +
 
-`layout` lists the tables and their columns, `conditions` the facts that hold for a whole run.
-`writer` and `container` write and read the file, `foxglove` adds the messages that Foxglove and
-Lichtblick draw.
+`layout` defines the tables and their columns, `conditions` the conditions and the end of a run.
+`writer` and `container` write and read the file; `foxglove` adds messages for the 3D panels of
+Foxglove and Lichtblick.
 """

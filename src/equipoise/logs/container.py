@@ -1,10 +1,10 @@
-"""MCAP files that run logs are kept in, read as far as they are sound.
+"""Reader of MCAP files of run logs, up to the first damage.
 
-The reader walks the records from the front. Each length that a file claims is compared with what is
-left of the file, and with a limit, before memory is taken. The content of a chunk counts only
-if its checksum fits, messages only while their sequence numbers have no gap, and entries of a
-metadata record only if they fit the checksum among them. The first damage ends the reading: what
-stands before it is returned, with one clause on where the file stopped making sense.
+The reader walks the records from the front. It compares each length in the file with the rest of
+the file and with a limit before it allocates memory. It accepts a chunk only with a matching
+checksum, messages only with consecutive sequence numbers, and a metadata record only if its entries
+match their checksum. The first damage ends the reading; the reader returns the records before it,
+and a clause with the place and the kind of the damage.
 """
 
 import io
@@ -24,32 +24,31 @@ logger = logging.getLogger(__name__)
 MAGIC: Final = b"\x89MCAP0\r\n"
 """First and last bytes of an MCAP file."""
 CHUNK: Final = 128 * 1024
-"""Size of a chunk before compression [B]: half a second of a run on a rig. A damaged byte costs
-what follows the beginning of its chunk."""
-LARGEST_METADATA: Final = 1 << 20
+"""Size of a chunk before compression [B]: half a second of a run on a rig. A damaged byte costs its
+chunk and all later ones."""
+MAX_METADATA_SIZE: Final = 1 << 20
 """Limit on a metadata record [B]; those of run logs have 4 kB."""
-LARGEST_CHUNK: Final = 1 << 24
-"""Limit on a chunk, before and after compression [B]: ours have 128 kB, those of others 1 to 4 MB.
-"""
-LARGEST: Final = 1 << 31
-"""Limit on the content of all chunks [B]: three times a run of an hour, the longest."""
-LARGEST_NUMBER: Final = 1e9
+MAX_CHUNK_SIZE: Final = 1 << 24
+"""Limit on a chunk, before and after compression [B]; other writers use 1 to 4 MB."""
+MAX_CONTENT_SIZE: Final = 1 << 31
+"""Limit on the content of all chunks [B]: three times that of the longest run, an hour."""
+MAX_NUMBER: Final = 1e9
 """Limit on times [s], counts and all other numbers in a row: clocks and encoders reach 1e8."""
 
 RECORD: Final = struct.Struct("<BQ")
-"""Head of a record: kind, length of its body [B]."""
+"""Head of a record: kind, and length of the body [B]."""
 MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 """Head of a message: channel, sequence number, log time [ns], publish time [ns]."""
 FOOTER, CHANNEL, MESSAGE, CHUNK_RECORD, METADATA, DATA_END = 0x02, 0x04, 0x05, 0x06, 0x0C, 0x0F
-"""Kinds of records that are read; all others are skipped."""
-LIMITS: Final[Mapping[int, int]] = {METADATA: LARGEST_METADATA, CHUNK_RECORD: LARGEST_CHUNK}
-"""Limits on the records that are read from the file [B]."""
+"""Kinds of records; the reader skips all others."""
+LIMITS: Final[Mapping[int, int]] = {METADATA: MAX_METADATA_SIZE, CHUNK_RECORD: MAX_CHUNK_SIZE}
+"""Size limits of the records that the reader loads [B], by kind."""
 DATA_END_LENGTH: Final = 4
-"""Length of the record that ends the data [B]."""
+"""Length of the body of a data-end record [B]."""
 OWN_KINDS: Final = 0x80
-"""Kinds from here on belong to other programs; below, unknown ones do not exist."""
+"""First kind that other programs may define; MCAP defines or reserves all kinds below."""
 CHECKSUM: Final = "checksum"
-"""Entry of a metadata record: CRC-32 of the others."""
+"""Name of the entry of a metadata record that holds the CRC-32 of the other entries."""
 
 
 class McapContent(NamedTuple):
@@ -58,18 +57,18 @@ class McapContent(NamedTuple):
     metadata: Mapping[str, Mapping[str, str]]
     """Entries of the metadata records, by the names of the records."""
     messages: Mapping[str, list[bytes]]
-    """Messages as written, in their order, by topic."""
+    """Messages in their order, by topic."""
     last: float
-    """Log time of the last sound message [s]; zero without one."""
+    """Log time of the last sound message [s]; zero without messages."""
     damage: str
-    """Where and how the file is damaged, as a clause; empty where it is sound."""
+    """Kind and place of the damage, as a clause; empty for a sound file."""
 
 
 class _DamageError(Exception):
     """A record is damaged."""
 
 
-def sealed(entries: Mapping[str, str]) -> dict[str, str]:
+def with_checksum(entries: Mapping[str, str]) -> dict[str, str]:
     """Return the entries of a metadata record with their checksum, which MCAP does not have."""
     return {**entries, CHECKSUM: _checksum(entries)}
 
@@ -84,7 +83,7 @@ def read_mcap(path: Path, *, messages: bool = True) -> McapContent:
 
     Args:
         path: The file.
-        messages: Read the messages; without, only the metadata before the first chunk.
+        messages: Read the messages; otherwise only the metadata before the first chunk.
 
     Raises:
         ArtefactError: The file is missing, cannot be read, or is no MCAP file.
@@ -118,7 +117,7 @@ def _read(file: BinaryIO, wanted: bool) -> McapContent:
                 name, entries = _metadata(body)
                 metadata[name] = entries
             elif kind == CHUNK_RECORD:
-                found.add(_content(body, LARGEST - found.bytes))
+                found.add(_content(body, MAX_CONTENT_SIZE - found.bytes))
     except _DamageError as error:
         damage = f"{error} at byte {place:,} of {size:,}"
         logger.debug("%s: %s", file.name, damage)
@@ -126,7 +125,7 @@ def _read(file: BinaryIO, wanted: bool) -> McapContent:
 
 
 def _record(file: BinaryIO, size: int) -> tuple[int, bytes]:
-    """Return kind and body of the next record; no body where it is not read."""
+    """Return kind and body of the next record; an empty body if the record is skipped."""
     head = file.read(RECORD.size)
     if len(head) < RECORD.size:
         raise _DamageError("is cut short")
@@ -152,7 +151,7 @@ def _parsed(kind: Any, body: bytes) -> Any:
 
     try:
         return kind.read(ReadDataStream(io.BytesIO(body)))
-    except Exception:  # a damaged length makes it fail in any way there is
+    except Exception:  # a damaged length raises exceptions of any type
         raise _DamageError("is damaged") from None
 
 
@@ -167,12 +166,12 @@ def _metadata(body: bytes) -> tuple[str, Mapping[str, str]]:
 
 
 def _content(body: bytes, limit: int) -> bytes:
-    """Return the records in a chunk, if their checksum fits."""
+    """Return the records in a chunk after validating their checksum."""
     from mcap.records import Chunk
 
     chunk = _parsed(Chunk, body)
     size: int = chunk.uncompressed_size
-    if size > min(LARGEST_CHUNK, limit):
+    if size > min(MAX_CHUNK_SIZE, limit):
         raise _DamageError(f"claims a chunk of {size:,} bytes")
     try:
         data = _decompressed(chunk.compression, chunk.data, size)
@@ -185,13 +184,13 @@ def _content(body: bytes, limit: int) -> bytes:
 
 
 def _decompressed(compression: str, data: bytes, size: int) -> bytes:
-    """Return no more than one byte beyond `size`: what data claim of themselves is not believed."""
+    """Decompress at most `size` + 1 bytes: the claimed size may be wrong."""
     if compression == "":
         return data
     if compression == "zstd":
         import zstandard
 
-        decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
+        decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_SIZE)
         return decompressor.stream_reader(data).read(size + 1)
     import lz4.frame
 
@@ -199,7 +198,7 @@ def _decompressed(compression: str, data: bytes, size: int) -> bytes:
 
 
 class _Messages:
-    """Messages by topic, as long as their sequence numbers have no gap."""
+    """Messages by topic, with consecutive sequence numbers."""
 
     def __init__(self) -> None:
         self.by_topic: dict[str, list[bytes]] = {}
@@ -209,7 +208,7 @@ class _Messages:
         self._count = 0
 
     def add(self, data: bytes) -> None:
-        """Take the records of a chunk."""
+        """Add the records of a chunk."""
         from mcap.records import Channel
 
         self.bytes += len(data)

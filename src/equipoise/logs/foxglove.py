@@ -1,14 +1,14 @@
-"""Messages that Foxglove and Lichtblick draw: joint states, transforms, description of the arm.
+"""Messages for Foxglove and Lichtblick: joint states, transforms, description of the arm.
 
-Their 3D panels take these schemas, by name, with JSON as encoding::
+Their 3D panels read these schemas, by name, encoded as JSON::
 
     /robot_description  std_msgs/String            URDF of arm and pendulum, once
     /tf                 foxglove.FrameTransforms   frame of each link, `RATE` times a second
-    /joint_states       sensor_msgs/JointState     joint positions, as often
+    /joint_states       sensor_msgs/JointState     joint positions, at the same rate
 
-Frames are named as the links of the URDF, from `base` to `flange` and `pendulum`. Joints are shown
-as measured, or as commanded where the log has no measurements; the pendulum as estimated, hanging
-as long as no angle is known.
+Frames have the names of the URDF's links, from `base` to `flange` and `pendulum`. Joint positions
+are the measured ones, or the commanded ones in a log without measurements; the angle of the
+pendulum is its estimate, before the first estimate that of a hanging pendulum.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +22,7 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.urdf_writer import describe_links, write_urdf
 
 RATE: Final = 25.0
-"""Rate of transforms and joint states [Hz]: a film's."""
+"""Rate of transforms and joint states [Hz], that of a film."""
 DIGITS: Final = 6
 """Number of decimals: micrometres and microradians."""
 
@@ -62,7 +62,7 @@ SCHEMAS: Final[Mapping[str, tuple[str, dict[str, Any]]]] = {
 
 
 class ArmDisplay:
-    """Source of the messages of one run, fed with its rows in the order of time."""
+    """Converter of the rows of one run, in the order of time, to messages."""
 
     def __init__(self, arm: Arm) -> None:
         """Describe the arm."""
@@ -78,7 +78,7 @@ class ArmDisplay:
     def messages(
         self, table: str, row: Mapping[str, Any], stamp: int
     ) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Yield topic and content of the messages due with a row.
+        """Yield topic and content of the messages that are due at a row.
 
         Args:
             table: Table of the row.

@@ -1,16 +1,16 @@
 """Tables of a run log: columns, units, and the JSON schemas of their topics.
 
-A table is a structured array with one row per message of the topic of its name::
+A table is a structured array with one row per message of the topic with its name::
 
-    tick     100 Hz          the state that the policy saw, its command, and the timing of the loop
+    tick     100 Hz          the policy's observation and command, and the timing of the loop
     truth    100 Hz          the real state; in simulation only
     stream   200 Hz          setpoints as sent
     reply    200 Hz          joint positions or torques as measured
-    encoder  up to 1 kHz     counts, with the faults that board and link met
+    encoder  up to 1 kHz     counts, and faults of board and link
     event    rarely          changes of the phase, prompts and faults, as text
 
 Times are those of the run's clock [s]: on a rig its monotonic clock, in simulation the time since
-the release. NaN stands for an unknown number; its message has no such field.
+the release. NaN represents an unknown number; the message omits its field.
 """
 
 from collections.abc import Iterator, Mapping
@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.logs.container import LARGEST_NUMBER
+from equipoise.logs.container import MAX_NUMBER
 
 Rows = npt.NDArray[Any]
 """Rows of a table, as a structured array."""
@@ -35,11 +35,11 @@ class Column(NamedTuple):
     unit: str
     """Unit; empty without one."""
     description: str
-    """Meaning, with the sign or the reference where there is one."""
+    """Meaning, with sign or reference."""
 
     @property
     def header(self) -> str:
-        """Name with unit, as headers of CSV files have it."""
+        """Name with unit, for the header of a CSV file."""
         unit = self.unit.replace("/", "_").replace("^", "").replace(" ", "")
         return f"{self.name}_{unit}" if unit else self.name
 
@@ -51,10 +51,12 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
         Column("late", "number", "s", "Delay of the start behind its deadline; on a rig"),
         Column("compute", "number", "s", "Computing time, from reading to sending; on a rig"),
         Column("state", "whole", "", "Phase, by its place in `phases` of the conditions"),
-        Column("x", "number", "m", "Displacement of the flange from home, as the policy saw it"),
-        Column("x_dot", "number", "m/s", "Velocity of the flange, as the policy saw it"),
-        Column("phi", "number", "rad", "Angle from upright, towards +x, as the policy saw it"),
-        Column("phi_dot", "number", "rad/s", "Angular velocity, as the policy saw it"),
+        Column(
+            "x", "number", "m", "Displacement of the flange from home, as observed by the policy"
+        ),
+        Column("x_dot", "number", "m/s", "Velocity of the flange, as observed by the policy"),
+        Column("phi", "number", "rad", "Angle from upright, towards +x, as observed by the policy"),
+        Column("phi_dot", "number", "rad/s", "Angular velocity, as observed by the policy"),
         Column("box", "whole", "", "Box of the table that holds the state"),
         Column("u", "number", "m/s^2", "Commanded acceleration of the flange along x"),
         Column("estimated_phi", "number", "rad", "Estimate of phi at the tick, not predicted"),
@@ -126,7 +128,7 @@ def schema(table: str) -> dict[str, Any]:
 
 
 def canonical(rows: Rows) -> Rows:
-    """Return rows in which everything unknown is NaN: infinities, and postures known in part."""
+    """Return rows with NaN in place of infinities and of incomplete postures."""
     rows = rows.copy()
     for name in rows.dtype.names or ():
         column = rows[name]
@@ -161,7 +163,7 @@ def from_messages(messages: list[Any], kind: np.dtype[Any]) -> Rows:
     Raises:
         KeyError: A whole number or a text is missing.
         TypeError: A field holds another kind of value.
-        ValueError: As before; or a number is beyond `LARGEST_NUMBER`, or a time is unknown.
+        ValueError: A field holds an invalid value, a number beyond `MAX_NUMBER`, or no time.
     """
     made = np.zeros(len(messages), kind)
     for name in kind.names or () if messages else ():
@@ -175,7 +177,7 @@ def from_messages(messages: list[Any], kind: np.dtype[Any]) -> Rows:
         )
         if given.dtype.kind not in ("fi" if base == "f" else "i"):
             raise TypeError(name)
-        if np.any(np.abs(given) > LARGEST_NUMBER) or (name == "time" and np.isnan(given).any()):
+        if np.any(np.abs(given) > MAX_NUMBER) or (name == "time" and np.isnan(given).any()):
             raise ValueError(name)
         made[name] = given
     return made

@@ -1,8 +1,7 @@
 """Rings of shared memory between the tick loop and the writer of the log.
 
-The loop pushes rows, another process (or the same one, between two ticks) takes them. One end
-writes and one end reads, so that no ring needs a lock. A full ring drops its newest rows and counts
-them.
+The loop pushes rows; another process, or the same one between two ticks, takes them. A ring has one
+writer and one reader and needs no lock. A full ring drops new rows and counts them.
 """
 
 import math
@@ -17,7 +16,7 @@ from equipoise.logs.layout import tables
 BUFFERED: Final = 10.0
 """Time span of the rows that a ring holds [s]."""
 OPERATOR_BUFFER: Final = 256
-"""Number of events and words between operator and loop that a ring holds."""
+"""Capacity of each ring between operator and loop [rows]."""
 RATES: Final[Mapping[str, float]] = {
     "tick": 100.0,
     "stream": 200.0,
@@ -31,15 +30,15 @@ RINGS: Final = (*RATES, "notices", "typed")
 EVENT: Final = tables(0)["event"]
 """Type of the rows of the table `event`."""
 WORD: Final = np.dtype([("word", "S64")])
-"""Type of the rows of the words that an operator types."""
+"""Type of the rows with words typed by the operator."""
 PULSE: Final = ("time", "state", "phi", "ticks")
 """Entries of `Recorder.pulse`: time of the last tick [s], its state, phi [rad], number of ticks."""
 CONNECTING: Final = "connecting"
-"""Name of the event before a connection; a log with nothing else is not kept."""
+"""Name of the event before a connection; a log with no other event is discarded."""
 WORD_TYPED: Final = "word"
-"""Name of the event with a word that an operator typed."""
+"""Name of the event with a word typed by the operator."""
 FAILED: Final = "failed"
-"""Name of the event with a failure that the loop reported to the tick handler."""
+"""Name of the event with a failure reported by the loop."""
 
 
 class LoggedEvent(NamedTuple):
@@ -48,18 +47,18 @@ class LoggedEvent(NamedTuple):
     time: float
     """Time on the run's clock [s]."""
     name: str
-    """Phase that began, or kind of message, in a word."""
+    """Name of the phase that began, or kind of message."""
     answers: tuple[str, ...]
-    """Words of which one is expected from the operator."""
+    """Words expected from the operator: one of them."""
     text: str
     """Sentence for the operator."""
 
 
 class Ring:
-    """Rows of one table between the loop and the log; one end writes, one end reads."""
+    """Ring of the rows of one table, with one writer and one reader."""
 
     def __init__(self, rows: npt.NDArray[Any], counters: npt.NDArray[np.int64]) -> None:
-        """Use existing memory.
+        """Create a ring in existing memory.
 
         Args:
             rows: Memory of the rows.
@@ -68,7 +67,7 @@ class Ring:
         self._rows, self._counters, self._capacity = rows, counters, len(rows)
 
     def push(self, *row: Any) -> None:
-        """Write a row; drop and count it where the ring is full."""
+        """Write a row; drop and count it if the ring is full."""
         counters = self._counters
         written = int(counters[0])
         if written - int(counters[1]) >= self._capacity:
@@ -86,29 +85,29 @@ class Ring:
 
     @property
     def lost(self) -> int:
-        """Number of rows that were dropped."""
+        """Number of dropped rows."""
         return int(self._counters[2])
 
 
 class Recorder:
-    """A ring for each recorded table, the pulse of the loop, and the talk with the operator."""
+    """Shared memory: a ring per recorded table, the loop's pulse, and two rings of the operator."""
 
     def __init__(self, joints: int, buffer: memoryview | bytearray | None = None) -> None:
-        """Lay out the rings.
+        """Create the rings.
 
         Args:
             joints: Number of joints of the arm.
-            buffer: Zeroed memory of the length that `room` returns; allocated if not given.
+            buffer: Zeroed memory of `buffer_size` bytes; allocated if not given.
         """
         layout = _memory_layout(joints)
         buffer = bytearray(layout.itemsize) if buffer is None else buffer
         (memory,) = np.frombuffer(buffer, layout, 1)
         rings = {name: Ring(memory[name], memory["counters"][i]) for i, name in enumerate(RINGS)}
         self.pulse: npt.NDArray[np.float64] = memory["pulse"]
-        """State of the loop at its last tick, by the places in `PULSE`."""
+        """State of the loop at its last tick, in the order of `PULSE`."""
         self.joints = joints
         self.unknown = (math.nan,) * joints
-        """Placeholder of a posture that was not measured."""
+        """Placeholder for an unmeasured posture."""
         self.rings: dict[str, Ring] = {name: rings[name] for name in RATES}
         self.tick, self.stream, self.reply, self.encoder, self.event = self.rings.values()
         self.notices = rings["notices"]
@@ -117,18 +116,18 @@ class Recorder:
         """Words of the operator, from another process."""
 
     @staticmethod
-    def room(joints: int) -> int:
-        """Return the size of the rings for an arm with `joints` joints [B]."""
+    def buffer_size(joints: int) -> int:
+        """Return the size of the memory for an arm with `joints` joints [B]."""
         return _memory_layout(joints).itemsize
 
     def forget(self) -> None:
-        """Empty the rings of a run without a log."""
+        """Empty the rings, in a run without a log."""
         for ring in self.rings.values():
             ring.take()
 
     @property
     def lost(self) -> int:
-        """Number of rows that were dropped."""
+        """Number of dropped rows of all tables."""
         return sum(ring.lost for ring in self.rings.values())
 
 
@@ -142,7 +141,7 @@ def _memory_layout(joints: int) -> np.dtype[Any]:
 
 
 def push_event(ring: Ring, time: float, name: str, answers: Sequence[str], text: str) -> None:
-    """Write an event into a ring, cut where it is too long."""
+    """Write an event into a ring; truncate its texts to their columns."""
     texts = {"name": name, "answers": "|".join(answers), "text": text}
     ring.push(time, *(_cut(value, EVENT[column].itemsize) for column, value in texts.items()))
 

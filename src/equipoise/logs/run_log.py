@@ -1,12 +1,12 @@
-"""A run as its log holds it: the whole course by tables, the balancing by columns.
+"""Log of a run: the tables of the whole run, and the columns of the balancing.
 
-`tables`, `events` and `end` hold everything as written: of a run on a rig from the connection to
-rest, of a simulated run from the release on. The other attributes give the balancing, in which the
-policy decided: a value for each tick, with the time since the release. On a rig the counts of the
-encoder then count from where the pendulum hangs, and the truth is unknown.
+`tables`, `events` and `end` hold the whole run: on a rig from the connection to rest, in simulation
+from the release on. The other attributes hold the balancing, during which the policy acts: a value
+per tick, with the time since the release. On a rig the encoder's counts are then relative to the
+hanging pendulum, and the true state is unknown.
 
-A log that was cut or damaged is read up to the first damage, on request. One whose rows do not fit
-the digest at its end was edited, and is refused.
+A truncated or damaged log is read up to the first damage, on request. A log whose rows contradict
+the digest at its end was edited, and is rejected.
 """
 
 import json
@@ -24,7 +24,7 @@ from equipoise.artefacts import Provenance, StrPath, check_version, write_whole
 from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.container import LARGEST_NUMBER, read_mcap
+from equipoise.logs.container import MAX_NUMBER, read_mcap
 from equipoise.logs.layout import TABLES, Rows, canonical, from_messages, tables
 from equipoise.logs.recorder import LoggedEvent, read_events
 from equipoise.logs.writer import FORMAT, VERSION, Digest, LogEncoder
@@ -41,13 +41,13 @@ FAULTS: Final = (
     ArithmeticError,
     RecursionError,
 )
-"""Exceptions while parsing a log that holds other values than a run."""
+"""Exceptions from parsing the values of a damaged or foreign log."""
 BROKEN_OFF: Final = "log broken off"
-"""Cause of the end of a run whose log lacks its end."""
+"""Cause of the end of a run if the log has no end."""
 
 
 class TruthColumns(NamedTuple):
-    """Real state at each tick; no rows on a rig."""
+    """True state at each tick; no rows on a rig."""
 
     x: Array
     """Displacement of the flange from home along base x [m], shape (n,)."""
@@ -78,7 +78,7 @@ class EncoderSamples(NamedTuple):
     time: Array
     """Time stamp since the release [s], shape (r,)."""
     counts: Whole
-    """Counts from the zero, shape (r,)."""
+    """Counts relative to the zero, shape (r,)."""
 
 
 class _TickColumn:
@@ -96,15 +96,15 @@ class RunLog(Viewable):
     """One run; its arrays are read-only."""
 
     conditions: RunConditions
-    """Where it took place, and everything that determined it."""
+    """Place and settings of the run."""
     tables: Mapping[str, Rows]
     """Rows of each table of `equipoise.logs.layout`, as structured arrays."""
     end: RunEnd | None
-    """How it ended; none where the log breaks off."""
+    """End of the run; None for a log without one."""
     damage: str = ""
-    """Place and kind of the damage that cut the log short, as a clause; empty of a whole log."""
+    """Place and kind of the damage, as a clause; empty for a complete log."""
     provenance: Provenance | None = field(default=None)
-    """Origin of the file; none of a run that was not read from one."""
+    """Provenance of the file; None for a run that was not loaded."""
 
     @classmethod
     def simulated(
@@ -118,19 +118,19 @@ class RunLog(Viewable):
         replies: Mapping[str, Any] | None = None,
         encoder: Mapping[str, Any] | None = None,
     ) -> Self:
-        """Return a simulated run from columns, by the names of `equipoise.logs.layout`.
+        """Create a simulated run from columns, with the names of `equipoise.logs.layout`.
 
         Args:
             conditions: Conditions of the run.
-            end: How it ended.
-            ticks: Columns of the ticks; empty where no policy ran.
-            truth: Columns of the real state, without the time; none where it is not recorded.
+            end: End of the run.
+            ticks: Columns of the ticks; empty if no policy ran.
+            truth: Columns of the true state, without the time; None if not recorded.
             stream: Columns `time` and `q` of the setpoints.
             replies: Columns `time` and `q` of the measured joints.
             encoder: Columns `time` and `counts` of the samples.
 
         Raises:
-            ArtefactError: Columns that differ in length, or values that are not finite.
+            ArtefactError: Columns differ in length, or values are not finite.
         """
         given: dict[str, Mapping[str, Any]] = {
             "tick": {"late": 0.0, "compute": 0.0, **ticks},
@@ -151,19 +151,19 @@ class RunLog(Viewable):
         object.__setattr__(self, "tables", frozen)
 
     def __repr__(self) -> str:
-        """Return one line: where it ran, how long, and how it ended."""
+        """Return one line: arm, world, duration and cause of the end."""
         where = f"{self.conditions.arm.name!r} in {self.conditions.world!r}"
         lasted = f"{self.lasted:g} of {self.conditions.duration:g} s"
         return f"<RunLog of {where}: lasted {lasted}, ended {self.cause!r}>"
 
     @property
     def cause(self) -> str:
-        """Cause of the end in a word or two."""
+        """Short name of the cause of the end."""
         return BROKEN_OFF if self.end is None else self.end.cause or "error"
 
     @property
     def guard(self) -> str:
-        """Safety rule that ended a simulated run; empty where none did."""
+        """Safety rule that ended a simulated run; empty otherwise."""
         return self.end.guard if self.end else ""
 
     @cached_property
@@ -188,25 +188,25 @@ class RunLog(Viewable):
 
     @property
     def start(self) -> tuple[float, float, float, float]:
-        """State at the release, on a rig as predicted.
+        """State at the release: x [m], x_dot [m/s], phi [rad], phi_dot [rad/s].
 
-        That is x [m], x_dot [m/s], phi [rad], phi_dot [rad/s].
+        On a rig it is the first prediction.
         """
         first = self.ticks[:1]
         return self.conditions.start or tuple(
             float(first[name].sum()) for name in ("x", "x_dot", "phi", "phi_dot")
         )  # pyright: ignore[reportReturnType]
 
-    # The course by phases.
+    # Phases.
 
     def phase_ticks(self, *phases: Phase) -> Whole:
-        """Return the places of the ticks that were in one of some phases, shape (n,)."""
+        """Return the indices of the ticks in any of `phases`, shape (n,)."""
         states = [i for i, phase in enumerate(self.conditions.phases) if phase in phases]
         return np.flatnonzero(np.isin(self.tables["tick"]["state"], states))
 
     @cached_property
     def ticks(self) -> Rows:
-        """Rows of the balancing, in which everything about the motion is known, shape (n,)."""
+        """Rows of the balancing without unknown numbers, shape (n,)."""
         rows = self.tables["tick"][self.phase_ticks(Phase.BALANCING)]
         known = [np.isfinite(np.atleast_2d(rows[c.name].T)).all(axis=0) for c in TABLES["tick"]]
         return _frozen(rows[np.all(known, axis=0)])
@@ -216,7 +216,7 @@ class RunLog(Viewable):
         """Time of the release on the run's clock [s].
 
         Raises:
-            RecordingError: The run did not reach the balancing.
+            RecordingError: The run did not reach balancing.
         """
         if self.conditions.simulated:
             return 0.0
@@ -224,10 +224,10 @@ class RunLog(Viewable):
         return float(self.ticks["time"][0])
 
     def require_balancing(self) -> None:
-        """Refuse a run without balancing.
+        """Reject a run without balancing.
 
         Raises:
-            RecordingError: The run did not reach it.
+            RecordingError: The run did not reach balancing.
         """
         if len(self.ticks):
             return
@@ -241,12 +241,12 @@ class RunLog(Viewable):
 
     @property
     def last_phase(self) -> Phase | None:
-        """Phase in which a run on a rig stopped; none before the first tick."""
+        """Last phase of a run on a rig before it stopped; None before the first tick."""
         states = reversed(self.tables["tick"]["state"].tolist())
         phases = (self.conditions.phases[state] for state in states)
         return next((phase for phase in phases if phase is not Phase.STOPPING), None)
 
-    # The balancing by columns.
+    # Columns of the balancing.
 
     @cached_property
     def time(self) -> Array:
@@ -254,19 +254,19 @@ class RunLog(Viewable):
         return _frozen(self.ticks["time"] - self._begin)
 
     x = _TickColumn()
-    """Displacement of the flange from home along base x, as the policy saw it [m], shape (n,).
+    """Displacement of the flange from home along base x, as observed by the policy [m], shape (n,).
 
-    With an encoder, this and the next three columns are predicted for the time at which the
+    With an encoder, this and the next three columns are predictions for the time at which the
     command takes effect.
     """
     x_dot = _TickColumn()
-    """Velocity of the flange, as the policy saw it [m/s], shape (n,)."""
+    """Velocity of the flange, as observed by the policy [m/s], shape (n,)."""
     phi = _TickColumn()
-    """Angle of the pendulum from upright, as the policy saw it [rad], shape (n,)."""
+    """Angle of the pendulum from upright, as observed by the policy [rad], shape (n,)."""
     phi_dot = _TickColumn()
-    """Angular velocity of the pendulum, as the policy saw it [rad/s], shape (n,)."""
+    """Angular velocity of the pendulum, as observed by the policy [rad/s], shape (n,)."""
     box = _TickColumn()
-    """Box of the table that held the state, shape (n,)."""
+    """Box of the table that contains the state, shape (n,)."""
     u = _TickColumn()
     """Commanded acceleration of the flange along x [m/s^2], shape (n,)."""
 
@@ -282,7 +282,7 @@ class RunLog(Viewable):
     dq = _TickColumn()
     """Joint velocities commanded for the end of the tick [rad/s], shape (n, joints)."""
     estimated_phi = _TickColumn()
-    """Estimate of phi at the tick, not predicted [rad], shape (n,)."""
+    """Estimate of phi at the tick, without prediction [rad], shape (n,)."""
     estimated_phi_dot = _TickColumn()
     """Estimate of phi_dot at the tick [rad/s], shape (n,)."""
     bias = _TickColumn()
@@ -290,7 +290,7 @@ class RunLog(Viewable):
 
     @cached_property
     def truth(self) -> TruthColumns:
-        """Real state, where a simulation knows it."""
+        """True state; in simulation only."""
         return TruthColumns(*(self.tables["truth"][name] for name in TruthColumns._fields))
 
     @cached_property
@@ -309,7 +309,7 @@ class RunLog(Viewable):
 
     @cached_property
     def encoder(self) -> EncoderSamples:
-        """Counts of the encoder, from the zero.
+        """Counts of the encoder relative to the zero.
 
         Raises:
             ArtefactError: The log of a run on a rig does not contain the zero.
@@ -323,7 +323,7 @@ class RunLog(Viewable):
         return self.release if len(self.ticks) else 0.0
 
     def _while_balancing(self, table: str) -> Rows:
-        """Return the rows of a table from a tick before the release to a tick after the last."""
+        """Return the rows of a table from one tick before the release to one after the last."""
         rows = self.tables[table]
         if self.conditions.simulated:
             return rows
@@ -335,43 +335,41 @@ class RunLog(Viewable):
 
     @property
     def encoder_zero(self) -> float:
-        """Counts of the encoder where the pendulum hangs, up to whole turns.
+        """Encoder counts of the hanging pendulum, up to whole turns.
 
-        The end of the log contains the zero. In a log without an end, the last angle in the
-        operator's hand and the newest count of that tick give it.
+        The end of the log contains the zero. In a log without an end, it follows from the last
+        angle before the release and the newest count of that tick.
 
         Raises:
-            ArtefactError: The log has neither.
+            ArtefactError: The log contains neither.
         """
         if self.end is not None and self.end.zero is not None:
             return self.end.zero
         armed, per_rev = self.phase_ticks(Phase.ARMED), self.conditions.counts_per_rev
         if len(armed) == 0 or per_rev is None:
-            raise ArtefactError(
-                "the log does not contain the encoder's zero; give one that is whole"
-            )
+            raise ArtefactError("the log does not contain the encoder's zero; give a complete log")
         tick, encoder = self.tables["tick"][armed[-1]], self.tables["encoder"]
         known = encoder["counts"][encoder["received"] <= tick["time"]]
         if len(known) == 0:
-            raise ArtefactError("the log holds no count before the release; give one that is whole")
+            raise ArtefactError("the log has no count before the release; give a complete log")
         return float(known[-1] - (np.pi - tick["estimated_phi"]) * per_rev / (2.0 * np.pi))
 
     # The file.
 
     def save(self, path: StrPath, *, command: str, inputs: Mapping[str, str] | None = None) -> None:
-        """Write the run to `path`, whole or not at all.
+        """Write the run to `path` atomically.
 
         Args:
-            path: The file; its folder is made if it is missing.
-            command: Verb or function that made the run.
-            inputs: Digests of the values it was made from, by name.
+            path: The file; a missing folder is created.
+            command: Command or function that created the run.
+            inputs: Digests of the inputs, by name.
 
         Raises:
-            ArtefactError: The log breaks off.
-            OutsideError: The disk refuses.
+            ArtefactError: The log has no end.
+            OutsideError: The disk rejects the file.
         """
         if self.end is None:
-            raise ArtefactError("a log that breaks off cannot be written; copy its file")
+            raise ArtefactError("a log without an end cannot be written; copy its file")
         times = np.concatenate([rows["time"] for rows in self.tables.values()])
         first = float(times.min(initial=0.0))
         last = float(times.max(initial=self.lasted))
@@ -387,8 +385,8 @@ class RunLog(Viewable):
 
         Args:
             path: The file.
-            damaged: Whether a damaged log is read up to the damage, which `damage` then describes;
-                else it is refused.
+            damaged: Read a damaged log up to the damage, described by `damage`, instead of
+                rejecting it.
 
         Raises:
             ArtefactError: The file is missing, corrupt, edited, not a run log, or of another
@@ -415,7 +413,7 @@ class RunLog(Viewable):
                 for name, kind in tables(len(conditions.joints)).items()
             }
             valid_states = np.isin(rows["tick"]["state"], range(len(conditions.phases)))
-            if not (abs(origin) <= LARGEST_NUMBER and valid_states.all()):
+            if not (abs(origin) <= MAX_NUMBER and valid_states.all()):
                 raise ValueError(origin)
             if written := content.messages.get("/end"):
                 given = json.loads(written[-1])
@@ -424,7 +422,7 @@ class RunLog(Viewable):
         except FAULTS as error:
             raise _refusal(path, damage, error) from None
         if end is None:
-            damage = damage or "breaks off"
+            damage = damage or "lacks its end"
             rows = _without_partial_ticks(rows, conditions.h, origin + content.last)
         run = cls(conditions, rows, end, damage, provenance)
         if end is not None and run.digest != digest:
@@ -441,7 +439,7 @@ class RunLog(Viewable):
 
     @property
     def missing_part(self) -> str:
-        """Sentence on what the log lacks and what is sound; empty of a whole log."""
+        """Sentence on the damage and the sound part; empty for a complete log."""
         if not self.damage:
             return ""
         time = self.tables["tick"]["time"]
@@ -453,10 +451,10 @@ class RunLog(Viewable):
 
 
 def _filled(name: str, kind: np.dtype[Any], columns: Mapping[str, Any]) -> Rows:
-    """Return a table from its columns; without time it is empty.
+    """Return a table from its columns; an empty one without a column of times.
 
     Raises:
-        ArtefactError: Columns that differ in length, or values that are not finite.
+        ArtefactError: Columns differ in length, or values are not finite.
     """
     rows = np.zeros(len(columns.get("time", ())), kind)
     for column in TABLES[name]:
@@ -471,10 +469,10 @@ def _filled(name: str, kind: np.dtype[Any], columns: Mapping[str, Any]) -> Rows:
                 f"{column.name} of table {name} has shape {given.shape}, expected {shape}: give "
                 "all columns of a table the same length, and postures one number per joint"
             )
-        if not np.all(np.abs(given) <= LARGEST_NUMBER):
+        if not np.all(np.abs(given) <= MAX_NUMBER):
             raise ArtefactError(
                 f"{column.name} of table {name} holds values that are not finite, or beyond "
-                f"{LARGEST_NUMBER:g}; record the run again"
+                f"{MAX_NUMBER:g}; record the run again"
             )
         if column.kind == "whole" and np.any(np.round(given) != given):
             raise ArtefactError(
@@ -490,7 +488,7 @@ def _frozen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _refusal(path: Path, damage: str, error: Exception) -> ArtefactError:
-    """Return the error for a file whose content is not that of a run."""
+    """Return the error for a file with invalid content."""
     first = error.errors()[0] if isinstance(error, ValidationError) else None
     where = ".".join(map(str, first["loc"])) if first else ""
     if first is not None and first["type"] == "extra_forbidden":
@@ -505,10 +503,10 @@ def _refusal(path: Path, damage: str, error: Exception) -> ArtefactError:
 
 
 def _without_partial_ticks(rows: Mapping[str, Rows], h: float, last: float) -> dict[str, Rows]:
-    """Return tables without the ticks of which another table may lack rows.
+    """Return tables without the last ticks, whose rows in other tables may be missing.
 
-    Messages stand in the order of time: with a message one period after a tick, all rows of the
-    tick are there.
+    Messages are in the order of time: a message one period after a tick proves that all rows of the
+    tick are present.
 
     Args:
         rows: Rows of each table.

@@ -1,12 +1,12 @@
 """Writer of run logs: rows become MCAP, in memory or in a file that grows with the run.
 
-A metadata record opens the log with everything known before the run: conditions, provenance and the
-time of the clock at log time zero. Rows follow as JSON, compressed with zstd, in the order of time.
-The last message states how the run ended, with a digest of conditions, rows and end.
+The log begins with a metadata record: conditions, provenance and the clock's time at log time zero.
+Rows follow as JSON, compressed with zstd, in the order of time. The last message holds the end of
+the run and a digest of conditions, rows and end.
 
-`RunWriter` puts each finished chunk on the disk, and behind it the end of a valid MCAP file, which
-the next chunk overwrites. A process that is killed leaves a file that every reader takes, up to its
-last chunk. A full disk ends the log in that same order and does not reach the tick loop.
+`RunWriter` writes each finished chunk to the disk, followed by the end of a valid MCAP file, which
+the next chunk overwrites. So a killed process leaves a valid file up to its last chunk. A full disk
+ends the log in a valid state and does not affect the tick loop.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ from typing import Any, Final
 from equipoise.artefacts import DIGEST_PREFIX, Provenance, temporary_name
 from equipoise.errors import OutsideError
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.container import CHUNK, MAGIC, sealed
+from equipoise.logs.container import CHUNK, MAGIC, with_checksum
 from equipoise.logs.foxglove import SCHEMAS, ArmDisplay
 from equipoise.logs.layout import TABLES, Rows, canonical, schema, to_messages
 from equipoise.logs.recorder import CONNECTING, Recorder
@@ -33,7 +33,7 @@ FORMAT: Final = "equipoise-run"
 VERSION: Final = 3
 
 TAIL: Final = (
-    struct.pack("<BQI", 0x0F, 4, 0)  # end of the data, without a checksum
+    struct.pack("<BQI", 0x0F, 4, 0)  # data end, without a checksum
     + struct.pack("<BQQQI", 0x02, 20, 0, 0, 0)  # footer, without a summary
     + MAGIC
 )
@@ -41,7 +41,7 @@ TAIL: Final = (
 
 
 class Digest:
-    """SHA-256 of conditions, rows and end; the rows are hashed table by table."""
+    """SHA-256 of conditions, rows and end; each table has its own hash of its rows."""
 
     def __init__(self, conditions: RunConditions) -> None:
         """Begin with the conditions."""
@@ -53,7 +53,7 @@ class Digest:
         self._tables[table].update(rows.tobytes())
 
     def finish(self, end: RunEnd | None) -> str:
-        """Return the digest of everything added, and of the end."""
+        """Return the digest of the added rows and the end."""
         whole = hashlib.sha256(self._head)
         for name, rows in self._tables.items():
             whole.update(name.encode() + rows.digest())
@@ -75,7 +75,7 @@ class LogEncoder:
         Args:
             conditions: Conditions of the run.
             provenance: Origin of the file.
-            origin: Time on the run's clock of log time zero [s].
+            origin: Time of log time zero on the run's clock [s].
         """
         from mcap.writer import CompressionType, Writer
 
@@ -90,7 +90,7 @@ class LogEncoder:
             "provenance": provenance.model_dump_json(),
             "origin": repr(float(origin)),
         }
-        self._writer.add_metadata(FORMAT, sealed(entries))
+        self._writer.add_metadata(FORMAT, with_checksum(entries))
         urdf = self._display.urdf.encode()
         self._writer.add_attachment(0, 0, f"{PENDULUM}.urdf", "application/xml", urdf)
         self._channels: dict[str, int] = {}
@@ -102,7 +102,7 @@ class LogEncoder:
     def write(self, rows_of: Mapping[str, Rows]) -> Iterator[tuple[str, dict[str, Any]]]:
         """Encode rows in the order of time; yield topic and content of each message.
 
-        Rows of one table keep their order even where their times do not increase.
+        Rows of one table keep their order even if their times do not increase.
         """
         parts: list[list[tuple[float, str, dict[str, Any]]]] = []
         for name, given in rows_of.items():
@@ -146,7 +146,7 @@ def _topics() -> Iterator[tuple[str, str, dict[str, Any]]]:
 
 
 class _Buffer(io.BytesIO):
-    """Stream of complete records that have not been taken; places count from the file's start."""
+    """Stream of complete records; `tell` includes the records that were taken."""
 
     _taken = 0
 
@@ -177,24 +177,24 @@ class RunWriter:
         Args:
             path: The file.
             conditions: Conditions of the run.
-            origin: Time on the rig's clock of log time zero [s].
-            replace: Whether an existing file is replaced, by the first row after a connection.
-            command: Verb or function that makes the run.
+            origin: Time of log time zero on the rig's clock [s].
+            replace: Replace an existing file, with the first row after the connection.
+            command: Command or function that creates the run.
 
         Raises:
-            OutsideError: The file exists, or the disk refuses.
+            OutsideError: The file exists, or the disk rejects it.
         """
         self._path, self._place = path, 0
         self._at = temporary_name(path) if replace else path
         self._connected = False
         self.problem: str | None = None
-        """Reason why the log ended early; none while everything is written."""
+        """Reason of an early end of the log; None without a failure."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(self._at, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         except FileExistsError:
             raise OutsideError(
-                f"cannot write {path}: it was made a moment ago; give the same command again"
+                f"cannot write {path}: it was created a moment ago; give the same command again"
             ) from None
         except OSError as error:
             reason = f"{error.strerror}; give another place for the log"
@@ -207,7 +207,7 @@ class RunWriter:
             raise OutsideError(f"cannot write {path}: {self.problem}; make room on the disk")
 
     def drain(self, recorder: Recorder) -> None:
-        """Write the rows recorded since the last call; never raise for the disk."""
+        """Write the rows recorded since the last call; a failure of the disk sets `problem`."""
         taken = {name: ring.take() for name, ring in recorder.rings.items()}
         if self.problem is not None:
             return
@@ -217,9 +217,9 @@ class RunWriter:
             self._write(self._encoder.take())
 
     def finish(self, time: float, end: RunEnd) -> None:
-        """Write the end of the run and close the file; never raise for the disk.
+        """Write the end of the run and close the file; a failure of the disk sets `problem`.
 
-        A file without a row from after the connection is removed.
+        Remove a file without rows after the connection.
         """
         if not self._connected:
             self._discard()
@@ -230,7 +230,7 @@ class RunWriter:
         os.close(self._file)
 
     def _keep(self) -> None:
-        """Give the file its name: the rig is connected."""
+        """Rename the temporary file to its final name after the connection."""
         self._connected = True
         if self._at != self._path:
             try:
@@ -244,7 +244,7 @@ class RunWriter:
         self._at.unlink(missing_ok=True)
 
     def _write(self, data: bytes, tail: bytes = TAIL) -> None:
-        """Write complete records over the file's tail, with a tail behind them."""
+        """Write complete records over the file's tail, followed by a new tail."""
         if not data or self.problem is not None:
             return
         try:
@@ -259,9 +259,9 @@ class RunWriter:
             self._restore()
 
     def _restore(self) -> None:
-        """Put the tail behind the last complete chunk again; its place is on the disk already."""
+        """Restore the tail after the last complete chunk, in space that is already allocated."""
         try:
             os.pwrite(self._file, TAIL, self._place)
             os.ftruncate(self._file, self._place + len(TAIL))
-        except OSError:  # the problem is reported already
+        except OSError:  # `problem` holds the first failure
             return

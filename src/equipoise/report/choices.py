@@ -16,7 +16,7 @@ from equipoise.settings import RECIPES, LearningSettings, Settings
 
 UNIT: Final = re.compile(r"\s*\[([^\]]+)\]")
 DIFFERENT: Final = frozenset(name for recipe in RECIPES.values() for name in recipe)
-"""Names of the settings in which the recipes differ."""
+"""Names of the settings that differ between recipes."""
 
 
 class Choice(NamedTuple):

@@ -22,8 +22,8 @@ TYPESET: Final = (
     (re.compile(r"\^2"), "²"),
 )
 """Patterns of terminal text and the symbols that replace them in prose."""
-STACKED: Final = 3
-"""Minimum number of columns of a table that is stacked on narrow screens, with labelled cells."""
+MIN_STACKED_COLUMNS: Final = 3
+"""Minimum number of columns of tables that narrow screens show stacked, with labelled cells."""
 
 
 class Missing(NamedTuple):
@@ -126,7 +126,7 @@ def table(
         numbers: Number of trailing columns that hold numbers, set flush right.
         name: Class of the table, for the style sheet.
     """
-    first, stacked = len(head) - numbers, len(head) >= STACKED
+    first, stacked = len(head) - numbers, len(head) >= MIN_STACKED_COLUMNS
     names = "".join(_cell("th", text, i >= first) for i, text in enumerate(head))
     kind = " ".join(filter(None, ("table", "stacked" if stacked else "", name)))
     lines = [
@@ -179,7 +179,7 @@ def film(animation: "Animation | Missing", caption: str, alt: str) -> str:
     """Return a figure with an animation; browsers set to reduced motion show its first frame.
 
     Args:
-        animation: The animation, or the reason why there is no animation.
+        animation: The animation, or the reason for its absence.
         caption: Caption of the figure.
         alt: Alternative text.
     """

@@ -40,7 +40,7 @@ def _verdict(results: Results) -> html.Part:
         (f"{paper.SECONDS_BALANCED:g} s", "balancing time of the paper's one run on the real arm"),
     ]
     if world != MODEL:
-        tiles[:2] = tiles[1::-1]  # the twin first: it is closer to the paper's robot
+        tiles[:2] = tiles[1::-1]  # the twin, which is closer to the paper's robot, comes first
     if gap := results.gap:
         twin = f"the digital twin {gap.world}"
         tiles.insert(0, _survival_tile(at_world(gap, CURED), gap.duration, twin))

@@ -50,5 +50,5 @@ def html(value: object) -> str:
         picture = base64.b64encode(render(plot(value), "svg")).decode()
     except RecordingError:
         return line
-    # Browsers run no script of an SVG inside an `img`, whatever text is in the SVG.
+    # Browsers never run scripts of an SVG inside an `img`.
     return f'{line}<img alt="" style="max-width:100%" src="data:image/svg+xml;base64,{picture}">'

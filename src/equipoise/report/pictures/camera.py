@@ -1,7 +1,7 @@
 """Placement and projection of the camera beside the arm.
 
 The camera stands behind the base, so that +x is to the *right* of the picture as in every figure.
-It is far enough to the side that the arm does not hide the pendulum, and looks down on the table.
+It stands to the side, so that the arm does not hide the pendulum, and points down at the table.
 """
 
 from typing import Final, NamedTuple
@@ -43,8 +43,8 @@ class Camera(NamedTuple):
         return float(column), float(0.5 * height - scale * (offset @ self.up))
 
 
-def camera_that_sees(points: Floats, radii: Floats, size: Size) -> Camera:
-    """Return the nearest camera whose picture contains a ball around each point.
+def nearest_camera(points: Floats, radii: Floats, size: Size) -> Camera:
+    """Return the nearest camera with a ball around each point in its picture.
 
     A point at `a` to the right or up and `d` ahead of the base is in view of a camera at `a0` and
     `d0` if abs(a - a0) <= tan (d - d0), with the tangent of half the field of view. The upper and

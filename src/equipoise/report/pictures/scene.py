@@ -16,7 +16,7 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.scene import Sizes, scene, sizes_for
 from equipoise.model.physics_engine import mujoco
 from equipoise.paper import X_LIMIT
-from equipoise.report.pictures.camera import FOV_DEG, Camera, Size, camera_that_sees
+from equipoise.report.pictures.camera import FOV_DEG, Camera, Size, nearest_camera
 from equipoise.report.style import BLUE, INK, VERMILION, typeset
 
 Floats = npt.NDArray[np.float64]
@@ -104,7 +104,7 @@ class PictureScene(NamedTuple):
 
 
 def stage(arm: Arm, size: Size) -> PictureScene:
-    """Build the scene of an arm, with a camera whose picture the rig fills.
+    """Build the scene of an arm, with a camera close enough that the rig fills the picture.
 
     Args:
         arm: The arm.
@@ -220,7 +220,7 @@ def _place_camera(
     points = np.vstack([places, hands, ends])
     joint = slim.housing + slim.housing_reach
     radii = np.repeat([joint, FOOT_RADIUS], [len(places) + len(hands), len(ends)]) + MARGIN
-    camera = camera_that_sees(points, radii, size)
+    camera = nearest_camera(points, radii, size)
     quaternion = np.zeros(4)
     back = np.cross(camera.right, camera.up)
     axes = np.column_stack([camera.right, camera.up, back])
