@@ -105,21 +105,20 @@ def read_mcap(path: Path, *, messages: bool = True) -> McapContent:
 def _read(file: BinaryIO, wanted: bool) -> McapContent:
     metadata: dict[str, Mapping[str, str]] = {}
     found = _Messages()
-    place, size = 0, os.fstat(file.fileno()).st_size
+    offset, size = 0, os.fstat(file.fileno()).st_size
     damage = ""
     try:
         while True:
-            place = file.tell()
+            offset = file.tell()
             kind, body = _record(file, size)
             if kind == DATA_END or (kind == CHUNK_RECORD and not wanted):
                 break
             if kind == METADATA:
-                name, entries = _metadata(body)
-                metadata[name] = entries
+                metadata.update([_metadata(body)])
             elif kind == CHUNK_RECORD:
                 found.add(_content(body, MAX_CONTENT_SIZE - found.bytes))
     except _DamageError as error:
-        damage = f"{error} at byte {place:,} of {size:,}"
+        damage = f"{error} at byte {offset:,} of {size:,}"
         logger.debug("%s: %s", file.name, damage)
     return McapContent(metadata, found.by_topic, found.last, damage)
 
@@ -212,16 +211,14 @@ class _Messages:
         from mcap.records import Channel
 
         self.bytes += len(data)
-        place = 0
-        while place < len(data):
-            if place + RECORD.size > len(data):
+        stream = io.BytesIO(data)
+        while head := stream.read(RECORD.size):
+            if len(head) < RECORD.size:
                 raise _DamageError("is damaged")
-            kind, length = RECORD.unpack_from(data, place)
-            place += RECORD.size
-            if length > len(data) - place:
+            kind, length = RECORD.unpack(head)
+            body = stream.read(min(length, len(data)))
+            if len(body) < length:
                 raise _DamageError("is damaged")
-            body = data[place : place + length]
-            place += length
             if kind == CHANNEL:
                 channel = _parsed(Channel, body)
                 self._topics[channel.id] = self.by_topic.setdefault(channel.topic, [])

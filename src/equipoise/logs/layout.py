@@ -50,7 +50,7 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
         TIME._replace(description="Start of the tick"),
         Column("late", "number", "s", "Delay of the start behind its deadline; on a rig"),
         Column("compute", "number", "s", "Computing time, from reading to sending; on a rig"),
-        Column("state", "whole", "", "Phase, by its place in `phases` of the conditions"),
+        Column("state", "whole", "", "Phase, by its index in `phases` of the conditions"),
         Column(
             "x", "number", "m", "Displacement of the flange from home, as observed by the policy"
         ),

@@ -184,20 +184,20 @@ class RunWriter:
         Raises:
             OutsideError: The file exists, or the disk rejects it.
         """
-        self._path, self._place = path, 0
-        self._at = temporary_name(path) if replace else path
+        self._path, self._offset = path, 0
+        self._current_path = temporary_name(path) if replace else path
         self._connected = False
         self.problem: str | None = None
         """Reason of an early end of the log; None without a failure."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(self._at, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+            self._file = os.open(self._current_path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         except FileExistsError:
             raise OutsideError(
                 f"cannot write {path}: it was created a moment ago; give the same command again"
             ) from None
         except OSError as error:
-            reason = f"{error.strerror}; give another place for the log"
+            reason = f"{error.strerror}; choose another path for the log"
             raise OutsideError(f"cannot write {path}: {reason}") from None
         inputs = {"policy": conditions.policy, "actuator": conditions.actuator}
         self._encoder = LogEncoder(conditions, Provenance.now(command, inputs), origin)
@@ -232,16 +232,16 @@ class RunWriter:
     def _keep(self) -> None:
         """Rename the temporary file to its final name after the connection."""
         self._connected = True
-        if self._at != self._path:
+        if self._current_path != self._path:
             try:
-                self._at.replace(self._path)
+                self._current_path.replace(self._path)
             except OSError as error:
                 self.problem = f"{self._path} cannot be replaced ({error.strerror})"
 
     def _discard(self) -> None:
         """Close and remove the file."""
         os.close(self._file)
-        self._at.unlink(missing_ok=True)
+        self._current_path.unlink(missing_ok=True)
 
     def _write(self, data: bytes, tail: bytes = TAIL) -> None:
         """Write complete records over the file's tail, followed by a new tail."""
@@ -249,11 +249,11 @@ class RunWriter:
             return
         try:
             whole = data + tail
-            if os.pwrite(self._file, whole, self._place) != len(whole):
+            if os.pwrite(self._file, whole, self._offset) != len(whole):
                 raise OSError(0, "no space left on device")
             if not tail:
-                os.ftruncate(self._file, self._place + len(whole))
-            self._place += len(data)
+                os.ftruncate(self._file, self._offset + len(whole))
+            self._offset += len(data)
         except OSError as error:
             self.problem = f"the disk takes no more ({error.strerror})"
             self._restore()
@@ -261,7 +261,7 @@ class RunWriter:
     def _restore(self) -> None:
         """Restore the tail after the last complete chunk, in space that is already allocated."""
         try:
-            os.pwrite(self._file, TAIL, self._place)
-            os.ftruncate(self._file, self._place + len(TAIL))
+            os.pwrite(self._file, TAIL, self._offset)
+            os.ftruncate(self._file, self._offset + len(TAIL))
         except OSError:  # `problem` holds the first failure
             return

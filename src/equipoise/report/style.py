@@ -5,11 +5,11 @@ lightness and dashes, for prints in grey. Figures are made without pyplot: no gl
 screen. Equal input gives equal SVG.
 """
 
-import functools
 import io
-from collections.abc import Callable
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, ParamSpec
+from typing import TYPE_CHECKING, Any, Final
 
 from equipoise.artefacts import write_whole
 from equipoise.printable import printable
@@ -17,7 +17,6 @@ from equipoise.printable import printable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-P = ParamSpec("P")
 
 INK: Final = "#222222"
 BLUE: Final = "#0072B2"
@@ -67,17 +66,13 @@ STYLE: Final[dict[str, Any]] = {
 }
 
 
-def drawn(draw: Callable[P, "Figure"]) -> Callable[P, "Figure"]:
-    """Make `draw` use our style, independent of the caller's matplotlib settings."""
+@contextmanager
+def styled() -> Generator[None]:
+    """Apply our style, independent of the caller's matplotlib settings; also a decorator."""
+    from matplotlib import style
 
-    @functools.wraps(draw)
-    def in_style(*args: P.args, **kwargs: P.kwargs) -> "Figure":
-        from matplotlib import style
-
-        with style.context(STYLE, after_reset=True):
-            return draw(*args, **kwargs)
-
-    return in_style
+    with style.context(STYLE, after_reset=True):
+        yield
 
 
 def new_figure(height: float, title: str) -> "Figure":
@@ -125,11 +120,9 @@ def save(figure: "Figure", stem: Path) -> tuple[Path, Path]:
 
 def render(figure: "Figure", kind: str) -> bytes:
     """Return a figure as a file of a `kind`, `svg` or `png`; equal figures give equal bytes."""
-    from matplotlib import style
-
     stream = io.BytesIO()
     # Omit date and version of the software: equal figures give equal files.
     omitted = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
-    with style.context(STYLE, after_reset=True):
+    with styled():
         figure.savefig(stream, format=kind, dpi=DPI, metadata=omitted)
     return stream.getvalue()

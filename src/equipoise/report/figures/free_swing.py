@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from equipoise.model.pendulum import Pendulum, SwingFit, fit_of, fitted_curve, swing
-from equipoise.report.style import INK, ORANGE, PALE, SKY, drawn, new_figure
+from equipoise.report.style import INK, ORANGE, PALE, SKY, new_figure, styled
 from equipoise.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ START = np.deg2rad(40.0)
 """Initial angle of the predicted swing of a pendulum without a recording [rad]."""
 
 
-@drawn
+@styled()
 def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
     """Draw a recorded swing with its fit: the whole, a close-up of its start, and the residual.
 
@@ -49,10 +49,8 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
     begin, end = fit.window
     period = (end - begin) / fit.periods
     first, last = float(time[0]), float(time[-1])
-    close_up = (
-        max(first, begin - BEFORE_RELEASE * period),
-        min(end, begin + CLOSE_UP_PERIODS * period),
-    )
+    low, high = begin - BEFORE_RELEASE * period, begin + CLOSE_UP_PERIODS * period
+    close_up = max(first, low), min(end, high)
     dashed: Any = {"color": INK, "linewidth": 1.0, "linestyle": (0, (4, 2)), "label": "fit"}
     for column, span in enumerate([(first, last), close_up]):
         top, bottom = axes[:, column]
@@ -71,9 +69,8 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
     axes[1, 0].set_ylabel(f"recording \N{MINUS SIGN} fit\n[{unit}]")
     largest = float(np.nanmax(np.abs(recorded - fitted)))
     axes[1, 0].set_ylim(-1.6 * largest, 1.6 * largest)
-    axes[1, 0].set_title(
-        f"residual: {f'{fit.rms_deg:#.2g}'.rstrip('.')} {unit} RMS".replace(" °", "°")
-    )
+    residual = f"{f'{fit.rms_deg:#.2g}'.rstrip('.')} {unit}".replace(" °", "°")
+    axes[1, 0].set_title(f"residual: {residual} RMS")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     if begin > first:
         from matplotlib.lines import Line2D
@@ -86,7 +83,7 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
     return figure
 
 
-@drawn
+@styled()
 def predicted_swing(pendulum: Pendulum) -> "Figure":
     """Draw the predicted free swing of an identified pendulum, from the start of its recording.
 

@@ -34,7 +34,7 @@ MIN_SECONDS: Final = 1e-3
 BARS: Final[dict[str, Any]] = {"markersize": 4, "capsize": 2}
 
 
-@style.drawn
+@style.styled()
 def gap_figure(gap: Gap) -> "Figure":
     """Draw a gap study."""
     effects, variants = len(gap.names("alone")), len(gap.names("variant"))

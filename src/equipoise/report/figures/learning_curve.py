@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.control.policy import TabularPolicy
-from equipoise.report.style import BLUE, GREY, INK, ORANGE, drawn, new_figure
+from equipoise.report.style import BLUE, GREY, INK, ORANGE, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,7 +17,7 @@ MAX_MEANS = 100
 """Approximate maximum number of plotted means of the episode duration."""
 
 
-@drawn
+@styled()
 def learning_curve(policy: TabularPolicy) -> "Figure":
     """Draw the learning curve of a policy, and the checkpoint that was kept.
 
@@ -31,15 +31,13 @@ def learning_curve(policy: TabularPolicy) -> "Figure":
     axes[0].stairs(*_mean_duration(policy), baseline=None, color=INK, linewidth=1.1)
     axes[0].set_ylabel("mean duration [s]")
     axes[0].set_ylim(0.0, 1.05 * settings.learning.episode_duration)
-    axes[0].set_title(
-        f"training episodes, truncated after {settings.learning.episode_duration:g} s"
-    )
+    limit = f"{settings.learning.episode_duration:g} s"
+    axes[0].set_title(f"training episodes, truncated after {limit}")
     if tried:
         selection, panel = settings.selection, axes[1]
-        percent = [100.0 * (p.survival or 0.0) for p in tried]
-        panel.plot(
-            [p.episodes for p in tried], percent, color=BLUE, linewidth=0.8, label="each candidate"
-        )
+        episodes = [point.episodes for point in tried]
+        percent = [100.0 * (point.survival or 0.0) for point in tried]
+        panel.plot(episodes, percent, color=BLUE, linewidth=0.8, label="each candidate")
         panel.set_ylabel("trials that lasted [%]")
         panel.set_ylim(-4.0, 107.0)
         panel.set_title(

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from equipoise import paper
 from equipoise.logs.run_log import RunLog
 from equipoise.report import style
-from equipoise.report.style import drawn, new_figure, typeset
+from equipoise.report.style import new_figure, styled, typeset
 from equipoise.studies.formatting import LASTED, how_it_ended
 from equipoise.studies.results import seen_otherwise
 
@@ -50,7 +50,7 @@ EDGE_LINE: Final[dict[str, Any]] = {"color": style.GREY, "linewidth": 0.6, "line
 ONLY_LINE: Final[dict[str, Any]] = {"color": style.BLUE, "linewidth": 0.9}
 
 
-@drawn
+@styled()
 def commands(run: RunLog) -> "Figure":
     """Draw the commanded accelerations as steps, and the share of each per second.
 
@@ -104,7 +104,7 @@ def _shares_of_actions(figure: Any, panel: Any, run: RunLog) -> None:
     figure.colorbar(mesh, ax=panel, label="share [%]", pad=0.01)
 
 
-@drawn
+@styled()
 def joints(run: RunLog) -> "Figure":
     """Draw commanded joint positions, their changes, and on a rig the tracking error of the arm."""
     real, spans = seen_otherwise(run), _spans(run)
@@ -149,7 +149,7 @@ def _joint_lines(panel: Any, run: RunLog, values: Array, until: float) -> None:
     panel.set_xlim(0.0, until)
 
 
-@drawn
+@styled()
 def pendulum(run: RunLog) -> "Figure":
     """Draw angle and angular velocity of the pendulum, with the edges of the boxes."""
     title = "Angle and angular velocity of the pendulum (the paper's figure 6)"
@@ -159,7 +159,7 @@ def pendulum(run: RunLog) -> "Figure":
     return _series(run, title, top, bottom, paper.PHI_LIMIT_DEG, "°")
 
 
-@drawn
+@styled()
 def flange(run: RunLog) -> "Figure":
     """Draw displacement and velocity of the flange, with the ends of the track."""
     title = "Displacement and velocity of the flange along x (the paper's figure 7)"
@@ -168,7 +168,7 @@ def flange(run: RunLog) -> "Figure":
     return _series(run, title, top, bottom, paper.X_LIMIT, " m")
 
 
-@drawn
+@styled()
 def encoder_zero(run: RunLog) -> "Figure":
     """Draw the error of the encoder's zero beside its estimate, for a run with an encoder."""
     figure = new_figure(2.5, "Error of the encoder's zero, and the controller's estimate")

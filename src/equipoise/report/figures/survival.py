@@ -8,7 +8,7 @@ import numpy.typing as npt
 from equipoise import paper
 from equipoise.evaluation import Evaluation, TrialResults
 from equipoise.report import style
-from equipoise.report.style import drawn, new_figure, plain
+from equipoise.report.style import new_figure, plain, styled
 from equipoise.studies.formatting import LASTED
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ LINES: tuple[dict[str, Any], ...] = (
 """Line styles; the policy's line, the first, is wide, so that lines on top leave it visible."""
 
 
-@drawn
+@styled()
 def survival(evaluation: Evaluation) -> "Figure":
     """Draw survival against time, and the final survival rates with their intervals.
 

@@ -9,7 +9,7 @@ from equipoise import paper
 from equipoise.control.boxes import SHAPE
 from equipoise.control.policy import TabularPolicy
 from equipoise.logs.run_log import RunLog
-from equipoise.report.style import INK, drawn, new_figure, typeset
+from equipoise.report.style import INK, new_figure, styled, typeset
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,7 +22,7 @@ LUMA = np.array([0.299, 0.587, 0.114])
 """Luma coefficients of red, green and blue (ITU-R BT.601)."""
 
 
-@drawn
+@styled()
 def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure":
     """Draw the commanded acceleration per box: a panel per x and x_dot, with phi and phi_dot axes.
 

@@ -13,7 +13,7 @@ from equipoise.report.pictures.camera import Size
 from equipoise.report.pictures.moments import moments, span
 from equipoise.report.pictures.rendering import ARROW_PER_U, draw
 from equipoise.report.pictures.scene import stage
-from equipoise.report.style import drawn, new_figure
+from equipoise.report.style import new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,7 +28,7 @@ MIN_INTERVAL: Final = 0.15
 """Minimum time between two frames [s]; closer frames look alike."""
 
 
-@drawn
+@styled()
 def strip(run: RunLog, arm: Arm) -> "Figure":
     """Draw frames of the extreme moments of a run, in chronological order.
 
