@@ -27,7 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from equipoise.errors import ArtefactError, InputError, OutsideError
 
 StrPath = str | os.PathLike[str]
-"""Path of a file or folder, as public functions take it."""
+"""Type of a path of a file or folder in public functions."""
 
 DIGEST_PREFIX = "sha256:"
 """Prefix of a digest, which names its algorithm."""
@@ -116,7 +116,7 @@ class Provenance(Value):
     command: str
     """Command or function that created the value."""
     software: dict[str, str]
-    """Versions of Equipoise, Python and the libraries that affect the bits."""
+    """Versions of Equipoise, Python and the libraries that affect numerical results."""
     inputs: dict[str, str] = {}
     """Digests of the inputs, by name."""
 

@@ -33,11 +33,11 @@ CONFIDENCE = 0.95
 """Confidence of all reported intervals [-]."""
 
 Done = Callable[[int], None]
-"""Called with the number of trials that have just finished."""
+"""Callback; receives the number of trials that have just finished."""
 
 
 Survival = Annotated[float, Field(ge=0.0, le=LONGEST_TRIAL)]
-"""Time that a trial lasted [s]."""
+"""Duration of a trial [s]."""
 
 
 class Summary(NamedTuple):
@@ -46,9 +46,9 @@ class Summary(NamedTuple):
     trials: int
     survived: int
     rate: float
-    """Share of the trials that lasted."""
+    """Share of the trials without a failure."""
     interval: tuple[float, float]
-    """Exact (Clopper-Pearson) 95 % interval of the probability to last."""
+    """Exact (Clopper-Pearson) 95 % interval of the survival rate."""
     median: float
     """Median survival [s]."""
     quantiles: tuple[float, float, float, float]
@@ -65,9 +65,9 @@ class TrialResults(Value):
     survival: Annotated[tuple[Survival, ...], Field(min_length=1, max_length=MOST_TRIALS)]
     """Duration of each trial [s]."""
     causes: Annotated[tuple[Name, ...], Field(max_length=MOST_TRIALS)]
-    """Cause of the end of each: lasted, angle, track, joint limit, guard."""
+    """Cause of the end of each trial: lasted, angle, track, joint limit, guard."""
     guards: Annotated[tuple[Name, ...], Field(max_length=MOST_TRIALS)] = ()
-    """Guard that ended each, empty for another cause; no entries without any guard's stop."""
+    """Guard that ended each trial, empty for another cause; no entries if no guard ended one."""
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
@@ -95,7 +95,7 @@ class Evaluation(Viewable, Artefact):
     policy: Name
     """Digest of the policy's file or source."""
     world: Name
-    """Where the trials ran."""
+    """World of the trials."""
     world_settings: TwinSettings | None
     """Numbers of the twin; `None` on a plant."""
     arm: Name
@@ -119,7 +119,7 @@ class Evaluation(Viewable, Artefact):
     """Trials of the baselines, on the same conditions."""
 
     def __repr__(self) -> str:
-        """Return one line: how many trials lasted, where and how long."""
+        """Return one line: world, number of trials without a failure, and survival."""
         found = self.results.summary()
         low, high = found.interval
         where = f"{self.results.name!r} in {self.world!r}"
@@ -149,8 +149,8 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate a policy in a simulated world.
 
-    A policy with a kernel runs compiled, over the cores; any other runs from Python, a second or so
-    per trial of a minute, on the same trials.
+    A policy with a kernel runs compiled, on several threads. Other policies run in Python on the
+    same trials, about a second per trial of a minute.
 
     Args:
         policy: The policy with its task, such as a table or a result of `load_policy`.
@@ -164,7 +164,7 @@ def evaluate(
         workers: Number of threads for compiled policies; the result does not depend on it.
         partial: File that keeps the finished trials until all are done: an interrupted evaluation
             continues from it.
-        done: Called with the number of trials that have just finished.
+        done: Callback; receives the number of trials that have just finished.
 
     Raises:
         SettingsError: The world is unknown.

@@ -37,8 +37,8 @@ class RunConditions(Value):
     arm: Arm
     """The arm, with its home posture and the pendulum's place."""
     pendulum: dict[PendulumName, Number] = Field(min_length=5)
-    """Parameters w2 [1/s^2], k [1/m], c [1/s], coulomb [1/s^2], drag [1/rad]: in simulation those
-    of the real pendulum, on a rig those that the controller assumes."""
+    """Parameters w2 [1/s^2], k [1/m], c [1/s], coulomb [1/s^2], drag [1/rad]: in simulation the
+    true ones, on a rig those assumed by the controller."""
     pendulum_digest: Name = ""
     """Digest of the identified pendulum."""
     friction: dict[str, float | str] | None = None
@@ -53,13 +53,13 @@ class RunConditions(Value):
     seed: Seed
     """Master seed of pendulum, start and noise of simulated parts."""
     actuator: Name
-    """Digest of the actuator that the controller assumes, or `ideal`."""
+    """Digest of the actuator assumed by the controller, or `ideal`."""
     counts_per_rev: int | None = Field(ge=1, le=2**24)
     """Encoder counts per revolution; None without an encoder."""
     world_settings: dict[str, float | int | str | None] | None = None
     """Resolved parameters of the digital twin; None elsewhere."""
     zero_error: Number | None = None
-    """Real error of the encoder's zero [rad]; None without an encoder, and on a rig."""
+    """True error of the encoder's zero [rad]; None without an encoder, and on a rig."""
     settings: Settings
     """Resolved settings of the policy: gains, noise, ranges of the start."""
     u_max: float | None = Field(default=None, gt=0.0, le=100.0)
@@ -93,7 +93,7 @@ class RunConditions(Value):
 
 
 class RunEnd(Value):
-    """How a run ended."""
+    """End of a run."""
 
     cause: Name | None = None
     """Short name of the cause: lasted, angle, track, operator, a safety rule; None if an error

@@ -29,14 +29,14 @@ MIN_STACKED_COLUMNS: Final = 3
 class Missing(NamedTuple):
     """A figure that could not be drawn."""
 
-    why: str
-    """Reason, and the remedy."""
+    reason: str
+    """Reason and remedy, as a clause."""
 
 
 Pictures = Mapping[str, str | Missing]
 """Figures as SVG, by the names of their files."""
 Picture = Callable[[str, str, str], str]
-"""Function `picture` with its first argument."""
+"""Function `picture` with its first argument bound."""
 
 
 class Part(NamedTuple):
@@ -193,8 +193,10 @@ def film(animation: "Animation | Missing", caption: str, alt: str) -> str:
     )
 
 
-def _missing(lost: Missing, alt: str) -> str:
-    return paragraph(f"Missing figure: {alt[0].lower()}{alt[1:]}. Reason: {lost.why}.", "note")
+def _missing(missing: Missing, alt: str) -> str:
+    return paragraph(
+        f"Missing figure: {alt[0].lower()}{alt[1:]}. Reason: {missing.reason}.", "note"
+    )
 
 
 def _data(kind: str, content: bytes) -> str:

@@ -14,7 +14,7 @@ from equipoise.studies.results import Results, estimates_zero, no_gap, seen_othe
 
 
 def sections_results(results: Results, picture: html.Picture) -> Iterator[html.Part]:
-    """Return the sections from the trained policy on."""
+    """Yield the sections on the policy, its evaluation, the recorded run and the gap."""
     yield _policy(picture)
     yield _evaluation(results, picture)
     yield _deployment(results, picture)

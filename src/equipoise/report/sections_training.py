@@ -20,7 +20,7 @@ from equipoise.studies.results import Results, verdict
 def sections_training(
     results: Results, picture: html.Picture, animation: Animation | html.Missing
 ) -> Iterator[html.Part]:
-    """Return the sections up to the training."""
+    """Yield the sections from the verdict to the training."""
     yield _verdict(results)
     yield _task(results, animation)
     head = "", "section", "the paper", "this reproduction"

@@ -145,7 +145,7 @@ def _remark(panel: Any, row: int, text: str) -> None:
 
 
 def _seconds_axis(panel: Any, axis: Literal["x", "y"], gap: Gap) -> None:
-    """Make an axis logarithmic in seconds: it shows a second and a minute alike."""
+    """Make an axis of seconds logarithmic, for short and long survival."""
     shortest = min(study.mean(p.results, gap.duration).mean for p in gap.points)
     low, high = 0.6 * shortest, 1.15 * gap.duration
     ticks = [t for t in SECONDS_TICKS if low <= t < 0.7 * gap.duration] + [gap.duration]

@@ -32,12 +32,12 @@ def survival(evaluation: Evaluation) -> "Figure":
     Args:
         evaluation: Trials of a policy, and of the baselines under the same conditions.
     """
-    everyone = [evaluation.results, *evaluation.baselines]
+    all_results = [evaluation.results, *evaluation.baselines]
     figure = new_figure(3.6, "Survival of the policy and the baselines")
     axes: Any = figure.subplots(1, 2, width_ratios=(5, 3))
     left, right = axes
-    shortest = min(min(results.survival) for results in everyone)
-    for results, line in zip(everyone, LINES, strict=False):
+    shortest = min(min(results.survival) for results in all_results)
+    for results, line in zip(all_results, LINES, strict=False):
         curve = _curve(results, shortest, evaluation.duration)
         left.plot(*curve, drawstyle="steps-post", label=plain(results.name), **line)
     left.set_xscale("log")
@@ -52,7 +52,7 @@ def survival(evaluation: Evaluation) -> "Figure":
     label = f"the paper's run on the real arm, {paper.SECONDS_BALANCED:g} s"
     grey: Any = {"color": style.GREY, "linewidth": 1.4, "zorder": 0.9}
     left.axvline(paper.SECONDS_BALANCED, label=label, **grey)
-    _shares(right, everyone, evaluation.duration)
+    _shares(right, all_results, evaluation.duration)
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
@@ -68,8 +68,8 @@ def _curve(
     return time, np.append(standing, standing[-1])
 
 
-def _shares(panel: Any, everyone: list[TrialResults], duration: float) -> None:
-    for row, (results, line) in enumerate(zip(everyone, LINES, strict=False)):
+def _shares(panel: Any, all_results: list[TrialResults], duration: float) -> None:
+    for row, (results, line) in enumerate(zip(all_results, LINES, strict=False)):
         summary = results.summary()
         rate, (low, high) = 100.0 * summary.rate, (100.0 * end for end in summary.interval)
         colour = line["color"]
@@ -78,8 +78,8 @@ def _shares(panel: Any, everyone: list[TrialResults], duration: float) -> None:
         text, middle = f"{rate:.3g} %  [{low:.3g}, {high:.3g}]", (0.5 * (low + high), row)
         look: Any = {"ha": "left" if rate < 50.0 else "right", "fontsize": 7.5}
         panel.annotate(text, middle, (0, 6), textcoords="offset points", **look)
-    panel.set_yticks(range(len(everyone)), [plain(results.name) for results in everyone])
-    panel.set_ylim(len(everyone) - 0.5, -0.7)
+    panel.set_yticks(range(len(all_results)), [plain(results.name) for results in all_results])
+    panel.set_ylim(len(all_results) - 0.5, -0.7)
     panel.set_xlim(-4.0, 104.0)
     panel.grid(visible=False, axis="y")
     panel.set_xlabel("share [%] with 95 % interval")
