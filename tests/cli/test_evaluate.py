@@ -8,7 +8,7 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.evaluation import Evaluation
 from tests.cli.damage import DAMAGE, rebuilt
 
-STABLE = {"trials", "duration", "survived", "rate", "interval", "median_s", "causes", "baselines"}
+STABLE = {"trials", "duration", "survived", "rate", "interval", "median_s", "causes", "yardsticks"}
 OWN = """
 import numpy as np
 
@@ -70,8 +70,8 @@ def test_json_is_one_object_with_the_stable_keys(equipoise, policy_file):
     low, high = found["interval"]
     assert low <= found["rate"] <= high
     assert sum(found["causes"].values()) == 20
-    assert set(found["baselines"]) == {"LQR", "LQR, snapped", "PD", "random"}
-    assert found["baselines"]["LQR"]["rate"] == 1.0
+    assert set(found["yardsticks"]) == {"LQR", "LQR, snapped", "PD", "random"}
+    assert found["yardsticks"]["LQR"]["rate"] == 1.0
     assert ran.err == ""
 
 

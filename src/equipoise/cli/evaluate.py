@@ -223,7 +223,7 @@ def _result(evaluation: "Evaluation", out: Path) -> dict[str, object]:
     return {
         **_summary(evaluation.results),
         "duration": evaluation.duration,
-        "baselines": {results.name: _summary(results) for results in evaluation.baselines},
+        "yardsticks": {results.name: _summary(results) for results in evaluation.baselines},
         "world": evaluation.world,
         "seed": evaluation.seed,
         "evaluation": str(out),
