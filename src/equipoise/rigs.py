@@ -1,7 +1,7 @@
-"""A rig: which arm stands where with which pendulum holder and encoder, and how to reach it.
+"""Description of a rig (arm, pendulum holder, encoder and their addresses), and its connection.
 
-`rig.toml` says it once, in the units of a tape measure and a protractor; every field has a default,
-unknown ones are refused::
+`rig.toml` contains the description in mm and degrees; every field has a default, unknown fields are
+refused::
 
     arm = "iiwa7"
     robot = "kst://172.31.1.147:30001"
@@ -10,8 +10,8 @@ unknown ones are refused::
     encoder_sign = -1
     media_flange_mm = 35
 
-Nothing else opens a device: `connect`, `robot_at` and `encoder_at` ask the registry of plugins
-(`equipoise.devices.plugins`) for the scheme of an address.
+No other module opens devices: `connect`, `robot_at` and `encoder_at` find the plugin for the scheme
+of an address in the registry (`equipoise.devices.plugins`).
 """
 
 from collections.abc import Callable
@@ -26,20 +26,12 @@ from pydantic import Field, ValidationError
 
 from equipoise.artefacts import Name, Value, first_fault, value_digest
 from equipoise.control.safety import POSITION_MARGIN, TORQUE_SHARE
+from equipoise.devices import plugins
 from equipoise.devices.clocks import SystemClock, VirtualClock
 from equipoise.devices.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, PacedRobot, Robot
 from equipoise.devices.operator import Operator
 from equipoise.devices.paced import PacedStream
-from equipoise.devices.plugins import (
-    EmulatedRobot,
-    EmulatedSensor,
-    RobotPlugin,
-    Session,
-    ignore,
-    robot_plugin,
-    scheme_of,
-    sensor_plugin,
-)
+from equipoise.devices.plugins import Session, ignore, robot_plugin, scheme_of, sensor_plugin
 from equipoise.devices.twin.emulated_operator import EmulatedOperator
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.errors import ArmError, InputError, LinkError, SettingsError
@@ -55,9 +47,9 @@ from equipoise.settings import read_toml
 Degrees = Annotated[float, Field(ge=-180.0, le=180.0)]
 Millimetres = Annotated[float, Field(ge=-1e3, le=1e3)]
 
-LARGEST_TILT_DEG: Final = 1.0
-"""A base that leans more than this is to be levelled [deg]: the track would climb, and gravity
-would pull along it by 0.17 m/s^2, a twelfth of the largest command."""
+MAX_TILT_DEG: Final = 1.0
+"""Maximum tilt of the base [deg]: along a track with this slope gravity pulls by 0.17 m/s^2, a
+twelfth of the largest command."""
 ENCODER_POLL_PERIOD: Final = 0.010
 """Encoder polling period while waiting [s]; a terminal buffers 0.1 s of lines."""
 START_OFFSET: Final = 0.1
@@ -85,7 +77,7 @@ class RigSettings(Value):
     """Default of --encoder, e.g. serial:///dev/ttyACM0."""
     home_deg: Annotated[tuple[Degrees, ...], Field(max_length=MOST_JOINTS)] | None = None
     """Posture at x = 0, all joints [deg], with the pendulum's spindle along base y; by default the
-    arm's own. For a URDF one is searched, which knows nothing of tables and walls."""
+    arm's own. For a URDF a posture is searched, without regard to tables and walls."""
     pivot_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
     """Pivot of the pendulum in the flange frame [mm]; by default the arm's own."""
     pivot_outward_mm: float | None = Field(default=None, ge=0.0, le=500.0)
@@ -131,14 +123,10 @@ class RigSettings(Value):
         Raises:
             ArmError: The arm is unknown, or home is outside the joints' limits.
         """
-        limit = self.acceleration_deg
+        limit = None if self.acceleration_deg is None else radians(self.acceleration_deg)
+        home = None if self.home_deg is None else [radians(angle) for angle in self.home_deg]
         arm = resolve_arm(
-            self.arm,
-            held=self.held,
-            base=self.base,
-            tip=self.tip,
-            acceleration=None if limit is None else radians(limit),
-            home=None if self.home_deg is None else [radians(angle) for angle in self.home_deg],
+            self.arm, held=self.held, base=self.base, tip=self.tip, acceleration=limit, home=home
         )
         return placed(arm, home=None, pivot=self._pivot(arm))
 
@@ -161,8 +149,8 @@ class RigSettings(Value):
         if not of_iiwa:
             return None
         outward = self.pivot_outward_mm
-        own = -arm.pivot[0] if outward is None else outward / 1e3
-        return -own, 0.0, self.media_flange_mm / 1e3
+        x = arm.pivot[0] if outward is None else -outward / 1e3
+        return x, 0.0, self.media_flange_mm / 1e3
 
 
 def read_rig(path: Path | None) -> RigSettings:
@@ -179,22 +167,20 @@ def read_rig(path: Path | None) -> RigSettings:
         tree["arm"] = str(path.parent / arm)
     try:
         rig = RigSettings.model_validate(tree)
+        _ = rig.described_arm
     except ValidationError as error:
         fault = first_fault(error)
-        known = ", ".join(RigSettings.model_fields)
         what = f"{fault.what}, got {fault.got}"
         if fault.unknown:
-            what = f"there is no such setting; known: {known}"
+            what = f"there is no such setting; known: {', '.join(RigSettings.model_fields)}"
         raise SettingsError(f"the rig {path}: {fault.where}: {what}") from None
-    try:
-        _ = rig.described_arm
     except ArmError as error:
         raise SettingsError(f"the rig {path}: {error}") from None
     tilt = hypot(*rig.base_tilt_deg)
-    if tilt > LARGEST_TILT_DEG:
+    if tilt > MAX_TILT_DEG:
         raise SettingsError(
             f"the rig {path}: base_tilt_deg is {tilt:.2f} deg in all, expected at most "
-            f"{LARGEST_TILT_DEG:g}; level the base"
+            f"{MAX_TILT_DEG:g}; level the base"
         )
     return rig
 
@@ -203,10 +189,12 @@ class DrainingClock:
     """Clock for waits before a run; the encoder's samples are dropped meanwhile."""
 
     def __init__(self, clock: Clock, sensor: AngleSensor) -> None:
-        """Attend to a sensor."""
-        self._clock, self._sensor = clock, sensor
-        self.drains = True
-        """Whether samples are dropped; not while a robot that sets the pace waits in the stream."""
+        """Wrap a clock, and drain a sensor."""
+        self._clock, self._sensor, self._drains = clock, sensor, True
+
+    def keep(self, streaming: bool) -> None:
+        """Keep the samples while a robot that sets the pace waits in the stream."""
+        self._drains = not streaming
 
     def now(self) -> float:
         """Return the time [s]."""
@@ -218,10 +206,9 @@ class DrainingClock:
         while until < time:
             until = min(time, until + ENCODER_POLL_PERIOD)
             self._clock.wait_until(until)
-            if not self.drains:
-                continue
             with suppress(LinkError):  # not connected yet; or the next reader gets the error again
-                self._sensor.samples()
+                if self._drains:
+                    self._sensor.samples()
 
 
 class Rig(NamedTuple):
@@ -234,8 +221,8 @@ class Rig(NamedTuple):
     clock: Clock
     """Clock of both."""
     operator: Operator | None
-    """Emulated operator; None where a person stands at the rig."""
-    plugin: RobotPlugin
+    """Emulated operator; None for a person at the rig."""
+    plugin: plugins.RobotPlugin
     """The kind of robot."""
 
 
@@ -262,8 +249,8 @@ def check_addresses(robot: str, encoder: str | None) -> None:
     """Check the two addresses of a rig; nothing is opened.
 
     Raises:
-        InputError: An address is invalid, or there is one too many or too few.
-        SettingsError: There is no such twin.
+        InputError: An address is invalid, missing or superfluous.
+        SettingsError: The twin is unknown.
     """
     plugin, world = robot_plugin(robot), world_of(robot)
     if world is not None:
@@ -294,7 +281,7 @@ def connect(
 
     Args:
         robot: Address of a robot, such as `kst://HOST`; or `twin:NAME`, a digital twin in this
-            process whose time passes as fast as it can, with its own encoder and operator; or
+            process in virtual time, with its own encoder and operator; or
             `SCHEME://twin:NAME`, the same with the driver and the emulator of a kind of robot.
         encoder: Address of an angle sensor, such as `serial:///dev/ttyACM0`; None for a twin.
         settings: The settings of the rig.
@@ -302,11 +289,11 @@ def connect(
         seed: Seed of all random numbers on a twin.
         period: Time between two setpoints [s].
         tell: Receives instructions to the operator while a connection is made.
-        attend: Called now and then meanwhile; an exception that it raises ends the wait.
+        attend: Called about once a second meanwhile; its exception ends the wait.
 
     Raises:
         InputError: An address is invalid.
-        SettingsError: There is no such twin.
+        SettingsError: The twin is unknown.
     """
     check_addresses(robot, encoder)
     name = world_of(robot)
@@ -324,27 +311,18 @@ def connect(
     )
     draining = DrainingClock(clock, sensor)
     opened = _opened(robot, Session(draining, tell, attend))
-    return _rig(opened, sensor, clock, None, robot_plugin(robot), period, draining)
+    served, clock = _served(opened, clock, period, draining)
+    return Rig(served, sensor, clock, None, robot_plugin(robot))
 
 
-def _rig(
-    robot: Robot | PacedRobot,
-    sensor: AngleSensor,
-    clock: Clock,
-    operator: Operator | None,
-    plugin: RobotPlugin,
-    period: float,
-    draining: DrainingClock,
-) -> Rig:
-    """Return a rig; a robot that sets the pace is served while the loop waits."""
-    if isinstance(robot, PacedRobot):
-
-        def streams(running: bool) -> None:
-            draining.drains = not running
-
-        stream = PacedStream(robot, clock, period, streams)
-        return Rig(stream, sensor, stream, operator, plugin)
-    return Rig(robot, sensor, clock, operator, plugin)
+def _served(
+    robot: Robot | PacedRobot, clock: Clock, period: float, draining: DrainingClock
+) -> tuple[Robot, Clock]:
+    """Return a robot and the clock of its rig, which serves a robot that sets the pace."""
+    if not isinstance(robot, PacedRobot):
+        return robot, clock
+    stream = PacedStream(robot, clock, period, draining.keep)
+    return stream, stream
 
 
 def _opened(robot: str, session: Session) -> Robot | PacedRobot:
@@ -371,7 +349,7 @@ def robot_at(robot: str, clock: Clock, *, tell: Callable[[str], None] = ignore) 
 
 
 def restart_instruction(robot: str) -> str:
-    """Return what the operator does before the robot at an address can be connected again.
+    """Return the instruction to the operator before the next connection to a robot.
 
     Raises:
         InputError: The address is invalid.
@@ -407,9 +385,9 @@ class EmulatedRig(NamedTuple):
     """The drivers."""
     bench: SimulatedRig
     """Arm, pendulum, hand and button."""
-    robot: EmulatedRobot
+    robot: plugins.EmulatedRobot
     """The robot's driver, and its emulator."""
-    sensor: EmulatedSensor
+    sensor: plugins.EmulatedSensor
     """The encoder's driver, and its emulator."""
 
 
@@ -436,7 +414,7 @@ def emulated_rig(
         period: Time between two setpoints [s].
 
     Raises:
-        ArmError: The masses of the arm's links are not known.
+        ArmError: The masses of the arm's links are unknown.
         InputError: The robot has no emulator.
         SettingsError: Twin and rig differ in the counts per revolution.
     """
@@ -458,11 +436,12 @@ def emulated_rig(
     clock.attach(bench.advance)
     sensor = sensors.emulate(bench, clock, settings.counts_per_rev, settings.encoder_sign, seed)
     draining = DrainingClock(clock, sensor.sensor)
-    # Without a link no wait is long enough for samples to pile up, and none is dropped.
+    # Without a link waits are short, so that no samples have to be dropped.
     session = Session(draining if plugin.link_share else clock)
     emulated = plugin.emulate(bench, arm, session, delay, seed)
     clock.attach(emulated.advance)
     clock.attach(sensor.advance)
     operator = EmulatedOperator(bench, clock, seed=seed)
-    rig = _rig(emulated.robot, sensor.sensor, clock, operator, plugin, period, draining)
+    served = _served(emulated.robot, clock, period, draining)
+    rig = Rig(served[0], sensor.sensor, served[1], operator, plugin)
     return EmulatedRig(rig, bench, emulated, sensor)

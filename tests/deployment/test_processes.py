@@ -122,8 +122,8 @@ def move(request, rig, operators, recorder, *, measures, workshop, supervise):
         heart,
         recorder,
         operators[0],
-        longest=10.0,
-        workshop=workshop,
+        max_duration=10.0,
+        executor=workshop,
     )
     return RunResult(
         heart.cause, heart.cause, 0.0, ending.stoppable, None, ending.timing.missed, {}, {}

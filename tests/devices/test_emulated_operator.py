@@ -40,7 +40,7 @@ def test_it_does_with_its_hands_what_an_event_asks_for_and_leaves_others_alone()
     clock.wait_until(2.0)
     assert operator.read_input() == []
     assert done == [2.0]
-    assert [event.name for event in operator.told] == ["armed", "lifting"]
+    assert [event.name for event in operator.messages] == ["armed", "lifting"]
 
 
 def test_answers_come_in_the_order_of_the_questions_that_are_due():

@@ -133,7 +133,7 @@ class Course:
     def run(self):
         return run_loop(
             self.robot, self.sensor, self.clock, self.heart, self.recorder, self.person,
-            **({"longest": 1.0} | self.more),
+            **({"max_duration": 1.0} | self.more),
         )  # fmt: skip
 
     @property
@@ -183,7 +183,7 @@ def test_what_was_read_decided_and_sent_is_in_the_rings():
 
 
 def test_punctual_ticks_are_recorded_as_such_up_to_the_room_there_is():
-    course = Course(Heart(20), longest=0.12)
+    course = Course(Heart(20), max_duration=0.12)
     timing = course.run().timing
     assert timing.missed == 0
     assert len(timing.late) == len(timing.compute) == 12
@@ -323,7 +323,7 @@ def test_whatever_fails_in_a_tick_the_arm_comes_to_rest(what, since):
     if what == "tell":
         course.person.notify = fail
     elif what == "begin":
-        course.more["workshop"] = type("Gone", (InlineExecutor,), {"begin": fail})()
+        course.more["executor"] = type("Gone", (InlineExecutor,), {"begin": fail})()
     else:
         count = iter(range(1000))
 
@@ -409,7 +409,7 @@ def test_a_job_elsewhere_takes_its_time():
             return self.begun.pop()() if self.asked == 4 and self.begun else None
 
     heart = Heart(10, {2: lambda output: output._replace(job=lambda: "done")})
-    Course(heart, workshop=Elsewhere()).run()
+    Course(heart, executor=Elsewhere()).run()
     assert [n for n, (_, inputs) in enumerate(heart.seen) if inputs.result == "done"] == [6]
 
 

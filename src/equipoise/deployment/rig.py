@@ -332,8 +332,8 @@ def run_on_rig(
             around(controller),
             recorder,
             operator,
-            longest=PROLOGUE + request.duration,
-            workshop=workshop,
+            max_duration=PROLOGUE + request.duration,
+            executor=workshop,
             idle=idle,
         )
         if ending.stoppable:

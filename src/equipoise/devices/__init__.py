@@ -1,1 +1,1 @@
-"""What stands on the bench: the digital twin; later the robot and the encoder."""
+"""Devices of a rig: robot, encoder, clock, control loop and digital twin."""

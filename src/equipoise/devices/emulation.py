@@ -52,7 +52,7 @@ class Emulation:
         seed: int = 0,
         say: Callable[[str], None] = ignore,
     ) -> None:
-        """Switch all parts on; no client can connect to the robot before `run`.
+        """Switch all parts on; clients can connect to the robot during `run`.
 
         Args:
             arm: The arm with its home posture.
@@ -116,7 +116,7 @@ class Emulation:
 
         Args:
             host: Address to listen on.
-            port: Port to listen on; 0 lets the system choose one, which then stays.
+            port: Port to listen on; for 0 the system chooses one, which then stays.
             stop: Returns whether to stop; called each millisecond.
             listening: Receives the port, once a client can connect for the first time.
 

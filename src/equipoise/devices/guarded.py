@@ -33,7 +33,7 @@ class GuardedRobot:
         self._ramp: Ramp | None = None
         self._sent = 0  # setpoints of the ramp
         self.held_back: str | None = None
-        """Reason why a setpoint was held back; None while all are sent."""
+        """Reason for holding a setpoint back; None without one."""
 
     @property
     def joints(self) -> int:

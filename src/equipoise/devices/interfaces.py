@@ -33,7 +33,7 @@ class Request(NamedTuple):
 
 @runtime_checkable
 class Clock(Protocol):
-    """The time of a rig."""
+    """Time of a rig."""
 
     def now(self) -> float:
         """Return the time [s]."""
@@ -68,7 +68,7 @@ class ServoedArm(Protocol):
         ...
 
     def start(self) -> None:
-        """Start the servo, which holds the arm where it is. Blocks until it runs.
+        """Start the servo, which holds the arm at its position. Blocks until it runs.
 
         Raises:
             LinkError: The reply is late or invalid.
@@ -82,7 +82,7 @@ class ServoedArm(Protocol):
         """
 
     def close(self) -> None:
-        """Disconnect, as far as the link allows. Never raises, and may be called again."""
+        """Disconnect; a failing link is ignored. Never raises, and may be called again."""
 
 
 @runtime_checkable
@@ -104,7 +104,7 @@ class Robot(ServoedArm, Protocol):
         """
 
     def replies(self) -> list[Reply]:
-        """Take what came since the last call, the oldest first.
+        """Return the replies since the last call, the oldest first.
 
         Raises:
             LinkError: The link is down, or a reply is overdue or invalid.
@@ -114,7 +114,7 @@ class Robot(ServoedArm, Protocol):
 
 @runtime_checkable
 class PacedRobot(ServoedArm, Protocol):
-    """An arm that sets the pace: it asks for each setpoint, every few milliseconds.
+    """An arm that sets the pace: it requests each setpoint, every few milliseconds.
 
     `equipoise.devices.paced.PacedStream` makes a `Robot` of it: ticks stay at 10 ms, and each
     request is answered with a point of a smooth path through the setpoints. The
@@ -122,10 +122,10 @@ class PacedRobot(ServoedArm, Protocol):
     """
 
     def request(self, until: float) -> Request | None:
-        """Block until the robot asks for a setpoint, or until a time [s].
+        """Block until the robot requests a setpoint, or until a time [s].
 
         Returns:
-            The oldest request without an answer; None if there is none at that time.
+            The oldest request without an answer; None without a request at that time.
 
         Raises:
             LinkError: The link is down, or the robot has stopped.
@@ -167,7 +167,7 @@ class AngleSensor(Protocol):
         """
 
     def samples(self) -> list[Sample]:
-        """Take what came since the last call, the oldest first.
+        """Return the samples since the last call, the oldest first.
 
         Raises:
             LinkError: The link is down.

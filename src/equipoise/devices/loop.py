@@ -9,7 +9,7 @@ arm to rest inside the stream; if the handler itself fails, the guard around the
 link to the robot is lost, software cannot stop the arm: the loop reports this at once and returns.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from time import perf_counter
 from typing import Any, Final, NamedTuple, Protocol
@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from equipoise.control.ticks import Job, OperatorMessage, TickHandler, TickInputs, TickOutput
 from equipoise.devices.guarded import GuardedRobot
-from equipoise.devices.interfaces import AngleSensor, Clock, Reply, Sample
+from equipoise.devices.interfaces import AngleSensor, Clock, Sample
 from equipoise.devices.operator import Operator
 from equipoise.errors import LinkError
 from equipoise.logs.recorder import FAILED, PULSE, WORD_TYPED, Recorder, push_event
@@ -80,9 +80,9 @@ class LoopResult(NamedTuple):
     """End of a loop."""
 
     fault: str | None
-    """Fault that ended the loop; None where the tick handler was done."""
+    """Fault that ended the loop; None after a regular end."""
     stoppable: bool
-    """Whether software still commands the arm; otherwise the operator has to stop it."""
+    """Whether software still commands the arm; otherwise the operator must stop it."""
     timing: Timing
     """Timing of the ticks."""
 
@@ -91,32 +91,31 @@ def run_loop(
     robot: GuardedRobot,
     sensor: AngleSensor,
     clock: Clock,
-    heart: TickHandler,
+    handler: TickHandler,
     recorder: Recorder,
     operator: Operator,
     *,
-    longest: float,
-    workshop: Executor | None = None,
+    max_duration: float,
+    executor: Executor | None = None,
     idle: Callable[[], None] = lambda: None,
 ) -> LoopResult:
-    """Run until the tick handler is done or the robot is lost. The servo has to run already.
+    """Run until the tick handler is done or the link to the robot is lost. The servo has to run.
 
     Args:
         robot: The arm, behind its guard.
         sensor: The encoder, connected.
         clock: Clock of both.
-        heart: Tick handler, which decides on the setpoints.
+        handler: Tick handler, which decides on the setpoints.
         recorder: Rings for the log.
         operator: Receives messages and returns input, without blocking.
-        longest: Duration for which the timing is recorded [s].
-        workshop: Executor of longer jobs (default: inline, between two ticks).
+        max_duration: Maximum duration of the recorded timing [s].
+        executor: Executor of longer jobs (default: inline, between two ticks).
         idle: Called once in a tick after its last setpoint, for example to drain the rings in
             virtual time.
     """
-    h = heart.h
-    room = round(longest / h)
-    late, compute = np.zeros(room), np.zeros(room)
-    workshop = InlineExecutor() if workshop is None else workshop
+    h = handler.h
+    late, compute = np.zeros((2, round(max_duration / h)))
+    executor = InlineExecutor() if executor is None else executor
     ticks = missed = 0
     faults: list[str] = []
     sensor_lost = refused = False
@@ -139,22 +138,19 @@ def run_loop(
                 except LinkError as error:
                     sensor_lost = True
                     faults.append(str(error))
-            replies = robot.replies()
-            words = operator.read_input()
-            output = heart.tick(
-                now, TickInputs(samples, replies, words, faults, lateness, workshop.result())
-            )
-            failed, faults = faults, []
+            replies, words = robot.replies(), operator.read_input()
+            inputs = TickInputs(samples, replies, words, faults, lateness, executor.result())
+            output, faults = handler.tick(now, inputs), []
             first, *rest = output.setpoints
             robot.send(first, to_rest=output.to_rest)
             sent, took = clock.now(), perf_counter() - begin
-            if ticks < room:
+            if ticks < len(late):
                 late[ticks], compute[ticks] = lateness, took
             ticks += 1
-            _record(recorder, now, lateness, sent, took, samples, replies, output, robot.last)
-            for name, texts in ((WORD_TYPED, words), (FAILED, failed)):
-                for text in texts:
-                    push_event(recorder.event, now, name, (), text)
+            for sample in samples:
+                recorder.encoder.push(*sample, now)
+            _record(recorder, now, took, inputs, output)
+            recorder.stream.push(sent, robot.last)  # as sent: the guard may have replaced it
             for event in output.events:
                 _notify(recorder, operator, now, event)
             for place, setpoint in enumerate(rest, start=1):
@@ -163,7 +159,7 @@ def run_loop(
                 robot.send(setpoint, to_rest=output.to_rest)
                 recorder.stream.push(moment, robot.last)
             if output.job is not None:
-                workshop.begin(output.job)
+                executor.begin(output.job)
             if robot.held_back is not None and not refused:
                 refused = True
                 faults.append(robot.held_back)
@@ -172,22 +168,20 @@ def run_loop(
             idle()
             deadline += h
     except LinkError as error:
-        # If the guard refused the first setpoint, none was sent, and the arm rests.
+        # The arm rests if the guard refused the first setpoint, since no other was sent.
         fault, stoppable = str(error), robot.held_back is not None and robot.last is None
     except Exception as error:  # after any failure the arm has to come to rest
         fault = f"the controller failed ({type(error).__name__}: {error})"
     if fault is not None:
-        _notify_best_effort(
-            recorder, operator, clock, fault if stoppable else f"{fault}; {CANNOT_STOP}"
-        )
+        text = fault if stoppable else f"{fault}; {CANNOT_STOP}"
+        _notify_best_effort(recorder, operator, clock, text)
     if stoppable and (fault is not None or not robot.at_rest):
         stoppable = _rest(robot, clock, recorder, h / 2.0)
         if not stoppable:
             _notify_best_effort(recorder, operator, clock, CANNOT_STOP)
     recorder.pulse[_TICKS] = 0.0  # no further tick
     idle()
-    timing = Timing(late[: min(ticks, room)], compute[: min(ticks, room)], missed)
-    return LoopResult(fault, stoppable, timing)
+    return LoopResult(fault, stoppable, Timing(late[:ticks], compute[:ticks], missed))
 
 
 CANNOT_STOP: Final = (
@@ -228,38 +222,21 @@ _TIME, _STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("time", "state", "
 
 
 def _record(
-    recorder: Recorder,
-    now: float,
-    lateness: float,
-    sent: float,
-    took: float,
-    samples: Sequence[Sample],
-    replies: Sequence[Reply],
-    output: TickOutput,
-    setpoint: Sequence[float] | None,
+    recorder: Recorder, now: float, took: float, inputs: TickInputs, output: TickOutput
 ) -> None:
     record, unknown = output.record, recorder.unknown
-    for sample in samples:
-        recorder.encoder.push(*sample, now)
-    for reply in replies:
-        recorder.reply.push(
-            reply.received,
-            reply.sent,
-            unknown if reply.q is None else reply.q,
-            unknown if reply.torque is None else reply.torque,
-            now,
-        )
+    for reply in inputs.replies:
+        q = unknown if reply.q is None else reply.q
+        torque = unknown if reply.torque is None else reply.torque
+        recorder.reply.push(reply.received, reply.sent, q, torque, now)
     recorder.tick.push(
-        now,
-        lateness,
-        took,
-        output.state,
+        *(now, inputs.lateness, took, output.state),
         *(record.x, record.x_dot, record.phi, record.phi_dot, record.box, record.u),
-        *(record.estimated_phi, record.estimated_phi_dot, record.bias),
-        output.q,
-        output.dq,
+        *(record.estimated_phi, record.estimated_phi_dot, record.bias, output.q, output.dq),
     )
-    recorder.stream.push(sent, setpoint)  # as sent: the guard may have replaced it
+    for name, texts in ((WORD_TYPED, inputs.words), (FAILED, inputs.faults)):
+        for text in texts:
+            push_event(recorder.event, now, name, (), text)
     pulse = recorder.pulse
     pulse[_TIME], pulse[_STATE], pulse[_PHI] = now, output.state, record.estimated_phi
     pulse[_TICKS] += 1.0

@@ -1,6 +1,6 @@
 r"""A robot that sets the pace, as a `Robot` with setpoints of half a tick.
 
-Such a robot asks for the next setpoint every 1 to 8 ms, on its own clock; ticks last 10 ms and give
+Such a robot requests the next setpoint every 1 to 8 ms, on its own clock; ticks last 10 ms and give
 a setpoint each 5 ms. Each request is answered from a quadratic B-spline over the setpoints
 :math:`q_k`: from the middle of :math:`q_{k-1} q_k` to the middle of :math:`q_k q_{k+1}`, with
 :math:`0 \le s < 1` over one period T,
@@ -10,7 +10,7 @@ a setpoint each 5 ms. Each request is answered from a quadratic B-spline over th
 Its velocity runs linearly from :math:`(q_k - q_{k-1}) / T` to :math:`(q_{k+1} - q_k) / T`, and its
 acceleration is :math:`(q_{k+1} - 2 q_k + q_{k-1}) / T^2`. These are the differences that the guard
 checks (`equipoise.devices.guarded`). While setpoints come in time, no point between them is
-therefore further out, faster or more accelerated than what the guard let pass. The price is a
+therefore further out, faster or more accelerated than the checked setpoints. The price is a
 constant delay of T / 2 + `MARGIN`, which an identification of the arm contains.
 
 Requests are answered while the loop waits for its clock: the stream is the clock of its rig, too.
@@ -26,15 +26,14 @@ from equipoise.devices.setpoints import checked
 from equipoise.errors import LinkError
 
 MARGIN: Final = 0.001
-"""Time by which a setpoint may come late without a change of the path [s]: a tick computes for
-0.3 ms."""
+"""Lateness of a setpoint that does not change the path [s]; a tick computes for 0.3 ms."""
 LATE: Final = 0.5
-"""Share of a period by which a setpoint may come later than that and still bend the part of the
-path that has begun [-]. The path then jumps by at most LATE^2 / 2 of the step to that setpoint. An
-even later one waits for the next part, before which the arm comes to rest."""
+"""Maximum further lateness of a setpoint that still bends the present part of the path, as a share
+of a period [-]. The path then jumps by at most LATE^2 / 2 of the step to that setpoint. A later
+setpoint waits for the next part, before which the arm comes to rest."""
 AHEAD: Final = 8
-"""Largest number of setpoints that may wait for their part of the path: a caller that sends faster
-than it said is refused."""
+"""Maximum number of setpoints that wait for their part of the path; more are refused, since the
+caller sends faster than its period."""
 
 
 class PacedStream:
@@ -47,7 +46,7 @@ class PacedStream:
         period: float = SETPOINT_PERIOD,
         streams: Callable[[bool], None] = lambda _: None,
     ) -> None:
-        """Stand before a robot.
+        """Create the stream of a robot.
 
         Args:
             robot: The robot.
@@ -109,7 +108,7 @@ class PacedStream:
         return self._robot.measured()
 
     def start(self) -> None:
-        """Start the servo, which holds the arm where it is.
+        """Start the servo, which holds the arm at its position.
 
         Raises:
             LinkError: The reply is late or invalid.
@@ -138,7 +137,7 @@ class PacedStream:
         if len(self._ahead) >= AHEAD:
             raise LinkError(
                 f"{AHEAD} setpoints wait for the robot, expected one each "
-                f"{1e3 * self._period:g} ms; it has ceased to ask, or the caller is too fast"
+                f"{1e3 * self._period:g} ms; it no longer asks, or the caller is too fast"
             )
         now = self._clock.now()
         self._advance(now)
@@ -147,7 +146,7 @@ class PacedStream:
             self._knots.extend([self._knots[2]] * 3)
             self._begin = now + MARGIN - self._period
         if self._held and since <= LATE * self._period:
-            self._knots[2], self._held = setpoint, False  # it bends the part that has begun
+            self._knots[2], self._held = setpoint, False  # bends the present part
         else:
             self._ahead.append(setpoint)
         self._sent.append(now)
@@ -181,7 +180,7 @@ class PacedStream:
     # The path.
 
     def _advance(self, time: float) -> None:
-        """Go on to the part of the path that holds at a time [s]."""
+        """Advance to the part of the path at a time [s]."""
         while time >= self._begin + self._period and not (self._held and not self._ahead):
             self._held = not self._ahead
             self._knots.append(self._knots[2] if self._held else self._ahead.popleft())

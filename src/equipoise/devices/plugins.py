@@ -90,7 +90,7 @@ class ServerOptions(NamedTuple):
     attended: bool
     """Whether an emulated operator restarts the robot where a person would."""
     faults: str
-    """Faults of the robot's answers, as the user typed them; empty for none."""
+    """Faults of the robot's replies, as typed by the user; empty without faults."""
     seed: int
     """Seed of random faults."""
 
@@ -110,7 +110,7 @@ class RobotServer(Protocol):
 
         Args:
             host: Address to listen on.
-            port: Port to listen on; 0 lets the system choose one.
+            port: Port to listen on; for 0 the system chooses one.
             stop: Returns whether to stop; to be called each millisecond.
             listening: Receives the port once a client can connect; called once.
 
@@ -149,7 +149,7 @@ class RobotPlugin(NamedTuple):
     )
     """Behaviour of the arm when this computer fails; shown to the operator before each run."""
     restart: str = ""
-    """Instruction to the operator before the robot can be connected again; empty if none."""
+    """Instruction to the operator before the next connection; empty without one."""
 
 
 class SensorPlugin(NamedTuple):

@@ -1,7 +1,7 @@
-"""Settings that let a loop in Python keep its deadlines, where the machine allows them.
+"""Settings of the process with which a loop in Python keeps its deadlines.
 
-Each setting is tried, and its result says whether it was granted. A run without it is possible;
-late ticks are then likelier, and the log says which settings held.
+The result of each setting states whether the machine granted it. A run is possible without; late
+ticks are then likelier. The log contains the results.
 """
 
 import ctypes
@@ -99,7 +99,7 @@ def _denied(
 
 
 def stay_on_core(core: int = -1) -> RealtimeSetting:
-    """Stay on one processor core, whose caches then stay warm.
+    """Pin this thread to one processor core, whose caches stay warm.
 
     Args:
         core: Index of the core among the allowed ones.

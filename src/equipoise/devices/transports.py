@@ -72,7 +72,7 @@ class TcpTransport:
         self._quick = getattr(socket, "TCP_QUICKACK", None)
 
     def write(self, data: bytes) -> None:
-        """Send bytes; a full send buffer counts as a link that is down."""
+        """Send bytes; a full send buffer is an error of the link."""
         try:
             sent = self._socket.send(data)
         except OSError as error:

@@ -6,18 +6,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from equipoise.compiled import handle, kernel
-from equipoise.control.boxes import Boxes, boxes
-from equipoise.control.control_step import (
-    ControllerParams,
-    ControllerState,
-    make_controller_params,
-    new_controller_state,
-)
+from equipoise.control.boxes import boxes
+from equipoise.control.control_step import make_controller_params, new_controller_state
 from equipoise.control.policy import PolicyKernel
 from equipoise.control.trial_safety import TrialSafetyMonitor, new_trial_monitor, trial_safety
 from equipoise.devices.twin.servo_model import make_servo_params
-from equipoise.devices.twin.trial import release, run_trial, step
-from equipoise.devices.twin.twin import Twin, TwinKernel, truth
+from equipoise.devices.twin.trial import TwinTrial, release, run_trial, step
+from equipoise.devices.twin.twin import Twin, truth
 from equipoise.learning.closed_loop import scaled
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import TwinSettings, pivot_friction
@@ -28,15 +23,9 @@ TwinHandle: Any = handle("TwinHandle", __name__, ("twin", "params", "state", "li
 
 
 @kernel
-def new_twin_handle(
-    twin: TwinKernel,
-    params: ControllerParams,
-    state: ControllerState,
-    limits: Boxes,
-    monitor: TrialSafetyMonitor,
-) -> Any:
+def new_twin_handle(trial: TwinTrial) -> Any:
     """Return a closed loop on a twin that kernels take by reference; see `trial.step`."""
-    return TwinHandle(twin, params, state, limits, monitor)
+    return TwinHandle(trial.twin, trial.params, trial.state, trial.limits, trial.monitor)
 
 
 @kernel
@@ -47,7 +36,7 @@ def advance_twin(loop: Any, true_state: Array) -> int:
         loop: The closed loop.
         true_state: Receives x, x_dot, phi, phi_dot in SI units, shape (4,).
     """
-    cause = step(loop.twin, loop.params, loop.state, loop.limits, loop.monitor)
+    cause = step(loop)
     state = truth(loop.twin)
     for i in range(4):
         true_state[i] = state[i]
@@ -108,9 +97,9 @@ class TwinSimulation(Simulation):
             _, _, phi, phi_dot = trial.start
             # The twin owns the memory of the engine and has to outlive the kernel's run.
             twin, state, monitor = self.twin(trial), new_controller_state(), self.monitor()
-            trials.steps[row], trials.cause[row], trials.sum_x2[row] = run_trial(
-                twin.kernel, self.params, state, policy, phi, phi_dot, max_steps, limits, monitor
-            )
+            loop = TwinTrial(twin.kernel, self.params, state, limits, monitor)
+            result = run_trial(loop, policy, phi, phi_dot, max_steps)
+            trials.steps[row], trials.cause[row], trials.sum_x2[row] = result
 
     def pendulum(self, trial: Trial) -> PendulumParameters:
         """Return the pendulum of a trial, with the friction that acts in the twin."""
@@ -144,8 +133,9 @@ class TwinLoop:
         self._twin, self.pendulum = self._simulation.twin(trial), self._simulation.pendulum(trial)
         _, _, phi, phi_dot = trial.start
         twin, params, state = self._twin.kernel, self.params, self.controller
-        release(twin, params, state, self._monitor, phi, phi_dot)
-        self._handle = new_twin_handle(twin, params, state, self._limits, self._monitor)
+        loop = TwinTrial(twin, params, state, self._limits, self._monitor)
+        release(loop, phi, phi_dot)
+        self._handle = new_twin_handle(loop)
         self._state, self.now, self.tracked = np.array(self._twin.truth()), 0.0, 0.0
         self.zero = twin.sensors.zero
 

@@ -177,7 +177,7 @@ class Requests:
     def __init__(self) -> None:
         """Start at the beginning of a line."""
         self._line = 0
-        """Bytes of the current line: 0 none, 1 a question mark, 2 anything else."""
+        """Content of the current line: 0 empty, 1 a question mark, 2 anything else."""
 
     def feed(self, data: bytes) -> int:
         """Add bytes, and return the number of requests that they complete."""

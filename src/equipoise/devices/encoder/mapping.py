@@ -40,7 +40,7 @@ class HostTime:
         """Delay of the newest line beyond the delay of the fastest lines [s]."""
 
     def settle(self, t_us: int, arrival: float) -> None:
-        """Add a line whose time is not used: the estimate falls at once."""
+        """Add a line without using its time: the estimate falls at once."""
         self._advance(t_us)
         self._zero = min(self._zero, arrival - 1e-6 * self._elapsed_us)
 

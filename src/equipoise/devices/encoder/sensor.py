@@ -33,7 +33,7 @@ JITTER: Final = 0.5
 DRIFT: Final = 0.01
 """Additional tolerance, as a share of the time since the line before [-]."""
 MAX_INCONSISTENT: Final = 5
-"""Number of inconsistent lines in a row that is an error; noise causes it with chance 256^-5."""
+"""Number of inconsistent lines in a row that is an error; its probability by noise is 256^-5."""
 SILENCE: Final = 0.5
 """Time without a line after which the link is down [s]; a run stops on stale counts long before."""
 CONNECT_TIMEOUT: Final = 6.0
@@ -42,10 +42,10 @@ CONNECT_TIMEOUT: Final = 6.0
 REQUEST_PERIOD: Final = 0.5
 """Time between two requests for the banner [s]."""
 BANNER_TIME: Final = 1.0
-"""Time after connecting in which a banner may still be a reply, and in which the times of samples
-are not in use [s]; a later banner shows a restart."""
+"""Time after connecting in which a banner may be a late reply and the times of samples are not in
+use [s]; a later banner shows a restart."""
 SETTLING: Final = 0.2
-"""Time for which lines are timed before the first sample is returned [s]; restarts when a line
+"""Duration of the timing of lines before the first sample [s]; restarts when a line
 arrives earlier than those before by more than `POLL_PERIOD`."""
 STILL: Final = 1.0
 """Time of a constant count after which the times of samples are not in use [s]."""
@@ -62,7 +62,7 @@ _RESTARTED: Final = (
 
 
 class LineEncoder:
-    """Encoder whose board sends E-lines: an `AngleSensor`."""
+    """Encoder board that sends E-lines, as an `AngleSensor`."""
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class LineEncoder:
             open_transport: Opens the link to the board, or raises `LinkError`.
             clock: Clock of the rig.
             counts_per_rev: Expected counts per revolution, after x4; a board with another number is
-                refused. None accepts any number.
+                refused; by default any number is accepted.
             sign: 1 if the board's counts grow with theta, -1 if they fall; samples always grow.
             name: Name of the board in messages: its address.
         """
@@ -179,17 +179,17 @@ class LineEncoder:
             clock.wait_until(now + POLL_PERIOD)
         if not received:
             raise LinkError(
-                f"{self._name} said nothing for {CONNECT_TIMEOUT:g} s; check its power and its "
+                f"{self._name} sent nothing for {CONNECT_TIMEOUT:g} s; check its power and its "
                 "address, and that the firmware is on it (firmware/README.md)"
             )
         raise LinkError(
-            f"{self._name} did not say who it is within {CONNECT_TIMEOUT:g} s "
+            f"{self._name} sent no banner within {CONNECT_TIMEOUT:g} s "
             f"({self._decoder.rejected} lines could not be read); expected E-lines: check the "
             "baud rate, the wires, and that it is the encoder's board"
         )
 
     def _settle(self, transport: Transport) -> None:
-        """Time the received lines until they are consistent; none is returned as a sample yet."""
+        """Time the received lines until they are consistent, without returning samples."""
         clock = self._clock
         until, ready = clock.now() + CONNECT_TIMEOUT, 0.0
         while (now := clock.now()) < until:
@@ -216,7 +216,7 @@ class LineEncoder:
                 return
             clock.wait_until(now + POLL_PERIOD)
         raise LinkError(
-            f"{self._name} says who it is but sends no steady counts; check its firmware, and that "
+            f"{self._name} sends a banner but no steady counts; check its firmware, and that "
             f"the link is fast enough for {self.banner.rate_hz} lines per second"
         )
 
@@ -253,8 +253,8 @@ class LineEncoder:
                 raise self._fail(f"introduced itself unasked: {_RESTARTED}")
         if now > self._received + SILENCE:
             raise self._fail(
-                f"sent no valid line for {SILENCE:g} s ({self._decoder.rejected} damaged since the "
-                "connection was made); check its power, its cable and the baud rate"
+                f"sent no line that is valid for {SILENCE:g} s ({self._decoder.rejected} damaged "
+                "since connecting); check its power, its cable and the baud rate"
             )
         return samples
 

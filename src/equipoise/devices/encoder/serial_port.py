@@ -30,7 +30,7 @@ class SerialTransport:
         """Take over an open port.
 
         Args:
-            port: Port whose timeouts are zero, so that it does not block.
+            port: Port with zero timeouts, so that it does not block.
             name: Name in messages.
         """
         self._port, self._name = port, name

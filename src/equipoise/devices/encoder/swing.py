@@ -85,7 +85,7 @@ class SwingRecorder:
         self.missing = 0
         """Number of samples missing in the recording."""
         self.hint = ""
-        """Reason why the last attempt was rejected; empty if none was."""
+        """Reason for rejecting the last attempt; empty without one."""
 
     @property
     def amplitude(self) -> float:

@@ -25,7 +25,7 @@ from equipoise.errors import InputError, OutsideError
 PERIOD: Final = 0.001
 """Period of the service loop [s]."""
 RESTART: Final = 1.0
-"""Time that the emulated operator takes to start the server again [s]."""
+"""Time in which the emulated operator restarts the server [s]."""
 NOTICED: Final = 10.0
 """Time after which the emulated operator notices a vanished client [s]."""
 MAX_FAULTS: Final = {"delay": 10.0, "jitter": 10.0, "drop": 1.0, "refuse": 1.0}
@@ -72,7 +72,7 @@ class KstListener:
 
         Args:
             host: Address to listen on.
-            port: Port to listen on; 0 lets the system choose one, which then stays.
+            port: Port to listen on; for 0 the system chooses one, which then stays.
             stop: Returns whether to stop; called each millisecond.
             listening: Receives the port, once a client can connect for the first time.
 
@@ -120,7 +120,7 @@ class KstListener:
             return
         if self._vanished is None:
             self._vanished = now
-            options.say("the client has vanished; its servo, if any, goes on")
+            options.say("the client has vanished; a running servo continues")
         elif options.attended and now > self._vanished + NOTICED:
             self._restart.set()
 

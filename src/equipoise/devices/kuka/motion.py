@@ -31,7 +31,7 @@ REACHED: Final = 1e-3
 """Maximum distance of a joint from the end of a finished motion [rad]: the servo's shaping takes a
 third of a second for the last milliradian."""
 SERVO_TIMEOUT: Final = 0.5
-"""Time after the end of its path for which a motion waits for the arm [s]."""
+"""Timeout of the arm after the end of the path [s]."""
 SAG: Final = 5e-3
 """Maximum distance of a resting joint from the end of a successful motion [rad]: drives without
 load data and integral term hold an arm a few milliradians lower."""
@@ -57,7 +57,7 @@ class ArmBody(Protocol):
         ...
 
     def servo(self, running: bool) -> None:
-        """Start the servo, which holds the arm where it is, or stop it."""
+        """Start the servo, which holds the arm at its position, or stop it."""
 
     def target(self, q: Sequence[float]) -> None:
         """Set the servo's target [rad]; NaN if a client sent it."""

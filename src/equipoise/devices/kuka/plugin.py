@@ -59,7 +59,7 @@ def emulate(
     host, cabinet = memory_pipe(session.clock, delay)
 
     def advance(now: float) -> None:
-        with suppress(LinkError):  # a closed link gets no answer; the servo goes on
+        with suppress(LinkError):  # a closed link gets no reply; the servo continues
             server.feed(cabinet.read(), now)
         for segment in server.advance(now):
             with suppress(LinkError):

@@ -46,8 +46,8 @@ MAX_JOINT_SPEED: Final = 4.0
 JOINT_NOISE: Final = 0.05
 """Upper bound of the difference between two measurements read at once [rad]."""
 SERVER_TIMEOUT: Final = 60.0
-"""Time for which the server waits for its client after its start on the smartPAD, and for which
-`connect` waits for the operator to start it [s]."""
+"""Timeout of the server from its start on the smartPAD to its client, and of `connect` to that
+start [s]."""
 RETRY_PERIOD: Final = 1.0
 """Time between two attempts to connect [s]."""
 AFTER_CONNECT: Final = 1.0
@@ -153,7 +153,7 @@ class KstRobot:
         return np.array(self._numbers(codec.GET_JOINTS))
 
     def start(self) -> None:
-        """Start the joint servo, which holds the arm where it is.
+        """Start the joint servo, which holds the arm at its position.
 
         Raises:
             LinkError: A reply is late or invalid.

@@ -3,23 +3,23 @@
 It perceives a run in one of two ways, and the owner connects one of them:
 
 Messages
-    In the same process the run notifies it. It answers each message that asks for something after
-    a reaction time: with the first expected answer, and with the hand.
-Eyes
-    Behind the wires of a real rig there is no screen. `look` runs each millisecond and acts on the
-    motion of arm and pendulum:
+    The run in the same process sends messages. The operator reacts to each request after a reaction
+    time, with the first expected answer and with the hand.
+Sight
+    The operator has no screen behind the wires of a real rig. `look` runs each millisecond and acts
+    on the motion of arm and pendulum:
 
-    1. The arm rests at home and the pendulum hangs still: press the button, repeatedly. A pendulum
-       that swings there is stopped by hand first.
-    2. The arm moves: the self-test. Once the arm has rested for its length, lift the pendulum, from
-       either side, hold it upright, let go.
-    3. The arm moves: it balances; keep the hand off. Once the pendulum has fallen and the arm
-       rests, bring it to hang, and begin again. Where neither moves, dry friction holds the
+    1. The arm rests at home and the pendulum hangs still: press the button, repeatedly. Stop a
+       swinging pendulum by hand first.
+    2. The arm moves for the self-test. After the arm has rested for the length of the test, lift
+       the pendulum from either side, hold it upright and release it.
+    3. The arm moves to balance; keep the hand off. After the pendulum has fallen and the arm rests,
+       bring the pendulum to hang and begin again. If neither moves, dry friction holds the
        pendulum: nudge it.
     4. The arm does not move: lift once more, then begin again.
 
-Both are kept: eyes wait until motion has visibly ended, which messages make unnecessary, so that
-acting by sight alone would change the time, and the random draws, of every run that is notified.
+Acting on sight waits until motion has visibly ended, which messages make unnecessary. Both ways are
+kept because sight alone would change the time and the random draws of all runs with messages.
 Equal seeds and equal perceptions at equal times give equal acts.
 """
 
@@ -32,13 +32,14 @@ import numpy as np
 
 from equipoise.control.ticks import OperatorMessage
 from equipoise.devices.interfaces import Clock
+from equipoise.devices.plugins import ignore
 from equipoise.devices.twin.physics import TICK
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 
 REACTION_TIME: Final = (0.3, 1.0)
 """Minimum and maximum reaction time [s]. Assumed."""
 NUDGE_RATE: Final = 0.1
-"""Change of rate of a pendulum that is nudged [rad/s]."""
+"""Change of the pendulum's rate by a nudge [rad/s]."""
 LOOK_TICKS: Final = 10
 """Time between two looks [ms]."""
 HOME_TOLERANCE: Final = radians(1.0)
@@ -60,14 +61,14 @@ MAX_SWING_TIME: Final = 4.0
 SWING_OUT_TIME: Final = 8.0
 """Rest of the arm after which the self-test is over [s]; it watches the swing for 4 s."""
 STEADY_TIME: Final = 1.0
-"""Time for which a pendulum is kept hanging before it is let go [s]."""
+"""Time for which the hand keeps a pendulum hanging before it releases it [s]."""
 STAND_TIME: Final = 3.0
 """Time after which a pendulum above a resting arm stands by itself [s]; a fall takes less than 2 s
 from where friction just releases it."""
 FALLEN_ANGLE: Final = radians(45.0)
 """Angle from upright of a fallen pendulum [rad]."""
 LAID_DOWN_TIME: Final = 2.0
-"""Time for which a fallen pendulum is left alone [s]."""
+"""Time between a fall and the next grip [s]."""
 MAX_LIFTS: Final = 2
 """Number of lifts for an arm that does not move."""
 
@@ -96,23 +97,23 @@ class EmulatedOperator:
         clumsy: float = 0.0,
         seed: int = 0,
         swing_out_time: float = SWING_OUT_TIME,
-        say: Callable[[str], None] = lambda _: None,
+        say: Callable[[str], None] = ignore,
     ) -> None:
         """Stand at a simulated rig, idle.
 
         Args:
             bench: The rig; its own seed draws how the hand acts.
             clock: Time of the messages.
-            clumsy: Probability that the pendulum is let go with a push or a drag.
+            clumsy: Probability of a release with a push or a drag.
             seed: Seed of the reaction times.
             swing_out_time: Rest of the arm after which the self-test is over [s].
             say: Receives each act on sight, in words.
         """
         self._bench, self._clock, self._clumsy, self._say = bench, clock, clumsy, say
         self._random = np.random.default_rng(seed)
-        self._plans: list[tuple[float, str, Callable[[], object] | None]] = []
-        self.told: list[OperatorMessage] = []
-        """Messages so far."""
+        self._plans: list[tuple[float, str, Callable[[], object]]] = []
+        self.messages: list[OperatorMessage] = []
+        """Messages received."""
         self.ignored: frozenset[str] = frozenset()
         """Names of messages that the operator misses."""
         self.acts: dict[str, Callable[[], object]] = {
@@ -124,8 +125,7 @@ class EmulatedOperator:
             "disarmed": self._lift,
         }
         """Act of the hand for each message that asks for one, by its name."""
-        self._swing_out_time = swing_out_time
-        self._home = bench.twin.kernel.home
+        self._swing_out_time, self._home = swing_out_time, bench.twin.kernel.home
         self._since = self._rested = self._calm = bench.now
         self._from = self._holding = 0.0
         self._lifts = self._looks = 0
@@ -139,20 +139,19 @@ class EmulatedOperator:
         """Receive a message, and plan the answer to it."""
         if event.name in self.ignored:
             return
-        self.told.append(event)
-        act = self.acts.get(event.name)
-        if act is not None or event.answers:
+        self.messages.append(event)
+        if event.name in self.acts or event.answers:
             moment = self._clock.now() + float(self._random.uniform(*REACTION_TIME))
-            self._plans.append((moment, event.answers[0] if event.answers else "", act))
+            word, act = next(iter(event.answers), ""), self.acts.get(event.name, ignore)
+            self._plans.append((moment, word, act))
 
     def read_input(self) -> list[str]:
-        """Do the acts that are due, and return the words that are typed by now."""
+        """Carry out the acts that are due, and return the words typed by now."""
         now = self._clock.now()
         due = [plan for plan in self._plans if plan[0] <= now]
         self._plans = [plan for plan in self._plans if plan[0] > now]
         for _, _, act in due:
-            if act is not None:
-                act()
+            act()
         return [word for _, word, _ in due if word]
 
     # The hand.
@@ -221,9 +220,8 @@ class EmulatedOperator:
                     self._begin(OperatorActivity.RELEASED, "lets go")
             case OperatorActivity.RELEASED:
                 if abs(truth.phi) > FALLEN_ANGLE:
-                    self._begin(
-                        OperatorActivity.FALLEN, f"sees it fall after {spent:.1f} s", keep=True
-                    )
+                    said = f"sees it fall after {spent:.1f} s"
+                    self._begin(OperatorActivity.FALLEN, said, keep=True)
                 elif min(spent, now - self._rested) > STAND_TIME:
                     self._nudge()
                     self._begin(OperatorActivity.RELEASED, "nudges it: it stands by itself")
@@ -244,7 +242,7 @@ class EmulatedOperator:
         self._begin(OperatorActivity.STEADYING, said)
 
     def _begin(self, doing: OperatorActivity, said: str = "", *, keep: bool = False) -> None:
-        """Change the activity, and remember where the arm is, unless that is to be kept."""
+        """Change the activity; store the position of the arm unless `keep` is set."""
         self.doing = doing
         self._since = self._bench.now
         if not keep:

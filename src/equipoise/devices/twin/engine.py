@@ -18,12 +18,12 @@ from equipoise.model.physics_engine import mujoco
 
 
 class Engine(NamedTuple):
-    """Addresses of `void (mjModel *, mjData *)` functions and of what they work on."""
+    """Addresses of MuJoCo's step functions, and of their model and data."""
 
     before: int
-    """`mj_step1`: all that follows from positions and velocities."""
+    """`mj_step1`: the quantities that depend on positions and velocities."""
     after: int
-    """`mj_step2`: accelerations under the forces that were set in between, and their effect."""
+    """`mj_step2`: the accelerations under the applied forces, and the integration."""
     model: int
     """The model."""
     data: int
@@ -44,7 +44,7 @@ def engine(model: Any, data: Any) -> Engine:
 def _library() -> ctypes.CDLL:
     """Return the library that MuJoCo's own Python module has loaded."""
     mujoco()  # loads it
-    if sys.platform == "win32":  # where a module does not offer what it was linked with
+    if sys.platform == "win32":  # modules there do not export the symbols of their libraries
         return ctypes.CDLL("mujoco.dll")
     return ctypes.CDLL(importlib.import_module("mujoco._functions").__file__)
 

@@ -1,13 +1,14 @@
 r"""Model of the operator's hand on the pendulum: grip, lift, hold with a tremor, release.
 
-The hand follows its intended angle phi_h(t) exactly, and pulls the rod as a stiff spring and damper
+The hand follows its intended angle phi_h(t) exactly, and acts on the rod as a stiff spring and
+damper
 
 .. math:: \tau = s\, I\,(\omega^2 (\varphi_h - \varphi) + 2 \omega (\dot\varphi_h - \dot\varphi))
 
 within the force of a hand; s falls from 1 to 0 while the fingers open. Angles are phi, from
-upright, relative to the flange, and go on beyond a turn. A hand that holds trembles: sines of 4 to
-10 Hz, and a slow drift. How it holds and lets go, its `HandParams`, is drawn from a generator:
-equal generators give equal hands.
+upright, relative to the flange, and are not wrapped. A holding hand has a tremor: sines of 4 to
+10 Hz and a slow drift. Its `HandParams` are drawn from a generator; equal generators give equal
+hands.
 """
 
 from math import cos, pi, radians, sqrt
@@ -37,16 +38,16 @@ DRIFT: Final = (radians(0.1), radians(1.0))
 LIFTING: Final = (1.5, 3.0)
 """Minimum and maximum time from hanging to upright [s]."""
 HOLDING: Final = (2.0, 20.0)
-"""Minimum and maximum time for which the pendulum is held upright [s]."""
+"""Minimum and maximum duration of the hold upright [s]."""
 OPENING: Final = (0.005, 0.030)
-"""Minimum and maximum time in which fingers open [s]."""
+"""Minimum and maximum opening time of the fingers [s]."""
 DRAG_OPENING: Final = (0.05, 0.4)
-"""Minimum and maximum time in which dragging fingers open [s]."""
+"""Minimum and maximum opening time of dragging fingers [s]."""
 PUSH: Final = (radians(5.0), radians(40.0))
 """Minimum and maximum change of rate by a push [rad/s]; after the largest, 40/8.4 deg ahead, the
 pendulum could still be caught."""
 PUSH_TIME: Final = 0.05
-"""Length of a push [s]."""
+"""Duration of a push [s]."""
 
 
 class HandParams(NamedTuple):
@@ -57,7 +58,7 @@ class HandParams(NamedTuple):
     lifting: float
     """Time from hanging to upright [s]."""
     holding: float
-    """Time for which the pendulum is held upright [s]."""
+    """Duration of the hold upright [s]."""
     frequency: Array
     """Angular frequencies of tremor and drift [rad/s], shape (TONES + 2,)."""
     amplitude: Array
@@ -65,7 +66,7 @@ class HandParams(NamedTuple):
     phase: Array
     """Their phases [rad], likewise."""
     opening: float
-    """Time in which the fingers open [s]."""
+    """Opening time of the fingers [s]."""
     push: float
     """Change of rate at the release [rad/s]; zero for a clean one."""
 
@@ -76,11 +77,8 @@ class HandParams(NamedTuple):
 
     def tremble(self, time: float) -> tuple[float, float]:
         """Return the tremor of the hand [rad], and its rate [rad/s]."""
-        angle = self.frequency * time + self.phase
-        return (
-            float(self.amplitude @ np.sin(angle)),
-            float((self.amplitude * self.frequency) @ np.cos(angle)),
-        )
+        angle, speed = self.frequency * time + self.phase, self.amplitude * self.frequency
+        return float(self.amplitude @ np.sin(angle)), float(speed @ np.cos(angle))
 
 
 def draw_hand_params(
@@ -90,10 +88,11 @@ def draw_hand_params(
 
     Args:
         random: The generator.
-        side: Where the pendulum is lifted; either if not given.
+        side: Side of the lift (default: drawn).
         clumsy: Probability of a push or a drag at the release.
     """
-    tremor = random.uniform(*TREMOR) * _shares(random, TONES) * sqrt(2.0)
+    size, weights = random.uniform(*TREMOR), random.uniform(0.5, 1.0, TONES)
+    tremor = size * (weights / np.linalg.norm(weights)) * sqrt(2.0)
     drift = random.uniform(*DRIFT) * np.array([0.6, 0.4])
     either: Side = "front" if random.random() < 0.5 else "back"
     kind = random.random()
@@ -112,12 +111,6 @@ def draw_hand_params(
     )
 
 
-def _shares(random: np.random.Generator, n: int) -> Array:
-    """Return positive numbers whose squares sum to one."""
-    weights = random.uniform(0.5, 1.0, n)
-    return weights / np.linalg.norm(weights)
-
-
 class Hand:
     """Hand at the pendulum, over time."""
 
@@ -125,14 +118,12 @@ class Hand:
         """Start without contact.
 
         Args:
-            inertia: I of the pendulum about its spindle [kg m^2].
-            reach: From the spindle to where it is gripped [m].
+            inertia: Moment of inertia of the pendulum about its spindle [kg m^2].
+            reach: Distance from the spindle to the grip [m].
         """
-        self._inertia = inertia
-        self._most = FORCE * reach
+        self._inertia, self._most = inertia, FORCE * reach
         self._manner: HandParams | None = None
-        self._begin = self._duration = 0.0
-        self._from = self._to = 0.0
+        self._begin = self._duration = self._from = self._to = 0.0
         self._opens: float | None = None
         self._pushes: list[tuple[float, float]] = []
 
@@ -143,11 +134,11 @@ class Hand:
 
     @property
     def idle(self) -> bool:
-        """Whether it neither touches the pendulum nor is about to push it."""
+        """Whether the hand neither touches nor pushes the pendulum."""
         return self._manner is None and not self._pushes
 
     def arrives(self) -> float:
-        """Return the time at which the pendulum arrives [s]."""
+        """Return the time at which the hand reaches its goal [s]."""
         return self._begin + self._duration
 
     def lift(self, now: float, phi: float, manner: HandParams) -> None:
@@ -155,28 +146,28 @@ class Hand:
 
         Args:
             now: The time [s].
-            phi: Where it is, relative to the flange, beyond a turn where it went there [rad].
-            manner: How.
+            phi: Angle of the pendulum relative to the flange, not wrapped [rad].
+            manner: Parameters of the hand.
         """
         turns = np.floor(phi / (2.0 * pi)) if manner.side == "front" else np.ceil(phi / (2.0 * pi))
-        self._grip(now, phi, 2.0 * pi * float(turns), manner.lifting, manner)
+        self._grip(now, phi, 2.0 * pi * float(turns), manner)
 
     def steady(self, now: float, phi: float, manner: HandParams) -> None:
-        """Grip the pendulum and bring it to where it hangs, on the shorter way."""
+        """Grip the pendulum and bring it to hang, by the shorter way."""
         still = manner._replace(amplitude=np.zeros_like(manner.amplitude), push=0.0)
-        self._grip(now, phi, _hanging(phi), manner.lifting, still)
+        self._grip(now, phi, _hanging(phi), still)
 
     def hold_deflected(self, now: float, phi: float, height: float, manner: HandParams) -> None:
-        """Grip the pendulum and hold it aside, for a free swing.
+        """Grip the pendulum and hold it deflected, for a free swing.
 
         Args:
             now: The time [s].
-            phi: Where it is, relative to the flange [rad].
-            height: How far from where it hangs it is held [rad].
-            manner: How, and on which side.
+            phi: Angle of the pendulum relative to the flange [rad].
+            height: Deflection from hanging [rad].
+            manner: Parameters of the hand, with the side.
         """
         to = _hanging(phi) + (height if manner.side == "back" else -height)
-        self._grip(now, phi, to, manner.lifting, manner)
+        self._grip(now, phi, to, manner)
 
     def release(self, now: float) -> None:
         """Release the pendulum, with the parameters of this hold."""
@@ -200,9 +191,8 @@ class Hand:
         """
         pull = 0.0
         if self._manner is not None:
-            share = 1.0
-            if self._opens is not None:
-                share = 1.0 - (now - self._opens) / self._manner.opening
+            opens = now if self._opens is None else self._opens
+            share = 1.0 - (now - opens) / self._manner.opening
             if share <= 0.0:
                 self._manner = self._opens = None
             else:
@@ -215,9 +205,9 @@ class Hand:
                 pull += rate / PUSH_TIME * (1.0 - cos(2.0 * pi * share))
         return min(max(self._inertia * pull, -self._most), self._most)
 
-    def _grip(self, now: float, phi: float, to: float, duration: float, manner: HandParams) -> None:
+    def _grip(self, now: float, phi: float, to: float, manner: HandParams) -> None:
         self._manner, self._opens = manner, None
-        self._begin, self._duration = now, duration
+        self._begin, self._duration = now, manner.lifting
         self._from, self._to = phi, to
 
     def _place(self, now: float, manner: HandParams) -> tuple[float, float]:
@@ -227,10 +217,8 @@ class Hand:
         speed = 30.0 * s**2 * (1.0 - s) ** 2 / self._duration
         off, off_dot = manner.tremble(now - self._begin)
         distance = self._to - self._from
-        return (
-            self._from + distance * way + way * off,
-            distance * speed + speed * off + way * off_dot,
-        )
+        rate = distance * speed + speed * off + way * off_dot
+        return self._from + distance * way + way * off, rate
 
 
 def _hanging(phi: float) -> float:

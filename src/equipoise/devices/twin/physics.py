@@ -2,7 +2,7 @@
 
 The geometry of `equipoise.model.arms.scene` with the masses of the robot. The arm's own gravity is
 balanced, as by its drives; that of bracket and pendulum is not. The pendulum is a uniform rod, and
-its free swing decides its length::
+its free swing determines its length::
 
     l = 3 g / (4 w2)      I = m g l / w2
 
@@ -24,20 +24,20 @@ from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import GRAVITY
 
 TICK: Final = 1e-3
-"""The twin's smallest time: the cycle of the joint drives [s]."""
+"""Time step of the twin: the cycle of the joint drives [s]."""
 DRY_TIME: Final = 0.002
 """Time constant with which dry friction stops the pendulum [s]; the least that MuJoCo takes for
-steps of a millisecond. Its default of 20 ms lets a pendulum creep that ought to stick."""
+steps of a millisecond. With its default of 20 ms a sticking pendulum creeps."""
 END_TIME: Final = 0.005
-"""Time constant with which the end of a joint's range stops it [s]; MuJoCo's default of 20 ms lets
-a joint at full speed run 3 degrees beyond."""
+"""Time constant with which the end of a joint's range stops it [s]; with MuJoCo's default of 20 ms
+a joint at full speed overshoots by 3 degrees."""
 DRY_SHARE: Final = 0.999
-"""How far dry friction is a hard constraint, in MuJoCo's sense; its default is 0.9."""
+"""Impedance of dry friction as a constraint of MuJoCo [-]; its default is 0.9."""
 TOLERANCE: Final = 1e-14
-"""Where the solver stops. MuJoCo's 1e-8 is relative to the inertia of the whole arm; dry friction
-of a pendulum of 0.15 kg can be less than that, and would be lost."""
-MEMORY: Final = 1 << 20
-"""Room for the solver [bytes]; a chain without contacts needs little."""
+"""Tolerance of the solver. MuJoCo's 1e-8 is relative to the inertia of the whole arm; the dry
+friction of a pendulum of 0.15 kg can be smaller and would be lost."""
+SOLVER_BYTES: Final = 1 << 20
+"""Memory of the solver [bytes]; a chain without contacts needs little."""
 
 
 def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any:
@@ -60,12 +60,8 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
     if settings.bracket_mass > 0.0:
         _weigh(spec.body("flange"), _bar(settings.bracket_mass, np.array(arm.pivot)))
     across, along = I - m * l**2, 0.5 * m * SIZES.rod**2
-    rod = Inertial(
-        name="pendulum",
-        mass=m,
-        com=(0.0, 0.0, l),
-        inertia=(across, 0.0, 0.0, across, 0.0, along),
-    )
+    inertia = (across, 0.0, 0.0, across, 0.0, along)
+    rod = Inertial(name="pendulum", mass=m, com=(0.0, 0.0, l), inertia=inertia)
     _weigh(spec.body("pendulum"), rod)
 
     phi = spec.joint("phi")
@@ -81,7 +77,7 @@ def pivot(arm: Arm, outward: float) -> Triple:
     """Return the pendulum's pivot in the flange frame [m], at a distance from the last axis.
 
     Args:
-        arm: The arm; the side and the height of its own pivot are kept.
+        arm: The arm, which gives the side and the height of the pivot.
         outward: Distance along the spindle, which lies along base y at home [m].
     """
     spindle = arm.pose(arm.home_free).rotation[1]
@@ -91,7 +87,7 @@ def pivot(arm: Arm, outward: float) -> Triple:
 
 
 def build_bare(arm: Arm, rotor_inertia: float) -> Any:
-    """Return the MuJoCo model of the bare arm, as its controller knows it.
+    """Return the MuJoCo model of the bare arm, the model of its drives.
 
     Args:
         arm: The arm.
@@ -124,15 +120,15 @@ def mass_matrix(arm: Arm, rotor_inertia: float) -> Floats:
 
 
 def _weighed(arm: Arm, sizes: Sizes, rotor_inertia: float) -> Any:
-    """Return the drawing with the arm's own masses."""
+    """Return the scene with the masses of the arm's links."""
     mj = mujoco()
     spec = scene(arm, sizes=sizes)
-    spec.memory = MEMORY
+    spec.memory = SOLVER_BYTES
     spec.compiler.boundmass, spec.compiler.boundinertia = 0.0, 0.0
     spec.option.tolerance = TOLERANCE
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     off = mj.mjtDisableBit
-    # A state that explodes shall be seen, not reset; the pendulum's damping needs no implicit step.
+    # A diverging state must be visible, not reset; the pendulum's damping needs no implicit step.
     for feature in ("CONTACT", "ISLAND", "EULERDAMP", "AUTORESET"):
         spec.option.disableflags |= int(getattr(off, f"mjDSBL_{feature}"))
     for geom in spec.geoms:

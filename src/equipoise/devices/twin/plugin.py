@@ -2,15 +2,8 @@
 
 from typing import Final
 
+from equipoise.devices import plugins
 from equipoise.devices.interfaces import Clock
-from equipoise.devices.plugins import (
-    EmulatedRobot,
-    EmulatedSensor,
-    RobotPlugin,
-    SensorPlugin,
-    Session,
-    robot_plugin,
-)
 from equipoise.devices.twin.robot import TwinEncoder, TwinRobot
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.errors import InputError
@@ -18,15 +11,6 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.sim_configs import PREFIX, read_world
 
 FORM: Final = f"{PREFIX}nominal"
-
-
-def check_robot(address: str) -> None:
-    """Check that there is a twin of that name.
-
-    Raises:
-        SettingsError: There is none.
-    """
-    read_world(address)
 
 
 def check_sensor(address: str) -> None:
@@ -39,32 +23,28 @@ def check_sensor(address: str) -> None:
 
 
 def emulate_robot(
-    rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int
-) -> EmulatedRobot:
+    rig: SimulatedRig, arm: Arm, session: plugins.Session, delay: float, seed: int
+) -> plugins.EmulatedRobot:
     """Return the arm of a simulated rig as a robot without a link."""
-    return EmulatedRobot(TwinRobot(rig, session.clock))
+    return plugins.EmulatedRobot(TwinRobot(rig, session.clock))
 
 
 def emulate_sensor(
     rig: SimulatedRig, clock: Clock, counts_per_rev: int, sign: int, seed: int
-) -> EmulatedSensor:
+) -> plugins.EmulatedSensor:
     """Return the spindle of a simulated rig as a sensor without a link."""
-    return EmulatedSensor(TwinEncoder(rig, clock))
+    return plugins.EmulatedSensor(TwinEncoder(rig, clock))
 
 
 def flange_speed(arm: Arm, period: float) -> float:
     """Return the speed limit [m/s] of the cabinet that the twin models, KUKA's with KST."""
-    rule = robot_plugin("kst").flange_speed
+    rule = plugins.robot_plugin("kst").flange_speed
     return float("inf") if rule is None else rule(arm, period)
 
 
-ROBOT: Final = RobotPlugin(
-    form=FORM,
-    check=check_robot,
-    emulate=emulate_robot,
-    link_share=0.0,
-    flange_speed=flange_speed,
+ROBOT: Final = plugins.RobotPlugin(
+    form=FORM, check=read_world, emulate=emulate_robot, link_share=0.0, flange_speed=flange_speed
 )
 """Registered as `twin`."""
-SENSOR: Final = SensorPlugin(form=FORM, check=check_sensor, emulate=emulate_sensor)
+SENSOR: Final = plugins.SensorPlugin(form=FORM, check=check_sensor, emulate=emulate_sensor)
 """Registered as `twin`."""

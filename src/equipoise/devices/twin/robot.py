@@ -40,19 +40,15 @@ class TwinRobot:
             bench: Simulated rig, which `clock` drives.
             clock: Clock of the rig.
         """
-        self._bench = bench
-        self._clock = clock
+        self.joints = bench.joints
+        """Number of joints, the held one included."""
+        self._bench, self._clock = bench, clock
         self._reply_age = bench.settings.reply_age
         self._asked: deque[tuple[float, bool]] = deque()
         self._replies: deque[Reply] = deque()
         self._connected = self._streams = False
         self._sent = 0
         bench.watch(self._answer)
-
-    @property
-    def joints(self) -> int:
-        """Number of joints, the held one included."""
-        return self._bench.joints
 
     def connect(self) -> None:
         """Connect."""
@@ -69,7 +65,7 @@ class TwinRobot:
         return np.array(self._bench.body.measured())
 
     def start(self) -> None:
-        """Start the servo, which holds the arm where it is.
+        """Start the servo, which holds the arm at its position.
 
         Raises:
             LinkError: The device is not connected, or the arm is stopped.
@@ -89,7 +85,7 @@ class TwinRobot:
             q: The joints [rad], shape (joints,).
 
         Raises:
-            LinkError: No servo was started.
+            LinkError: No servo runs.
             InputError: The setpoint is not one finite number per joint; nothing was sent.
         """
         setpoint = checked(q, self.joints)
@@ -99,7 +95,7 @@ class TwinRobot:
         self._asked.append((self._clock.now(), self._sent % TORQUE_EVERY == 0))
 
     def replies(self) -> list[Reply]:
-        """Take what came since the last call, the oldest first.
+        """Return the replies since the last call, the oldest first.
 
         Raises:
             LinkError: The device is not connected.
@@ -132,15 +128,9 @@ class TwinRobot:
         now = self._bench.now
         while self._asked and self._asked[0][0] + 0.5 * self._reply_age <= now + ROUNDING:
             sent, torque = self._asked.popleft()
-            body = self._bench.body
-            self._replies.append(
-                Reply(
-                    sent=sent,
-                    received=max(sent + self._reply_age, now),
-                    q=None if torque else body.measured(),
-                    torque=body.torques(external=True) if torque else None,
-                )
-            )
+            body, received = self._bench.body, max(sent + self._reply_age, now)
+            q, torques = (None, body.torques(external=True)) if torque else (body.measured(), None)
+            self._replies.append(Reply(sent, received, q, torques))
 
     def _check(self, good: bool, otherwise: str) -> None:
         if not good:
@@ -150,45 +140,28 @@ class TwinRobot:
 class TwinEncoder:
     """Encoder of a simulated rig as an `AngleSensor`; its zero is the pendulum's current angle."""
 
-    def __init__(
-        self, bench: SimulatedRig, clock: Clock, *, sign: int = 1, factor: float = 1.0
-    ) -> None:
+    def __init__(self, bench: SimulatedRig, clock: Clock) -> None:
         """Switch the encoder on.
 
         Args:
             bench: Simulated rig, which `clock` drives.
             clock: Clock of the rig.
-            sign: 1 if counts grow with theta, -1 if they fall: a fault.
-            factor: Ratio of actual to nominal counts per revolution; other than 1 is a fault.
         """
-        self._bench = bench
-        self._clock = clock
-        self._sign = float(sign)
-        self._per_rev = bench.settings.counts_per_rev * factor
+        self.counts_per_rev = bench.settings.counts_per_rev
+        """Counts per revolution, after x4."""
+        self.description = f"the twin's encoder: {self.counts_per_rev} counts per revolution"
+        """Name of the device and its counts."""
+        self.rejected = 0
+        """Number of damaged readings: zero without a link."""
+        self._bench, self._clock = bench, clock
         self._age = ceil(bench.settings.encoder_age / TICK - ROUNDING) * TICK
         self._jitter = bench.settings.encoder_jitter
         self._random = np.random.default_rng([bench.seed, 1])
         self._samples: deque[tuple[float, Sample]] = deque()
         self._missing = 0
-        self._down = False
-        self._connected = False
+        self._down = self._connected = False
         self._switched_on = self._counted()
         bench.watch(self._count)
-
-    @property
-    def description(self) -> str:
-        """Name of the device and its counts."""
-        return f"the twin's encoder: {self.counts_per_rev} counts per revolution"
-
-    @property
-    def rejected(self) -> int:
-        """Number of damaged readings: none, without a link."""
-        return 0
-
-    @property
-    def counts_per_rev(self) -> int:
-        """Nominal counts per revolution, after x4."""
-        return self._bench.settings.counts_per_rev
 
     def connect(self) -> None:
         """Connect, and wait for the first sample."""
@@ -198,7 +171,7 @@ class TwinEncoder:
         self._clock.wait_until(self._clock.now() + TICK + self._age)
 
     def samples(self) -> list[Sample]:
-        """Take what came since the last call, the oldest first.
+        """Return the samples since the last call, the oldest first.
 
         Raises:
             LinkError: The device is not connected.
@@ -216,7 +189,7 @@ class TwinEncoder:
         self._connected = False
 
     def _counted(self) -> int:
-        return int(counts_from_theta(self._bench.theta, self._per_rev, self._sign))
+        return int(counts_from_theta(self._bench.theta, float(self.counts_per_rev), 1.0))
 
     def _count(self) -> None:
         """Take the sample of a millisecond."""
@@ -228,11 +201,7 @@ class TwinEncoder:
         if len(self._samples) == KEPT:
             self._samples.popleft()
             self._missing += 1
-        sample = Sample(
-            time=bench.now + float(self._random.uniform(-self._jitter, self._jitter)),
-            counts=self._counted() - self._switched_on,
-            pressed=down and not before,
-            illegal=False,
-            missing=0,
-        )
+        time = bench.now + float(self._random.uniform(-self._jitter, self._jitter))
+        counts = self._counted() - self._switched_on
+        sample = Sample(time, counts, pressed=down and not before, illegal=False, missing=0)
         self._samples.append((bench.now + self._age, sample))

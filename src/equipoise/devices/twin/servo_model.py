@@ -2,8 +2,8 @@ r"""KUKA's cabinet as the twin has it: from a setpoint that was sent to the torq
 
 Setpoints arrive after a transport that jitters, in the order in which they were sent. Each cycle of
 the server's loop the newest sets a destination, q plus the shaped step towards it (see
-`equipoise.model.actuator`); each millisecond the joint drives follow that destination. What drives
-of the real cabinet do is not published. Three guesses, with the bare arm's mass matrix at home M:
+`equipoise.model.actuator`); each millisecond the joint drives follow that destination. The law of
+the real drives is not published. Three assumptions, with the bare arm's mass matrix at home M:
 
 ``velocity``: the velocity (destination - q) / cycle, held over the cycle, through a first-order
 lag T; ``trajectory40``: the same over 40 ms instead of the cycle
@@ -15,7 +15,7 @@ lag T; ``trajectory40``: the same over 40 ms instead of the cycle
 .. math:: \tau = M\,(\omega^2 (q_c - q) - 2 \omega \dot q)
 
 The arm's own gravity is balanced beside it, and the sum keeps within the torques that the joints
-can give. Nothing here knows of bracket and pendulum. The held joint runs through the same servo.
+can give. The model ignores bracket and pendulum. The held joint runs through the same servo.
 """
 
 from math import floor
@@ -41,7 +41,7 @@ INNERS: Final[tuple[Inner, ...]] = ("velocity", "pd", "trajectory40")
 TRAJECTORY_TIME: Final = 0.040
 """The server's `setMinimumTrajectoryExecutionTime` [s]."""
 SLOTS: Final = 512
-"""Milliseconds ahead for which a setpoint can be on its way: twice the longest transport."""
+"""Maximum transport time of a setpoint [ms]: twice the longest transport."""
 
 # Entries of `Cabinet.clock`.
 NOW: Final = 0
@@ -59,9 +59,9 @@ class ServoParams(NamedTuple):
     shaped: bool
     """Whether the loop shapes its steps."""
     rate: float
-    """Reciprocal of the time in which the destination is to be reached [1/s]."""
+    """Reciprocal of the time to the destination [1/s]."""
     share: float
-    """What the drives' lag takes up of a change within a millisecond, over it [1/s]."""
+    """Share of a change that passes the drives' lag in a millisecond, per second [1/s]."""
     stiffness: float
     """omega^2 of `pd` [1/s^2]."""
     damping: float
@@ -71,27 +71,27 @@ class ServoParams(NamedTuple):
     torque: Array
     """Limits of the torques [N m], shape (n,)."""
     transport: float
-    """From sending to use [ms]."""
+    """Time from sending to use [ms]."""
     jitter: float
-    """Each transport differs from that by up to this [ms]."""
+    """Maximum deviation of a transport from that [ms]."""
 
 
 class ServoState(NamedTuple):
     """State of the cabinet, changed in place."""
 
     clock: Whole
-    """The time [ms]; when the setpoint sent last arrives [ms]; drive cycles in which a torque was
-    at its limit; shape (3,)."""
+    """Time [ms]; arrival of the newest setpoint [ms]; number of drive cycles with a torque at its
+    limit; shape (3,)."""
     arriving: Array
-    """The setpoint that arrives in a millisecond, NaN if none, shape (SLOTS, n) [rad]."""
+    """Setpoint that arrives in each millisecond, NaN without one, shape (SLOTS, n) [rad]."""
     target: Array
     """The setpoint in force [rad], shape (n,)."""
     destination: Array
-    """Where the server's loop wants the joints [rad], shape (n,)."""
+    """Destination set by the server's loop [rad], shape (n,)."""
     wanted: Array
     """Velocity that the drives follow [rad/s], shape (n,)."""
     pull: Array
-    """Room for the accelerations that the drives ask for [rad/s^2], shape (n,)."""
+    """Scratch array: accelerations commanded by the drives [rad/s^2], shape (n,)."""
 
 
 def make_servo_params(arm: Arm, settings: TwinSettings) -> ServoParams:
@@ -123,15 +123,13 @@ def make_servo_params(arm: Arm, settings: TwinSettings) -> ServoParams:
 
 def new_servo_state(n: int) -> ServoState:
     """Return the state of a cabinet for `n` joints, for `start`."""
-    return ServoState(
-        np.zeros(3, np.int64), np.zeros((SLOTS, n)), np.zeros(n), np.zeros(n), np.zeros(n),
-        np.zeros(n),
-    )  # fmt: skip
+    rows = (np.zeros(n) for _ in range(4))
+    return ServoState(np.zeros(3, np.int64), np.zeros((SLOTS, n)), *rows)
 
 
 @kernel
 def start(cabinet: ServoState, q: Array) -> None:
-    """Let a servo begin at time zero, holding the joints where they are.
+    """Start a servo at time zero that holds the joints at their positions.
 
     Args:
         cabinet: Changed in place.
@@ -158,7 +156,7 @@ def send(cabinet: ServoState, servo: ServoParams, q: Array, seed: int, index: in
     clock = cabinet.clock
     now = clock[NOW]
     late = uniform(philox(seed, now, index, 0, TWIN)[0], -servo.jitter, servo.jitter)
-    # It is used in a whole millisecond: to the nearest, so that the mean is the transport's.
+    # Rounded to the nearest millisecond, so that the mean equals the transport time.
     arrival = now + max(floor(servo.transport + late + 0.5), 0)
     clock[NEWEST] = max(clock[NEWEST], arrival)
     slot = clock[NEWEST] % SLOTS

@@ -1,11 +1,11 @@
 """Arm of a twin as the programs of its cabinet use it: servo, measured joints, torques, pose.
 
-Without a servo the arm is held where it came to rest; a servo that starts holds it there. The arm
+Without a servo the arm is held at its resting position; a starting servo holds it there. The arm
 sags by a few milliradians after each braking, because the twin's drives have neither load data nor
 an integral term. Emergency stop, enabling switch, change of the operating mode and the drives'
-protection are modelled alike: the arm brakes and ignores targets until it is set free and a servo
-starts again; measurements continue. A target that is not finite has the same effect, since the
-behaviour of KUKA's motion layer is not published.
+protection are modelled alike: the arm brakes and ignores targets until `set_free` and the start of
+a servo; measurements continue. A target that is not finite has the same effect, since the behaviour
+of KUKA's motion layer is not published.
 
 Not modelled: KUKA's own limits of position, speed and torque, which would stop the arm too (the end
 of a joint's range does, by force), and the brakes' closing.
@@ -28,7 +28,7 @@ from equipoise.model.sim_configs import TwinSettings
 Array = npt.NDArray[np.float64]
 
 BRAKING: Final = 40
-"""Time for which the drives only brake before they hold the arm [ms]: five times their lag."""
+"""Braking time of the drives before they hold the arm [ms]: five times their lag."""
 REST_RATE: Final = 0.02
 """Joint speed below which the arm counts as resting and holds its target [rad/s]; larger than the
 motion that a swinging pendulum causes in a resting arm."""
@@ -42,7 +42,7 @@ class SimulatedArm:
     """The arm behind an emulated cabinet; angles of all joints [rad], shape (n,)."""
 
     def __init__(self, twin: Twin, arm: Arm, settings: TwinSettings) -> None:
-        """Wrap the arm of a twin, held where it is.
+        """Wrap the arm of a twin, held at its position.
 
         Args:
             twin: The twin.
@@ -53,22 +53,17 @@ class SimulatedArm:
             ArmError: The masses of the arm's links are not known.
         """
         mj = mujoco()
-        self._twin = twin
-        self._n = len(arm.joints)
+        self._twin, self._n = twin, len(arm.joints)
         self._joint_noise = settings.joint_noise
         self._inverse = mj.mj_inverse
         self._bare = build_bare(arm, settings.rotor_inertia)
         self._bare_data = mj.MjData(self._bare)
         self._error = np.zeros(self._n)
         self._braking = 0
-        self._running = False
+        self.running = False
+        """Whether a servo runs."""
         self.stopped = ""
         """Cause of the stop; empty without a stop."""
-
-    @property
-    def running(self) -> bool:
-        """Whether a servo runs."""
-        return self._running
 
     def measured(self) -> tuple[float, ...]:
         """Return the measured joints [rad]."""
@@ -108,12 +103,12 @@ class SimulatedArm:
         return x, y, z, a, b, c
 
     def servo(self, running: bool) -> None:
-        """Start a servo, which holds the arm where it is, or stop it, which brakes the arm."""
+        """Start a servo, which holds the arm at its position, or stop it, which brakes the arm."""
         if self.stopped:
             return
-        self._running = running
+        self.running = running
         self._brake()
-        if running:  # hold a braking arm where it is now
+        if running:  # hold a braking arm at its present position
             self._braking = min(self._braking, 1)
 
     def target(self, q: Sequence[float] | Array) -> None:
@@ -124,8 +119,8 @@ class SimulatedArm:
         """
         wanted = np.asarray(q, np.float64)
         if not np.isfinite(wanted).all():
-            self.stop("a target that is no number")
-        elif self._running:
+            self.stop("a target that is not finite")
+        elif self.running:
             twin = self._twin.kernel
             send(twin.cabinet, twin.servo, wanted + self._error, twin.seed, twin.trial)
 
@@ -135,7 +130,7 @@ class SimulatedArm:
         Args:
             why: Cause of the stop.
         """
-        self.stopped, self._running = why, False
+        self.stopped, self.running = why, False
         self._brake()
 
     def set_free(self) -> None:
@@ -149,7 +144,7 @@ class SimulatedArm:
             self._braking -= 1
 
     def _brake(self) -> None:
-        """Forget the setpoints on their way, and come to rest."""
+        """Drop the setpoints in transport, and come to rest."""
         twin = self._twin.kernel
         twin.cabinet.arriving[:] = np.nan
         twin.cabinet.clock[NEWEST] = twin.cabinet.clock[NOW]

@@ -2,8 +2,8 @@
 
 On it an emulated cabinet and an emulated encoder board run, or robot and encoder in process
 (`equipoise.devices.twin.robot`). Virtual time drives it by `clock.attach(bench.advance)`, real time
-by calling `advance` with the time as often as one likes: it catches up in whole milliseconds. Equal
-seeds and equal acts at equal times give equal motion.
+by calls of `advance` with the time: the rig catches up in whole milliseconds. Equal seeds and equal
+acts at equal times give equal motion.
 
 Each fault of the bodies is a method: `push`, `touch`, `slip`, and `stop` of the arm.
 """
@@ -24,7 +24,7 @@ from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import GRAVITY
 
 PRESS: Final = 0.1
-"""Time for which a button is pressed [s]."""
+"""Duration of a press of the button [s]."""
 DEFLECTION: Final = radians(50.0)
 """Angle from hanging at which the pendulum is held for a free swing [rad]."""
 
@@ -70,12 +70,10 @@ class SimulatedRig:
         self._reach = 3.0 * GRAVITY / (4.0 * pendulum.w2)
         inertia = settings.pendulum_mass * GRAVITY * self._reach / pendulum.w2
         self.hand = Hand(inertia, self._reach)
-        """The operator's, at the middle of the rod."""
+        """Hand of the operator, at the middle of the rod."""
         self._random = np.random.default_rng(seed)
-        self._start = start
-        self._ticks = 0
-        self._down_until = 0.0
-        self._slip = 0.0
+        self._start, self._ticks = start, 0
+        self._down_until = self._slip = 0.0
         self._touching = False
         self._watching: list[Callable[[], None]] = []
 
@@ -106,7 +104,7 @@ class SimulatedRig:
 
     @property
     def phi_dot(self) -> float:
-        """Its rate [rad/s]."""
+        """Rate of that angle [rad/s]."""
         return float(self.twin.kernel.bodies.qvel[self.joints])
 
     @property
@@ -128,28 +126,27 @@ class SimulatedRig:
         self._down_until = self.now + duration
 
     def lift(self, *, side: Side | None = None, clumsy: float = 0.25) -> HandParams:
-        """Grip the pendulum and bring it upright; it is held until `let_go`.
+        """Grip the pendulum, bring it upright, and hold it until `let_go`.
 
         Args:
-            side: From where; either if not given.
-            clumsy: Chance that it will be let go with a push or a drag.
+            side: Side of the lift (default: drawn).
+            clumsy: Probability of a release with a push or a drag.
 
         Returns:
-            How the hand does it; how long it means to hold, too, but it leaves that to the caller.
+            The parameters of the hand; the caller releases after their time of holding.
         """
         manner = draw_hand_params(self._random, side=side, clumsy=clumsy)
         self.hand.lift(self.now, self.phi, manner)
         return manner
 
     def steady(self) -> None:
-        """Grip the pendulum and bring it to where it hangs; it is held until `let_go`."""
+        """Grip the pendulum, bring it to hang, and hold it until `let_go`."""
         self.hand.steady(self.now, self.phi, draw_hand_params(self._random, clumsy=0.0))
 
     def hold_deflected(self) -> None:
         """Grip the pendulum and hold it deflected until `let_go`, which starts a free swing."""
-        self.hand.hold_deflected(
-            self.now, self.phi, DEFLECTION, draw_hand_params(self._random, clumsy=0.0)
-        )
+        manner = draw_hand_params(self._random, clumsy=0.0)
+        self.hand.hold_deflected(self.now, self.phi, DEFLECTION, manner)
 
     def let_go(self) -> None:
         """Release the pendulum."""
@@ -163,7 +160,7 @@ class SimulatedRig:
         """Press on the middle of the bracket, beside the flange, from now on.
 
         Args:
-            force: In base axes [N], shape (3,); zero lets go.
+            force: Force in base axes [N], shape (3,); zero ends the contact.
         """
         flange = self.twin.kernel.bodies.flange
         self.twin.data.xfrc_applied[flange, :3] = np.asarray(force, np.float64)

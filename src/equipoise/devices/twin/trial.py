@@ -2,8 +2,8 @@
 
 The control step is the one of training and deployment: measurements become the observation, its u
 becomes two setpoints. The true state decides how a trial ends; in a world with guards, the rules of
-a rig end it as well, by what a rig would know. A trial depends on its conditions, the master seed
-and its number alone.
+a rig end it as well, from the rig's measurements. A trial depends on its conditions, the master
+seed and its number alone.
 """
 
 from math import pi
@@ -27,12 +27,7 @@ from equipoise.control.control_step import (
 )
 from equipoise.control.policy import RANDOM, PolicyKernel, act
 from equipoise.control.safety import NO_VIOLATION
-from equipoise.control.trial_safety import (
-    TrialSafetyMonitor,
-    refused,
-    reset_trial_monitor,
-    stopped,
-)
+from equipoise.control.trial_safety import TrialSafetyMonitor, refused, reset_trial_monitor, stopped
 from equipoise.devices.twin.physics import TICK
 from equipoise.devices.twin.sensors import encoder, reply
 from equipoise.devices.twin.servo_model import NOW
@@ -53,53 +48,50 @@ class TrialResult(NamedTuple):
     """Sum of x^2 over the steps [m^2]."""
 
 
+class TwinTrial(NamedTuple):
+    """Closed loop of a trial on the twin; kernels change its states in place."""
+
+    twin: TwinKernel
+    """The twin."""
+    params: ControllerParams
+    """Constants of the controller."""
+    state: ControllerState
+    """State of the controller."""
+    limits: Boxes
+    """|x| and |phi| of failure."""
+    monitor: TrialSafetyMonitor
+    """Rules of the world with their state."""
+
+
 @kernel
-def release(
-    twin: TwinKernel,
-    controller: ControllerParams,
-    state: ControllerState,
-    monitor: TrialSafetyMonitor,
-    phi: float,
-    phi_dot: float,
-) -> None:
+def release(trial: TwinTrial, phi: float, phi_dot: float) -> None:
     """Release the pendulum, the arm at rest at home; the controller has observed it until now.
 
     Args:
-        twin: Changed in place.
-        controller: Constants.
-        state: Changed in place.
-        monitor: Changed in place.
+        trial: Changed in place.
         phi: Angle of the pendulum from upright [rad].
         phi_dot: Its rate [rad/s].
     """
+    twin, controller = trial.twin, trial.params
     reset(twin, twin.home, phi, phi_dot)
     counts, stamp = encoder(twin.sensors, twin.past, 0, twin.seed, twin.trial)
     shown = pi - counts * controller.resolution - stamp * phi_dot
-    start_controller(controller, state, 0.0, 0.0, shown, phi_dot, 0)
-    reset_trial_monitor(monitor, controller.home)
+    start_controller(controller, trial.state, 0.0, 0.0, shown, phi_dot, 0)
+    reset_trial_monitor(trial.monitor, controller.home)
 
 
 @kernel
-def step(
-    twin: TwinKernel,
-    controller: ControllerParams,
-    state: ControllerState,
-    limits: Boxes,
-    monitor: TrialSafetyMonitor,
-) -> int:
+def step(trial: TwinTrial) -> int:
     """Advance by one control step: send the setpoints for u, and observe at its end.
 
     Args:
-        twin: Changed in place.
-        controller: Constants.
-        state: Reads u; changed in place.
-        limits: |x| and |phi| of failure.
-        monitor: Rules of the world with their state; changed in place.
+        trial: The state of its controller holds u; changed in place.
 
     Returns:
         The cause of failure, TRUNCATED without one.
     """
-    q = np.empty(FREE_JOINTS)
+    twin, controller, state, monitor = trial.twin, trial.params, trial.state, trial.monitor
+    limits, q = trial.limits, np.empty(FREE_JOINTS)
     command(controller, state, 1)
     for s in range(SETPOINTS_PER_TICK):
         for i in range(FREE_JOINTS):
@@ -140,46 +132,29 @@ def decide(twin: TwinKernel, state: ControllerState, policy: PolicyKernel) -> No
         words = philox(twin.seed, twin.cabinet.clock[NOW], twin.trial, 0, TWIN)
         chance = uniform(words[2], 0.0, 1.0)
     seen = state.observation
-    state.u[0] = act(
-        policy,
-        at(seen, OBS_X, 0),
-        at(seen, OBS_X_DOT, 0),
-        at(seen, OBS_PHI, 0),
-        at(seen, OBS_PHI_DOT, 0),
-        chance,
-    )
+    x, x_dot = at(seen, OBS_X, 0), at(seen, OBS_X_DOT, 0)
+    phi, phi_dot = at(seen, OBS_PHI, 0), at(seen, OBS_PHI_DOT, 0)
+    state.u[0] = act(policy, x, x_dot, phi, phi_dot, chance)
 
 
 @kernel
 def run_trial(
-    twin: TwinKernel,
-    controller: ControllerParams,
-    state: ControllerState,
-    policy: PolicyKernel,
-    phi: float,
-    phi_dot: float,
-    max_steps: int,
-    limits: Boxes,
-    monitor: TrialSafetyMonitor,
+    trial: TwinTrial, policy: PolicyKernel, phi: float, phi_dot: float, max_steps: int
 ) -> TrialResult:
     """Run one trial.
 
     Args:
-        twin: Changed in place.
-        controller: Constants.
-        state: Scratch space for the controller's state.
+        trial: Changed in place.
         policy: The policy.
         phi: Angle of the pendulum from upright at the release [rad].
         phi_dot: Its rate [rad/s].
         max_steps: Number of steps after which the trial is truncated.
-        limits: |x| and |phi| of failure.
-        monitor: Rules of the world, and scratch space for their state.
     """
-    release(twin, controller, state, monitor, phi, phi_dot)
+    release(trial, phi, phi_dot)
     steps, cause, sum_x2 = 0, TRUNCATED, 0.0
     while steps < max_steps and cause == TRUNCATED:
-        decide(twin, state, policy)
-        cause = step(twin, controller, state, limits, monitor)
+        decide(trial.twin, trial.state, policy)
+        cause = step(trial)
         steps += 1
-        sum_x2 += truth(twin).x ** 2
+        sum_x2 += truth(trial.twin).x ** 2
     return TrialResult(steps, cause, sum_x2)

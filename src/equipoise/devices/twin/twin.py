@@ -60,7 +60,7 @@ class Bodies(NamedTuple):
     gravity: Array
     """Torques that balance the arm's own gravity [N m]."""
     warmstart: Array
-    """Where the engine's solver starts [rad/s^2]."""
+    """Initial guess of the engine's solver [rad/s^2]."""
     xpos: Array
     """Origins of the bodies [m], shape (n, 3)."""
     xmat: Array
@@ -99,17 +99,17 @@ class TwinKernel(NamedTuple):
     free: Whole
     """Numbers of the free joints, shape (6,)."""
     home_x: float
-    """Where the flange is at home, along base x [m]."""
+    """Position of the flange at home along base x [m]."""
     setpoint: Array
-    """Room for all joints of a setpoint [rad], shape (n,)."""
+    """Scratch array: all joints of a setpoint [rad], shape (n,)."""
     seed: int
     """Master seed of all random numbers in a trial."""
     trial: int
-    """Its number."""
+    """Number of the trial."""
 
 
 class TrueState(NamedTuple):
-    """The state of a twin, which no sensor shows."""
+    """True state of a twin."""
 
     x: float
     """Displacement of the flange from home along base x [m]."""
@@ -123,9 +123,9 @@ class TrueState(NamedTuple):
 
 @kernel
 def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
-    """Set time to zero, the arm at rest and held where it is.
+    """Set time to zero, the arm at rest and held at its position.
 
-    The past is that of a pendulum that came at the same rate.
+    The history is that of a pendulum that moved at the same rate.
 
     Args:
         twin: Changed in place.
@@ -156,7 +156,7 @@ def advance(twin: TwinKernel, ticks: int) -> None:
 
     Args:
         twin: Changed in place.
-        ticks: How many [ms].
+        ticks: Number of milliseconds.
     """
     before, after, model, data = twin.engine
     bodies, cabinet, servo, free = twin.bodies, twin.cabinet, twin.servo, twin.free
@@ -191,7 +191,7 @@ def noise(twin: TwinKernel, sigma: float, stream: int, values: Array) -> None:
 
     Args:
         twin: The time, the seed and the index of the trial.
-        sigma: Its standard deviation.
+        sigma: Standard deviation of the noise.
         stream: One of the twin's streams of random numbers, counted from its first.
         values: Changed in place, shape (n,).
     """
@@ -202,14 +202,10 @@ def noise(twin: TwinKernel, sigma: float, stream: int, values: Array) -> None:
 
 @kernel
 def truth(twin: TwinKernel) -> TrueState:
-    """Return where flange and pendulum are."""
-    xpos, xmat, cvel, centre = (
-        twin.bodies.xpos,
-        twin.bodies.xmat,
-        twin.bodies.cvel,
-        twin.bodies.centre,
-    )
-    flange, rod, root = twin.bodies.flange, twin.bodies.pendulum, twin.bodies.root
+    """Return the true state of flange and pendulum."""
+    bodies = twin.bodies
+    xpos, xmat, cvel, centre = bodies.xpos, bodies.xmat, bodies.cvel, bodies.centre
+    flange, rod, root = bodies.flange, bodies.pendulum, bodies.root
     y, z = xpos[flange, 1] - centre[root, 1], xpos[flange, 2] - centre[root, 2]
     x_dot = cvel[flange, 3] + cvel[flange, 1] * z - cvel[flange, 2] * y
     # The rod's direction d turns with omega: its change is omega x d.
@@ -249,7 +245,7 @@ class Twin:
             settings: The world's numbers.
             seed: Master seed of jitter, noise and the error of the encoder's zero.
             index: Number of the trial.
-            servo: The constants of the cabinet, where they are known already.
+            servo: Constants of the cabinet (default: computed).
 
         Raises:
             ArmError: The masses of the arm's links are not known.
@@ -275,10 +271,7 @@ class Twin:
         self.reset()
 
     def reset(
-        self,
-        q: Sequence[float] | Array | None = None,
-        phi: float = np.pi,
-        phi_dot: float = 0.0,
+        self, q: Sequence[float] | Array | None = None, phi: float = np.pi, phi_dot: float = 0.0
     ) -> None:
         """Set time to zero, the arm at rest.
 
@@ -297,7 +290,7 @@ class Twin:
 
     @property
     def saturated(self) -> int:
-        """Number of milliseconds in which a drive was at its torque limit."""
+        """Number of milliseconds with a drive at its torque limit."""
         return int(self.kernel.cabinet.clock[SATURATED])
 
     def send(self, q: Sequence[float] | Array) -> None:
@@ -321,8 +314,8 @@ class Twin:
         return q, float(stamp)
 
     def truth(self) -> TrueState:
-        """Return where flange and pendulum are."""
-        return TrueState(*(float(value) for value in truth(self.kernel)))
+        """Return the true state of flange and pendulum."""
+        return TrueState(*map(float, truth(self.kernel)))
 
     @property
     def _tick(self) -> int:
@@ -330,17 +323,7 @@ class Twin:
 
 
 def _bodies(model: Any, data: Any) -> Bodies:
-    return Bodies(
-        qpos=data.qpos,
-        qvel=data.qvel,
-        applied=data.qfrc_applied,
-        gravity=data.qfrc_gravcomp,
-        warmstart=data.qacc_warmstart,
-        xpos=data.xpos,
-        xmat=data.xmat,
-        cvel=data.cvel,
-        centre=data.subtree_com,
-        root=model.body("frame 1").id,
-        flange=model.body("flange").id,
-        pendulum=model.body("pendulum").id,
-    )
+    joints = (data.qpos, data.qvel, data.qfrc_applied, data.qfrc_gravcomp, data.qacc_warmstart)
+    bodies = (data.xpos, data.xmat, data.cvel, data.subtree_com)
+    numbers = (model.body(name).id for name in ("frame 1", "flange", "pendulum"))
+    return Bodies(*joints, *bodies, *numbers)
