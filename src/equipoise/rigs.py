@@ -296,8 +296,7 @@ def connect(
         SettingsError: The twin is unknown.
     """
     check_addresses(robot, encoder)
-    name = world_of(robot)
-    if name is not None:
+    if name := world_of(robot):
         world = read_world(name)
         swinging = pendulum_on(pendulum, world.settings)
         return emulated_rig(

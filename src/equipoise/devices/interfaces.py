@@ -43,7 +43,6 @@ class Clock(Protocol):
         """Block until a time [s], or return at once if it is past; virtual time runs the rig."""
 
 
-@runtime_checkable
 class ServoedArm(Protocol):
     """Connection, servo and joints of an arm, which both kinds of robot have."""
 
@@ -178,7 +177,6 @@ class AngleSensor(Protocol):
         """Close the link. Never raises, and may be called again."""
 
 
-@runtime_checkable
 class Transport(Protocol):
     """A stream of bytes, both ways."""
 

@@ -1,11 +1,10 @@
 """Operator interface of a run: receives messages, returns typed input."""
 
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from equipoise.control.ticks import OperatorMessage
 
 
-@runtime_checkable
 class Operator(Protocol):
     """Person, program or emulation that supervises a run."""
 

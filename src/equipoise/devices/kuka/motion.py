@@ -1,17 +1,17 @@
 """Tasks of the emulated KST server's main thread: servos and point-to-point motions.
 
-Both send targets to an `ArmBody`, the arm behind the server, which follows them by the cabinet's
-servo law. A task begins when its command is acknowledged, and is stepped at least once a
+Both send targets to the arm behind the server, a `SimulatedArm`, which follows them by the
+cabinet's servo law. A task begins when its command is acknowledged, and is stepped at least once a
 millisecond until it ends.
 """
 
-from collections.abc import Sequence
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.devices.kuka.codec import JOINTS
+from equipoise.devices.twin.simulated_arm import SimulatedArm
 
 Array = npt.NDArray[np.float64]
 
@@ -39,28 +39,6 @@ PEAK: Final = 1.875
 """Peak speed of a minimum-jerk path, relative to its mean speed [-]."""
 EPSILON: Final = 1e-9
 """Rounding of times [s]."""
-
-
-class ArmBody(Protocol):
-    """The arm behind an emulated server."""
-
-    def measured(self) -> Sequence[float]:
-        """Return the measured joints [rad], all seven."""
-        ...
-
-    def torques(self, external: bool) -> Sequence[float]:
-        """Return the external or the measured torques of the seven joints [N m]."""
-        ...
-
-    def flange(self) -> Sequence[float]:
-        """Return the flange's x, y, z [mm] and a, b, c [rad]."""
-        ...
-
-    def servo(self, running: bool) -> None:
-        """Start the servo, which holds the arm at its position, or stop it."""
-
-    def target(self, q: Sequence[float]) -> None:
-        """Set the servo's target [rad]; NaN if a client sent it."""
 
 
 class Targets:
@@ -98,7 +76,7 @@ class ServoTask(ServerTask):
     """Servo from its acknowledgement to its end; runs on without a client."""
 
     def __init__(
-        self, body: ArmBody, targets: Targets, now: float, mode: Mode, first: int, final: bytes
+        self, body: SimulatedArm, targets: Targets, now: float, mode: Mode, first: int, final: bytes
     ) -> None:
         """Schedule the start.
 
@@ -162,7 +140,7 @@ class ServoTask(ServerTask):
 class PtpTask(ServerTask):
     """Point-to-point motion along a minimum-jerk path; no command of a client stops it."""
 
-    def __init__(self, body: ArmBody, q: Array, speeds: Array, now: float) -> None:
+    def __init__(self, body: SimulatedArm, q: Array, speeds: Array, now: float) -> None:
         """Start the motion.
 
         Args:

@@ -31,7 +31,8 @@ import numpy as np
 
 from equipoise.devices.kuka import codec, motion
 from equipoise.devices.kuka.codec import SETPOINTS, VELOCITIES, ReplyKind, java_double, tokens
-from equipoise.devices.kuka.motion import DONE, EPSILON, NAK, ArmBody
+from equipoise.devices.kuka.motion import DONE, EPSILON, NAK
+from equipoise.devices.twin.simulated_arm import SimulatedArm
 from equipoise.errors import InputError, LinkError
 
 PIN: Final = b"1\n\n"
@@ -70,7 +71,12 @@ class KstServer:
     """
 
     def __init__(
-        self, body: ArmBody, speeds: Sequence[float], *, faults: Faults = Faults(), seed: int = 0
+        self,
+        body: SimulatedArm,
+        speeds: Sequence[float],
+        *,
+        faults: Faults = Faults(),
+        seed: int = 0,
     ) -> None:
         """Begin with a connected client, the arm at rest and no servo.
 
