@@ -25,12 +25,11 @@ from equipoise.compiled import kernel_sources_digest
 from equipoise.control import boxes
 from equipoise.control.boxes import TRUNCATED
 from equipoise.control.policy import (
-    TABLE,
     Checkpoint,
     LearningPoint,
     TabularPolicy,
     greedy_accelerations,
-    policy_kernel,
+    table_kernel,
 )
 from equipoise.errors import ArtefactError, InputError
 from equipoise.learning.checkpoint import Finalist, LearnerState, ResumePoint, pack, table, unpack
@@ -430,7 +429,7 @@ class _Selection:
         if final:
             stream, count, duration = FINAL_ROUND, s.final_trials, s.final_duration
         simulation = PlantSimulation(*model, seed=self.seed, stream=stream, spread=s.spread)
-        trials, kernel = simulation.draw(count), policy_kernel(TABLE, u_of_box=u_of_box)
+        trials, kernel = simulation.draw(count), table_kernel(u_of_box)
 
         def rows_done(rows: Sequence[int]) -> None:
             done(len(rows))

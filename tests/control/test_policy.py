@@ -13,10 +13,10 @@ from equipoise.control.policy import (
     LINEAR,
     RANDOM,
     SNAPPED,
-    TABLE,
+    PolicyKernel,
     TabularPolicy,
     act,
-    policy_kernel,
+    table_kernel,
 )
 from equipoise.errors import ArtefactError
 from equipoise.model.actuator import IDEAL_ACTUATOR
@@ -64,19 +64,19 @@ def policy(pendulum):
 def test_a_table_commands_what_stands_in_the_box_of_the_paper(state, seed):
     x, x_dot, phi, phi_dot = state
     u_of_box = np.random.default_rng(seed).uniform(-2, 2, (6, 5, 3, 3))
-    kernel = policy_kernel(TABLE, u_of_box=u_of_box.ravel())
+    kernel = table_kernel(u_of_box.ravel())
     assert act(kernel, x, x_dot, phi, phi_dot, 0.0) == u_of_box[place(x, x_dot, phi, phi_dot)]
 
 
 @given(state=states, gains=st.tuples(*[st.floats(-50, 50)] * 4))
 def test_a_linear_policy_is_clipped_to_the_range_of_the_actions(state, gains):
-    u = act(policy_kernel(LINEAR, gains=gains), *state, 0.0)
+    u = act(PolicyKernel(LINEAR, gains=gains), *state, 0.0)
     assert u == pytest.approx(float(np.clip(np.dot(gains, state), -2.0, 2.0)), abs=1e-12)
 
 
 @given(state=states, gains=st.tuples(*[st.floats(-50, 50)] * 4))
 def test_a_snapped_policy_takes_the_nearest_action(state, gains):
-    u = act(policy_kernel(SNAPPED, gains=gains), *state, 0.0)
+    u = act(PolicyKernel(SNAPPED, gains=gains), *state, 0.0)
     wanted = np.dot(gains, state)
     distances = np.abs(np.array(paper.ACTIONS) - wanted)
     assert u in paper.ACTIONS
@@ -84,7 +84,7 @@ def test_a_snapped_policy_takes_the_nearest_action(state, gains):
 
 
 def test_a_random_policy_gives_each_action_the_same_share_of_the_chances():
-    kernel = policy_kernel(RANDOM)
+    kernel = PolicyKernel(RANDOM)
     for i, action in enumerate(paper.ACTIONS):
         assert act(kernel, *STATE, i / 8) == action
         assert act(kernel, *STATE, np.nextafter((i + 1) / 8, 0)) == action
@@ -92,7 +92,7 @@ def test_a_random_policy_gives_each_action_the_same_share_of_the_chances():
 
 def test_a_kernel_has_a_table_of_its_own():
     u_of_box = np.ones(270)
-    kernel = policy_kernel(TABLE, u_of_box=u_of_box)
+    kernel = table_kernel(u_of_box)
     u_of_box[:] = -1.0
     assert act(kernel, *STATE, 0.0) == 1.0
 

@@ -127,7 +127,7 @@ def test_released_stays_until_it_is_reset():
     assert detector.feed(begin + 9.0, float("nan")) is ReleaseState.RELEASED
     assert detector.feed(begin + 9.0, 0.0) is ReleaseState.RELEASED
     detector.reset()
-    assert detector.grip is ReleaseState.HELD
+    assert detector.state is ReleaseState.HELD
     assert not detector.denied
 
 
@@ -292,7 +292,7 @@ def test_samples_come_as_fast_as_they_like():
     # 20 kHz: most are passed over, and the memory still holds 0.2 s.
     detector, _ = armed(rate=20_000)
     assert len(detector._time) == BUFFER_SIZE
-    assert detector.grip is ReleaseState.ARMED
+    assert detector.state is ReleaseState.ARMED
 
 
 @pytest.mark.parametrize(("rate", "seen"), [(125, False), (270, False), (285, True)])

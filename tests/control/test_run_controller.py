@@ -215,7 +215,7 @@ def test_a_confirmation_that_comes_after_the_pendulum_has_moved_is_not_a_stop(wo
     course.theta = lambda time: radians(1.0) if time > moved else 0.0
     course.tick()
     course.tick()
-    course.tick(words=[word])
+    course.tick(lines=[word])
     assert course.pilot.phase is Phase.REFERENCING
     # It is asked again, once the pendulum has come to rest.
     course.until(Phase.SELF_TEST, 5.0)
@@ -227,7 +227,7 @@ def test_a_confirmation_of_nothing_stops_what_moves():
     course = Course(q=tuple(np.add(ARM.home, 0.1)))
     course.tick()
     assert course.pilot.phase is Phase.HOMING
-    course.tick(words=["ok"])
+    course.tick(lines=["ok"])
     assert course.cause == "operator"
 
 

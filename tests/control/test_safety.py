@@ -22,7 +22,7 @@ from equipoise.control.safety import (
     make_safety_params,
     newest_before,
     stopping_reach,
-    unexplained,
+    unexplained_turn,
     update_monitor,
 )
 from equipoise.model.arms.iiwa import iiwa
@@ -81,14 +81,14 @@ def test_a_guard_knows_its_arm():
     assert GUARD.limits == LIMITS
     assert (GUARD.reaction, GUARD.u_max, GUARD.h, GUARD.speed) == (0.03, 2.0, H, inf)
     w = abs(np.linalg.det(ARM.kinematics(ARM.home_free).jacobian))
-    assert GUARD.least_manipulability == pytest.approx(0.1 * w)
+    assert GUARD.min_manipulability == pytest.approx(0.1 * w)
     other_way = (*ARM.home[:5], -ARM.home[5], *ARM.home[6:])
     elbow = ARM.model_copy(update={"home": other_way})
     assert np.linalg.det(elbow.kinematics(elbow.home_free).jacobian) < 0.0
     least = make_safety_params(
         elbow, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9
-    ).least_manipulability
-    assert least == pytest.approx(GUARD.least_manipulability)
+    ).min_manipulability
+    assert least == pytest.approx(GUARD.min_manipulability)
     plain = safety.SafetyParams(LIMITS, (), 0.0, 0.0, 0.0, H, RESOLUTION)
     assert plain.speed == inf
     slow = make_safety_params(iiwa(7), reaction=0.0, u_max=1.0, h=H, counts_per_rev=9, speed=0.3)
@@ -294,7 +294,7 @@ def test_nothing_wrong_breaks_no_rule():
     assert check(GUARD, CALM, SafetyInputs()) is None
     assert check(T1, CALM, SafetyInputs(balancing=True, on_track=True)) is None
     assert set(SafetyInputs(manipulability=0.0)) == set(MonitorState()) == {0.0, None}
-    assert safety.pushed((0.0,) * 7, GUARD.torque) == 0
+    assert safety.overloaded_joint((0.0,) * 7, GUARD.torque) == 0
 
 
 BOUNDS = [
@@ -304,8 +304,8 @@ BOUNDS = [
     (Rule.TORQUE, {"torque": (0.0,) * 7}, {"torque": (0, -32.1, 0, 0, 0, 0, 0)}),
     (
         Rule.SINGULAR,
-        {"manipulability": 1.001 * GUARD.least_manipulability},
-        {"manipulability": 0.999 * GUARD.least_manipulability},
+        {"manipulability": 1.001 * GUARD.min_manipulability},
+        {"manipulability": 0.999 * GUARD.min_manipulability},
     ),
     (Rule.TRACK, {"x": -0.217}, {"x": -0.219}),
     (Rule.TRACK, {"x": 0.217}, {"x": 0.219}),
@@ -364,15 +364,17 @@ def test_at_their_bounds_these_are_kept():
         on_track=True,
         drift=safety.DRIFT_LIMIT,
         tilt=safety.TILT_LIMIT,
-        manipulability=GUARD.least_manipulability,
+        manipulability=GUARD.min_manipulability,
         encoder_jump=safety.MAX_COUNT_JUMP,
     )
     assert check(
-        GUARD, MonitorState(farthest=safety.EXPECTED_MOTION, astray=safety.FOLLOWING_TIME), at
+        GUARD,
+        MonitorState(expected_motion=safety.EXPECTED_MOTION, error_time=safety.FOLLOWING_TIME),
+        at,
     ) is (None)
     # Joint 3 is at zero at home, so that nothing is rounded.
     view = SafetyInputs(measured=moved(HOME, 3, safety.FOLLOWING_LIMIT), expected=HOME)
-    assert update_monitor(GUARD, CALM, view).astray == 0.0
+    assert update_monitor(GUARD, CALM, view).error_time == 0.0
     rested = update_monitor(GUARD, CALM, SafetyInputs(measured=HOME, expected=HOME))
     view = SafetyInputs(measured=moved(HOME, 3, safety.STILL_ANGLE), expected=HOME)
     assert update_monitor(GUARD, rested, view).rest == HOME
@@ -543,7 +545,7 @@ def test_standing_still_counts_from_the_last_motion():
     # What has come back counts all the same.
     back = SafetyInputs(measured=stop, expected=stop)
     watched, _ = seen(*follows, *frozen[:8], back)
-    assert watched.farthest == pytest.approx(0.008, abs=0.0011)
+    assert watched.expected_motion == pytest.approx(0.008, abs=0.0011)
 
 
 def test_ticks_without_measured_joints_change_nothing_of_that():
@@ -569,7 +571,7 @@ def test_an_arm_that_is_elsewhere_for_long_is_not_following(side):
     # Five ticks are 50 ms; it has to last longer.
     assert seen(*far[:5])[1] is None
     watched, violation = seen(*far[:6])
-    assert watched.astray == pytest.approx(0.06)
+    assert watched.error_time == pytest.approx(0.06)
     assert violation.rule is Rule.FOLLOWING
     assert violation.joint == 3
     assert violation.value == pytest.approx(0.031)
@@ -580,7 +582,7 @@ def test_an_arm_that_is_elsewhere_for_long_is_not_following(side):
 
 
 def test_a_following_error_needs_measured_joints_to_be_named():
-    watched = MonitorState(astray=1.0)
+    watched = MonitorState(error_time=1.0)
     assert check(GUARD, watched, SafetyInputs()) is None
     assert check(GUARD, watched, SafetyInputs(measured=HOME)) is None
     assert broken(SafetyInputs(measured=HOME, expected=HOME), watched=watched) is Rule.FOLLOWING
@@ -652,7 +654,7 @@ def test_a_falling_pendulum_is_explained():
         t = np.arange(0.0, 1.99, dt)
         counts = np.floor(np.interp(t, time, theta) / RESOLUTION + 0.5).astype(int)
         worst = max(
-            unexplained(tuple(t[i : i + 3]), tuple(counts[i : i + 3]), RESOLUTION)
+            unexplained_turn(tuple(t[i : i + 3]), tuple(counts[i : i + 3]), RESOLUTION)
             for i in range(len(t) - 2)
         )
         assert worst == 0.0
@@ -662,15 +664,17 @@ def test_a_falling_pendulum_is_explained():
 def test_a_jump_of_the_counts_is_seen(side):
     times = (0.0, 0.001, 0.002)
     # Two steps of the encoder and gravity's 0.15 mrad explain two counts.
-    assert unexplained(times, (0, 5 * side, 12 * side), RESOLUTION) == 0.0
-    jump = unexplained(times, (0, 5 * side, 30 * side), RESOLUTION)
+    assert unexplained_turn(times, (0, 5 * side, 12 * side), RESOLUTION) == 0.0
+    jump = unexplained_turn(times, (0, 5 * side, 30 * side), RESOLUTION)
     assert jump == pytest.approx((20 - 2) * RESOLUTION - 0.5 * 150.0 * 0.001 * 0.002)
     assert broken(SafetyInputs(encoder_jump=jump)) is Rule.ENCODER_JUMP
     # Whenever and wherever that is.
-    shifted = unexplained((7.0, 7.001, 7.002), (900, 900 + 5 * side, 900 + 30 * side), RESOLUTION)
+    shifted = unexplained_turn(
+        (7.0, 7.001, 7.002), (900, 900 + 5 * side, 900 + 30 * side), RESOLUTION
+    )
     assert shifted == pytest.approx(jump, abs=1e-9)
     # As long after a longer pause: a step then stands for more.
-    later = unexplained((0.0, 0.001, 0.004), (0, 0, 30 * side), RESOLUTION)
+    later = unexplained_turn((0.0, 0.001, 0.004), (0, 0, 30 * side), RESOLUTION)
     assert later == pytest.approx((30 - 4) * RESOLUTION - 0.5 * 150.0 * 0.003 * 0.004)
 
 
@@ -678,7 +682,7 @@ def test_a_jump_of_the_counts_is_seen(side):
 def test_no_pendulum_turns_faster_than_twenty_radians_per_second(side):
     def steady(rate):
         counts = tuple(round(side * rate * t / RESOLUTION) for t in (0.0, 0.01, 0.02))
-        return unexplained((0.0, 0.01, 0.02), counts, RESOLUTION)
+        return unexplained_turn((0.0, 0.01, 0.02), counts, RESOLUTION)
 
     assert steady(20.0) == 0.0
     assert steady(22.0) == pytest.approx(0.02 - RESOLUTION, abs=RESOLUTION)
@@ -686,7 +690,7 @@ def test_no_pendulum_turns_faster_than_twenty_radians_per_second(side):
 
 @pytest.mark.parametrize("times", [(0.0, 0.0, 0.001), (0.0, 0.001, 0.001), (0.0, 0.002, 0.001)])
 def test_time_that_does_not_go_on_explains_nothing(times):
-    assert unexplained(times, (0, 0, 0), RESOLUTION) == inf
+    assert unexplained_turn(times, (0, 0, 0), RESOLUTION) == inf
     assert broken(SafetyInputs(encoder_jump=inf)) is Rule.NUMBER
 
 

@@ -26,23 +26,23 @@ from equipoise.control.safety import (
     broken_setpoint,
     check,
     check_setpoint,
+    error_time_exceeded,
     has_fallen,
-    is_astray,
     largest_difference,
     make_safety_params,
     newest_before,
-    pushed,
+    next_error_time,
+    overloaded_joint,
     stopping_reach,
-    time_astray,
     update_monitor,
 )
 from equipoise.control.trial_safety import (
     guard_named,
     new_trial_monitor,
-    refused,
     reset_trial_monitor,
-    stopped,
+    setpoint_violation,
     trial_safety,
+    trial_violation,
 )
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
@@ -77,9 +77,9 @@ def compiled_flange(guard, x, x_dot, drift, tilt, w):
 @kernel
 def compiled_rest(guard, measured, expected, before, torque, phi):
     error, joint = largest_difference(measured, expected)
-    astray = time_astray(before, error, guard.h)
-    pressed = pushed(torque, guard.torque)
-    return error, joint, astray, is_astray(astray), pressed, has_fallen(phi)
+    error_time = next_error_time(before, error, guard.h)
+    pressed = overloaded_joint(torque, guard.torque)
+    return error, joint, error_time, error_time_exceeded(error_time), pressed, has_fallen(phi)
 
 
 @kernel
@@ -144,11 +144,11 @@ def test_all_else_has_the_same_verdict_compiled_and_in_python(off, before, torqu
     view = SafetyInputs(
         measured=measured, expected=expected, torque=torque, phi=phi, balancing=True
     )
-    watched = update_monitor(GUARD_7, MonitorState(astray=before), view)
-    *_, joint, astray, lost, pressed, fallen = compiled_rest(
+    watched = update_monitor(GUARD_7, MonitorState(error_time=before), view)
+    *_, joint, error_time, lost, pressed, fallen = compiled_rest(
         GUARD_7, np.array(measured), np.array(expected), before, np.array(torque), phi
     )
-    assert astray == watched.astray
+    assert error_time == watched.error_time
     violation = check(GUARD_7, watched, view)
     if pressed:
         assert (violation.rule, violation.joint) == (Rule.TORQUE, pressed)
@@ -215,14 +215,14 @@ def test_the_free_joints_alone_are_asked():
 def test_what_may_not_be_sent_is_not_remembered_as_sent():
     watching, home = new_trial_monitor(ARM, GUARD_7), ARM.home_free.copy()
     reset_trial_monitor(watching, home)
-    assert refused(watching, home, 0.0) == NO_VIOLATION
-    assert refused(watching, home + 1e-5, 0.005) == NO_VIOLATION
+    assert setpoint_violation(watching, home, 0.0) == NO_VIOLATION
+    assert setpoint_violation(watching, home + 1e-5, 0.005) == NO_VIOLATION
     far = home + 1e-5
     far[2] += 0.02
-    assert RULES[refused(watching, far, 0.01)] is Rule.VELOCITY
+    assert RULES[setpoint_violation(watching, far, 0.01)] is Rule.VELOCITY
     newest = newest_before(watching.sent, watching.number[0], 1.0)
     assert watching.setpoints[newest] == pytest.approx(home + 1e-5)
-    assert RULES[refused(watching, home + 6e-4, 0.01)] is Rule.ACCELERATION
+    assert RULES[setpoint_violation(watching, home + 6e-4, 0.01)] is Rule.ACCELERATION
 
 
 class Tick:
@@ -244,7 +244,7 @@ class Tick:
             self.memory.estimate[EST_PIVOT_V * BATCH_SIZE],
             self.memory.estimate[EST_PHI * BATCH_SIZE],
         ) = v, phi
-        code = stopped(self.watching, self.controller, self.memory, q, measured_at)
+        code = trial_violation(self.watching, self.controller, self.memory, q, measured_at)
         return None if code == NO_VIOLATION else RULES[code]
 
 
@@ -254,11 +254,11 @@ def test_a_stream_of_any_length_is_judged_by_its_last_two_setpoints():
     tick = Tick()
     for time, place in enumerate(np.cumsum(speed) * DT):
         last = ARM.home_free - joint(0, place)
-        assert refused(tick.watching, last, DT * time) == NO_VIOLATION
-    assert RULES[refused(tick.watching, last, 1.5)] is Rule.ACCELERATION
+        assert setpoint_violation(tick.watching, last, DT * time) == NO_VIOLATION
+    assert RULES[setpoint_violation(tick.watching, last, 1.5)] is Rule.ACCELERATION
     # Another trial begins at rest, wherever that is.
     reset_trial_monitor(tick.watching, ARM.home_free)
-    assert refused(tick.watching, ARM.home_free, 0.0) == NO_VIOLATION
+    assert setpoint_violation(tick.watching, ARM.home_free, 0.0) == NO_VIOLATION
 
 
 def joint(row, by):
@@ -301,14 +301,14 @@ def test_a_trial_ends_where_the_arm_is_elsewhere_for_long():
     assert begun(off) is None, "another trial has not been elsewhere yet"
 
 
-@pytest.mark.parametrize(("measured_at", "astray"), [(1.029, False), (1.031, True)])
-def test_an_arm_is_expected_where_it_was_sent_before_its_reaction(measured_at, astray):
+@pytest.mark.parametrize(("measured_at", "error_time"), [(1.029, False), (1.031, True)])
+def test_an_arm_is_expected_where_it_was_sent_before_its_reaction(measured_at, error_time):
     wide = (1e9,) * 7
     limits = GUARD_7.limits._replace(velocity=wide, acceleration=wide)
     tick = Tick(GUARD_7._replace(limits=limits))
-    assert refused(tick.watching, ARM.home_free + joint(4, 0.034), 1.0) == NO_VIOLATION
+    assert setpoint_violation(tick.watching, ARM.home_free + joint(4, 0.034), 1.0) == NO_VIOLATION
     said = {tick(measured_at=measured_at) for _ in range(6)}
-    assert (Rule.FOLLOWING in said) == astray
+    assert (Rule.FOLLOWING in said) == error_time
 
 
 def test_a_cause_says_which_guard_it_was():

@@ -10,7 +10,7 @@ from equipoise.artefacts import Estimate
 from equipoise.control import boxes
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, TRACK, TRUNCATED
-from equipoise.control.policy import TABLE, policy_kernel
+from equipoise.control.policy import table_kernel
 from equipoise.learning.closed_loop import (
     PHI,
     TRACKED,
@@ -135,7 +135,7 @@ def test_a_trial_has_the_same_bits_alone_and_in_company():
     plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM)
     table = random_table(4)
     simulation = on_the_plant(plant, arm, PENDULUM, SETTINGS, seed=7)
-    kernel = policy_kernel(TABLE, u_of_box=table)
+    kernel = table_kernel(table)
     trials = run_all(simulation, kernel, simulation.draw(2 * BATCH_SIZE + 5), 3.0)
     assert len(set(trials.steps.tolist())) > 5
     for i in (0, 3, BATCH_SIZE, 2 * BATCH_SIZE + 4):

@@ -11,7 +11,7 @@ from scipy import stats
 from equipoise import paper
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, TRACK, TRUNCATED, cause_named
-from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, TABLE, act, policy_kernel
+from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, act, table_kernel
 from equipoise.control.trial_safety import guard_named
 from equipoise.learning.closed_loop import (
     X_DOT,
@@ -60,10 +60,10 @@ def kernels():
     rng = np.random.default_rng(0)
     gains = lqr_gains(PENDULUM, paper.STEP)
     return {
-        "table": policy_kernel(TABLE, u_of_box=rng.choice(paper.ACTIONS, 270)),
-        "linear": policy_kernel(LINEAR, gains=gains),
-        "snapped": policy_kernel(SNAPPED, gains=gains),
-        "random": policy_kernel(RANDOM),
+        "table": table_kernel(rng.choice(paper.ACTIONS, 270)),
+        "linear": PolicyKernel(LINEAR, gains=gains),
+        "snapped": PolicyKernel(SNAPPED, gains=gains),
+        "random": PolicyKernel(RANDOM),
     }
 
 

@@ -13,7 +13,7 @@ from equipoise.control.control_step import (
     observe,
     start_controller,
 )
-from equipoise.control.policy import LINEAR, RANDOM, act, policy_kernel
+from equipoise.control.policy import LINEAR, RANDOM, PolicyKernel, act
 from equipoise.control.safety import T1_SPEED, TRACK_LIMIT, Rule
 from equipoise.control.stop import ramp
 from equipoise.control.trial_safety import guard_named
@@ -38,8 +38,8 @@ PARAMETERS = PENDULUM.parameters()
 WORLD = TwinSettings(guards=False)
 GUARDED = TwinSettings(guards=True)
 ACTUATOR = Actuator.assumed("kst", delay=0.0105, lag=0.008)
-LQR = policy_kernel(LINEAR, gains=lqr_gains(PARAMETERS, 0.01))
-STILL = policy_kernel(LINEAR)
+LQR = PolicyKernel(LINEAR, gains=lqr_gains(PARAMETERS, 0.01))
+STILL = PolicyKernel(LINEAR)
 TRIALS = [
     Trial(
         i,
@@ -96,7 +96,7 @@ def test_who_runs_away_ends_on_the_track_limit(away):
 
 
 def test_outcomes_depend_on_seed_and_number_alone():
-    chance = policy_kernel(RANDOM)
+    chance = PolicyKernel(RANDOM)
     for policy in (LQR, chance):
         alone = run(policy)
         assert run(policy, workers=3) == alone
@@ -192,7 +192,7 @@ def run_until_the_guard(policy, simulation, number=0):
 def away():
     """A regulator that wants to be elsewhere than at home."""
     x, x_dot, phi, phi_dot = lqr_gains(PARAMETERS, 0.01)
-    return policy_kernel(LINEAR, gains=(-3.0 * x, x_dot, phi, phi_dot))
+    return PolicyKernel(LINEAR, gains=(-3.0 * x, x_dot, phi, phi_dot))
 
 
 def test_a_run_towards_the_end_of_the_track_is_stopped_in_time(away):

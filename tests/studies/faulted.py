@@ -11,7 +11,7 @@ import numpy as np
 
 from equipoise.control.baselines import pd_gains
 from equipoise.control.controller import Controller
-from equipoise.control.policy import LINEAR, KernelPolicy, policy_kernel, shipped_policy
+from equipoise.control.policy import LINEAR, KernelPolicy, PolicyKernel, shipped_policy
 from equipoise.control.run_controller import RunController
 from equipoise.control.states import Phase, RunState
 from equipoise.deployment.rig import RunRequest, _outcome
@@ -176,7 +176,7 @@ def begin_balancing(pilot, now, fault, stage):
     phi, phi_dot = fault.start
     counts_per_radian = 8192 / (2.0 * pi)
     pilot.zero = -(pi - phi) * counts_per_radian + (fault.zero + stage.zero) * counts_per_radian
-    lane: Controller = pilot._lane
+    lane: Controller = pilot._controller
     lane.begin(phi, phi_dot)
     pilot._measured_at = now
     pilot._at_home = np.array(stage.bench.body.torques(True))
@@ -205,7 +205,7 @@ def draw_fault(kind, seed):
     if kind == "track":
         gains = pd_gains(shipped_policy().pendulum.parameters())
         return plain._replace(
-            name=CauseName.TRACK, policy=policy_kernel(LINEAR, gains=gains), u_max=2.0
+            name=CauseName.TRACK, policy=PolicyKernel(LINEAR, gains=gains), u_max=2.0
         )
     if kind == "late":
         late = float(random.uniform(0.025, 0.08))

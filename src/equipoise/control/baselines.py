@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.linalg import expm, solve_discrete_are
 
 from equipoise import paper
-from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, policy_kernel
+from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel
 from equipoise.errors import InputError
 from equipoise.model.pendulum import PendulumParameters
 
@@ -28,10 +28,10 @@ def baselines(pendulum: PendulumParameters, h: float) -> dict[str, PolicyKernel]
     """
     gains = lqr_gains(pendulum, h)
     return {
-        "LQR": policy_kernel(LINEAR, gains=gains),
-        "LQR, snapped": policy_kernel(SNAPPED, gains=gains),
-        "PD": policy_kernel(LINEAR, gains=pd_gains(pendulum)),
-        "random": policy_kernel(RANDOM),
+        "LQR": PolicyKernel(LINEAR, gains=gains),
+        "LQR, snapped": PolicyKernel(SNAPPED, gains=gains),
+        "PD": PolicyKernel(LINEAR, gains=pd_gains(pendulum)),
+        "random": PolicyKernel(RANDOM),
     }
 
 

@@ -52,13 +52,13 @@ class PolicyKernel(NamedTuple):
 
     kind: int
     """TABLE, LINEAR (clipped to the range of the actions), SNAPPED (to an action) or RANDOM."""
-    u_of_box: Array
+    u_of_box: Array = np.zeros(boxes.COUNT)
     """Acceleration of each box [m/s^2], shape (270,); for TABLE."""
-    gains: tuple[float, float, float, float]
+    gains: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Gains of u = gains . (x, x_dot, phi, phi_dot); for LINEAR and SNAPPED."""
-    actions: tuple[float, ...]
+    actions: tuple[float, ...] = paper.ACTIONS
     """The eight accelerations [m/s^2]."""
-    boxes: Boxes
+    boxes: Boxes = boxes.boxes()
     """Edges of the boxes."""
 
 
@@ -144,20 +144,9 @@ def act(
     return nearest
 
 
-def policy_kernel(
-    kind: int,
-    *,
-    u_of_box: Array | None = None,
-    gains: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
-) -> PolicyKernel:
-    """Return a `PolicyKernel`; values that its kind does not use are zero."""
-    return PolicyKernel(
-        kind=kind,
-        u_of_box=np.zeros(boxes.COUNT) if u_of_box is None else np.array(u_of_box),
-        gains=gains,
-        actions=paper.ACTIONS,
-        boxes=boxes.boxes(),
-    )
+def table_kernel(u_of_box: Array) -> PolicyKernel:
+    """Return the kernel of a table, with a copy of its accelerations [m/s^2], shape (270,)."""
+    return PolicyKernel(TABLE, np.array(u_of_box))
 
 
 class KernelPolicy:
@@ -171,15 +160,9 @@ class KernelPolicy:
     @property
     def digest(self) -> str:
         """SHA-256 of its numbers."""
-        kernel = self.kernel
-        return value_digest(
-            _Numbers(
-                kind=kernel.kind,
-                u_of_box=tuple(kernel.u_of_box.tolist()),
-                gains=kernel.gains,
-                actions=kernel.actions,
-            )
-        )
+        kind, u_of_box, gains, actions, _ = self.kernel
+        boxes = tuple(u_of_box.tolist())
+        return value_digest(_Numbers(kind=kind, u_of_box=boxes, gains=gains, actions=actions))
 
     def reset(self) -> None:
         """Begin the sequence of random numbers again, for RANDOM."""
@@ -326,7 +309,7 @@ class TabularPolicy(Viewable, Artefact):
     @property
     def kernel(self) -> PolicyKernel:
         """Greedy policy for compiled loops."""
-        return policy_kernel(TABLE, u_of_box=self.u_of_box)
+        return table_kernel(self.u_of_box)
 
     def reset(self) -> None:
         """Do nothing: a table has no state."""

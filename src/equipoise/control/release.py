@@ -104,7 +104,7 @@ class ReleaseDetector:
 
     def reset(self) -> None:
         """Forget all samples; the pendulum counts as held."""
-        self.grip = ReleaseState.HELD
+        self.state = ReleaseState.HELD
         """Holder of the pendulum."""
         self.denied = False
         """Whether an armed pendulum turned out to be still held."""
@@ -120,30 +120,30 @@ class ReleaseDetector:
         Returns:
             The holder of the pendulum now.
         """
-        if self.grip is ReleaseState.RELEASED:
-            return self.grip
+        if self.state is ReleaseState.RELEASED:
+            return self.state
         if not (isfinite(time) and isfinite(phi)):
             self._forget()
-            return self.grip
+            return self.state
         since_last = time - self._last
         if 0.0 <= since_last < MIN_SAMPLE_SPACING:
-            return self.grip
+            return self.state
         if not 0.0 <= since_last <= MAX_SAMPLE_GAP:
             self._forget()
         self._keep(time, phi)
-        if self.grip is ReleaseState.HELD:
+        if self.state is ReleaseState.HELD:
             self._wait(time, phi)
         else:
             self._watch(time, phi)
-        return self.grip
+        return self.state
 
     def _forget(self) -> None:
         self._deny()
         self._count, self._oldest, self._last = 0, 0, -inf
 
     def _deny(self) -> None:
-        self.denied = self.grip is ReleaseState.ARMED or self.denied
-        self.grip = ReleaseState.HELD
+        self.denied = self.state is ReleaseState.ARMED or self.denied
+        self.state = ReleaseState.HELD
         self._still_since = self._beyond_since = self._falling_since = inf
 
     def _keep(self, time: float, phi: float) -> None:
@@ -172,7 +172,7 @@ class ReleaseDetector:
             return
         self._still_since = min(self._still_since, time)
         if time - self._still_since >= ARM_TIME:
-            self.grip, self.denied = ReleaseState.ARMED, False
+            self.state, self.denied = ReleaseState.ARMED, False
 
     def _watch(self, time: float, phi: float) -> None:
         """Decide whether an armed pendulum falls or is held."""
@@ -185,7 +185,7 @@ class ReleaseDetector:
         self._falling_since = min(self._falling_since, time) if falls else inf
         min_time = FALL_TIME if grown < FALL_GROWTH_ANGLE else FAST_FALL_TIME
         if falls and time - self._falling_since >= min_time:
-            self.grip = ReleaseState.RELEASED
+            self.state = ReleaseState.RELEASED
         elif beyond:
             self._beyond_since = min(self._beyond_since, time)
             if abs(phi) > HELD_ANGLE or time - self._beyond_since > MAX_FALL_TIME:

@@ -107,10 +107,8 @@ class RunController:
             clock: Clock for the policy's computing time [s]; the default gives zero.
         """
         self._params, self._policy, self._safety = controller, policy, safety_params
-        self._controller, self._flange = (
-            Controller(arm, controller),
-            FlangeKinematics(arm, controller),
-        )
+        self._controller = Controller(arm, controller)
+        self._flange = FlangeKinematics(arm, controller)
         self._release = ReleaseDetector(controller.pendulum)
         self._duration, self._clock, self._h = duration, clock, controller.h
         self._events: list[OperatorMessage] = []
@@ -174,7 +172,7 @@ class RunController:
         """
         self._take_samples(inputs.samples)
         self._take_replies(inputs.replies)
-        self._take_input(inputs.words)
+        self._take_input(inputs.lines)
         self._result, self._job = inputs.result, None
         for fault in inputs.faults:
             self._stop(Cause("fault", fault))
@@ -216,7 +214,7 @@ class RunController:
             if len(self._samples) > 2:
                 last = [self._samples[i] for i in (-3, -2, -1)]
                 times, counts = [one.time for one in last], [one.counts for one in last]
-                jump = safety.unexplained(times, counts, self._params.resolution)
+                jump = safety.unexplained_turn(times, counts, self._params.resolution)
                 self._jump = max(self._jump, jump)
             if self.phase is Phase.REFERENCING:
                 self._rest.feed(sample.time, sample.counts)
@@ -320,15 +318,15 @@ class RunController:
         place = safety.newest_before(self._sent_at, self._setpoints, since)
         return tuple(self._commanded[place].tolist())
 
-    def _take_input(self, words: Sequence[str]) -> None:
+    def _take_input(self, lines: Sequence[str]) -> None:
         """Accept an expected answer; other input stops, except Enter while nothing moves."""
         self._answer = None
-        for word in words:
-            answer = word.strip().lower() or OK
+        for line in lines:
+            answer = line.strip().lower() or OK
             if answer in self._answers:
                 self._answer = answer
             elif answer != OK or self.phase in MOVING:
-                reason = f"stopped by the operator ({word.strip() or 'Enter'})"
+                reason = f"stopped by the operator ({line.strip() or 'Enter'})"
                 self._stop(Cause("operator", reason))
 
     def _phi(self) -> float:
@@ -479,20 +477,20 @@ class RunController:
         return first, second
 
     def _lift(self, now: float) -> Setpoints:
-        if self._release.grip is ReleaseState.ARMED:
+        if self._release.state is ReleaseState.ARMED:
             self._go(states.RunEvent.ARMED)
             self._notify("armed", "\aArmed. Let go.")
         return self._still()
 
     def _hold(self, now: float) -> Setpoints:
-        grip = self._release.grip
+        state = self._release.state
         interval = round(NUDGE_INTERVAL / self._h)
         if self._ticks % interval == interval - 1:
             self._notify("nudge", "Let go. If it stands by itself, nudge it.")
-        if grip is ReleaseState.HELD:
+        if state is ReleaseState.HELD:
             self._go(states.RunEvent.DENIED)
             self._notify("disarmed", "Your hand is still on. Hold the pendulum upright again.")
-        elif grip is ReleaseState.RELEASED:
+        elif state is ReleaseState.RELEASED:
             phi, phi_dot = self._falling(now)
             self._controller.begin(phi, phi_dot)
             self._go(states.RunEvent.RELEASED)

@@ -206,7 +206,7 @@ MESSAGES: Final = {
     Rule.TORQUE: "the external torque at joint {joint} is {value:.1f} N m from that at rest, "
     "expected at most {limit:.1f} N m: something touches the arm",
     Rule.FOLLOWING: "joint {joint} is {value:.3f} rad from where it is expected for "
-    "{astray:.0f} ms, expected at most {limit:g} rad",
+    "{lasted:.0f} ms, expected at most {limit:g} rad",
     Rule.FIRST: "the first setpoint of joint {joint} is {value:.4f} rad from where it is "
     "measured, expected at most {limit:g} rad",
     Rule.POSITION: "the setpoint of joint {joint} {what} at {value:.4f} rad, expected {lower:.4f} "
@@ -294,7 +294,7 @@ class SafetyParams(NamedTuple):
     """Reaction time T of the track rule: transport delay and lag of the arm [s]."""
     u_max: float
     """Largest acceleration that the policy commands [m/s^2]."""
-    least_manipulability: float
+    min_manipulability: float
     """Minimum |det J| [m^3]."""
     h: float
     """Time between ticks [s]."""
@@ -336,7 +336,7 @@ def make_safety_params(
         torque=tuple(torque_share * joint.torque for joint in arm.joints),
         reaction=reaction,
         u_max=u_max,
-        least_manipulability=SINGULAR_SHARE * at_home,
+        min_manipulability=SINGULAR_SHARE * at_home,
         h=h,
         resolution=2.0 * pi / counts_per_rev,
         speed=speed,
@@ -466,7 +466,7 @@ class SafetyInputs(NamedTuple):
     encoder_missing: int = 0
     """Encoder samples lost since the tick before."""
     encoder_jump: float = 0.0
-    """Maximum `unexplained` turn since the tick before [rad]."""
+    """Maximum `unexplained_turn` since the tick before [rad]."""
     balancing: bool = False
     """Whether the policy commands."""
     x: float = 0.0
@@ -490,13 +490,13 @@ class MonitorState(NamedTuple):
 
     missed: int = 0
     """Number of successive ticks late by a tick or more."""
-    astray: float = 0.0
+    error_time: float = 0.0
     """Duration of a following error beyond its limit [s]."""
     rest: Numbers | None = None
     """Measured joints at the arm's last motion [rad]."""
     expected: Numbers | None = None
     """Expected joints at that time [rad]."""
-    farthest: float = 0.0
+    expected_motion: float = 0.0
     """Maximum expected motion of a joint since then [rad]."""
 
 
@@ -515,12 +515,12 @@ def update_monitor(
     if measured is None or expected is None:
         return before._replace(missed=missed)
     error, _ = largest_difference(measured, expected)
-    astray = time_astray(before.astray, error, params.h)
+    error_time = next_error_time(before.error_time, error, params.h)
     rest, then = before.rest, before.expected
     if rest is None or then is None or largest_difference(measured, rest)[0] > STILL_ANGLE:
-        return MonitorState(missed, astray, measured, expected)
-    farthest = max(before.farthest, largest_difference(expected, then)[0])
-    return MonitorState(missed, astray, rest, then, farthest)
+        return MonitorState(missed, error_time, measured, expected)
+    expected_motion = max(before.expected_motion, largest_difference(expected, then)[0])
+    return MonitorState(missed, error_time, rest, then, expected_motion)
 
 
 def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> Violation | None:
@@ -546,13 +546,14 @@ def _violations(
                 yield _violation(Rule.NUMBER, number, nan, what=f"{name} is {number}")
     if inputs.overdue > MAX_REPLY_TIME:
         yield _violation(Rule.LINK, inputs.overdue, MAX_REPLY_TIME)
-    if monitor.farthest > EXPECTED_MOTION:
-        yield _violation(Rule.NOT_FOLLOWING, monitor.farthest, EXPECTED_MOTION)
-    if inputs.torque is not None and (joint := pushed(inputs.torque, params.torque)):
+    if monitor.expected_motion > EXPECTED_MOTION:
+        yield _violation(Rule.NOT_FOLLOWING, monitor.expected_motion, EXPECTED_MOTION)
+    if inputs.torque is not None and (joint := overloaded_joint(inputs.torque, params.torque)):
         yield _violation(Rule.TORQUE, inputs.torque[joint - 1], params.torque[joint - 1], joint)
-    if is_astray(monitor.astray) and inputs.measured is not None and inputs.expected is not None:
-        error, joint = largest_difference(inputs.measured, inputs.expected)
-        yield _violation(Rule.FOLLOWING, error, FOLLOWING_LIMIT, joint, astray=1e3 * monitor.astray)
+    lasted, measured, expected = monitor.error_time, inputs.measured, inputs.expected
+    if error_time_exceeded(lasted) and measured is not None and expected is not None:
+        error, joint = largest_difference(measured, expected)
+        yield _violation(Rule.FOLLOWING, error, FOLLOWING_LIMIT, joint, lasted=1e3 * lasted)
     if inputs.on_track:
         x, x_dot = inputs.x, inputs.x_dot
         code, value, limit = broken_flange(
@@ -581,7 +582,7 @@ def _violations(
 
 
 @compilable
-def time_astray(before: float, error: float, h: float) -> float:
+def next_error_time(before: float, error: float, h: float) -> float:
     """Return the duration of a following error beyond its limit [s], a tick later.
 
     Args:
@@ -593,13 +594,13 @@ def time_astray(before: float, error: float, h: float) -> float:
 
 
 @compilable
-def is_astray(time: float) -> bool:
+def error_time_exceeded(time: float) -> bool:
     """Return whether a following error has lasted too long [s]."""
     return time > FOLLOWING_TIME
 
 
 @compilable
-def pushed(torque: Row, limit: Row) -> int:
+def overloaded_joint(torque: Row, limit: Row) -> int:
     """Return the first joint whose external torque is beyond its limit, counted from one; or 0.
 
     Args:
@@ -650,8 +651,8 @@ def broken_flange(
     Returns:
         `NO_VIOLATION` and zeros without a broken rule.
     """
-    if manipulability < params.least_manipulability:
-        return SINGULAR_CODE, manipulability, params.least_manipulability
+    if manipulability < params.min_manipulability:
+        return SINGULAR_CODE, manipulability, params.min_manipulability
     reach = stopping_reach(x, x_dot, params.reaction, params.u_max)
     # Written so that NaN breaks the rule.
     if not (reach < TRACK_LIMIT and abs(x) < TRACK_LIMIT):
@@ -693,7 +694,7 @@ def has_fallen(phi: float) -> bool:
     return not abs(phi) < ANGLE_RULE_LIMIT
 
 
-def unexplained(times: Sequence[float], counts: Sequence[int], resolution: float) -> float:
+def unexplained_turn(times: Sequence[float], counts: Sequence[int], resolution: float) -> float:
     """Return the deviation of the newest of three counts from a pendulum's motion [rad].
 
     A pendulum continues the straight line of the two counts before, but for the encoder's

@@ -109,7 +109,7 @@ class TickInputs(NamedTuple):
     """Samples of the encoder."""
     replies: Sequence[Reply]
     """Replies of the robot."""
-    words: Sequence[str]
+    lines: Sequence[str]
     """Lines typed by the operator."""
     faults: Sequence[str]
     """Messages of failures: the encoder's link, a setpoint held back."""

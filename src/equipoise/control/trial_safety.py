@@ -55,7 +55,7 @@ class TrialSafetyMonitor(NamedTuple):
     """Their free joints [rad], shape (SETPOINT_HISTORY, 6)."""
     number: npt.NDArray[np.int64]
     """Number of setpoints sent, shape (1,)."""
-    astray: Array
+    error_time: Array
     """Duration of a following error beyond its limit [s], shape (1,)."""
     still: Array
     """Velocities of zero, a block of 6 rows."""
@@ -97,10 +97,10 @@ def new_trial_monitor(arm: Arm, params: SafetyParams | None) -> TrialSafetyMonit
     if active:
         limits = Limits(*(arm.without_held(row) for row in rules.limits))
         rules = rules._replace(limits=limits, torque=arm.without_held(rules.torque))
-    size, number, astray = SETPOINT_HISTORY, np.zeros(1, np.int64), np.zeros(1)
+    size, number, error_time = SETPOINT_HISTORY, np.zeros(1, np.int64), np.zeros(1)
     sent, setpoints = np.zeros(size), np.zeros((size, FREE_JOINTS))
     still, frame = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
-    return TrialSafetyMonitor(active, rules, sent, setpoints, number, astray, still, frame)
+    return TrialSafetyMonitor(active, rules, sent, setpoints, number, error_time, still, frame)
 
 
 @kernel
@@ -112,11 +112,11 @@ def reset_trial_monitor(monitor: TrialSafetyMonitor, q: Array) -> None:
         for i in range(FREE_JOINTS):
             monitor.setpoints[row, i] = q[i]
     monitor.number[0] = AT_REST_SETPOINTS
-    monitor.astray[0] = 0.0
+    monitor.error_time[0] = 0.0
 
 
 @kernel
-def refused(monitor: TrialSafetyMonitor, q: Array, now: float) -> int:
+def setpoint_violation(monitor: TrialSafetyMonitor, q: Array, now: float) -> int:
     """Return the code of the rule that forbids a setpoint, `NO_VIOLATION` if none.
 
     An accepted setpoint is stored.
@@ -139,7 +139,7 @@ def refused(monitor: TrialSafetyMonitor, q: Array, now: float) -> int:
 
 
 @kernel
-def stopped(
+def trial_violation(
     monitor: TrialSafetyMonitor,
     controller: ControllerParams,
     state: ControllerState,
@@ -155,12 +155,12 @@ def stopped(
         q: The measured free joints once more [rad], shape (6,).
         measured_at: Time of their measurement [s].
     """
-    params, astray = monitor.params, monitor.astray
+    params, error_time = monitor.params, monitor.error_time
     since = measured_at - params.reaction
     expected = monitor.setpoints[safety.newest_before(monitor.sent, monitor.number[0], since)]
     error, _ = safety.largest_difference(q, expected)
-    astray[0] = safety.time_astray(astray[0], error, params.h)
-    if safety.is_astray(astray[0]):
+    error_time[0] = safety.next_error_time(error_time[0], error, params.h)
+    if safety.error_time_exceeded(error_time[0]):
         return safety.FOLLOWING_CODE
     kinematics, home = controller.kinematics, controller.home_reference
     x, drift, tilt, w = flange_pose(kinematics, state.measured, monitor.still, monitor.frame, home)

@@ -34,7 +34,7 @@ from equipoise.control.safety import (
     MAX_TICK_LATENESS,
     TORQUE_SHARE,
     Rule,
-    unexplained,
+    unexplained_turn,
 )
 from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, RecordingError
@@ -536,7 +536,7 @@ def _jump(timeline: RunTimeline) -> Evidence | None:
     worst, when = 0.0, 0.0
     for i in range(2, len(time)):
         if time[i] > time[i - 1] > time[i - 2]:
-            size = unexplained(tuple(time[i - 2 : i + 1]), tuple(counts[i - 2 : i + 1]), resolution)
+            size = unexplained_turn(time[i - 2 : i + 1], counts[i - 2 : i + 1], resolution)
             worst, when = max((worst, when), (size, time[i]))
     if worst <= MAX_COUNT_JUMP:
         return None

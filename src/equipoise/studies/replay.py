@@ -220,7 +220,7 @@ def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> R
                 Reply(float(r["sent"]), float(r["time"]), _known(r["q"]), _known(r["torque"]))
                 for r in _at(reply, "taken", now)
             ],
-            words=[event.text for event in events if event.name == WORD_TYPED],
+            lines=[event.text for event in events if event.name == WORD_TYPED],
             faults=[event.text for event in events if event.name == DEVICE_FAILED],
             lateness=float(row["late"]),
             result=result,

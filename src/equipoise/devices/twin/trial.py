@@ -27,7 +27,12 @@ from equipoise.control.control_step import (
 )
 from equipoise.control.policy import RANDOM, PolicyKernel, act
 from equipoise.control.safety import NO_VIOLATION
-from equipoise.control.trial_safety import TrialSafetyMonitor, refused, reset_trial_monitor, stopped
+from equipoise.control.trial_safety import (
+    TrialSafetyMonitor,
+    reset_trial_monitor,
+    setpoint_violation,
+    trial_violation,
+)
 from equipoise.devices.twin.physics import TICK
 from equipoise.devices.twin.sensors import encoder, reply
 from equipoise.devices.twin.servo_model import NOW
@@ -97,7 +102,7 @@ def step(trial: TwinTrial) -> int:
         for i in range(FREE_JOINTS):
             q[i] = at(state.setpoints, 6 * s + i, 0)
         if monitor.active:
-            broken = refused(monitor, q, twin.cabinet.clock[NOW] * TICK)
+            broken = setpoint_violation(monitor, q, twin.cabinet.clock[NOW] * TICK)
             if broken != NO_VIOLATION:
                 return SAFETY_STOP + broken
         send_free(twin, q)
@@ -118,7 +123,7 @@ def step(trial: TwinTrial) -> int:
     if state.limit_exceeded[0]:
         return JOINT_LIMIT
     if monitor.active:
-        broken = stopped(monitor, controller, state, q, measured)
+        broken = trial_violation(monitor, controller, state, q, measured)
         if broken != NO_VIOLATION:
             return SAFETY_STOP + broken
     return TRUNCATED
