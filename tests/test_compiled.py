@@ -142,7 +142,7 @@ def test_the_key_of_the_cache_changes_with_every_file_that_holds_kernels(tmp_pat
     from equipoise import compiled
 
     package = tmp_path / "package"
-    for room in compiled.KERNEL_ROOMS:
+    for room in compiled.KERNEL_FOLDERS:
         (package / room / "inner").mkdir(parents=True)
         (package / room / "inner" / "a.py").write_text("x = 1\n")
     (package / "compiled.py").write_text("")
@@ -154,7 +154,7 @@ def test_the_key_of_the_cache_changes_with_every_file_that_holds_kernels(tmp_pat
         return compiled.kernel_sources_digest.__wrapped__()
 
     seen.add(key())
-    for room in compiled.KERNEL_ROOMS:
+    for room in compiled.KERNEL_FOLDERS:
         (package / room / "inner" / "a.py").write_text(f"x = '{room}'\n")
         seen.add(key())
     (package / "model" / "b.py").write_text("")
@@ -163,4 +163,4 @@ def test_the_key_of_the_cache_changes_with_every_file_that_holds_kernels(tmp_pat
     seen.add(key())
     (package / "report.py").write_text("no kernels here\n")
     assert key() in seen
-    assert len(seen) == len(compiled.KERNEL_ROOMS) + 3
+    assert len(seen) == len(compiled.KERNEL_FOLDERS) + 3

@@ -42,8 +42,8 @@ logger = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 
 PACKAGE = Path(__file__).parent
-KERNEL_ROOMS = ("model", "control", "learning", "devices/twin", "simulation")
-"""Folders of the package whose files hold kernels."""
+KERNEL_FOLDERS = ("model", "control", "learning", "devices/twin", "simulation")
+"""Folders of the package with kernels."""
 
 
 def cache_directory() -> Path:
@@ -55,9 +55,9 @@ def cache_directory() -> Path:
 @functools.cache
 def kernel_sources_digest() -> str:
     """Return a digest of every file with kernels and of this module."""
-    files = [Path(__file__), *(f for room in KERNEL_ROOMS for f in (PACKAGE / room).rglob("*.py"))]
+    kernels = (file for name in KERNEL_FOLDERS for file in (PACKAGE / name).rglob("*.py"))
     digest = hashlib.sha256()
-    for file in sorted(files):
+    for file in sorted([Path(__file__), *kernels]):
         digest.update(str(file.relative_to(PACKAGE)).encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]
 

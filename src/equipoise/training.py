@@ -185,7 +185,7 @@ def score_policy(
 
 
 class _Task(NamedTuple):
-    """Inputs of a training that determine its result, without the index of the learner."""
+    """Inputs that determine the result of a training, except the index of the learner."""
 
     pendulum: Pendulum
     arm: Arm
@@ -283,7 +283,7 @@ def _train(
 
 
 class _Checkpoints(PartialFile):
-    """The states of all learners of a training, in one file."""
+    """File with the states of all learners of a training."""
 
     def __init__(self, path: StrPath | None, task: _Task, learners: Sequence[int]) -> None:
         super().__init__(path, "train", self._checkpoint)
@@ -423,7 +423,14 @@ class _Selection:
         done: Callable[[int], None] = lambda _: None,
         final: bool = False,
     ) -> Checkpoint:
-        """Run the screening, or the longer trials, of a greedy policy after some episodes."""
+        """Score a greedy policy in the screening trials, or in the longer ones of the final round.
+
+        Args:
+            u_of_box: Acceleration of each box [m/s^2].
+            episodes: Number of training episodes of the policy.
+            done: Called with the number of newly finished trials, also from other threads.
+            final: Run the final round.
+        """
         s, model = self.settings.selection, (self.plant, self.arm, self.pendulum, self.settings)
         stream, count, duration = SCREENING, s.screening_trials, s.duration
         if final:

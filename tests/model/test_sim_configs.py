@@ -62,7 +62,7 @@ def test_a_twin_has_the_friction_of_its_pendulum_unless_its_set_says_otherwise(
     pendulum, world, coulomb, drag, saying
 ):
     name, settings = read_world(world)
-    assert saying in pivot_friction(pendulum, settings).words(name)
+    assert saying in pivot_friction(pendulum, settings).describe(name)
     swings = pendulum_on(pendulum, settings)
     assert (swings.coulomb, swings.drag) == (coulomb, drag)
     assert (swings.w2, swings.c) == (pendulum.w2.value, pendulum.c.value)
@@ -73,7 +73,7 @@ def test_what_a_trial_varies_varies_the_pendulums_own_friction_and_not_the_world
     nominal, sticky = TwinSettings(), TwinSettings(coulomb=0.1, drag=0.0)
     assert pivot_friction(DRY, nominal).on(heavy) == heavy
     assert pivot_friction(DRY, sticky).on(heavy) == heavy._replace(coulomb=0.1, drag=0.0)
-    told = pivot_friction(DRY, sticky).words("twin:sticky.toml")
+    told = pivot_friction(DRY, sticky).describe("twin:sticky.toml")
     assert "set by twin:sticky.toml; the pendulum has 1.96" in told
 
 

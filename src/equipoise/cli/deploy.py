@@ -181,7 +181,7 @@ def _report(
         rows["flange"] = f"within {1e3 * float(abs(truth.x).max()):.0f} mm of home"
     if conditions.friction is not None:
         friction = PivotFriction.model_validate(conditions.friction)
-        rows["pendulum"] = friction.words(conditions.world)
+        rows["pendulum"] = friction.describe(conditions.world)
     if conditions.zero_error is not None and len(run.bias):
         rows["encoder's zero"] = (
             f"wrong by {degrees(conditions.zero_error):+.2f} deg, "
@@ -216,7 +216,7 @@ def _run_on_rig(
 
     check_request(request)
     if (friction := request.friction) is not None:
-        output.rows({"pendulum": friction.words(request.robot)})
+        output.rows({"pendulum": friction.describe(request.robot)})
     if request.t1:
         with output.busy("testing the policy in T1 on the twin"):
             rehearse_t1(request)

@@ -90,7 +90,7 @@ def emulate(
         # loop, which stays on the last core.
         realtime.prepare(core=0)
         address = f"{robot}://{HOST}:{number}"
-        output.rows({"robot": address, "encoder": encoder, "pendulum": friction.words(name)})
+        output.rows({"robot": address, "encoder": encoder, "pendulum": friction.describe(name)})
         if no_operator:
             output.say(f"type an action: {', '.join(emulation.acts)}")
         output.next("deploy", "--robot", address, "--encoder", encoder)

@@ -182,7 +182,7 @@ def _say(output: Output, evaluation: "Evaluation") -> bool:
         f"seed {evaluation.seed}" + (f", flange below {limit:g} m/s" if limit else "")
     )
     if evaluation.friction is not None:
-        output.say(f"pendulum: {evaluation.friction.words(evaluation.world)}")
+        output.say(f"pendulum: {evaluation.friction.describe(evaluation.world)}")
     columns = ("", "lasted", "share", "95 % interval", "median", "ended by<")
     rows = [_row(results) for results in (evaluation.results, *evaluation.baselines)]
     output.table(columns, rows, bold=0)

@@ -133,7 +133,7 @@ def _say(output: Output, found: "Gap") -> None:
         f"{found.world}, seed {found.seed}"
     )
     if found.friction is not None:
-        output.say(f"pendulum: {found.friction.words(found.world)}")
+        output.say(f"pendulum: {found.friction.describe(found.world)}")
     output.say("\nMean survival [s], in brackets the share of the falls on the track limit [%]")
     _say_curves(output, found, "delay")
     _say_curves(output, found, "zero")

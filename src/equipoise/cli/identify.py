@@ -127,9 +127,9 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     for warning in fit.warnings if fit else ():
         output.warn(warning)
     output.wrote(out)
-    from equipoise.model.arms.resolve import arm_word
+    from equipoise.model.arms.resolve import arm_option
 
-    arm = arm_word(run.conditions.arm.name)
+    arm = arm_option(run.conditions.arm.name)
     output.next("train", "--actuator", out, *(("--arm", arm) if arm else ()))
     output.result(
         {

@@ -93,7 +93,7 @@ def train_again(
         actuator: The actuator's file, where it was given.
         max_speed: Limit of the flange's speed, where it was given [m/s].
     """
-    from equipoise.model.arms.resolve import arm_word
+    from equipoise.model.arms.resolve import arm_option
     from equipoise.model.pendulum import shipped_pendulum
 
     words: Command = _file(pendulum)
@@ -102,7 +102,9 @@ def train_again(
     if actuator is None and policy.actuator.fit is not None:
         actuator = _actuator_of(policy, path)
     limit = policy.settings.plant.max_speed if max_speed is None else max_speed
-    options = given(arm=arm_word(policy.arm.name), actuator=actuator, max_speed=limit, seeds=SEEDS)
+    options = given(
+        arm=arm_option(policy.arm.name), actuator=actuator, max_speed=limit, seeds=SEEDS
+    )
     return ("train", *words, *options)
 
 
@@ -147,9 +149,9 @@ def after_evaluation(
     if balanced:
         return ("deploy", *known)
     if world not in PLANTS and not world.startswith(NOMINAL) and actuator is None:
-        from equipoise.model.arms.resolve import arm_word
+        from equipoise.model.arms.resolve import arm_option
 
-        words = given(world=world, arm=arm_word(policy.arm.name), out="excitation.mcap")
+        words = given(world=world, arm=arm_option(policy.arm.name), out="excitation.mcap")
         return ("deploy", "--excite", *words)
     return train_again(policy, path, pendulum=pendulum, actuator=actuator, max_speed=max_speed)
 

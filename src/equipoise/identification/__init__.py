@@ -56,8 +56,7 @@ def identify(
         settings: Settings of the fit.
         mass: Mass m of all rotating parts [kg], measured separately.
         length: Distance l from the axis to their centre of mass [m], measured separately. With
-        both,
-            the moment of inertia I and the friction b are computed in SI units.
+            both, the moment of inertia I and the friction b are computed in SI units.
 
     Returns:
         The pendulum, with 95 % intervals, and warnings about a poor fit.
@@ -207,10 +206,10 @@ def _best_friction(
     recording = recording.part(slice(None, None, 4 if np.any(recording.spread) else 1))
     for model in MODELS[MODELS.index(settings.friction) + 1 :]:
         fit = fitting.fit_richer(recording, model, fit, fitting.COARSE)
-        its = whole.rms(fit.unknowns)
-        least = min(least, its)
-        if its < settings.better_share * left:
-            best, left = model, its
+        richer = whole.rms(fit.unknowns)
+        least = min(least, richer)
+        if richer < settings.better_share * left:
+            best, left = model, richer
     return best, left if best != settings.friction else least
 
 
@@ -240,13 +239,13 @@ def _pendulum(
         # I = m g l / w2 and b = c I, with errors to first order.
         w2, c = float(unknowns[W2]), float(unknowns[C])
         I = mass.value * settings.g * length.value / w2
-        apart = np.hypot(mass.half_width / mass.value, length.half_width / length.value)
+        of_ml = np.hypot(mass.half_width / mass.value, length.half_width / length.value)
         of_w2 = quantile * sqrt(spread[W2, W2]) / w2
         gradient = np.array([-c / w2, 1.0])
         of_c = quantile * np.sqrt(gradient @ spread[np.ix_([W2, C], [W2, C])] @ gradient)
         inertia, friction = (
             Estimate.around(value, I * float(width), "identified").not_negative()
-            for value, width in ((I, np.hypot(apart, of_w2)), (c * I, np.hypot(c * apart, of_c)))
+            for value, width in ((I, np.hypot(of_ml, of_w2)), (c * I, np.hypot(c * of_ml, of_c)))
         )
     return Pendulum(
         w2=estimate(W2),

@@ -431,7 +431,7 @@ def _warnings(log: Log, fit: JointFit, noise: Array) -> tuple[str, ...]:
     warnings: list[str] = []
     if fit.kind == "kst" and T_C not in fit.fitted:
         warnings.append(
-            "the log does not tell the cycle of the shaping law within "
+            "the log does not determine the cycle of the shaping law within "
             f"{MAX_T_C_UNCERTAINTY:.0%}: it is kept at {1e3 * CYCLE:.0f} ms; let the joints move "
             "both slowly and fast"
         )
@@ -440,10 +440,10 @@ def _warnings(log: Log, fit: JointFit, noise: Array) -> tuple[str, ...]:
         share = left / np.std(log.measured[j])
         if left > times_noise * noise[j] and share > least_share:
             warnings.append(
-                f"free joint {j + 1} does not move as the model says: it leaves "
+                f"free joint {j + 1} deviates from the model: it leaves "
                 f"{1e3 * left:.2g} mrad, {share:.0%} of the motion and {left / noise[j]:.0f} times "
                 "the noise; where a torque was at its limit, record slower motions; otherwise its "
-                "load shakes it, and its lag says little"
+                "load shakes it, and its lag is uncertain"
             )
     return tuple(warnings)
 

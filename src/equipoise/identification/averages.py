@@ -40,11 +40,11 @@ def average(time: Array, values: Array, width: float) -> Averages:
     if len(time) < 2 * len(first):
         return Averages(time, values, np.zeros_like(time))
     middle = np.add.reduceat(elapsed, first) / count
-    apart = (elapsed - np.repeat(middle, count.astype(np.intp))) ** 2
+    squares = (elapsed - np.repeat(middle, count.astype(np.intp))) ** 2
     return Averages(
         time[0] + middle,
         np.add.reduceat(values, first) / count,
-        np.sqrt(np.add.reduceat(apart, first) / count),
+        np.sqrt(np.add.reduceat(squares, first) / count),
     )
 
 

@@ -419,8 +419,8 @@ def _warnings(fit: ClosedLoopFit, phi: Array) -> tuple[str, ...]:
     if fit.unexplained > ROUGH_FIT:
         warnings.append(
             f"the equation leaves {fit.unexplained:.0%} of the acceleration unexplained, expected "
-            f"less than {ROUGH_FIT:.0%}: friction is not told from noise, and w2 is rough; phi "
-            f"moves by {np.rad2deg(np.std(phi)):.2g} deg RMS, let it move more or read it finer"
+            f"less than {ROUGH_FIT:.0%}: friction is hidden in noise, and w2 is rough; phi moves "
+            f"by {np.rad2deg(np.std(phi)):.2g} deg RMS, let it move more or use a finer encoder"
         )
     if max(fit.late.low, -fit.late.high) > MAX_LATENESS:
         warnings.append(

@@ -537,9 +537,9 @@ def _polynomials(time: Array, values: Array, centres: Array, half: float) -> Arr
         powers[:, 0] = inside[good]
         for i in range(1, terms):
             np.multiply(powers[:, i - 1], s[good], out=powers[:, i])
-        seen = values[places[good]] - middle[good, np.newaxis]
+        change = values[places[good]] - middle[good, np.newaxis]
         moments = powers @ powers.transpose(0, 2, 1)
-        right = powers @ seen[..., np.newaxis]
+        right = powers @ change[..., np.newaxis]
         solved = np.linalg.solve(moments, right)[:, :3, 0]
         found[good] = solved * (1.0, 1.0, 2.0)
         found[good, 0] += middle[good]
@@ -584,8 +584,8 @@ def _w2_from_period(period: float, amplitude: float, is_rate: bool) -> float:
     K = np.asarray(ellipk(m))
     # A rate has the amplitude 2 sqrt(m w2).
     known = np.sqrt(m) * K if is_rate else np.sqrt(m)
-    seen = amplitude * period / 8.0 if is_rate else np.sin(0.5 * min(amplitude, pi))
-    return (4.0 * float(np.interp(seen, known, K)) / period) ** 2
+    observed = amplitude * period / 8.0 if is_rate else np.sin(0.5 * min(amplitude, pi))
+    return (4.0 * float(np.interp(observed, known, K)) / period) ** 2
 
 
 def _unexplained_share(

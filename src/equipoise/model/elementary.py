@@ -5,7 +5,7 @@ numbers. Therefore kernels advance a *block* of `BATCH_SIZE` independent states 
 together: row i of a block holds `BATCH_SIZE` adjacent numbers, entry (i, n) lies at
 i * BATCH_SIZE + n, and each formula is the body of a loop over n. A call into a mathematics library
 prevents vectorisation; the polynomials below do not. They also give identical bits in every lane of
-a block, whatever the other lanes hold.
+a block, independent of the other lanes.
 """
 
 from typing import Final

@@ -1,4 +1,4 @@
-"""Worlds for testing a policy, by name.
+"""Simulated worlds for testing a policy, by name.
 
 `ideal` is the paper's plant, whose arm has no delay; `model` is the training plant, with the
 identified actuator. `twin:nominal`, `twin:harsh` and `twin:bare` are named, frozen parameter sets
@@ -138,7 +138,7 @@ class PivotFriction(Value):
         }
         return pendulum._replace(**overrides)
 
-    def words(self, world: str) -> str:
+    def describe(self, world: str) -> str:
         """Return the frictions as text, with their units and origins.
 
         Args:
@@ -151,12 +151,12 @@ class PivotFriction(Value):
             origin = f"assumed by {world}; not identified for this pendulum"
         else:
             origin = identified
-        words = f"dry friction {self.coulomb:.3g} 1/s^2 ({origin})"
+        text = f"dry friction {self.coulomb:.3g} 1/s^2 ({origin})"
         if self.drag == self.own_drag == 0.0:
-            return words
+            return text
         if self.drag_from == "world":
             identified = f"set by {world}; the pendulum has {self.own_drag:.3g}"
-        return f"{words}, drag {self.drag:.3g} 1/rad ({identified})"
+        return f"{text}, drag {self.drag:.3g} 1/rad ({identified})"
 
 
 def pivot_friction(pendulum: "Pendulum", settings: TwinSettings) -> PivotFriction:

@@ -6,7 +6,7 @@ import numpy as np
 
 from equipoise.artefacts import Provenance
 from equipoise.model.arms.arm import Arm
-from equipoise.model.arms.resolve import DEFAULT, arm_word
+from equipoise.model.arms.resolve import DEFAULT, arm_option
 from equipoise.model.sim_configs import TwinSettings
 from equipoise.report import markup as html
 from equipoise.report.choices import Chapter, Choice, chapter, chapters, departures
@@ -122,7 +122,7 @@ def _short(digest: str) -> str:
 def _commands(results: Results) -> list[str]:
     record, world = results.record, results.run.conditions.world
     recipe, _ = closest_recipe(results.policy.settings)
-    arm = arm_word(results.policy.arm.name)
+    arm = arm_option(results.policy.arm.name)
     options = {
         f"--swing {record.swing}": not record.simulated,
         f"--recipe {recipe}": recipe != "robust",

@@ -155,7 +155,7 @@ def _twin(twin: TwinSettings, results: Results) -> str:
     if dry is None:
         friction = f"dry friction of {conditions.pendulum['coulomb']:.3g} 1/s^2"
     else:
-        friction = f"{PivotFriction.model_validate(dry).words(conditions.world)},"
+        friction = f"{PivotFriction.model_validate(dry).describe(conditions.world)},"
     modelled = (
         f"A transport delay: a setpoint takes effect {1e3 * twin.transport:g} ms after it was "
         f"sent, ± {1e3 * twin.transport_jitter:g} ms.",

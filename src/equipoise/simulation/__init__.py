@@ -1,4 +1,4 @@
-"""Trials in a simulated world: their conditions, one closed loop, and running any policy in it."""
+"""Trials of any policy in a simulated world: conditions, closed loops, and results."""
 
 from equipoise.control.policy import TaskPolicy
 from equipoise.learning.closed_loop import make_loop_params
@@ -39,10 +39,10 @@ __all__ = [
 
 
 def find_world(world: str | World) -> tuple[str, TwinSettings | None]:
-    """Return the name of a world and the numbers of a digital twin; `None` for a plant.
+    """Return the name of a world and the parameters of a digital twin; `None` for a plant.
 
     Raises:
-        SettingsError: There is no such world.
+        SettingsError: The world does not exist.
     """
     if isinstance(world, str) and world in (IDEAL, MODEL):
         return world, None
@@ -55,9 +55,9 @@ def setup_of(
     settings: Settings | None = None,
     actuator: Actuator | None = None,
 ) -> Setup:
-    """Return the setup of a policy in a world: its own task, but for what is given.
+    """Return the setup of a policy in a world; settings and actuator replace those of its task.
 
-    In the world `ideal` the arm has no delay, whatever is given.
+    In the world `ideal` the arm has no delay, also with a given actuator.
     """
     response = IDEAL_ACTUATOR if world == IDEAL else actuator or policy.actuator
     return Setup(policy.pendulum, policy.arm, settings or policy.settings, response, policy.h)
@@ -68,14 +68,14 @@ def simulate(world: str | World, setup: Setup, *, seed: int, stream: int) -> Sim
 
     Args:
         world: `ideal`, the paper's plant; `model`, the plant behind the actuator; or a digital
-            twin, by name or with its numbers.
-        setup: What is balanced, and by which controller.
+            twin, by name or with its parameters.
+        setup: Pendulum, arm and controller.
         seed: Master seed.
         stream: Purpose of the trials.
 
     Raises:
-        ArmError: A twin does not know the masses of the arm, or home is a singular posture.
-        SettingsError: There is no such world, or the delay is longer than the controller remembers.
+        ArmError: The masses of a twin's arm are unknown, or home is a singular posture.
+        SettingsError: The world does not exist, or the delay exceeds the controller's history.
     """
     _, numbers = find_world(world)
     if numbers is not None:

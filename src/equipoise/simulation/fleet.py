@@ -1,8 +1,8 @@
-"""Many closed loops that advance together, a tick at a time, as vector environments drive them.
+"""Fleets of closed loops that advance together, a tick at a time, for vector environments.
 
 A fleet keeps the newest values of all its loops in arrays, one row each. On the plant of the
 training, loops run in batches of `BATCH_SIZE` lanes, and one compiled call advances all of them; on
-a twin each loop is one of its own. A loop has the same bits as one that runs alone
+a twin each loop advances separately. A loop gives the same bits as a single one
 (`equipoise.simulation.interface.ClosedLoop`).
 """
 
@@ -26,7 +26,7 @@ from equipoise.simulation.plant import PlantSimulation, advance_lanes, new_lanes
 from equipoise.simulation.trials import Trials, Whole
 
 BATCHES_PER_THREAD: Final = 16
-"""Smallest number of batches for a thread of its own: to start one takes as long as a batch."""
+"""Minimum number of batches per thread: starting a thread takes as long as one batch."""
 
 
 class LoopArrays(NamedTuple):

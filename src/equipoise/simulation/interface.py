@@ -1,6 +1,6 @@
-"""One closed loop behind one interface: controller, arm, pendulum and sensors, a tick at a time.
+"""Interface of simulated worlds and of their closed loops, a tick at a time.
 
-A `Simulation` is a world with all that decides its trials: pendulum, arm, settings, actuator and
+A `Simulation` is a world with the inputs of its trials: pendulum, arm, settings, actuator and
 seed. It draws the conditions of trials, runs them for a compiled policy, and opens `ClosedLoop`s,
 which Python drives tick by tick. Both ways run the same kernels with the same random numbers, keyed
 by (seed, trial, tick): a trial has the same bits either way.
@@ -37,7 +37,7 @@ Finished = Callable[[Sequence[int]], None]
 
 
 class Measurement(NamedTuple):
-    """The newest measurements at a tick."""
+    """Newest measurements at a tick."""
 
     counts: float
     """Encoder counts from hanging, growing with theta."""
@@ -194,7 +194,7 @@ def run_trial(
         policy: The policy.
         trial: Conditions.
         duration: Length of the trial [s].
-        record: Receives what happens in each tick.
+        record: Recorder of each tick.
 
     Returns:
         Number of steps, cause of the end, and the sum of x^2 over the steps [m^2].
@@ -243,7 +243,7 @@ class TrialRecord(NamedTuple):
 
 
 class Recorder:
-    """Writes a `TrialRecord`."""
+    """Recorder of a `TrialRecord`."""
 
     def __init__(self, joints: int, max_steps: int) -> None:
         """Allocate the rows of a trial.
@@ -257,7 +257,7 @@ class Recorder:
         self._rows, self._ticks = TrialRecord(*map(np.zeros, shapes)), 0
 
     def before(self, loop: ClosedLoop, tick: int, u: float) -> None:
-        """Write what is known at a tick, and the u that the policy commands."""
+        """Write the state and the measurements at a tick, and the u that the policy commands."""
         rows, state = self._rows, loop.state()
         rows.observation[tick], rows.u[tick], rows.state[tick] = predicted(loop), u, state
         rows.joints[tick] = loop.joints()
@@ -269,7 +269,7 @@ class Recorder:
             rows.measured[tick] = *measured.q, measured.measured_at
 
     def after(self, loop: ClosedLoop, tick: int) -> None:
-        """Write what was commanded in a tick."""
+        """Write the commands and the tracked acceleration of a tick."""
         rows, controller = self._rows, loop.controller
         rows.setpoints[tick] = controller.setpoints[::BATCH_SIZE]
         rows.q[tick], rows.dq[tick] = controller.q[::BATCH_SIZE], controller.dq[::BATCH_SIZE]
@@ -278,5 +278,5 @@ class Recorder:
 
     @property
     def rows(self) -> TrialRecord:
-        """The record so far."""
+        """Record up to the latest tick."""
         return TrialRecord(*(column[: self._ticks] for column in self._rows))

@@ -63,7 +63,7 @@ def new_lanes(
 
 @kernel
 def advance_lanes(lanes: Any, count: int) -> None:
-    """Advance the first lanes by one tick; u of each stands in the controllers."""
+    """Advance the first lanes by one tick, with the u of each in its controller."""
     batch, key = lanes.batch, lanes.key
     draw_noise(batch.controller.noise, key[0], lanes.tick, lanes.number, 0, key[1], count)
     step(lanes.plant, batch, count)
@@ -111,7 +111,7 @@ class PlantSimulation(Simulation):
 
 
 class PlantLoop:
-    """The closed loop of the training, in the first lane of a batch."""
+    """Closed loop of the training, in the first lane of a batch."""
 
     def __init__(self, simulation: PlantSimulation) -> None:
         """Allocate the state."""

@@ -25,7 +25,7 @@ class Trial(NamedTuple):
     """Conditions of one trial."""
 
     number: int
-    """Number of the trial; with the seed it decides all noise."""
+    """Number of the trial, which determines all noise together with the seed."""
     start: tuple[float, float, float, float]
     """x [m], x_dot [m/s], phi [rad], phi_dot [rad/s] at the release."""
     variation: DomainRandomization
@@ -104,12 +104,12 @@ def draw_trials(
 
 
 def run_over_cores(work: Callable[[Item], object], items: Sequence[Item], workers: int) -> None:
-    """Call `work(item)` for each item, on threads; the first error ends them all.
+    """Call `work(item)` for each item on threads; the first error ends all of them.
 
     Args:
-        work: Runs in any of the threads.
-        items: Taken one by one, when a thread is free.
-        workers: Number of threads; one runs in the caller's.
+        work: Function, called in any thread.
+        items: Arguments; a free thread takes the next one.
+        workers: Number of threads; a single one is the caller's.
     """
     waiting = list(items)
     taking = iter(waiting)  # threads share the iterator of a list

@@ -52,14 +52,14 @@ class TwinSimulation(Simulation):
         """Set up a simulation.
 
         Args:
-            world: Numbers of the twin.
+            world: Parameters of the twin.
             setup: Pendulum, arm and controller.
             seed: Master seed.
             stream: Purpose of the trials.
 
         Raises:
-            ArmError: The masses of the arm's links are not known, or home is a singular posture.
-            SettingsError: The delay is longer than the controller remembers.
+            ArmError: The masses of the arm's links are unknown, or home is a singular posture.
+            SettingsError: The delay exceeds the controller's history.
         """
         pendulum, arm, settings, actuator, h = setup
         self._nominal = pendulum.parameters(linearised=settings.plant.linearised)
@@ -74,8 +74,8 @@ class TwinSimulation(Simulation):
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on.
 
-        I and b vary as the numbers of the twin say; jitter, noise and the error of the encoder's
-        zero are the twin's own.
+        I and b vary by the parameters of the twin; the twin draws jitter, noise and the zero error
+        of the encoder by itself.
         """
         world = self._world
         sigmas = {"inertia_sigma": world.inertia_sigma, "friction_sigma": world.friction_sigma}
@@ -118,7 +118,7 @@ class TwinSimulation(Simulation):
 
 
 class TwinLoop:
-    """The closed loop of one twin after the other."""
+    """Closed loop on one twin per trial."""
 
     def __init__(self, simulation: TwinSimulation) -> None:
         """Allocate the controller; the twin is made for each trial."""

@@ -87,7 +87,7 @@ def test_what_no_output_needs_is_not_written():
 @pytest.mark.parametrize("size", [7, 14])
 def test_the_committed_modules_are_what_the_generator_writes(size):
     arm = iiwa(size)
-    path = compiler.COMMITTED_ROOM / f"{arm.name}.py"
+    path = compiler.COMMITTED_FOLDER / f"{arm.name}.py"
     assert path.read_text(encoding="utf-8") == compiler.source(arm.chain), "run: make generated"
     module = importlib.import_module(f"equipoise.model.arms.generated.{arm.name}")
     assert arm.geometry_digest == module.DIGEST
@@ -201,7 +201,7 @@ def test_arms_have_their_own_results_in_one_process_and_from_the_cache_in_the_ne
 
 
 def test_main_writes_nothing_new(tmp_path, monkeypatch):
-    monkeypatch.setattr(compiler, "COMMITTED_ROOM", tmp_path)
+    monkeypatch.setattr(compiler, "COMMITTED_FOLDER", tmp_path)
     main()
     committed = Path(compiler.__file__).parent / "generated"
     for name in compiler.COMMITTED:

@@ -1,4 +1,4 @@
-"""A serial arm as numbers: places, limits and masses of its joints and links.
+"""Serial arms: geometry, limits and masses of joints and links.
 
 Each joint frame is placed in the previous one as in a URDF: `xyz`, then the fixed-axis angles
 `rpy`, then the rotation by q about `axis`. The first frame is placed in the base (z up), the flange
@@ -78,10 +78,10 @@ class Inertial(_Described):
 
 
 class Joint(_Described):
-    """A revolute joint: its place in the frame of the previous joint, its axis, its limits."""
+    """Revolute joint: origin in the frame of the previous joint, axis and limits."""
 
     name: Name
-    """Name that its maker gave it."""
+    """Name of the joint."""
     xyz: Offset
     """Origin in the frame of the previous joint [m]."""
     rpy: Angles = (0.0, 0.0, 0.0)
@@ -133,7 +133,7 @@ class Kinematics(NamedTuple):
 
 
 class ArmKernel(NamedTuple):
-    """An arm as compiled kernels take it."""
+    """Parameters and kinematics of an arm for compiled kernels."""
 
     kinematics: KinematicsFunction
     """Function kinematics(q, dq, frame, lanes), compiled for blocks of 6, 6 and `FRAME_SIZE`
@@ -200,21 +200,21 @@ class Arm(_Described):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the numbers that decide how the flange moves: geometry, held joint, limits.
+        """SHA-256 of the parameters of the flange's motion: geometry, held joint and limits.
 
-        Names, masses, home and pivot are left out. The flange keeps its orientation, so that a
-        pivot elsewhere on it moves alike; a policy records its home by itself.
+        Names, masses, home and pivot are left out. The flange keeps its orientation, so every pivot
+        on it has the same motion; a policy records its home separately.
         """
         return _shape(self, limits=True)
 
     @property
     def geometry_digest(self) -> str:
-        """SHA-256 of the numbers from which the kinematics is generated."""
+        """SHA-256 of the parameters of the generated kinematics."""
         return _shape(self, limits=False)
 
     @property
     def chain(self) -> Chain:
-        """Geometry from which the kinematics is generated."""
+        """Geometry for the generated kinematics."""
         return Chain(self.name, self.geometry_digest, links(self))
 
     @property
@@ -266,7 +266,7 @@ class Arm(_Described):
         return self.kinematics(q)
 
     def compiled(self) -> ArmKernel:
-        """Return the arm as kernels take it; the first call compiles it or loads it."""
+        """Return the arm for kernels; the first call compiles or loads its kinematics."""
         return _compiled(self)
 
 

@@ -35,7 +35,7 @@ class Link(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """Geometry from which the kinematics of an arm is generated."""
+    """Geometry of an arm for its generated kinematics."""
 
     name: str
     """Name of the arm."""

@@ -52,7 +52,7 @@ FRAME_SIZE: Final = 60
 
 COMMITTED: Final = ("iiwa7", "iiwa14")
 """Names of the arms whose modules are part of the package."""
-COMMITTED_ROOM: Final = Path(__file__).parent / "generated"
+COMMITTED_FOLDER: Final = Path(__file__).parent / "generated"
 """Folder of these modules."""
 
 INDEX: Final = re.compile(r"\[[^]]*\]")
@@ -181,17 +181,17 @@ def load(chain: Chain) -> KinematicsFunction:
             return module.kinematics
     name = f"{chain.digest.removeprefix('sha256:')}.py"
     text = source(chain)
-    room = cache_folder("arms")
-    if room is not None:
+    folder = cache_folder("arms")
+    if folder is not None:
         try:
-            _write(room / name, text)
+            _write(folder / name, text)
         except OutsideError as error:
             warn_of_cache(cache_directory(), str(error))
-            room = None
-    if room is None:
-        room = _instead_of_cache()
-        _write(room / name, text)
-    return _imported(room / name).kinematics
+            folder = None
+    if folder is None:
+        folder = _temporary_folder()
+        _write(folder / name, text)
+    return _imported(folder / name).kinematics
 
 
 def _write(path: Path, text: str) -> None:
@@ -204,7 +204,7 @@ def _write(path: Path, text: str) -> None:
 
 
 @functools.cache
-def _instead_of_cache() -> Path:
+def _temporary_folder() -> Path:
     """Return a folder that is removed when the process ends."""
     folder = Path(tempfile.mkdtemp(prefix="equipoise-arms-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)

@@ -71,7 +71,7 @@ def iiwa(size: Literal[7, 14], *, media_flange: float = 0.0) -> Arm:
         media_flange: Height of the media flange: 0, 0.035 or 0.061 m.
 
     Raises:
-        ArmError: There is no such iiwa or media flange.
+        ArmError: The size or the media flange is unknown.
     """
     if size not in _MODELS:
         raise ArmError(f"there is no iiwa {size}; choose 7 or 14")
@@ -120,7 +120,7 @@ def iiwa14() -> Arm:
 def main() -> None:
     """Write the generated kinematics of both arms into the package."""
     for arm in (iiwa7(), iiwa14()):
-        write_whole(compiler.COMMITTED_ROOM / f"{arm.name}.py", compiler.source(arm.chain))
+        write_whole(compiler.COMMITTED_FOLDER / f"{arm.name}.py", compiler.source(arm.chain))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Masses and inertias of the links: those of the iiwas, and the check that a twin needs.
+"""Masses and inertias of the iiwas' links, and their validation for a twin.
 
-KUKA publishes none for the iiwa 7 and iiwa 14. These numbers are those of `lbr_description` of the
-LBR stack (Apache-2.0), whose joint frames lie half-way along the links and beside them and are
+KUKA publishes no inertias of the iiwa 7 and iiwa 14. The numbers come from `lbr_description` of the
+LBR stack (Apache-2.0). Its joint frames lie half-way along the links and beside them, and are
 parallel to the base at zero. `place_links` moves them into the joint frames of another chain of
 the same arm. The base, link 0, does not move and is left out.
 """

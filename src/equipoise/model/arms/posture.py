@@ -14,7 +14,7 @@ from equipoise.model.arms.chain import Floats
 from equipoise.paper import X_LIMIT
 
 DAMPING = 1e-9
-"""Term added to J J^T in a Newton step, against a division by zero in a singular posture."""
+"""Term added to J J^T in a Newton step, which prevents a division by zero in a singular posture."""
 
 
 def along_x(arm: Arm, displacements: Sequence[float] | Floats) -> Floats:
@@ -60,9 +60,9 @@ def limit_margin(arm: Arm, q: Floats) -> float:
 def search_home(arm: Arm, *, lowest: float = 0.3, candidates: int = 2000) -> Arm:
     """Return `arm` with a home from which the whole track is far from singular postures.
 
-    Random postures (seed 0) in the middle of the joints' ranges, the flange at least `lowest`
-    [m] above the base plane. Of the twenty best conditioned, the one with the best condition at
-    its worst place on the track. The surroundings are not considered.
+    The candidates are random postures (seed 0) in the middle of the joints' ranges, with the flange
+    at least `lowest` [m] above the base plane. Of the twenty best conditioned, the result has the
+    best condition at its worst place on the track. The surroundings are not considered.
 
     Raises:
         ArmError: No candidate can carry the flange along the track.

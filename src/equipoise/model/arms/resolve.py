@@ -1,4 +1,4 @@
-"""Arms by name or file: one function for the command line, `rig.toml` and studies.
+"""Arms by name or file, for the command line, `rig.toml` and studies.
 
 A package registers an arm under the entry point group `equipoise.arms`: its name, and a function
 without arguments that returns an `Arm`. The iiwas are registered in the same way.
@@ -41,11 +41,11 @@ def resolve_arm(
         base: Fixed link of the URDF.
         tip: Link of the URDF that is the flange.
         acceleration: Acceleration limit of every joint of the URDF [rad/s^2].
-        home: Posture at x = 0, all joints [rad]; by default the arm's own, or one that is searched.
+        home: Posture at x = 0, all joints [rad]; by default the arm's own, or a search.
         pivot: The pendulum's pivot in the flange frame [m]; by default the arm's own.
 
     Raises:
-        ArmError: There is no such arm, or an argument does not fit it.
+        ArmError: The arm is unknown, or an argument does not fit it.
     """
     options = {"held": held, "base": base, "tip": tip, "acceleration": acceleration}
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
@@ -82,8 +82,8 @@ def registered_arms() -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
-def arm_word(name: str) -> str | None:
-    """Return the value of `--arm` for the arm of a name; `None` for the default arm."""
+def arm_option(name: str) -> str | None:
+    """Return the value of `--arm` for an arm's name; `None` for the default arm."""
     return None if name == DEFAULT else name if name in registered_arms() else "ARM.urdf"
 
 

@@ -1,4 +1,4 @@
-"""An arm, its pendulum and the table in MuJoCo, in simple geometry that errs on the thick side.
+"""MuJoCo model of an arm, its pendulum and the table, in simple geometry on the thick side.
 
 A link is a capsule from joint to joint, as wide as its widest place, and shortened at its ends. A
 joint that turns across its links has a housing, a capsule along its axis. The sizes are our own
@@ -122,7 +122,7 @@ def scene(arm: Arm, sizes: Sizes = SIZES) -> Any:
 
 
 def _across(arm: Arm, steps: list[Floats]) -> list[bool]:
-    """Tell for each joint whether it turns across the links that it joins, not along one."""
+    """Return for each joint whether it turns across the links that it joins, not along one."""
     rotation, axes, directions = np.eye(3), list[Floats](), list[Floats]()
     for joint, step in zip(arm.joints, steps, strict=False):
         directions.append(rotation @ step)

@@ -1,8 +1,8 @@
-"""Expressions that simplify themselves while they are written down.
+"""Symbolic expressions that are simplified as they are built.
 
 A `Tape` records sums and products of inputs and numbers. Numbers are folded, signs are moved
-outwards and cancelled, the operands of + and * are kept in one order, and equal expressions are
-one object: so each is computed once. `Tape.python` prints what the outputs need, and no more.
+outwards and cancelled, and the operands of + and * are kept in one order. Equal expressions are one
+object, so each is computed once. `Tape.python` prints the expressions that the outputs need.
 """
 
 from collections.abc import Iterator, Mapping
@@ -71,7 +71,7 @@ class Symbol:
         return self.tape.symbol("-", a, b)
 
     def __str__(self) -> str:
-        """Return the name, or the formula where it has none."""
+        """Return the name, or the formula of an unnamed symbol."""
         return self.name or self.formula()
 
     def formula(self) -> str:
@@ -97,7 +97,7 @@ class Symbol:
 
 
 class Tape:
-    """The symbols of one computation, in the order in which they came up, in titled blocks."""
+    """Symbols of one computation, in order of creation, in titled blocks."""
 
     def __init__(self) -> None:
         self.symbols: dict[tuple[object, ...], Symbol] = {}
@@ -111,13 +111,13 @@ class Tape:
         return self.symbols[key]
 
     def input(self, name: str, formula: str) -> Symbol:
-        """Return a symbol whose value is read by `formula`, a piece of Python."""
+        """Return a symbol whose value is the Python expression `formula`."""
         symbol = self.symbols[("input", formula)] = Symbol(self, formula, ())
         symbol.name = name
         return symbol
 
     def pair(self, names: tuple[str, str], formula: str) -> "tuple[Symbol, Symbol]":
-        """Return two symbols that one piece of Python gives together."""
+        """Return the two symbols of a Python expression with a pair as its value."""
         both = self.input(", ".join(names), formula)
         first, second = (self.symbol(f"part {i}", both) for i in range(2))
         first.name, second.name = names
@@ -131,11 +131,11 @@ class Tape:
         return self.symbols[key]
 
     def has(self, operation: str, *operands: Symbol) -> bool:
-        """Tell whether the operation is on the tape."""
+        """Return whether the operation is on the tape."""
         return (operation, *operands) in self.symbols
 
     def named(self, name: str, vector: Vector) -> Vector:
-        """Name the components of a vector, where they are worth one; return the vector."""
+        """Name the unnamed sums, differences and products of a vector; return the vector."""
         for symbol, component in zip(vector, "xyz", strict=True):
             negated = symbol.operation == "neg"
             if negated:
@@ -148,7 +148,7 @@ class Tape:
     def python(self, record: Mapping[str, Mapping[str, Symbol]]) -> Iterator[str]:
         """Yield the lines that compute a record: for each title, its targets and their symbols.
 
-        What is used more than once has a line of its own; what nobody uses has none.
+        Expressions with several uses get a line of their own; unused ones are left out.
         """
         users: dict[Symbol, int] = {}
         pending = [symbol for entries in record.values() for symbol in entries.values()]

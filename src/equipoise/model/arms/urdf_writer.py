@@ -1,4 +1,4 @@
-"""Arms as URDF files, with simple shapes: what other programs load, and viewers draw.
+"""Arms as URDF files with simple shapes, for other programs and viewers.
 
 Links are named after their joints, between `base` and `flange`; the held joint of an arm with seven
 joints is a joint like the others. The pendulum is drawn as a rod that turns about base y at home:
@@ -25,13 +25,13 @@ UPRIGHT: Final = (0.0, 1.0, 0.0)
 """Axis of the pendulum, base y at home."""
 
 
-class Link(NamedTuple):
-    """A link, and the joint between it and the link before it."""
+class UrdfLink(NamedTuple):
+    """Link of a URDF with the joint to its parent link."""
 
     name: str
     """Name of the link."""
     parent: str
-    """Name of the link before it."""
+    """Name of the parent link."""
     joint: str
     """Name of the joint."""
     xyz: Triple
@@ -44,36 +44,38 @@ class Link(NamedTuple):
     """Whether the joint turns; else it is fixed."""
 
 
-def describe_links(arm: Arm, *, pendulum: bool = False) -> list[Link]:
-    """Return the links of an arm behind `base`, in their order, down to the flange.
+def describe_links(arm: Arm, *, pendulum: bool = False) -> list[UrdfLink]:
+    """Return the links of an arm from `base` (excluded) to the flange.
 
     Args:
         arm: The arm.
-        pendulum: Whether the pendulum follows the flange.
+        pendulum: Whether to add the pendulum behind the flange.
     """
-    made: list[Link] = []
+    made: list[UrdfLink] = []
     parent = "base"
     for joint in arm.joints:
         name, axis = f"{joint.name}_link", joint.axis
         length = hypot(*axis)
         unit = (axis[0] / length, axis[1] / length, axis[2] / length)
-        made.append(Link(name, parent, joint.name, joint.xyz, joint.rpy, unit, True))
+        made.append(UrdfLink(name, parent, joint.name, joint.xyz, joint.rpy, unit, True))
         parent = name
-    made.append(Link("flange", parent, "to_flange", arm.flange_xyz, arm.flange_rpy, UPRIGHT, False))
+    made.append(
+        UrdfLink("flange", parent, "to_flange", arm.flange_xyz, arm.flange_rpy, UPRIGHT, False)
+    )
     if pendulum:
         level = rpy_from_rotation(arm.pose(arm.home_free).rotation.T)
-        made.append(Link(PENDULUM, "flange", PENDULUM, arm.pivot, level, UPRIGHT, True))
+        made.append(UrdfLink(PENDULUM, "flange", PENDULUM, arm.pivot, level, UPRIGHT, True))
     return made
 
 
 def write_urdf(arm: Arm, *, pendulum: bool = False) -> str:
     """Return an arm as the text of a URDF file; `read_urdf` with `tip="flange"` reads it again.
 
-    URDF has no place for limits of accelerations, the home posture and the held joint.
+    URDF cannot hold acceleration limits, the home posture and the held joint.
 
     Args:
         arm: The arm.
-        pendulum: Whether the pendulum hangs on its flange.
+        pendulum: Whether to add the pendulum to the flange.
     """
     robot = ElementTree.Element("robot", name=arm.name)
     links = describe_links(arm, pendulum=pendulum)
@@ -95,7 +97,7 @@ def write_urdf(arm: Arm, *, pendulum: bool = False) -> str:
     return ElementTree.tostring(robot, encoding="unicode")
 
 
-def _joint(robot: ElementTree.Element, link: Link, joint: Joint | None) -> None:
+def _joint(robot: ElementTree.Element, link: UrdfLink, joint: Joint | None) -> None:
     kind = "fixed" if not link.turns else "continuous" if joint is None else "revolute"
     element = ElementTree.SubElement(robot, "joint", name=link.joint, type=kind)
     ElementTree.SubElement(element, "parent", link=link.parent)
