@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from equipoise.devices.encoder.codec import (
-    LONGEST,
+    MAX_LINE,
     Banner,
     Decoder,
     Flags,
@@ -233,4 +233,4 @@ def test_a_late_board_counts_the_periods_it_missed(sketch):
 
 def test_host_and_sketch_agree_on_speed_and_length():
     assert f"BAUD = {BAUD};" in (SKETCH / "equipoise_encoder.ino").read_text()
-    assert f"kLongest = {LONGEST + 1};" in (SKETCH / "eline.h").read_text()
+    assert f"kLongest = {MAX_LINE + 1};" in (SKETCH / "eline.h").read_text()

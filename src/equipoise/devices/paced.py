@@ -27,11 +27,11 @@ from equipoise.errors import LinkError
 
 MARGIN: Final = 0.001
 """Lateness of a setpoint that does not change the path [s]; a tick computes for 0.3 ms."""
-LATE: Final = 0.5
+LATE_SHARE: Final = 0.5
 """Maximum further lateness of a setpoint that still bends the present part of the path, as a share
-of a period [-]. The path then jumps by at most LATE^2 / 2 of the step to that setpoint. A later
-setpoint waits for the next part, before which the arm comes to rest."""
-AHEAD: Final = 8
+of a period [-]. The path then jumps by at most half the square of this share of the step to that
+setpoint. A later setpoint waits for the next part, before which the arm comes to rest."""
+MAX_AHEAD: Final = 8
 """Maximum number of setpoints that wait for their part of the path; more are refused, since the
 caller sends faster than its period."""
 
@@ -134,9 +134,9 @@ class PacedStream:
         setpoint = checked(q, self.joints)
         if not self._streams:
             raise LinkError("the robot has no servo running; call start first")
-        if len(self._ahead) >= AHEAD:
+        if len(self._ahead) >= MAX_AHEAD:
             raise LinkError(
-                f"{AHEAD} setpoints wait for the robot, expected one each "
+                f"{MAX_AHEAD} setpoints wait for the robot, expected one each "
                 f"{1e3 * self._period:g} ms; it no longer asks, or the caller is too fast"
             )
         now = self._clock.now()
@@ -145,7 +145,7 @@ class PacedStream:
         if self._held and since >= self._period:  # the path stands still, and begins anew
             self._knots.extend([self._knots[2]] * 3)
             self._begin = now + MARGIN - self._period
-        if self._held and since <= LATE * self._period:
+        if self._held and since <= LATE_SHARE * self._period:
             self._knots[2], self._held = setpoint, False  # bends the present part
         else:
             self._ahead.append(setpoint)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from equipoise.devices.encoder.codec import (
-    LONGEST,
+    MAX_LINE,
     REQUEST,
     Banner,
     Decoder,
@@ -78,7 +78,7 @@ def test_every_reading_comes_back(reading):
 def test_the_ends_of_each_range_fit(edge):
     line = encode(edge)[:-1]
     assert decode(line) == edge
-    assert len(line) <= LONGEST
+    assert len(line) <= MAX_LINE
 
 
 @pytest.mark.parametrize(
@@ -206,11 +206,11 @@ def test_a_line_without_end_takes_no_memory():
     decoder.feed(b"\n")
     for _ in range(1000):
         assert decoder.feed(b"x" * 50) == []
-        assert len(decoder._part) <= LONGEST
+        assert len(decoder._part) <= MAX_LINE
     assert decoder.rejected == 1
-    assert decoder.feed(b"x\n" + line + b"y" * LONGEST + b"\n" + line) == [EXAMPLE, EXAMPLE]
+    assert decoder.feed(b"x\n" + line + b"y" * MAX_LINE + b"\n" + line) == [EXAMPLE, EXAMPLE]
     assert decoder.rejected == 2
-    assert decoder.feed(b"y" * (LONGEST + 1) + b"\n" + line) == [EXAMPLE]
+    assert decoder.feed(b"y" * (MAX_LINE + 1) + b"\n" + line) == [EXAMPLE]
     assert decoder.rejected == 3
 
 

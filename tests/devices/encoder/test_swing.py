@@ -7,7 +7,7 @@ import pytest
 
 from equipoise.devices.encoder.swing import (
     LEAD_TIME,
-    LONGEST_GAP,
+    MAX_GAP,
     RELEASE_TIMEOUT,
     RecordingStage,
     SwingRecorder,
@@ -230,7 +230,7 @@ def test_a_long_gap_in_the_swing_is_refused_and_a_short_one_told():
     begin = RELEASE + 2.0
     with pytest.raises(RecordingError, match="samples are missing for 31 ms, expected at most 20"):
         recorded(ByHand(0.8), change=without(begin, begin + 0.030))
-    short = recorded(ByHand(0.8), change=without(begin, begin + LONGEST_GAP - 0.002))
+    short = recorded(ByHand(0.8), change=without(begin, begin + MAX_GAP - 0.002))
     assert short.missing == 18
     short.trajectory()
     # While the hand holds it, nothing is lost.

@@ -19,7 +19,7 @@ class Rig(Bench):
         super().__init__(**options)
         self.told, self.opened, self.tried, self.opens_after = [], 0, 0, opens_after
         self.robot = KstRobot(
-            self.open, self.clock, tell=self.told.append, attend=lambda: self.attend()
+            self.open, self.clock, notify=self.told.append, attend=lambda: self.attend()
         )
         self.attend = lambda: None
 

@@ -20,7 +20,7 @@ from equipoise.errors import InputError
 
 REQUEST: Final = b"?\n"
 """Request for a board's banner."""
-LONGEST: Final = 96
+MAX_LINE: Final = 96
 """Maximum length of a line without its end [bytes]; every banner is shorter."""
 
 _READING: Final = re.compile(
@@ -132,7 +132,7 @@ class Decoder:
     """Decoder of a board's byte stream; never raises.
 
     Bytes before the first line end are dropped, since reading usually starts within a line. Lines
-    longer than `LONGEST` are dropped, so that memory is bounded.
+    longer than `MAX_LINE` are dropped, so that memory is bounded.
     """
 
     def __init__(self) -> None:
@@ -161,7 +161,7 @@ class Decoder:
         if self._skipping:
             return
         self._part += piece
-        if len(self._part) > LONGEST:
+        if len(self._part) > MAX_LINE:
             self._part.clear()
             self._skipping = True
             self.rejected += 1

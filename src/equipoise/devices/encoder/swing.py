@@ -38,7 +38,7 @@ MIN_PERIODS: Final = 3
 """Minimum number of periods that identify a pendulum; ten are better."""
 MIN_DECAY: Final = 0.05
 """Share of the first amplitude at which the recording ends [-]."""
-LONGEST_GAP: Final = 0.02
+MAX_GAP: Final = 0.02
 """Maximum gap in a recording [s]: a fortieth of the paper's period."""
 MAX_OFFSET: Final = radians(3.0)
 """Maximum angle between the centre of the swing and the zero [rad]: three times the effect of the
@@ -195,10 +195,10 @@ class SwingRecorder:
                 "the encoder lost a count (an illegal transition of its lines); check its wires, "
                 "its shield and its supply, then record again"
             )
-        if gap > LONGEST_GAP and self.stage is RecordingStage.SWINGING:
+        if gap > MAX_GAP and self.stage is RecordingStage.SWINGING:
             raise RecordingError(
                 f"samples are missing for {1e3 * gap:.0f} ms, expected at most "
-                f"{1e3 * LONGEST_GAP:.0f}; close other programs, or use a faster link"
+                f"{1e3 * MAX_GAP:.0f}; close other programs, or use a faster link"
             )
 
     def _watch_hand(self, height: float) -> None:

@@ -48,7 +48,7 @@ def host_and_port(address: str) -> tuple[str, int]:
 def open_robot(address: str, session: Session) -> KstRobot:
     """Return the driver for an address; nothing is opened before it is connected."""
     clock, notify, attend = session
-    return KstRobot(dial(*host_and_port(address)), clock, tell=notify, attend=attend)
+    return KstRobot(dial(*host_and_port(address)), clock, notify=notify, attend=attend)
 
 
 def emulate(

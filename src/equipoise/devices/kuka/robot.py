@@ -100,7 +100,7 @@ class KstRobot:
         open_transport: Callable[[], Transport],
         clock: Clock,
         *,
-        tell: Callable[[str], None] = ignore,
+        notify: Callable[[str], None] = ignore,
         attend: Callable[[], None] = ignore,
         joints: int = codec.JOINTS,
     ) -> None:
@@ -109,14 +109,14 @@ class KstRobot:
         Args:
             open_transport: Opens a connection to the server, or raises `LinkError`.
             clock: Clock of the rig.
-            tell: Receives instructions to the operator while `connect` waits.
+            notify: Receives instructions to the operator while `connect` waits.
             attend: Called between attempts to connect; an exception that it raises ends the wait.
             joints: Number of joints; other than seven only for an emulated arm.
         """
         self.joints = joints
         """Number of joints, the held one included."""
         self._open, self._clock = open_transport, clock
-        self._tell, self._attend = tell, attend
+        self._notify, self._attend = notify, attend
         self._transport: Transport | None = None
         self._failure = ""
         self._streams, self._sent = False, 0
@@ -243,7 +243,7 @@ class KstRobot:
                     within = f"within {SERVER_TIMEOUT:g} s"
                     raise LinkError(f"no KST server answered {within}: {error}") from None
             if not notified:
-                self._tell(INSTRUCTIONS)
+                self._notify(INSTRUCTIONS)
                 notified = True
             self._wait(RETRY_PERIOD)
             self._attend()
