@@ -30,7 +30,7 @@ def test_explain_names_the_cause_with_evidence_and_advice(equipoise, pushed):
     ran = equipoise("log", "explain", pushed)
     assert ran.code == 0
     assert "Why: push" in ran.out
-    assert "deg/s within 80 ms, beyond what gravity and the flange explain" in ran.out
+    assert "deg/s within 80 ms, more than gravity and the flange explain" in ran.out
     assert "keep hands, cables and draughts away" in ran.out
     picture = [line for line in ran.out.splitlines() if line.endswith("]") or "[ " in line]
     assert len(picture) > 8

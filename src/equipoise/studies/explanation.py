@@ -19,7 +19,7 @@ or a tilted base, is a slope of :math:`-w_2 b`.
 that names a symptom (the angle, the track) ranks last.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from enum import Enum
 from math import cos, degrees, sqrt
 from typing import Final, NamedTuple
@@ -188,7 +188,7 @@ IN_SIMULATION: Final = {
 }
 """Advice for simulated runs, where it differs."""
 
-_ROOT_CAUSES: Final = {
+_RULES: Final[Mapping[CauseName, tuple[str | Rule, ...]]] = {
     CauseName.LASTED: ("lasted",),
     CauseName.EXCITED: ("excited",),
     CauseName.BUG: (Rule.NUMBER, Rule.COUNT),
@@ -203,8 +203,6 @@ _ROOT_CAUSES: Final = {
     CauseName.LATE: (Rule.TICK,),
     CauseName.STALE: (Rule.ENCODER_STALE,),
     CauseName.JUMP: (Rule.ENCODER_ILLEGAL, Rule.ENCODER_GAP, Rule.ENCODER_JUMP),
-}
-_SYMPTOMS: Final = {
     CauseName.ANGLE: (Rule.ANGLE,),
     CauseName.TRACK: (Rule.TRACK,),
     CauseName.JOINT: (
@@ -214,20 +212,16 @@ _SYMPTOMS: Final = {
     CauseName.FAULT: ("fault", "error", "unknown"),
     CauseName.BROKEN_OFF: (BROKEN_OFF,),
 }
-
-
-def _by_logged_name(table: Mapping[CauseName, tuple[str | Rule, ...]]) -> dict[str, CauseName]:
-    return {
-        entry.value if isinstance(entry, Rule) else entry: cause
-        for cause, entries in table.items()
-        for entry in entries
-    }
-
-
-ROOT_CAUSES: Final = _by_logged_name(_ROOT_CAUSES)
-"""Causes in a log that name a root cause."""
-SYMPTOMS: Final = _by_logged_name(_SYMPTOMS)
-"""Causes in a log that name a symptom."""
+LOGGED_CAUSES: Final = {
+    rule.value if isinstance(rule, Rule) else rule: cause
+    for cause, rules in _RULES.items()
+    for rule in rules
+}
+"""Causes by their names in a log."""
+SYMPTOMS: Final = frozenset(
+    CauseName[name] for name in ("ANGLE", "TRACK", "JOINT", "FAULT", "BROKEN_OFF", "UNKNOWN")
+)
+"""Causes that name a symptom, not a root cause."""
 NOT_ANALYSED: Final = frozenset({CauseName.LASTED, CauseName.OPERATOR, CauseName.EXCITED})
 """Causes after which no detector runs."""
 FAULT_KEYWORDS: Final = {
@@ -282,18 +276,10 @@ class RunTimeline(NamedTuple):
     """The assumed pendulum."""
     u_max: float
     """Maximum acceleration that the policy commands [m/s^2]."""
-    late: Array
-    """Lateness of each tick [s], including the one that stopped the run; empty in simulation."""
     time: Array
     """Times of the unexplained rate [s], shape (m,)."""
     rate: Array
     """The unexplained rate [rad/s], shape (m,)."""
-    torque_time: Array
-    """Times of the external torques [s], shape (p,)."""
-    torque: Array
-    """External torques less their median [N m], shape (p, joints)."""
-    torque_limit: Array
-    """Limits of the external torques [N m], shape (joints,)."""
 
     @property
     def falling(self) -> Array:
@@ -355,41 +341,22 @@ def _reason(run: RunLog) -> str:
 def _logged_cause(how: LoggedEnding, lasted: float) -> Evidence:
     """Return the cause that the log names."""
     reason = how.reason or f"the log says: {how.cause}"
-    named = [name for words, name in FAULT_KEYWORDS.items() if words in how.reason]
-    root = ROOT_CAUSES.get(how.cause) or next(iter(named), None)
-    if root is not None:
-        return Evidence(root, 0.95, lasted, reason)
-    return Evidence(SYMPTOMS.get(how.cause, CauseName.UNKNOWN), 0.2, lasted, reason)
+    cause = LOGGED_CAUSES.get(how.cause, CauseName.UNKNOWN)
+    if cause not in SYMPTOMS:
+        return Evidence(cause, 0.95, lasted, reason)
+    for keyword, root in FAULT_KEYWORDS.items():
+        if keyword in how.reason:
+            return Evidence(root, 0.95, lasted, reason)
+    return Evidence(cause, 0.2, lasted, reason)
 
 
 def _timeline(run: RunLog) -> RunTimeline:
-    u_max = run.conditions.u_max or float(np.abs(run.u).max())
-    late, torques = np.zeros(0), (np.zeros(0), np.zeros((0, 1)), np.ones(1))
-    if not run.conditions.simulated:
-        ticks = run.phase_ticks(Phase.BALANCING)
-        # Its lateness may be why a tick stops the run.
-        late = run.tables["tick"]["late"][ticks[0] : ticks[-1] + 2]
-        torques = _torques(run)
-    pendulum = pendulum_of(run)
+    u_max, pendulum = run.conditions.u_max or float(np.abs(run.u).max()), pendulum_of(run)
     try:
         time, rate = _unexplained_rate(run, pendulum)
     except (ArtefactError, RecordingError, ValueError):  # too short, or of an unknown arm
         time = rate = np.zeros(0)
-    return RunTimeline(run, pendulum, u_max, late, time, rate, *torques)
-
-
-def _torques(run: RunLog) -> tuple[Array, Array, Array]:
-    """Return times [s], external torques less their median, and their limits [N m]."""
-    reply, tick = run.tables["reply"], run.tables["tick"]["time"]
-    ticks = run.phase_ticks(Phase.BALANCING)
-    began, last = tick[ticks[0]], tick[ticks[-1]] + TORQUE_DELAY
-    reply = reply[np.isfinite(reply["torque"]).all(axis=1)]
-    reply = reply[(reply["time"] >= began) & (reply["time"] <= last)]
-    limit = [TORQUE_SHARE * joint.torque for joint in run.conditions.arm.joints]
-    if len(reply) == 0:
-        return np.zeros(0), np.zeros((0, len(limit))), np.array(limit)
-    usual = np.median(reply["torque"], axis=0)
-    return reply["time"] - began, reply["torque"] - usual, np.array(limit)
+    return RunTimeline(run, pendulum, u_max, time, rate)
 
 
 def _unexplained_rate(run: RunLog, pendulum: PendulumParameters) -> tuple[Array, Array]:
@@ -445,38 +412,31 @@ def _outside(timeline: RunTimeline) -> Evidence | None:
         return Evidence(CauseName.OUTSIDE, 0.85, time, f"released too far out: {where}")
     before = slice(max(first - 15, 0), first + 1)
     largest = float(np.mean(np.abs(log.u[before]) >= 0.99 * timeline.u_max))
-    return Evidence(
-        CauseName.SATURATION,
-        0.35 + 0.1 * largest,
-        time,
-        f"{where}; the largest command stood for {largest:.0%} of the 0.15 s before",
-    )
+    where += f"; the largest command stood for {largest:.0%} of the 0.15 s before"
+    return Evidence(CauseName.SATURATION, 0.35 + 0.1 * largest, time, where)
 
 
 def _push(timeline: RunTimeline) -> Evidence | None:
     """Detect the largest step of the unexplained rate."""
     time, rate = timeline.time, timeline.rate
-    wide, around = round(STEP_TIME / GRID_STEP), round(BASELINE_HALF_WIDTH / GRID_STEP)
+    wide, half = round(STEP_TIME / GRID_STEP), round(BASELINE_HALF_WIDTH / GRID_STEP)
     if len(time) <= wide + 2:
         return None
     steps = rate[wide:] - rate[:-wide]
     middle = time[wide // 2 : wide // 2 + len(steps)]
-    usual = np.array(
-        [np.median(steps[max(i - around, 0) : i + around + 1]) for i in range(len(steps))]
-    )
+    windows = (steps[max(i - half, 0) : i + half + 1] for i in range(len(steps)))
+    usual = np.array([np.median(window) for window in windows])
     late = middle >= timeline.log.lasted - FINAL_WINDOW
     unusual = np.where(late, np.abs(steps - usual), 0.0)
     i = int(np.argmax(unusual))
     if unusual[i] < MIN_PUSH:
         return None
-    size = float(steps[i] - usual[i])
-    return Evidence(
-        CauseName.PUSH,
-        0.5 + 0.32 * min(abs(size) / LARGE_PUSH, 1.0),
-        float(middle[i]),
-        f"at {middle[i]:.2f} s the pendulum's rate changed by {degrees(size):+.0f} deg/s within "
-        f"{1e3 * STEP_TIME:.0f} ms, beyond what gravity and the flange explain",
+    size, when = float(steps[i] - usual[i]), float(middle[i])
+    text = (
+        f"at {when:.2f} s the pendulum's rate changed by {degrees(size):+.0f} deg/s within "
+        f"{1e3 * STEP_TIME:.0f} ms, more than gravity and the flange explain"
     )
+    return Evidence(CauseName.PUSH, 0.5 + 0.32 * min(abs(size) / LARGE_PUSH, 1.0), when, text)
 
 
 def _zero(timeline: RunTimeline) -> Evidence | None:
@@ -491,14 +451,13 @@ def _zero(timeline: RunTimeline) -> Evidence | None:
     error = -float(np.median(slopes)) / timeline.pendulum.w2
     if abs(error) < MIN_ZERO_ERROR:
         return None
-    return Evidence(
-        CauseName.ZERO,
-        0.5 + 0.35 * min(abs(error) / LARGE_ZERO_ERROR, 1.0),
-        timeline.log.lasted,
+    score = 0.5 + 0.35 * min(abs(error) / LARGE_ZERO_ERROR, 1.0)
+    text = (
         f"over the last {late.sum() * GRID_STEP:.1f} s the encoder read {degrees(error):+.1f} deg "
         "from upright while gravity pulled as upright (the observer's estimate: "
-        f"{degrees(float(timeline.log.bias[-1])):+.1f} deg)",
+        f"{degrees(float(timeline.log.bias[-1])):+.1f} deg)"
     )
+    return Evidence(CauseName.ZERO, score, timeline.log.lasted, text)
 
 
 def _frozen(timeline: RunTimeline) -> Evidence | None:
@@ -516,14 +475,11 @@ def _frozen(timeline: RunTimeline) -> Evidence | None:
     turned = timeline.pendulum.k * cos(log.phi[-1]) * float(np.ptp(log.x_dot[ticks]))
     if turned < MIN_FROZEN_RATE:
         return None
-    return Evidence(
-        CauseName.STALE,
-        0.9,
-        since,
-        f"from {since:.2f} s the count stood at {int(encoder.counts[-1])} for "
-        f"{1e3 * lasted:.0f} ms, while the flange should have turned the pendulum by "
-        f"{degrees(turned):.0f} deg/s",
+    text = (
+        f"from {since:.2f} s the count stood at {encoder.counts[-1]} for {1e3 * lasted:.0f} ms, "
+        f"while the flange should have turned the pendulum by {degrees(turned):.0f} deg/s"
     )
+    return Evidence(CauseName.STALE, 0.9, since, text)
 
 
 def _jump(timeline: RunTimeline) -> Evidence | None:
@@ -531,8 +487,7 @@ def _jump(timeline: RunTimeline) -> Evidence | None:
     encoder, per_rev = timeline.log.encoder, timeline.log.conditions.counts_per_rev
     if per_rev is None or len(encoder.time) < 3:
         return None
-    time, resolution = encoder.time.tolist(), 2.0 * np.pi / per_rev
-    counts = encoder.counts.tolist()
+    time, counts, resolution = encoder.time.tolist(), encoder.counts.tolist(), 2.0 * np.pi / per_rev
     worst, when = 0.0, 0.0
     for i in range(2, len(time)):
         if time[i] > time[i - 1] > time[i - 2]:
@@ -540,44 +495,53 @@ def _jump(timeline: RunTimeline) -> Evidence | None:
             worst, when = max((worst, when), (size, time[i]))
     if worst <= MAX_COUNT_JUMP:
         return None
-    return Evidence(
-        CauseName.JUMP,
-        0.92,
-        when,
-        f"at {when:.3f} s the count jumped by {degrees(worst):.1f} deg more than a pendulum moves",
+    text = (
+        f"at {when:.3f} s the count jumped by {degrees(worst):.1f} deg more than a pendulum moves"
     )
+    return Evidence(CauseName.JUMP, 0.92, when, text)
 
 
 def _late(timeline: RunTimeline) -> Evidence | None:
     """Detect the latest tick."""
-    if timeline.late.max(initial=0.0) <= MAX_TICK_LATENESS:
+    log = timeline.log
+    if log.conditions.simulated:
         return None
-    i = int(np.argmax(timeline.late))
-    when = i * timeline.log.conditions.h
+    ticks = log.phase_ticks(Phase.BALANCING)
+    # The tick after the balancing may stop the run by its lateness.
+    late = log.tables["tick"]["late"][ticks[0] : ticks[-1] + 2]
+    i = int(np.argmax(late))
+    if late[i] <= MAX_TICK_LATENESS:
+        return None
+    when = i * log.conditions.h
     # This ranks above a rule's cause: after a late tick, replies are overdue too.
-    found = f"the tick at {when:.2f} s was {1e3 * timeline.late[i]:.0f} ms late"
+    found = f"the tick at {when:.2f} s was {1e3 * late[i]:.0f} ms late"
     return Evidence(CauseName.LATE, 0.97, when, found)
 
 
 def _contact(timeline: RunTimeline) -> Evidence | None:
-    """Detect the largest external torque."""
-    shares = np.abs(timeline.torque) / timeline.torque_limit
-    if shares.max(initial=0.0) < CONTACT_SHARE:
+    """Detect the largest external torque, from its median."""
+    log, reply = timeline.log, timeline.log.tables["reply"]
+    if log.conditions.simulated:
         return None
+    began, last = log.tables["tick"]["time"][log.phase_ticks(Phase.BALANCING)[[0, -1]]]
+    reply = reply[np.isfinite(reply["torque"]).all(axis=1)]
+    reply = reply[(reply["time"] >= began) & (reply["time"] <= last + TORQUE_DELAY)]
+    if len(reply) == 0:
+        return None
+    limit = np.array([TORQUE_SHARE * joint.torque for joint in log.conditions.arm.joints])
+    torques = reply["torque"] - np.median(reply["torque"], axis=0)
+    shares = np.abs(torques) / limit
     i, joint = np.unravel_index(int(np.argmax(shares)), shares.shape)
-    when, torque = float(timeline.torque_time[i]), float(timeline.torque[i, joint])
-    # This ranks above a rule that names the resulting motion of the arm.
-    return Evidence(
-        CauseName.CONTACT,
-        0.96 if shares[i, joint] >= 1.0 else 0.8,
-        when,
-        f"at {when:.2f} s the external torque at joint {joint + 1} was {torque:+.1f} N m from its "
-        f"median; the limit is {timeline.torque_limit[joint]:.1f} N m",
+    if shares[i, joint] < CONTACT_SHARE:
+        return None
+    when, score = float(reply["time"][i] - began), 0.96 if shares[i, joint] >= 1.0 else 0.8
+    text = (
+        f"at {when:.2f} s the external torque at joint {joint + 1} was {torques[i, joint]:+.1f} "
+        f"N m from its median; the limit is {limit[joint]:.1f} N m"
     )
+    # This ranks above a rule that names the resulting motion of the arm.
+    return Evidence(CauseName.CONTACT, score, when, text)
 
 
-DETECTORS: Final[tuple[Callable[[RunTimeline], Evidence | None], ...]] = (
-    *(_outside, _push, _zero, _frozen),
-    *(_jump, _late, _contact),
-)
+DETECTORS: Final = (_outside, _push, _zero, _frozen, _jump, _late, _contact)
 """Detectors of causes in the balancing."""

@@ -13,9 +13,8 @@ training. Training continues with the new values from the old table and its visi
 old and new table on the new model is kept, by trials that selected neither.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import hypot, sqrt
-from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -24,6 +23,7 @@ import numpy.typing as npt
 from equipoise.artefacts import Estimate, Value
 from equipoise.control.policy import Checkpoint, TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
+from equipoise.evaluation import Done
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
 from equipoise.identification.closed_loop import ClosedLoopFit, ParameterChange, compare, regress
 from equipoise.logs.run_log import RunLog
@@ -32,7 +32,7 @@ from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import PlantSettings, Settings
-from equipoise.training import Report, Selecting, score_policy, train
+from equipoise.training import score_policy, train
 
 Array = npt.NDArray[np.float64]
 
@@ -153,9 +153,9 @@ def inspect(policy: TabularPolicy, logs: Mapping[str, RunLog]) -> RefinementFind
         )
     fit = combine_fits(fits)
     response = {
-        name: combine([each[name] for each in responses if name in each])
+        name: combine(estimates)
         for name in numbers(policy.actuator, arm)
-        if any(name in each for each in responses)
+        if (estimates := [each[name] for each in responses if name in each])
     }
     moves = compare(policy.pendulum, fit, plant)
     responded = compare_responses(policy.actuator, response, arm, plant)
@@ -177,10 +177,8 @@ def retrain(
     episodes: int = EPISODES,
     seed: int = 0,
     workers: int = 1,
-    partial: Path | None = None,
-    report: Report = lambda _: None,
-    selecting: Selecting = lambda _, __: None,
-    done: Callable[[int], None] = lambda _: None,
+    done: Done = lambda _: None,
+    **options: Any,
 ) -> Refinement:
     """Continue a policy's training on another model, and keep the better of old and new table.
 
@@ -191,24 +189,13 @@ def retrain(
         episodes: Number of episodes.
         seed: Master seed.
         workers: Threads; the result does not depend on it.
-        partial: File for checkpoints of the training, as in `train`.
-        report: Called with each new point of the learning curve.
-        selecting: Called as the trials of the final selection finish, as in `train`.
         done: Called with the number of just finished trials of the comparison, which has
             `compared_trials` in all.
+        options: `partial`, `report` and `selecting` of `train`.
     """
-    new = train(
-        pendulum,
-        policy.arm,
-        settings_of_retraining(policy.settings, episodes),
-        actuator=actuator,
-        seed=seed,
-        init_policy=policy,
-        workers=workers,
-        partial=partial,
-        report=report,
-        selecting=selecting,
-    )
+    settings = settings_of_retraining(policy.settings, episodes)
+    options |= {"actuator": actuator, "seed": seed, "init_policy": policy, "workers": workers}
+    new = train(pendulum, policy.arm, settings, **options)
     old = policy.model_copy(update={"pendulum": pendulum, "actuator": actuator})
     of_old, of_new = (
         score_policy(each, seed=seed + COMPARISON_SEED, workers=workers, done=done)
@@ -313,8 +300,9 @@ def read_response(log: RunLog, arm: Arm, known: Actuator) -> dict[str, Estimate]
         RecordingError: The joints moved too little, or did not follow their setpoints.
     """
     free = list(arm.free)
-    sent, q = log.stream.q[:, free], log.replies.q[:, free]
-    moving = np.flatnonzero(speed_ranges(log.stream.time, sent) >= LEAST_SPEED).tolist()
+    stream, replies = log.stream, log.replies
+    sent, q = stream.q[:, free], replies.q[:, free]
+    moving = np.flatnonzero(speed_ranges(stream.time, sent) >= LEAST_SPEED).tolist()
     if not moving:
         raise RecordingError(
             f"no joint's velocity ranges over {LEAST_SPEED} rad/s; let the pendulum move more, or "
@@ -323,12 +311,7 @@ def read_response(log: RunLog, arm: Arm, known: Actuator) -> dict[str, Estimate]
     # The fit needs six moving joints: the first of these replaces those at rest.
     joints = [j if j in moving else moving[0] for j in range(FREE_JOINTS)]
     actuator = identify_actuator(
-        log.stream.time,
-        sent[:, joints],
-        log.replies.time,
-        q[:, joints],
-        source=log.digest,
-        kind=known.kind,
+        stream.time, sent[:, joints], replies.time, q[:, joints], source=log.digest, kind=known.kind
     )
     still = {_lag(arm, j) for j in range(FREE_JOINTS) if j not in moving}
     return {
@@ -367,14 +350,12 @@ def compare_responses(
 
     limit = float(norm.isf(0.025 / max(len(response), 1)))
     moves: list[ArmResponse] = []
-    for name, before in numbers(known, arm).items():
-        if name not in response:
-            continue
-        now = response[name]
+    for name, now in response.items():
+        before = numbers(known, arm)[name]
         varied = 0.0 if name == "cycle" else plant.delay_spread
         varied += 0.0 if name == "delay" else plant.lag_spread * before.value
         difference = abs(now.value - before.value)
-        z = difference / hypot(_sigma(before), _sigma(now))
+        z = difference / hypot(before.half_width / NORMAL, now.half_width / NORMAL)
         if z > limit and difference > varied:
             moves.append(ArmResponse(name=name, before=before, now=now, z=z))
     return tuple(moves)
@@ -420,15 +401,12 @@ def combine_fits(fits: Sequence[ClosedLoopFit]) -> ClosedLoopFit:
     if len(fits) == 1:
         return fits[0]
     names = (name for name, value in fits[0] if isinstance(value, Estimate))
-    samples = np.array([fit.samples for fit in fits])
-    means = np.average([(fit.rate, fit.unexplained**2) for fit in fits], axis=0, weights=samples)
+    squares = [(fit.rate, fit.unexplained**2) for fit in fits]
+    rate, unexplained = np.average(squares, axis=0, weights=[fit.samples for fit in fits])
     changes: dict[str, Any] = {name: combine([getattr(f, name) for f in fits]) for name in names}
     changes |= {n: sum(getattr(fit, n) for fit in fits) for n in ("duration", "samples", "blocks")}
-    changes |= {
-        "rate": float(means[0]),
-        "unexplained": sqrt(means[1]),
-        "warnings": tuple(warning for fit in fits for warning in fit.warnings),
-    }
+    changes |= {"rate": float(rate), "unexplained": sqrt(unexplained)}
+    changes["warnings"] = tuple(warning for fit in fits for warning in fit.warnings)
     return fits[0].model_copy(update=changes)
 
 
@@ -450,7 +428,7 @@ def _moved_pendulum(
         for place, name in enumerate(("w2", "c", "coulomb", "drag")):
             if name in found:
                 covariance[place, :] = covariance[:, place] = 0.0
-                covariance[place, place] = _sigma(found[name]) ** 2
+                covariance[place, place] = (found[name].half_width / NORMAL) ** 2
     return known.model_copy(update=changes | {"covariance": tuple(map(tuple, covariance.tolist()))})
 
 
@@ -460,7 +438,3 @@ def _moved_actuator(known: Actuator, response: dict[str, Estimate], arm: Arm) ->
     lags = tuple(now[_lag(arm, j)] for j in range(FREE_JOINTS))
     changes = {"delay": now["delay"], "cycle": now["cycle"], "lags": lags, "fit": None}
     return known.model_copy(update=changes)
-
-
-def _sigma(estimate: Estimate) -> float:
-    return (estimate.high - estimate.low) / (2.0 * NORMAL)
