@@ -73,15 +73,8 @@ def gap(
             compilation.compile_training(chosen.arm, settings)
             compilation.compile_trials(chosen, world)
         if paper_policy is None:
-            progress = TrainingProgress(settings, 1, show, "paper")
-            other = study.train_paper(
-                chosen,
-                quick=quick,
-                seed=seed,
-                workers=threads,
-                report=lambda point: progress.report(0, point),
-                selecting=lambda done, of: progress.selecting(0, done, of),
-            )
+            progress = TrainingProgress(settings, 1, show, "paper").of_learner()
+            other = study.train_paper(chosen, quick=quick, seed=seed, workers=threads, **progress)
         else:
             other = TabularPolicy.load(paper_policy)
         found = study.gap(

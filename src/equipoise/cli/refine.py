@@ -119,7 +119,7 @@ def _retrain(
     with output.stages() as show:
         with compilation.compiling(show, compilation.FUNCTIONS):
             compilation.compile_training(policy.arm, settings)
-        progress = TrainingProgress(settings, 1, show)
+        progress = TrainingProgress(settings, 1, show).of_learner()
         return study.retrain(
             policy,
             findings.pendulum,
@@ -128,9 +128,8 @@ def _retrain(
             seed=seed,
             workers=opt.available_workers(workers),
             partial=partial,
-            report=lambda point: progress.report(0, point),
-            selecting=lambda done, of: progress.selecting(0, done, of),
             done=counted("compare", study.compared_trials(policy), show),
+            **progress,
         )
 
 

@@ -85,9 +85,7 @@ def reproduce(
     from equipoise.report.page import PAGE, build
     from equipoise.studies import reproduction as study
 
-    request = study.make_request(
-        swing=recording, arm=machine, settings=resolved, seed=seed, quick=quick
-    )
+    request = study.make_request(recording, machine, resolved, seed, quick)
     destination, resumed = _choose(output, out, request, force)
     with ExitStack() as stack:
         folder = destination.path if resumed else stack.enter_context(destination.claimed())

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
-from typing import Final
+from typing import Any, Final
 
 from equipoise.compiled import cache_is_empty, watching_compilation
 from equipoise.control.bound_policy import bind_policy
@@ -36,13 +36,11 @@ def compiling_beside() -> Generator[None]:
 
     If that process fails, each kernel is compiled at its first call.
     """
-    beside = None
+    beside, command = None, [sys.executable, "-m", __name__]
     if cache_is_empty() and available_cores() > 1:
-        quiet = subprocess.DEVNULL
+        quiet: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
         with suppress(OSError):
-            beside = subprocess.Popen(
-                [sys.executable, "-m", __name__], stdin=quiet, stdout=quiet, stderr=quiet
-            )
+            beside = subprocess.Popen(command, **quiet)
     try:
         yield
     finally:
@@ -79,9 +77,9 @@ def compile_training(arm: Arm, settings: Settings) -> None:
     """Compile the kernels of training and evaluation, for one arm."""
     tree = settings.model_dump()
     tree["learning"] |= {"episodes": 1, "episode_duration": MOMENT}
-    tree["selection"] |= dict.fromkeys(("duration", "final_duration"), MOMENT)
     counts = ("every", "screening_trials", "finalists", "final_trials")
-    tree["selection"] |= dict.fromkeys(counts, 1)
+    durations = {"duration": MOMENT, "final_duration": MOMENT}
+    tree["selection"] |= dict.fromkeys(counts, 1) | durations
     train(shipped_pendulum(), arm, Settings.model_validate(tree))
 
 

@@ -20,11 +20,10 @@ without a correction. Its angular velocity comes from the same observer.
 Every difference is a result on our twin, not a measurement of the authors' robot.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from math import radians
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from equipoise.artefacts import Estimate
@@ -45,27 +44,15 @@ from equipoise.studies.gap_results import (
     GapPoint,
     Part,
 )
-from equipoise.training import Report, Selecting, train
+from equipoise.training import train
 
-CLEAN: Final[Mapping[str, Any]] = {
-    "transport": 0.0,
-    "transport_jitter": 0.0,
-    "shaped": False,
-    "lag": 0.001,
-    "counts_per_rev": 2**20,
-    "encoder_age": 0.0,
-    "encoder_jitter": 0.0,
-    "zero_error": 0.0,
-    "zero_offset": 0.0,
-    "coulomb": 0.0,
-    "inertia_sigma": 0.0,
-    "friction_sigma": 0.0,
-    "rotor_inertia": 0.1,
-    "bracket_mass": 0.0,
-    "pendulum_mass": 0.01,
-    "reply_age": 0.0,
-    "joint_noise": 0.0,
-}
+_ABSENT: Final = (
+    *("transport", "transport_jitter", "encoder_age", "encoder_jitter", "zero_error"),
+    *("zero_offset", "coulomb", "inertia_sigma", "friction_sigma", "bracket_mass"),
+    *("reply_age", "joint_noise"),
+)
+_SMALL: Final = {"shaped": False, "lag": 0.001, "rotor_inertia": 0.1, "pendulum_mass": 0.01}
+CLEAN: Final[Mapping[str, Any]] = dict.fromkeys(_ABSENT, 0.0) | _SMALL | {"counts_per_rev": 2**20}
 """Settings of the clean twin: negligible delay and lag, an encoder without steps and age, no load
 on an arm with real rotors."""
 
@@ -95,49 +82,33 @@ BEST_TABLE: Final = ("selection.every=10", "selection.averaging=1")
 """Overrides that select the table with the longest survival on its own plant. The paper's table
 balanced in simulation before it ran on the robot; the last table of recipe `paper` rarely does."""
 BEST_TABLE_QUICK: Final = (
-    "selection.every=25",
-    "selection.screening_trials=16",
-    "selection.duration=20",
-    "selection.finalists=4",
-    "selection.final_trials=32",
-    "selection.final_duration=20",
+    *("selection.every=25", "selection.screening_trials=16", "selection.duration=20"),
+    *("selection.finalists=4", "selection.final_trials=32", "selection.final_duration=20"),
     "selection.averaging=1",
 )
 """Overrides for the same with fewer and shorter trials of the candidates."""
 
 
 class Form(NamedTuple):
-    """Scope of a study."""
+    """Scope of a study, by default the full one."""
 
-    trials: int
+    trials: int = 40
     """Trials of each point."""
-    duration: float
+    duration: float = 60.0
     """Length of a trial [s]."""
-    delays: tuple[float, ...]
+    delays: tuple[float, ...] = (0.0, 0.005, 0.010, 0.020, 0.030)
     """Transport delays [s]."""
-    zeros: tuple[float, ...]
+    zeros: tuple[float, ...] = tuple(map(radians, (0.0, 0.25, 0.5, 0.75, 1.0)))
     """Constant errors of the encoder's zero [rad]."""
-    apart: tuple[Controller, ...]
+    apart: tuple[Controller, ...] = (PAPER, CURED)
     """Controllers that run effect by effect."""
-    variants: bool
+    variants: bool = True
     """Whether the variants of the servo run."""
 
 
-FULL: Final = Form(
-    trials=40,
-    duration=60.0,
-    delays=(0.0, 0.005, 0.010, 0.020, 0.030),
-    zeros=tuple(radians(angle) for angle in (0.0, 0.25, 0.5, 0.75, 1.0)),
-    apart=(PAPER, CURED),
-    variants=True,
-)
+FULL: Final = Form()
 SHORT: Final = Form(
-    trials=8,
-    duration=20.0,
-    delays=(0.0, 0.010, 0.030),
-    zeros=tuple(radians(angle) for angle in (0.0, 0.5, 1.0)),
-    apart=(PAPER,),
-    variants=False,
+    8, 20.0, (0.0, 0.010, 0.030), tuple(map(radians, (0.0, 0.5, 1.0))), (PAPER,), variants=False
 )
 
 
@@ -242,37 +213,15 @@ def trials_of(
     return form.trials * len({case for _, case in _plan(read_twin(world).settings, form)})
 
 
-def train_paper(
-    policy: TaskPolicy,
-    *,
-    quick: bool = False,
-    seed: int = 0,
-    workers: int = 1,
-    partial: Path | None = None,
-    report: Report = lambda _: None,
-    selecting: Selecting = lambda _, __: None,
-) -> TabularPolicy:
+def train_paper(policy: TaskPolicy, *, quick: bool = False, **options: Any) -> TabularPolicy:
     """Train a table as the paper describes, for the pendulum and the arm of a policy.
 
     Args:
         policy: The policy with pendulum and arm.
         quick: Whether fewer trials select the table.
-        seed: Master seed of the training.
-        workers: Number of threads; the result does not depend on it.
-        partial: File for checkpoints, as in `train`.
-        report: Called with each new point of the learning curve.
-        selecting: Called as the trials of the final selection finish, as in `train`.
+        options: Further arguments of `train`: seed, workers, checkpoints, progress.
     """
-    return train(
-        policy.pendulum,
-        policy.arm,
-        paper_settings(quick=quick),
-        seed=seed,
-        workers=workers,
-        partial=partial,
-        report=report,
-        selecting=selecting,
-    )
+    return train(policy.pendulum, policy.arm, paper_settings(quick=quick), **options)
 
 
 def paper_settings(*, quick: bool = False) -> Settings:
@@ -304,22 +253,16 @@ def expected_actuator(actuator: Actuator, world: TwinSettings, changed: TwinSett
     """
 
     def moved(estimate: Estimate, by: float = 0.0, times: float = 1.0) -> Estimate:
-        ends = {name: getattr(estimate, name) for name in ("low", "value", "high")}
-        return estimate.model_copy(
-            update={name: max(times * end + by, 0.0) for name, end in ends.items()}
-        )
+        ends = {name: times * getattr(estimate, name) + by for name in ("low", "value", "high")}
+        return estimate.model_copy(update=ends).not_negative()
 
     delay = moved(actuator.delay, changed.transport - world.transport)
     if not changed.shaped:
         unshaped = Actuator.assumed("lag", lag=changed.cycle * CYCLE)
         return unshaped.model_copy(update={"delay": delay})
-    return actuator.model_copy(
-        update={
-            "delay": delay,
-            "lags": tuple(moved(lag, changed.lag - world.lag) for lag in actuator.lags),
-            "cycle": moved(actuator.cycle, times=changed.cycle / world.cycle),
-        }
-    )
+    lags = tuple(moved(lag, changed.lag - world.lag) for lag in actuator.lags)
+    cycle = moved(actuator.cycle, times=changed.cycle / world.cycle)
+    return actuator.model_copy(update={"delay": delay, "lags": lags, "cycle": cycle})
 
 
 class _Case(NamedTuple):
@@ -354,20 +297,17 @@ def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., GapPo
             off = {number: CLEAN[number] for number in numbers}
             yield entry("alone", controller, clean.model_copy(update=on), name=name)
             yield entry("without", controller, world.model_copy(update=off), name=name)
-    for controller in (CURED, NOT_TOLD, NO_PREDICTION, NO_BIAS, PAPER):
-        for delay in form.delays:
-            twin = world.model_copy(update={"transport": delay})
-            yield entry("delay", controller, twin, at=delay)
-    for delay in form.delays:
-        twin = clean.model_copy(update={"transport": delay})
-        yield entry("delay", PAPER, twin, at=delay, on_clean=True)
-    for controller in (CURED, NO_BIAS, PAPER):
-        for zero in form.zeros:
-            twin = world.model_copy(update={"zero_offset": zero, "zero_error": 0.0})
-            yield entry("zero", controller, twin, at=zero)
-    for zero in form.zeros:
-        twin = clean.model_copy(update={"zero_offset": zero})
-        yield entry("zero", PAPER, twin, at=zero, on_clean=True)
+    curves: Sequence[tuple[Part, str, Any, Sequence[Controller], Sequence[float]]] = (
+        ("delay", "transport", {}, (CURED, NOT_TOLD, NO_PREDICTION, NO_BIAS, PAPER), form.delays),
+        ("zero", "zero_offset", {"zero_error": 0.0}, (CURED, NO_BIAS, PAPER), form.zeros),
+    )
+    for part, number, rest, controllers, places in curves:
+        twins: list[tuple[Controller, TwinSettings]] = [(each, world) for each in controllers]
+        twins.append((PAPER, clean))
+        for controller, base in twins:
+            for at in places:
+                twin = base.model_copy(update={number: at, **rest})
+                yield entry(part, controller, twin, at=at, on_clean=base is clean)
     for name, numbers in VARIANTS.items() if form.variants else ():
         yield entry("variant", CURED, world.model_copy(update=dict(numbers)), name=name)
 
@@ -387,9 +327,7 @@ def _settings(
     settings: Settings, controller: Controller, evaluation: EvaluationSettings
 ) -> Settings:
     """Return the settings of a controller with its own cures."""
-    cures = settings.controller
-    if controller in (NO_PREDICTION, PAPER):
-        cures = cures.model_copy(update={"predict": False})
-    if controller in (NO_BIAS, PAPER):
-        cures = cures.model_copy(update={"estimate_bias": False})
-    return settings.model_copy(update={"controller": cures, "evaluation": evaluation})
+    cures = {"predict": NO_PREDICTION, "estimate_bias": NO_BIAS}
+    left_out = {name: False for name, without in cures.items() if controller in (without, PAPER)}
+    changes = {"controller": settings.controller.model_copy(update=left_out)}
+    return settings.model_copy(update={**changes, "evaluation": evaluation})

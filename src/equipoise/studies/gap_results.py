@@ -134,11 +134,8 @@ class Gap(Artefact):
         self, part: Literal["delay", "zero"], controller: Controller, on_clean: bool = False
     ) -> tuple[GapPoint, ...]:
         """Return the points of survival against delay or zero error."""
-        return tuple(
-            p
-            for p in self.points
-            if (p.part, p.controller, p.on_clean) == (part, controller, on_clean)
-        )
+        wanted = (part, controller, on_clean)
+        return tuple(p for p in self.points if (p.part, p.controller, p.on_clean) == wanted)
 
     def point(self, part: Part, controller: Controller, name: str = "") -> GapPoint:
         """Return a single point."""

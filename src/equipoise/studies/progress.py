@@ -2,8 +2,10 @@
 
 import time
 from collections.abc import Callable
+from functools import partial
+from statistics import fmean
 from threading import Lock
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from equipoise.control.policy import LearningPoint
 from equipoise.settings import Settings
@@ -22,8 +24,8 @@ class ProgressReporter(NamedTuple):
     """Unit of both amounts, in the plural; empty for a share."""
     text: str = ""
     """State of the stage, in a few words."""
-    expected: float | None = None
-    """Expected duration of a stage without intermediate amounts [s]."""
+    expected: float = 0.0
+    """Expected duration of a stage without intermediate amounts [s]; 0 if unknown."""
 
     @property
     def share(self) -> float:
@@ -71,8 +73,8 @@ class TrainingProgress:
         """
         selection = settings.selection
         self._show, self._learners = show, learners
-        self._train, self._select = f"train {of}".strip(), f"select {of}".strip()
-        self._episodes = learners * settings.learning.episodes
+        self._select, episodes = f"select {of}".strip(), learners * settings.learning.episodes
+        self._first = ProgressReporter(f"train {of}".strip(), 0, episodes, "episodes")
         self._trials = selection.finalists * selection.final_trials
         self._points: dict[int, LearningPoint] = {}
         self._finals: dict[int, tuple[int, int]] = {}
@@ -80,12 +82,12 @@ class TrainingProgress:
         self._lock = Lock()
         self.speed = 0.0
         """Control steps per second of all learners, since the first report."""
-        show(self.first)
+        show(self._first)
 
-    @property
-    def first(self) -> ProgressReporter:
-        """Progress of the training when it begins."""
-        return ProgressReporter(self._train, 0, self._episodes, "episodes")
+    def of_learner(self, learner: int = 0) -> dict[str, Any]:
+        """Return the callbacks `report` and `selecting` of a training with one learner."""
+        report, selecting = partial(self.report, learner), partial(self.selecting, learner)
+        return {"report": report, "selecting": selecting}
 
     def report(self, learner: int, point: LearningPoint) -> None:
         """Add a point of a learning curve."""
@@ -98,13 +100,11 @@ class TrainingProgress:
             elapsed = now - self._begin[0]
             self.speed = (steps - self._begin[1]) / elapsed if elapsed > 0.0 else 0.0
             screened = [p.survival for p in points if p.survival is not None]
-            text = (
-                f"{100.0 * sum(screened) / len(screened):.0f} % stand"
-                if screened
-                else f"{sum(p.duration for p in points) / len(points):.1f} s an episode"
-            )
+            text = f"{fmean(p.duration for p in points):.1f} s an episode"
+            if screened:
+                text = f"{100.0 * fmean(screened):.0f} % stand"
             episodes = sum(p.episodes for p in points)
-            self._show(self.first._replace(completed=episodes, text=text))
+            self._show(self._first._replace(completed=episodes, text=text))
 
     def selecting(self, learner: int, done: int, of: int) -> None:
         """Add the finished and the total number of trials of a learner's final selection."""

@@ -12,8 +12,9 @@ files. `equipoise.report.page.build` makes the page from the folder.
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import ClassVar, Final, NamedTuple, TypeVar
+from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
 from equipoise.artefacts import Artefact, StrPath, Value, partial_path, value_digest
 from equipoise.control.policy import TabularPolicy
@@ -216,20 +217,21 @@ def reproduce(
         OutsideError: A file cannot be written.
     """
     out = Path(out)
-    request = make_request(swing=swing, arm=arm, settings=settings, seed=seed, quick=quick)
-    arm, settings = request.arm, request.settings
+    request = make_request(swing, arm, settings, seed, quick)
+    _, arm, settings, *_ = request
     workers = available_cores() if workers is None else workers
     if other := differences(out, request):
         raise ArtefactError(
             f"{out} holds an interrupted reproduction with another {' and '.join(other)}; continue "
             "with its parameters, or give another folder"
         )
+    common: Any = {"seed": seed, "workers": workers}
     finished: dict[str, Finished] = {}
     if unfinished_path(out).exists():
         finished |= UnfinishedReproduction.load(unfinished_path(out)).finished
     stages: list[PipelineStage] = []
 
-    def stage(name: str, work: Callable[[], T], expected: float | None = None) -> T:
+    def stage(name: str, work: Callable[[], T], expected: float = 0.0) -> T:
         report(ProgressReporter(name, expected=expected))
         begin = time.perf_counter()
         value = work()
@@ -242,7 +244,7 @@ def reproduce(
         file: str,
         kind: type[S],
         work: Callable[[], S],
-        expected: float | None = None,
+        expected: float = 0.0,
         **inputs: str,
     ) -> S:
         """Run a stage and save its value, or read the value of an interrupted reproduction."""
@@ -262,30 +264,17 @@ def reproduce(
     write_swing(out / SWING, given)
     # The identification reads the file in the folder, so that a figure shows the same data.
     recorded = replace(read_swing(out / SWING), source=given.source, released=given.released)
-    pendulum = saved(
-        "identify",
-        PENDULUM,
-        Pendulum,
-        lambda: identify(recorded, settings.identification),
-        IDENTIFY_TIME,
-        swing=recorded.sha256,
-    )
+    work = partial(identify, recorded, settings.identification)
+    pendulum = saved("identify", PENDULUM, Pendulum, work, IDENTIFY_TIME, swing=recorded.sha256)
     # Without a selection, no score compares several learners.
     learners = 1 if quick or settings.selection.every == 0 else LEARNERS
 
     def learn() -> TabularPolicy:
         progress = TrainingProgress(settings, learners, report)
-        return train_several(
-            pendulum,
-            arm,
-            settings,
-            learners=learners,
-            seed=seed,
-            workers=workers,
-            partial=partial_path(out / POLICY),
-            report=progress.report,
-            selecting=progress.selecting,
-        )[0]
+        options: Any = {"report": progress.report, "selecting": progress.selecting, **common}
+        checkpoints = partial_path(out / POLICY)
+        task = pendulum, arm, settings
+        return train_several(*task, learners=learners, partial=checkpoints, **options)[0]
 
     if POLICY not in finished:
         with compiling(report, FUNCTIONS):
@@ -293,59 +282,27 @@ def reproduce(
     policy = saved("train", POLICY, TabularPolicy, learn, pendulum=pendulum.digest)
     # The policy and four baselines run the same trials.
     tested = counted("evaluate", 5 * settings.evaluation.trials, report)
-    evaluation = saved(
-        "evaluate",
-        EVALUATION,
-        Evaluation,
-        lambda: evaluate(policy, seed=seed, workers=workers, done=tested),
-        policy=policy.digest,
-    )
+    work = partial(evaluate, policy, done=tested, **common)
+    evaluation = saved("evaluate", EVALUATION, Evaluation, work, policy=policy.digest)
     world = TWIN if _has_twin(arm) else MODEL
     if world == TWIN and not {RUN, GAP} <= finished.keys():
         with compiling(report, TWIN_FUNCTIONS, "compile twin"):
             compile_trials(policy, world)
-    run = saved(
-        "deploy",
-        RUN,
-        RunLog,
-        lambda: deploy(policy, world=world, seed=seed),
-        DEPLOY_TIME,
-        policy=policy.digest,
-    )
+    work = partial(deploy, policy, world=world, seed=seed)
+    run = saved("deploy", RUN, RunLog, work, DEPLOY_TIME, policy=policy.digest)
     study = None
 
     def short_gap() -> Gap:
         trials, duration = QUICK_GAP if quick else (None, None)
-        progress = TrainingProgress(paper_settings(quick=True), 1, report, "paper")
-        paper_policy = train_paper(
-            policy,
-            quick=True,
-            seed=seed,
-            workers=workers,
-            partial=partial_path(out / PAPER_POLICY),
-            report=lambda point: progress.report(0, point),
-            selecting=lambda done, of: progress.selecting(0, done, of),
-        )
-        return gap(
-            policy,
-            world=TWIN,
-            paper_policy=paper_policy,
-            trials=trials,
-            duration=duration,
-            quick=True,
-            seed=seed,
-            workers=workers,
-            done=counted("gap", trials_of(TWIN, quick=True, trials=trials), report),
-        )
+        form: Any = {"world": TWIN, "quick": True, "trials": trials}
+        progress = TrainingProgress(paper_settings(quick=True), 1, report, "paper").of_learner()
+        checkpoints = partial_path(out / PAPER_POLICY)
+        table = train_paper(policy, quick=True, partial=checkpoints, **progress, **common)
+        done = counted("gap", trials_of(**form), report)
+        return gap(policy, paper_policy=table, duration=duration, done=done, **form, **common)
 
     if world == TWIN and policy.actuator.kind != "ideal":
-        study = saved(
-            "gap",
-            GAP,
-            Gap,
-            short_gap,
-            policy=policy.digest,
-        )
+        study = saved("gap", GAP, Gap, short_gap, policy=policy.digest)
 
     record = StageRecord(
         quick=quick,
@@ -368,31 +325,16 @@ def reproduce(
         next_command = "equipoise reproduce"
     elif study is None:
         next_command = f"equipoise evaluate {out / POLICY} --trials 1000"
-    return Reproduction(
-        out=out,
-        results=results,
-        verdict=verdict(results),
-        next_command=next_command,
-    )
+    return Reproduction(out, results, verdict(results), next_command)
 
 
 def make_request(
-    *,
-    swing: Trajectory | None,
-    arm: Arm | None,
-    settings: Settings | None,
-    seed: int,
-    quick: bool,
+    swing: Trajectory | None, arm: Arm | None, settings: Settings | None, seed: int, quick: bool
 ) -> ReproductionRequest:
     """Return the parameters of a reproduction with its defaults; see `reproduce`."""
-    settings = Settings() if settings is None else settings
-    return ReproductionRequest(
-        swing=swing,
-        arm=iiwa(7) if arm is None else arm,
-        settings=shortened(settings) if quick else settings,
-        seed=seed,
-        quick=quick,
-    )
+    settings = settings or Settings()
+    settings = shortened(settings) if quick else settings
+    return ReproductionRequest(swing, arm or iiwa(7), settings, seed, quick)
 
 
 def _read_finished(

@@ -5,6 +5,7 @@ the release, the zero and the pendulum.
 """
 
 from math import pi
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -56,16 +57,10 @@ def synthetic_swing(swing: SyntheticSwing, seed: int = 0) -> Trajectory:
     """
     w2 = (2.0 * pi / swing.period) ** 2
     # The pivot is at rest, so that its coupling k is irrelevant.
-    free = simulate_swing(
-        PendulumParameters(w2=w2, k=0.0, c=swing.c),
-        theta0=swing.theta,
-        duration=swing.duration,
-        rate_hz=swing.rate_hz,
-        counts_per_rev=swing.counts_per_rev,
-        noise=swing.noise,
-        seed=seed,
-        zero_offset=swing.zero_offset,
-    )
+    encoder = {"duration", "rate_hz", "counts_per_rev", "noise", "zero_offset"}
+    options: dict[str, Any] = swing.model_dump(include=encoder)
+    options |= {"theta0": swing.theta, "seed": seed}
+    free = simulate_swing(PendulumParameters(w2=w2, k=0.0, c=swing.c), **options)
     held = np.arange(round(swing.hold * swing.rate_hz)) / swing.rate_hz
     # The tremor fades with the square of the remaining time, so that the release is at rest.
     left = 1.0 - held / swing.hold if swing.hold > 0.0 else held
@@ -76,9 +71,5 @@ def synthetic_swing(swing: SyntheticSwing, seed: int = 0) -> Trajectory:
     angle += swing.noise * rng.standard_normal(held.size)
     step = free.resolution
     theta = np.concatenate((np.floor(angle / step + 0.5) * step, free.values))
-    return Trajectory(
-        time=np.concatenate((held, swing.hold + free.time)),
-        theta=theta,
-        resolution=step,
-        source=free.source,
-    )
+    time = np.concatenate((held, swing.hold + free.time))
+    return Trajectory(time=time, theta=theta, resolution=step, source=free.source)
