@@ -101,7 +101,7 @@ def test_it_says_that_it_is_simulation_and_whether_it_was_quick():
     assert "simulation" in line
     assert "not the authors' robot" in line
     assert "none is from a robot" in verdict(made_up.results(world=MODEL))[4]
-    assert verdict(made_up.results(quick=True))[4].startswith("A quick look")
+    assert verdict(made_up.results(quick=True))[4].startswith("Quick reproduction")
 
 
 @pytest.mark.parametrize(

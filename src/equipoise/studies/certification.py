@@ -14,7 +14,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar, Final, NamedTuple, Self
+from typing import Any, ClassVar, Final, NamedTuple, Self
 
 from pydantic import Field, ValidationError, model_validator
 from scipy.stats import binom, binomtest
@@ -122,9 +122,8 @@ class Certificate(Artefact):
             raise ValueError("the settings are not those of the claim")
         # The named sets are frozen; only a file may have other numbers.
         frozen = claim.world.removeprefix(PREFIX) in SETS
-        if (twin is None) != (claim.world == MODEL) or (
-            frozen and twin != read_world(claim.world).settings
-        ):
+        known = read_world(claim.world).settings if frozen else twin
+        if (twin is None) != (claim.world == MODEL) or twin != known:
             raise ValueError(f"the numbers of the world are not those of {claim.world}")
         if self.seed != trial_seed(self.policy, claim):
             raise ValueError("the seed is not that of policy and claim")
@@ -239,11 +238,9 @@ def make_claim(
         claim = Claim(**given, world=world, trials=1 if trials is None else trials)
     except ValidationError as error:
         fault = first_fault(error)
-        raise InputError(
-            f"{fault.where} is {fault.got}; {fault.what.replace('Input', 'it')}"
-        ) from None
-    steps = duration / paper.STEP
-    if abs(steps - round(steps)) > 1e-6:
+        text = f"{fault.where} is {fault.got}; {fault.what.replace('Input', 'it')}"
+        raise InputError(text) from None
+    if abs(math.remainder(duration / paper.STEP, 1.0)) > 1e-6:
         raise InputError(
             f"duration is {duration:g} s, not a multiple of the step of {paper.STEP:g} s; round it"
         )
@@ -295,7 +292,8 @@ def certify(
         The certificate, granted or refused, and its trials.
     """
     twin = None if claim.world == MODEL else read_world(claim.world).settings
-    return _test(policy, claim, twin, policy.settings, workers, partial, done)
+    options = {"workers": workers, "partial": partial, "done": done}
+    return _test(policy, claim, twin, policy.settings, **options)
 
 
 def check_policy(certificate: Certificate, policy: TaskPolicy) -> None:
@@ -312,11 +310,7 @@ def check_policy(certificate: Certificate, policy: TaskPolicy) -> None:
 
 
 def repeat(
-    certificate: Certificate,
-    policy: TaskPolicy,
-    *,
-    workers: int = 1,
-    done: Done = lambda _: None,
+    certificate: Certificate, policy: TaskPolicy, *, workers: int = 1, done: Done = lambda _: None
 ) -> Repetition:
     """Repeat all trials of a certificate, with its own settings of the world.
 
@@ -331,38 +325,34 @@ def repeat(
     """
     check_policy(certificate, policy)
     claim, twin, settings = certificate.claim, certificate.world_settings, certificate.settings
-    again, evaluation = _test(policy, claim, twin, settings, workers, None, done)
-    return Repetition(
-        granted=again.granted,
-        failures=again.failures,
-        same_outcome=again.failures == certificate.failures,
-        same_trials=evaluation.digest == certificate.evaluation,
+    again, evaluation = _test(
+        policy, claim, twin, settings, workers=workers, partial=None, done=done
     )
+    same_outcome = again.failures == certificate.failures
+    same_trials = evaluation.digest == certificate.evaluation
+    return Repetition(again.granted, again.failures, same_outcome, same_trials)
 
 
 def _test(
-    policy: TaskPolicy,
-    claim: Claim,
-    twin: TwinSettings | None,
-    settings: Settings,
-    workers: int,
-    partial: StrPath | None,
-    done: Done,
+    policy: TaskPolicy, claim: Claim, twin: TwinSettings | None, settings: Settings, **options: Any
 ) -> tuple[Certificate, Evaluation]:
-    """Run the trials of a claim, on the training plant or on a twin with these settings."""
-    trials = settings.evaluation.model_copy(
-        update={"trials": claim.trials, "duration": claim.duration}
+    """Run the trials of a claim, on the training plant or on a twin with these settings.
+
+    Args:
+        policy: The policy.
+        claim: The claim.
+        twin: Settings of the twin; None for the training plant.
+        settings: Settings of the trials.
+        options: Workers, checkpoints and progress, as `evaluate` takes them.
+    """
+    changes = {"trials": claim.trials, "duration": claim.duration}
+    trials = settings.evaluation.model_copy(update=changes)
+    settings = settings.model_copy(update={"evaluation": trials})
+    world, seed = (
+        MODEL if twin is None else World(claim.world, twin),
+        trial_seed(policy.digest, claim),
     )
-    evaluation = evaluate(
-        policy,
-        settings.model_copy(update={"evaluation": trials}),
-        seed=trial_seed(policy.digest, claim),
-        world=MODEL if twin is None else World(claim.world, twin),
-        with_baselines=False,
-        workers=workers,
-        partial=partial,
-        done=done,
-    )
+    evaluation = evaluate(policy, settings, world=world, seed=seed, with_baselines=False, **options)
     failures = _failures(evaluation)
     failed = sum(failures.values())
     certificate = Certificate(

@@ -10,7 +10,7 @@ differently; the tolerance bounds that. The pendulum is unstable, so that a diff
 every 0.12 s until feedback ends it.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import isnan, pi
 from typing import Any, Final, NamedTuple
@@ -99,20 +99,14 @@ def replay(
     ticks, largest = 0, 0.0
     for time, pairs in rows:
         for what, (logged, replayed) in pairs.items():
-            error = _distance(logged, replayed)
-            if error > tolerance:
+            same = logged == replayed or (isnan(logged) and isnan(replayed))
+            error = 0.0 if same else abs(logged - replayed)
+            if not error <= tolerance:
                 difference = Difference(ticks, time, what, logged, replayed)
                 return Replayed(ticks, not run.damage, largest, difference)
             largest = max(largest, error)
         ticks += 1
     return Replayed(ticks, not run.damage, largest, None)
-
-
-def _distance(a: float, b: float) -> float:
-    if a == b or (isnan(a) and isnan(b)):
-        return 0.0
-    error = abs(a - b)
-    return np.inf if isnan(error) else error
 
 
 def _check(digest: str, expected: str, what: str) -> None:
@@ -123,7 +117,7 @@ def _check(digest: str, expected: str, what: str) -> None:
         )
 
 
-Pairs = Mapping[str, tuple[float, float]]
+Pairs = dict[str, tuple[float, float]]
 Rows = Iterator[tuple[float, Pairs]]
 """Time of each tick, and logged and replayed value by name."""
 
@@ -138,25 +132,17 @@ def _of_rig(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
     _check(actuator.digest, conditions.actuator, "actuator")
     if isinstance(policy, BoundPolicy):
         policy = replace(policy, settings=conditions.settings)
-    request = RunRequest(
-        policy=policy,
-        actuator=actuator,
-        settings=_rig_settings(run),
-        robot=conditions.world,
-        encoder=conditions.encoder,
-        duration=conditions.duration,
-        t1=conditions.t1,
-        dry_run=False,
-        seed=conditions.seed,
-    )
-    counts_per_rev = request.settings.counts_per_rev
+    known = {name: getattr(conditions, name) for name in ("encoder", "duration", "t1", "seed")}
+    settings = _rig_settings(run)
+    request = RunRequest(policy, actuator, settings, robot=conditions.world, dry_run=False, **known)
+    counts_per_rev = settings.counts_per_rev
     tick, reply = tables["tick"], tables["reply"]
     began = reply[np.isnan(reply["sent"])]
     if len(tick) == 0 or len(began) == 0:
         raise ArtefactError("nothing moved in this run; there is nothing to replay")
     clock = _PolicyClock()
     controller = RunController(
-        request.settings.described_arm,
+        settings.described_arm,
         request.controller(counts_per_rev),
         tick_policy(policy),
         request.guard(counts_per_rev, logged_speed_limit((e.name, e.text) for e in run.events)),
@@ -182,8 +168,7 @@ class _PolicyClock:
 
 def _rig_settings(run: RunLog) -> RigSettings:
     try:
-        settings = RigSettings.model_validate(run.conditions.rig)
-        return settings.with_arm(run.conditions.arm)
+        return RigSettings.model_validate(run.conditions.rig).with_arm(run.conditions.arm)
     except ValidationError as error:
         raise ArtefactError(
             f"the log has invalid settings of the rig: {first_fault(error).what}; run it again"
@@ -210,16 +195,11 @@ def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> R
             except Exception as error:  # the run controller stops on it
                 result = error
             working = None
-        samples = _at(encoder, "received", now)[list(Sample._fields)]
+        samples = _at(encoder, "received", now)[list(Sample._fields)].tolist()
+        replies = _at(reply, "taken", now)[["sent", "time", "q", "torque"]].tolist()
         inputs = TickInputs(
-            samples=[
-                Sample(t, n, bool(pressed), bool(illegal), missing)
-                for t, n, pressed, illegal, missing in samples.tolist()
-            ],
-            replies=[
-                Reply(float(r["sent"]), float(r["time"]), _known(r["q"]), _known(r["torque"]))
-                for r in _at(reply, "taken", now)
-            ],
+            samples=[Sample(t, n, bool(p), bool(i), missing) for t, n, p, i, missing in samples],
+            replies=[Reply(sent, t, _known(q), _known(torque)) for sent, t, q, torque in replies],
             lines=[event.text for event in events if event.name == WORD_TYPED],
             faults=[event.text for event in events if event.name == DEVICE_FAILED],
             lateness=float(row["late"]),
@@ -243,16 +223,24 @@ def _known(values: Array) -> tuple[float, ...] | None:
     return None if np.isnan(values).any() else tuple(values.tolist())
 
 
-def _pairs(row: Any, sent: list[list[float]], output: TickOutput) -> dict[str, tuple[float, float]]:
+def _of_joints(name: str, logged: Iterable[float], made: Iterable[float]) -> Pairs:
+    both = zip(logged, made, strict=True)
+    return {f"{name} of joint {i}": pair for i, pair in enumerate(both, start=1)}
+
+
+def _of_setpoints(logged: Iterable[Sequence[float]], made: Iterable[Sequence[float]]) -> Pairs:
+    pairs: dict[str, tuple[float, float]] = {}
+    for name, *setpoints in zip(("first", "second"), logged, made, strict=False):
+        pairs |= _of_joints(f"{name} setpoint", *setpoints)
+    return pairs
+
+
+def _pairs(row: Any, sent: list[list[float]], output: TickOutput) -> Pairs:
     pairs = {"state": (float(row["state"]), float(output.state))}
     pairs |= {name: (float(row[name]), float(getattr(output.record, name))) for name in COMPARED}
-    joints = [("q", row["q"].tolist(), output.q), ("dq", row["dq"].tolist(), output.dq)]
-    for name, setpoint, made in zip(("first", "second"), sent, output.setpoints, strict=False):
-        joints.append((f"{name} setpoint", setpoint, made))
-    for name, logged, made in joints:
-        both = zip(logged, made, strict=True)
-        pairs |= {f"{name} of joint {i}": pair for i, pair in enumerate(both, start=1)}
-    return pairs
+    for name in ("q", "dq"):
+        pairs |= _of_joints(name, row[name].tolist(), getattr(output, name))
+    return pairs | _of_setpoints(sent, output.setpoints)
 
 
 # A run on a twin, from the release.
@@ -290,23 +278,14 @@ def _control_steps(
     acting.reset()
     for i, time in enumerate(run.time.tolist()):
         if i > 0:
-            controller.observe(
-                float(counts[i]),
-                time - float(stamp[i]),
-                run.replies.q[i].tolist(),
-                time - float(run.replies.time[i]),
-            )
+            age, reply_age = time - float(stamp[i]), time - float(run.replies.time[i])
+            controller.observe(float(counts[i]), age, run.replies.q[i].tolist(), reply_age)
         u, box = controller.decide(acting), controller.box
         observation, estimate = controller.observation, controller.estimate
         setpoints = controller.command(u)
         made = (*observation, float(box), u, estimate.phi, estimate.phi_dot, estimate.bias)
-        pairs = {
-            name: (float(getattr(run, name)[i]), value)
-            for name, value in zip(COMPARED, made, strict=True)
-        }
-        named = zip(("first", "second"), setpoints, strict=True)
-        for place, (name, q) in enumerate(named):
-            logged = run.stream.q[len(setpoints) * i + place].tolist()
-            for joint, pair in enumerate(zip(logged, q, strict=True), start=1):
-                pairs[f"{name} setpoint of joint {joint}"] = pair
-        yield time, pairs
+        logged = (float(getattr(run, name)[i]) for name in COMPARED)
+        pairs = dict(zip(COMPARED, zip(logged, made, strict=True), strict=True))
+        first = len(setpoints) * i
+        sent = run.stream.q[first : first + len(setpoints)].tolist()
+        yield time, pairs | _of_setpoints(sent, setpoints)

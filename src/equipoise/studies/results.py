@@ -132,14 +132,11 @@ def _stated_digest(path: Path, results: Results) -> str:
 
 def digests(results: Results) -> Mapping[str, str]:
     """Return the digest of each value, by the name of its file."""
-    gap = results.gap
-    return {
-        SWING: results.swing.sha256,
-        PENDULUM: results.pendulum.digest,
-        POLICY: results.policy.digest,
-        EVALUATION: results.evaluation.digest,
-        RUN: results.run.digest,
-    } | ({} if gap is None else {GAP: gap.digest})
+    _, swing, *values = results
+    named = zip((PENDULUM, POLICY, EVALUATION, RUN, GAP), values, strict=True)
+    return {SWING: swing.sha256} | {
+        name: value.digest for name, value in named if value is not None
+    }
 
 
 def verdict(results: Results) -> tuple[str, str, str, str, str]:
@@ -182,30 +179,23 @@ def _survival(evaluation: Evaluation) -> str:
     summary = evaluation.results.summary()
     low, high = summary.interval
     median = "" if summary.rate > 0.5 else f"; median {summary.median:.3g} s"
-    others = "; ".join(
-        f"{results.name} {percent(results.summary().rate)}" for results in evaluation.baselines
-    )
+    others = (f"{each.name} {percent(each.summary().rate)}" for each in evaluation.baselines)
     return (
         f"On the plant of its training the table stood {evaluation.duration:g} s in "
         f"{summary.survived} of {summary.trials} trials ({percent(summary.rate)}; 95 % interval "
         f"{percent(low)} to {percent(high)}{median}), {falls(summary.causes)}; baselines on the "
-        f"same trials: {others}."
+        f"same trials: {'; '.join(others)}."
     )
 
 
 def _run(run: RunLog) -> str:
     shown, conditions = truth(run), run.conditions
     phi, x = np.rad2deg(np.max(np.abs(shown.phi))), np.max(np.abs(shown.x))
-    where = (
-        "On the plant of its training once more"
-        if conditions.world == MODEL
-        else f"On the digital twin {conditions.world}"
-    )
-    end = (
-        f"stood all {run.lasted:g} s"
-        if run.cause == LASTED
-        else f"{how_it_ended(run.cause)} after {run.lasted:.3g} s of {conditions.duration:g} s"
-    )
+    where, end = f"On the digital twin {conditions.world}", f"stood all {run.lasted:g} s"
+    if conditions.world == MODEL:
+        where = "On the plant of its training once more"
+    if run.cause != LASTED:
+        end = f"{how_it_ended(run.cause)} after {run.lasted:.3g} s of {conditions.duration:g} s"
     return (
         f"{where}, with a pendulum and a start that it did not know, it {end}, with |x| up to "
         f"{x:.2f} of {paper.X_LIMIT:g} m and |phi| up to {phi:.1f} of {paper.PHI_LIMIT_DEG:g} deg; "
@@ -232,25 +222,24 @@ def _gap(results: Results) -> str:
 def _swing(results: Results) -> str:
     pendulum, fit = results.pendulum, results.pendulum.fit
     w2, c = (plus_minus(part.value, part.interval) for part in (pendulum.w2, pendulum.c))
-    parts = [
-        f"The {'simulated' if results.record.simulated else 'recorded'} free swing has a period of "
-        f"{pendulum.period:.4g} s (w2 = {w2} 1/s^2, c = {c} 1/s)"
-    ]
+    origin = "simulated" if results.record.simulated else "recorded"
+    text = f"The {origin} free swing has a period of {pendulum.period:.4g} s"
+    text += f" (w2 = {w2} 1/s^2, c = {c} 1/s)"
     if fit is not None:
         unit = "deg" if fit.quantity == "angle" else "deg/s"
-        parts.append(f"the fit leaves {fit.rms_deg:.2g} {unit} RMS")
+        text += f", the fit leaves {fit.rms_deg:.2g} {unit} RMS"
         if fit.warnings:
-            parts.append(f"with {len(fit.warnings)} warning{'s' * (len(fit.warnings) > 1)}")
-    return ", ".join(parts) + "."
+            text += f", with {len(fit.warnings)} warning{'s' * (len(fit.warnings) > 1)}"
+    return f"{text}."
 
 
 def _caveat(results: Results) -> str:
-    quick = "A quick look, with fewer episodes and trials. " if results.record.quick else ""
+    text = "Quick reproduction, with fewer episodes and trials. " if results.record.quick else ""
     if results.run.conditions.world == MODEL:
         return (
-            f"{quick}All results are from simulation, on our model of an arm; none is from a robot."
+            f"{text}All results are from simulation, on our model of an arm; none is from a robot."
         )
     return (
-        f"{quick}All results are from simulation. The twin models the known delay, servo, weight "
+        f"{text}All results are from simulation. The twin models the known delay, servo, weight "
         "and sensor, with assumptions for the rest; it is not the authors' robot."
     )

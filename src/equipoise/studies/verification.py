@@ -59,15 +59,8 @@ def verify(path: StrPath) -> Verified:
     path = Path(path)
     if _is_mcap(path):
         run = RunLog.load(path)
-        return Verified(
-            what="run log",
-            format=FORMAT,
-            version=VERSION,
-            digest=run.digest,
-            content=_run(run),
-            provenance=run.provenance,
-            lines=(*summarise(run).items(),),
-        )
+        lines = tuple(summarise(run).items())
+        return Verified("run log", FORMAT, VERSION, run.digest, _run(run), run.provenance, lines)
     document = read_document(path)
     kind = document["format"]
     if kind not in _KINDS:
@@ -83,14 +76,8 @@ def verify(path: StrPath) -> Verified:
         provenance = Provenance.model_validate(document["provenance"])
     except ValueError:
         raise ArtefactError(f"{path} has a damaged provenance; make the file again") from None
-    return Verified(
-        what=what,
-        format=kind,
-        version=document["version"],
-        digest=document["digest"],
-        content=content(value),
-        provenance=provenance,
-    )
+    version, digest = document["version"], document["digest"]
+    return Verified(what, kind, version, digest, content(value), provenance)
 
 
 def _is_mcap(path: Path) -> bool:
@@ -102,9 +89,8 @@ def _is_mcap(path: Path) -> bool:
 
 
 def _pendulum(pendulum: Pendulum) -> str:
-    fit = pendulum.fit
     origin = "not measured"
-    if fit:
+    if fit := pendulum.fit:
         unit = "deg/s" if fit.quantity == "rate" else "deg"
         origin = f"from {fit.source} with {fit.rms_deg:.3g} {unit} RMS"
     return (
@@ -120,11 +106,9 @@ def _actuator(actuator: Actuator) -> str:
 
 
 def _gap(gap: Gap) -> str:
-    short = "the short form, " if gap.quick else ""
-    return (
-        f"cost of each effect of {gap.world}, {short}{gap.trials} trials of "
-        f"{gap.duration:g} s per point"
-    )
+    form = ", the short form" if gap.quick else ""
+    trials = f"{gap.trials} trials of {gap.duration:g} s per point"
+    return f"cost of each effect of {gap.world}{form}, {trials}"
 
 
 def _policy(policy: TabularPolicy) -> str:
@@ -152,12 +136,9 @@ def _certificate(certificate: Certificate) -> str:
 
 
 def _reproduction(record: StageRecord) -> str:
-    quick = "a quick " if record.quick else ""
-    wall = sum(stage.wall for stage in record.stages)
-    return (
-        f"{quick}run from {record.swing}, seed {record.seed}, "
-        f"{len(record.files)} files, {wall:.0f} s"
-    )
+    run, wall = f"run from {record.swing}", sum(stage.wall for stage in record.stages)
+    run = f"a quick {run}" if record.quick else run
+    return f"{run}, seed {record.seed}, {len(record.files)} files, {wall:.0f} s"
 
 
 def _run(run: RunLog) -> str:

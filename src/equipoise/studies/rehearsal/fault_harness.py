@@ -211,17 +211,10 @@ class FaultHarness:
         )
         if isinstance(rig.operator, EmulatedOperator):
             rig.operator.ignored = scenario.unheard
-        request = RunRequest(
-            policy=scenario.policy,
-            actuator=scenario.policy.actuator,
-            settings=scenario.settings,
-            robot=f"{ROBOT}://emulated",
-            encoder="serial://emulated",
-            duration=scenario.duration,
-            t1=scenario.t1,
-            dry_run=False,
-            seed=0,
-        )
+        known = {name: getattr(scenario, name) for name in ("policy", "settings", "duration", "t1")}
+        known |= {"robot": f"{ROBOT}://emulated", "encoder": "serial://emulated"}
+        actuator = scenario.policy.actuator
+        request = RunRequest(**known, actuator=actuator, dry_run=False, seed=0)
         try:
             wrap = partial(FaultyTickHandler, self)
             outcome = run_rig_virtually(request, rig, scenario.out, self, around=wrap)
