@@ -59,9 +59,9 @@ def test_no_fault_is_named_that_is_not_rehearsed():
 
 def test_each_number_of_the_page_is_that_of_the_code():
     from equipoise.control import dropouts, run_controller, safety
-    from equipoise.studies.rehearsal.verdicts import TOLD
+    from equipoise.studies.rehearsal.verdicts import MAX_NOTICE
 
-    assert f"within {1e3 * TOLD:.0f} ms" in PAGE
+    assert f"within {1e3 * MAX_NOTICE:.0f} ms" in PAGE
     assert f"({safety.STOP_DECELERATION:g} m/s² at the flange" in PAGE
     assert f"{100 * safety.TORQUE_SHARE:.0f} % of the joint's torque" in PAGE
     assert f"a following error of {safety.FOLLOWING_LIMIT:g} rad" in PAGE

@@ -1,4 +1,4 @@
-"""Rehearsal: each fault of a rig is injected into a run, and the end of the run is judged.
+"""Rehearsal: injection of each fault of a rig into a run, with a verdict on the end of the run.
 
 The whole of `equipoise deploy` runs in virtual time on an emulated rig with one fault
 (`fault_harness`, `faults`, `files`). The bytes that are sent and the motion of the twin decide
@@ -14,13 +14,13 @@ from typing import Final, NamedTuple
 
 from equipoise.errors import InputError
 from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario
-from equipoise.studies.rehearsal.faults import FAULTS as INJECTED
+from equipoise.studies.rehearsal.faults import FAULTS as VIRTUAL_FAULTS
 from equipoise.studies.rehearsal.faults import Fault
 from equipoise.studies.rehearsal.files import FILES
 from equipoise.studies.rehearsal.real_time import REAL_TIME
 from equipoise.studies.rehearsal.verdicts import judge
 
-FAULTS: Final[tuple[Fault, ...]] = (*INJECTED, *FILES)
+FAULTS: Final[tuple[Fault, ...]] = (*VIRTUAL_FAULTS, *FILES)
 """Faults that can be rehearsed in virtual time."""
 
 
@@ -38,9 +38,9 @@ class Result(NamedTuple):
     did: str
     """Description of the actual end."""
     problems: tuple[str, ...] = ()
-    """Differences between both."""
+    """Differences between the actual and the required end."""
     ran: bool = True
-    """Whether the fault was rehearsed at all."""
+    """Whether the rehearsal of the fault took place."""
 
     @property
     def good(self) -> bool:
@@ -71,9 +71,9 @@ def _run(fault: Fault, scenario: Scenario) -> tuple[str, list[str]]:
     harness = FaultHarness(fault.scenario(scenario), fault.trigger, fault.inject)
     outcome = harness.run()
     did = f"{outcome.cause}: {outcome.reason}"
-    stops = [one.time for one in harness.told if one.name in ("stopping", "fault")]
-    if fault.within is not None and stops and harness.broken_at is not None:
-        did += f" ({1e3 * (stops[0] - harness.broken_at):.0f} ms after the fault)"
+    stops = [one.time for one in harness.messages if one.name in ("stopping", "fault")]
+    if fault.within is not None and stops and harness.injected_at is not None:
+        did += f" ({1e3 * (stops[0] - harness.injected_at):.0f} ms after the fault)"
     return did, [*judge(harness, outcome, fault), *fault.check(harness)]
 
 

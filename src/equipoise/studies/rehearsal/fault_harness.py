@@ -2,7 +2,7 @@
 
 The run is that of `equipoise.deployment.rig`, with its loop, controller, safety rules and drivers;
 cabinet, board, arm and operator are emulated. The harness records the bytes on the link and the
-motion of the twin, so that a fault is not judged by the run's own numbers and words.
+motion of the twin, so that the verdict does not rely on the run's own numbers and messages.
 """
 
 from collections.abc import Callable
@@ -23,12 +23,13 @@ from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import DrainingClock, EmulatedRig, RigSettings, emulated_rig
 
 WORLD: Final = "twin:nominal"
+"""World of all rehearsals."""
 ROBOT: Final = "kst"
-"""Scheme of the robot that is rehearsed: the faults are those of its server and its bytes."""
-BALANCED: Final = 3.0
-"""Time for which a rehearsed run balances if nothing stops it [s]."""
-AFTER_RUN: Final = 0.5
-"""Time for which the twin is observed after a run [s]."""
+"""Scheme of the emulated robot; the faults are those of its server and its bytes."""
+BALANCE_TIME: Final = 3.0
+"""Duration of the balancing in a rehearsed run [s]."""
+SETTLING_TIME: Final = 0.5
+"""Duration of the observation after a run [s]."""
 OBSERVATION_TICKS: Final = 2
 """Time between two observations of the twin [ms]."""
 REFUSED: Final = "refused"
@@ -38,7 +39,7 @@ BROKEN: Final = "broken"
 START: Final = "start"
 """Name of the event before the run."""
 MAX_RUN_TIME: Final = 90.0
-"""Time after which a run hangs, and is stopped by a key [s]."""
+"""Time limit of a run [s]; then a key stops it."""
 
 Setpoint = tuple[float, ...]
 
@@ -52,7 +53,7 @@ class Trigger(NamedTuple):
     """Delay after it [s]."""
 
 
-class ExpectedNotice(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """Message that the operator received."""
 
     time: float
@@ -63,8 +64,8 @@ class ExpectedNotice(NamedTuple):
     """Its sentence."""
 
 
-class RunObservation(NamedTuple):
-    """Posture of the twin at one time."""
+class ArmObservation(NamedTuple):
+    """Position of the twin's arm at one time."""
 
     time: float
     """Time [s]."""
@@ -82,13 +83,13 @@ class Scenario:
     """Contents of `rig.toml`."""
     policy: TabularPolicy = field(default_factory=shipped_policy)
     """The policy."""
-    duration: float = BALANCED
+    duration: float = BALANCE_TIME
     """Time to balance [s]."""
     t1: bool = False
     """Whether the speed limit of T1 holds."""
     out: Path | None = None
     """The log."""
-    unheard: frozenset[str] = frozenset()
+    missed_messages: frozenset[str] = frozenset()
     """Names of messages that the emulated operator misses."""
 
 
@@ -102,7 +103,7 @@ class TransportTap:
         """Time and bytes of each write."""
         self.opened = 0
         """Number of connections."""
-        self.spoil: Callable[[bytes], bytes] = lambda data: data
+        self.damage: Callable[[bytes], bytes] = lambda data: data
         """Damages received bytes."""
 
     def open(self) -> Transport:
@@ -117,7 +118,7 @@ class TransportTap:
 
     def read(self) -> bytes:
         """Return the bytes received."""
-        return self.spoil(self._end.read())
+        return self.damage(self._end.read())
 
     def close(self) -> None:
         """Close."""
@@ -125,23 +126,23 @@ class TransportTap:
 
 
 class StallingClock:
-    """Clock whose waits can be prolonged, to stall the loop."""
+    """Clock with prolonged waits, which stall the loop."""
 
     def __init__(self, clock: Clock) -> None:
         """Wrap a clock."""
         self._clock = clock
-        self.held_up: list[float] = []
-        """Prolongations of the next waits [s]."""
+        self.stalls: list[float] = []
+        """Additional durations of the next waits [s]."""
 
     def now(self) -> float:
         """Return the time [s]."""
         return self._clock.now()
 
     def wait_until(self, time: float) -> None:
-        """Wait, and prolong the wait if that is due."""
+        """Wait until a time [s], and longer if a stall is due."""
         self._clock.wait_until(time)
-        if self.held_up:
-            self._clock.wait_until(self._clock.now() + self.held_up.pop(0))
+        if self.stalls:
+            self._clock.wait_until(self._clock.now() + self.stalls.pop(0))
 
 
 class FaultHarness:
@@ -162,22 +163,23 @@ class FaultHarness:
         world = read_world(WORLD)
         pendulum = pendulum_on(scenario.policy.pendulum, world.settings)
         self.parts: EmulatedRig = emulated_rig(world, scenario.settings, pendulum, robot=ROBOT)
-        """Simulated rig, server, board and links."""
+        """Drivers, simulated rig, server, board and links."""
         self.bench, self.board = self.parts.bench, self.parts.sensor.board
+        """Simulated rig, and emulator of the encoder's board."""
         clock = self.parts.rig.clock
         self.clock = StallingClock(clock)
         """Clock of the run."""
-        self.robot_wire = TransportTap(self.parts.robot.link.other, clock)
+        self.robot_tap = TransportTap(self.parts.robot.link.other, clock)
         """Host's end of the link to the robot."""
-        self.encoder_wire = TransportTap(self.parts.sensor.link.other, clock)
+        self.encoder_tap = TransportTap(self.parts.sensor.link.other, clock)
         """Host's end of the link to the encoder."""
-        self.told: list[ExpectedNotice] = []
+        self.messages: list[ReceivedMessage] = []
         """Messages that the operator received."""
-        self.looks: list[RunObservation] = []
+        self.observations: list[ArmObservation] = []
         """Observations of the twin."""
         self.held_at_start = False
         """Whether the hand held the pendulum when the policy began."""
-        self.broken_at: float | None = None
+        self.injected_at: float | None = None
         """Time of the injection [s]; None before it."""
         self.stopped_at = inf
         """Time of the message that the arm stops [s]."""
@@ -203,14 +205,14 @@ class FaultHarness:
         sensor_on, robot_on = parts.sensor.driver, parts.robot.driver
         if sensor_on is None or robot_on is None:
             raise InputError(f"the robot {ROBOT!r} has no bytes to damage; choose another")
-        sensor = sensor_on(self.encoder_wire.open, self.clock)
+        sensor = sensor_on(self.encoder_tap.open, self.clock)
         rig = parts.rig._replace(
-            robot=robot_on(self.robot_wire.open, DrainingClock(self.clock, sensor)),
+            robot=robot_on(self.robot_tap.open, DrainingClock(self.clock, sensor)),
             sensor=sensor,
             clock=self.clock,
         )
         if isinstance(rig.operator, EmulatedOperator):
-            rig.operator.ignored = scenario.unheard
+            rig.operator.ignored = scenario.missed_messages
         known = {name: getattr(scenario, name) for name in ("policy", "settings", "duration", "t1")}
         known |= {"robot": f"{ROBOT}://emulated", "encoder": "serial://emulated"}
         actuator = scenario.policy.actuator
@@ -219,14 +221,14 @@ class FaultHarness:
             wrap = partial(FaultyTickHandler, self)
             outcome = run_rig_virtually(request, rig, scenario.out, self, around=wrap)
         except EquipoiseError as error:
-            self.told.append(ExpectedNotice(self.clock.now(), "error", str(error)))
+            self.messages.append(ReceivedMessage(self.clock.now(), "error", str(error)))
             outcome = RunResult(REFUSED, str(error))
         except Exception as error:  # a defect of the run; a rehearsal looks for these
             outcome = RunResult(BROKEN, f"the run broke with {type(error).__name__}: {error}")
         finally:
             while self.undo:
                 self.undo.pop()()
-        self.clock.wait_until(self.clock.now() + AFTER_RUN)
+        self.clock.wait_until(self.clock.now() + SETTLING_TIME)
         return outcome
 
     # Injections.
@@ -240,13 +242,13 @@ class FaultHarness:
         begin = self.clock.now()
         self._each.append(lambda: act(self.clock.now() - begin))
 
-    # A second operator, who receives every message and types what a fault makes it type.
+    # A second operator: it receives every message and types the input of the fault.
 
     def notify(self, event: OperatorMessage) -> None:
         """Record a message."""
         if event.name == "balancing":
             self.held_at_start = self.bench.hand.holds
-        self.told.append(ExpectedNotice(self.clock.now(), event.name, event.text))
+        self.messages.append(ReceivedMessage(self.clock.now(), event.name, event.text))
         self._notice(event.name)
         if event.name == "stopping":
             # No input may move anything after a stop.
@@ -259,12 +261,12 @@ class FaultHarness:
         return typed
 
     def _notice(self, name: str) -> None:
-        if name == self._trigger.event and self.broken_at is None:
+        if name == self._trigger.event and self.injected_at is None:
             self._trigger = self._trigger._replace(event="")
-            self.after(self._trigger.after, self._break)
+            self.after(self._trigger.after, self._inject_now)
 
-    def _break(self) -> None:
-        self.broken_at = self.clock.now()
+    def _inject_now(self) -> None:
+        self.injected_at = self.clock.now()
         self._inject(self)
 
     def _work(self, now: float) -> None:
@@ -275,13 +277,13 @@ class FaultHarness:
         self._ms += 1
         if self._ms % OBSERVATION_TICKS == 0:
             q = tuple(self.bench.twin.kernel.bodies.qpos[: self.bench.joints].tolist())
-            self.looks.append(RunObservation(now, float(self.bench.truth().x), q))
+            self.observations.append(ArmObservation(now, float(self.bench.truth().x), q))
         if round(1e3 * now) == round(1e3 * MAX_RUN_TIME):
             self.typed.append("stop")
 
 
 class FaultyTickHandler:
-    """Tick handler whose inputs and setpoints are changed by a fault."""
+    """Tick handler with faulty inputs and setpoints."""
 
     def __init__(self, harness: FaultHarness, handler: TickHandler) -> None:
         self._harness, self._handler = harness, handler
@@ -292,10 +294,10 @@ class FaultyTickHandler:
         return self._handler.h
 
     def tick(self, now: float, inputs: TickInputs) -> TickOutput:
-        """Decide, with the faults of the scenario applied to inputs and output."""
+        """Run a tick with the faults applied to its inputs and its setpoints."""
         harness = self._harness
         output = self._handler.tick(now, harness.change_inputs(inputs))
-        if harness.broken_at is None:
+        if harness.injected_at is None:
             return output
         step = self.h / len(output.setpoints)
         if any(event.name == "stopping" for event in output.events):
@@ -303,7 +305,7 @@ class FaultyTickHandler:
             harness.stopped_at = min(now - step, harness.stopped_at)
         times = (min(now + i * step, harness.stopped_at) for i in range(len(output.setpoints)))
         setpoints = (
-            harness.change_setpoint(tuple(q), time - harness.broken_at)
+            harness.change_setpoint(tuple(q), time - harness.injected_at)
             for q, time in zip(output.setpoints, times, strict=True)
         )
         return output._replace(setpoints=tuple(setpoints))

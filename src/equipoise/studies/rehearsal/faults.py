@@ -30,8 +30,9 @@ from equipoise.studies.rehearsal.fault_harness import (
 )
 
 BALANCING: Final = Trigger("balancing", 0.5)
-"""Half a second into the balance."""
+"""Default trigger: half a second after the start of the balancing."""
 AT_START: Final = Trigger(START)
+"""Trigger before the run begins."""
 
 PERIOD: Final = paper.STEP / SETPOINTS_PER_TICK
 """Time between two setpoints [s]."""
@@ -57,11 +58,11 @@ class Fault(NamedTuple):
     scenario: Callable[[Scenario], Scenario] = lambda scenario: scenario
     """Changes the scenario, for a fault that exists from the start."""
     within: float | None = None
-    """Maximum time from the fault to the stop [s]; None where only its effect can be seen."""
+    """Maximum time from the fault to the stop [s]; None without a limit."""
     stoppable: bool = True
     """Whether software can still stop the arm."""
     says: str = ""
-    """Text that some message to the operator has to contain."""
+    """Text that a message to the operator has to contain."""
     check: Callable[[FaultHarness], Sequence[str]] = lambda harness: ()
     """Further check; returns its problems."""
     held_at_start: bool = False
@@ -111,7 +112,7 @@ def _with(**changes: Any) -> Callable[[Scenario], Scenario]:
 
 
 def _referenced_twice(harness: FaultHarness) -> Sequence[str]:
-    swings = [one.name for one in harness.told].count("swing")
+    swings = [one.name for one in harness.messages].count("swing")
     return () if swings == 2 else (f"{swings} self-tests were made, expected 2",)
 
 
@@ -124,7 +125,7 @@ def _slip_slowly(harness: FaultHarness) -> None:
 ENCODER: Final = of_kind(
     "encoder",
     Fault("encoder unplugged", "its port is gone, while balancing",
-          "a stop within a tick, told to look at the encoder", _ends("fault"),
+          "a stop within a tick, with a message that names the encoder", _ends("fault"),
           _call("parts.sensor.link.close"), within=0.02, says="encoder"),
     Fault("encoder unplugged in the self-test", "its port is gone, while the flange moves by 40 mm",
           "a stop within a tick", _ends("fault"), _call("parts.sensor.link.close"),
@@ -161,7 +162,7 @@ ENCODER: Final = of_kind(
           "a stop within a tick", _ends(Rule.ENCODER_JUMP, Rule.ENCODER_GAP, "fault"),
           _call("board.zero"), Trigger("swing", 1.4), within=0.03),
     Fault("zero error", "the encoder slips by 1 deg on its spindle, after the reference",
-          "the self-test refuses the zero, it is referenced anew, and balances", _ends("lasted"),
+          "the self-test rejects the zero; after a new reference the run balances", _ends("lasted"),
           _slip_slowly, Trigger("swing"), check=_referenced_twice),
     Fault("zero error while balancing", "the encoder slips by 1 deg on its spindle, in 0.2 s",
           "the zero is estimated and it balances, or the arm stops on its track",
@@ -180,7 +181,7 @@ ENCODER: Final = of_kind(
     Fault("illegal transition", "both lines of the encoder change at once, while balancing",
           "a stop within a tick", _ends(Rule.ENCODER_ILLEGAL), _call("board.meet_illegal"),
           within=0.03, says="wiring"),
-    Fault("board restarts", "the board loses its power for a trigger, while balancing",
+    Fault("board restarts", "the board loses its power for a moment, while balancing",
           "a stop; the zero is void", _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
           _call("board.reboot"), within=0.05),
 )
@@ -190,20 +191,20 @@ ENCODER: Final = of_kind(
 # Time.
 
 
-def _hold_up(*times: float) -> Inject:
-    # Every second wait is for a tick, the other for the setpoint in its middle.
-    return lambda harness: harness.clock.held_up.extend(times)
+def _stall(*times: float) -> Inject:
+    # Waits alternate: one for a tick, one for the setpoint in its middle.
+    return lambda harness: harness.clock.stalls.extend(times)
 
 
 # fmt: off
 TIME: Final = of_kind(
     "time",
     Fault("late tick", "the loop is held up for 60 ms, while balancing", "a stop in the next tick",
-          _ends(Rule.TICK), _hold_up(0.06), within=0.08),
+          _ends(Rule.TICK), _stall(0.06), within=0.08),
     Fault("one late tick", "the loop is held up for 8 ms, while balancing", "it goes on",
-          _ends("lasted"), _hold_up(0.008)),
+          _ends("lasted"), _stall(0.008)),
     Fault("late ticks", "the loop is late by 12 ms six times in a row, while balancing",
-          "a stop at the third missed tick", _ends(Rule.TICK), _hold_up(*(6 * (0.012,))),
+          "a stop at the third missed tick", _ends(Rule.TICK), _stall(*(6 * (0.012,))),
           within=0.08),
 )
 # fmt: on
@@ -243,10 +244,10 @@ def _touch(force: float) -> Inject:
 
 
 def _no_bytes_after(harness: FaultHarness) -> Sequence[str]:
-    fault = harness.broken_at or 0.0
-    late = [time for time, _ in harness.robot_wire.sent if time > fault + 0.02]
-    if harness.robot_wire.opened != 1:
-        return (f"{harness.robot_wire.opened} connections were made",)
+    fault = harness.injected_at or 0.0
+    late = [time for time, _ in harness.robot_tap.sent if time > fault + 0.02]
+    if harness.robot_tap.opened != 1:
+        return (f"{harness.robot_tap.opened} connections were made",)
     return (f"{len(late)} lines were sent after the drop",) if late else ()
 
 
@@ -298,7 +299,7 @@ def _joint(place: int, value: Callable[[Joint, float, float], float]) -> Inject:
 
 
 def _creep(row: int) -> Inject:
-    """Let the setpoints creep by 0.02 rad/s, each joint the way that adds to a part of the twist.
+    """Let the joints creep by 0.02 rad/s, in the directions that add up in one row of the twist.
 
     Args:
         row: Row of the Jacobian.
@@ -323,21 +324,22 @@ def _held_back(
 
 
 MOVED_AWAY: Final = _ends("fault", Rule.FOLLOWING, Rule.DRIFT, Rule.TILT, Rule.TRACK)
+"""Ends of a run whose setpoints leave the planned motion."""
 
 # fmt: off
 ROBOT: Final = of_kind(
     "robot",
     Fault("TCP drop", "the server closes the connection, while balancing",
-          "told within 100 ms that software cannot stop the robot; it rests at its last target",
+          "a warning within 100 ms that software cannot stop it; it rests at its last target",
           _ends("link lost"), _drop, stoppable=False, within=0.02),
     Fault("half-open link", "nothing arrives any more, neither way, while balancing",
-          "told within 100 ms that software may be unable to stop the robot", _ends("link lost"),
+          "a warning within 100 ms that software may be unable to stop it", _ends("link lost"),
           _half_open, stoppable=False, within=0.08),
     Fault("command backlog", "commands arrive 80 ms late, while balancing",
           "a stop after 50 ms, and rest", _ends(Rule.LINK), _back_up, within=0.08,
           says="has not answered"),
     Fault("nak", "the server refuses setpoints, while balancing",
-          "the link is given up; told within 100 ms that software cannot stop the robot",
+          "the link is given up; a warning within 100 ms that software cannot stop the robot",
           _ends("link lost"), lambda harness: _change_server(harness, refuse=1.0), stoppable=False,
           within=0.03),
     Fault("reconnect in mid-run", "the connection drops, and could be made again 50 ms later",
@@ -422,9 +424,9 @@ def _nan_replies(column: str) -> Inject:
     return _inputs(lambda inputs: inputs._replace(replies=list(map(spoiled, inputs.replies))))
 
 
-def _spoil(wire: str, line: bytes) -> Inject:
+def _damage(wire: str, line: bytes) -> Inject:
     """Replace all bytes that a wire receives by a line."""
-    return _change(wire, spoil=lambda data: data and line)
+    return _change(wire, damage=lambda data: data and line)
 
 
 # fmt: off
@@ -433,10 +435,10 @@ NUMBERS: Final = of_kind(
     Fault("NaN from the encoder's line", "lines hold nan, while balancing",
           "they are rejected; a stop once the newest sample is 20 ms old",
           _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
-          _spoil("encoder_wire", b"E,nan,nan,nan,0*00\n"), within=0.05),
+          _damage("encoder_tap", b"E,nan,nan,nan,0*00\n"), within=0.05),
     Fault("NaN from the robot's line", "answers hold NaN, while balancing",
-          "the link is given up; told within 100 ms that software cannot stop the robot",
-          _ends("link lost"), _spoil("robot_wire", b"_".join(7 * [b"NaN"]) + b"\n"),
+          "the link is given up; a warning within 100 ms that software cannot stop the robot",
+          _ends("link lost"), _damage("robot_tap", b"_".join(7 * [b"NaN"]) + b"\n"),
           stoppable=False, within=0.03),
     Fault("NaN in a sample's time", "the encoder's driver gives NaN for a time, while balancing",
           "a stop within a tick", _ends(Rule.NUMBER, Rule.ENCODER_JUMP, "fault"),
@@ -488,12 +490,12 @@ def _take_away(duration: float) -> Inject:
 
 
 def _never_began(harness: FaultHarness) -> Sequence[str]:
-    began = any(one.name == "balancing" for one in harness.told)
+    began = any(one.name == "balancing" for one in harness.messages)
     return ("the policy began",) if began else ()
 
 
-UNHEARD: Final = _with(unheard=frozenset({"armed", "disarmed", "nudge"}))
-"""The operator misses that the controller is armed."""
+ARMING_MISSED: Final = _with(missed_messages=frozenset({"armed", "disarmed", "nudge"}))
+"""Scenario in which the emulated operator misses that the controller is armed."""
 
 # fmt: off
 RELEASE: Final = of_kind(
@@ -504,11 +506,12 @@ RELEASE: Final = of_kind(
     Fault("release too late",
           "armed, the pendulum is held for 4 s more, and then taken down in 0.8 s",
           "the policy does not begin: the hand is still on", _ends("operator"), _take_away(0.8),
-          Trigger("armed"), UNHEARD, check=_never_began, says="still on"),
+          Trigger("armed"), ARMING_MISSED, check=_never_began, says="still on"),
     Fault("hand that falls with the pendulum",
           "armed, the pendulum is led down in 2.5 s, which begins as a fall does",
           "it may be taken for a release; the arm then stops at the angle, on its track",
-          FELL | _ends("operator"), _take_away(2.5), Trigger("armed"), UNHEARD, held_at_start=True),
+          FELL | _ends("operator"), _take_away(2.5), Trigger("armed"), ARMING_MISSED,
+          held_at_start=True),
     Fault("push", "the pendulum is pushed by 20 deg/s, while balancing",
           "it balances, or falls and the arm stops", FELL | _ends("lasted"),
           _call("bench.push", radians(20.0))),
@@ -530,7 +533,7 @@ def _other_arm(scenario: Scenario) -> Scenario:
 # fmt: off
 KEYS: Final = {"homing": 0.5, "hang": 1.0, "swing": 0.6,
                "lift": 1.5, "armed": 0.1, "balancing": 1.0}
-"""Time of a key in each phase [s]."""
+"""Time of a key press in each phase, after its start [s]."""
 OPERATOR: Final = of_kind(
     "operator",
     *(Fault(f"key: {phase}", f"a key, {after:g} s after `{phase}`", "a stop within a tick",

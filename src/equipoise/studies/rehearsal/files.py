@@ -1,4 +1,4 @@
-"""Faults of files and of the machine around a run: disk, power, date, and input files."""
+"""Faults of the machine and of files: full disk, power loss, date, damaged input files."""
 
 import io
 import re
@@ -22,6 +22,7 @@ from equipoise.studies.rehearsal.faults import Fault, Inject, of_kind
 MAX_LOG_LOSS: Final = 2.0
 """Maximum time missing at the end of a log [s]: an open chunk, and rows not yet drained."""
 HOUR: Final = 3600.0
+"""Step of the date [s]."""
 
 
 def _with_a_log(scenario: Scenario) -> Scenario:
@@ -71,7 +72,7 @@ def _readable(suffix: str) -> Callable[[FaultHarness], Sequence[str]]:
             return (f"the log cannot be read: {error}",)
         finally:
             shutil.rmtree(path.parent)
-        last, fault = float(ticks[-1]), harness.broken_at or 0.0
+        last, fault = float(ticks[-1]), harness.injected_at or 0.0
         return (f"the log ends {fault - last:.1f} s early",) if last < fault - MAX_LOG_LOSS else ()
 
     return check
@@ -97,8 +98,9 @@ def _refused(read: Callable[[Path], Any], name: str, text: str, says: str) -> li
         try:
             read(path)
         except EquipoiseError as error:
-            return [] if says in str(error) else [f"the operator read {str(error)!r}"]
-    return ["the file was taken"]
+            text = str(error)
+            return [] if says in text else [f"the refusal {text!r} does not contain {says!r}"]
+    return ["the file was accepted"]
 
 
 def _change_digit(text: str) -> str:
@@ -170,8 +172,8 @@ FILES: Final = (
         ),
         _with_log(
             "power cut in the log",
-            "the log as it lies on the disk in the middle of a balance",
-            "every reader takes it, to its last chunk",
+            "the log on the disk is copied while balancing",
+            "every reader reads the copy, to its last chunk",
             _cut_the_power,
             ".cut",
         ),

@@ -26,12 +26,12 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings
+from equipoise.studies.rehearsal import verdicts
 from equipoise.studies.rehearsal.fault_harness import WORLD
 from equipoise.studies.rehearsal.faults import Fault, of_kind
-from equipoise.studies.rehearsal.verdicts import TOLD, Sent, came_to_rest, limits_kept, moving
 
 HOST: Final = "127.0.0.1"
-BALANCED: Final = 6.0
+BALANCE_TIME: Final = 6.0
 """Duration of the balancing [s]."""
 RUN_TIMEOUT: Final = 100.0
 """Timeout of a run [s]."""
@@ -53,7 +53,7 @@ class LiveRun(NamedTuple):
     lines: list[tuple[float, str]]
     """Output of the run: time [s] and line."""
 
-    def wait_for(self, words: str, since: float = 0.0) -> float:
+    def wait_for(self, text: str, since: float = 0.0) -> float:
         """Wait until the run prints a text, and return the time of its line [s].
 
         Raises:
@@ -62,12 +62,12 @@ class LiveRun(NamedTuple):
         begin = time.monotonic()
         while (waited := time.monotonic() - begin) < RUN_TIMEOUT:
             for moment, line in list(self.lines):
-                if words in line and moment >= since:
+                if text in line and moment >= since:
                     return moment
             if self.process.poll() is not None and waited > 1.0:
                 break
             time.sleep(0.005)
-        raise TimeoutError(f"the run never said {words!r}")
+        raise TimeoutError(f"the run did not print {text!r}; see the output of equipoise deploy")
 
 
 @contextmanager
@@ -94,7 +94,7 @@ def live_run() -> Generator[LiveRun]:
             *(sys.executable, "-m", "equipoise", "deploy"),
             *("--robot", f"kst://{HOST}:{ports[0]}"),
             *("--encoder", f"serial://{emulation.terminal}"),
-            *("--duration", str(BALANCED), "--out", str(log)),
+            *("--duration", str(BALANCE_TIME), "--out", str(log)),
         ]
         pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
         environment = os.environ | {"PYTHONUNBUFFERED": "1", "COLUMNS": "400"}
@@ -102,7 +102,7 @@ def live_run() -> Generator[LiveRun]:
             command, stderr=subprocess.STDOUT, env=environment, start_new_session=True, **pipes
         )
         lines: list[tuple[float, str]] = []
-        threading.Thread(target=_attend, args=(process, lines), daemon=True).start()
+        threading.Thread(target=_answer_prompts, args=(process, lines), daemon=True).start()
         try:
             yield LiveRun(process, emulation, ports[0], log, lines)
         finally:
@@ -126,10 +126,10 @@ def _raise_priority() -> None:
 
 
 ANSWERS: Final = ((re.compile(r"Type (\w+)\."), None), (re.compile(r"y or n"), "y"))
-"""Pattern of each prompt, and its answer; None for the first group of the match."""
+"""Pattern of each prompt, and its answer; None if the first group of the match is the answer."""
 
 
-def _attend(process: subprocess.Popen[str], lines: list[tuple[float, str]]) -> None:
+def _answer_prompts(process: subprocess.Popen[str], lines: list[tuple[float, str]]) -> None:
     """Record the output of the run, and answer its prompts."""
     _raise_priority()
     if process.stdout is None or process.stdin is None:
@@ -149,7 +149,7 @@ def _exit_code(run: LiveRun) -> int | None:
     return None
 
 
-def _judge(run: LiveRun, codes: Sequence[int]) -> list[str]:
+def _check_run(run: LiveRun, codes: Sequence[int]) -> list[str]:
     """Return the problems of the end of a run that software stopped."""
     code = _exit_code(run)
     if code is None:
@@ -161,11 +161,13 @@ def _judge(run: LiveRun, codes: Sequence[int]) -> list[str]:
     except EquipoiseError as error:
         return [*problems, str(error)]
     stream = log.tables["stream"]
-    sent = [Sent(float(row["time"]), tuple(row["q"].tolist())) for row in stream]
+    sent = [verdicts.Sent(float(row["time"]), tuple(row["q"].tolist())) for row in stream]
     arm = RigSettings().described_arm
-    problems += limits_kept(arm, sent)
+    problems += verdicts.check_limits(arm, sent)
     stops = [event.time for event in log.events if event.name in ("stopping", "fault")]
-    return problems + (came_to_rest(arm, sent, stops[0]) if stops else ["no stop was logged"])
+    if not stops:
+        return [*problems, "no stop was logged"]
+    return problems + verdicts.check_stop(arm, sent, stops[0])
 
 
 def _check_rest(emulation: Emulation) -> list[str]:
@@ -174,7 +176,7 @@ def _check_rest(emulation: Emulation) -> list[str]:
     for _ in range(30):
         postures.append(bench.twin.kernel.bodies.qpos[: bench.joints].tolist())
         time.sleep(0.01)
-    return moving(postures)
+    return verdicts.check_still(postures)
 
 
 def _final_line(run: LiveRun) -> str:
@@ -182,23 +184,20 @@ def _final_line(run: LiveRun) -> str:
     return next((line for line in reversed(lines) if "ended" in line), lines[-1] if lines else "")
 
 
-def _signal_fault(number: signal.Signals, words: str, after: float) -> Fault:
+def _signal_fault(number: signal.Signals, text: str, after: float) -> Fault:
     def play() -> tuple[str, list[str]]:
         with live_run() as run:
-            run.wait_for(words)
+            run.wait_for(text)
             time.sleep(after)
             # Ctrl-C reaches each process of the terminal.
             send = os.killpg if number is signal.SIGINT else os.kill
             send(run.process.pid, number)
-            problems = _judge(run, (130,))
+            problems = _check_run(run, (130,))
             return _final_line(run), problems
 
-    name, injected = (
-        f"{number.name}: {words.lower()}",
-        f"{number.name}, {after:g} s after the run says",
-    )
+    injected = f"{number.name}, {after:g} s after the run prints {text!r}"
     should = "a latched stop inside the stream, rest, exit code 130"
-    return Fault(name, f"{injected} {words!r}", should, play=play)
+    return Fault(f"{number.name}: {text.lower()}", injected, should, play=play)
 
 
 def _descendants(pid: int) -> list[int]:
@@ -234,12 +233,13 @@ def _play_kill() -> tuple[str, list[str]]:
         os.kill(loop[0], signal.SIGKILL)
         killed = time.monotonic()
         late = run.wait_for("software cannot stop", killed) - killed
-        problems = [] if late <= TOLD else [f"the operator was told after {1e3 * late:.0f} ms"]
+        on_time = late <= verdicts.MAX_NOTICE
+        problems = [] if on_time else [f"the warning came after {1e3 * late:.0f} ms"]
         code = _exit_code(run)
         if code != 3:
             problems.append(f"exit code {code}, expected 3")
         problems += _check_rest(run.emulation)
-        return f"told after {1e3 * late:.0f} ms to press the E-stop; the arm rests", problems
+        return f"warned after {1e3 * late:.0f} ms to press the E-stop; the arm rests", problems
 
 
 def _play_second_client() -> tuple[str, list[str]]:
@@ -250,7 +250,7 @@ def _play_second_client() -> tuple[str, list[str]]:
             second.settimeout(1.0)
             second.sendall(b"getJointsPositions\nend\n")
             reply = second.recv(100)
-        problems = _judge(run, (0, 1))
+        problems = _check_run(run, (0, 1))
         if reply:
             problems.append(f"the server answered {reply!r}")
         return _final_line(run), problems
@@ -263,7 +263,7 @@ def _play_load() -> tuple[str, list[str]]:
         cores = os.cpu_count() or 1
         load = [subprocess.Popen([sys.executable, "-c", spin]) for _ in range(2 * cores)]
         try:
-            problems = _judge(run, (0, 1))
+            problems = _check_run(run, (0, 1))
             return _final_line(run), problems
         finally:
             for process in load:
@@ -295,7 +295,7 @@ _FAULTS: Final = of_kind(
     Fault(
         "control process killed",
         "SIGKILL to the process that moves the arm, while balancing",
-        "told within 100 ms that software cannot stop the robot; it rests at its last target",
+        "a warning within 100 ms that software cannot stop the robot; it rests at its last target",
         play=_play_kill,
     ),
     *(_signal_fault(*each) for each in SIGNALS),

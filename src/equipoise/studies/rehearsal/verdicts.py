@@ -17,20 +17,21 @@ from equipoise.model.arms.arm import Arm
 from equipoise.studies.rehearsal.fault_harness import BROKEN, REFUSED, FaultHarness
 from equipoise.studies.rehearsal.faults import Fault
 
-TOLD: Final = 0.100
-"""Maximum time until the operator knows that software cannot stop the robot [s]."""
+MAX_NOTICE: Final = 0.100
+"""Maximum time from the fault to the warning that software cannot stop the robot [s]."""
 REST_TOLERANCE: Final = 0.01
-"""Maximum motion of a joint of an arm at rest, within `WATCHED` [rad]; a pendulum that swings out
-moves the twin's arm by half of this."""
-WATCHED: Final = 0.3
-"""Length of the observation at the end [s]."""
+"""Maximum motion of a joint of an arm at rest, within `REST_WINDOW` [rad]. A pendulum that swings
+out moves the twin's arm by half of this."""
+REST_WINDOW: Final = 0.3
+"""Window for checking the rest at the end [s]."""
 ROUNDING: Final = 1e-6
-STILL: Final = 5e-5
+"""Tolerance of setpoints, for their rounding on the link [rad]."""
+MAX_HOLD_STEP: Final = 5e-5
 """Maximum step of a setpoint that holds the arm [rad]: 0.01 rad/s."""
-GOING_ON: Final = {"homing", "home", "hang", "reference", "swing", "lift", "armed", "balancing"}
-"""Names of messages that may not follow a stop."""
-RETURNING: Final = 0.1 + ROUNDING
-"""Maximum share of the joints' velocities on the way back to the measured posture."""
+CONTINUING: Final = {"homing", "home", "hang", "reference", "swing", "lift", "armed", "balancing"}
+"""Names of messages that must not follow a stop."""
+RETURN_SHARE: Final = 0.1 + ROUNDING
+"""Maximum share of the joints' velocities on the way back to the measured posture [-]."""
 
 
 class Sent(NamedTuple):
@@ -43,7 +44,7 @@ class Sent(NamedTuple):
 
 
 def setpoints_of(lines: Sequence[tuple[float, bytes]]) -> list[Sent]:
-    """Return the setpoints among the lines sent."""
+    """Return the setpoints in the sent lines."""
     sent: list[Sent] = []
     for time, line in lines:
         command, *fields = line.decode().strip().rstrip("_").split("_")
@@ -52,7 +53,7 @@ def setpoints_of(lines: Sequence[tuple[float, bytes]]) -> list[Sent]:
     return sent
 
 
-def limits_kept(arm: Arm, sent: Sequence[Sent]) -> list[str]:
+def check_limits(arm: Arm, sent: Sequence[Sent]) -> list[str]:
     """Return the problems of setpoints: number, finiteness, position, step."""
     problems: list[str] = []
     before: tuple[float, ...] | None = None
@@ -71,8 +72,8 @@ def limits_kept(arm: Arm, sent: Sequence[Sent]) -> list[str]:
     return problems[:3]
 
 
-def came_to_rest(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
-    """Return the problems of the setpoints after a stop [s], each of which has to be slower."""
+def check_stop(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
+    """Return the problems of the setpoints after a stop [s]: each must be slower than the last."""
     q = np.array([one.q for one in sent])
     steps = np.abs(np.diff(q, axis=0)).max(axis=1)
     times = np.array([one.time for one in sent[1:]])
@@ -84,21 +85,21 @@ def came_to_rest(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
     if times[first] > stop + paper.STEP + 1e-9:
         problems.append(f"the first setpoint of the stop came {times[first] - stop:.3f} s after it")
     before = steps[first - 1] if first else 0.0
-    slow = RETURNING * paper.STEP / 2.0 * np.array([joint.velocity for joint in arm.joints])
+    slow = RETURN_SHARE * paper.STEP / 2.0 * np.array([joint.velocity for joint in arm.joints])
     resting = False
     for k in after:
         if resting:
             if np.any(np.abs(q[k + 1] - q[k]) > slow):
-                problems.append(f"at {times[k]:.3f} s the arm was sent away again, and not slowly")
+                problems.append(f"at {times[k]:.3f} s the resting arm was sent away, too fast")
                 break
-        elif steps[k] > max(before - ROUNDING, STILL):
+        elif steps[k] > max(before - ROUNDING, MAX_HOLD_STEP):
             problems.append(f"at {times[k]:.3f} s a setpoint was no slower than the one before")
             break
-        resting, before = resting or steps[k] <= STILL, steps[k]
-    if steps[-1] > STILL:
+        resting, before = resting or steps[k] <= MAX_HOLD_STEP, steps[k]
+    if steps[-1] > MAX_HOLD_STEP:
         problems.append("the last setpoint still moves the arm")
     # 4 m/s^2 bring the fastest flange to rest in v / 4.
-    lasted = times[int(after[np.argmax(steps[after] <= STILL)])] - stop
+    lasted = times[int(after[np.argmax(steps[after] <= MAX_HOLD_STEP)])] - stop
     if lasted > paper.X_LIMIT * 10.0 / STOP_DECELERATION:
         problems.append(f"the stop took {lasted:.2f} s")
     return problems
@@ -112,63 +113,63 @@ def judge(harness: FaultHarness, outcome: RunResult, fault: Fault) -> list[str]:
         outcome: Result that the run returns.
         fault: The fault, with the required end.
     """
-    arm, told = harness.scenario.settings.described_arm, harness.told
-    sent = setpoints_of(harness.robot_wire.sent)
-    problems = limits_kept(arm, sent)
+    arm, messages = harness.scenario.settings.described_arm, harness.messages
+    sent = setpoints_of(harness.robot_tap.sent)
+    problems = check_limits(arm, sent)
     if outcome.cause == BROKEN:
         return [*problems, outcome.reason]
     if outcome.cause not in fault.ends:
         problems.append(f"it ended with {outcome.cause} ({outcome.reason})")
-    if harness.broken_at is None:
-        return [*problems, "it never came to the fault"]
-    if fault.says and not any(fault.says in one.text for one in told):
-        problems.append(f"the operator did not read {fault.says!r}")
+    if harness.injected_at is None:
+        return [*problems, "the run ended before the fault was injected"]
+    if fault.says and not any(fault.says in one.text for one in messages):
+        problems.append(f"no message contains {fault.says!r}")
     if outcome.cause == REFUSED and REFUSED in fault.ends:
         moved = [f"{len(sent)} setpoints were sent"] if len(sent) > 1 else _at_rest(harness)
         return [*problems, *moved]
     if harness.held_at_start and not fault.held_at_start:
         problems.append("the policy began while the hand held the pendulum")
     problems += _on_track(harness)
-    stops = [one for one in told if one.name in ("stopping", "fault", "error")]
+    stops = [one for one in messages if one.name in ("stopping", "fault", "error")]
     if not stops:
-        return [*problems, "the operator was told nothing"]
+        return [*problems, "the operator received no message of the stop"]
     stop, within = stops[0].time, inf if fault.within is None else fault.within
-    if stop - harness.broken_at > within + 1e-9:
-        problems.append(f"it stopped {stop - harness.broken_at:.3f} s after the fault")
+    if stop - harness.injected_at > within + 1e-9:
+        problems.append(f"it stopped {stop - harness.injected_at:.3f} s after the fault")
     if fault.stoppable:
         # The first setpoint, which starts the servo, holds the arm where it is.
-        problems += came_to_rest(arm, sent, stop) if len(sent) > 1 else []
+        problems += check_stop(arm, sent, stop) if len(sent) > 1 else []
     else:
-        warned = [one for one in stops if "software" in one.text and _names_the_button(one.text)]
-        late = warned[0].time - harness.broken_at if warned else 0.0
+        warned = [one for one in stops if "software" in one.text and _names_estop(one.text)]
+        late = warned[0].time - harness.injected_at if warned else 0.0
         if not warned:
             problems.append("no message says that software cannot stop the robot")
-        elif fault.within is not None and late > TOLD + 1e-9:
-            problems.append(f"the operator was told of it after {1e3 * late:.0f} ms")
-    if any(one.name in GOING_ON for one in told if one.time > stop + 1e-9):
+        elif fault.within is not None and late > MAX_NOTICE + 1e-9:
+            problems.append(f"the operator was warned after {1e3 * late:.0f} ms")
+    if any(one.name in CONTINUING for one in messages if one.time > stop + 1e-9):
         problems.append("the run went on after its stop")
-    ended = [time for time, line in harness.robot_wire.sent if line.startswith(b"stopDirectServo")]
+    ended = [time for time, line in harness.robot_tap.sent if line.startswith(b"stopDirectServo")]
     if ended and sent and sent[-1].time > ended[0]:
         problems.append("a setpoint was sent after the servo had ended")
     return problems + _at_rest(harness)
 
 
-def _names_the_button(text: str) -> bool:
+def _names_estop(text: str) -> bool:
     return "E-stop" in text or "emergency stop" in text
 
 
 def _on_track(harness: FaultHarness) -> list[str]:
-    home = next((one.time for one in harness.told if one.name == "home"), inf)
-    x = max((abs(look.x) for look in harness.looks if look.time >= home), default=0.0)
+    home = next((one.time for one in harness.messages if one.name == "home"), inf)
+    x = max((abs(one.x) for one in harness.observations if one.time >= home), default=0.0)
     return [f"the flange was {x:.3f} m from home"] if x >= paper.X_LIMIT else []
 
 
 def _at_rest(harness: FaultHarness) -> list[str]:
-    end = harness.looks[-1].time
-    return moving([look.q for look in harness.looks if look.time > end - WATCHED])
+    end = harness.observations[-1].time
+    return check_still([one.q for one in harness.observations if one.time > end - REST_WINDOW])
 
 
-def moving(postures: Sequence[Sequence[float]]) -> list[str]:
+def check_still(postures: Sequence[Sequence[float]]) -> list[str]:
     """Return the problem of an arm that moves, from its postures [rad] at the end of a run."""
     moved = float(np.ptp(np.array(postures), axis=0).max())
     return [f"at the end a joint moves by {moved:.3f} rad"] if moved > REST_TOLERANCE else []
