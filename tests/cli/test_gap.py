@@ -5,7 +5,7 @@ import pytest
 from equipoise.control.policy import TabularPolicy
 from equipoise.model.actuator import Actuator
 from equipoise.studies import gap as study
-from equipoise.studies.gap_results import Gap, words
+from equipoise.studies.gap_results import Gap, sentences
 from tests.cli.damage import DAMAGE
 from tests.report.made_up_gap import falls_early, measured, paper_policy, with_cures
 
@@ -62,7 +62,7 @@ def test_it_says_the_tables_and_the_words(equipoise, cured_file, paper_file, mad
     assert ran.code == 0, ran
     gap = Gap.load(tmp_path / "mine.json")
     said = " ".join(ran.out.split())
-    for sentence in words(gap):
+    for sentence in sentences(gap):
         assert " ".join(sentence.split()) in said
     # 90 / (1 + 800 * 0.03) s, and half of the falls on the track.
     assert "3.7 (50)" in ran.out

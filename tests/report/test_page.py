@@ -19,7 +19,7 @@ from equipoise.report.page import FILM as FILM_FILE
 from equipoise.report.pictures import Animation, animation, strip
 from equipoise.settings import RECIPES, Settings, resolve
 from equipoise.studies import results as files
-from equipoise.studies.gap_results import words as gap_words
+from equipoise.studies.gap_results import sentences as gap_words
 from equipoise.trajectory import write_swing
 from tests.report import made_up
 

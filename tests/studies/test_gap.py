@@ -36,9 +36,8 @@ from equipoise.studies.gap_results import (
     difference,
     differs,
     mean,
-    spelled,
+    sentences,
     track_share,
-    words,
 )
 from tests.report.made_up_gap import falls_early, measured, paper_policy, with_cures
 
@@ -167,10 +166,10 @@ def test_the_short_form_is_short_and_says_so(full, short):
     long, brief = full[0], short[0]
     assert (long.trials, long.duration, long.quick) == (40, 60.0, False)
     assert (brief.trials, brief.duration, brief.quick) == (8, 20.0, True)
-    assert (long.apart, brief.apart) == ((PAPER, CURED), (PAPER,))
+    assert (long.by_effect, brief.by_effect) == ((PAPER, CURED), (PAPER,))
     assert long.names("variant") == tuple(VARIANTS)
     assert brief.names("variant") == ()
-    assert words(brief)[-1].startswith("This is the short form.")
+    assert sentences(brief)[-1].startswith("This is the short form.")
     assert set(SHORT.delays) < set(FULL.delays)
     assert set(SHORT.zeros) < set(FULL.zeros)
 
@@ -255,7 +254,8 @@ def test_the_track_has_its_share_of_the_failures_not_of_the_trials():
 
 def test_words_follow_the_numbers(full):
     gap, _ = full
-    short, way, latency, zero, effects, cured, unpredicted, unbiased, variants, caveat = words(gap)
+    short, way, latency, zero, effects, cured, *others = sentences(gap)
+    unpredicted, unbiased, variants, caveat = others
     clean, world = (gap.point(part, PAPER).results for part in ("clean", "world"))
     # At 10 ms the rule gives 90 / (1 + 800 * 0.01) s without prediction.
     assert "with its cures stands 60.0 of 60 s" in short
@@ -270,7 +270,7 @@ def test_words_follow_the_numbers(full):
     assert "60.0 s at 0 deg," in zero
     assert "1 deg (0.25 deg costs " in zero
     alone = difference(clean, gap.point("alone", PAPER, "transport delay").results)
-    assert f"they cost: transport delay ({spelled(alone)}), zero error" in effects
+    assert f"they cost: transport delay ({alone.text}), zero error" in effects
     assert "they give back: transport delay" in effects
     assert "no significant difference" in cured
     assert "costs" in unpredicted
@@ -287,12 +287,12 @@ def test_other_numbers_make_other_words(policy):
     def better_when_late(call, i):
         return 0.5 + 500.0 * (call.world.transport if call.world else 0.0) + 0.01 * i
 
-    said = words(measured(policy, stands)[0])
+    said = sentences(measured(policy, stands)[0])
     assert said[0].endswith("; these trials do not show that the cures help.")
     assert "they cost: none." in said[4]
     assert said[4].endswith("they give back: none.")
     assert all("no significant difference" in sentence for sentence in said[2:4])
-    said = words(measured(policy, better_when_late)[0])
+    said = sentences(measured(policy, better_when_late)[0])
     assert "5 ms adds 2.5 s [2.5, 2.5]" in said[2]
     assert "they cost: none." in said[4]
     assert "Switched on alone, some help: transport delay (5.0 s [5.0, 5.0])." in said[4]

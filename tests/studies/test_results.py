@@ -6,7 +6,7 @@ import pytest
 from equipoise.model.sim_configs import MODEL
 from equipoise.studies.formatting import percent, plus_minus
 from equipoise.studies.gap_results import CURED, NO_BIAS, NO_PREDICTION, PAPER
-from equipoise.studies.results import estimates_zero, seen_otherwise, truth, verdict
+from equipoise.studies.results import estimates_zero, observation_differs, truth, verdict
 from tests.logs.made_up import changed_table
 from tests.report import made_up
 
@@ -76,8 +76,8 @@ def test_the_truth_is_preferred_to_what_was_seen():
     twin, model = made_up.results().run, made_up.results(world=MODEL).run
     assert truth(twin) is twin.truth
     assert truth(model) is model
-    assert seen_otherwise(twin)
-    assert not seen_otherwise(model)
+    assert observation_differs(twin)
+    assert not observation_differs(model)
 
 
 def test_a_zero_is_estimated_where_there_is_an_encoder():

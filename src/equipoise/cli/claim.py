@@ -45,7 +45,7 @@ def certify(
     claim = study.make_claim(probability, confidence, duration, world=world, trials=trials)
     output.rows(
         {
-            "claim": claim.words,
+            "claim": claim.text,
             "test": f"{claim.trials:,} trials, {claim.allowed:,} failures allowed",
         }
     )
@@ -94,7 +94,7 @@ def repeat(
     verify(file)
     certificate = study.Certificate.load(file)
     claim = certificate.claim
-    output.rows({"claim": claim.words})
+    output.rows({"claim": claim.text})
     study.check_policy(certificate, chosen)
     with trials_of(output, "repeat", chosen, claim.world, claim.trials) as done:
         again = study.repeat(certificate, chosen, workers=opt.available_workers(workers), done=done)
@@ -125,7 +125,7 @@ def _claimed(certificate: "Certificate") -> dict[str, object]:
 
 def _say(output: Output, certificate: "Certificate") -> None:
     from equipoise.studies.certification import percentage
-    from equipoise.studies.formatting import falls
+    from equipoise.studies.formatting import format_failures
 
     claim = certificate.claim
     # Rounded down: a lower bound that is rounded up is too high.
@@ -133,7 +133,7 @@ def _say(output: Output, certificate: "Certificate") -> None:
     output.rows(
         {
             "outcome": f"{claim.trials - certificate.failed:,} of {claim.trials:,} lasted; "
-            f"{falls(certificate.failures)}",
+            f"{format_failures(certificate.failures)}",
             "proves": f"a probability of at least {percentage(bound)}, at "
             f"{percentage(claim.confidence)} confidence",
             "seed": f"{certificate.seed}, from policy and claim: a second attempt is the same",
@@ -150,15 +150,15 @@ def _say(output: Output, certificate: "Certificate") -> None:
 
 
 def _say_repeated(output: Output, certificate: "Certificate", again: "Repetition") -> None:
-    from equipoise.studies.formatting import falls
+    from equipoise.studies.formatting import format_failures
 
-    words = f"{certificate.claim.trials:,} trials again: {falls(again.failures)}"
+    words = f"{certificate.claim.trials:,} trials again: {format_failures(again.failures)}"
     verdict = "granted" if again.granted else "refused"
     if not again.same_outcome:
         before = "granted" if certificate.granted else "refused"
         output.say(
             f"Not repeated: {words}, {verdict}; the certificate says "
-            f"{falls(certificate.failures)}, {before}.",
+            f"{format_failures(certificate.failures)}, {before}.",
             style="red",
         )
     elif again.same_trials:

@@ -112,7 +112,7 @@ def _paper_policy(out: Path) -> Path:
 
 
 def _say(output: Output, found: "Gap") -> None:
-    from equipoise.studies.gap_results import LABELS, words
+    from equipoise.studies.gap_results import LABELS, sentences
 
     error = abs(found.delay - found.world_settings.transport)
     if error > found.settings.controller.margin:
@@ -130,21 +130,19 @@ def _say(output: Output, found: "Gap") -> None:
     output.say("\nMean survival [s], in brackets the share of the falls on the track limit [%]")
     _say_curves(output, found, "delay")
     _say_curves(output, found, "zero")
-    for controller in found.apart:
+    for controller in found.by_effect:
         output.say(f"Effect by effect, {LABELS[controller]}")
         columns = ("", "added alone, clean twin", "removed alone, twin")
         output.table(columns, list(_effects(found, controller)), section=0)
-    output.points(words(found))
+    output.points(sentences(found))
 
 
 def _say_curves(output: Output, found: "Gap", part: Literal["delay", "zero"]) -> None:
-    from equipoise.studies.gap_results import at_words
-
     curves = {key: found.curve(part, *key) for key in found.curves}
     title = {"delay": "transport delay", "zero": "zero error"}[part]
     points = next(iter(curves.values()))
     output.table(
-        [title, *(at_words(part, point.at) for point in points)],
+        [title, *(point.condition for point in points)],
         [
             [f"{controller}, clean twin" if on_clean else controller]
             + [_cell(found, point) for point in curve]
@@ -163,21 +161,21 @@ def _cell(found: "Gap", point: "GapPoint") -> str:
 
 
 def _effects(found: "Gap", controller: "Controller") -> Iterator[Sequence[str]]:
-    from equipoise.studies.gap_results import difference, mean, spelled
+    from equipoise.studies.gap_results import difference, mean
 
     plant, clean, world = (
         found.point(part, controller).results for part in ("plant", "clean", "world")
     )
     own = mean(plant, found.duration).mean
-    base = (spelled(mean(results, found.duration)) for results in (clean, world))
+    base = (mean(results, found.duration).text for results in (clean, world))
     yield (f"none ({own:.1f} s on its own plant)", *base)
     for name in found.names("alone"):
         alone, without = (found.point(p, controller, name).results for p in ("alone", "without"))
-        yield name, spelled(difference(alone, clean)), spelled(difference(without, world))
+        yield name, difference(alone, clean).text, difference(without, world).text
 
 
 def _result(found: "Gap", wrote: list[Path]) -> dict[str, object]:
-    from equipoise.studies.gap_results import mean, track_share, words
+    from equipoise.studies.gap_results import mean, sentences, track_share
 
     return {
         "gap": str(wrote[0]),
@@ -193,5 +191,5 @@ def _result(found: "Gap", wrote: list[Path]) -> dict[str, object]:
             }
             for point in found.points
         ],
-        "words": list(words(found)),
+        "words": list(sentences(found)),
     }

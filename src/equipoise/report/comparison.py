@@ -7,7 +7,7 @@ import numpy as np
 from equipoise import paper
 from equipoise.control.boxes import COUNT
 from equipoise.model.sim_configs import MODEL, TwinSettings
-from equipoise.studies.formatting import LASTED, falls, how_it_ended, percent
+from equipoise.studies.formatting import LASTED, format_end, format_failures, percent
 from equipoise.studies.results import Results, truth
 
 
@@ -43,7 +43,7 @@ def comparison(results: Results) -> Iterator[tuple[str, str, str, str]]:
     yield f"Trials that stood at least {seconds}", "4.3", "one of one", share
     last = "" if run.cause == LASTED else "; a step before"
     ours = (
-        f"trials: {falls(summary.causes)}; the recorded run {how_it_ended(run.cause)}, "
+        f"trials: {format_failures(summary.causes)}; the recorded run {format_end(run.cause)}, "
         f"{run.lasted:g} s{last}, x = {shown.x[-1]:.3f} m, φ = {np.rad2deg(shown.phi[-1]):.2f}°"
     )
     published = f"x passed {paper.X_AT_FAILURE:g} m, at φ = {paper.PHI_AT_FAILURE_DEG:g}°"

@@ -8,9 +8,9 @@ from equipoise import paper
 from equipoise.control.control_step import horizon
 from equipoise.model.sim_configs import MODEL, PivotFriction, TwinSettings
 from equipoise.report import markup as html
-from equipoise.studies.formatting import falls, how_it_ended, percent
-from equipoise.studies.gap_results import words
-from equipoise.studies.results import Results, estimates_zero, no_gap, seen_otherwise
+from equipoise.studies.formatting import format_end, format_failures, percent
+from equipoise.studies.gap_results import sentences
+from equipoise.studies.results import Results, estimates_zero, no_gap, observation_differs
 
 
 def sections_results(results: Results, picture: html.Picture) -> Iterator[html.Part]:
@@ -64,7 +64,15 @@ def _evaluation(results: Results, picture: html.Picture) -> html.Part:
         s = trials.summary()
         interval = " to ".join(map(percent, s.interval))
         times = f"{s.median:.3g} s", f"{s.quantiles[0]:.3g} s"
-        rows.append([trials.name, f"{s.survived} of {s.trials}", interval, *times, falls(s.causes)])
+        rows.append(
+            [
+                trials.name,
+                f"{s.survived} of {s.trials}",
+                interval,
+                *times,
+                format_failures(s.causes),
+            ]
+        )
     stood = f"stood {evaluation.duration:g} s"
     return html.part(
         "evaluation",
@@ -93,7 +101,7 @@ def _evaluation(results: Results, picture: html.Picture) -> html.Part:
 
 def _deployment(results: Results, picture: html.Picture) -> html.Part:
     run = results.run
-    real = seen_otherwise(run)
+    real = observation_differs(run)
     world = run.conditions.world_settings
     return html.part(
         "deployment",
@@ -194,7 +202,7 @@ def _conditions(results: Results) -> Iterator[tuple[str, str, str]]:
         yield "error of the encoder's zero", "unknown", f"{np.rad2deg(zero):+.2f}°"
     track = f"x = {x:g} m, dx/dt = {x_dot:g} m/s"
     yield "start", "unknown", f"{track}, φ = {phi:.2f}°, dφ/dt = {phi_dot:.1f}°/s"
-    yield "end", "", f"{how_it_ended(results.run.cause)}, {results.run.lasted:g} s"
+    yield "end", "", f"{format_end(results.run.cause)}, {results.run.lasted:g} s"
 
 
 def _joints(results: Results) -> str:
@@ -202,7 +210,7 @@ def _joints(results: Results) -> str:
     text = "The joints with a vertical axis at home do most of the work."
     if conditions.arm.held_joint is not None:
         text += " One joint is held."
-    if seen_otherwise(results.run):
+    if observation_differs(results.run):
         text += " Bottom: the lag of the arm behind its commands, which grows with speed."
     if conditions.world_settings is not None:
         text += " Its constant part is the load that the drives do not compensate."
@@ -210,7 +218,7 @@ def _joints(results: Results) -> str:
 
 
 def _observation(results: Results) -> str:
-    if not seen_otherwise(results.run):
+    if not observation_differs(results.run):
         return ""
     policy, controller = results.policy, results.run.conditions.settings.controller
     lines = " The pale line is the true state, the dark line the policy's observation"
@@ -238,7 +246,7 @@ def _gap(results: Results, picture: html.Picture) -> html.Part:
     gap = results.gap
     if gap is None:
         return html.part(name, title, html.paragraph(no_gap(results)))
-    conclusion, *findings = words(gap)
+    conclusion, *findings = sentences(gap)
     return html.part(
         name,
         title,

@@ -70,7 +70,7 @@ class Claim(Value):
         return self.trials - least_successes(self.trials, self.probability, self.confidence)
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """The claim as a sentence."""
         return (
             f"lasts {self.duration:g} s with a probability of at least "

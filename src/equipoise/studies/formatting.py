@@ -11,7 +11,7 @@ LASTED: Final = CAUSES[0]
 """Cause of the end of a successful trial."""
 
 
-def how_it_ended(cause: str) -> str:
+def format_end(cause: str) -> str:
     """Return the end of a trial or a run as text."""
     return {
         LASTED: "stood to the end",
@@ -22,9 +22,9 @@ def how_it_ended(cause: str) -> str:
     }.get(cause, cause)
 
 
-def falls(causes: Mapping[str, int]) -> str:
+def format_failures(causes: Mapping[str, int]) -> str:
     """Return the numbers of failed trials by cause as text."""
-    failed = [f"{n} {how_it_ended(cause)}" for cause, n in causes.items() if cause != LASTED]
+    failed = [f"{n} {format_end(cause)}" for cause, n in causes.items() if cause != LASTED]
     return ", ".join(sorted(failed)) or "none failed"
 
 

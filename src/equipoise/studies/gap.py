@@ -100,7 +100,7 @@ class Form(NamedTuple):
     """Transport delays [s]."""
     zeros: tuple[float, ...] = tuple(map(radians, (0.0, 0.25, 0.5, 0.75, 1.0)))
     """Constant errors of the encoder's zero [rad]."""
-    apart: tuple[Controller, ...] = (PAPER, CURED)
+    by_effect: tuple[Controller, ...] = (PAPER, CURED)
     """Controllers that run effect by effect."""
     variants: bool = True
     """Whether the variants of the servo run."""
@@ -288,7 +288,7 @@ def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., GapPo
             return point, _Case(CURED, twin, world)
         return point, _Case(controller, twin, None if controller == PAPER else twin)
 
-    for controller in form.apart:
+    for controller in form.by_effect:
         yield entry("plant", controller, None)
         yield entry("clean", controller, clean)
         yield entry("world", controller, world)

@@ -61,6 +61,16 @@ class GapPoint(Value):
     results: TrialResults
     """Results; trial i has the same start at every point."""
 
+    @property
+    def axis_value(self) -> float:
+        """Transport delay in ms, or error of the zero in degrees."""
+        return round(1e3 * self.at if self.part == "delay" else degrees(self.at), 6)
+
+    @property
+    def condition(self) -> str:
+        """Transport delay or error of the zero as text."""
+        return f"{self.axis_value:g} {'ms' if self.part == 'delay' else 'deg'}"
+
 
 class Seconds(NamedTuple):
     """Mean survival, or a difference of means, with a 95 % interval (Student's)."""
@@ -71,6 +81,21 @@ class Seconds(NamedTuple):
     """Lower end [s]."""
     high: float
     """Upper end [s]."""
+
+    @property
+    def text(self) -> str:
+        """Mean and interval as text.
+
+        Example:
+            >>> Seconds(5.04, 3.87, 6.21).text
+            '5.0 s [3.9, 6.2]'
+        """
+        return f"{self.mean:.1f} s [{self.low:.1f}, {self.high:.1f}]"
+
+    @property
+    def negated(self) -> "Seconds":
+        """The difference with the opposite sign."""
+        return Seconds(-self.mean, -self.high, -self.low)
 
 
 class Gap(Artefact):
@@ -126,7 +151,7 @@ class Gap(Artefact):
         return tuple(dict.fromkeys((p.controller, p.on_clean) for p in points))
 
     @property
-    def apart(self) -> tuple[Controller, ...]:
+    def by_effect(self) -> tuple[Controller, ...]:
         """Controllers that ran effect by effect."""
         return tuple(p.controller for p in self.points if p.part == "plant")
 
@@ -160,7 +185,7 @@ def mean(results: TrialResults, duration: float) -> Seconds:
 
 def difference(results: TrialResults, reference: TrialResults) -> Seconds:
     """Return the mean difference of survival, paired by trial."""
-    return _student(np.array(results.survival) - np.array(reference.survival))
+    return _student(np.subtract(results.survival, reference.survival))
 
 
 def differs(found: Seconds) -> bool:
@@ -175,7 +200,7 @@ def track_share(results: TrialResults) -> float | None:
     return ends / failed if failed else None
 
 
-def words(gap: Gap) -> tuple[str, ...]:
+def sentences(gap: Gap) -> tuple[str, ...]:
     """Return the results in sentences."""
     variants = (_open_question(gap),) if gap.names("variant") else ()
     return (
@@ -195,26 +220,6 @@ def words(gap: Gap) -> tuple[str, ...]:
         *variants,
         _caveat(gap),
     )
-
-
-def spelled(found: Seconds) -> str:
-    """Return a mean survival with its interval as text.
-
-    Example:
-        >>> spelled(Seconds(5.04, 3.87, 6.21))
-        '5.0 s [3.9, 6.2]'
-    """
-    return f"{found.mean:.1f} s [{found.low:.1f}, {found.high:.1f}]"
-
-
-def at_scale(part: Part, at: float) -> float:
-    """Return a delay [s] in ms, an error of the zero [rad] in degrees."""
-    return round(1e3 * at if part == "delay" else degrees(at), 6)
-
-
-def at_words(part: Part, at: float) -> str:
-    """Return a delay [s] or an error of the zero [rad] as text, in ms or degrees."""
-    return f"{at_scale(part, at):g} {'ms' if part == 'delay' else 'deg'}"
 
 
 def _student(values: Array) -> Seconds:
@@ -257,7 +262,7 @@ def _steps(gap: Gap) -> str:
     share = track_share(world)
     ends = "" if share is None else f", {percent(share)} of its falls on the track limit"
     left = difference(plant, clean)
-    rest = f"; the step to the clean twin costs {spelled(left)}" if differs(left) else ""
+    rest = f"; the step to the clean twin costs {left.text}" if differs(left) else ""
     return (
         "Trained as the paper describes, a table models neither delay nor sensor. It stands "
         f"{mean(plant, gap.duration).mean:.1f} of {gap.duration:g} s on its own training plant, "
@@ -270,14 +275,14 @@ def _steps(gap: Gap) -> str:
 def _along(curve: tuple[GapPoint, ...], known: float = 0.0) -> str:
     """Return a curve in words, with the smallest significant change from the known value."""
     stands = ", ".join(
-        f"{float(np.mean(p.results.survival)):.1f} s at {at_words(p.part, p.at)}" for p in curve
+        f"{float(np.mean(p.results.survival)):.1f} s at {p.condition}" for p in curve
     )
     reference, *others = sorted(curve, key=lambda p: abs(p.at - known))
     for point in others:
         change = difference(point.results, reference.results)
         if differs(change):
-            verb, size = ("adds", change) if change.mean > 0.0 else ("costs", _negated(change))
-            return f"{stands} ({at_words(point.part, point.at)} {verb} {spelled(size)})"
+            verb, size = ("adds", change) if change.mean > 0.0 else ("costs", change.negated)
+            return f"{stands} ({point.condition} {verb} {size.text})"
     return f"{stands} (no significant difference)"
 
 
@@ -290,10 +295,10 @@ def _effect_by_effect(gap: Gap) -> str:
 
     alone, without = changes("alone", "clean"), changes("without", "world")
     helps = _ranked(alone)
-    missed = _ranked({name: _negated(found) for name, found in without.items()})
+    missed = _ranked({name: found.negated for name, found in without.items()})
     better = "" if helps == NONE else f" Switched on alone, some help: {helps}."
     better += "" if missed == NONE else f" Taken away alone, some are missed: {missed}."
-    costs = _ranked({name: _negated(found) for name, found in alone.items()})
+    costs = _ranked({name: found.negated for name, found in alone.items()})
     return (
         f"Effect by effect, significant changes in seconds. Switched on alone on the clean twin, "
         f"they cost: {costs}. Taken away alone from {gap.world}, they give back: "
@@ -304,7 +309,7 @@ def _effect_by_effect(gap: Gap) -> str:
 def _ranked(differences: Mapping[str, Seconds]) -> str:
     certain = [(name, found) for name, found in differences.items() if found.low > 0.0]
     certain.sort(key=lambda pair: -pair[1].mean)
-    return ", ".join(f"{name} ({spelled(found)})" for name, found in certain) or NONE
+    return ", ".join(f"{name} ({found.text})" for name, found in certain) or NONE
 
 
 def _open_question(gap: Gap) -> str:
@@ -328,7 +333,3 @@ def _caveat(gap: Gap) -> str:
         "twin, built from published data of such robots and from listed assumptions, not "
         "measurements of the authors' robot."
     )
-
-
-def _negated(found: Seconds) -> Seconds:
-    return Seconds(-found.mean, -found.high, -found.low)

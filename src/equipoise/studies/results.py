@@ -22,7 +22,7 @@ from equipoise.evaluation import Evaluation
 from equipoise.logs.run_log import RunLog, TruthColumns
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import MODEL
-from equipoise.studies.formatting import LASTED, falls, how_it_ended, percent, plus_minus
+from equipoise.studies.formatting import LASTED, format_end, format_failures, percent, plus_minus
 from equipoise.studies.gap_results import (
     CURED,
     NO_BIAS,
@@ -163,7 +163,7 @@ def truth(run: RunLog) -> TruthColumns | RunLog:
     return run.truth if len(run.truth.phi) else run
 
 
-def seen_otherwise(run: RunLog) -> bool:
+def observation_differs(run: RunLog) -> bool:
     """Return whether the observation differs from the true state in a simulated run."""
     return not np.array_equal(truth(run).phi, run.phi)
 
@@ -183,8 +183,8 @@ def _survival(evaluation: Evaluation) -> str:
     return (
         f"On the plant of its training the table stood {evaluation.duration:g} s in "
         f"{summary.survived} of {summary.trials} trials ({percent(summary.rate)}; 95 % interval "
-        f"{percent(low)} to {percent(high)}{median}), {falls(summary.causes)}; baselines on the "
-        f"same trials: {'; '.join(others)}."
+        f"{percent(low)} to {percent(high)}{median}), {format_failures(summary.causes)}; baselines "
+        f"on the same trials: {'; '.join(others)}."
     )
 
 
@@ -195,7 +195,7 @@ def _run(run: RunLog) -> str:
     if conditions.world == MODEL:
         where = "On the plant of its training once more"
     if run.cause != LASTED:
-        end = f"{how_it_ended(run.cause)} after {run.lasted:.3g} s of {conditions.duration:g} s"
+        end = f"{format_end(run.cause)} after {run.lasted:.3g} s of {conditions.duration:g} s"
     return (
         f"{where}, with a pendulum and a start that it did not know, it {end}, with |x| up to "
         f"{x:.2f} of {paper.X_LIMIT:g} m and |phi| up to {phi:.1f} of {paper.PHI_LIMIT_DEG:g} deg; "

@@ -18,7 +18,7 @@ from equipoise.logs.writer import FORMAT, VERSION
 from equipoise.model.actuator import Actuator
 from equipoise.model.pendulum import Pendulum
 from equipoise.studies.certification import Certificate, check_evaluation, evaluation_path
-from equipoise.studies.formatting import falls
+from equipoise.studies.formatting import format_failures
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.results import StageRecord
 from equipoise.studies.runs import summarise
@@ -130,8 +130,8 @@ def _certificate(certificate: Certificate) -> str:
     claim = certificate.claim
     return (
         f"{'granted' if certificate.granted else 'refused'}: the {certificate.arm}'s policy "
-        f"{certificate.policy[:19]}... {claim.words}; {claim.trials:,} trials, "
-        f"{falls(certificate.failures)}, {max(claim.allowed, 0):,} failures allowed"
+        f"{certificate.policy[:19]}... {claim.text}; {claim.trials:,} trials, "
+        f"{format_failures(certificate.failures)}, {max(claim.allowed, 0):,} failures allowed"
     )
 
 

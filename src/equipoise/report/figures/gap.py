@@ -38,14 +38,14 @@ BARS: Final[dict[str, Any]] = {"markersize": 4, "capsize": 2}
 def gap_figure(gap: Gap) -> "Figure":
     """Draw a gap study."""
     effects, variants = len(gap.names("alone")), len(gap.names("variant"))
-    rows = [*(effects for _ in gap.apart), *([variants] if variants else [])]
+    rows = [*(effects for _ in gap.by_effect), *([variants] if variants else [])]
     heights = [3.8, *(ROW * count + 0.75 for count in rows)]
     title = f"Gap between training plant and the twin {gap.world}"
     figure = style.new_figure(sum(heights) + 0.5, title)
     parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights)
     top, *rest = parts
     _curves(top, gap)
-    for part, controller in zip(rest, gap.apart, strict=False):
+    for part, controller in zip(rest, gap.by_effect, strict=False):
         _effects(part, gap, controller)
     if variants:
         _variants(rest[-1], gap)
@@ -70,14 +70,14 @@ def _curves(part: Any, gap: Gap) -> None:
 def _against(axes: Any, gap: Gap, what: Literal["delay", "zero"]) -> None:
     above, below = axes
     curves = {key: gap.curve(what, *key) for key in gap.curves}
-    places = [study.at_scale(what, p.at) for curve in curves.values() for p in curve]
+    places = [p.axis_value for curve in curves.values() for p in curve]
     shift = SHIFT * (max(places) - min(places))
     _seconds_axis(above, "y", gap)
     for number, (key, curve) in enumerate(curves.items()):
         if not curve:
             continue
         line = LINES[key]
-        x = [study.at_scale(what, p.at) + (number - 2.5) * shift for p in curve]
+        x = [p.axis_value + (number - 2.5) * shift for p in curve]
         label = study.LABELS[key[0]] + (", rest of the twin clean" if key[1] else "")
         above.errorbar(x, *_intervals(gap, curve), label=label, elinewidth=1.1, **BARS, **line)
         shares = [(at, study.track_share(p.results)) for at, p in zip(x, curve, strict=True)]
@@ -123,7 +123,7 @@ def _variants(part: Any, gap: Gap) -> None:
     for row, point in enumerate(points):
         share = study.track_share(point.results)
         ends = "none fell" if share is None else f"{percent(share)} of the falls on the track limit"
-        _remark(panel, row, f"{study.spelled(study.mean(point.results, gap.duration))}, {ends}")
+        _remark(panel, row, f"{study.mean(point.results, gap.duration).text}, {ends}")
     panel.set_yticks(range(len(names)), names)
     title = "an open question: alternative models of the cabinet"
     panel.set_title(f"{title}, {study.LABELS[study.CURED]}")

@@ -18,8 +18,8 @@ from equipoise import paper
 from equipoise.logs.run_log import RunLog
 from equipoise.report import style
 from equipoise.report.style import new_figure, styled, typeset
-from equipoise.studies.formatting import LASTED, how_it_ended
-from equipoise.studies.results import seen_otherwise
+from equipoise.studies.formatting import LASTED, format_end
+from equipoise.studies.results import observation_differs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,7 +56,7 @@ def commands(run: RunLog) -> "Figure":
 
     On a rig a close-up shows the lagged response of the flange.
     """
-    real = seen_otherwise(run)
+    real = observation_differs(run)
     heights = (3, 3, 2) if real else (3, 2)
     figure = new_figure(6.4 if real else 4.4, "Commanded acceleration u (the paper's figure 4)")
     axes: Any = figure.subplots(len(heights), 1, height_ratios=heights)
@@ -107,7 +107,7 @@ def _shares_of_actions(figure: Any, panel: Any, run: RunLog) -> None:
 @styled()
 def joints(run: RunLog) -> "Figure":
     """Draw commanded joint positions, their changes, and on a rig the tracking error of the arm."""
-    real, spans = seen_otherwise(run), _spans(run)
+    real, spans = observation_differs(run), _spans(run)
     rows: list[tuple[str, Array]] = [("joint position [°]", np.rad2deg(run.q))]
     rows.append(("change since the start [°]", rows[0][1] - rows[0][1][0]))
     places: Any = [[f"{row}{column}" for column in range(len(spans))] for row in range(2)]
@@ -202,7 +202,7 @@ def _series(
     """Draw two quantities against time; `limit` is the failure limit of the top one, in `unit`."""
     from matplotlib.lines import Line2D
 
-    figure, real, spans = new_figure(4.8, title), seen_otherwise(run), _spans(run)
+    figure, real, spans = new_figure(4.8, title), observation_differs(run), _spans(run)
     axes: Any = figure.subplots(2, len(spans), sharex="col", sharey="row", squeeze=False)
     failure = f"failure at ±{limit:g}{unit}"
     axes[0, 0].annotate(failure, (0.0, limit), (3, 2), fontsize=7.5, **style.BESIDE)
@@ -241,7 +241,7 @@ def _series(
 def _spans(run: RunLog) -> list[tuple[float, str]]:
     """Return the end of each time span to draw [s], with its title; all start at zero."""
     short, cause = paper.SECONDS_BALANCED, run.cause
-    end = f"all {run.lasted:g} s" + (f", then it {how_it_ended(cause)}" if cause != LASTED else "")
+    end = f"all {run.lasted:g} s" + (f", then it {format_end(cause)}" if cause != LASTED else "")
     if run.lasted <= 1.5 * short:
         return [(max(run.lasted, run.conditions.h), end)]
     return [(short, f"the first {short:g} s, as long as the paper's"), (run.lasted, end)]
