@@ -29,8 +29,8 @@ from equipoise.studies.gap_results import (
     CURED,
     NO_BIAS,
     NO_PREDICTION,
-    NOT_TOLD,
     PAPER,
+    UNTUNED,
     Gap,
     Seconds,
     difference,
@@ -131,7 +131,7 @@ def test_the_cures_know_the_delay_where_they_are_told(policy):
     for controller in (CURED, NO_PREDICTION, NO_BIAS):
         beliefs = [p.results.survival[0] for p in gap.curve("delay", controller)]
         assert beliefs == pytest.approx([max(found + d, 0.0) for d in (-10, -5, 0, 10, 20)])
-    not_told = [p.results.survival[0] for p in gap.curve("delay", NOT_TOLD)]
+    not_told = [p.results.survival[0] for p in gap.curve("delay", UNTUNED)]
     assert not_told == pytest.approx([found] * 5)
 
 
@@ -155,7 +155,7 @@ def test_points_on_the_same_conditions_share_their_trials(full, short, policy):
         }
         assert len(calls) == len(conditions) < len(gap.points)
         assert trials_of(quick=quick) == len(calls) * gap.trials
-    told_of, not_told = (full[0].curve("delay", who)[2] for who in (CURED, NOT_TOLD))
+    told_of, not_told = (full[0].curve("delay", who)[2] for who in (CURED, UNTUNED))
     assert told_of.results == not_told.results
     seen = []
     measured(policy, falls_early, quick=True, trials=3, done=seen.append)
@@ -270,8 +270,8 @@ def test_words_follow_the_numbers(full):
     assert "60.0 s at 0 deg," in zero
     assert "1 deg (0.25 deg costs " in zero
     alone = difference(clean, gap.point("alone", PAPER, "transport delay").results)
-    assert f"they cost: transport delay ({alone.text}), zero error" in effects
-    assert "they give back: transport delay" in effects
+    assert f"these cost: transport delay ({alone.text}), zero error" in effects
+    assert "these gain: transport delay" in effects
     assert "no significant difference" in cured
     assert "costs" in unpredicted
     assert "costs" in unbiased
@@ -289,14 +289,14 @@ def test_other_numbers_make_other_words(policy):
 
     said = sentences(measured(policy, stands)[0])
     assert said[0].endswith("; these trials do not show that the cures help.")
-    assert "they cost: none." in said[4]
-    assert said[4].endswith("they give back: none.")
+    assert "these cost: none." in said[4]
+    assert said[4].endswith("these gain: none.")
     assert all("no significant difference" in sentence for sentence in said[2:4])
     said = sentences(measured(policy, better_when_late)[0])
     assert "5 ms adds 2.5 s [2.5, 2.5]" in said[2]
-    assert "they cost: none." in said[4]
-    assert "Switched on alone, some help: transport delay (5.0 s [5.0, 5.0])." in said[4]
-    assert "Taken away alone, some are missed: transport delay (5.0 s [5.0, 5.0])." in said[4]
+    assert "these cost: none." in said[4]
+    assert "Added alone, these gain: transport delay (5.0 s [5.0, 5.0])." in said[4]
+    assert "Removed alone, these cost: transport delay (5.0 s [5.0, 5.0])." in said[4]
 
 
 # Refusals

@@ -23,7 +23,7 @@ from equipoise.studies.progress import ProgressReporter, Show
 from equipoise.training import train
 
 MOMENT: Final = 0.02
-"""Duration of an episode or a trial that only has its kernels compiled [s]."""
+"""Duration of an episode or a trial that runs only for the compilation [s]."""
 FUNCTIONS: Final = 82
 """Number of functions that training and evaluation compile; it only scales a progress bar."""
 TWIN_FUNCTIONS: Final = 31
@@ -31,22 +31,22 @@ TWIN_FUNCTIONS: Final = 31
 
 
 @contextmanager
-def compiling_beside() -> Generator[None]:
+def compiling_in_parallel() -> Generator[None]:
     """Compile kernels in a parallel process, if the cache is empty and a second core is available.
 
     If that process fails, each kernel is compiled at its first call.
     """
-    beside, command = None, [sys.executable, "-m", __name__]
+    process, command = None, [sys.executable, "-m", __name__]
     if cache_is_empty() and available_cores() > 1:
         quiet: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
         with suppress(OSError):
-            beside = subprocess.Popen(command, **quiet)
+            process = subprocess.Popen(command, **quiet)
     try:
         yield
     finally:
-        if beside is not None:
-            beside.kill()
-            beside.wait()
+        if process is not None:
+            process.kill()
+            process.wait()
 
 
 @contextmanager

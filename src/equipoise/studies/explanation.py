@@ -10,8 +10,8 @@ equation:
 
 .. math:: M(t) = \int d\dot\varphi + k \cos\varphi\, d\dot x - (w_2 \sin\varphi - c \dot\varphi)\,dt
 
-It is constant in an undisturbed run. A push is a step of it. An encoder that reads too much by b,
-or a tilted base, is a slope of :math:`-w_2 b`.
+It is constant in an undisturbed run. A push appears as a step. A zero error b of the encoder, or a
+base that is tilted by b, appears as a slope of :math:`-w_2 b`.
 
 **The encoder.** Counts that are constant while the pivot accelerates, and counts that jump.
 
@@ -55,9 +55,9 @@ BASELINE_HALF_WIDTH: Final = 0.5
 """Half the window of the median with which such a step is compared [s]."""
 MIN_PUSH: Final = 0.35
 """Minimum step of the unexplained rate in a push [rad/s]: 20 deg/s. Noise and a wrong pendulum
-model make 3 deg/s."""
+model reach 3 deg/s."""
 FINAL_WINDOW: Final = 2.5
-"""Window before the end in which a push counts [s]."""
+"""Window before the end for detecting a push [s]."""
 ZERO_WINDOW: Final = 0.8
 """Window before the end for estimating the encoder's zero [s]."""
 MIN_ZERO_WINDOW: Final = 0.12
@@ -74,12 +74,12 @@ MIN_FROZEN_TIME: Final = 0.06
 MIN_FROZEN_RATE: Final = 0.2
 """Minimum change of the pendulum's rate by the pivot during constant counts [rad/s]."""
 CONTACT_SHARE: Final = 0.3
-"""Share of the allowed external torque beyond which it is a contact [-]; balancing makes 0.04 on
-the twin."""
+"""Minimum share of the allowed external torque that counts as a contact [-]; balancing reaches
+0.04 on the twin."""
 TORQUE_DELAY: Final = 0.1
-"""Time after the end within which torques still count [s]; they are measured every 50 ms."""
+"""Window after the end for detecting a contact [s]; torques are measured every 50 ms."""
 RELEASE_WINDOW: Final = 0.05
-"""Time after the release that still counts as the release [s]."""
+"""Duration of the release [s]."""
 
 
 class CauseName(Enum):
@@ -132,7 +132,7 @@ class CauseName(Enum):
     BROKEN_OFF = "log broken off"
     """The log ends before the run."""
     UNKNOWN = "unknown"
-    """The log names a cause that this version does not know."""
+    """The log names a cause that is unknown to this version."""
 
 
 ADVICE: Final = {
@@ -188,7 +188,7 @@ IN_SIMULATION: Final = {
 }
 """Advice for simulated runs, where it differs."""
 
-_RULES: Final[Mapping[CauseName, tuple[str | Rule, ...]]] = {
+_LOGGED_NAMES: Final[Mapping[CauseName, tuple[str | Rule, ...]]] = {
     CauseName.LASTED: ("lasted",),
     CauseName.EXCITED: ("excited",),
     CauseName.BUG: (Rule.NUMBER, Rule.COUNT),
@@ -214,7 +214,7 @@ _RULES: Final[Mapping[CauseName, tuple[str | Rule, ...]]] = {
 }
 LOGGED_CAUSES: Final = {
     rule.value if isinstance(rule, Rule) else rule: cause
-    for cause, rules in _RULES.items()
+    for cause, rules in _LOGGED_NAMES.items()
     for rule in rules
 }
 """Causes by their names in a log."""
@@ -233,7 +233,7 @@ FAULT_KEYWORDS: Final = {
     "ever later": CauseName.STALE,
     "the setpoint of joint": CauseName.JOINT,
 }
-"""Causes by words in the messages of drivers and guard."""
+"""Causes by phrases in the messages of drivers and guard."""
 
 
 class Evidence(NamedTuple):
@@ -264,7 +264,7 @@ class Explanation(NamedTuple):
     ending: LoggedEnding
     """End of the run as logged."""
     log: RunLog | None
-    """The balancing; None for a run that ended before."""
+    """Log of the balancing; None for a run that ended before it."""
 
 
 class RunTimeline(NamedTuple):

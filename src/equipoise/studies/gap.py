@@ -1,21 +1,22 @@
 """Study of the sim-to-real gap: the cost of each effect that the training does not model.
 
-A policy runs with all its cures and without each; beside it runs a table that is trained as the
-paper describes, on a plant with an ideal arm and a known state. All runs are trials on the digital
-twin, with the same starts and the same random numbers:
+A policy runs with all its cures and without each. A table that was trained as the paper describes,
+on a plant with an ideal arm and a known state, runs for comparison. All runs are trials on the
+digital twin, with the same starts and the same random numbers:
 
 1. Survival against the transport delay.
 2. Survival against a constant error of the encoder's zero.
 3. The step from the training plant to the twin, effect by effect. A *clean* twin has every effect
-   switched off. Each effect is switched on there alone, and removed alone from the full twin.
+   switched off. Each effect is added there alone, and removed alone from the full twin.
    Effects do not add up, so that both lists are needed.
 4. Variants of the cabinet's servo, which KUKA does not publish.
 
 Knowledge of the controllers. The cures use the actuator that an identification on the changed twin
-would find: its delay and lag follow those of the twin, except in the curve "cures not told of the
-delay". Without the servo's shaping law they use a lag of one cycle of its loop, which is the lag of
-its drives then. The paper's table uses an `ideal` actuator, no prediction, and the encoder's zero
-without a correction. Its angular velocity comes from the same observer.
+would find: its delay and lag follow those of the twin, except in the curve `not told`, in which
+they keep the delay of the training. Without the servo's shaping law they use a lag of one cycle of
+its loop, which is then the lag of its drives. The paper's table uses an `ideal` actuator, no
+prediction, and the encoder's zero without a correction. Its angular velocity comes from the same
+observer.
 
 Every difference is a result on our twin, not a measurement of the authors' robot.
 """
@@ -37,8 +38,8 @@ from equipoise.studies.gap_results import (
     CURED,
     NO_BIAS,
     NO_PREDICTION,
-    NOT_TOLD,
     PAPER,
+    UNTUNED,
     Controller,
     Gap,
     GapPoint,
@@ -284,7 +285,7 @@ def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., GapPo
         part: Part, controller: Controller, twin: TwinSettings | None, **of_point: Any
     ) -> tuple[Callable[..., GapPoint], _Case]:
         point = partial(GapPoint, part=part, controller=controller, **of_point)
-        if controller == NOT_TOLD:
+        if controller == UNTUNED:
             return point, _Case(CURED, twin, world)
         return point, _Case(controller, twin, None if controller == PAPER else twin)
 
@@ -298,7 +299,13 @@ def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., GapPo
             yield entry("alone", controller, clean.model_copy(update=on), name=name)
             yield entry("without", controller, world.model_copy(update=off), name=name)
     curves: Sequence[tuple[Part, str, Any, Sequence[Controller], Sequence[float]]] = (
-        ("delay", "transport", {}, (CURED, NOT_TOLD, NO_PREDICTION, NO_BIAS, PAPER), form.delays),
+        (
+            "delay",
+            "transport",
+            {},
+            (CURED, UNTUNED, NO_PREDICTION, NO_BIAS, PAPER),
+            form.delays,
+        ),
         ("zero", "zero_offset", {"zero_error": 0.0}, (CURED, NO_BIAS, PAPER), form.zeros),
     )
     for part, number, rest, controllers, places in curves:

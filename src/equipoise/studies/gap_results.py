@@ -26,14 +26,14 @@ Controller = Literal["cured", "not told", "no prediction", "no bias estimate", "
 Part = Literal["plant", "clean", "world", "delay", "zero", "alone", "without", "variant"]
 
 CURED: Final = "cured"
-NOT_TOLD: Final = "not told"
+UNTUNED: Final = "not told"
 NO_PREDICTION: Final = "no prediction"
 NO_BIAS: Final = "no bias estimate"
 PAPER: Final = "paper"
 
 LABELS: Final[Mapping[Controller, str]] = {
     CURED: "with its cures",
-    NOT_TOLD: "cures not told of the delay",
+    UNTUNED: "cures with the delay of the training",
     NO_PREDICTION: "without prediction",
     NO_BIAS: "without bias estimate",
     PAPER: "trained as the paper describes",
@@ -202,21 +202,24 @@ def track_share(results: TrialResults) -> float | None:
 
 def sentences(gap: Gap) -> tuple[str, ...]:
     """Return the results in sentences."""
+
+    def along(part: Literal["delay", "zero"], controller: Controller, clean: bool = False) -> str:
+        return _along(gap.curve(part, controller, clean))
+
     variants = (_open_question(gap),) if gap.names("variant") else ()
     return (
         _conclusion(gap),
         _steps(gap),
-        f"Latency alone, on the clean twin: it stands {_along(gap.curve('delay', PAPER, True))}.",
-        f"A wrong zero alone, on the clean twin: it stands {_along(gap.curve('zero', PAPER, True))}"
-        ".",
+        f"Delay alone, on the clean twin: the paper's table stands {along('delay', PAPER, True)}.",
+        "Zero error alone, on the clean twin: the paper's table stands "
+        f"{along('zero', PAPER, True)}.",
         _effect_by_effect(gap),
-        f"The policy with its cures stands, on {gap.world}, {_along(gap.curve('delay', CURED))}; "
-        f"with a wrong zero, {_along(gap.curve('zero', CURED))}.",
-        f"Without prediction it stands {_along(gap.curve('delay', NO_PREDICTION))}; where the "
-        f"delay changes and the cures still assume {1e3 * gap.delay:.0f} ms, "
-        f"{_along(gap.curve('delay', NOT_TOLD), gap.delay)}.",
-        "Without the bias estimate it stands, with a wrong zero, "
-        f"{_along(gap.curve('zero', NO_BIAS))}.",
+        f"The policy with its cures stands, on {gap.world}, {along('delay', CURED)}; with a zero "
+        f"error, {along('zero', CURED)}.",
+        f"Without prediction it stands {along('delay', NO_PREDICTION)}; if the delay changes and "
+        f"the cures still assume {1e3 * gap.delay:.0f} ms, "
+        f"{_along(gap.curve('delay', UNTUNED), gap.delay)}.",
+        f"Without the bias estimate it stands, with a zero error, {along('zero', NO_BIAS)}.",
         *variants,
         _caveat(gap),
     )
@@ -235,48 +238,44 @@ def at_world(gap: Gap, controller: Controller) -> TrialResults:
     return min(gap.curve("delay", controller), key=lambda point: abs(point.at - delay)).results
 
 
+def _mean(results: TrialResults) -> str:
+    return f"{float(np.mean(results.survival)):.1f}"
+
+
 def _conclusion(gap: Gap) -> str:
     cured, without = at_world(gap, CURED), at_world(gap, PAPER)
     stood = (
-        f"In short: on {gap.world} the policy with its cures stands "
-        f"{mean(cured, gap.duration).mean:.1f} of {gap.duration:g} s, a table that is trained as "
-        f"the paper describes {mean(without, gap.duration).mean:.1f} s"
+        f"In short: on {gap.world} the policy with its cures stands {_mean(cured)} of "
+        f"{gap.duration:g} s, a table trained as the paper describes {_mean(without)} s"
     )
     if not difference(cured, without).low > 0.0:
         return f"{stood}; these trials do not show that the cures help."
-    left_out = {
-        "prediction": at_world(gap, NO_PREDICTION),
-        "estimate of the zero": at_world(gap, NO_BIAS),
-    }
+    without_one = at_world(gap, NO_PREDICTION), at_world(gap, NO_BIAS)
     needed = [
-        f"the {cure} (without it {mean(results, gap.duration).mean:.1f} s)"
-        for cure, results in left_out.items()
+        f"the {cure} (without it {_mean(results)} s)"
+        for cure, results in zip(("prediction", "estimate of the zero"), without_one, strict=True)
         if difference(cured, results).low > 0.0
     ]
-    owed = " and ".join(needed) or "neither cure alone, as far as these trials show"
-    return f"{stood}. It needs {owed}."
+    return f"{stood}. It needs {' and '.join(needed) or 'neither cure alone, in these trials'}."
 
 
 def _steps(gap: Gap) -> str:
     plant, clean, world = (gap.point(part, PAPER).results for part in ("plant", "clean", "world"))
     share = track_share(world)
     ends = "" if share is None else f", {percent(share)} of its falls on the track limit"
-    left = difference(plant, clean)
-    rest = f"; the step to the clean twin costs {left.text}" if differs(left) else ""
+    step = difference(plant, clean)
+    rest = f"; the step to the clean twin costs {step.text}" if differs(step) else ""
     return (
-        "Trained as the paper describes, a table models neither delay nor sensor. It stands "
-        f"{mean(plant, gap.duration).mean:.1f} of {gap.duration:g} s on its own training plant, "
-        f"{mean(clean, gap.duration).mean:.1f} s on the clean twin and "
-        f"{mean(world, gap.duration).mean:.1f} s on {gap.world}{ends}{rest}. The paper's stood "
+        "A table trained as the paper describes models neither delay nor sensor. It stands "
+        f"{_mean(plant)} of {gap.duration:g} s on its own training plant, {_mean(clean)} s on the "
+        f"clean twin and {_mean(world)} s on {gap.world}{ends}{rest}. The paper's stood "
         f"{paper.SECONDS_BALANCED:g} s on the real arm, once."
     )
 
 
 def _along(curve: tuple[GapPoint, ...], known: float = 0.0) -> str:
-    """Return a curve in words, with the smallest significant change from the known value."""
-    stands = ", ".join(
-        f"{float(np.mean(p.results.survival)):.1f} s at {p.condition}" for p in curve
-    )
+    """Return a curve as text, with the significant change nearest to the known value."""
+    stands = ", ".join(f"{_mean(p.results)} s at {p.condition}" for p in curve)
     reference, *others = sorted(curve, key=lambda p: abs(p.at - known))
     for point in others:
         change = difference(point.results, reference.results)
@@ -287,22 +286,20 @@ def _along(curve: tuple[GapPoint, ...], known: float = 0.0) -> str:
 
 
 def _effect_by_effect(gap: Gap) -> str:
-    def changes(part: Part, reference: Part) -> dict[str, Seconds]:
-        base = gap.point(reference, PAPER).results
-        return {
-            name: difference(gap.point(part, PAPER, name).results, base) for name in gap.names(part)
-        }
+    def ranked(part: Part, reference: Part, sign: float) -> str:
+        base, found = gap.point(reference, PAPER).results, dict[str, Seconds]()
+        for name in gap.names(part):
+            change = difference(gap.point(part, PAPER, name).results, base)
+            found[name] = change if sign > 0.0 else change.negated
+        return _ranked(found)
 
-    alone, without = changes("alone", "clean"), changes("without", "world")
-    helps = _ranked(alone)
-    missed = _ranked({name: found.negated for name, found in without.items()})
-    better = "" if helps == NONE else f" Switched on alone, some help: {helps}."
-    better += "" if missed == NONE else f" Taken away alone, some are missed: {missed}."
-    costs = _ranked({name: found.negated for name, found in alone.items()})
+    helps, missed = ranked("alone", "clean", 1.0), ranked("without", "world", -1.0)
+    better = "" if helps == NONE else f" Added alone, these gain: {helps}."
+    better += "" if missed == NONE else f" Removed alone, these cost: {missed}."
     return (
-        f"Effect by effect, significant changes in seconds. Switched on alone on the clean twin, "
-        f"they cost: {costs}. Taken away alone from {gap.world}, they give back: "
-        f"{_ranked(without)}.{better}"
+        "Effect by effect, significant changes in seconds. Added alone to the clean twin, these "
+        f"cost: {ranked('alone', 'clean', -1.0)}. Removed alone from {gap.world}, these gain: "
+        f"{ranked('without', 'world', 1.0)}.{better}"
     )
 
 
@@ -318,7 +315,7 @@ def _open_question(gap: Gap) -> str:
         results = gap.point("variant", CURED, name).results
         share = track_share(results)
         ends = "" if share is None else f" ({percent(share)} of the falls on the track limit)"
-        parts.append(f"{name} {mean(results, gap.duration).mean:.1f} s{ends}")
+        parts.append(f"{name} {_mean(results)} s{ends}")
     return (
         "KUKA does not publish the servo of the cabinet; the policy with its cures under other "
         f"assumptions: {', '.join(parts)}."
@@ -329,7 +326,7 @@ def _caveat(gap: Gap) -> str:
     form = "This is the short form. " if gap.quick else ""
     return (
         f"{form}Each point is {gap.trials} trials of {gap.duration:g} s; in brackets, 95 % "
-        "intervals of the mean, without width where all of them lasted. These are results on our "
+        "intervals of the mean, of zero width if all trials lasted. These are results on our "
         "twin, built from published data of such robots and from listed assumptions, not "
         "measurements of the authors' robot."
     )

@@ -1,9 +1,9 @@
 """Replay of a log: its measurements through the controller again, compared with its outputs.
 
-The log of a run on a rig holds all inputs of a tick: counts, replies, words, failures, lateness. A
-new `RunController` receives the same inputs at the same times, from the first setpoint to rest. The
-log of a run on a twin begins at the release; there only the control step runs again, on the counts
-and joints of its ticks.
+The log of a run on a rig holds all inputs of a tick: counts, replies, typed lines, failures,
+lateness. A new `RunController` receives the same inputs at the same times, from the first setpoint
+to rest. The log of a run on a twin begins at the release; there only the control step runs again,
+on the counts and joints of its ticks.
 
 On the machine that made the log every bit is the same. Another processor or library rounds
 differently; the tolerance bounds that. The pendulum is unstable, so that a difference grows e-fold

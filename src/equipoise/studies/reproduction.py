@@ -36,7 +36,7 @@ from equipoise.studies.compilation import (
     compile_training,
     compile_trials,
     compiling,
-    compiling_beside,
+    compiling_in_parallel,
 )
 from equipoise.studies.gap import gap, paper_settings, train_paper, trials_of
 from equipoise.studies.gap_results import Gap
@@ -182,7 +182,7 @@ class Reproduction(NamedTuple):
     """Suggested next command."""
 
 
-@compiling_beside()
+@compiling_in_parallel()
 def reproduce(
     out: StrPath,
     *,

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 LINES: Final[dict[tuple[study.Controller, bool], dict[str, Any]]] = {
     (study.CURED, False): {"color": style.BLUE, "linestyle": "-", "linewidth": 3.2, "marker": "o"},
-    (study.NOT_TOLD, False): {"color": style.SKY, "linestyle": style.DASHES, "marker": "s"},
+    (study.UNTUNED, False): {"color": style.SKY, "linestyle": style.DASHES, "marker": "s"},
     (study.NO_PREDICTION, False): {
         "color": style.ORANGE,
         "linestyle": style.DASH_DOTS,
