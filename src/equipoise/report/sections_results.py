@@ -64,15 +64,8 @@ def _evaluation(results: Results, picture: html.Picture) -> html.Part:
         s = trials.summary()
         interval = " to ".join(map(percent, s.interval))
         times = f"{s.median:.3g} s", f"{s.quantiles[0]:.3g} s"
-        rows.append(
-            [
-                trials.name,
-                f"{s.survived} of {s.trials}",
-                interval,
-                *times,
-                format_failures(s.causes),
-            ]
-        )
+        failures = format_failures(s.causes)
+        rows.append([trials.name, f"{s.survived} of {s.trials}", interval, *times, failures])
     stood = f"stood {evaluation.duration:g} s"
     return html.part(
         "evaluation",
