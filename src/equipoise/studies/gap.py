@@ -299,13 +299,7 @@ def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., GapPo
             yield entry("alone", controller, clean.model_copy(update=on), name=name)
             yield entry("without", controller, world.model_copy(update=off), name=name)
     curves: Sequence[tuple[Part, str, Any, Sequence[Controller], Sequence[float]]] = (
-        (
-            "delay",
-            "transport",
-            {},
-            (CURED, UNTUNED, NO_PREDICTION, NO_BIAS, PAPER),
-            form.delays,
-        ),
+        ("delay", "transport", {}, (CURED, UNTUNED, NO_PREDICTION, NO_BIAS, PAPER), form.delays),
         ("zero", "zero_offset", {"zero_error": 0.0}, (CURED, NO_BIAS, PAPER), form.zeros),
     )
     for part, number, rest, controllers, places in curves:
