@@ -234,7 +234,7 @@ def _record(
         *(record.x, record.x_dot, record.phi, record.phi_dot, record.box, record.u),
         *(record.estimated_phi, record.estimated_phi_dot, record.bias, output.q, output.dq),
     )
-    for name, texts in ((WORD_TYPED, inputs.words), (FAILED, inputs.faults)):
+    for name, texts in ((WORD_TYPED, inputs.lines), (FAILED, inputs.faults)):
         for text in texts:
             push_event(recorder.event, now, name, (), text)
     pulse = recorder.pulse
