@@ -16,7 +16,16 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.stats import binomtest
 
-from equipoise.artefacts import Artefact, Count, Name, PartialFile, Seed, Value, value_digest
+from equipoise.artefacts import (
+    Artefact,
+    Count,
+    Name,
+    PartialFile,
+    Seed,
+    StrPath,
+    Value,
+    value_digest,
+)
 from equipoise.control.baselines import baselines
 from equipoise.control.boxes import CAUSES, cause_named
 from equipoise.control.policy import PolicyKernel, TaskPolicy
@@ -144,7 +153,7 @@ def evaluate(
     seed: int = 0,
     with_baselines: bool = True,
     workers: int = 1,
-    partial: str | Path | None = None,
+    partial: StrPath | None = None,
     done: Done = lambda _: None,
 ) -> Evaluation:
     """Evaluate a policy in a simulated world.
