@@ -292,8 +292,7 @@ def certify(
         The certificate, granted or refused, and its trials.
     """
     twin = None if claim.world == MODEL else read_world(claim.world).settings
-    options = {"workers": workers, "partial": partial, "done": done}
-    return _test(policy, claim, twin, policy.settings, **options)
+    return _test(policy, claim, twin, policy.settings, workers=workers, partial=partial, done=done)
 
 
 def check_policy(certificate: Certificate, policy: TaskPolicy) -> None:

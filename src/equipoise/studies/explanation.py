@@ -281,16 +281,6 @@ class RunTimeline(NamedTuple):
     rate: Array
     """The unexplained rate [rad/s], shape (m,)."""
 
-    @property
-    def falling(self) -> Array:
-        """Diverging component phi + phi_dot / sqrt(w2) as observed [rad], shape (n,)."""
-        return self.log.phi + self.log.phi_dot / sqrt(self.pendulum.w2)
-
-    @property
-    def recoverable(self) -> float:
-        """Maximum of the diverging component that u_max reverses [rad]."""
-        return self.pendulum.k * self.u_max / self.pendulum.w2
-
 
 def explain(run: RunLog) -> Explanation:
     """Return the causes of a run's end.
@@ -397,15 +387,17 @@ def _local_fits(time: Array, values: Array, at: Array, half: float) -> tuple[Arr
 
 def _outside(timeline: RunTimeline) -> Evidence | None:
     """Detect the time after which no command could hold the pendulum."""
-    log, bound = timeline.log, timeline.recoverable
-    beyond = np.abs(timeline.falling) > bound
+    log, pendulum = timeline.log, timeline.pendulum
+    diverging = log.phi + log.phi_dot / sqrt(pendulum.w2)
+    bound = pendulum.k * timeline.u_max / pendulum.w2
+    beyond = np.abs(diverging) > bound
     inside = np.flatnonzero(~beyond)
     first = int(inside[-1]) + 1 if len(inside) else 0
     if first == len(beyond):
         return None
     time = float(log.time[first])
     where = (
-        f"phi + phi_dot/sqrt(w2) was {degrees(timeline.falling[first]):+.1f} deg at "
+        f"phi + phi_dot/sqrt(w2) was {degrees(diverging[first]):+.1f} deg at "
         f"{time:.2f} s, and u of {timeline.u_max:g} m/s^2 can turn back {degrees(bound):.1f} deg"
     )
     if time <= RELEASE_WINDOW:
