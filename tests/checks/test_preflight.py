@@ -6,7 +6,7 @@ import pytest
 from equipoise.checks.encoder import check_encoder, listen
 from equipoise.checks.link import check_link, round_trips
 from equipoise.checks.results import Spread
-from equipoise.deployment.preflight import MEASURING_TIME
+from equipoise.deployment.rig import MEASURING_TIME
 from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.interfaces import Sample
 from equipoise.rigs import RigSettings

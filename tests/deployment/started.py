@@ -14,7 +14,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.control.run_controller import PHASES
 from equipoise.control.self_test import SelfTestVerdict
 from equipoise.control.states import Phase
-from equipoise.deployment.rig import RunRequest, run_rig_virtually
+from equipoise.deployment.rig import RunRequest, run_virtually
 from equipoise.devices.twin.emulated_operator import EmulatedOperator
 from equipoise.learning.closed_loop import scaled
 from equipoise.model.sim_configs import pendulum_on, read_world
@@ -181,7 +181,9 @@ def run(seed, *, fault=None, only_tested=False, **given):
         fault(emulated)
     w = sqrt(request.policy.pendulum.parameters().w2)
     watching = Watching(emulated.bench, hands, w, only_tested)
-    outcome = run_rig_virtually(request, emulated.rig, None, watching, around=watching.around)
+    outcome = run_virtually(
+        request, None, rig=emulated.rig, operator=watching, around=watching.around
+    )
     return watching, hands, outcome
 
 

@@ -11,7 +11,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.control.run_controller import PHASES
 from equipoise.control.states import Phase
 from equipoise.deployment.processes import InterruptedPolicy, PolicyTimeout
-from equipoise.deployment.rig import RunRequest, exit_code, run_rig_virtually, warm_up
+from equipoise.deployment.rig import RunRequest, exit_code, run_virtually, warm_up
 from equipoise.errors import ArtefactError, InputError
 from equipoise.logs.run_log import RunLog
 from equipoise.model.sim_configs import pendulum_on, read_world
@@ -52,7 +52,7 @@ def run(policy, out, duration=1.0, failing=None):
     rig = emulated_rig(NOMINAL, request.settings, pendulum, seed=3).rig
     if failing is not None:
         failing.clock = rig.clock
-    result = run_rig_virtually(request, rig, out, Silent())
+    result = run_virtually(request, out, rig=rig, operator=Silent())
     return result, RunLog.load(out, damaged=True)
 
 

@@ -25,7 +25,7 @@ from equipoise.control.stop import ramp
 from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
 from equipoise.deployment import processes
 from equipoise.deployment.processes import HEARTBEAT_TIMEOUT, POLL_PERIOD, run_in_processes
-from equipoise.deployment.rig import RunRequest, RunResult
+from equipoise.deployment.rig import RunRequest
 from equipoise.devices.clocks import SystemClock
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Reply, Sample
@@ -125,14 +125,14 @@ def move(request, rig, operators, recorder, *, measures, workshop, supervise):
         max_duration=10.0,
         executor=workshop,
     )
-    return RunResult(
-        heart.cause, heart.cause, 0.0, ending.stoppable, None, ending.timing.missed, {}, {}
+    return RunEnd(
+        cause=heart.cause, stoppable=ending.stoppable, missed=ending.timing.missed, lasted=0.0
     )
 
 
 def moving(request, memory, joints, pipe, course=move):
     """Be the loop's process, with another course and nobody beside it."""
-    processes.connect = lambda *_, **__: None
+    RunRequest.connect = lambda *_, **__: None
     processes.run_on_rig = course
     processes.WorkerProcess = lambda: None
     processes._loop(request, memory, joints, pipe)

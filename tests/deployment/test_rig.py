@@ -15,7 +15,7 @@ from equipoise.deployment.rig import (
     RunRequest,
     exit_code,
     rehearse_t1,
-    run_rig_virtually,
+    run_virtually,
 )
 from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import InputError
@@ -65,7 +65,7 @@ def request(duration=2.0, settings=None, **changes):
 def on_the_twin(wanted, out=None, spy=None):
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=wanted.seed).rig
-    return run_rig_virtually(wanted, rig, out, spy or Spy())
+    return run_virtually(wanted, out, rig=rig, operator=spy or Spy())
 
 
 def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
@@ -94,7 +94,7 @@ def test_it_stands_behind_the_protocols_of_the_hardware(sign):
     wanted = request(settings=RigSettings(encoder_sign=sign))
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3, robot="kst").rig
-    outcome = run_rig_virtually(wanted, rig, None, Spy())
+    outcome = run_virtually(wanted, None, rig=rig, operator=Spy())
     assert (outcome.cause, outcome.lasted) == ("lasted", 2.0)
 
 
@@ -104,7 +104,7 @@ def test_it_stands_a_minute_behind_the_protocols_of_the_hardware(seed):
     wanted = request(60.0)
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=seed, robot="kst").rig
-    outcome = run_rig_virtually(wanted, rig, None, Spy())
+    outcome = run_virtually(wanted, None, rig=rig, operator=Spy())
     assert (outcome.cause, outcome.lasted) == ("lasted", 60.0)
 
 
@@ -190,7 +190,7 @@ def test_a_mistyped_word_is_asked_again_up_to_three_times(typed, cause, asked):
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = emulated_rig(NOMINAL, wanted.settings, pendulum).rig._replace(operator=None)
     script = Script(*typed)
-    outcome = run_rig_virtually(wanted, rig, None, script)
+    outcome = run_virtually(wanted, None, rig=rig, operator=script)
     assert outcome.cause == cause
     assert sum("Type" in text for text in script.told) == asked
 
@@ -200,7 +200,7 @@ def test_a_mistyped_answer_to_the_move_is_asked_again():
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = emulated_rig(NOMINAL, wanted.settings, pendulum).rig._replace(operator=None)
     script = Script("estop", "fence", "monitoring", "t1", "yes", "n")
-    outcome = run_rig_virtually(wanted, rig, None, script)
+    outcome = run_virtually(wanted, None, rig=rig, operator=script)
     assert outcome.reason == "the move was not allowed; nothing has moved"
     assert script.told[-1].startswith("'yes' is not y or n. The arm will move to home")
 
@@ -218,7 +218,7 @@ def test_a_stop_that_came_with_the_last_answer_is_heard_in_the_first_tick():
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
     rig = emulated_rig(NOMINAL, wanted.settings, pendulum).rig._replace(operator=None)
     script = Script("estop", "fence", "monitoring", "t1", "y", "stop")
-    outcome = run_rig_virtually(wanted, rig, None, script)
+    outcome = run_virtually(wanted, None, rig=rig, operator=script)
     assert (outcome.cause, outcome.lasted) == ("operator", 0.0)
     assert "stopped by the operator (stop)" in script.told
 
@@ -229,7 +229,7 @@ def test_an_encoder_that_counts_the_wrong_way_is_found_before_the_pendulum_is_li
     emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3, robot="kst")
     emulated.sensor.board.sign = -1
     spy = Spy()
-    outcome = run_rig_virtually(wanted, emulated.rig, None, spy)
+    outcome = run_virtually(wanted, None, rig=emulated.rig, operator=spy)
     assert outcome.cause == "self-test"
     assert "sign" in outcome.reason
     assert "lift" not in spy.names
@@ -247,7 +247,7 @@ def test_a_link_that_goes_dead_is_told_at_once():
                 emulated.robot.link.cut = True
 
     spy = Cutter()
-    outcome = run_rig_virtually(wanted, emulated.rig, None, spy)
+    outcome = run_virtually(wanted, None, rig=emulated.rig, operator=spy)
     assert exit_code(outcome) == 3
     assert "fault" in spy.names
     assert not outcome.stoppable
@@ -278,7 +278,7 @@ def test_a_push_on_the_way_home_stops_the_arm(force):
             bench.touch(force if self.at <= now < self.at + 0.3 else (0.0, 0.0, 0.0))
 
     pusher = Pusher()
-    outcome = run_rig_virtually(wanted, emulated.rig, None, pusher)
+    outcome = run_virtually(wanted, None, rig=emulated.rig, operator=pusher)
     assert outcome.cause == Rule.TORQUE.value
     assert pusher.stopped - pusher.at <= 0.1
     assert "home" not in pusher.names
@@ -337,7 +337,7 @@ def test_in_t1_a_run_stops_softly_where_the_flange_is_too_fast(tmp_path, t1):
         robot="kst",
     )
     spy = Pusher(emulated.bench, 1.0)
-    outcome = run_rig_virtually(wanted, emulated.rig, out, spy)
+    outcome = run_virtually(wanted, out, rig=emulated.rig, operator=spy)
     run = RunLog.load(out, damaged=True)
     tick = run.tables["tick"]
     fast = np.abs(tick["x_dot"][tick["state"] == PHASES.index(Phase.BALANCING)]).max()

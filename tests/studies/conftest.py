@@ -3,7 +3,7 @@
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.deployment.rig import RunRequest, run_rig_virtually
+from equipoise.deployment.rig import RunRequest, run_virtually
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig
 
@@ -27,7 +27,7 @@ def rig_log(tmp_path_factory):
         dry_run=False,
         seed=3,
     )
-    assert run_rig_virtually(request, emulated.rig, path).cause == "lasted"
+    assert run_virtually(request, path, rig=emulated.rig).cause == "lasted"
     return path
 
 

@@ -14,7 +14,7 @@ from equipoise.control.controller import Controller
 from equipoise.control.policy import LINEAR, KernelPolicy, PolicyKernel, shipped_policy
 from equipoise.control.run_controller import RunController
 from equipoise.control.states import Phase, RunState
-from equipoise.deployment.rig import RunRequest, _outcome
+from equipoise.deployment.rig import RunRequest, run_end
 from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.sensor import LineEncoder
@@ -24,7 +24,6 @@ from equipoise.devices.transports import memory_pipe
 from equipoise.devices.twin.robot import TwinRobot
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.learning.closed_loop import scaled
-from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import Recorder
 from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
@@ -166,8 +165,8 @@ def run_with(fault, seed, path):
         idle=lambda: writer.drain(recorder) if recorder.pulse[3] % 50 == 0 else None,
     )  # fmt: skip
     writer.drain(recorder)
-    outcome = _outcome(pilot, ending)
-    writer.finish(clock.now(), RunEnd(**outcome._asdict()))
+    outcome = run_end(pilot, ending)
+    writer.finish(clock.now(), outcome)
     return outcome
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from equipoise.control.safety import POSITION_MARGIN
-from equipoise.deployment.rig import RunResult
 from equipoise.errors import InputError
+from equipoise.logs.conditions import RunEnd
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.rigs import RigSettings
 from equipoise.studies.rehearsal import FAULTS, REAL_TIME, Fault, choose, rehearse, rehearse_all
@@ -205,7 +205,7 @@ class Seen:
         self.observations = [ArmObservation(0.002 * i, 0.1, tuple(HOME)) for i in range(500)]
 
 
-ENDED = RunResult("stale encoder", "", 0.0, True, None, 0, {}, {})
+ENDED = RunEnd(cause="stale encoder")
 
 
 def judged(seen, outcome=ENDED, **changes):
@@ -223,7 +223,7 @@ def test_a_stop_as_it_should_be_has_no_problems():
 
 
 def test_the_judge_finds_each_thing_that_is_wrong():
-    assert any("ended with" in one for one in judged(Seen(), ENDED._replace(cause="track")))
+    assert any("ended with" in one for one in judged(Seen(), RunEnd(cause="track")))
     assert any("no message contains" in one for one in judged(Seen(), says="coupling"))
     assert any("after the fault" in one for one in judged(Seen(), within=0.005))
 
@@ -272,10 +272,11 @@ def test_a_refused_run_sends_nothing():
     seen = Seen()
     refused = {"ends": frozenset({"refused"}), "says": ""}
     assert any(
-        "setpoints were sent" in one for one in judged(seen, RunResult("refused", "no"), **refused)
+        "setpoints were sent" in one
+        for one in judged(seen, RunEnd(cause="refused", reason="no"), **refused)
     )
     del seen.robot_tap.sent[1:]
-    assert judged(seen, RunResult("refused", "no"), **refused) == []
+    assert judged(seen, RunEnd(cause="refused", reason="no"), **refused) == []
 
 
 def test_the_arm_of_the_rehearsal_is_the_one_that_the_policy_knows():

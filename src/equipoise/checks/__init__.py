@@ -5,5 +5,5 @@ its settings), `deadlines` (their lateness), `link` (round trips to the robot), 
 stream of samples), `fit` (policy, arm, posture and room). A threshold stands beside its check and
 nowhere else. Nothing here moves an arm.
 
-`equipoise.studies.doctor` and `equipoise.deployment.preflight` choose which checks run.
+`equipoise.studies.doctor` and `equipoise.deployment.rig` choose which checks run.
 """

@@ -33,24 +33,15 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> Itera
         rig: Contents of `rig.toml`.
     """
     arm, trained = rig.described_arm, policy.arm
+    name, found, cure = "policy and arm", f"{arm.name}, home {_degrees(arm.home)} deg", ""
     if trained.digest != arm.digest:
-        yield CheckResult(
-            "policy and arm",
-            "bad",
-            f"trained on {trained.name}, the rig has {arm.name}",
-            "train a policy for this arm, or correct `arm` in rig.toml",
-        )
-    elif len(trained.home) != len(arm.home) or any(
-        abs(a - b) > HOME_TOLERANCE for a, b in zip(trained.home, arm.home, strict=True)
-    ):
-        yield CheckResult(
-            "policy and home",
-            "bad",
-            f"trained at {_degrees(trained.home)} deg, the rig's home is {_degrees(arm.home)} deg",
-            "give the home of the training in rig.toml, or train for this one",
-        )
-    else:
-        yield CheckResult("policy and arm", "good", f"{arm.name}, home {_degrees(arm.home)} deg")
+        found = f"trained on {trained.name}, the rig has {arm.name}"
+        cure = "train a policy for this arm, or correct `arm` in rig.toml"
+    elif max(abs(a - b) for a, b in zip(trained.home, arm.home, strict=True)) > HOME_TOLERANCE:
+        name, homes = "policy and home", (_degrees(trained.home), _degrees(arm.home))
+        found = f"trained at {homes[0]} deg, the rig's home is {homes[1]} deg"
+        cure = "give the home of the training in rig.toml, or train for this one"
+    yield CheckResult(name, "bad" if cure else "good", found, cure)
     if max(abs(a - b) for a, b in zip(trained.pivot, arm.pivot, strict=True)) > PIVOT_TOLERANCE:
         yield CheckResult(
             "pendulum's pivot",

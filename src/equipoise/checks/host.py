@@ -69,17 +69,17 @@ def read_host_info(logs: Path = Path(), *, root: Path = Path("/"), system: str =
         system: Operating system (default: the running one).
     """
     version = _read(root / "proc/version")
-    release = re.search(r"version (\S+)", version or "")
-    here = root == Path("/")
+    release = platform.release() if root == Path("/") else None
+    load = _match(root / "proc/loadavg", r"(\S+)")
     return HostInfo(
         system=system or platform.system(),
-        kernel=release[1] if release else (platform.release() if here else None),
+        kernel=_match(root / "proc/version", r"version (\S+)") or release,
         realtime=_realtime(root, version),
         cores=_cores(root),
         governors=_governors(root),
         rtprio=_limit(root, "Max realtime priority"),
         memlock=_limit(root, "Max locked memory"),
-        load=_load(root),
+        load=None if load is None else float(load),
         swap=_swap(root),
         hosts=_hosts(root),
         networks=_networks(root),
@@ -93,72 +93,68 @@ def check_host(host: HostInfo) -> Iterator[CheckResult]:
         cure = "it has no real-time priority for a loop; drive a robot from Linux"
         yield CheckResult("kernel", "warning", f"{host.system} {host.kernel or ''}".rstrip(), cure)
     else:
+        kernel = host.kernel or "Linux"
         yield _check(
             "kernel",
             host.realtime,
-            "check whether `uname -v` says PREEMPT_RT",
-            lambda realtime: (
-                realtime,
-                f"{host.kernel or 'Linux'}, {'' if realtime else 'not '}PREEMPT_RT",
-            ),
+            lambda realtime: (realtime, f"{kernel}, {'' if realtime else 'not '}PREEMPT_RT"),
             "install a kernel with PREEMPT_RT: on Ubuntu `sudo pro enable realtime-kernel`, on "
             "Debian `sudo apt install linux-image-rt-amd64`; then restart",
+            "check whether `uname -v` says PREEMPT_RT",
         )
     yield _check(
         "clock rate",
         host.governors,
-        "on a virtual machine its host decides: set `performance` there",
         lambda governors: (governors == ("performance",), f"governor {', '.join(governors)}"),
         "sudo cpupower frequency-set -g performance",
+        "on a virtual machine its host decides: set `performance` there",
     )
     yield _check(
         "cores",
         host.cores,
-        "check that the machine has two or more",
         lambda cores: (cores >= 2, f"{cores}"),
         "the loop needs one to itself, and the log another: use a machine with two or more",
+        "check that the machine has two or more",
     )
-    container = "run outside the container, or give it --ulimit rtprio=99 --ulimit memlock=-1 "
+    cure = "its host may stall it at any time: run on the machine itself"
+    if host.hosts == ("container",):
+        cure = (
+            "run outside the container, or give it --ulimit rtprio=99 --ulimit memlock=-1 "
+            "--network host and the encoder's device"
+        )
     yield _check(
         "bare machine",
         host.hosts,
+        lambda hosts: (not hosts, " and ".join(hosts) or "no virtual machine or container found"),
+        cure,
         "make sure that no virtual machine or container is between",
-        lambda hosts: (
-            not hosts,
-            f"no: {' and '.join(hosts)}" if hosts else "no virtual machine or container found",
-        ),
-        container + "--network host and the encoder's device"
-        if host.hosts == ("container",)
-        else "its host may stall it at any time: run on the machine itself",
     )
+    limit = MAX_LOAD_SHARE * (host.cores or 1)
     yield _check(
         "other work",
         host.load,
-        "check with `uptime` what else runs",
-        lambda load: (
-            load <= MAX_LOAD_SHARE * (host.cores or 1),
-            f"{load:.2f} processes at work over the last minute",
-        ),
+        lambda load: (load <= limit, f"{load:.2f} processes at work over the last minute"),
         "find it with `top`, and end it; wait a minute and check again",
+        "check with `uptime` what else runs",
     )
     yield _check(
         "swap",
         host.swap,
-        "check with `free` that no swap is in use",
         lambda swap: (swap == 0, f"{swap / 2**20:.0f} MiB in use"),
         "memory is short: end other programs, then sudo swapoff -a",
+        "check with `free` that no swap is in use",
     )
     yield _check(
         "room for logs",
         host.free,
-        "check the folder of the logs with `df`",
         lambda free: (free >= MIN_FREE_SPACE, f"{free / 2**30:.1f} GiB"),
         "a full disk ends a log, not a run: make room, or give another folder",
+        "check the folder of the logs with `df`",
     )
 
 
 def _check(
-    name: str, reading: T | None, unknown: str, judge: Callable[[T], tuple[bool, str]], cure: str
+    name: str, reading: T | None, judge: Callable[[T], tuple[bool, str]], cure: str, unknown: str
 ) -> CheckResult:
     """Return the result for a reading that may be missing, with the cure for either case."""
     if reading is None:
@@ -180,6 +176,12 @@ def _read(path: Path) -> str | None:
         return None
 
 
+def _match(path: Path, pattern: str) -> str | None:
+    """Return the group of a pattern, found in the lines of a file; None where it is missing."""
+    found = re.search(pattern, _read(path) or "", re.MULTILINE)
+    return found and found[1]
+
+
 def _realtime(root: Path, version: str | None) -> bool | None:
     flag = _read(root / "sys/kernel/realtime")
     if flag is not None:
@@ -188,10 +190,10 @@ def _realtime(root: Path, version: str | None) -> bool | None:
 
 
 def _cores(root: Path) -> int | None:
-    found = re.search(r"^Cpus_allowed_list:\s*(\S+)", _read(root / "proc/self/status") or "", re.M)
-    if found is None:
+    allowed = _match(root / "proc/self/status", r"^Cpus_allowed_list:\s*(\S+)")
+    if allowed is None:
         return None
-    ends = [part.split("-") for part in found[1].split(",")]
+    ends = [part.split("-") for part in allowed.split(",")]
     return sum(int(end[-1]) - int(end[0]) + 1 for end in ends)
 
 
@@ -202,15 +204,10 @@ def _governors(root: Path) -> tuple[str, ...] | None:
 
 
 def _limit(root: Path, name: str) -> Limit:
-    found = re.search(rf"^{name}\s+(\S+)", _read(root / "proc/self/limits") or "", re.M)
-    if found is None:
+    limit = _match(root / "proc/self/limits", rf"^{name}\s+(\S+)")
+    if limit is None:
         return None
-    return int(found[1]) if found[1].isdecimal() else "unlimited"
-
-
-def _load(root: Path) -> float | None:
-    means = (_read(root / "proc/loadavg") or "").split()
-    return float(means[0]) if means else None
+    return int(limit) if limit.isdecimal() else "unlimited"
 
 
 def _swap(root: Path) -> int | None:
@@ -222,12 +219,11 @@ def _swap(root: Path) -> int | None:
 
 
 def _hosts(root: Path) -> tuple[str, ...] | None:
-    processor = _read(root / "proc/cpuinfo")
-    if processor is None:
+    if _read(root / "proc/cpuinfo") is None:
         return None
     firmware = [_read(root / f"sys/class/dmi/id/{name}") for name in ("sys_vendor", "product_name")]
     virtual = (
-        re.search(r"^flags\s*:.*\bhypervisor\b", processor, re.M) is not None
+        _match(root / "proc/cpuinfo", r"^flags\s*:.*\b(hypervisor)\b") is not None
         or (root / "sys/hypervisor/type").exists()
         or any(word in (name or "") for name in firmware for word in HYPERVISORS)
     )
@@ -253,9 +249,7 @@ def _networks(root: Path) -> dict[str, bool] | None:
 
 def _free(folder: Path) -> int | None:
     place = folder.absolute()
-    while not place.exists() and place != place.parent:
-        place = place.parent
     try:
-        return shutil.disk_usage(place).free
+        return shutil.disk_usage(next(one for one in (place, *place.parents) if one.exists())).free
     except OSError:
         return None

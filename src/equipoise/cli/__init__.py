@@ -65,7 +65,7 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 
 def _cut_off(stream: TextIO | None) -> bool:
-    """Return whether a stream refuses output; the rest of the output is then dropped."""
+    """Return whether a stream rejects output; discard the rest of the output if so."""
     if not isinstance(stream, io.TextIOWrapper):
         return False
     try:

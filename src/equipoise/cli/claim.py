@@ -2,13 +2,12 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from equipoise.cli import next_step
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.output import Output
-from equipoise.cli.trial_bar import trials_of
 
 if TYPE_CHECKING:
     from equipoise.control.policy import TaskPolicy
@@ -32,24 +31,18 @@ def certify(
     from equipoise.artefacts import partial_path
     from equipoise.studies import certification as study
 
+    def evaluation_beside(path: Path) -> tuple[Path]:
+        return (study.evaluation_path(path),)
+
     destination = choose_file(
-        output,
-        out,
-        "certificate.json",
-        policy,
-        force=force,
-        beside=lambda path: (study.evaluation_path(path),),
+        output, out, "certificate.json", policy, force=force, beside=evaluation_beside
     )
     partial = partial_path(study.evaluation_path(destination.path))
     check_output(partial)
     claim = study.make_claim(probability, confidence, duration, world=world, trials=trials)
-    output.rows(
-        {
-            "claim": claim.text,
-            "test": f"{claim.trials:,} trials, {claim.allowed:,} failures allowed",
-        }
-    )
-    with trials_of(output, "evaluate", chosen, world, claim.trials) as done:
+    test = f"{claim.trials:,} trials, {claim.allowed:,} failures allowed"
+    output.rows({"claim": claim.text, "test": test})
+    with output.trials("evaluate", chosen, world, claim.trials) as done:
         certificate, evaluation = study.certify(
             chosen, claim, workers=opt.available_workers(workers), partial=partial, done=done
         )
@@ -66,16 +59,14 @@ def certify(
     else:
         output.next(*next_step.after_evaluation(False, chosen, policy, world=world))
     output.result(
-        {
-            "granted": certificate.granted,
-            **_claimed(certificate),
-            "failures": certificate.failed,
-            "allowed": claim.allowed,
-            "causes": certificate.failures,
-            "seed": certificate.seed,
-            "certificate": str(out),
-            "evaluation": str(beside),
-        },
+        granted=certificate.granted,
+        **_claimed(certificate),
+        failures=certificate.failed,
+        allowed=claim.allowed,
+        causes=certificate.failures,
+        seed=certificate.seed,
+        certificate=out,
+        evaluation=beside,
         bad=not certificate.granted,
     )
 
@@ -96,25 +87,23 @@ def repeat(
     claim = certificate.claim
     output.rows({"claim": claim.text})
     study.check_policy(certificate, chosen)
-    with trials_of(output, "repeat", chosen, claim.world, claim.trials) as done:
+    with output.trials("repeat", chosen, claim.world, claim.trials) as done:
         again = study.repeat(certificate, chosen, workers=opt.available_workers(workers), done=done)
     _say_repeated(output, certificate, again)
     output.next("evaluate", policy, "--world", claim.world)
     output.result(
-        {
-            "granted": again.granted,
-            **_claimed(certificate),
-            "failures": sum(again.failures.values()),
-            "causes": dict(again.failures),
-            "same_outcome": again.same_outcome,
-            "same_trials": again.same_trials,
-            "certificate": str(file),
-        },
+        granted=again.granted,
+        **_claimed(certificate),
+        failures=sum(again.failures.values()),
+        causes=dict(again.failures),
+        same_outcome=again.same_outcome,
+        same_trials=again.same_trials,
+        certificate=file,
         bad=not again.same_outcome,
     )
 
 
-def _claimed(certificate: "Certificate") -> dict[str, object]:
+def _claimed(certificate: "Certificate") -> dict[str, Any]:
     claim = certificate.claim
     return {
         "claim": claim.model_dump(mode="json"),
@@ -128,7 +117,7 @@ def _say(output: Output, certificate: "Certificate") -> None:
     from equipoise.studies.formatting import format_failures
 
     claim = certificate.claim
-    # Rounded down: a lower bound that is rounded up is too high.
+    # Rounded down, since a lower bound must not exceed its value.
     bound = math.floor(1e5 * certificate.bound) / 1e5
     output.rows(
         {
@@ -152,20 +141,16 @@ def _say(output: Output, certificate: "Certificate") -> None:
 def _say_repeated(output: Output, certificate: "Certificate", again: "Repetition") -> None:
     from equipoise.studies.formatting import format_failures
 
-    words = f"{certificate.claim.trials:,} trials again: {format_failures(again.failures)}"
-    verdict = "granted" if again.granted else "refused"
+    trials = f"{certificate.claim.trials:,} trials again: {format_failures(again.failures)}"
+    verdict, before = ("granted" if one.granted else "refused" for one in (again, certificate))
     if not again.same_outcome:
-        before = "granted" if certificate.granted else "refused"
-        output.say(
-            f"Not repeated: {words}, {verdict}; the certificate says "
-            f"{format_failures(certificate.failures)}, {before}.",
-            style="red",
-        )
+        known = format_failures(certificate.failures)
+        text = f"Not repeated: {trials}, {verdict}; the certificate says {known}, {before}."
     elif again.same_trials:
-        output.say(f"Repeated: {words}; each lasted as long as before, {verdict}.", style="green")
+        text = f"Repeated: {trials}; each lasted as long as before, {verdict}."
     else:
-        output.say(
-            f"Repeated: {words}; the same counts as before, {verdict}, but some trials lasted "
-            "differently: another processor or library rounds differently.",
-            style="green",
+        text = (
+            f"Repeated: {trials}; the same counts as before, {verdict}, but some trials lasted "
+            "differently: another processor or library rounds differently."
         )
+    output.say(text, style="green" if again.same_outcome else "red")

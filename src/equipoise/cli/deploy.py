@@ -21,7 +21,7 @@ from equipoise.errors import EquipoiseError, InputError
 
 if TYPE_CHECKING:
     from equipoise.cli.terminal_operator import TerminalOperator
-    from equipoise.deployment.rig import RunRequest, RunResult
+    from equipoise.deployment.rig import RunRequest
     from equipoise.logs.run_log import RunLog
 
 EXCITATION = "To identify the arm"
@@ -38,6 +38,8 @@ OPTIONS = {
     "a simulated run": ("policy", "world", *TASK, "video"),
 }
 """Options of each mode, besides those of all modes."""
+RIG_FIELDS = ("cause", "reason", "stoppable", "zero", "missed", "late", "compute")
+"""Fields of the JSON object about the end of a run on a rig, by their names in `RunEnd`."""
 OF_ALL_MODES = ("duration", "seed", "out", "force", "as_json")
 
 
@@ -113,9 +115,7 @@ def deploy(
     output.say(f"{what} on {robot or world}")
     inputs = (policy, pendulum, rig)
     log = choose_file(output, out, LOG, *inputs, force=force, suffix=".mcap")
-    film = None
-    if video is not None:
-        film = choose_film(output, video, *inputs, force=force)
+    film = None if video is None else choose_film(output, video, *inputs, force=force)
     response = opt.read_actuator(actuator)
     task = next_step.given(actuator=actuator, pendulum=pendulum, arm=arm)
     if robot is not None:
@@ -123,30 +123,22 @@ def deploy(
         from equipoise.deployment.rig import RunRequest
         from equipoise.rigs import read_rig
 
-        described = read_rig(rig)
+        described, length = read_rig(rig), duration or DURATION
         chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
         if arm is None and isinstance(chosen, BoundPolicy):
             chosen = replace(chosen, arm=described.described_arm)
+        response = response or chosen.actuator
         request = RunRequest(
-            policy=chosen,
-            actuator=chosen.actuator if response is None else response,
-            settings=described,
-            robot=robot,
-            encoder=encoder,
-            duration=DURATION if duration is None else duration,
-            t1=t1,
-            dry_run=dry_run,
-            seed=seed,
+            chosen, response, described, robot, encoder, length, t1=t1, dry_run=dry_run, seed=seed
         )
-        out, report = _run_on_rig(output, request, policy, rig, task, log)
+        out, report = log.path, _run_on_rig(output, request, policy, rig, task, log)
     else:
         from equipoise import deployment
 
         with output.busy("moving the arm" if excite else "running"):
             if excite:
-                length = EXCITATION_DURATION if duration is None else duration
-                excited = opt.read_arm(arm or "iiwa7")
-                hanging = opt.read_pendulum(pendulum)
+                excited, hanging = opt.read_arm(arm or "iiwa7"), opt.read_pendulum(pendulum)
+                length = duration or EXCITATION_DURATION
                 run = deployment.excite(excited, world, hanging, seed=seed, duration=length)
             else:
                 chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
@@ -162,14 +154,14 @@ def deploy(
     if film is not None and report.code in (0, 1):
         video = write_film(output, out, film)
         output.wrote(video)
-    output.next(*map(str, report.next))
-    output.result({"run": str(out), **report.fields, "video": str(video) if video else None})
+    output.next(*report.next)
+    output.result(run=out, **report.fields, video=video)
     if report.code:
         raise typer.Exit(report.code)
 
 
 def _report(
-    run: "RunLog", out: Path, policy: Path | None, world: str, task: tuple[str, ...]
+    run: "RunLog", out: Path, policy: Path | None, world: str, task: tuple[object, ...]
 ) -> _Report:
     """Return the report of a simulated run or an excitation."""
     from equipoise.model.sim_configs import PivotFriction
@@ -208,11 +200,14 @@ def _run_on_rig(
     request: "RunRequest",
     policy: Path | None,
     rig: Path | None,
-    task: tuple[str, ...],
+    task: tuple[object, ...],
     log: Destination,
-) -> tuple[Path, _Report]:
-    """Run on an emulated or a real rig; return the log and the report."""
-    from equipoise.deployment.rig import check_request, exit_code, rehearse_t1
+) -> _Report:
+    """Run on an emulated or a real rig, and write the log."""
+    from equipoise.cli.terminal_operator import TerminalOperator, single_keys
+    from equipoise.deployment.processes import run_in_processes
+    from equipoise.deployment.rig import check_request, exit_code, rehearse_t1, run_virtually
+    from equipoise.rigs import is_virtual
 
     check_request(request)
     if (friction := request.friction) is not None:
@@ -220,46 +215,34 @@ def _run_on_rig(
     if request.t1:
         with output.busy("testing the policy in T1 on the twin"):
             rehearse_t1(request)
-    out = log.path
+    out, person = log.path, TerminalOperator(output)
     before = _identity(out)
     try:
-        result = _run(output, request, log)
+        if is_virtual(request.robot):
+            with stop_by_signal() as stopped:
+                spectator = _Spectator(person, stopped)
+                result = run_virtually(request, out, spectator, replace=log.force)
+        else:
+            with single_keys():
+                result = run_in_processes(request, out, person, replace=log.force)
     except EquipoiseError:
         if _identity(out) != before:
             output.wrote(out)
         raise
-    rows = {"ended": f"{result.cause}: {result.reason}", "balanced": f"{result.lasted:.2f} s"}
+    lasted = result.lasted or 0.0
+    rows = {"ended": f"{result.cause}: {result.reason}", "balanced": f"{lasted:.2f} s"}
     for name, times in (("ticks late", result.late), ("compute time", result.compute)):
         if times:
             rows[name] = ", ".join(f"{key} {1e3 * value:.2f} ms" for key, value in times.items())
     if result.missed:
         rows["missed ticks"] = str(result.missed)
     code = exit_code(result)
-    given = (*next_step.given(encoder=request.encoder, rig=rig), *task)
-    known = [str(policy)] if policy else []
-    if code:
-        following = ("log", "explain", out)
-    elif request.dry_run:
-        following = ("deploy", *known, "--robot", request.robot, *given)
-    else:
-        following = ("log", "replay", out, *known, *task)
-    fields = result._asdict()
-    fields = {"world": request.robot, "lasted_s": fields.pop("lasted"), **fields}
-    return out, _Report(rows, following, fields, code)
-
-
-def _run(output: Output, request: "RunRequest", log: Destination) -> "RunResult":
-    from equipoise.cli.terminal_operator import TerminalOperator, single_keys
-    from equipoise.deployment.processes import run_in_processes
-    from equipoise.deployment.rig import run_virtually
-    from equipoise.rigs import is_virtual
-
-    person = TerminalOperator(output)
-    if is_virtual(request.robot):
-        with stop_by_signal() as stopped:
-            return run_virtually(request, log.path, _Spectator(person, stopped), replace=log.force)
-    with single_keys():
-        return run_in_processes(request, log.path, person, replace=log.force)
+    following = ("log", "explain", out) if code else ("log", "replay", out, policy, *task)
+    if request.dry_run and not code:
+        place = next_step.given(robot=request.robot, encoder=request.encoder, rig=rig)
+        following = ("deploy", policy, *place, *task)
+    fields = result.model_dump(include=set(RIG_FIELDS))
+    return _Report(rows, following, {"world": request.robot, "lasted_s": lasted, **fields}, code)
 
 
 def _identity(path: Path) -> int | None:
@@ -268,11 +251,11 @@ def _identity(path: Path) -> int | None:
 
 
 class _Spectator:
-    """A person who is notified, and can only stop the run, by a signal."""
+    """Operator who receives messages, and can stop the run by a signal only."""
 
     def __init__(self, person: "TerminalOperator", stopped: Callable[[], bool]) -> None:
         self.notify, self._stopped = person.notify, stopped
 
     def read_input(self) -> list[str]:
-        """Return a stop, once a signal came."""
+        """Return a stop after a signal."""
         return ["stop"] if self._stopped() else []

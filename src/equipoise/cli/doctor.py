@@ -66,7 +66,7 @@ def doctor(
             f"This session with the robot has ended; before the next one, {restart}. "
             "equipoise deploy times the link itself, in the session of the run."
         )
-    output.result(diagnosis.model_dump(mode="json"), bad=diagnosis.verdict == "not fit")
+    output.result(**diagnosis.model_dump(mode="json"), bad=diagnosis.verdict == "not fit")
 
 
 def _say(output: Output, diagnosis: "Diagnosis", examined: str) -> None:

@@ -86,15 +86,14 @@ def emulate(
     friction = pivot_friction(identified, settings)
 
     def ready(number: int) -> None:
-        # A cabinet is a machine of its own: nothing here may hold it up, least of all the run's
-        # loop, which stays on the last core.
+        # The emulated cabinet takes the first core: the loop of the run stays on the last one.
         realtime.prepare(core=0)
         address = f"{robot}://{HOST}:{number}"
         output.rows({"robot": address, "encoder": encoder, "pendulum": friction.describe(name)})
         if no_operator:
             output.say(f"type an action: {', '.join(emulation.acts)}")
         output.next("deploy", "--robot", address, "--encoder", encoder)
-        output.result({"robot": address, "encoder": encoder})
+        output.result(robot=address, encoder=encoder)
         sys.stdout.flush()
 
     words = _typed() if no_operator else None

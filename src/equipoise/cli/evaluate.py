@@ -9,8 +9,7 @@ from equipoise.cli import next_step
 from equipoise.cli import options as opt
 from equipoise.cli.claim import certify, repeat
 from equipoise.cli.destinations import check_output, choose_file
-from equipoise.cli.output import Output, verb
-from equipoise.cli.trial_bar import trials_of
+from equipoise.cli.output import Output, trial_fields, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,8 +26,6 @@ CLAIM_OPTIONS = ("claim", "confidence", "duration", "world", "trials", "workers"
 """Options that go with `--claim`."""
 BASELINES = 4
 """Number of baselines; it only scales a progress bar."""
-QUANTILES = ("0.05", "0.25", "0.75", "0.95")
-"""Names of the quantiles of survival in the JSON object."""
 
 
 @verb
@@ -116,20 +113,14 @@ def evaluate(
     opt.check_range("--duration", duration, 0.01, LONGEST_TRIAL, " s")
     opt.check_range("--max-speed", max_speed, 0.01, 2.0, " m/s")
     task, response = opt.read_policy(*given), opt.read_actuator(actuator)
-    changes = {
-        "evaluation": {"trials": trials, "duration": duration},
-        "plant": {"max_speed": max_speed},
-    }
-    settings = task.settings.model_copy(
-        update={
-            section: getattr(task.settings, section).model_copy(
-                update={name: value for name, value in fields.items() if value is not None}
-            )
-            for section, fields in changes.items()
-        }
+    old = task.settings
+    settings = opt.changed(
+        old,
+        evaluation=opt.changed(old.evaluation, trials=trials, duration=duration),
+        plant=opt.changed(old.plant, max_speed=max_speed),
     )
     total = settings.evaluation.trials * (1 + BASELINES * with_baselines)
-    with trials_of(output, "evaluate", task, world, total) as done:
+    with output.trials("evaluate", task, world, total) as done:
         evaluation = evaluate(
             task,
             settings,
@@ -158,7 +149,15 @@ def evaluate(
         max_speed=max_speed,
     )
     output.next(*following)
-    output.result(_result(evaluation, out), bad=not balanced)
+    output.result(
+        **trial_fields(evaluation.results),
+        duration=evaluation.duration,
+        yardsticks={results.name: trial_fields(results) for results in evaluation.baselines},
+        world=evaluation.world,
+        seed=evaluation.seed,
+        evaluation=out,
+        bad=not balanced,
+    )
 
 
 def _of_claim(policy: "TaskPolicy", actuator: str | None) -> "TaskPolicy":
@@ -217,27 +216,3 @@ def _row(results: "TrialResults") -> tuple[str, ...]:
         f"{summary.median:.1f} s",
         ", ".join(f"{cause} {n}" for cause, n in failures.items()),
     )
-
-
-def _result(evaluation: "Evaluation", out: Path) -> dict[str, object]:
-    return {
-        **_summary(evaluation.results),
-        "duration": evaluation.duration,
-        "yardsticks": {results.name: _summary(results) for results in evaluation.baselines},
-        "world": evaluation.world,
-        "seed": evaluation.seed,
-        "evaluation": str(out),
-    }
-
-
-def _summary(results: "TrialResults") -> dict[str, object]:
-    summary = results.summary()
-    return {
-        "trials": summary.trials,
-        "survived": summary.survived,
-        "rate": summary.rate,
-        "interval": list(summary.interval),
-        "median_s": summary.median,
-        "quantiles_s": dict(zip(QUANTILES, summary.quantiles, strict=True)),
-        "causes": summary.causes,
-    }

@@ -53,8 +53,7 @@ def explain(run: Path = opt.RUN, as_json: bool = opt.JSON) -> None:
     if log is not None and len(log.time):
         rows["balanced"] = f"{log.lasted:.2f} s of {log.conditions.duration:g} s"
     output.rows(rows)
-    if missing:
-        output.warn(missing)
+    output.warn(missing)
     output.say()
     output.say(f"Why: {first.name.value}", style="bold")
     output.rows({"evidence": first.evidence, "what to do": first.advice})
@@ -68,19 +67,17 @@ def explain(run: Path = opt.RUN, as_json: bool = opt.JSON) -> None:
     moved = len(read.tables["tick"]) > 0
     output.next(*next_step.after_explanation(run, read.conditions.policy, moved=moved))
     output.result(
-        {
-            "run": str(run),
-            "cause": first.name.value,
-            "causes": [
-                {"name": one.name.value, "time_s": one.time}
-                | {field: getattr(one, field) for field in ("score", "evidence", "advice")}
-                for one in found.causes
-            ],
-            "ended": how.cause,
-            "reason": how.reason,
-            "whole": how.whole,
-            "lasted_s": None if log is None else log.lasted,
-        }
+        run=run,
+        cause=first.name.value,
+        causes=[
+            {"name": one.name.value, "time_s": one.time}
+            | {field: getattr(one, field) for field in ("score", "evidence", "advice")}
+            for one in found.causes
+        ],
+        ended=how.cause,
+        reason=how.reason,
+        whole=how.whole,
+        lasted_s=None if log is None else log.lasted,
     )
 
 

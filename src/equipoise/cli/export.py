@@ -32,11 +32,9 @@ def export(
     from equipoise.studies.runs import export as write
 
     log = RunLog.load(run, damaged=True)
-    if missing := log.missing_part:
-        output.warn(missing)
-    film = folder = None
-    if video is not None:
-        film = choose_film(output, video, run, force=force)
+    output.warn(log.missing_part)
+    film = None if video is None else choose_film(output, video, run, force=force)
+    folder = None
     if tables:
         folder = choose_file(output, out, run.with_name(f"{run.stem}-csv"), force=force, suffix="")
     made: list[Path] = []
@@ -48,12 +46,10 @@ def export(
     output.wrote(*made, *([video] if video else []))
     output.next("log", "explain", run)
     output.result(
-        {
-            "run": str(run),
-            "tables": [str(path) for path in made],
-            "video": str(video) if video else None,
-            "whole": not missing,
-        }
+        run=run,
+        tables=made,
+        video=video,
+        whole=not log.missing_part,
     )
 
 

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from equipoise.cli import next_step
 from equipoise.cli import options as opt
-from equipoise.cli.destinations import choose_file
+from equipoise.cli.destinations import choose_file, pictures
 from equipoise.cli.output import Output, verb
 
 if TYPE_CHECKING:
@@ -45,15 +45,12 @@ def gap(
     """
     output = Output(as_json)
     output.say(f"Measuring the gap of {policy or 'the shipped policy'} to {world}")
+
+    def beside(path: Path) -> tuple[Path, ...]:
+        return *pictures(path), *(() if paper_policy else (_paper_policy(path),))
+
     destination = choose_file(
-        output,
-        out,
-        "gap.json",
-        policy,
-        paper_policy,
-        pendulum,
-        force=force,
-        beside=lambda path: (*_figure(path), *(() if paper_policy else (_paper_policy(path),))),
+        output, out, "gap.json", policy, paper_policy, pendulum, force=force, beside=beside
     )
     opt.check_range("--duration", duration, 0.01, 3600.0, " s")
 
@@ -100,11 +97,7 @@ def gap(
     output.wrote(*wrote)
     task = next_step.given(pendulum=pendulum, arm=arm)
     output.next("evaluate", policy, "--world", world, *task, "--claim", "0.99")
-    output.result(_result(found, wrote))
-
-
-def _figure(out: Path) -> tuple[Path, ...]:
-    return out.with_suffix(".svg"), out.with_suffix(".png")
+    output.result(**_result(found, wrote))
 
 
 def _paper_policy(out: Path) -> Path:
@@ -174,7 +167,7 @@ def _effects(found: "Gap", controller: "Controller") -> Iterator[Sequence[str]]:
         yield name, difference(alone, clean).text, difference(without, world).text
 
 
-def _result(found: "Gap", wrote: list[Path]) -> dict[str, object]:
+def _result(found: "Gap", wrote: list[Path]) -> dict[str, Any]:
     from equipoise.studies.gap_results import mean, sentences, track_share
 
     return {

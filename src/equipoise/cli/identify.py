@@ -2,12 +2,12 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from equipoise.cli import options as opt
-from equipoise.cli.destinations import choose_file
+from equipoise.cli.destinations import choose_file, pictures
 from equipoise.cli.output import Output, in_ms, measured, verb, with_intervals
 from equipoise.errors import InputError
 
@@ -67,7 +67,7 @@ def identify(
         _identify_actuator(output, recording, out, force)
         return
     destination = choose_file(
-        output, out, "pendulum.json", force=force, beside=_pictures if figure else lambda _: ()
+        output, out, "pendulum.json", force=force, beside=pictures if figure else lambda _: ()
     )
 
     from equipoise.identification import identify as fit
@@ -82,23 +82,16 @@ def identify(
     l = _given_estimate("length", length, length_uncertainty)
     if (m is None) != (l is None):
         raise InputError("I and b need both --mass and --length; give the other one too")
-    swing = read_swing(
-        recording,
-        counts_per_rev=counts_per_rev,
-        from_upright=from_upright,
-        start=start,
-        end=end,
-        columns=columns,
-    )
+    swing = read_swing(recording, **opt.swing_options(context))
     with output.busy(f"fitting {len(swing.time):,} samples"):
         pendulum = fit(swing, resolved, m, l)
         with destination.claimed() as out:
             pendulum.save(out, command="identify", inputs={"recording": swing.sha256})
-            pictures = _draw(out.with_suffix(""), swing, pendulum) if figure else ()
+            drawn = _draw(out.with_suffix(""), swing, pendulum) if figure else ()
     _say(output, pendulum)
-    output.wrote(out, *pictures)
+    output.wrote(out, *drawn)
     output.next("train", out)
-    output.result(_result(pendulum, out))
+    output.result(**_result(pendulum, out))
 
 
 def _identify_actuator(output: Output, log: Path, given: Path | None, force: bool) -> None:
@@ -108,8 +101,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     from equipoise.studies.runs import load_run
 
     run = load_run(log)
-    if missing := run.missing_part:
-        output.warn(missing)
+    output.warn(run.missing_part)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
     with destination.claimed() as out:
@@ -124,29 +116,22 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
         rows["residual"] = f"{fit.rms:.3g} rad RMS over {fit.samples:,} positions"
         rows["one step ahead"] = f"{fit.one_step:.3g} rad, the noise is {fit.noise:.3g} rad"
     output.rows(rows)
-    for warning in fit.warnings if fit else ():
-        output.warn(warning)
+    output.warn(*(fit.warnings if fit else ()))
     output.wrote(out)
     from equipoise.model.arms.resolve import arm_option
 
     arm = arm_option(run.conditions.arm.name)
     output.next("train", "--actuator", out, *(("--arm", arm) if arm else ()))
     output.result(
-        {
-            "kind": actuator.kind,
-            **with_intervals({"delay": actuator.delay, "cycle": actuator.cycle}),
-            "lags": [lag.value for lag in actuator.lags],
-            "lag_intervals": [list(lag.interval) for lag in actuator.lags],
-            "one_step": fit and fit.one_step,
-            "noise": fit and fit.noise,
-            "warnings": list(fit.warnings) if fit else [],
-            "actuator": str(out),
-        }
+        kind=actuator.kind,
+        **with_intervals({"delay": actuator.delay, "cycle": actuator.cycle}),
+        lags=[lag.value for lag in actuator.lags],
+        lag_intervals=[list(lag.interval) for lag in actuator.lags],
+        one_step=fit and fit.one_step,
+        noise=fit and fit.noise,
+        warnings=list(fit.warnings) if fit else [],
+        actuator=out,
     )
-
-
-def _pictures(out: Path) -> tuple[Path, ...]:
-    return out.with_suffix(".svg"), out.with_suffix(".png")
 
 
 def _draw(stem: Path, swing: "Trajectory", pendulum: "Pendulum") -> tuple[Path, ...]:
@@ -200,11 +185,10 @@ def _say(output: Output, pendulum: "Pendulum") -> None:
         )
         rows["residual"] = f"{fit.rms_deg:.3g} {unit} RMS over {fit.samples:,} samples"
     output.rows(rows)
-    for warning in fit.warnings if fit else ():
-        output.warn(warning)
+    output.warn(*(fit.warnings if fit else ()))
 
 
-def _result(pendulum: "Pendulum", out: Path) -> dict[str, object]:
+def _result(pendulum: "Pendulum", out: Path) -> dict[str, Any]:
     fit = pendulum.fit
     names = ["w2", "k", "c", "coulomb", "drag"]
     names += ["inertia", "friction"] if pendulum.inertia and pendulum.friction else []

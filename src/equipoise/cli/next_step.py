@@ -6,6 +6,7 @@ is named in capitals, as in the help.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
     from equipoise.control.policy import TabularPolicy, TaskPolicy
     from equipoise.logs.run_log import RunLog
 
-Command = tuple[str, ...]
+Command = tuple[object, ...]
+"""Words after `equipoise`; `Output.next` leaves out those that are None."""
 
 NOMINAL: Final = f"{PREFIX}nominal"
 PLANTS: Final = (IDEAL, MODEL)
@@ -40,10 +42,6 @@ def given(**options: object) -> Command:
     return tuple(word for pair in words for word in pair)
 
 
-def _file(path: Path | None) -> Command:
-    return () if path is None else (str(path),)
-
-
 def file_with(digest: str, *beside: Path | None) -> Path | None:
     """Find a file by its digest, in the folders of other files and in the current one.
 
@@ -54,16 +52,13 @@ def file_with(digest: str, *beside: Path | None) -> Path | None:
     folders = dict.fromkeys([*(path.parent for path in beside if path is not None), Path()])
     for folder in folders:
         for path in islice(sorted(folder.glob("*.json")), LOOKED_AT):
-            try:
-                with path.open("rb") as file:
-                    if digest.encode() in file.read(HEAD):
-                        return path
-            except OSError:
-                continue
+            with suppress(OSError), path.open("rb") as file:
+                if digest.encode() in file.read(HEAD):
+                    return path
     return None
 
 
-def after_training(out: Path, policy: "TabularPolicy", again: Sequence[str]) -> Command:
+def after_training(out: Path, policy: "TabularPolicy", again: Sequence[object]) -> Command:
     """Return the command after a training: the evaluation, or a training of more learners.
 
     Args:
@@ -73,7 +68,7 @@ def after_training(out: Path, policy: "TabularPolicy", again: Sequence[str]) -> 
     """
     if policy.checkpoints and 2 * policy.checkpoints[0].survived < policy.checkpoints[0].trials:
         return ("train", *again, *given(seeds=2 * SEEDS))
-    return ("evaluate", str(out))
+    return ("evaluate", out)
 
 
 def train_again(
@@ -93,34 +88,27 @@ def train_again(
         actuator: The actuator's file, where it was given.
         max_speed: Limit of the flange's speed, where it was given [m/s].
     """
+    from equipoise.model.actuator import shipped_actuator
     from equipoise.model.arms.resolve import arm_option
     from equipoise.model.pendulum import shipped_pendulum
 
-    words: Command = _file(pendulum)
-    if not words and policy.pendulum.digest != shipped_pendulum().digest:
-        words = (str(file_with(policy.pendulum.digest, path) or "PENDULUM"),)
-    if actuator is None and policy.actuator.fit is not None:
-        actuator = _actuator_of(policy, path)
+    swinging, response = policy.pendulum.digest, policy.actuator
+    if pendulum is None and swinging != shipped_pendulum().digest:
+        pendulum = file_with(swinging, path) or Path("PENDULUM")
+    if not actuator and response.fit and response.digest != shipped_actuator().digest:
+        actuator = str(file_with(response.digest, path) or "ACTUATOR")
     limit = policy.settings.plant.max_speed if max_speed is None else max_speed
     options = given(
         arm=arm_option(policy.arm.name), actuator=actuator, max_speed=limit, seeds=SEEDS
     )
-    return ("train", *words, *options)
-
-
-def _actuator_of(policy: "TaskPolicy", path: Path | None) -> str | None:
-    from equipoise.model.actuator import shipped_actuator
-
-    if policy.actuator.digest == shipped_actuator().digest:
-        return None
-    return str(file_with(policy.actuator.digest, path) or "ACTUATOR")
+    return ("train", pendulum, *options)
 
 
 def after_evaluation(
     balanced: bool,
     policy: "TaskPolicy",
     path: Path | None,
-    *task: str,
+    *task: object,
     world: str,
     pendulum: Path | None = None,
     actuator: str | None = None,
@@ -143,11 +131,10 @@ def after_evaluation(
         max_speed: Limit of the flange's speed, where it was given [m/s].
     """
     there = given(world=NOMINAL if world in PLANTS else world, actuator=actuator)
-    known = (*_file(path), *there, *task)
     if balanced and world in PLANTS:
-        return ("evaluate", *known, *given(max_speed=max_speed))
+        return ("evaluate", path, *there, *task, *given(max_speed=max_speed))
     if balanced:
-        return ("deploy", *known)
+        return ("deploy", path, *there, *task)
     if world not in PLANTS and not world.startswith(NOMINAL) and actuator is None:
         from equipoise.model.arms.resolve import arm_option
 
@@ -156,7 +143,7 @@ def after_evaluation(
     return train_again(policy, path, pendulum=pendulum, actuator=actuator, max_speed=max_speed)
 
 
-def after_run(run: "RunLog", out: Path, path: Path | None, *task: str, world: str) -> Command:
+def after_run(run: "RunLog", out: Path, path: Path | None, *task: object, world: str) -> Command:
     """Return the command after a simulated run: many such trials, or the explanation of its end.
 
     Args:
@@ -167,8 +154,8 @@ def after_run(run: "RunLog", out: Path, path: Path | None, *task: str, world: st
         world: The world.
     """
     if run.cause != "lasted":
-        return ("log", "explain", str(out))
-    return ("evaluate", *_file(path), *given(world=world), *task)
+        return ("log", "explain", out)
+    return ("evaluate", path, *given(world=world), *task)
 
 
 def after_explanation(run: Path, policy: str, moved: bool) -> Command:
@@ -182,13 +169,13 @@ def after_explanation(run: Path, policy: str, moved: bool) -> Command:
     from equipoise.control.policy import shipped_policy
 
     if not policy:
-        return ("identify", str(run))
+        return ("identify", run)
     if not moved:
         return ("rig", "doctor")
     if policy == shipped_policy().digest:
-        return ("log", "replay", str(run))
+        return ("log", "replay", run)
     found = file_with(policy, run)
-    return ("log", "replay", str(run), str(found)) if found else ("log", "export", str(run))
+    return ("log", "replay", run, found) if found else ("log", "export", run)
 
 
 def after_refinement(
@@ -208,12 +195,12 @@ def after_refinement(
     if simulated:
         try:
             read_world(world)
-        except SettingsError:  # one that was made in Python, or whose file is gone
+        except SettingsError:  # a twin made in Python, or its file is missing
             world = NOMINAL
     if refined is not None:
-        return ("evaluate", str(refined), *given(world=world if simulated else NOMINAL))
+        return ("evaluate", refined, *given(world=world if simulated else NOMINAL))
     if moved:
-        return ("refine", str(path), *map(str, runs))
+        return ("refine", path, *runs)
     if world == MODEL or simulated:
-        return ("deploy", str(path), *given(world=world))
-    return ("deploy", str(path), *given(robot=world), "--encoder", "serial:///dev/ttyACM0")
+        return ("deploy", path, *given(world=world))
+    return ("deploy", path, *given(robot=world, encoder="serial:///dev/ttyACM0"))

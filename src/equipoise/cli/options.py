@@ -3,17 +3,20 @@
 import shlex
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
+    from equipoise.artefacts import Value
     from equipoise.control.policy import TaskPolicy
     from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
+
+V = TypeVar("V", bound="Value")
 
 LARGEST_SEED = 2**32 - 1
 
@@ -83,6 +86,9 @@ COLUMNS = value(
 )
 FROM_UPRIGHT = flag("--from-upright", "The recorded angle is zero when upright.", RECORDING)
 
+SWING_OPTIONS = ("start", "end", "counts_per_rev", "from_upright", "columns")
+"""Parameters of the options above."""
+
 SEED = value("N", "Master seed; equal seeds give equal results.", default=0, callback=_seed)
 WORKERS = value("N", "Threads, by default one per core; results do not depend on them.", min=1)
 ARM = value("ARM", "iiwa7, iiwa14, another registered arm, a URDF or a rig.toml.", default="iiwa7")
@@ -118,6 +124,11 @@ def check_range(option: str, value: float | None, low: float, high: float, unit:
         raise InputError(f"{option} is {value}{unit}; give a number {span}{unit}")
 
 
+def swing_options(context: typer.Context) -> dict[str, Any]:
+    """Return the options of a recording, as `equipoise.trajectory.read_swing` takes them."""
+    return {name: context.params[name] for name in SWING_OPTIONS}
+
+
 def only(context: typer.Context, mode: str, *allowed: str, hint: str = "") -> None:
     """Refuse options of the command line that a mode of a verb does not take.
 
@@ -142,6 +153,12 @@ def only(context: typer.Context, mode: str, *allowed: str, hint: str = "") -> No
         names = " and ".join((", ".join(odd[:-1]), odd[-1]) if len(odd) > 1 else odd)
         verb, what = ("do", "them") if len(odd) > 1 else ("does", "it")
         raise InputError(f"{names} {verb} not go with {mode}; {hint or f'leave {what} out'}")
+
+
+def changed(settings: V, **fields: object) -> V:
+    """Return settings with the given fields changed; None keeps a field."""
+    given = {name: value for name, value in fields.items() if value is not None}
+    return settings.model_copy(update=given)
 
 
 def read_pendulum(path: Path | None) -> "Pendulum":

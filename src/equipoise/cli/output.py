@@ -7,6 +7,7 @@ control characters in text from files and wires are escaped (`equipoise.printabl
 import functools
 import json
 import math
+import os
 import shlex
 import signal
 import sys
@@ -26,18 +27,22 @@ from equipoise.printable import printable
 
 if TYPE_CHECKING:
     from equipoise.artefacts import Estimate
+    from equipoise.control.policy import TaskPolicy
+    from equipoise.evaluation import Done, TrialResults
     from equipoise.studies.progress import ProgressReporter, Show
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 BAD_RESULT = 1
-"""Exit code of a verb that did its work, and whose result is bad."""
+"""Exit code of a finished verb with a bad result."""
 INTERRUPTED = 130
 VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red", "unknown": "dim"}
 """Styles of the verdicts of checks."""
 LEAST_ADDRESS_SPACE = 2**30
 """Minimum limit on the address space for loading the libraries [bytes]; 600 MB are too few."""
+QUANTILES = ("0.05", "0.25", "0.75", "0.95")
+"""Names of the quantiles of survival in the JSON object."""
 command_line: list[str] = []
 """Arguments of the running command, after `equipoise`."""
 
@@ -56,7 +61,7 @@ class _EscapingConsole(Console):
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
     ) -> Iterable[Segment]:
-        """Yield the pieces of what goes out."""
+        """Yield the segments with control characters escaped."""
         for piece in super().render(renderable, options):
             text = piece.text if piece.control else printable(piece.text, layout=True)
             yield Segment(text, piece.style, piece.control)
@@ -103,12 +108,12 @@ class Output:
         self._voice.print(what, style=style)
 
     def tell(self, what: Any) -> None:
-        """Print a message for a person, with `--json` on stderr."""
+        """Print a message for the operator; with `--json` on stderr."""
         (self._progress if self._as_json else self._voice).print(what)
 
     @property
     def stream(self) -> TextIO:
-        """Stream of messages for a person."""
+        """Stream of the messages for the operator."""
         return sys.stderr if self._as_json else sys.stdout
 
     def rows(self, rows: Mapping[str, str]) -> None:
@@ -166,9 +171,10 @@ class Output:
         self.say(table)
         self.say()
 
-    def warn(self, what: str) -> None:
-        """Print a warning."""
-        self.say(Text.assemble(("warning: ", "bold yellow"), printable(what)))
+    def warn(self, *texts: str | None) -> None:
+        """Print warnings; None is left out."""
+        for what in filter(None, texts):
+            self.say(Text.assemble(("warning: ", "bold yellow"), printable(what)))
 
     def wrote(self, *paths: Path) -> None:
         """Name the files that were written."""
@@ -176,21 +182,21 @@ class Output:
         names = f"{', '.join(first)} and {last}" if first else last
         self._voice.print(Text.assemble(("wrote ", "dim"), names), soft_wrap=True)
 
-    def next(self, *command: str | int | Path | None) -> None:
+    def next(self, *command: object) -> None:
         """Name the next command to try; words that are None are left out."""
         given = (str(word) for word in command if word is not None)
         words = printable(shlex.join(["equipoise", *given]))
         self._voice.print(Text.assemble(("next: ", "dim"), (words, "bold")), soft_wrap=True)
 
-    def result(self, result: Mapping[str, Any], *, bad: bool = False) -> None:
+    def result(self, *, bad: bool = False, **fields: Any) -> None:
         """Print the object of `--json`, and nothing without it.
 
         Args:
-            result: The object.
             bad: Whether the verb ends with the exit code of a bad result.
+            fields: Fields of the object; paths become strings.
         """
         if self._as_json:
-            print(json.dumps(result, allow_nan=False))
+            print(json.dumps(fields, allow_nan=False, default=os.fspath))
         if bad:
             raise typer.Exit(BAD_RESULT)
 
@@ -218,6 +224,31 @@ class Output:
             yield show
 
     @contextmanager
+    def trials(self, name: str, policy: "TaskPolicy", world: str, total: int) -> "Generator[Done]":
+        """Compile kernels, then show the number of finished trials; both are stages.
+
+        Args:
+            name: Name of the stage of the trials.
+            policy: The policy.
+            world: Name of the world.
+            total: Number of trials.
+
+        Yields:
+            Callback for finished trials.
+        """
+        from equipoise.model.sim_configs import IDEAL, MODEL
+        from equipoise.studies import compilation
+        from equipoise.studies.progress import counted
+
+        functions = compilation.FUNCTIONS
+        if world not in (IDEAL, MODEL):
+            functions += compilation.TWIN_FUNCTIONS
+        with self.stages() as show:
+            with compilation.compiling(show, functions):
+                compilation.compile_trials(policy, world)
+            yield counted(name, total, show)
+
+    @contextmanager
     def busy(self, what: str) -> Generator[Callable[[str], None]]:
         """Show work of unknown duration; yield a function that renames it."""
         from rich.progress import Progress as Bars
@@ -226,16 +257,11 @@ class Output:
         words = TextColumn("{task.description}", markup=False)
         columns = SpinnerColumn(), words, TimeElapsedColumn()
         console, redirect = self._progress, self._words.is_terminal
-        with (
-            Bars(
-                *columns,
-                console=console,
-                transient=True,
-                disable=not console.is_terminal,
-                redirect_stdout=redirect,
-            ) as progress,
-            self._on_the_display(),
-        ):
+        hidden = not console.is_terminal
+        bars = Bars(
+            *columns, console=console, transient=True, disable=hidden, redirect_stdout=redirect
+        )
+        with bars as progress, self._on_the_display():
             task = progress.add_task(what, total=None)
             yield lambda now: progress.update(task, description=now)
 
@@ -290,7 +316,7 @@ def _check_address_space() -> None:
 
 def _complain(label: str, message: str) -> None:
     console = _console(stderr=True)
-    with suppress(OSError):  # the exit code tells as well
+    with suppress(OSError):  # the exit code reports the error, too
         console.print(Text.assemble((label, "bold red"), printable(message)), soft_wrap=True)
 
 
@@ -300,7 +326,7 @@ def stoppable() -> Generator[Callable[[], None]]:
 
     The main thread waits for the others, and an interruption reaches it alone.
     """
-    from equipoise.deployment.processes import SIGNALS
+    from equipoise.deployment.processes import SIGNALS, handled_signals
 
     stopped = threading.Event()
 
@@ -314,50 +340,36 @@ def stoppable() -> Generator[Callable[[], None]]:
 
     # Ignored signals stay ignored: nohup has its reason.
     heard = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
-    with _handling(heard, stop):
+    with handled_signals(heard, stop):
         yield check
 
 
 @contextmanager
 def stop_by_signal() -> Generator[Callable[[], bool]]:
     """Catch signals that would end the program; yield whether one was received."""
-    from equipoise.deployment.processes import SIGNALS
+    from equipoise.deployment.processes import SIGNALS, handled_signals
 
     came = threading.Event()
-    with _handling(SIGNALS, lambda *_: came.set()):
+    with handled_signals(SIGNALS, lambda *_: came.set()):
         yield came.is_set
 
 
-@contextmanager
-def _handling(signals: Iterable[signal.Signals], handler: Callable[..., object]) -> Generator[None]:
-    """Handle signals with `handler`; only the main thread can."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = [(number, signal.signal(number, handler)) for number in signals]
-    try:
-        yield
-    finally:
-        for number, old in before:
-            signal.signal(number, old)
-
-
-def spelled(value: float, half_width: float = 0.0) -> str:
+def _format(value: float, half_width: float, size: float) -> str:
     """Return a number with as many digits as its uncertainty leaves meaning (two digits of it).
 
     At most six digits, and a power of ten where zeros alone would stand before or behind them.
 
+    Args:
+        value: The number.
+        half_width: Its uncertainty; 0 if unknown.
+        size: Size of the numbers that share the form, as the ends of an interval do.
+
     Example:
-        >>> spelled(64.07312, 0.0142), spelled(0.1), spelled(1234.5, 300.0)
+        >>> _format(64.07312, 0.0142, 64.0), _format(0.1, 0.0, 0.1), _format(1234.5, 300.0, 1e3)
         ('64.073', '0.1', '1234')
-        >>> spelled(6.4e-11, 1e-12), spelled(64.0731234, 1e-9)
+        >>> _format(6.4e-11, 1e-12, 6.4e-11), _format(64.0731234, 1e-9, 64.0)
         ('6.40e-11', '64.0731')
     """
-    return _spelled(value, half_width, abs(value))
-
-
-def _spelled(value: float, half_width: float, size: float) -> str:
-    """Spell a number in the form that suits numbers of a size."""
     if not half_width > 0.0 or value == 0.0:
         return f"{value:.4g}"
     leading = math.floor(math.log10(size)) if size > 0.0 else 0
@@ -376,19 +388,26 @@ def measured(estimate: "Estimate", unit: str) -> str:
     estimate = estimate.not_negative()
     half_width = (estimate.high - estimate.low) / 2.0
     size = abs(estimate.value) or half_width
-    value = f"{_spelled(estimate.value, half_width, size)} {unit}"
+    value = f"{_format(estimate.value, half_width, size)} {unit}"
     if not half_width > 0.0:
         return f"{value}  ({estimate.source})"
-    low, high = (_spelled(end, half_width, size) for end in estimate.interval)
+    low, high = (_format(end, half_width, size) for end in estimate.interval)
     return f"{value}  (95 %: {low} to {high})"
 
 
-def with_intervals(estimates: "Mapping[str, Estimate]") -> dict[str, object]:
+def with_intervals(estimates: "Mapping[str, Estimate]") -> dict[str, Any]:
     """Return estimates as fields of `--json`: each value, and its interval beside it."""
-    fields: dict[str, object] = {}
+    fields: dict[str, Any] = {}
     for name, estimate in estimates.items():
         fields |= {name: estimate.value, f"{name}_interval": list(estimate.interval)}
     return fields
+
+
+def trial_fields(results: "TrialResults") -> dict[str, Any]:
+    """Return the summary of trials as fields of `--json`."""
+    fields = results.summary()._asdict()
+    quantiles = dict(zip(QUANTILES, fields.pop("quantiles"), strict=True))
+    return fields | {"median_s": fields.pop("median"), "quantiles_s": quantiles}
 
 
 def in_ms(time: "Estimate") -> str:

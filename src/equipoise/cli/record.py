@@ -1,6 +1,5 @@
 """`equipoise rig record`: records a free swing from the encoder."""
 
-from collections.abc import Callable
 from math import degrees, pi
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +9,7 @@ from equipoise.cli.destinations import choose_file
 from equipoise.cli.output import Output, gauge, verb
 
 if TYPE_CHECKING:
-    from equipoise.devices.encoder.swing import SwingRecorder
+    pass
 
 GAUGE = 41
 """Characters that show the half turn to either side of hanging."""
@@ -40,9 +39,23 @@ def record(
     opt.check_range("--duration", duration, 1.0, 600.0, " s")
 
     from equipoise.devices.clocks import SystemClock
-    from equipoise.devices.encoder.swing import record_swing
+    from equipoise.devices.encoder.swing import SwingRecorder, record_swing
     from equipoise.rigs import encoder_at
     from equipoise.trajectory import write_swing
+
+    prompted = ""
+
+    def prompt(recorder: SwingRecorder) -> None:
+        """Print the next action of the operator once, and show the angle on the display."""
+        nonlocal prompted
+        hint = f"{recorder.hint}; " if recorder.hint else ""
+        if (text := f"  {hint}{recorder.stage.value}") != prompted:
+            prompted = text
+            output.say(text)
+        rename(
+            f"{gauge(recorder.theta / pi, GAUGE, '-')} {degrees(recorder.theta):+7.1f} deg, "
+            f"amplitude {degrees(recorder.amplitude):5.1f} deg, {recorder.elapsed:4.1f} s"
+        )
 
     clock = SystemClock()
     sensor = encoder_at(encoder, clock, counts_per_rev=counts_per_rev)
@@ -50,7 +63,7 @@ def record(
         with output.busy("connecting") as rename:
             sensor.connect()
             output.say(sensor.description)
-            swing, recorder = record_swing(sensor, clock, duration, _Prompter(output, rename))
+            swing, recorder = record_swing(sensor, clock, duration, prompt)
         with destination.claimed() as out:
             write_swing(out, swing)
     except KeyboardInterrupt:
@@ -71,34 +84,12 @@ def record(
     output.wrote(out)
     output.next("identify", out)
     output.result(
-        {
-            "recording": str(out),
-            "samples": len(swing.time),
-            "duration_s": lasts,
-            "periods": recorder.periods,
-            "amplitude_deg": degrees(recorder.first_amplitude),
-            "missing": recorder.missing,
-            "rejected": sensor.rejected,
-            "counts_per_rev": sensor.counts_per_rev,
-        }
+        recording=out,
+        samples=len(swing.time),
+        duration_s=lasts,
+        periods=recorder.periods,
+        amplitude_deg=degrees(recorder.first_amplitude),
+        missing=recorder.missing,
+        rejected=sensor.rejected,
+        counts_per_rev=sensor.counts_per_rev,
     )
-
-
-class _Prompter:
-    """Tells the operator what to do next, and shows the angle while it is done."""
-
-    def __init__(self, output: Output, rename: Callable[[str], None]) -> None:
-        self._output = output
-        self._rename = rename
-        self._told: tuple[object, str] | None = None
-
-    def __call__(self, recorder: "SwingRecorder") -> None:
-        now = (recorder.stage, recorder.hint)
-        if now != self._told:
-            self._told = now
-            hint = f"{recorder.hint}; " if recorder.hint else ""
-            self._output.say(f"  {hint}{recorder.stage.value}")
-        self._rename(
-            f"{gauge(recorder.theta / pi, GAUGE, '-')} {degrees(recorder.theta):+7.1f} deg, "
-            f"amplitude {degrees(recorder.amplitude):5.1f} deg, {recorder.elapsed:4.1f} s"
-        )

@@ -2,13 +2,12 @@
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from equipoise.cli import next_step
 from equipoise.cli import options as opt
-from equipoise.cli.destinations import choose_file
+from equipoise.cli.destinations import choose_file, unfinished
 from equipoise.cli.output import Output, in_ms, measured, verb, with_intervals
-from equipoise.cli.unfinished import unfinished
 from equipoise.printable import printable
 
 if TYPE_CHECKING:
@@ -16,8 +15,8 @@ if TYPE_CHECKING:
     from equipoise.control.policy import Checkpoint, TabularPolicy
     from equipoise.studies.refinement import Refinement, RefinementFindings
 
-PARTS = ("policy", "pendulum", "actuator")
-"""What may be written, and the keys of the paths in the JSON object."""
+PARTS: tuple[str, ...] = ("policy", "pendulum", "actuator")
+"""Files that may be written, and the keys of their paths in the JSON object."""
 
 
 @verb
@@ -47,13 +46,7 @@ def refine(
     output = Output(as_json)
     output.say(f"Comparing {policy} with {', '.join(map(str, runs))}")
     destination = choose_file(
-        output,
-        out,
-        "refined.json",
-        policy,
-        *runs,
-        force=force,
-        beside=lambda path: tuple(_paths(path).values())[1:],
+        output, out, "refined.json", policy, *runs, force=force, beside=_beside
     )
 
     from equipoise.control.policy import TabularPolicy
@@ -80,11 +73,13 @@ def refine(
             partial = stack.enter_context(unfinished(destination, resume=resume))
             refinement = _retrain(output, table, findings, episodes, seed, workers, partial)
             made["policy"] = refinement.policy
-            _say_kept(output, refinement)
+            old, new = _lasted(refinement.old), _lasted(refinement.new)
+            output.rows({"old table": old, "new table": new})
+            output.say(f"The {refinement.kept} table is kept, with the new model.")
         inputs = {"policy": table.digest}
         inputs |= {printable(name): log.digest for name, log in logs.items()}
         with destination.claimed() as out:
-            paths = _paths(out)
+            paths = dict(zip(PARTS, (out, *_beside(out)), strict=True))
             for part, artefact in made.items():
                 artefact.save(paths[part], command="refine", inputs=inputs)
     if made:
@@ -93,13 +88,12 @@ def refine(
     refined = out if refinement else None
     moved = bool(findings.moves)
     output.next(*next_step.after_refinement(moved, refined, policy, runs, places))
-    written = {part: str(paths[part]) if part in made else None for part in PARTS}
-    output.result(_result(findings, refinement) | written)
+    written: dict[str, Any] = {part: paths[part] if part in made else None for part in PARTS}
+    output.result(**_result(findings, refinement), **written)
 
 
-def _paths(out: Path) -> dict[str, Path]:
-    beside = {part: out.with_name(f"{out.stem}-{part}.json") for part in PARTS[1:]}
-    return {PARTS[0]: out} | beside
+def _beside(out: Path) -> tuple[Path, ...]:
+    return tuple(out.with_name(f"{out.stem}-{part}.json") for part in PARTS[1:])
 
 
 def _retrain(
@@ -147,8 +141,7 @@ def _say(output: Output, policy: "TabularPolicy", findings: "RefinementFindings"
     for name, now in findings.response.items():
         rows[name] = f"{in_ms(now)}; was {1e3 * before[name].value:.3g}"
     output.rows(rows)
-    for warning in findings.warnings:
-        output.warn(warning)
+    output.warn(*findings.warnings)
     if findings.moves:
         output.points(move.text for move in findings.moves)
     else:
@@ -158,11 +151,6 @@ def _say(output: Output, policy: "TabularPolicy", findings: "RefinementFindings"
         )
 
 
-def _say_kept(output: Output, refinement: "Refinement") -> None:
-    output.rows({"old table": _lasted(refinement.old), "new table": _lasted(refinement.new)})
-    output.say(f"The {refinement.kept} table is kept, with the new model.")
-
-
 def _lasted(candidate: "Checkpoint") -> str:
     return (
         f"{candidate.survived} of {candidate.trials} trials on the new model lasted, "
@@ -170,7 +158,7 @@ def _lasted(candidate: "Checkpoint") -> str:
     )
 
 
-def _result(findings: "RefinementFindings", refinement: "Refinement | None") -> dict[str, object]:
+def _result(findings: "RefinementFindings", refinement: "Refinement | None") -> dict[str, Any]:
     fit = findings.fit
     estimates: dict[str, Estimate] = {
         name: getattr(fit, name).not_negative() for name in ("w2", "k", "c", "coulomb", "friction")

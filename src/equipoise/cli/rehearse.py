@@ -40,7 +40,7 @@ def rehearse(
         faults = choose(only or ())
         for fault in faults:
             output.say(Text.assemble((fault.name, "bold"), f": {fault.injected}; {fault.should}"))
-        output.result({"faults": [fault.name for fault in faults]})
+        output.result(faults=[fault.name for fault in faults])
         return
     table = shipped_policy() if policy is None else TabularPolicy.load(policy)
     scenario = Scenario(settings=read_rig(rig), policy=table)
@@ -66,7 +66,7 @@ def rehearse(
         output.next("rig", "rehearse", "--real-time")
     else:
         output.next("rig", "doctor")
-    output.result({"faults": [_fields(result) for result in results], "failed": bad}, bad=bool(bad))
+    output.result(faults=[_fields(result) for result in results], failed=bad, bad=bool(bad))
 
 
 def _say(output: Output, result: "Result") -> None:

@@ -40,8 +40,7 @@ def replay(
             opt.read_actuator(actuator),
             tolerance=tolerance,
         )
-    if missing := log.missing_part:
-        output.warn(missing)
+    output.warn(log.missing_part)
     first = found.difference
     if first is None:
         same = "bit for bit" if found.largest == 0.0 else f"within {found.largest:.1g}"
@@ -54,21 +53,19 @@ def replay(
         )
     output.next("log", "explain", run)
     output.result(
-        {
-            "run": str(run),
-            "same": first is None,
-            "ticks": found.ticks,
-            "whole": found.whole,
-            "largest": found.largest,
-            "difference": None
-            if first is None
-            else {
-                "tick": first.tick,
-                "time_s": first.time,
-                "what": first.what,
-                "logged": repr(first.logged),
-                "replayed": repr(first.replayed),
-            },
+        run=run,
+        same=first is None,
+        ticks=found.ticks,
+        whole=found.whole,
+        largest=found.largest,
+        difference=None
+        if first is None
+        else {
+            "tick": first.tick,
+            "time_s": first.time,
+            "what": first.what,
+            "logged": repr(first.logged),
+            "replayed": repr(first.replayed),
         },
         bad=first is not None,
     )

@@ -12,7 +12,7 @@ import typer
 
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import Destination, check_folder, choose_file
-from equipoise.cli.output import Interrupted, Output, verb
+from equipoise.cli.output import Interrupted, Output, trial_fields, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
@@ -68,20 +68,12 @@ def reproduce(
     machine = opt.read_arm(arm, held, base, tip)
     recording = None
     if swing is None:
-        of_a_recording = {"start", "end", "counts_per_rev", "from_upright", "columns"}
-        taken = context.params.keys() - of_a_recording
+        taken = context.params.keys() - set(opt.SWING_OPTIONS)
         opt.only(context, "a simulated swing", *taken, hint="give a recording with --swing")
     if swing is not None:
         from equipoise.trajectory import read_swing
 
-        recording = read_swing(
-            swing,
-            counts_per_rev=counts_per_rev,
-            from_upright=from_upright,
-            start=start,
-            end=end,
-            columns=columns,
-        )
+        recording = read_swing(swing, **opt.swing_options(context))
     from equipoise.report.page import PAGE, build
     from equipoise.studies import reproduction as study
 
@@ -108,25 +100,19 @@ def reproduce(
     output.points(found.verdict)
     output.wrote(page)
     output.next(*shlex.split(found.next_command)[1:])
-    summary, run = found.results.evaluation.results.summary(), found.results.run
+    evaluation, run = found.results.evaluation, found.results.run
+    trials = trial_fields(evaluation.results)
     output.result(
-        {
-            "out": str(folder),
-            "report": str(page),
-            "verdict": list(found.verdict),
-            "trials": summary.trials,
-            "duration": found.results.evaluation.duration,
-            "survived": summary.survived,
-            "rate": summary.rate,
-            "interval": list(summary.interval),
-            "median_s": summary.median,
-            "causes": summary.causes,
-            "world": run.conditions.world,
-            "lasted_s": run.lasted,
-            "cause": run.cause,
-            "wall_s": time.perf_counter() - begin,
-        },
-        bad=summary.median < found.results.evaluation.duration,
+        out=folder,
+        report=page,
+        verdict=list(found.verdict),
+        **trials,
+        duration=evaluation.duration,
+        world=run.conditions.world,
+        lasted_s=run.lasted,
+        cause=run.cause,
+        wall_s=time.perf_counter() - begin,
+        bad=trials["median_s"] < evaluation.duration,
     )
 
 

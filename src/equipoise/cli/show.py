@@ -1,6 +1,7 @@
-"""`equipoise log show`: the content of any file of Equipoise, and whether it is intact."""
+"""`equipoise log show`: shows the content of a file of Equipoise, and checks its integrity."""
 
 from pathlib import Path
+from typing import Any
 
 from equipoise.cli import options as opt
 from equipoise.cli.next_step import file_with
@@ -41,18 +42,18 @@ def show(
         rows["digest"] = f"matches, {found.digest[:19]}..."
     output.rows(rows)
     output.next(*_next(found.what, file))
-    fields = {name: getattr(found, name) for name in FIELDS}
-    output.result(fields | {"provenance": history and history.model_dump(mode="json")})
+    fields: dict[str, Any] = {name: getattr(found, name) for name in FIELDS}
+    output.result(**fields, provenance=history and history.model_dump(mode="json"))
 
 
-def _next(what: str, file: Path) -> tuple[str, ...]:
+def _next(what: str, file: Path) -> tuple[object, ...]:
     """Return the command that takes a file of this kind."""
     if what == "certificate":
         from equipoise.studies.certification import Certificate
 
         policy = file_with(Certificate.load(file).policy, file)
-        return ("evaluate", str(policy or "POLICY"), "--verify", str(file))
+        return ("evaluate", policy or "POLICY", "--verify", file)
     verbs = {"pendulum": ("train",), "actuator": ("train", "--actuator"), "policy": ("evaluate",)}
     if "log" in what:
-        return ("log", "explain", str(file))
-    return (*verbs[what], str(file)) if what in verbs else ("reproduce",)
+        return ("log", "explain", file)
+    return (*verbs[what], file) if what in verbs else ("reproduce",)

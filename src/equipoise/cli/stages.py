@@ -1,7 +1,7 @@
-"""Stages of a verb: a bar with an expected end while each is under way, one line when it is done.
+"""Progress of the stages of a verb: a bar with an expected end, and one line at the end.
 
-There is one live display, on stderr. Where stderr is no terminal, a stage writes its one line when
-it is done, and a long one a line every 30 s before that.
+The live display is on stderr. Without a terminal, a stage writes one line at its end, and a long
+stage also one every 30 s before.
 """
 
 import time
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from equipoise.studies.progress import ProgressReporter as Reported
 
 LINE_EVERY: Final = 30.0
-"""Minimum time between two lines of one stage where there is no terminal [s]."""
+"""Minimum time between two lines of one stage without a terminal [s]."""
 NEARLY: Final = 0.97
 """Maximum share that a bar shows before its stage is done."""
 MARGIN: Final = 3
@@ -29,7 +29,7 @@ NAME: Final = 12
 
 
 class _Stage:
-    """One stage: its last report, and the times that belong to it."""
+    """Last report of a stage, and its times."""
 
     def __init__(self, reported: "Reported") -> None:
         self.now, self.first = reported, reported.completed
@@ -43,7 +43,7 @@ class _Stage:
 
     @property
     def share(self) -> float:
-        """Share that is shown while the stage is under way."""
+        """Displayed share of an unfinished stage [-]."""
         by_time = self.took / self.now.expected if self.now.expected else 0.0
         return min(max(self.now.share, by_time), NEARLY)
 
@@ -56,7 +56,7 @@ class _Stage:
 
     @property
     def line(self) -> str:
-        """Line of a stage that is under way, where there is no terminal."""
+        """Line of an unfinished stage, without a terminal."""
         left, more = "", self.now.completed - self.first
         if more > 0.0:
             left = f", about {self.took / more * (self.now.total - self.now.completed):.0f} s left"
@@ -64,21 +64,21 @@ class _Stage:
 
     @property
     def last_line(self) -> str:
-        """Line of a stage that is done."""
+        """Line of a finished stage."""
         what = f"{self.now.total:,.0f} {self.now.unit}" if self.now.unit else self.now.text
         return f"  {self.now.stage:<{NAME}} {self.took:7.1f} s  {what}".rstrip()
 
 
 class Stages:
-    """The stages of a verb that are under way, any number of them side by side."""
+    """Display of the unfinished stages of a verb, any number side by side."""
 
     def __init__(self, console: Console, *, quiet: bool, redirect: bool) -> None:
         """Show them on a console.
 
         Args:
-            console: Where to.
-            quiet: Write no lines where it is no terminal.
-            redirect: Send through it what is printed on stdout meanwhile.
+            console: The console.
+            quiet: Write no lines without a terminal.
+            redirect: Print text for stdout through this console meanwhile.
         """
         self._console, self._quiet = console, quiet and not console.is_terminal
         self._stages: dict[str, _Stage] = {}
@@ -86,7 +86,7 @@ class Stages:
         self._lock = Lock()
 
     def __enter__(self) -> "Stages":
-        """Begin to show."""
+        """Start the display."""
         if self._bars is not None:
             self._bars.start()
         return self
@@ -98,7 +98,7 @@ class Stages:
             self._bars.stop()
 
     def show(self, reported: "Reported") -> None:
-        """Show the progress that a study reports: a new stage begins, a complete one ends."""
+        """Show the progress of a stage; a new one begins, and a complete one ends."""
         with self._lock:
             name = reported.stage
             if name not in self._stages:
@@ -127,7 +127,7 @@ class _Bars(Progress):
     """The live display."""
 
     def __init__(self, stages: Mapping[str, _Stage], console: Console, redirect: bool) -> None:
-        """Draw stages, as they are at each refresh."""
+        """Draw the stages at each refresh."""
         self._stages, self._rows = stages, dict[str, TaskID]()
         super().__init__(
             TextColumn("  {task.description}", markup=False, table_column=Column(min_width=NAME)),
@@ -161,7 +161,7 @@ class _Bars(Progress):
         self.refresh()
 
     def get_renderables(self) -> Iterable[RenderableType]:
-        """Yield what is drawn."""
+        """Yield the bars."""
         with self._lock:
             for name, row in self._rows.items():
                 stage = self._stages[name]

@@ -29,20 +29,9 @@ BACKSPACE: Final = "\b\x7f"
 """Characters that delete the last one, on different keyboards."""
 SEQUENCE: Final = re.compile("\x1b(?:\\[[0-?]*[ -/]*[@-~]|O[ -~]|[ -~])?")
 """Escape sequence of a key without a character."""
-KEYS: Final = {
-    "A": "up arrow",
-    "B": "down arrow",
-    "C": "right arrow",
-    "D": "left arrow",
-    "F": "End",
-    "H": "Home",
-    "Z": "Shift-Tab",
-    "2~": "Insert",
-    "3~": "Delete",
-    "5~": "Page Up",
-    "6~": "Page Down",
-    "": "Esc",
-}
+ARROWS: Final = {"A": "up arrow", "B": "down arrow", "C": "right arrow", "D": "left arrow"}
+EDITING: Final = {"2~": "Insert", "3~": "Delete", "5~": "Page Up", "6~": "Page Down"}
+KEYS: Final = {**ARROWS, **EDITING, "F": "End", "H": "Home", "Z": "Shift-Tab", "": "Esc"}
 """Names of keys, by the rest of their sequence after ESC and `[` or `O`."""
 
 
@@ -101,17 +90,15 @@ class TerminalOperator:
         lines: list[str] = []
         shown = ""
         for key in came:
-            if key not in BACKSPACE and key != "\n" and not key.isprintable():
-                continue
             if key in BACKSPACE:
                 shown += "\b \b" if self._typed else ""
                 self._typed = self._typed[:-1]
-                continue
-            shown += key
-            if key == "\n":
+            elif key == "\n":
+                shown += key
                 lines.append(self._typed)
                 self._typed = ""
-            else:
+            elif key.isprintable():
+                shown += key
                 self._typed += key
         if sys.stdin.isatty():
             self._output.stream.write(shown)

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 from equipoise.cli import next_step
 from equipoise.cli import options as opt
-from equipoise.cli.destinations import choose_file
+from equipoise.cli.destinations import choose_file, unfinished
 from equipoise.cli.output import Output, verb
-from equipoise.cli.unfinished import unfinished
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
@@ -112,16 +111,14 @@ def train(
         settings=settings_file,
     )
     again += tuple(word for text in chosen for word in ("--set", text))
-    again = (*([str(pendulum)] if pendulum else []), *again)
+    again = (pendulum, *again)
     output.next(*next_step.after_training(out, best, again))
     output.result(
-        {
-            "policy": str(out),
-            **{name: getattr(best, name) for name in ("seed", "learner", "episodes", "steps")},
-            "steps_per_second": speed,
-            "wall_s": wall,
-            "learners": [_learner(policy) for policy in policies],
-        }
+        policy=out,
+        **{name: getattr(best, name) for name in ("seed", "learner", "episodes", "steps")},
+        steps_per_second=speed,
+        wall_s=wall,
+        learners=[_learner(policy) for policy in policies],
     )
 
 

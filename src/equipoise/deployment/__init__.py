@@ -23,9 +23,16 @@ from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd, named
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
-from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import DEPLOYMENT
-from equipoise.model.sim_configs import MODEL, TwinSettings, World, pivot_friction, read_world
+from equipoise.model.sim_configs import (
+    MODEL,
+    TwinSettings,
+    World,
+    pendulum_on,
+    pivot_friction,
+    read_world,
+)
 from equipoise.settings import Settings
 from equipoise.simulation import Recorder, find_world, run_trial, setup_of, simulate
 
@@ -82,10 +89,9 @@ def deploy(
         }
     partition, state = boxes(), ("x", "x_dot", "phi", "phi_dot")
     return RunLog.simulated(
-        _conditions(
-            arm,
-            loop.pendulum,
-            settings,
+        RunConditions(
+            arm=arm,
+            settings=settings,
             policy=policy.digest,
             policy_name=policy.name,
             pendulum_digest=pendulum.digest,
@@ -95,9 +101,9 @@ def deploy(
             duration=duration,
             seed=seed,
             actuator=IDEAL if actuator.kind == "ideal" else actuator.digest,
-            twin=twin,
             zero_error=loop.zero,
-            friction=twin and pivot_friction(pendulum, twin).model_dump(),
+            pendulum=named(loop.pendulum),
+            **_twin_conditions(pendulum, twin),
         ),
         RunEnd(cause=cause_named(cause), guard=guard_named(cause), lasted=round(len(time) * h, 9)),
         {
@@ -144,14 +150,12 @@ def excite(
     from equipoise.devices.twin import excitation
 
     twin = world if isinstance(world, World) else read_world(world)
-    friction = pivot_friction(pendulum, twin.settings)
-    parameters = friction.on(pendulum.parameters())
+    parameters = pendulum_on(pendulum, twin.settings)
     record = excitation.excite(arm, twin.settings, parameters, seed, duration)
     return RunLog.simulated(
-        _conditions(
-            arm,
-            parameters,
-            Settings(),
+        RunConditions(
+            arm=arm,
+            settings=Settings(),
             policy="",
             world=twin.name,
             start=(0.0, 0.0, np.pi, 0.0),
@@ -159,10 +163,9 @@ def excite(
             duration=duration,
             seed=seed,
             actuator="",
-            twin=twin.settings,
-            friction=friction.model_dump(),
-            zero_error=None,
+            pendulum=named(parameters),
             pendulum_digest=pendulum.digest,
+            **_twin_conditions(pendulum, twin.settings),
         ),
         RunEnd(cause=EXCITED),
         {},
@@ -171,25 +174,13 @@ def excite(
     )
 
 
-def _conditions(
-    arm: Arm,
-    pendulum: PendulumParameters,
-    settings: Settings,
-    *,
-    start: Any,
-    twin: TwinSettings | None,
-    **others: Any,
-) -> RunConditions:
-    x, x_dot, phi, phi_dot = (float(value) for value in start)
-    return RunConditions(
-        arm=arm,
-        pendulum=named(pendulum),
-        start=(x, x_dot, phi, phi_dot),
-        counts_per_rev=None if twin is None else twin.counts_per_rev,
-        world_settings=None if twin is None else twin.model_dump(),
-        settings=settings,
-        **others,
-    )
+def _twin_conditions(pendulum: Pendulum, twin: TwinSettings | None) -> dict[str, Any]:
+    """Return the conditions of a run that a twin adds."""
+    return {
+        "counts_per_rev": twin and twin.counts_per_rev,
+        "world_settings": twin and twin.model_dump(),
+        "friction": twin and pivot_friction(pendulum, twin).model_dump(),
+    }
 
 
 def _all_joints(arm: Arm, free: Array, held: float | None = None) -> Array:

@@ -5,8 +5,8 @@ run continues without it, with a warning to the operator. The *parent* serves th
 monitors the loop's heartbeat: it warns the operator as soon as the heartbeat stops while the servo
 runs. A loop without its parent, or without a reachable operator, brings the arm to rest.
 
-SIGINT, SIGTERM and SIGHUP become words in the loop's input: the loop brings the arm to rest inside
-the stream.
+SIGINT, SIGTERM and SIGHUP become the input `stop` of the loop, which then brings the arm to rest
+inside the stream.
 """
 
 import ctypes
@@ -16,9 +16,10 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager, suppress
 from functools import partial
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
@@ -30,7 +31,7 @@ from equipoise.control.run_controller import LATE, PHASES
 from equipoise.control.self_test import SelfTest, self_test
 from equipoise.control.states import STREAMING
 from equipoise.control.ticks import Job, OperatorMessage
-from equipoise.deployment.rig import ALONE, STOP, RunRequest, RunResult, run_on_rig, warm_up
+from equipoise.deployment.rig import ALONE, STOP, RunRequest, run_on_rig, warm_up
 from equipoise.devices import realtime
 from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
@@ -39,7 +40,7 @@ from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.recorder import PULSE, Recorder, push_event, read_events
 from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.rigs import connect, restart_instruction
+from equipoise.rigs import restart_instruction
 
 HEARTBEAT_TIMEOUT: Final = 0.080
 """Time without a tick after which the loop counts as stopped [s]; with the parent's polling period
@@ -72,7 +73,7 @@ class LocalOperator(Operator, Protocol):
 
 def run_in_processes(
     request: RunRequest, out: Path, person: LocalOperator, *, replace: bool = False
-) -> RunResult:
+) -> RunEnd:
     """Run a policy on a rig in real time, and write the log.
 
     Outside the main thread only the loop's process handles signals.
@@ -107,35 +108,26 @@ def run_in_processes(
     )
     loop = context.Process(target=_loop, args=(request, memory, joints, theirs), daemon=False)
     words: list[str] = []
-    caught = SIGNALS if threading.current_thread() is threading.main_thread() else ()
-    before = {number: signal.signal(number, lambda *_: words.append(STOP)) for number in caught}
     log = LogProcess(writer, log_pipe[1])
-    try:
-        with _signals_blocked():
-            writer.start()
-        log_pipe[0].close()
-        log.begin()
-        with _signals_blocked():
-            loop.start()
-        theirs.close()
+    with handled_signals(SIGNALS, lambda *_: words.append(STOP)):
         try:
-            result = _attend(loop, recorder, person, words, ours, log)
-        except BaseException:
-            recorder.typed.push(STOP.encode())  # no later poll would send it
-            raise
-        log.end(
-            RunEnd(**result._asdict())
-            if isinstance(result, RunResult)
-            else RunEnd(fault=str(result))
-        )
-    finally:
-        if loop.pid is not None:
-            loop.join(JOIN_TIMEOUT)
-        done.set()
-        if writer.pid is not None:
-            writer.join(JOIN_TIMEOUT)
-        for number, handler in before.items():
-            signal.signal(number, handler)
+            _start(writer)
+            log_pipe[0].close()
+            log.begin()
+            _start(loop)
+            theirs.close()
+            try:
+                result = _attend(loop, recorder, person, words, ours, log)
+            except BaseException:
+                recorder.typed.push(STOP.encode())  # no later poll would send it
+                raise
+            log.end(result if isinstance(result, RunEnd) else RunEnd(fault=str(result)))
+        finally:
+            if loop.pid is not None:
+                loop.join(JOIN_TIMEOUT)
+            done.set()
+            if writer.pid is not None:
+                writer.join(JOIN_TIMEOUT)
     log.check(person)
     if isinstance(result, EquipoiseError):
         raise result
@@ -143,14 +135,24 @@ def run_in_processes(
 
 
 @contextmanager
-def _signals_blocked() -> Generator[None]:
-    """Block signals in processes that are started in this context, until they are ready."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+def handled_signals(
+    signals: Iterable[signal.Signals], handler: Callable[..., object]
+) -> Generator[None]:
+    """Handle signals in this context, in the main thread; other threads cannot."""
+    main = threading.current_thread() is threading.main_thread()
+    before = [(number, signal.signal(number, handler)) for number in signals if main]
     try:
         yield
+    finally:
+        for number, old in before:
+            signal.signal(number, old)
+
+
+def _start(process: BaseProcess) -> None:
+    """Start a process with signals blocked, until it is ready for them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        process.start()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
@@ -184,8 +186,7 @@ class LogProcess:
 
     def end(self, outcome: RunEnd) -> None:
         """Send the end of the run to the writer."""
-        with suppress(OSError):  # the writer has ended; `check` warns of it
-            self._pipe.send(outcome)
+        _send(self._pipe, outcome)  # `check` warns of a writer that has ended
 
     def _problem(self) -> str | None:
         problem = _received(self._pipe)
@@ -203,9 +204,9 @@ def _attend(
     words: list[str],
     ours: Any,
     log: LogProcess,
-) -> RunResult | EquipoiseError:
+) -> RunEnd | EquipoiseError:
     """Serve the operator and monitor the loop until its process ends; return its result."""
-    result: RunResult | EquipoiseError | None = None
+    result: RunEnd | EquipoiseError | None = None
     silent = False
     while True:
         alive = loop.is_alive()
@@ -254,7 +255,8 @@ class OperatorProxy:
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
         self._parent = os.getppid()
-        self.signalled = False
+        self.signals: list[str] = []
+        """Stops that signals to this process request."""
 
     def notify(self, event: OperatorMessage) -> None:
         """Send a message to the operator in the parent process; never blocks."""
@@ -264,9 +266,8 @@ class OperatorProxy:
     def read_input(self) -> list[str]:
         """Return the words that the parent process has received, the oldest first."""
         words = [word.decode("utf-8", "ignore") for word in self._recorder.typed.take()["word"]]
-        if self.signalled:
-            self.signalled = False
-            words.append(STOP)
+        while self.signals:
+            words.append(self.signals.pop())
         if os.getppid() != self._parent:
             self._parent = os.getppid()
             words.append(ALONE)
@@ -299,8 +300,7 @@ class WorkerProcess:
         self._pipe, theirs = context.Pipe()
         # A daemon ends with this process.
         self._process = context.Process(target=_work, args=(theirs,), daemon=True)
-        with _signals_blocked():
-            self._process.start()
+        _start(self._process)
         theirs.close()
         time_ = np.linspace(0.0, 6.0, 1200)
         move = 0.04 / (1.0 + np.exp(-12.0 * (time_ - 0.7)))
@@ -313,8 +313,7 @@ class WorkerProcess:
 
     def begin(self, job: Job) -> None:
         """Send a job to the worker."""
-        with suppress(OSError):  # `result` returns the error of a worker that has ended
-            self._pipe.send(job)
+        _send(self._pipe, job)  # `result` returns the error of a worker that has ended
 
     def result(self) -> Any:
         """Return the result of the job, once; an exception where the worker failed."""
@@ -344,8 +343,7 @@ class InterruptedPolicy:
     def __init__(self, policy: Policy, limit: float) -> None:
         """Limit the time of each call of `policy` to `limit` [s]."""
         self._policy, self._limit, self._running = policy, limit, False
-        if hasattr(signal, "setitimer"):
-            signal.signal(signal.SIGALRM, self._interrupt)
+        signal.signal(signal.SIGALRM, self._interrupt)
 
     def reset(self) -> None:
         """Reset the policy."""
@@ -360,8 +358,6 @@ class InterruptedPolicy:
         return self._within(partial(self._policy.act, observation))
 
     def _within(self, call: Callable[[], T]) -> T:
-        if not hasattr(signal, "setitimer"):
-            return call()
         try:
             self._running = True
             signal.setitimer(signal.ITIMER_REAL, self._limit)
@@ -414,26 +410,16 @@ def _loop(request: RunRequest, memory: Any, joints: int, pipe: Any) -> None:
     """Run the loop's process."""
     recorder = Recorder(joints, memoryview(memory).cast("B"))
     operator = OperatorProxy(recorder)
-
-    def stop(*_: object) -> None:
-        operator.signalled = True
-
     for number in SIGNALS:
-        signal.signal(number, stop)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+        signal.signal(number, lambda *_: operator.signals.append(STOP))
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     worker: WorkerProcess | None = None
-    result: RunResult | EquipoiseError
+    result: RunEnd | EquipoiseError
     try:
         worker = WorkerProcess()
         warm_up(request)  # before the connection, which needs attention once it is open
-        rig = connect(
-            request.robot,
-            request.encoder,
-            request.settings,
-            request.policy.pendulum,
+        rig = request.connect(
             tell=lambda text: operator.notify(OperatorMessage("waiting", text)),
-            period=request.policy.h / 2.0,
             attend=lambda: operator.attend(restart_instruction(request.robot)),
         )
         result = run_on_rig(
@@ -473,26 +459,23 @@ def _write(
         pipe.send(str(error))
         return
     pipe.send(None)
-    reported = False
     until = float("inf")
     while True:
         last = done.is_set() or time.monotonic() > until
         writer.drain(recorder)
-        if last:
+        if last or writer.problem is not None:
             break
-        if writer.problem is not None and not reported:
-            _send(pipe, writer.problem)
-            reported = True
         if os.getppid() != parent:  # the loop brings the arm to rest, and then stops ticking
             rests = recorder.pulse[_TICKS] == 0.0
             until = min(until, time.monotonic() + (0.0 if rests else JOIN_TIMEOUT))
         time.sleep(DRAIN_PERIOD)
     end: RunEnd = _received(pipe) or RunEnd()
     writer.finish(time.monotonic(), end.model_copy(update={"lost_rows": recorder.lost}))
-    if writer.problem is not None and not reported:
+    if writer.problem is not None:
         _send(pipe, writer.problem)
 
 
 def _send(pipe: Any, value: object) -> None:
-    with suppress(OSError):  # the parent has ended
+    """Send an object to a process that may have ended."""
+    with suppress(OSError):
         pipe.send(value)

@@ -5,17 +5,20 @@ one in virtual time; arguments carry the differences.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import count
 from math import ceil, inf, nan, radians
 from pathlib import Path
 from statistics import median
 from time import perf_counter
-from typing import Final, NamedTuple
+from typing import Final
 
-from equipoise.checks.fit import check_fit
-from equipoise.checks.results import require
+from equipoise.checks.encoder import check_encoder, listen
+from equipoise.checks.fit import check_fit, check_posture, check_speed, max_flange_speed
+from equipoise.checks.host import check_realtime
+from equipoise.checks.link import check_link, round_trips
+from equipoise.checks.results import CheckResult, Spread, require
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
 from equipoise.control.controller import Controller, FlangeKinematics
 from equipoise.control.policy import Policy, TaskPolicy, tick_policy
@@ -24,7 +27,6 @@ from equipoise.control.safety import T1_SPEED, Rule, SafetyParams, make_safety_p
 from equipoise.control.states import Cause
 from equipoise.control.ticks import OperatorMessage, TickHandler
 from equipoise.deployment import deploy
-from equipoise.deployment.preflight import preflight
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Clock
 from equipoise.devices.loop import Executor, LoopResult, run_loop
@@ -41,6 +43,8 @@ from equipoise.rigs import DrainingClock, Rig, RigSettings, check_addresses, con
 
 LASTED: Final = "lasted"
 OPERATOR: Final = "operator"
+MEASURING_TIME: Final = 1.0
+"""Length of each measurement of the pre-flight, of round trips and of encoder samples [s]."""
 T1_WORLD: Final = "twin:nominal"
 """World of the trials that precede a run in T1."""
 T1_TRIALS: Final = 20
@@ -52,7 +56,7 @@ T1_SHARE: Final = 0.9
 SPEED_LIMIT: Final = "speed limit"
 """Name of the event with the flange's speed limit."""
 PROLOGUE: Final = 600.0
-"""Recorded time of ticks before the balancing [s]."""
+"""Recorded duration of the phases before the balancing [s]."""
 INPUT_POLL_PERIOD: Final = 0.02
 """Polling period of typed input while nothing moves [s]."""
 WARM_UP_CALLS: Final = 20
@@ -93,11 +97,11 @@ class RunRequest:
     """Address of the encoder; None where the robot's address includes one."""
     duration: float
     """Length of the balancing [s]."""
-    t1: bool
+    t1: bool = False
     """Whether the speed limit of T1 holds."""
-    dry_run: bool
+    dry_run: bool = False
     """Whether the run ends before the arm moves."""
-    seed: int
+    seed: int = 0
     """Seed of an emulated rig."""
 
     def controller(self, counts_per_rev: int) -> ControllerParams:
@@ -167,9 +171,29 @@ class RunRequest:
             phases=PHASES,
         )
 
+    def connect(self, **callbacks: Callable[..., None]) -> Rig:
+        """Return the rig.
+
+        Args:
+            callbacks: `tell` and `attend` of `equipoise.rigs.connect`.
+
+        Raises:
+            InputError: An address is invalid.
+            SettingsError: The twin is unknown.
+        """
+        return connect(
+            self.robot,
+            self.encoder,
+            self.settings,
+            self.policy.pendulum,
+            seed=self.seed,
+            period=self.policy.h / 2.0,
+            **callbacks,
+        )
+
     @property
     def friction(self) -> PivotFriction | None:
-        """Dry friction and drag of a twin's pendulum; none on a robot.
+        """Dry friction and drag of a twin's pendulum; None on a robot.
 
         Raises:
             SettingsError: The twin is unknown.
@@ -178,27 +202,6 @@ class RunRequest:
         if world is None:
             return None
         return pivot_friction(self.policy.pendulum, read_world(world).settings)
-
-
-class RunResult(NamedTuple):
-    """Result of a run."""
-
-    cause: str
-    """Cause of its end in a word or two: lasted, operator, dry run, or what stopped it."""
-    reason: str
-    """Cause in a sentence."""
-    lasted: float = 0.0
-    """Duration of the balancing [s]."""
-    stoppable: bool = True
-    """Whether software commanded the arm to its rest."""
-    zero: float | None = None
-    """Counts at which the pendulum hangs."""
-    missed: int = 0
-    """Number of skipped ticks."""
-    late: Mapping[str, float] = {}
-    """Percentiles p50, p99, p99.9 and maximum of a tick's lateness [s]."""
-    compute: Mapping[str, float] = {}
-    """The same percentiles of the time from reading to sending [s]."""
 
 
 class OperatorChannel:
@@ -265,7 +268,7 @@ def run_on_rig(
     idle: Callable[[], None] = lambda: None,
     around: Callable[[TickHandler], TickHandler] = lambda heart: heart,
     supervise: Callable[[Policy, float], Policy] = lambda policy, _: policy,
-) -> RunResult:
+) -> RunEnd:
     """Connect a rig, run a policy on it, bring the arm to rest, and disconnect the rig.
 
     Args:
@@ -291,25 +294,24 @@ def run_on_rig(
         tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
         rig.sensor.connect()
         robot.connect()
-        results, max_speed = preflight(
-            request.policy, request.actuator, request.settings, rig, measures(), t1=request.t1
-        )
+        results, max_speed = preflight(request, rig, measures())
         for result in results:
             columns = (result.name, result.verdict, result.found, result.cure)
             tell(OperatorMessage("finding", "\t".join(map(printable, columns))))
         require(results)
         if max_speed < inf:
-            tell(speed_limit(max_speed))
+            text = f"{max_speed!r} m/s: the run stops when the flange reaches this speed."
+            tell(OperatorMessage(SPEED_LIMIT, text))
         tell(OperatorMessage("notice", rig.plugin.failure))
         for word, question in CHECKLIST:
             said = operator.ask(OperatorMessage("checklist", f"{question} Type {word}.", (word,)))
             if said != word:
-                return RunResult(OPERATOR, f"{word} was not acknowledged; nothing has moved")
+                return _unmoved(OPERATOR, f"{word} was not acknowledged")
         if request.dry_run:
-            return RunResult("dry run", "all steps before the motion passed; nothing has moved")
+            return _unmoved("dry run", "all steps before the motion passed")
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
         if operator.ask(OperatorMessage("move", question, ("y", "n"))) != "y":
-            return RunResult(OPERATOR, "the move was not allowed; nothing has moved")
+            return _unmoved(OPERATOR, "the move was not allowed")
         counts_per_rev = rig.sensor.counts_per_rev
         policy = supervise(tick_policy(request.policy), POLICY_TIME_SHARE * request.policy.h)
         rig.sensor.samples()
@@ -341,10 +343,46 @@ def run_on_rig(
                 robot.stop()
             except LinkError as error:
                 ending = ending._replace(fault=str(error), stoppable=False)
-        return _outcome(controller, ending)
+        return run_end(controller, ending)
     finally:
         robot.close()
         rig.sensor.close()
+
+
+def preflight(
+    request: RunRequest, rig: Rig, measures: Sequence[RealtimeSetting] = ()
+) -> tuple[list[CheckResult], float]:
+    """Check a connected rig and a policy against each other; nothing moves.
+
+    A bad result refuses the run; a warning goes into the log.
+
+    Args:
+        request: The run.
+        rig: The rig.
+        measures: Results of the real-time settings.
+
+    Returns:
+        Result of each check, and flange speed at which the run stops [m/s] (default: inf).
+
+    Raises:
+        LinkError: Robot or encoder does not answer.
+    """
+    policy, settings = request.policy, request.settings
+    draining = DrainingClock(rig.clock, rig.sensor)
+    trips = Spread.of(round_trips(rig.robot, draining, MEASURING_TIME))
+    rule = rig.plugin.flange_speed
+    max_speed, reason = max_flange_speed(settings.described_arm, trips, request.t1, rule)
+    posture = check_posture(rig.robot.measured(), settings)
+    reading = listen(rig.sensor, rig.clock, MEASURING_TIME)
+    results = [
+        *check_fit(policy, request.actuator, settings),
+        check_link(trips),
+        *check_speed(policy, max_speed, reason),
+        posture,
+        *check_encoder(reading, settings.counts_per_rev),
+        *check_realtime(measures),
+    ]
+    return results, max_speed
 
 
 def check_request(request: RunRequest) -> None:
@@ -356,12 +394,6 @@ def check_request(request: RunRequest) -> None:
     """
     check_addresses(request.robot, request.encoder)
     require(list(check_fit(request.policy, request.actuator, request.settings)))
-
-
-def speed_limit(max_speed: float) -> OperatorMessage:
-    """Return the message with the flange's speed limit [m/s]."""
-    text = f"{max_speed!r} m/s: the run stops when the flange reaches this speed."
-    return OperatorMessage(SPEED_LIMIT, text)
 
 
 def logged_speed_limit(events: Iterable[tuple[str, str]]) -> float:
@@ -412,12 +444,17 @@ def warm_up(request: RunRequest) -> None:
         )
 
 
-def _outcome(controller: RunController, ending: LoopResult) -> RunResult:
+def _unmoved(cause: str, reason: str) -> RunEnd:
+    return RunEnd(cause=cause, reason=f"{reason}; nothing has moved", lasted=0.0)
+
+
+def run_end(controller: RunController, ending: LoopResult) -> RunEnd:
+    """Return the end of a run from the states of its controller and its loop."""
     cause = controller.state.cause or Cause("fault", "the run ended without a cause")
     if ending.fault is not None:
         cause = Cause("fault" if ending.stoppable else "link lost", ending.fault)
     timing = ending.timing
-    return RunResult(
+    return RunEnd(
         cause=cause.name,
         reason=cause.reason,
         lasted=controller.lasted,
@@ -435,7 +472,9 @@ def run_virtually(
     operator: Operator | None = None,
     *,
     replace: bool = False,
-) -> RunResult:
+    rig: Rig | None = None,
+    around: Callable[[TickHandler], TickHandler] = lambda heart: heart,
+) -> RunEnd:
     """Run on an emulated rig in this process, in virtual time.
 
     Args:
@@ -443,26 +482,14 @@ def run_virtually(
         out: Path of the log; None writes no log.
         operator: Operator besides the emulated one.
         replace: Whether this run replaces an existing log, once it is connected.
+        rig: The rig, such as one with faults (default: that of the robot's address).
+        around: Wraps the tick handler, see `run_on_rig`.
 
     Raises:
         InputError: The policy does not fit the rig.
         OutsideError: The log cannot be written.
     """
-    policy, address = request.policy, (request.robot, request.encoder, request.settings)
-    rig = connect(*address, policy.pendulum, seed=request.seed, period=policy.h / 2.0)
-    return run_rig_virtually(request, rig, out, operator, replace=replace)
-
-
-def run_rig_virtually(
-    request: RunRequest,
-    rig: Rig,
-    out: Path | None,
-    operator: Operator | None = None,
-    *,
-    replace: bool = False,
-    around: Callable[[TickHandler], TickHandler] = lambda heart: heart,
-) -> RunResult:
-    """Run on a given emulated rig, such as one with faults; see `run_virtually`."""
+    rig = request.connect() if rig is None else rig
     recorder = Recorder(rig.robot.joints)
     writer = out and RunWriter(out, request.conditions(), rig.clock.now(), replace)
     ticks = count(1)
@@ -478,9 +505,8 @@ def run_rig_virtually(
     operators = [one for one in (rig.operator, operator) if one is not None]
     end = RunEnd()
     try:
-        outcome = run_on_rig(request, rig, operators, recorder, idle=idle, around=around)
-        end = RunEnd(**outcome._asdict())
-        return outcome
+        end = run_on_rig(request, rig, operators, recorder, idle=idle, around=around)
+        return end
     except EquipoiseError as error:
         end = RunEnd(fault=str(error))
         raise
@@ -532,17 +558,12 @@ def rehearse_t1(
         )
 
 
-STOPPED_BY: Final = {
-    LASTED: 0,
-    "dry run": 0,
-    OPERATOR: 130,
-    "fault": 3,
-    "link lost": 3,
-    Rule.LINK.value: 3,
-}
+EXIT_CODES: Final = {LASTED: 0, "dry run": 0, OPERATOR: 130} | dict.fromkeys(
+    ("fault", "link lost", Rule.LINK.value), 3
+)
 """Exit codes of the causes other than a fall or a violated rule."""
 
 
-def exit_code(outcome: RunResult) -> int:
+def exit_code(outcome: RunEnd) -> int:
     """Return the exit code of the command: 0, 1 (fall or violated rule), 3 or 130."""
-    return STOPPED_BY.get(outcome.cause, 1) if outcome.stoppable else 3
+    return EXIT_CODES.get(outcome.cause or "", 1) if outcome.stoppable else 3

@@ -26,12 +26,12 @@ from equipoise.deployment.rig import (
     LASTED,
     STOP,
     RunRequest,
-    RunResult,
     check_request,
     run_virtually,
 )
 from equipoise.devices.operator import Operator
 from equipoise.errors import EquipoiseError, InputError, OutsideError
+from equipoise.logs.conditions import RunEnd
 from equipoise.printable import printable
 from equipoise.rigs import RigSettings, check_addresses, is_virtual
 from equipoise.simulation import Setup
@@ -75,7 +75,7 @@ class _Handover:
     """Policy of a run and its second operator, both on behalf of the environment."""
 
     def __init__(self, operator: Operator | None) -> None:
-        self.observations: Queue[Array | RunResult | BaseException] = Queue(2)
+        self.observations: Queue[Array | RunEnd | BaseException] = Queue(2)
         self.actions: Queue[float] = Queue(1)
         self.closing = False
         self._operator = operator
@@ -192,7 +192,7 @@ class RigEpisode:
         check_request(request)
 
         def run() -> None:
-            result: RunResult | BaseException
+            result: RunEnd | BaseException
             try:
                 if virtual or out is None:
                     result = run_virtually(request, out, handover)
@@ -236,4 +236,4 @@ class RigEpisode:
             raise got
         if isinstance(got, BaseException):
             raise OutsideError(f"the run failed ({type(got).__name__}: {got})") from got
-        return End(got.cause, got.reason, got.cause != LASTED)
+        return End(got.cause or "fault", got.reason, got.cause != LASTED)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from equipoise.artefacts import Value
 from equipoise.checks.deadlines import burning, check_lateness, check_loaded_lateness, lateness
@@ -12,9 +12,13 @@ from equipoise.checks.host import HostInfo, check_host, check_realtime, read_hos
 from equipoise.checks.link import check_link, check_networks, connected, round_trips
 from equipoise.checks.results import CheckResult, Spread
 from equipoise.devices.clocks import SystemClock
+from equipoise.devices.interfaces import AngleSensor, Clock, Robot
 from equipoise.devices.realtime import RealtimeSetting, run_with_realtime_priority
 from equipoise.errors import LinkError
 from equipoise.rigs import RigSettings, encoder_at, robot_at
+
+D = TypeVar("D", Robot, AngleSensor)
+T = TypeVar("T")
 
 Fitness = Literal["fit", "usable with care", "not fit"]
 
@@ -71,30 +75,31 @@ def examine(
     machine = read_host_info(logs)
     with busy("measuring deadlines"):
         late, measures = run_with_realtime_priority(lambda: lateness(clock, seconds))
-    loaded = reading = link = None
-    errors: dict[str, str] = {}
+    loaded: Spread | None = None
     if load:
         with busy("measuring deadlines with every core busy"), burning(machine.cores or 1):
             loaded = Spread.of(run_with_realtime_priority(lambda: lateness(clock, seconds))[0])
-    if sensor is not None:
+    errors: dict[str, str] = {}
+
+    def measure(
+        name: str, what: str, device: D | None, work: Callable[[D, Clock, float], T]
+    ) -> T | None:
+        if device is None:
+            return None
         try:
-            with busy("reading the encoder"), connected(sensor):
-                reading, _ = run_with_realtime_priority(lambda: listen(sensor, clock, seconds))
+            with busy(what), connected(device):
+                return run_with_realtime_priority(lambda: work(device, clock, seconds))[0]
         except LinkError as error:
-            errors["encoder"] = str(error)
-    if arm is not None:
-        try:
-            with busy("timing the robot's replies"), connected(arm):
-                trips, _ = run_with_realtime_priority(lambda: round_trips(arm, clock, seconds))
-            link = Spread.of(trips)
-        except LinkError as error:
-            errors["robot"] = str(error)
+            errors[name] = str(error)
+
+    reading = measure("encoder", "reading the encoder", sensor, listen)
+    trips = measure("robot", "timing the robot's replies", arm, round_trips)
     return diagnose(
         machine,
         measures,
         Spread.of(late),
         loaded=loaded,
-        link=link,
+        link=None if trips is None else Spread.of(trips),
         encoder=reading,
         counts_per_rev=None if settings is None else settings.counts_per_rev,
         silent=errors,

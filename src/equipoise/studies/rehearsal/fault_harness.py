@@ -14,11 +14,12 @@ from typing import Any, Final, NamedTuple
 
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
-from equipoise.deployment.rig import RunRequest, RunResult, run_rig_virtually
+from equipoise.deployment.rig import RunRequest, run_virtually
 from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.interfaces import Clock, Transport
 from equipoise.devices.twin.emulated_operator import EmulatedOperator
 from equipoise.errors import EquipoiseError, InputError
+from equipoise.logs.conditions import RunEnd
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import DrainingClock, EmulatedRig, RigSettings, emulated_rig
 
@@ -199,7 +200,7 @@ class FaultHarness:
             clock.attach(self._work)
         self._notice(START)
 
-    def run(self) -> RunResult:
+    def run(self) -> RunEnd:
         """Run the policy, and return the result; its cause may be `REFUSED` or `BROKEN`."""
         scenario, parts = self.scenario, self.parts
         sensor_on, robot_on = parts.sensor.driver, parts.robot.driver
@@ -216,15 +217,17 @@ class FaultHarness:
         known = {name: getattr(scenario, name) for name in ("policy", "settings", "duration", "t1")}
         known |= {"robot": f"{ROBOT}://emulated", "encoder": "serial://emulated"}
         actuator = scenario.policy.actuator
-        request = RunRequest(**known, actuator=actuator, dry_run=False, seed=0)
+        request = RunRequest(**known, actuator=actuator)
         try:
             wrap = partial(FaultyTickHandler, self)
-            outcome = run_rig_virtually(request, rig, scenario.out, self, around=wrap)
+            outcome = run_virtually(request, scenario.out, self, rig=rig, around=wrap)
         except EquipoiseError as error:
             self.messages.append(ReceivedMessage(self.clock.now(), "error", str(error)))
-            outcome = RunResult(REFUSED, str(error))
+            outcome = RunEnd(cause=REFUSED, reason=str(error))
         except Exception as error:  # a defect of the run; a rehearsal looks for these
-            outcome = RunResult(BROKEN, f"the run broke with {type(error).__name__}: {error}")
+            outcome = RunEnd(
+                cause=BROKEN, reason=f"the run broke with {type(error).__name__}: {error}"
+            )
         finally:
             while self.undo:
                 self.undo.pop()()

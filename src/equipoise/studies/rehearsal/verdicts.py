@@ -12,7 +12,7 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.control.safety import POSITION_MARGIN, STOP_DECELERATION
-from equipoise.deployment.rig import RunResult
+from equipoise.logs.conditions import RunEnd
 from equipoise.model.arms.arm import Arm
 from equipoise.studies.rehearsal.fault_harness import BROKEN, REFUSED, FaultHarness
 from equipoise.studies.rehearsal.faults import Fault
@@ -105,7 +105,7 @@ def check_stop(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
     return problems
 
 
-def judge(harness: FaultHarness, outcome: RunResult, fault: Fault) -> list[str]:
+def judge(harness: FaultHarness, outcome: RunEnd, fault: Fault) -> list[str]:
     """Return the differences between the end of a run and the required one.
 
     Args:
