@@ -89,8 +89,8 @@ class Heart:
     def tick(self, now, inputs):
         n = self.tick_number = self.tick_number + 1
         events = [OperatorMessage("homing", f"process {os.getpid()}")] if n == 1 else []
-        if self.rest is None and (inputs.words or n > 200):
-            self.cause = inputs.words[0] if inputs.words else "lasted"
+        if self.rest is None and (inputs.lines or n > 200):
+            self.cause = inputs.lines[0] if inputs.lines else "lasted"
             events.append(OperatorMessage("stopping", self.cause))
             speed = (self.q[1] - self.q[0]) / (H / 2.0)
             q = (*ARM.home[:6], self.q[1])
