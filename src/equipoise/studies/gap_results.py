@@ -33,7 +33,7 @@ PAPER: Final = "paper"
 
 LABELS: Final[Mapping[Controller, str]] = {
     CURED: "with its cures",
-    UNTUNED: "cures with the delay of the training",
+    UNTUNED: "cures with a fixed delay",
     NO_PREDICTION: "without prediction",
     NO_BIAS: "without bias estimate",
     PAPER: "trained as the paper describes",
