@@ -1,8 +1,10 @@
 """The environment on an emulated rig: the course of a run, its guards, and rest at its end."""
 
 import itertools
+import multiprocessing
 import sys
 import time
+from threading import Thread
 
 import gymnasium as gym
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 
 import equipoise.envs  # noqa: F401  (registers the environments)
 from equipoise.control.policy import shipped_policy
+from equipoise.envs.rig import _Handover, _RemotePolicy
 from equipoise.errors import InputError, OutsideError
 from equipoise.logs.run_log import RunLog
 from tests.cli.test_emulate import emulator
@@ -105,6 +108,35 @@ def late_at(tick, rig, folder):
             return i, info
 
 
+def test_a_policy_in_another_process_receives_u_through_the_pipe():
+    handover, (ours, theirs) = _Handover(None), multiprocessing.Pipe()
+    served = Thread(target=handover.serve, args=(ours,), daemon=True)
+    served.start()
+    policy, observation = _RemotePolicy(theirs), np.arange(4.0)
+    policy.reset()
+    assert policy.act(observation) == 0.0  # the warm-up
+    assert handover.observations.empty()
+    policy.reset()
+    handover.actions.put(1.5)
+    assert policy.act(observation) == 1.5
+    assert np.array_equal(handover.observations.get(), observation)
+    theirs.close()
+    served.join(5.0)
+    assert not served.is_alive()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a rig needs Linux")
+def test_a_missing_rig_is_one_error_of_reset_and_leaves_no_log(tmp_path):
+    log = tmp_path / "run.mcap"
+    absent = {"robot": "kst://127.0.0.1:1", "encoder": "serial:///dev/nowhere", "log": log}
+    env = make(**absent, operator=Yes())
+    with pytest.raises(OutsideError, match="/dev/nowhere"):
+        env.reset()
+    env.close()
+    assert not log.exists()
+
+
+@pytest.mark.slow  # in real time: only an idle machine answers each observation within 5 ms
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
 def test_over_wires_in_real_time_it_balances_until_an_action_is_late(tmp_path):
     for attempt in range(3):  # a host that stalls ends a run earlier
