@@ -30,6 +30,7 @@ from equipoise.devices.clocks import SystemClock
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import Reply, Sample
 from equipoise.devices.loop import CANNOT_STOP, run_loop
+from equipoise.devices.realtime import freeze_garbage
 from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import PULSE, Recorder, push_event
@@ -115,6 +116,7 @@ def move(request, rig, operators, recorder, *, measures, workshop, supervise):
     robot = GuardedRobot(Arm(), limits_of(ARM), H / 2.0)
     robot.start()
     heart = Heart()
+    freeze_garbage()  # as a run does: a collection stalls the loop for 200 ms
     ending = run_loop(
         robot,
         Encoder(),
