@@ -244,7 +244,7 @@ def test_a_log_of_the_twin_gives_its_delay_and_lags(world):
 
 def test_joints_that_are_too_weak_are_mentioned():
     actuator = identified(recorded(strength=10.0, duration=6.0), kind="kst")
-    assert any("does not move as the model says" in warning for warning in actuator.fit.warnings)
+    assert any("deviates from the model" in warning for warning in actuator.fit.warnings)
     assert any("torque was at its limit" in warning for warning in actuator.fit.warnings)
 
 

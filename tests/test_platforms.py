@@ -46,11 +46,12 @@ import numpy as np
 import equipoise as eq
 from equipoise.errors import OutsideError
 from equipoise.devices.twin.physics import mass_matrix
-from equipoise.report.pictures import frames
+from equipoise.report.pictures.rendering import draw
+from equipoise.report.pictures.scene import stage
 arm = eq.iiwa(7)
 assert mass_matrix(arm, 0.1).shape == (7, 7)
 try:
-    next(frames(arm, np.array([arm.home]), np.zeros(1), size=(64, 48)))
+    next(draw(stage(arm, (64, 48)), np.array([arm.home]), np.zeros(1), [0.0]))
 except OutsideError as error:
     print(error)
 """

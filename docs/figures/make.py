@@ -13,7 +13,7 @@ from pathlib import Path
 import equipoise as eq
 from equipoise.report.figures import gap_figure, survival
 from equipoise.report.pictures import animation
-from equipoise.report.style import to_png
+from equipoise.report.style import render
 from equipoise.studies.gap_results import Gap
 
 HERE = Path(__file__).parent
@@ -27,9 +27,9 @@ def main() -> None:
     policy = eq.shipped_policy()
     run = eq.deploy(policy, world="twin:nominal", duration=10.0)
     (HERE / "balancing.webp").write_bytes(animation(run, policy.arm).webp)
-    (HERE / "survival.png").write_bytes(to_png(survival(eq.evaluate(policy))))
+    (HERE / "survival.png").write_bytes(render(survival(eq.evaluate(policy)), "png"))
     if options.gap:
-        (HERE / "gap.png").write_bytes(to_png(gap_figure(Gap.load(options.gap))))
+        (HERE / "gap.png").write_bytes(render(gap_figure(Gap.load(options.gap)), "png"))
 
 
 if __name__ == "__main__":

@@ -177,10 +177,10 @@ def test_the_page():
 
 def test_a_figure_takes_a_name_from_a_file_as_it_is(small_evaluation):
     from equipoise.report.figures.survival import survival
-    from equipoise.report.style import to_svg
+    from equipoise.report.style import render
 
     renamed = small_evaluation.results.model_copy(update={"name": HOSTILE})
-    svg = to_svg(survival(small_evaluation.model_copy(update={"results": renamed})))
+    svg = render(survival(small_evaluation.model_copy(update={"results": renamed})), "svg").decode()
     assert not raw(svg)
     assert SHOWN in svg
 
