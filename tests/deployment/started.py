@@ -182,7 +182,7 @@ def run(seed, *, fault=None, only_tested=False, **given):
     w = sqrt(request.policy.pendulum.parameters().w2)
     watching = Watching(emulated.bench, hands, w, only_tested)
     outcome = run_virtually(
-        request, None, rig=emulated.rig, operator=watching, around=watching.around
+        request, None, rig=emulated.rig, operator=watching, wrap=watching.around
     )
     return watching, hands, outcome
 

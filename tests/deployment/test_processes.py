@@ -111,7 +111,7 @@ class Heart:
         return (*ARM.home[:6], ARM.home[6] + 0.05 * (1.0 - cos(4.0 * n * H / 2.0)))
 
 
-def move(request, rig, operators, recorder, *, measures, workshop, supervise):
+def move(request, rig, operators, recorder, *, measures, executor, supervise):
     """Be the course: no more than a stream."""
     robot = GuardedRobot(Arm(), limits_of(ARM), H / 2.0)
     robot.start()
@@ -125,7 +125,7 @@ def move(request, rig, operators, recorder, *, measures, workshop, supervise):
         recorder,
         operators[0],
         max_duration=10.0,
-        executor=workshop,
+        executor=executor,
     )
     return RunEnd(
         cause=heart.cause, stoppable=ending.stoppable, missed=ending.timing.missed, lasted=0.0

@@ -428,7 +428,7 @@ def _loop(request: RunRequest, memory: Any, joints: int, pipe: Any) -> None:
             [operator],
             recorder,
             measures=realtime.prepare,
-            workshop=worker,
+            executor=worker,
             supervise=InterruptedPolicy,
         )
     except EquipoiseError as error:

@@ -264,9 +264,9 @@ def run_on_rig(
     recorder: Recorder,
     *,
     measures: Callable[[], Sequence[RealtimeSetting]] = tuple,
-    workshop: Executor | None = None,
+    executor: Executor | None = None,
     idle: Callable[[], None] = lambda: None,
-    around: Callable[[TickHandler], TickHandler] = lambda heart: heart,
+    wrap: Callable[[TickHandler], TickHandler] = lambda handler: handler,
     supervise: Callable[[Policy, float], Policy] = lambda policy, _: policy,
 ) -> RunEnd:
     """Connect a rig, run a policy on it, bring the arm to rest, and disconnect the rig.
@@ -277,9 +277,9 @@ def run_on_rig(
         operators: Operators; each receives the messages and may type.
         recorder: Rings for the log.
         measures: Applies the real-time settings of this process, and returns their results.
-        workshop: Executor of long jobs (default: inline).
+        executor: Executor of long jobs (default: inline).
         idle: Called in each tick, e.g. to drain the rings.
-        around: Wraps the tick handler; a rehearsal injects its faults there.
+        wrap: Wraps the tick handler; a rehearsal injects its faults there.
         supervise: Wraps the policy with a limit of its computing time [s].
 
     Raises:
@@ -331,11 +331,11 @@ def run_on_rig(
             robot,
             rig.sensor,
             rig.clock,
-            around(controller),
+            wrap(controller),
             recorder,
             operator,
             max_duration=PROLOGUE + request.duration,
-            executor=workshop,
+            executor=executor,
             idle=idle,
         )
         if ending.stoppable:
@@ -473,7 +473,7 @@ def run_virtually(
     *,
     replace: bool = False,
     rig: Rig | None = None,
-    around: Callable[[TickHandler], TickHandler] = lambda heart: heart,
+    wrap: Callable[[TickHandler], TickHandler] = lambda handler: handler,
 ) -> RunEnd:
     """Run on an emulated rig in this process, in virtual time.
 
@@ -483,7 +483,7 @@ def run_virtually(
         operator: Operator besides the emulated one.
         replace: Whether this run replaces an existing log, once it is connected.
         rig: The rig, such as one with faults (default: that of the robot's address).
-        around: Wraps the tick handler, see `run_on_rig`.
+        wrap: Wraps the tick handler, see `run_on_rig`.
 
     Raises:
         InputError: The policy does not fit the rig.
@@ -505,7 +505,7 @@ def run_virtually(
     operators = [one for one in (rig.operator, operator) if one is not None]
     end = RunEnd()
     try:
-        end = run_on_rig(request, rig, operators, recorder, idle=idle, around=around)
+        end = run_on_rig(request, rig, operators, recorder, idle=idle, wrap=wrap)
         return end
     except EquipoiseError as error:
         end = RunEnd(fault=str(error))

@@ -220,7 +220,7 @@ class FaultHarness:
         request = RunRequest(**known, actuator=actuator)
         try:
             wrap = partial(FaultyTickHandler, self)
-            outcome = run_virtually(request, scenario.out, self, rig=rig, around=wrap)
+            outcome = run_virtually(request, scenario.out, self, rig=rig, wrap=wrap)
         except EquipoiseError as error:
             self.messages.append(ReceivedMessage(self.clock.now(), "error", str(error)))
             outcome = RunEnd(cause=REFUSED, reason=str(error))
