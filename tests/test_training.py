@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from equipoise import training
+from equipoise.artefacts import Estimate
 from equipoise.control.policy import TabularPolicy
+from equipoise.errors import SettingsError
 from equipoise.learning.choice import compile_learner
 from equipoise.learning.closed_loop import make_loop_params
 from equipoise.learning.episodes import new_training_state, train_episodes
@@ -13,7 +15,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
 from equipoise.settings import resolve
 from equipoise.simulation import plant
-from equipoise.training import train, train_several
+from equipoise.training import check_task, train, train_several
 
 # Thousands of episodes' worth of steps: minutes without compilation.
 pytestmark = pytest.mark.compiled_only
@@ -391,12 +393,28 @@ def test_episodes_last_longer_as_the_training_goes_on(pendulum, actuator):
     assert np.mean(durations[n // 2 :]) > 1.8 * np.mean(durations[: n // 6])
 
 
+# The physical limit
+
+
+def test_a_pendulum_that_no_controller_balances_is_refused_before_the_training(pendulum):
+    late = shipped_actuator().model_copy(update={"delay": Estimate.around(0.25, 0.0, "assumed")})
+    begun = []
+    with pytest.raises(SettingsError, match="no controller balances this pendulum"):
+        train(pendulum, ARM, settings(), actuator=late, report=begun.append)
+    assert begun == []
+    assert check_task(pendulum, ARM, settings()) is None
+    part = late.model_copy(update={"delay": Estimate.around(0.1, 0.0, "assumed")})
+    assert "% of the releases" in check_task(pendulum, ARM, settings(), part)
+
+
 # A limited speed
 
 
 def test_a_limited_speed_selects_among_the_tables_of_the_same_training(pendulum):
-    limited = train(pendulum, ARM, settings("plant.max_speed=0.02"), seed=5)
-    free = train(pendulum, ARM, settings(), seed=5)
+    # From upright on: no controller saves the other releases at this speed.
+    gentle = ("evaluation.phi_low=0", "evaluation.phi_dot_low=0")
+    limited = train(pendulum, ARM, settings("plant.max_speed=0.02", *gentle), seed=5)
+    free = train(pendulum, ARM, settings(*gentle), seed=5)
     assert [p.duration for p in limited.learning_curve] == [p.duration for p in free.learning_curve]
     assert limited.steps == free.steps
     assert free.checkpoints[0].mean_duration > limited.checkpoints[0].mean_duration

@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.artefacts import PartialFile, Provenance, StrPath, value_digest
+from equipoise.checks.recoverable import check_releases
 from equipoise.compiled import kernel_sources_digest
 from equipoise.control import boxes
 from equipoise.control.boxes import TRUNCATED
@@ -105,6 +106,7 @@ def train(
     Raises:
         ArtefactError: `partial` is the checkpoint of another training, or damaged.
         OutsideError: The disk rejects a checkpoint.
+        SettingsError: No controller saves any of the releases.
     """
     task = _task(pendulum, arm, settings, actuator, seed, init_policy)
     with _Checkpoints(partial, task, (learner,)) as checkpoints:
@@ -144,6 +146,7 @@ def train_several(
     Raises:
         ArtefactError: `partial` is the checkpoint of another training, or damaged.
         OutsideError: The disk rejects a checkpoint.
+        SettingsError: No controller saves any of the releases.
     """
     task = _task(pendulum, arm, settings, actuator, seed, None)
 
@@ -184,6 +187,32 @@ def score_policy(
     return selection.run(policy.u_of_box, policy.episodes, done, final=True)
 
 
+def check_task(
+    pendulum: Pendulum, arm: Arm, settings: Settings, actuator: Actuator | None = None
+) -> str | None:
+    """Compare the releases of a task with the recoverable set, before a training.
+
+    Args:
+        pendulum: The identified pendulum.
+        arm: The arm with its home posture.
+        settings: Resolved settings.
+        actuator: Actuator of the arm; as in `train`.
+
+    Returns:
+        A warning with the share of releases that no controller saves, or None.
+
+    Raises:
+        SettingsError: No controller saves any of the releases.
+    """
+    parameters = pendulum.parameters(linearised=settings.plant.linearised)
+    return check_releases(parameters, arm, settings, actuator or default_actuator(settings))
+
+
+def default_actuator(settings: Settings) -> Actuator:
+    """Return the actuator of a training without a given one."""
+    return IDEAL_ACTUATOR if settings.plant.ideal else shipped_actuator()
+
+
 class _Task(NamedTuple):
     """Inputs that determine the result of a training, except the index of the learner."""
 
@@ -203,8 +232,8 @@ def _task(
     seed: int,
     init_policy: TabularPolicy | None,
 ) -> _Task:
-    if actuator is None:
-        actuator = IDEAL_ACTUATOR if settings.plant.ideal else shipped_actuator()
+    check_task(pendulum, arm, settings, actuator)
+    actuator = actuator or default_actuator(settings)
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
     return _Task(pendulum, arm, settings, actuator, seed, init_policy)
 

@@ -11,6 +11,7 @@ import pytest
 
 from equipoise import training
 from equipoise.control.policy import TabularPolicy
+from equipoise.model.actuator import Actuator
 from tests.cli.conftest import contents
 from tests.cli.damage import DAMAGE
 
@@ -264,3 +265,10 @@ def test_an_impossible_limit_of_the_speed_is_refused(refused):
         "train", "--recipe", "paper", "--max-speed", 0.23, saying="--max-speed needs a selection"
     )
     refused("evaluate", "--max-speed", 5, saying="give a number from 0.01 to 2")
+
+
+def test_a_pendulum_that_no_controller_balances_is_refused(refused, tmp_path):
+    late = Actuator.assumed("lag", delay=0.25, lag=0.01)
+    late.save(tmp_path / "actuator.json", command="test")
+    saying = "no controller balances this pendulum: phi + phi_dot / 8.5 is"
+    refused("train", "--actuator", "actuator.json", saying=saying)

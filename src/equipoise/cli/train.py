@@ -72,8 +72,9 @@ def train(
 
     from equipoise.studies.compilation import FUNCTIONS, compile_training, compiling
     from equipoise.studies.progress import TrainingProgress
-    from equipoise.training import LEARNERS, train_several
+    from equipoise.training import LEARNERS, check_task, train_several
 
+    output.warn(check_task(source, machine, resolved, response))
     begin = time.perf_counter()
     learners = LEARNERS if seeds is None else seeds
     with unfinished(destination, resume=resume) as partial:

@@ -80,6 +80,7 @@ def compile_training(arm: Arm, settings: Settings) -> None:
     counts = ("every", "screening_trials", "finalists", "final_trials")
     durations = {"duration": MOMENT, "final_duration": MOMENT}
     tree["selection"] |= dict.fromkeys(counts, 1) | durations
+    tree["evaluation"] = {}
     train(shipped_pendulum(), arm, Settings.model_validate(tree))
 
 
