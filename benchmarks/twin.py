@@ -24,7 +24,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.settings import resolve
 from equipoise.simulation import available_cores
-from equipoise.training import LEARNERS, train_several
+from equipoise.training import LEARNERS, train_to_target
 
 
 def main() -> None:
@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("--world", default="twin:nominal")
     parser.add_argument("--arm", type=int, choices=(7, 14), default=7)
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--learners", type=int, default=LEARNERS, help="for each seed")
+    parser.add_argument("--learners", type=int, default=LEARNERS, help="maximum for each seed")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--trials", type=int, default=200)
     parser.add_argument("--duration", type=float, default=60.0)
@@ -59,7 +59,7 @@ def main() -> None:
         begin = time.perf_counter()
         file = given.out / f"policy-{seed}.json"
         if not file.exists():
-            policies = train_several(
+            policy = train_to_target(
                 shipped_pendulum(),
                 arm,
                 settings,
@@ -67,8 +67,8 @@ def main() -> None:
                 actuator=actuator,
                 seed=seed,
                 workers=cores,
-            )
-            policies[0].save(file, command="train", inputs={"actuator": actuator.digest})
+            ).policy
+            policy.save(file, command="train", inputs={"actuator": actuator.digest})
         policy, trained = TabularPolicy.load(file), time.perf_counter() - begin
         file = given.out / f"evaluation-{seed}.json"
         if not file.exists():
@@ -84,7 +84,7 @@ def main() -> None:
         summary = Evaluation.load(file).results.summary()
         lasted += summary.survived
         rates.append(summary.rate)
-        chosen = policy.checkpoints[0]
+        test = policy.test
         print(
             json.dumps(
                 {
@@ -92,7 +92,8 @@ def main() -> None:
                     "survived": summary.survived,
                     "trials": summary.trials,
                     "causes": summary.causes,
-                    "selection": [chosen.survived, chosen.trials, round(chosen.score, 3)],
+                    "learner": policy.learner,
+                    "own_test": None if test is None else test.model_dump(mode="json"),
                     "train_s": round(trained),
                     "all_s": round(time.perf_counter() - begin),
                 }

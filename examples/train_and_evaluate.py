@@ -13,9 +13,7 @@ settings = eq.resolve(
     "robust",
     overrides=[
         "learning.episodes=5000",
-        "selection.screening_trials=16",
         "selection.duration=20",
-        "selection.final_duration=60",
         "evaluation.duration=20",
     ],
 )

@@ -12,7 +12,7 @@ from equipoise.learning.checkpoint import ResumePoint, pack, unpack
 from equipoise.learning.episodes import new_training_state
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
-from equipoise.training import train, train_several
+from equipoise.training import TargetProgress, train, train_to_target
 
 # Thousands of steps: minutes without compilation.
 pytestmark = pytest.mark.compiled_only
@@ -22,11 +22,10 @@ QUICK = [
     "learning.episodes=60",
     "learning.episode_duration=1",
     "selection.every=20",
-    "selection.screening_trials=8",
-    "selection.final_trials=70",  # more than one piece of 64 trials
-    "selection.finalists=3",
-    "selection.duration=1",
-    "selection.final_duration=1",
+    "selection.late=1",
+    "selection.round_trials=8",
+    "selection.duration=4",
+    "selection.test_trials=100",
 ]
 SETTINGS = {
     "robust": resolve("robust", overrides=QUICK),
@@ -48,9 +47,17 @@ class Interruption:
             raise KeyboardInterrupt
 
 
+class Stopping(TargetProgress):
+    """Callbacks of which the n-th call, and all further ones, raise `KeyboardInterrupt`."""
+
+    def __init__(self, after):
+        stop = Interruption(after)
+        self.report = self.selecting = self.testing = self.finished = stop
+
+
 @pytest.fixture(scope="module")
 def undisturbed(pendulum):
-    return [p.digest for p in train_several(pendulum, ARM, SETTINGS["robust"], learners=3, seed=5)]
+    return train_to_target(pendulum, ARM, SETTINGS["robust"], target=0.9, learners=4, seed=5)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -59,27 +66,45 @@ def test_learners_that_are_interrupted_again_and_again_give_the_same_bits(
 ):
     partial, interruptions = tmp_path / "policy.partial.json", 0
     while True:
-        # Each learner begins with a report and the state of its final round; then both go on.
-        stop = Interruption(7 + interruptions % 3)
         try:
-            policies = train_several(
+            found = train_to_target(
                 pendulum,
                 ARM,
                 SETTINGS["robust"],
-                learners=3,
+                target=0.9,
+                learners=4,
                 seed=5,
                 workers=workers,
                 partial=partial,
-                report=stop,
-                selecting=stop,
+                progress=Stopping(15 + interruptions % 3),
             )
         except KeyboardInterrupt:
             interruptions += 1
-            assert interruptions < 30
+            assert interruptions < 50
             continue
         break
-    assert interruptions > 2
-    assert [policy.digest for policy in policies] == undisturbed
+    assert interruptions >= 2
+    assert found.policy.digest == undisturbed.policy.digest
+    assert found.learners == undisturbed.learners
+
+
+def test_a_finished_learner_is_neither_trained_nor_tested_again(
+    pendulum, undisturbed, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(artefacts, "WRITE_INTERVAL", 0.0)
+    monkeypatch.setattr(artefacts, "MAX_WRITING_SHARE", np.inf)
+    partial = tmp_path / "policy.partial.json"
+    task = pendulum, ARM, SETTINGS["robust"]
+    train_to_target(*task, target=0.9, learners=4, seed=5, partial=partial)
+    monkeypatch.setattr(training, "train_episodes", None)
+    monkeypatch.setattr(training, "race", None)
+    monkeypatch.setattr(training, "measure_share", None)
+    again = train_to_target(*task, target=0.9, learners=4, seed=5, partial=partial)
+    assert again == undisturbed
+    # The file holds figures and one policy, whatever the number of learners.
+    state = ResumePoint.load(partial)
+    assert (state.learners, len(state.finished)) == ({}, 4)
+    assert state.best.learner == undisturbed.policy.learner
 
 
 @pytest.mark.parametrize("recipe", SETTINGS)
@@ -94,7 +119,7 @@ def test_a_training_goes_on_from_any_checkpoint(pendulum, tmp_path, monkeypatch,
     of_all = {"seed": 5, "partial": partial}
     settings = SETTINGS[recipe]
     policy = train(pendulum, ARM, settings, **of_all, report=copy, selecting=copy)
-    assert len(set(checkpoints)) >= 4
+    assert len(set(checkpoints)) >= 3
     # Without a selection there is a point for nearly each episode.
     for content in checkpoints[:: max(len(checkpoints) // 4, 1)]:
         partial.write_bytes(content)
@@ -105,20 +130,19 @@ def test_a_training_goes_on_from_any_checkpoint(pendulum, tmp_path, monkeypatch,
         assert tuple(points) == policy.learning_curve[-len(points) :]
 
 
-def test_a_finished_training_comes_from_its_checkpoint_alone(pendulum, tmp_path, monkeypatch):
+def test_a_finished_training_runs_no_episode_again(pendulum, tmp_path, monkeypatch):
     partial = tmp_path / "policy.partial.json"
     monkeypatch.setattr(artefacts, "WRITE_INTERVAL", 0.0)
     monkeypatch.setattr(artefacts, "MAX_WRITING_SHARE", np.inf)
     policy = train(pendulum, ARM, SETTINGS["robust"], seed=5, partial=partial)
     monkeypatch.setattr(training, "train_episodes", None)
-    monkeypatch.setattr(training, "PlantSimulation", None)
     again = train(pendulum, ARM, SETTINGS["robust"], seed=5, partial=partial)
     assert again.digest == policy.digest
 
 
 @pytest.fixture(scope="module")
 def checkpoint(pendulum, tmp_path_factory):
-    """A training that was interrupted at its second screening."""
+    """A training that was interrupted at its second candidate."""
     partial = tmp_path_factory.mktemp("checkpoint") / "policy.partial.json"
     with pytest.raises(KeyboardInterrupt):
         train(pendulum, ARM, SETTINGS["robust"], partial=partial, report=Interruption(1))
@@ -127,7 +151,7 @@ def checkpoint(pendulum, tmp_path_factory):
 
 OTHERS = {
     "seed": {"seed": 1},
-    "number of learners": {"learner": 1},
+    "number of the learner": {"learner": 1},
     "learner and settings": {
         "settings": resolve("robust", overrides=[*QUICK, "learning.learner=sarsa"])
     },
@@ -155,8 +179,8 @@ def test_a_checkpoint_of_other_code_is_refused(pendulum, checkpoint, monkeypatch
 
 
 def test_a_checkpoint_is_small(checkpoint):
-    # Eight finalists and three learners take less than ten times as much.
-    assert checkpoint.stat().st_size < 500_000
+    # Two candidates; 48 of them take a megabyte.
+    assert checkpoint.stat().st_size < 300_000
 
 
 def test_a_state_that_no_training_has_is_refused():

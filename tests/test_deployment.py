@@ -9,7 +9,7 @@ from equipoise.control.boxes import CAUSES
 from equipoise.control.policy import TabularPolicy
 from equipoise.deployment import DEPLOYMENT, deploy
 from equipoise.learning.closed_loop import make_loop_params
-from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
+from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.simulation.trials import draw_trials
 from tests.simulation.recorded import on_the_plant, run_all
 
@@ -57,7 +57,7 @@ def test_it_starts_as_a_release_leaves_the_pendulum(run):
 
 
 def test_it_shares_its_numbers_with_no_other_trial(small_policy, run):
-    for stream in (SCREENING, FINAL_ROUND, TEST):
+    for stream in (SELECTION, TARGET_TEST, TEST):
         others = draw_trials(50, small_policy.settings, 5, stream, spread=1.0)
         assert not np.any(np.isclose(others.start[:, 2], run.conditions.start[2]))
 

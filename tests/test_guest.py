@@ -113,7 +113,7 @@ def test_its_addresses_are_checked_and_its_robot_is_missed(run, tmp_path):
 
 def test_its_learner_reward_and_policy_need_no_more_than_their_names(run, tmp_path):
     trained = ("--learner", "guest.learner:learner", "--reward", "guest.reward:middle")
-    budget = ("--episodes", 300, "--seeds", 1, "--out", "policy.json")
+    budget = ("--episodes", 300, "--target", 0, "--out", "policy.json")
     equipoise(run, "train", *trained, *budget)
     learning = json.loads((tmp_path / "policy.json").read_text())["body"]["settings"]["learning"]
     assert re.fullmatch(r"guest\.learner:learner@[0-9a-f]{16}", learning["learner"])

@@ -9,7 +9,7 @@ from equipoise.identification import identify
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
 from equipoise.simulation import available_cores
-from equipoise.training import LEARNERS, train_several
+from equipoise.training import LEARNERS, train_to_target
 from equipoise.trajectory import read_swing
 
 TESTS = resolve(overrides=["evaluation.trials=1000"])
@@ -19,9 +19,9 @@ def summaries(pendulum, settings, seeds, tests=TESTS, learners=LEARNERS):
     """Train for each seed alone, and return what the trials of each policy came to."""
     workers = available_cores()
     for seed in seeds:
-        policy = train_several(
+        policy = train_to_target(
             pendulum, iiwa(7), settings, learners=learners, seed=seed, workers=workers
-        )[0]
+        ).policy
         evaluation = evaluate(policy, tests, seed=seed, with_baselines=False, workers=workers)
         yield evaluation.results.summary()
 
@@ -35,7 +35,7 @@ def assert_they_stand(results):
 
 @pytest.mark.compiled_only
 def test_a_short_training_stands_most_of_the_time(pendulum):
-    settings = resolve(overrides=["learning.episodes=3000", "selection.final_trials=60"])
+    settings = resolve(overrides=["learning.episodes=3000"])
     tests = resolve(overrides=["evaluation.trials=100", "evaluation.duration=20"])
     # The seed is fixed, so the result is too.
     (result,) = summaries(pendulum, settings, [0], tests, learners=1)
@@ -79,7 +79,8 @@ def test_every_seed_stands_a_minute_on_the_twin(pendulum):
     tests = resolve(overrides=["evaluation.trials=200"])
     results = []
     for seed in range(10):
-        policy = train_several(pendulum, iiwa(7), tests, seed=seed, workers=available_cores())[0]
+        cores = available_cores()
+        policy = train_to_target(pendulum, iiwa(7), tests, seed=seed, workers=cores).policy
         evaluation = evaluate(
             policy,
             tests,

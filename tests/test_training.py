@@ -1,21 +1,30 @@
 """Training: what its result depends on, how candidates are chosen, what the file says."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
 from equipoise import training
 from equipoise.artefacts import Estimate
+from equipoise.control.boxes import cause_named
 from equipoise.control.policy import TabularPolicy
-from equipoise.errors import SettingsError
+from equipoise.errors import InputError, SettingsError
 from equipoise.learning.choice import compile_learner
 from equipoise.learning.closed_loop import make_loop_params
 from equipoise.learning.episodes import new_training_state, train_episodes
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
+from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.settings import resolve
-from equipoise.simulation import plant
-from equipoise.training import check_task, train, train_several
+from equipoise.simulation import plant, setup_of, simulate
+from equipoise.training import (
+    TargetProgress,
+    check_task,
+    compare_policies,
+    train,
+    train_to_target,
+)
 
 # Thousands of episodes' worth of steps: minutes without compilation.
 pytestmark = pytest.mark.compiled_only
@@ -25,11 +34,11 @@ QUICK = [
     "learning.episodes=60",
     "learning.episode_duration=1",
     "selection.every=20",
-    "selection.screening_trials=70",  # more than one piece of 64 trials
-    "selection.final_trials=70",
-    "selection.finalists=2",
+    "selection.late=1",
+    "selection.rounds=3",
+    "selection.round_trials=100",
     "selection.duration=2",
-    "selection.final_duration=3",
+    "selection.test_trials=100",
 ]
 
 
@@ -63,29 +72,60 @@ def test_other_seeds_and_learners_give_other_tables(pendulum, learners):
     assert len({policy.Q for policy in policies}) == 4
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_several_learners_are_those_trained_one_by_one(pendulum, learners, workers):
-    together = train_several(pendulum, ARM, settings(), learners=3, seed=5, workers=workers)
-    assert {policy.learner for policy in together} == {0, 1, 2}
-    for policy in together:
-        assert policy.digest == learners[policy.learner].digest
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_without_a_policy_that_meets_the_target_the_best_learner_is_the_result(
+    pendulum, learners, workers
+):
+    found = train_to_target(
+        pendulum, ARM, settings(), target=0.9, learners=3, seed=5, workers=workers
+    )
+    assert [each.learner for each in found.learners] == [0, 1, 2]
+    lows = [each.test.interval[0] for each in found.learners]
+    assert found.policy.test.interval[0] == max(lows)
+    assert not found.policy.test.met
+    assert "misses the target" in found.policy.shortfall
+    untested = found.policy.model_copy(update={"test": None})
+    assert untested.digest == learners[found.policy.learner].digest
 
 
-def test_the_best_of_several_comes_first(pendulum):
-    together = train_several(pendulum, ARM, settings(), learners=3, seed=5)
-    scores = [policy.checkpoints[0].score for policy in together]
-    assert scores == sorted(scores, reverse=True)
-    assert len(set(scores)) > 1
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_the_first_learner_that_meets_the_target_is_the_result(
+    monkeypatch, pendulum, learners, workers
+):
+    # Learner 1 and all later ones meet it, in whatever order they finish.
+    original = training.measure_policy
+
+    def tested(policy, **given):
+        test = original(policy, **given)
+        return test.model_copy(update={"met": policy.learner >= 1})
+
+    monkeypatch.setattr(training, "measure_policy", tested)
+    found = train_to_target(
+        pendulum, ARM, settings(), target=0.9, learners=5, seed=5, workers=workers
+    )
+    assert [each.learner for each in found.learners] == [0, 1]
+    assert found.policy.learner == 1
+    assert found.policy.shortfall == ""
+    assert found.policy.Q == learners[1].Q
 
 
-def test_several_without_a_selection_keep_their_order(pendulum):
-    together = train_several(pendulum, ARM, of_paper(), learners=3, workers=2)
-    assert [policy.learner for policy in together] == [0, 1, 2]
+def test_a_target_of_zero_takes_the_first_learner(pendulum, learners):
+    found = train_to_target(pendulum, ARM, settings(), target=0.0, learners=3, seed=5)
+    assert [each.learner for each in found.learners] == [0]
+    assert found.policy.test.met
+    assert found.policy.Q == learners[0].Q
+    # The last table of a training without a selection is tested, too.
+    last = train_to_target(pendulum, ARM, of_paper(), target=0.0)
+    assert (last.policy.checkpoints, last.learners[0].score) == ((), None)
+    assert last.policy.test.trials == 64
 
 
-def test_one_learner_is_one_training(pendulum, learners):
-    (only,) = train_several(pendulum, ARM, settings(), learners=1, seed=5, workers=2)
-    assert only.digest == learners[0].digest
+def test_a_target_that_the_test_cannot_show_is_refused(pendulum):
+    for target in (0.99, 1.0):
+        with pytest.raises(InputError, match="100 trials cannot show a share of"):
+            train_to_target(pendulum, ARM, settings(), target=target)
+    with pytest.raises(InputError, match="expected at least one"):
+        train_to_target(pendulum, ARM, settings(), target=0.5, learners=0)
 
 
 def test_a_selection_does_not_disturb_the_training(pendulum):
@@ -112,22 +152,6 @@ def test_behind_an_actuator_equal_seeds_give_equal_files(pendulum, behind):
     again = train(pendulum, ARM, settings("learning.episodes=120"), actuator=KST, seed=5, workers=2)
     assert again.digest == behind[0].digest
     assert again.episodes == 120
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_several_learners_behind_an_actuator_are_those_trained_one_by_one(
-    pendulum, behind, workers
-):
-    together = train_several(
-        pendulum,
-        ARM,
-        settings("learning.episodes=120"),
-        learners=2,
-        actuator=KST,
-        seed=5,
-        workers=workers,
-    )
-    assert {policy.digest for policy in together} == {policy.digest for policy in behind}
 
 
 def test_a_policy_behind_an_actuator_can_be_trained_again_from_its_own_file(
@@ -197,54 +221,63 @@ def test_other_actuators_make_other_policies(pendulum, behind):
 # The selection
 
 
-def test_candidates_are_sorted_by_their_score_and_the_first_is_the_policy(pendulum):
-    policy = train(pendulum, ARM, settings("selection.finalists=3"), seed=5)
-    scores = [candidate.score for candidate in policy.checkpoints]
-    assert len(scores) == 3
-    assert scores == sorted(scores, reverse=True)
+def test_the_winner_of_the_race_is_the_policy(pendulum):
+    policy = train(pendulum, ARM, settings(), seed=5)
+    best = policy.checkpoints[0]
+    assert len(policy.checkpoints) == 3
+    assert best.trials == max(each.trials for each in policy.checkpoints)
+    assert best.score == max(c.score for c in policy.checkpoints if c.trials == best.trials)
     # The table of the policy is the running average at the moment when the winner was taken.
     plant = make_loop_params(ARM, settings(), 0.01, pendulum.parameters(), shipped_actuator())
     constants, learner = training.training_config(settings()), compile_learner(settings().learning)
     progress, averaged = new_training_state(), np.zeros((270, 8))
     selection = settings().selection
-    for taken in range(1, policy.checkpoints[0].episodes // selection.every + 1):
+    for taken in range(1, best.episodes // selection.every + 1):
         until = taken * selection.every
         train_episodes(plant, pendulum.parameters(), constants, learner, progress, until, 5, 0)
         averaged += max(selection.averaging, 1.0 / taken) * (progress.tables.Q - averaged)
     np.testing.assert_allclose(policy.table, averaged, rtol=0.0, atol=1e-12)
-    assert policy.visits == tuple(map(tuple, progress.tables.visits.tolist()))
 
 
-def test_a_candidate_is_judged_on_all_of_its_trials(pendulum):
-    policy = train(pendulum, ARM, settings("selection.rms_x_weight=0.5"), seed=5)
-    for candidate in policy.checkpoints:
-        assert candidate.trials == 70
-        assert 0 <= candidate.survived <= 70
-        assert 0.0 < candidate.mean_duration <= 3.0
-        assert 0.0 < candidate.rms_x < 0.22
-        # mean duration / duration - weight rms(x) / 0.22 m, as the settings say.
-        score = candidate.mean_duration / 3.0 - 0.5 * candidate.rms_x / 0.22
-        assert candidate.score == pytest.approx(score, rel=1e-12)
+def test_only_the_latest_candidates_race(pendulum):
+    late = train(pendulum, ARM, settings("selection.late=0.5"), seed=5)
+    assert {each.episodes for each in late.checkpoints} == {40, 60}
+    last = train(pendulum, ARM, settings("selection.candidates=1"), seed=5)
+    assert [each.episodes for each in last.checkpoints] == [60]
 
 
-def test_no_more_finalists_than_asked_for_and_no_more_than_candidates(pendulum):
-    assert len(train(pendulum, ARM, settings("selection.finalists=1")).checkpoints) == 1
-    assert len(train(pendulum, ARM, settings("selection.finalists=50")).checkpoints) == 3
-
-
-def test_all_learners_are_compared_on_the_same_selection_trials(monkeypatch, pendulum):
-    seen = []
+def test_race_and_test_have_trials_of_their_own(monkeypatch, pendulum):
+    seen = set()
     original = plant.draw_trials
 
     def spy(count, settings, seed, stream, spread, first):
-        seen.append((count, seed, stream, spread))
+        seen.add((seed, stream, spread))
         return original(count, settings, seed, stream, spread, first)
 
     monkeypatch.setattr(plant, "draw_trials", spy)
-    train_several(pendulum, ARM, settings("selection.screening_trials=30"), learners=2, seed=5)
-    # The final round has trials of its own, and neither has those of the test.
-    assert set(seen) == {(30, 5, SCREENING, 2.0), (70, 5, FINAL_ROUND, 2.0)}
-    assert TEST not in (SCREENING, FINAL_ROUND)
+    train_to_target(pendulum, ARM, settings(), target=0.9, learners=2, seed=5)
+    assert seen == {(5, SELECTION, 2.0), (5, TARGET_TEST, 1.0)}
+    assert TEST not in (SELECTION, TARGET_TEST)
+
+
+def test_the_test_of_a_policy_is_its_evaluation_with_other_seeds(pendulum, learners):
+    policy = learners[0]
+    test = training.measure_policy(policy, target=0.0)
+    setup = setup_of(policy, "model")
+    simulation = simulate("model", setup, seed=policy.seed, stream=TARGET_TEST)
+    trials = simulation.draw(test.trials)
+    simulation.run(policy, trials, range(test.trials), duration=2.0)
+    causes = Counter(map(cause_named, trials.cause.tolist()))
+    assert test.causes == causes
+    assert test.survived == causes["lasted"]
+
+
+def test_compared_policies_run_the_same_trials_in_the_given_order(learners):
+    results = compare_policies(learners, seed=99)
+    assert [each.episodes for each in results] == [60, 60, 60]
+    backwards = compare_policies(learners[::-1], seed=99, workers=2)
+    # The first policy gives the model, which all learners share.
+    assert results == backwards[::-1]
 
 
 def test_the_recipe_paper_selects_nothing_and_keeps_the_last_table(pendulum):
@@ -263,7 +296,6 @@ def test_the_recipe_paper_selects_nothing_and_keeps_the_last_table(pendulum):
         0,
     )
     assert np.array_equal(progress.tables.Q, policy.table)
-    assert all(point.survival is None for point in policy.learning_curve)
 
 
 # What is said and kept
@@ -283,17 +315,49 @@ def test_the_learning_curve_is_told_as_it_grows(pendulum):
     ended = np.cumsum(np.diff([0, *episodes]) * [point.duration for point in told] / 0.01)
     assert ended[-1] == pytest.approx(steps[-1], rel=1e-12)
     assert np.all(ended <= np.array(steps) * (1.0 + 1e-12))
-    assert all(0.0 <= point.survival <= 1.0 for point in told)
 
 
-def test_several_learners_tell_whose_point_it_is(pendulum):
-    told = []
-    together = train_several(
-        pendulum, ARM, settings(), learners=2, seed=5, report=lambda *point: told.append(point)
+class Told(TargetProgress):
+    """Everything that a training reports, by learner."""
+
+    def __init__(self):
+        self.points, self.raced, self.tested, self.results = [], [], [], []
+
+    def report(self, learner, point):
+        self.points.append((learner, point))
+
+    def selecting(self, learner, done, of):
+        self.raced.append((learner, done, of))
+
+    def testing(self, learner, done, of):
+        self.tested.append((learner, done, of))
+
+    def finished(self, result):
+        self.results.append(result)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_several_learners_tell_whose_progress_it_is(pendulum, workers):
+    told = Told()
+    found = train_to_target(
+        *(pendulum, ARM, settings()),
+        target=0.9,
+        learners=3,
+        seed=5,
+        workers=workers,
+        progress=told,
     )
-    for policy in together:
-        points = tuple(point for learner, point in told if learner == policy.learner)
-        assert points == policy.learning_curve
+    points = tuple(point for n, point in told.points if n == found.policy.learner)
+    assert points == found.policy.learning_curve
+    assert sorted(told.results, key=lambda each: each.learner) == list(found.learners)
+    for result in found.learners:
+        tested = [(done, of) for n, done, of in told.tested if n == result.learner]
+        assert tested[-1] == (result.test.trials, result.test.trials)
+        raced = [(done, of) for n, done, of in told.raced if n == result.learner]
+        # A stage ends once, with its last trials.
+        for reports in (tested, raced):
+            assert all(done < of for done, of in reports[:-1] if done != reports[-1][0])
+            assert reports[-1][0] == reports[-1][1]
 
 
 def test_a_training_without_candidates_reports_its_progress_too(pendulum):
@@ -379,9 +443,8 @@ def test_settings_become_the_constants_of_the_learner():
 @pytest.mark.slow
 def test_ten_thousand_robust_episodes_make_a_policy_that_stands(pendulum):
     policy = train(pendulum, ARM, resolve(), seed=1, workers=2)
-    best = policy.checkpoints[0]
-    # DESIGN: 60 s in the median on 8 of 8 seeds; chosen among candidates, nearly all trials last.
-    assert best.survived >= 0.98 * best.trials
+    test = training.measure_policy(policy, target=0.98, workers=2)
+    assert test.met, test.text
 
 
 @pytest.mark.parametrize("actuator", [IDEAL_ACTUATOR, KST], ids=["ideal", "kst"])

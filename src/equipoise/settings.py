@@ -238,37 +238,41 @@ class LearningSettings(Value):
 
 
 class SelectionSettings(Value):
-    """Selection of the best greedy policy of a training.
+    """Selection of the best greedy policy of a training, and test of the selected one.
 
-    The greedy policy of a table changes until the last episode, and later policies are not always
-    better. Candidates run trials on seeds that neither training nor test uses, on plants that vary
-    more than in training; the best enter a longer final round.
+    The greedy policies of late tables differ in few boxes, and later ones are not always better.
+    Candidates race on seeds that neither training nor test uses, on plants that vary more than in
+    training. The winner is tested in trials that chose nothing.
     """
 
     every: int = Field(default=20, ge=0, le=MAX_EPISODES)
-    """Number of episodes between two candidates; equal greedy policies are screened once. 0 keeps
+    """Number of episodes between two candidates; equal greedy policies are one candidate. 0 keeps
     the last table."""
     averaging: float = Field(default=0.05, gt=0.0, le=1.0)
     """Share of the newest table in the running average (Polyak & Juditsky 1992) whose greedy policy
     is the candidate; 1 uses the table itself. The values of the best two actions differ by less
     than the fluctuation of a table."""
-    screening_trials: int = Field(default=24, ge=1, le=MOST_TRIALS)
-    """Number of trials per candidate."""
-    finalists: int = Field(default=8, ge=1, le=1000)
-    """Number of candidates in the final round."""
-    final_trials: int = Field(default=200, ge=1, le=MOST_TRIALS)
-    """Number of trials per finalist."""
+    late: float = Field(default=0.5, gt=0.0, le=1.0)
+    """Share of the episodes, at the end of a training, after which candidates are taken: before,
+    the policy is still improving."""
+    candidates: int = Field(default=48, ge=1, le=1000)
+    """Maximum number of candidates, the latest ones; a training has 20 to 45 in its second half."""
+    round_trials: int = Field(default=192, ge=1, le=MOST_TRIALS)
+    """Number of trials of a round of the race over all candidates, which limits their number: each
+    round doubles the trials of a candidate."""
+    rounds: int = Field(default=6, ge=1, le=16)
+    """Maximum number of rounds: 128 trials for the last candidates."""
     duration: float = Field(default=60.0, ge=paper.STEP, le=LONGEST_TRIAL)
-    """Length of a screening trial [s]."""
-    final_duration: float = Field(default=120.0, ge=paper.STEP, le=LONGEST_TRIAL)
-    """Length of a trial of the final round [s]: a policy that lasts two minutes seldom fails in
-    one."""
+    """Length of a trial of race and test [s]."""
     spread: float = Field(default=2.0, ge=0.0, le=10.0)
-    """Factor on the plant's standard deviations of I and b: a policy that balances worse plants has
-    margin."""
+    """Factor on the variation of the plants in the race: a policy that balances worse plants has
+    margin. The test varies them as the training does."""
     rms_x_weight: float = Field(default=0.002, ge=0.0, le=1e3)
     """Weight of rms(x) in the score = mean duration / duration - weight * rms(x) / 0.22 m. Survival
     alone saturates; of policies that always balance, the one with less travel has more margin."""
+    test_trials: int = Field(default=4000, ge=1, le=MOST_TRIALS)
+    """Maximum number of trials of the test. A target of 99 % takes 448 without a failure, and 1,300
+    in the mean at a share of 99.7 %."""
 
 
 class EvaluationSettings(Value):

@@ -1,20 +1,19 @@
 """Training of a policy for a pendulum and an arm.
 
-A training runs its episodes in one compiled loop (`equipoise.learning.episodes`) and periodically
-takes the greedy policy as a candidate. Candidates are screened on selection trials, the best enter
-a final round of longer trials, and the winner is kept with its table. Equal seeds give equal bits,
-for any number of workers, and also after a resumed interruption.
+A training runs its episodes in one compiled loop (`equipoise.learning.episodes`) and takes the
+greedy policies of its later tables as candidates. They race on common trials, and the winner is
+tested in trials that chose nothing (`equipoise.selection`). Learners are trained one after the
+other until one meets the target. Equal seeds give equal bits, for any number of workers, and also
+after a resumed interruption.
 """
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -24,18 +23,24 @@ from equipoise.artefacts import PartialFile, Provenance, StrPath, value_digest
 from equipoise.checks.recoverable import check_releases
 from equipoise.compiled import kernel_sources_digest
 from equipoise.control import boxes
-from equipoise.control.boxes import TRUNCATED
 from equipoise.control.policy import (
     Checkpoint,
     LearningPoint,
     TabularPolicy,
+    TargetTest,
     greedy_accelerations,
-    table_kernel,
 )
 from equipoise.errors import ArtefactError, InputError
-from equipoise.learning.checkpoint import Finalist, LearnerState, ResumePoint, pack, table, unpack
+from equipoise.learning.checkpoint import (
+    LearnerResult,
+    LearnerState,
+    ResumePoint,
+    StoredCandidate,
+    pack,
+    table,
+    unpack,
+)
 from equipoise.learning.choice import compile_learner, load_learner, with_digests
-from equipoise.learning.closed_loop import LoopParams, make_loop_params
 from equipoise.learning.episodes import (
     ENDED,
     ENDED_STEPS,
@@ -48,23 +53,30 @@ from equipoise.learning.episodes import (
 from equipoise.learning.learner import UpdateParams
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
-from equipoise.model.pendulum import Pendulum, PendulumParameters
-from equipoise.model.random import FINAL_ROUND, SCREENING
-from equipoise.settings import Settings
-from equipoise.simulation.plant import PlantSimulation
+from equipoise.model.pendulum import Pendulum
+from equipoise.selection import (
+    ERROR,
+    Candidate,
+    Running,
+    measure_share,
+    race,
+    trial_plant,
+    trials_to_meet,
+)
+from equipoise.settings import SelectionSettings, Settings
+from equipoise.simulation.trials import run_over_cores
 
 Array = npt.NDArray[np.float64]
 
-MAX_REPORTS = 200
+MAX_REPORTS: Final = 200
 """Number of progress reports of a training without candidates."""
-LEARNERS = 3
-"""Default number of learners, of which the best is kept: one in three finds no table that balances
-the worst plants of its selection."""
+LEARNERS: Final = 6
+"""Maximum number of learners of a training by default."""
+TARGET: Final = 0.99
+"""Required share of trials that last, by default [-]."""
 
 Report = Callable[[LearningPoint], None]
 """Callback for each new point of the learning curve."""
-Selecting = Callable[[int, int], None]
-"""Callback for the progress of the final round: finished trials, all trials."""
 
 
 def train(
@@ -79,9 +91,9 @@ def train(
     workers: int = 1,
     partial: StrPath | None = None,
     report: Report = lambda _: None,
-    selecting: Selecting = lambda _, __: None,
+    selecting: Running = lambda _, __: None,
 ) -> TabularPolicy:
-    """Train one policy.
+    """Train one learner, and select its best policy; `train_to_target` tests it, too.
 
     Args:
         pendulum: The identified pendulum.
@@ -98,10 +110,11 @@ def train(
             delete it once the policy is saved.
         report: Called with each new point of the learning curve; first with the last one of a
             checkpoint.
-        selecting: Called as the trials of the final round finish, also from other threads.
+        selecting: Called as trials of the race finish, with their number and the expected one; also
+            from other threads.
 
     Returns:
-        The policy, with its learning curve and the finalists of its selection.
+        The policy, with its learning curve and the results of its race.
 
     Raises:
         ArtefactError: `partial` is the checkpoint of another training, or damaged.
@@ -109,82 +122,164 @@ def train(
         SettingsError: No controller saves any of the releases.
     """
     task = _task(pendulum, arm, settings, actuator, seed, init_policy)
-    with _Checkpoints(partial, task, (learner,)) as checkpoints:
+    with _Checkpoints(partial, task, {"number of the learner": str(learner)}) as checkpoints:
         return _train(task, learner, workers, checkpoints, report, selecting)
 
 
-def train_several(
+class TrainedLearners(NamedTuple):
+    """Result of a training to a target."""
+
+    policy: TabularPolicy
+    """Policy of the first learner that meets the target; if none does, the best one."""
+    learners: tuple[LearnerResult, ...]
+    """Figures of all learners up to the first that meets the target."""
+
+
+class TargetProgress:
+    """Callbacks of a training to a target, each with the number of the learner; for any thread."""
+
+    def report(self, learner: int, point: LearningPoint) -> None:
+        """Receive a point of a learning curve."""
+
+    def selecting(self, learner: int, done: int, of: int) -> None:
+        """Receive the number of finished trials of a race, and the expected one."""
+
+    def testing(self, learner: int, done: int, of: int) -> None:
+        """Receive the number of finished trials of a test, and the one that meets the target."""
+
+    def finished(self, result: LearnerResult) -> None:
+        """Receive the figures of a tested learner."""
+
+
+def train_to_target(
     pendulum: Pendulum,
     arm: Arm,
     settings: Settings,
     *,
+    target: float = TARGET,
     learners: int = LEARNERS,
     actuator: Actuator | None = None,
     seed: int = 0,
     workers: int = 1,
     partial: StrPath | None = None,
-    report: Callable[[int, LearningPoint], None] = lambda _, __: None,
-    selecting: Callable[[int, int, int], None] = lambda _, __, ___: None,
-) -> list[TabularPolicy]:
-    """Train several learners of one seed in parallel; return them with the best score first.
+    progress: TargetProgress | None = None,
+) -> TrainedLearners:
+    """Train learners of one seed until one meets a target.
 
-    All are compared on the same selection trials. Without a selection the order is that of the
-    learners.
+    The first learner has all workers for its trials. If it misses the target, the next ones are
+    trained in parallel; the lowest number that meets the target is the result, so that it does not
+    depend on the number of workers. Of the others only figures are kept, and the best policy.
+
+    A policy below the target is accepted with a probability of at most 5 %, over all learners.
 
     Args:
         pendulum: The identified pendulum.
         arm: The arm with its home posture.
-        settings: Resolved settings.
-        learners: Number of learners.
+        settings: Resolved settings; as in `train`.
+        target: Share of trials that a policy has to last: the lower end of its interval.
+        learners: Maximum number of learners.
         actuator: Actuator of the arm; as in `train`.
         seed: Master seed.
-        workers: Threads; the results do not depend on it.
+        workers: Threads; the result does not depend on it.
         partial: File for the checkpoints of all learners; as in `train`.
-        report: Called with the learner and each new point of its learning curve.
-        selecting: Called with the learner, its finished trials of the final round, and all of them.
+        progress: Callbacks.
 
     Raises:
         ArtefactError: `partial` is the checkpoint of another training, or damaged.
+        InputError: The test has too few trials for the target, even without a failure.
         OutsideError: The disk rejects a checkpoint.
         SettingsError: No controller saves any of the releases.
+        SettingsError: No controller saves any of the releases.
     """
-    task = _task(pendulum, arm, settings, actuator, seed, None)
-
-    def one(learner: int) -> TabularPolicy:
-        return _train(
-            task,
-            learner,
-            1 if learners > 1 else workers,
-            checkpoints,
-            lambda point: report(learner, point),
-            lambda done, of: selecting(learner, done, of),
+    most = settings.selection.test_trials
+    if trials_to_meet(target, _error(0), 0, 0, most) is None:
+        raise InputError(
+            f"{most:,} trials cannot show a share of {target:g}, even without a failure; lower "
+            "--target, or raise selection.test_trials"
         )
+    if learners < 1:
+        raise InputError(f"{learners} learners are given, expected at least one")
+    task = _task(pendulum, arm, settings, actuator, seed, None)
+    shown = progress or TargetProgress()
+    wanted = {"target": str(target)}
+    with _Checkpoints(partial, task, wanted) as checkpoints:
 
-    checkpoints = _Checkpoints(partial, task, range(learners))
-    with checkpoints, ThreadPoolExecutor(workers) as pool:
-        policies = list(pool.map(one, range(learners)))
-    return sorted(policies, key=lambda p: -p.checkpoints[0].score if p.checkpoints else 0.0)
+        def run(learner: int, workers: int = 1) -> None:
+            def report(point: LearningPoint) -> None:
+                if checkpoints.is_decided(learner):
+                    raise _DecidedError
+                shown.report(learner, point)
+
+            def selecting(done: int, of: int) -> None:
+                shown.selecting(learner, done, of)
+
+            def testing(done: int, of: int) -> None:
+                shown.testing(learner, done, of)
+
+            if checkpoints.is_decided(learner) or checkpoints.is_finished(learner):
+                return
+            try:
+                policy = _train(task, learner, workers, checkpoints, report, selecting)
+            except _DecidedError:
+                return
+            given: Any = {"error": _error(learner), "workers": workers, "running": testing}
+            test = measure_policy(policy, target=target, **given)
+            policy = policy.model_copy(update={"test": test})
+            checkpoints.finish(policy, test)
+            shown.finished(_result(policy, test))
+
+        run(0, workers)
+        run_over_cores(run, range(1, learners), workers)
+        policy = cast(TabularPolicy, checkpoints.best)
+        last = policy.learner if policy.test and policy.test.met else learners
+        results = sorted(checkpoints.finished, key=lambda result: result.learner)
+    return TrainedLearners(policy, tuple(each for each in results if each.learner <= last))
 
 
-def score_policy(
+def measure_policy(
     policy: TabularPolicy,
+    *,
+    target: float = TARGET,
+    error: float = ERROR,
+    workers: int = 1,
+    running: Running = lambda _, __: None,
+) -> TargetTest:
+    """Test a policy on its own model; see `equipoise.selection.measure_share`."""
+    plant = trial_plant(policy.pendulum, policy.arm, policy.settings, policy.actuator, policy.seed)
+    given: Any = {"target": target, "error": error, "workers": workers, "running": running}
+    return measure_share(plant, policy.u_of_box, **given)
+
+
+def compare_policies(
+    policies: Sequence[TabularPolicy],
     *,
     seed: int = 0,
     workers: int = 1,
-    done: Callable[[int], None] = lambda _: None,
-) -> Checkpoint:
-    """Score a policy in the final round of a selection, on its own model.
+    running: Running = lambda _, __: None,
+) -> list[Checkpoint]:
+    """Race policies on the model of the first one; return their results, in the given order.
 
     Args:
-        policy: The policy, with pendulum, arm and actuator.
-        seed: Master seed of the trials; compare policies of one model with equal seeds.
+        policies: At least one.
+        seed: Master seed of the trials; choose one that trained none of the policies.
         workers: Threads; the result does not depend on it.
-        done: Called with the number of newly finished trials, also from other threads.
+        running: Called as trials finish, also from other threads.
     """
-    parameters = policy.pendulum.parameters(linearised=policy.settings.plant.linearised)
-    plant = make_loop_params(policy.arm, policy.settings, policy.h, parameters, policy.actuator)
-    selection = _Selection(plant, policy.arm, parameters, policy.settings, seed, workers)
-    return selection.run(policy.u_of_box, policy.episodes, done, final=True)
+    model = policies[0]
+    plant = trial_plant(model.pendulum, model.arm, model.settings, model.actuator, seed)
+    candidates = [Candidate(policy.episodes, policy.u_of_box) for policy in policies]
+    return [
+        result for _, result in sorted(race(plant, candidates, workers=workers, running=running))
+    ]
+
+
+def _error(learner: int) -> float:
+    """Return the error of the test of a learner; the sum over all learners is `ERROR`."""
+    return ERROR / ((learner + 1) * (learner + 2))
+
+
+class _DecidedError(Exception):
+    """A learner of a lower number meets the target."""
 
 
 def check_task(
@@ -244,35 +339,30 @@ def _train(
     workers: int,
     checkpoints: "_Checkpoints",
     report: Report,
-    selecting: Selecting,
+    selecting: Running,
 ) -> TabularPolicy:
-    """Train one learner; resume from its checkpoint if one exists."""
-    settings, pendulum, seed = task.settings, task.pendulum, task.seed
-    parameters = pendulum.parameters(linearised=settings.plant.linearised)
-    plant = make_loop_params(task.arm, settings, paper.STEP, parameters, task.actuator)
+    """Train one learner and select its policy; resume from its checkpoint if one exists."""
+    pendulum, arm, settings, actuator, seed, _ = task
+    plant = trial_plant(pendulum, arm, settings, actuator, seed)
     # The boxes do not resolve speeds below the limit; selection finds the tables that respect it.
-    of_episodes = plant._replace(speed_limit=inf)
+    of_episodes = plant.params._replace(speed_limit=inf)
     config, kernel = training_config(settings), compile_learner(settings.learning)
     training = new_training_state(load_learner(settings.learning).tables)
     tables, totals = training.tables, training.totals
     if task.init_policy is not None:
         tables.Q[:], tables.visits[:] = task.init_policy.table, task.init_policy.visits
-    selection = _Selection(plant, task.arm, parameters, settings, seed, workers)
+    candidates = _Candidates(settings.selection, config.episodes)
     every = settings.selection.every or max(1, config.episodes // MAX_REPORTS)
     curve: list[LearningPoint] = []
     if (before := checkpoints.states.get(str(learner))) is not None:
         unpack(before.training, training)
-        selection.restore(before)
+        candidates.restore(before)
         curve += before.curve
         report(curve[-1])
-
-    def keep() -> None:
-        checkpoints.keep(learner, selection.state(training, curve))
-
     while totals[ENDED] < config.episodes:
         ended, steps = int(totals[ENDED]), int(totals[ENDED_STEPS])
         until = min(ended + every, config.episodes)
-        train_episodes(of_episodes, parameters, config, kernel, training, until, seed, learner)
+        train_episodes(of_episodes, plant.pendulum, config, kernel, training, until, seed, learner)
         if not np.isfinite(tables.Q).all():
             raise InputError(
                 f"the table holds a value that is not finite after {totals[ENDED]} episodes with "
@@ -285,38 +375,119 @@ def _train(
             duration=paper.STEP * (int(totals[ENDED_STEPS]) - steps) / (int(totals[ENDED]) - ended),
         )
         if settings.selection.every > 0:
-            screened = selection.screen(training)
-            point = point.model_copy(update={"survival": screened.survived / screened.trials})
+            candidates.add(training)
         curve.append(point)
-        keep()
+        checkpoints.keep(learner, candidates.state(training, curve))
         report(point)
-    finalists = selection.final_round(keep, selecting)
-    Q, visits = _tables(finalists[0]) if finalists else (tables.Q, tables.visits)
+    chosen, results = tables.Q, tuple[Checkpoint, ...]()
+    if candidates.found:
+        order = race(plant, candidates.greedy, workers=workers, running=selecting)
+        chosen = candidates.averages[order[0][0]]
+        results = tuple(result for _, result in order)
     return TabularPolicy(
         boxes=boxes.describe(),
         actions=paper.ACTIONS,
-        Q=tuple(tuple(row) for row in Q.tolist()),
-        visits=tuple(tuple(row) for row in visits.tolist()),
+        Q=tuple(tuple(row) for row in chosen.tolist()),
+        visits=tuple(tuple(row) for row in tables.visits.tolist()),
         h=paper.STEP,
         pendulum=pendulum,
-        arm=task.arm,
-        actuator=task.actuator,
+        arm=arm,
+        actuator=actuator,
         settings=settings,
         seed=seed,
         learner=learner,
         episodes=int(totals[ENDED]),
         steps=int(totals[STEPS]),
         learning_curve=tuple(curve),
-        checkpoints=tuple(finalist.candidate for finalist in finalists),
+        checkpoints=results,
     )
 
 
-class _Checkpoints(PartialFile):
-    """File with the states of all learners of a training."""
+@dataclass
+class _Candidates:
+    """Greedy policies of the running average in the last part of a training, equal ones once."""
 
-    def __init__(self, path: StrPath | None, task: _Task, learners: Sequence[int]) -> None:
+    rule: SelectionSettings
+    episodes: int
+    """Number of episodes of the training."""
+    averaged: Array = field(default_factory=lambda: np.zeros((boxes.COUNT, boxes.ACTIONS)))
+    count: int = 0
+    """Number of tables in the average."""
+    found: dict[bytes, tuple[int, Array]] = field(default_factory=dict[bytes, tuple[int, Array]])
+    """Number of episodes and averaged table of each candidate, by its accelerations."""
+
+    def add(self, training: TrainingState) -> None:
+        """Add the table of a training to the average; take its greedy policy if it is late."""
+        self.count += 1
+        share = max(self.rule.averaging, 1.0 / self.count)
+        self.averaged += share * (training.tables.Q - self.averaged)
+        ended = int(training.totals[ENDED])
+        if ended > (1.0 - self.rule.late) * self.episodes:
+            self._take(ended, self.averaged.copy())
+
+    def _take(self, ended: int, averaged: Array) -> None:
+        self.found.setdefault(greedy_accelerations(averaged).tobytes(), (ended, averaged))
+        if len(self.found) > self.rule.candidates:
+            del self.found[next(iter(self.found))]
+
+    @property
+    def greedy(self) -> list[Candidate]:
+        """Candidates for the race, in their order."""
+        return [Candidate(n, greedy_accelerations(Q)) for n, Q in self.found.values()]
+
+    @property
+    def averages(self) -> list[Array]:
+        """Their tables."""
+        return [Q for _, Q in self.found.values()]
+
+    def restore(self, state: LearnerState) -> None:
+        """Restore the candidates of a checkpoint."""
+        self.averaged, self.count = table(state.averaged), state.averages
+        for stored in state.candidates:
+            self._take(stored.episodes, table(stored.Q))
+
+    def state(self, training: TrainingState, curve: Sequence[LearningPoint]) -> LearnerState:
+        """Return the state of the training and its candidates."""
+        return LearnerState(
+            training=pack(training),
+            averaged=self.averaged.tobytes(),
+            averages=self.count,
+            candidates=tuple(
+                StoredCandidate(episodes=n, Q=Q.tobytes()) for n, Q in self.found.values()
+            ),
+            curve=tuple(curve),
+        )
+
+
+def _result(policy: TabularPolicy, test: TargetTest) -> LearnerResult:
+    chosen = policy.checkpoints[0] if policy.checkpoints else None
+    return LearnerResult(
+        learner=policy.learner,
+        steps=policy.steps,
+        episodes=policy.episodes if chosen is None else chosen.episodes,
+        score=None if chosen is None else chosen.score,
+        test=test,
+    )
+
+
+def _rank(policy: TabularPolicy) -> tuple[bool, float, float, int]:
+    """Return the sort key of a tested policy: those that meet the target by number, then others."""
+    test = policy.test
+    if test is None or test.met:
+        return (test is not None, 0.0, 0.0, -policy.learner)
+    score = policy.checkpoints[0].score if policy.checkpoints else 0.0
+    return (False, test.interval[0], score, -policy.learner)
+
+
+class _Checkpoints(PartialFile):
+    """File with the states of all learners of a training, and the best policy up to now."""
+
+    def __init__(self, path: StrPath | None, task: _Task, wanted: dict[str, str]) -> None:
         super().__init__(path, "train", self._checkpoint)
         self.states: dict[str, LearnerState] = {}
+        self.finished: tuple[LearnerResult, ...] = ()
+        self.best: TabularPolicy | None = None
+        self._lock = Lock()
         # Digests of the inputs that determine the bits, by name.
         self._deciding = {
             "pendulum": task.pendulum.digest,
@@ -326,7 +497,7 @@ class _Checkpoints(PartialFile):
             "reward": task.settings.learning.reward,
             "settings": value_digest(task.settings),
             "seed": str(task.seed),
-            "number of learners": ", ".join(map(str, learners)),
+            **wanted,
             "policy to go on from": "" if task.init_policy is None else task.init_policy.digest,
             "version of Equipoise or its libraries": software(),
         }
@@ -339,15 +510,40 @@ class _Checkpoints(PartialFile):
                 "with what it began with, or delete it to begin anew"
             )
         self.states |= found.learners
+        self.finished, self.best = found.finished, found.best
 
     def keep(self, learner: int, state: LearnerState) -> None:
         """Store the state of a learner."""
-        self.states[str(learner)] = state
+        with self._lock:
+            self.states[str(learner)] = state
         self.update()
 
+    def finish(self, policy: TabularPolicy, test: TargetTest) -> None:
+        """Store the figures of a tested learner, and its policy if it is the best."""
+        with self._lock:
+            del self.states[str(policy.learner)]
+            self.finished += (_result(policy, test),)
+            self.best = max(self.best or policy, policy, key=_rank)
+        self.update()
+
+    def is_finished(self, learner: int) -> bool:
+        """Return whether a learner has been tested."""
+        return any(result.learner == learner for result in self.finished)
+
+    def is_decided(self, learner: int) -> bool:
+        """Return whether a learner of a lower number meets the target."""
+        return any(result.test.met and result.learner < learner for result in self.finished)
+
     def _checkpoint(self) -> ResumePoint | None:
-        states = dict(self.states)
-        return ResumePoint(deciding=self._deciding, learners=states) if states else None
+        with self._lock:
+            if not self.states and not self.finished:
+                return None
+            return ResumePoint(
+                deciding=self._deciding,
+                learners=dict(self.states),
+                finished=self.finished,
+                best=self.best,
+            )
 
 
 def software() -> str:
@@ -367,126 +563,3 @@ def training_config(settings: Settings) -> TrainingConfig:
         boxes=boxes.boxes(),
         actions=paper.ACTIONS,
     )
-
-
-@dataclass
-class _Selection:
-    """Selection of the best greedy policy of one training."""
-
-    plant: LoopParams
-    arm: Arm
-    pendulum: PendulumParameters
-    settings: Settings
-    seed: int
-    workers: int
-    screened: int = 0
-    averaged: Array = field(default_factory=lambda: np.zeros((boxes.COUNT, boxes.ACTIONS)))
-    known: dict[str, Checkpoint] = field(default_factory=dict[str, Checkpoint])
-    best: list[Finalist] = field(default_factory=list[Finalist])
-    final: list[Checkpoint] = field(default_factory=list[Checkpoint])
-
-    def screen(self, training: TrainingState) -> Checkpoint:
-        """Run the screening trials of the averaged table's greedy policy, once per policy."""
-        self.screened += 1
-        share = max(self.settings.selection.averaging, 1.0 / self.screened)
-        self.averaged += share * (training.tables.Q - self.averaged)
-        u_of_box = greedy_accelerations(self.averaged)
-        policy = hashlib.sha256(u_of_box.tobytes()).hexdigest()
-        if policy not in self.known:
-            candidate = self.known[policy] = self.run(u_of_box, int(training.totals[ENDED]))
-            Q, visits = self.averaged.tobytes(), training.tables.visits.tobytes()
-            newest = Finalist(Q=Q, visits=visits, candidate=candidate)
-            self.best = _sorted([*self.best, newest])[: self.settings.selection.finalists]
-        return self.known[policy]
-
-    def final_round(self, keep: Callable[[], None], selecting: Selecting) -> list[Finalist]:
-        """Run the longer trials of the finalists; return them with the best first.
-
-        Args:
-            keep: Called after each finalist.
-            selecting: Called as trials finish.
-        """
-        trials = self.settings.selection.final_trials
-        finished, of = len(self.final) * trials, len(self.best) * trials
-        lock = Lock()
-
-        def done(count: int) -> None:
-            nonlocal finished
-            with lock:
-                finished += count
-                selecting(finished, of)
-
-        if of:
-            done(0)
-        for finalist in self.best[len(self.final) :]:
-            u_of_box = greedy_accelerations(_tables(finalist)[0])
-            self.final.append(self.run(u_of_box, finalist.candidate.episodes, done, final=True))
-            keep()
-        pairs = zip(self.best, self.final, strict=True)
-        return _sorted([best.model_copy(update={"candidate": final}) for best, final in pairs])
-
-    def restore(self, state: LearnerState) -> None:
-        """Restore the state of a selection."""
-        self.averaged, self.screened = table(state.averaged, np.float64), state.screened
-        self.known, self.best = dict(state.known), list(state.best)
-        self.final = list(state.final[: len(state.best)])
-        for finalist in self.best:
-            _tables(finalist)  # rejects a damaged checkpoint before the training goes on
-
-    def state(self, training: TrainingState, curve: Sequence[LearningPoint]) -> LearnerState:
-        """Return the state of the training and its selection."""
-        return LearnerState(
-            training=pack(training),
-            averaged=self.averaged.tobytes(),
-            screened=self.screened,
-            known=dict(self.known),
-            best=tuple(self.best),
-            final=tuple(self.final),
-            curve=tuple(curve),
-        )
-
-    def run(
-        self,
-        u_of_box: Array,
-        episodes: int,
-        done: Callable[[int], None] = lambda _: None,
-        final: bool = False,
-    ) -> Checkpoint:
-        """Score a greedy policy in the screening trials, or in the longer ones of the final round.
-
-        Args:
-            u_of_box: Acceleration of each box [m/s^2].
-            episodes: Number of training episodes of the policy.
-            done: Called with the number of newly finished trials, also from other threads.
-            final: Run the final round.
-        """
-        s, model = self.settings.selection, (self.plant, self.arm, self.pendulum, self.settings)
-        stream, count, duration = SCREENING, s.screening_trials, s.duration
-        if final:
-            stream, count, duration = FINAL_ROUND, s.final_trials, s.final_duration
-        simulation = PlantSimulation(*model, seed=self.seed, stream=stream, spread=s.spread)
-        trials, kernel = simulation.draw(count), table_kernel(u_of_box)
-
-        def rows_done(rows: Sequence[int]) -> None:
-            done(len(rows))
-
-        rows, cores = range(count), self.workers
-        simulation.run(kernel, trials, rows, duration=duration, workers=cores, done=rows_done)
-        mean_duration = float(np.mean(trials.steps)) * self.plant.controller.h
-        rms_x = float(np.sqrt(np.sum(trials.sum_x2) / np.sum(trials.steps)))
-        return Checkpoint(
-            episodes=episodes,
-            trials=count,
-            survived=int(np.sum(trials.cause == TRUNCATED)),
-            mean_duration=mean_duration,
-            rms_x=rms_x,
-            score=mean_duration / duration - s.rms_x_weight * rms_x / paper.X_LIMIT,
-        )
-
-
-def _sorted(finalists: list[Finalist]) -> list[Finalist]:
-    return sorted(finalists, key=lambda finalist: -finalist.candidate.score)
-
-
-def _tables(finalist: Finalist) -> tuple[Array, npt.NDArray[np.int64]]:
-    return table(finalist.Q, np.float64), table(finalist.visits, np.int64)

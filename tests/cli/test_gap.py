@@ -9,8 +9,8 @@ from equipoise.studies.gap_results import Gap, sentences
 from tests.cli.damage import DAMAGE
 from tests.report.made_up_gap import falls_early, measured, paper_policy, with_cures
 
-FEW = ("learning.episodes=20", "selection.every=10", "selection.screening_trials=2")
-SHORT = ("selection.final_trials=2", "selection.duration=1", "selection.final_duration=1")
+FEW = ("learning.episodes=20", "selection.every=10", "selection.rounds=1")
+SHORT = ("selection.round_trials=2", "selection.duration=1")
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 
 from equipoise.cli import next_step
 from equipoise.control.bound_policy import load_policy
-from equipoise.control.policy import shipped_policy
+from equipoise.control.policy import TargetTest, shipped_policy
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
@@ -49,15 +49,15 @@ def evaluated(balanced, policy=OTHER, path=MINE, **given):
             "deploy|my policy.json|--world|twin:harsh|--actuator|a.json",
         ),
         # One that does not balance is not deployed.
-        (evaluated(False, pendulum=Path("p.json")), "train|p.json|--seeds|5"),
-        (evaluated(False), "train|PENDULUM|--seeds|5"),
-        (evaluated(False, shipped_policy(), None), "train|--seeds|5"),
-        (evaluated(False, world="twin:nominal"), "train|PENDULUM|--seeds|5"),
-        (evaluated(False, LARGE), "train|PENDULUM|--arm|iiwa14|--seeds|5"),
-        (evaluated(False, SLOW), "train|PENDULUM|--max-speed|0.23|--seeds|5"),
+        (evaluated(False, pendulum=Path("p.json")), "train|p.json|--learners|12"),
+        (evaluated(False), "train|PENDULUM|--learners|12"),
+        (evaluated(False, shipped_policy(), None), "train|--learners|12"),
+        (evaluated(False, world="twin:nominal"), "train|PENDULUM|--learners|12"),
+        (evaluated(False, LARGE), "train|PENDULUM|--arm|iiwa14|--learners|12"),
+        (evaluated(False, SLOW), "train|PENDULUM|--max-speed|0.23|--learners|12"),
         (
             evaluated(False, world=TOML, actuator="a.json"),
-            "train|PENDULUM|--actuator|a.json|--seeds|5",
+            "train|PENDULUM|--actuator|a.json|--learners|12",
         ),
         # In a world of its own the arm is identified first.
         (
@@ -79,7 +79,7 @@ def evaluated(balanced, policy=OTHER, path=MINE, **given):
         ),
         (
             next_step.after_evaluation(False, LQR, Path("lqr"), world="ideal"),
-            "train|--seeds|5",
+            "train|--learners|12",
         ),
         # Drift.
         (
@@ -124,17 +124,25 @@ def test_the_next_command_fits_and_keeps_what_was_given(command, words):
 
 
 @pytest.mark.parametrize(
-    ("survived", "words"),
+    ("met", "words"),
     [
-        (40, "evaluate|policy.json"),
-        (31, "train|p.json|--arm|iiwa14|--set|learning.episodes=10|--seeds|10"),
+        (True, "evaluate|policy.json"),
+        (False, "train|p.json|--arm|iiwa14|--set|learning.episodes=10|--learners|12"),
     ],
 )
-def test_a_table_that_its_own_selection_saw_fall_is_trained_again(survived, words):
-    best = shipped_policy().checkpoints[0].model_copy(update={"survived": survived, "trials": 64})
-    policy = shipped_policy().model_copy(update={"checkpoints": (best,)})
+def test_a_policy_that_misses_its_target_is_trained_again_with_more_learners(met, words):
+    test = TargetTest(
+        target=0.99,
+        met=met,
+        duration=60.0,
+        trials=64,
+        survived=60,
+        interval=(0.8, 0.98),
+        causes={"lasted": 60, "track": 4},
+    )
+    policy = shipped_policy().model_copy(update={"test": test})
     again = ["p.json", "--arm", "iiwa14", "--set", "learning.episodes=10"]
-    command = next_step.after_training(Path("policy.json"), policy, again)
+    command = next_step.after_training(Path("policy.json"), policy, again, 6)
     assert "|".join(given_words(command)) == words
     parse(given_words(command))
 

@@ -14,10 +14,9 @@ SHORT = (
     "--set=learning.episodes=40",
     "--set=learning.episode_duration=1",
     "--set=selection.every=20",
-    "--set=selection.screening_trials=4",
-    "--set=selection.final_trials=4",
+    "--set=selection.round_trials=4",
+    "--set=selection.rounds=1",
     "--set=selection.duration=1",
-    "--set=selection.final_duration=1",
     "--set=evaluation.trials=4",
     "--set=evaluation.duration=1",
 )

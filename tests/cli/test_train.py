@@ -22,29 +22,60 @@ SHORT = (
     "--workers=1",
     "--set=learning.episode_duration=1",
     "--set=selection.every=20",
-    "--set=selection.screening_trials=4",
-    "--set=selection.final_trials=4",
-    "--set=selection.duration=1",
+    "--set=selection.late=1",
+    "--set=selection.round_trials=4",
+    "--set=selection.duration=4",
+    "--set=selection.test_trials=100",
 )
+FEW = ("--target=0.9", "--learners=3")
 
 
 def test_it_writes_a_policy_and_names_the_next_command(equipoise, pendulum_file, tmp_path):
-    ran = equipoise("train", pendulum_file, *SHORT)
+    ran = equipoise("train", pendulum_file, *SHORT, "--target=0")
     assert ran.code == 0
     policy = TabularPolicy.load(tmp_path / "policy.json")
     assert (policy.arm.name, policy.episodes) == ("iiwa7", 40)
     assert policy.recipe.startswith("custom: robust with learning.episodes = 40, ")
     assert policy.learning_curve
     assert "40 episodes" in ran.out
-    # The table falls in its own selection.
+    assert f"{policy.test.survived} of 64 trials lasted 4 s" in ran.out
+    assert ran.out.endswith("next: equipoise evaluate policy.json\n")
+
+
+def test_a_policy_that_misses_the_target_is_written_and_marked(equipoise, pendulum_file, tmp_path):
+    ran = equipoise("train", pendulum_file, *SHORT, *FEW)
+    assert ran.code == 1
+    policy = TabularPolicy.load(tmp_path / "policy.json")
+    assert not policy.test.met
+    assert "None of 3 learners meets the target." in ran.out
+    # It says by which causes the trials ended, and what helps.
+    for cause, count in policy.test.failures.items():
+        assert f"{cause} {count}" in ran.out
+        assert f"{cause}: " in ran.out
     assert f"next: equipoise train {pendulum_file} --set " in ran.out
-    assert ran.out.endswith(" --set learning.episodes=40 --seeds 10\n")
+    assert ran.out.endswith(" --set learning.episodes=40 --target 0.9 --learners 6\n")
+    # Each verb that uses the policy says so in one line.
+    line = f"warning: {policy.shortfall}"
+    few = ("--trials", 4, "--duration", 1, "--no-baselines")
+    for verb in (("evaluate", "policy.json", *few), ("deploy", "policy.json", "--duration", 1)):
+        assert line in " ".join(equipoise(*verb).out.split())
+
+
+def test_the_first_learner_that_meets_the_target_ends_the_training(equipoise, pendulum_file):
+    ran = equipoise("train", pendulum_file, *SHORT, "--set=selection.duration=0.05", *FEW, "--json")
+    assert ran.code == 0
+    assert (ran.json["met"], ran.json["learner"], len(ran.json["learners"])) == (True, 0, 1)
+    assert ran.json["interval"][0] >= ran.json["target"] == 0.9
 
 
 def test_json_is_one_object_with_the_stable_keys(equipoise, pendulum_file):
-    ran = equipoise("train", pendulum_file, *SHORT, "--seed", 3, "--json")
+    ran = equipoise("train", pendulum_file, *SHORT, *FEW, "--seed", 3, "--json")
+    assert ran.code == 1
     stable = {"policy", "seed", "episodes", "steps", "steps_per_second", "wall_s"}
+    stable |= {"target", "met", "trials", "survived", "interval", "causes"}
     assert stable <= ran.json.keys()
+    assert not ran.json["met"]
+    assert sum(ran.json["causes"].values()) == ran.json["trials"]
     assert (ran.json["policy"], ran.json["seed"], ran.json["episodes"]) == ("policy.json", 3, 40)
     assert ran.json["steps"] > 40
     assert ran.err == ""
@@ -52,17 +83,17 @@ def test_json_is_one_object_with_the_stable_keys(equipoise, pendulum_file):
 
 def test_equal_seeds_give_equal_policies_whatever_the_workers(equipoise, pendulum_file, tmp_path):
     for name, workers in (("one.json", 1), ("two.json", 2)):
-        options = (*SHORT, "--seeds", 2, "--workers", workers, "--out", name)
-        assert equipoise("train", pendulum_file, *options).code == 0
+        options = (*SHORT, *FEW, "--workers", workers, "--out", name)
+        assert equipoise("train", pendulum_file, *options).code == 1
     one, two = (TabularPolicy.load(tmp_path / name) for name in ("one.json", "two.json"))
     assert one.digest == two.digest
 
 
 def test_the_best_of_several_learners_is_kept(equipoise, pendulum_file):
-    found = equipoise("train", pendulum_file, *SHORT, "--seeds", 3, "--json").json
-    scores = {learner["learner"]: learner["score"] for learner in found["learners"]}
-    assert set(scores) == {0, 1, 2}
-    assert scores[found["learner"]] == max(scores.values())
+    found = equipoise("train", pendulum_file, *SHORT, *FEW, "--json").json
+    lows = {each["learner"]: each["test"]["interval"][0] for each in found["learners"]}
+    assert set(lows) == {0, 1, 2}
+    assert lows[found["learner"]] == max(lows.values())
 
 
 def test_recipe_settings_and_single_settings_are_recorded_in_their_order(
@@ -70,7 +101,7 @@ def test_recipe_settings_and_single_settings_are_recorded_in_their_order(
 ):
     (tmp_path / "mine.toml").write_text("[learning]\ngamma = 0.9\nalpha_initial = 0.5\n")
     options = ("--recipe=paper", "--settings=mine.toml", "--set=learning.gamma=0.95")
-    assert equipoise("train", pendulum_file, *SHORT, *options).code == 0
+    assert equipoise("train", pendulum_file, *SHORT, "--target=0", *options).code == 0
     policy = TabularPolicy.load(tmp_path / "policy.json")
     assert policy.recipe.startswith("custom: paper with ")
     assert policy.settings.learning.mirrored is False  # the recipe's
@@ -79,7 +110,7 @@ def test_recipe_settings_and_single_settings_are_recorded_in_their_order(
 
 
 def test_an_arm_from_a_urdf_is_trained(equipoise, pendulum_file, tmp_path):
-    ran = equipoise("train", pendulum_file, *SHORT, "--arm", URDF)
+    ran = equipoise("train", pendulum_file, *SHORT, "--target=0", "--arm", URDF)
     assert ran.code == 0, ran
     assert TabularPolicy.load(tmp_path / "policy.json").arm.name == "elbow 6"
 
@@ -94,12 +125,12 @@ def test_a_guest_s_learner_and_reward_train_a_policy(equipoise, pendulum_file, t
         "learner = Learner(update)\n"
     )
     guests = ("--reward=own_rules:reward", "--learner=own_rules.py:learner")
-    ran = equipoise("train", pendulum_file, *SHORT, *guests)
+    ran = equipoise("train", pendulum_file, *SHORT, "--target=0", *guests)
     assert ran.code == 0, ran
     policy = TabularPolicy.load(tmp_path / "policy.json")
     assert policy.settings.learning.reward.startswith("own_rules:reward@")
     assert "learning.reward = own_rules:reward@" in policy.recipe
-    assert equipoise("train", pendulum_file, *SHORT, "--out=ours.json").code == 0
+    assert equipoise("train", pendulum_file, *SHORT, "--target=0", "--out=ours.json").code == 0
     assert TabularPolicy.load(tmp_path / "ours.json").Q != policy.Q
 
 
@@ -127,7 +158,12 @@ OPTIONS = {
     "reward of no module": (("--reward", "nowhere:reward"), "there is no module 'nowhere'"),
     "no episodes": (("--episodes", "0"), "--episodes"),
     "half an episode": (("--episodes", "0.5"), "--episodes"),
-    "no seeds": (("--seeds", "0"), "--seeds"),
+    "no learners": (("--learners", "0"), "--learners"),
+    "target above all": (("--target", "1.5"), "--target is 1.5; give a number from 0 to 1"),
+    "target beyond the test": (
+        ("--target", "0.9999"),
+        "4,000 trials cannot show a share of 0.9999",
+    ),
     "negative seed": (("--seed", "-1"), "--seed"),
     "seed of no size": (("--seed", str(2**70)), "--seed"),
     "no workers": (("--workers", "0"), "--workers"),
@@ -175,13 +211,13 @@ def test_a_full_disk_is_the_outside_world(equipoise, pendulum_file, monkeypatch,
 
     before = contents(tmp_path)
     monkeypatch.setattr("os.fsync", full)
-    ran = equipoise("train", pendulum_file, *SHORT)
+    ran = equipoise("train", pendulum_file, *SHORT, "--target=0")
     assert ran.code == 3
     assert ran.err.endswith("error: cannot write policy.json: No space left on device\n")
     assert contents(tmp_path) == before
 
 
-LONGER = ("--seed", 5, *SHORT, "--seeds=3", "--workers=2", "--episodes=400")
+LONGER = ("--seed", 5, *SHORT, *FEW, "--workers=2", "--episodes=400")
 
 
 @pytest.fixture(params=[signal.SIGINT, signal.SIGTERM])
@@ -196,13 +232,13 @@ def number(request):
 def test_an_interrupted_training_is_kept_and_goes_on_to_the_same_policy(
     equipoise, refused, pendulum_file, monkeypatch, tmp_path, number
 ):
-    assert equipoise("train", pendulum_file, *LONGER, "--out=whole.json").code == 0
+    assert equipoise("train", pendulum_file, *LONGER, "--out=whole.json").code == 1
     original, points = training.train_episodes, []
 
     def interrupting(*given):
         original(*given)
         points.append(given)
-        if len(points) == 17:  # a learner and a half of 20 screenings each
+        if len(points) == 30:  # a learner of 20 candidates, and two of five
             os.kill(os.getpid(), number)
             time.sleep(0.2)
 
@@ -222,7 +258,7 @@ def test_an_interrupted_training_is_kept_and_goes_on_to_the_same_policy(
     other = equipoise(*command, "--resume", "--seed=6")
     assert other.code == 2
     assert "with another seed;" in other.err
-    assert equipoise(*shlex.split(again)[1:]).code == 0
+    assert equipoise(*shlex.split(again)[1:]).code == 1
     whole, resumed = (TabularPolicy.load(tmp_path / f"{n}.json") for n in ("whole", "policy"))
     assert resumed.digest == whole.digest
     assert not list(tmp_path.glob("*partial*"))
@@ -235,18 +271,20 @@ def test_there_is_something_to_resume_or_it_is_refused(refused, pendulum_file):
 
 def test_force_begins_anew_where_a_training_was_interrupted(equipoise, pendulum_file, tmp_path):
     (tmp_path / "policy.partial.json").write_text("whatever was kept")
-    assert equipoise("train", pendulum_file, *SHORT, "--force").code == 0
+    assert equipoise("train", pendulum_file, *SHORT, "--target=0", "--force").code == 0
     assert not (tmp_path / "policy.partial.json").exists()
 
 
 def test_each_stage_is_one_line_where_there_is_no_terminal(equipoise, pendulum_file):
-    ran = equipoise("train", pendulum_file, *SHORT)
-    assert [line.split()[0] for line in ran.err.splitlines()] == ["compile", "train", "select"]
-    assert re.search(r"train +\d+\.\d s  120 episodes$", ran.err, re.MULTILINE)
+    ran = equipoise("train", pendulum_file, *SHORT, *FEW)
+    stages = ["compile", "train", "select", "test", "retry"]
+    assert [line.split()[0] for line in ran.err.splitlines()] == stages
+    assert re.search(r"train +\d+\.\d s  40 episodes$", ran.err, re.MULTILINE)
+    assert re.search(r"retry +\d+\.\d s  2 learners$", ran.err, re.MULTILINE)
 
 
 def test_a_limited_speed_is_in_the_policy_and_in_its_evaluation(equipoise, pendulum_file, tmp_path):
-    ran = equipoise("train", pendulum_file, *SHORT, "--max-speed", 0.23)
+    ran = equipoise("train", pendulum_file, *SHORT, "--target=0", "--max-speed", 0.23)
     assert ran.code == 0, ran
     assert "below 0.23 m/s" in ran.out
     settings = TabularPolicy.load(tmp_path / "policy.json").settings

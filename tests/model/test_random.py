@@ -183,7 +183,7 @@ def test_seeds_learners_streams_and_episodes_are_independent(other):
 def test_no_two_purposes_share_a_stream():
     # Noise takes six words: those of its stream and of the one after it.
     single = (random.TRAINING_EPISODE, random.TRAINING_START, random.TRAINING_ACTION)
-    double = (random.TRAINING_NOISE, random.SCREENING, random.FINAL_ROUND, random.TEST)
+    double = (random.TRAINING_NOISE, random.SELECTION, random.TARGET_TEST, random.TEST)
     taken = [*single, *double, *(stream + 1 for stream in double)]
     assert len(set(taken)) == len(taken)
 

@@ -92,7 +92,6 @@ def policy(of, recipe="robust", unvisited=7):
             episodes=n,
             steps=40 * n,
             duration=n / 1000.0,
-            survival=min(1.0, n / 8000.0) if selected else None,
         )
         for n in range(1000, 10001, 1000)
     ]

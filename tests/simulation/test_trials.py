@@ -28,7 +28,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.random import FINAL_ROUND, SCREENING, TEST
+from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.settings import resolve
 from equipoise.simulation.plant import run_trials
 from equipoise.simulation.trials import available_cores, draw_trials, run_over_cores
@@ -39,7 +39,7 @@ PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 SETTINGS = resolve()
 NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 CONDITIONS = ("start", "inertia_factor", "friction_factor", "delay", "lag_factor", "zero")
-STREAMS = (SCREENING, FINAL_ROUND, TEST)
+STREAMS = (SELECTION, TARGET_TEST, TEST)
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +148,7 @@ def test_no_setting_makes_a_pendulum_without_inertia():
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2**40, 2**63 - 1])
-def test_screening_final_round_and_test_share_no_trial(seed):
+def test_selection_target_test_and_evaluation_share_no_trial(seed):
     rounds = [drawn(50, s, t) for s in (seed, seed - 1) if s >= 0 for t in STREAMS]
     for name in CONDITIONS:
         numbers = np.concatenate([getattr(trials, name).ravel() for trials in rounds])
@@ -198,7 +198,7 @@ def test_noise_is_six_independent_standard_normal_numbers():
     correlations = np.corrcoef(columns)[np.triu_indices(6, 1)]
     assert np.abs(correlations).max() < 5 / sqrt(n)
     # ... and of those of other streams, learners and seeds.
-    for other in ({"stream": SCREENING}, {"learner": 1}, {"seed": 1}):
+    for other in ({"stream": SELECTION}, {"learner": 1}, {"seed": 1}):
         others = np.concatenate(
             [noise(np.arange(BATCH_SIZE), np.full(BATCH_SIZE, i), **other) for i in range(1000)],
             axis=1,

@@ -358,8 +358,8 @@ def test_points_are_evaluations_whatever_the_number_of_workers(policy, monkeypat
 
 @pytest.mark.compiled_only
 def test_the_table_of_the_paper_is_trained_by_its_recipe(policy, monkeypatch):
-    few = ("learning.episodes=20", "selection.every=10", "selection.screening_trials=2")
-    short = ("selection.final_trials=2", "selection.duration=1", "selection.final_duration=1")
+    few = ("learning.episodes=20", "selection.every=10", "selection.rounds=1")
+    short = ("selection.round_trials=2", "selection.duration=1")
     monkeypatch.setattr(study, "BEST_TABLE", (*few, *short))
     table = study.train_paper(policy, seed=4)
     assert table.recipe.startswith("custom: paper with learning.episodes = ")

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from equipoise import training
 from equipoise.artefacts import Estimate
 from equipoise.control.policy import Checkpoint, shipped_policy
 from equipoise.deployment import deploy
@@ -349,18 +350,20 @@ def test_the_better_table_is_kept_with_the_new_model(small_policy):
     assert refined.policy.arm == small_policy.arm
     assert (refined.policy.table.tolist() == small_policy.table.tolist()) == (refined.kept == "old")
     # Both ran the same trials, of the policy's own settings.
-    assert refined.old.trials == refined.new.trials == 20
+    assert refined.old.trials == refined.new.trials
+    # The table that is kept has a test on the new model.
+    alone = refined.policy.model_copy(update={"test": None})
+    assert refined.policy.test == training.measure_policy(alone)
 
 
 @pytest.mark.parametrize(("score", "kept"), [(0.6, "new"), (0.5, "old"), (0.4, "old")])
 def test_a_new_table_is_kept_only_if_it_is_better(monkeypatch, small_policy, score, kept):
-    def judged(policy, **_):
-        mine = 0.5 if policy.Q == small_policy.Q else score
-        return Checkpoint(
-            episodes=1, trials=9, survived=5, mean_duration=1.0, rms_x=0.1, score=mine
-        )
+    def judged(policies, **_):
+        assert policies[0].Q == small_policy.Q
+        counts = {"episodes": 1, "trials": 9, "survived": 5, "mean_duration": 1.0, "rms_x": 0.1}
+        return [Checkpoint(**counts, score=each) for each in (0.5, score)]
 
-    monkeypatch.setattr(refinement, "score_policy", judged)
+    monkeypatch.setattr(refinement, "compare_policies", judged)
     refined = retrain(
         small_policy, small_policy.pendulum, small_policy.actuator, episodes=40, seed=3
     )

@@ -127,6 +127,7 @@ def deploy(
         chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
         if arm is None and isinstance(chosen, BoundPolicy):
             chosen = replace(chosen, arm=described.described_arm)
+        output.warn(opt.shortfall(chosen))
         response = response or chosen.actuator
         request = RunRequest(
             chosen, response, described, robot, encoder, length, t1=t1, dry_run=dry_run, seed=seed
@@ -135,13 +136,16 @@ def deploy(
     else:
         from equipoise import deployment
 
+        chosen = None
+        if not excite:
+            chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
+            output.warn(opt.shortfall(chosen))
         with output.busy("moving the arm" if excite else "running"):
-            if excite:
+            if chosen is None:
                 excited, hanging = opt.read_arm(arm or "iiwa7"), opt.read_pendulum(pendulum)
                 length = duration or EXCITATION_DURATION
                 run = deployment.excite(excited, world, hanging, seed=seed, duration=length)
             else:
-                chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
                 run = deployment.deploy(
                     chosen, world=world, actuator=response, seed=seed, duration=duration
                 )

@@ -113,6 +113,7 @@ def evaluate(
     opt.check_range("--duration", duration, 0.01, LONGEST_TRIAL, " s")
     opt.check_range("--max-speed", max_speed, 0.01, 2.0, " m/s")
     task, response = opt.read_policy(*given), opt.read_actuator(actuator)
+    output.warn(opt.shortfall(task))
     old = task.settings
     settings = opt.changed(
         old,

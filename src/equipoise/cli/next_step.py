@@ -24,8 +24,8 @@ Command = tuple[object, ...]
 NOMINAL: Final = f"{PREFIX}nominal"
 PLANTS: Final = (IDEAL, MODEL)
 """Worlds without a twin's robot."""
-SEEDS: Final = 5
-"""Number of learners of a training after a failure; the default is three."""
+LEARNERS: Final = 12
+"""Maximum number of learners of a training after a failure: twice the default."""
 LOOKED_AT: Final = 200
 """Maximum number of files that are searched for a digest."""
 HEAD: Final = 400
@@ -58,16 +58,19 @@ def file_with(digest: str, *beside: Path | None) -> Path | None:
     return None
 
 
-def after_training(out: Path, policy: "TabularPolicy", again: Sequence[object]) -> Command:
+def after_training(
+    out: Path, policy: "TabularPolicy", again: Sequence[object], learners: int
+) -> Command:
     """Return the command after a training: the evaluation, or a training of more learners.
 
     Args:
         out: The policy's file.
         policy: The policy.
-        again: Words of this training, without `--seeds` and `--out`.
+        again: Words of this training, without `--learners` and `--out`.
+        learners: Maximum number of learners of this training.
     """
-    if policy.checkpoints and 2 * policy.checkpoints[0].survived < policy.checkpoints[0].trials:
-        return ("train", *again, *given(seeds=2 * SEEDS))
+    if policy.shortfall:
+        return ("train", *again, *given(learners=2 * learners))
     return ("evaluate", out)
 
 
@@ -99,7 +102,7 @@ def train_again(
         actuator = str(file_with(response.digest, path) or "ACTUATOR")
     limit = policy.settings.plant.max_speed if max_speed is None else max_speed
     options = given(
-        arm=arm_option(policy.arm.name), actuator=actuator, max_speed=limit, seeds=SEEDS
+        arm=arm_option(policy.arm.name), actuator=actuator, max_speed=limit, learners=LEARNERS
     )
     return ("train", pendulum, *options)
 

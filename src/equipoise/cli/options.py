@@ -179,6 +179,13 @@ def read_pendulum(path: Path | None) -> "Pendulum":
     return Pendulum.load(path)
 
 
+def shortfall(policy: "TaskPolicy") -> str:
+    """Return one line where a policy misses the target of its training; else empty."""
+    from equipoise.control.policy import TabularPolicy
+
+    return policy.shortfall if isinstance(policy, TabularPolicy) else ""
+
+
 def read_policy(
     policy: Path | None,
     pendulum: Path | None = None,

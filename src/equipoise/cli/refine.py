@@ -1,5 +1,6 @@
 """`equipoise refine`: compares logs with the model of a policy, and trains on if it moved."""
 
+import functools
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,6 +77,7 @@ def refine(
             old, new = _lasted(refinement.old), _lasted(refinement.new)
             output.rows({"old table": old, "new table": new})
             output.say(f"The {refinement.kept} table is kept, with the new model.")
+            output.warn(refinement.policy.shortfall)
         inputs = {"policy": table.digest}
         inputs |= {printable(name): log.digest for name, log in logs.items()}
         with destination.claimed() as out:
@@ -107,13 +109,17 @@ def _retrain(
 ) -> "Refinement":
     from equipoise.studies import compilation
     from equipoise.studies import refinement as study
-    from equipoise.studies.progress import TrainingProgress, counted
+    from equipoise.studies.progress import ProgressReporter, TrainingProgress
 
     settings = study.settings_of_retraining(policy.settings, episodes or study.EPISODES)
     with output.stages() as show:
         with compilation.compiling(show, compilation.FUNCTIONS):
             compilation.compile_training(policy.arm, settings)
-        progress = TrainingProgress(settings, 1, show).of_learner()
+        progress = TrainingProgress(settings, show).of_learner()
+
+        def trials(stage: str, done: int, of: int) -> None:
+            show(ProgressReporter(stage, done, of, "trials"))
+
         return study.retrain(
             policy,
             findings.pendulum,
@@ -122,7 +128,8 @@ def _retrain(
             seed=seed,
             workers=opt.available_workers(workers),
             partial=partial,
-            done=counted("compare", study.compared_trials(policy), show),
+            comparing=functools.partial(trials, "compare"),
+            testing=functools.partial(trials, "test"),
             **progress,
         )
 

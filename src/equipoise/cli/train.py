@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from equipoise.cli import next_step
 from equipoise.cli import options as opt
@@ -12,6 +12,18 @@ from equipoise.errors import InputError
 
 if TYPE_CHECKING:
     from equipoise.control.policy import TabularPolicy
+    from equipoise.training import TrainedLearners
+
+HELP: Final = {
+    "track": "track: the pendulum stays up, and the flange leaves the track. What varies in the "
+    "training moves it: reduce an uncertainty (plant.delay_spread, plant.zero_error, "
+    "plant.inertia_sigma) or the delay, if the rig allows it, or train more learners.",
+    "angle": "angle: the pendulum falls within the track. Its delay leaves too little of the "
+    "recoverable set: shorten the delay, or take a longer pendulum.",
+    "joint limit": "joint limit: the posture leaves no room; choose another home.",
+    "guard": "guard: the flange exceeds --max-speed; allow more, if the mode of the arm does.",
+}
+"""Remedies for each cause of a failed trial."""
 
 
 @verb
@@ -29,8 +41,13 @@ def train(
     episodes: int | None = opt.value(
         "N", "Number of episodes; by default the paper's 10,000.", min=1
     ),
-    seeds: int | None = opt.value(
-        "N", "Number of learners; by default 3, of which the best is kept.", min=1
+    target: float | None = opt.value(
+        "P",
+        "Share of trials of 60 s that the policy has to last, with 95 % confidence; by default "
+        "0.99, and 0 for a recipe without a selection. With 0 the first learner is taken.",
+    ),
+    learners: int | None = opt.value(
+        "N", "Maximum number of learners that are trained for it; by default 6.", min=1
     ),
     max_speed: float | None = opt.MAX_SPEED,
     seed: int = opt.SEED,
@@ -47,9 +64,11 @@ def train(
 ) -> None:
     """Train a policy by Q-learning, or by another learner.
 
-    Writes the policy: the table of 270 boxes by 8 actions, its learning curve,
-    and everything needed to train it again. After an interruption the same
-    command with --resume continues.
+    Learners are trained one after the other until a policy meets the target in
+    trials that chose nothing. Writes the policy: the table of 270 boxes by 8
+    actions, its learning curve, its test, and everything needed to train it
+    again. Exit code 1: no learner meets the target; the best policy is written
+    and marked. After an interruption the same command with --resume continues.
     """
     output = Output(as_json)
     output.say(f"Training for {pendulum or 'the shipped pendulum'} on {arm}")
@@ -72,34 +91,36 @@ def train(
 
     from equipoise.studies.compilation import FUNCTIONS, compile_training, compiling
     from equipoise.studies.progress import TrainingProgress
-    from equipoise.training import LEARNERS, check_task, train_several
+    from equipoise.training import LEARNERS, TARGET, check_task, train_to_target
 
     output.warn(check_task(source, machine, resolved, response))
     begin = time.perf_counter()
-    learners = LEARNERS if seeds is None else seeds
+    opt.check_range("--target", target, 0.0, 1.0)
+    if target is None:
+        target = TARGET if resolved.selection.every else 0.0
+    budget = LEARNERS if learners is None else learners
     with unfinished(destination, resume=resume) as partial:
         with output.stages() as show:
             with compiling(show, FUNCTIONS):
                 compile_training(machine, resolved)
-            progress = TrainingProgress(resolved, learners, show)
-            policies = train_several(
+            progress = TrainingProgress(resolved, show, budget)
+            trained = train_to_target(
                 source,
                 machine,
                 resolved,
-                learners=learners,
+                target=target,
+                learners=budget,
                 actuator=response,
                 seed=seed,
                 workers=opt.available_workers(workers),
                 partial=partial,
-                report=progress.report,
-                selecting=progress.selecting,
+                progress=progress,
             )
-        wall, speed = time.perf_counter() - begin, progress.speed
-        best = policies[0]
+        wall, speed, best = time.perf_counter() - begin, progress.speed, trained.policy
         inputs = {"pendulum": source.digest, "actuator": best.actuator.digest}
         with destination.claimed() as out:
             best.save(out, command="train", inputs=inputs)
-    _say(output, policies, wall, speed, resume)
+    _say(output, trained, wall, speed, resume)
     output.wrote(out)
     again = next_step.given(
         arm=arm if arm != "iiwa7" else None,
@@ -112,48 +133,53 @@ def train(
         settings=settings_file,
     )
     again += tuple(word for text in chosen for word in ("--set", text))
-    again = (pendulum, *again)
-    output.next(*next_step.after_training(out, best, again))
+    again = (pendulum, *again, *next_step.given(target=target if target != TARGET else None))
+    output.next(*next_step.after_training(out, best, again, budget))
+    test = best.test
     output.result(
         policy=out,
         **{name: getattr(best, name) for name in ("seed", "learner", "episodes", "steps")},
         steps_per_second=speed,
         wall_s=wall,
-        learners=[_learner(policy) for policy in policies],
+        **({} if test is None else test.model_dump(mode="json")),
+        learners=[result.model_dump(mode="json") for result in trained.learners],
+        bad=bool(best.shortfall),
     )
 
 
 def _say(
-    output: Output, policies: "list[TabularPolicy]", wall: float, speed: float, resumed: bool
+    output: Output, trained: "TrainedLearners", wall: float, speed: float, resumed: bool
 ) -> None:
-    best = policies[0]
-    steps = sum(policy.steps for policy in policies)
-    of_each = f" each of {len(policies)} learners" if len(policies) > 1 else ""
+    best, count = trained.policy, len(trained.learners)
+    steps = sum(result.steps for result in trained.learners)
+    of_each = f" each of {count} learners" if count > 1 else ""
     rows = {"trained": f"{best.episodes:,} episodes{of_each}, {steps:,} steps in {wall:.1f} s"}
     if (limit := best.settings.plant.max_speed) is not None:
         rows["for a flange"] = f"below {limit:g} m/s"
     if resumed:
         rows["resumed"] = "from a checkpoint; time and speed count from there"
     if speed:
-        rows["speed"] = f"{speed:,.0f} steps/s, selection included"
-    for policy in policies:
-        name = "selected" if policy is best else f"learner {policy.learner}"
-        whose = f"learner {policy.learner}, " if policy is best and of_each else ""
-        rows[name] = whose + _chosen(policy)
+        rows["speed"] = f"{speed:,.0f} steps/s"
+    whose = f"learner {best.learner}, " if of_each else ""
+    rows["selected"] = whose + _chosen(best)
+    if (test := best.test) is not None:
+        rows["tested"] = test.text
+        if test.failures:
+            rows["ended by"] = ", ".join(f"{cause} {n}" for cause, n in test.failures.items())
     output.rows(rows)
+    if not best.shortfall:
+        return
+    which = "It misses" if count == 1 else f"None of {count} learners meets"
+    output.say(f"{which} the target. The file is written, and marked.", style="red")
+    for cause in best.test.failures if best.test else ():
+        output.say(HELP[cause])
 
 
 def _chosen(policy: "TabularPolicy") -> str:
     if not policy.checkpoints:
         return "the last table, as the recipe requires"
-    chosen, longest = policy.checkpoints[0], policy.settings.selection.final_duration
+    chosen, *others = policy.checkpoints
     return (
-        f"after {chosen.episodes:,} episodes; {chosen.survived} of {chosen.trials} "
-        f"selection trials lasted {longest:g} s"
+        f"after {chosen.episodes:,} episodes; {chosen.survived} of {chosen.trials} trials of its "
+        f"race with {len(others)} other candidates lasted"
     )
-
-
-def _learner(policy: "TabularPolicy") -> dict[str, object]:
-    chosen = policy.checkpoints[0] if policy.checkpoints else None
-    scores = {name: chosen and getattr(chosen, name) for name in ("score", "survived", "trials")}
-    return {"learner": policy.learner, "steps": policy.steps, **scores}

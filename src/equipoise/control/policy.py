@@ -9,6 +9,7 @@ Compiled loops call the kernel `act` with a `PolicyKernel`; a policy without one
 
 import functools
 from importlib import resources
+from math import floor
 from typing import Annotated, ClassVar, Final, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -16,8 +17,8 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Count, Number, Seed, Share, Value, value_digest
-from equipoise.compiled import kernel
+from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Share, Value, value_digest
+from equipoise.compiled import inlined, kernel
 from equipoise.control import boxes
 from equipoise.control.boxes import BoxDescription, Boxes, box_index
 from equipoise.model.actuator import Actuator
@@ -53,7 +54,7 @@ class PolicyKernel(NamedTuple):
     kind: int
     """TABLE, LINEAR (clipped to the range of the actions), SNAPPED (to an action) or RANDOM."""
     u_of_box: Array = np.zeros(boxes.COUNT)
-    """Acceleration of each box [m/s^2], shape (270,); for TABLE."""
+    """Acceleration of each box [m/s^2], one table after the other, shape (270 m,); for TABLE."""
     gains: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Gains of u = gains . (x, x_dot, phi, phi_dot); for LINEAR and SNAPPED."""
     actions: tuple[float, ...] = paper.ACTIONS
@@ -111,6 +112,14 @@ class TaskPolicy(Policy, Protocol):
         ...
 
 
+@inlined
+def table_action(
+    policy: PolicyKernel, table: int, x: float, x_dot: float, phi: float, phi_dot: float
+) -> float:
+    """Return the acceleration [m/s^2] of one of the tables of a policy of kind TABLE."""
+    return policy.u_of_box[boxes.COUNT * table + box_index(x, x_dot, phi, phi_dot, policy.boxes)]
+
+
 @kernel
 def act(
     policy: PolicyKernel, x: float, x_dot: float, phi: float, phi_dot: float, chance: float
@@ -129,7 +138,7 @@ def act(
         Acceleration u of the flange along x [m/s^2].
     """
     if policy.kind == TABLE:
-        return policy.u_of_box[box_index(x, x_dot, phi, phi_dot, policy.boxes)]
+        return table_action(policy, 0, x, x_dot, phi, phi_dot)
     actions = policy.actions
     if policy.kind == RANDOM:
         return actions[int(chance * len(actions))]
@@ -145,7 +154,7 @@ def act(
 
 
 def table_kernel(u_of_box: Array) -> PolicyKernel:
-    """Return the kernel of a table, with a copy of its accelerations [m/s^2], shape (270,)."""
+    """Return the kernel of m tables, with a copy of their accelerations [m/s^2], shape (270 m,)."""
     return PolicyKernel(TABLE, np.array(u_of_box))
 
 
@@ -201,8 +210,6 @@ class LearningPoint(Value):
     """Number of control steps."""
     duration: Number
     """Mean duration of the training episodes that ended since the last point [s]."""
-    survival: Share | None = None
-    """Share of the screening trials that the greedy policy of this moment survived."""
 
 
 class Checkpoint(Value):
@@ -220,6 +227,51 @@ class Checkpoint(Value):
     """Root mean square of x over the trials [m]."""
     score: Number
     """Score of the selection: mean duration over the longest possible, less a penalty on rms_x."""
+
+
+class TargetTest(Value):
+    """Trials of a selected policy that chose nothing, on the plant of its training."""
+
+    target: Share
+    """Required share of trials that last [-]."""
+    met: bool
+    """Whether the lower end of the interval reaches the target."""
+    duration: Number
+    """Length of a trial [s]."""
+    trials: Count
+    """Number of trials."""
+    survived: Count
+    """Number of trials survived."""
+    interval: tuple[Share, Share]
+    """Interval of the share [-], of 95 % confidence over all learners of one command. Its bounds
+    hold although the test stopped as soon as they decided (`equipoise.selection`)."""
+    causes: dict[Name, Count]
+    """Number of trials by the cause of their end."""
+
+    @property
+    def failures(self) -> dict[str, int]:
+        """Number of failed trials by their cause, the most frequent first."""
+        failed = {cause: n for cause, n in self.causes.items() if cause != boxes.CAUSES[0]}
+        return dict(sorted(failed.items(), key=lambda item: -item[1]))
+
+    @property
+    def text(self) -> str:
+        """The result in one line."""
+        low, high = (format_share(end) for end in self.interval)
+        return (
+            f"{self.survived:,} of {self.trials:,} trials lasted {self.duration:g} s "
+            f"(95 %: {low} to {high}); target {format_share(self.target)}"
+        )
+
+
+def format_share(share: float) -> str:
+    """Return a share in per cent, rounded down to two digits.
+
+    Example:
+        >>> format_share(0.99), format_share(0.98999), format_share(1.0)
+        ('99 %', '98.99 %', '100 %')
+    """
+    return f"{floor(1e4 * share + 1e-6) / 100.0:g} %"
 
 
 class TabularPolicy(Viewable, Artefact):
@@ -257,7 +309,9 @@ class TabularPolicy(Viewable, Artefact):
     learning_curve: Annotated[tuple[LearningPoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
     """Course of the training."""
     checkpoints: Annotated[tuple[Checkpoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
-    """Finalists of the selection, the chosen one first; empty if the last table was taken."""
+    """Candidates of the selection, the chosen one first; empty if the last table was taken."""
+    test: TargetTest | None = None
+    """Test of the selected policy; None if it was not tested."""
 
     @model_validator(mode="after")
     def _fits_the_boxes(self) -> Self:
@@ -285,6 +339,13 @@ class TabularPolicy(Viewable, Artefact):
     def name(self) -> str:
         """Name in results."""
         return "policy"
+
+    @property
+    def shortfall(self) -> str:
+        """One line where the policy misses the target of its training; else empty."""
+        if self.test is None or self.test.met:
+            return ""
+        return f"the policy misses the target of its training: {self.test.text}"
 
     @property
     def u_max(self) -> float:

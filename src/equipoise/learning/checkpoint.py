@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ConfigDict, Field
 
-from equipoise.artefacts import Artefact, Value
+from equipoise.artefacts import Artefact, Count, Number, Value
 from equipoise.control.boxes import ACTIONS, COUNT
-from equipoise.control.policy import Checkpoint, LearningPoint
+from equipoise.control.policy import LearningPoint, TabularPolicy, TargetTest
 from equipoise.errors import ArtefactError
 from equipoise.learning.episodes import BEGUN, ENDED, IN_USE, TrainingState
 from equipoise.model.elementary import BATCH_SIZE
@@ -25,34 +25,43 @@ class _Bytes(Value):
     model_config = ConfigDict(ser_json_bytes="base64", val_json_bytes="base64")
 
 
-class Finalist(_Bytes):
-    """Candidate table for the final round."""
+class StoredCandidate(_Bytes):
+    """Candidate of the selection."""
 
+    episodes: Count
+    """Number of episodes before it."""
     Q: bytes
-    """State-action values, 270 x 8 float64."""
-    visits: bytes
-    """Number of updates of each value, 270 x 8 int64."""
-    candidate: Checkpoint
-    """Result of its screening."""
+    """Averaged state-action values, 270 x 8 float64."""
 
 
 class LearnerState(_Bytes):
-    """State of one learner between two screenings, or between two finalists."""
+    """State of one learner between two candidates."""
 
     training: bytes
     """All arrays of `episodes.TrainingState`, in their order."""
     averaged: bytes
     """Running average of the table, 270 x 8 float64."""
-    screened: int = Field(ge=0)
-    """Number of screenings."""
-    known: dict[str, Checkpoint]
-    """Screening of each greedy policy, by the SHA-256 of its accelerations."""
-    best: tuple[Finalist, ...]
-    """Best tables of all screenings, best first."""
-    final: tuple[Checkpoint, ...]
-    """Final rounds, in the order of `best`."""
+    averages: Count
+    """Number of tables in the average."""
+    candidates: tuple[StoredCandidate, ...]
+    """Candidates up to this point, in their order."""
     curve: tuple[LearningPoint, ...] = Field(min_length=1)
     """Learning curve up to this point."""
+
+
+class LearnerResult(Value):
+    """Figures of a learner that has been trained and tested."""
+
+    learner: Count
+    """Number of the learner."""
+    steps: Count
+    """Number of its control steps."""
+    episodes: Count
+    """Number of episodes of the selected policy."""
+    score: Number | None
+    """Score of the selected policy in the race; None without a selection."""
+    test: TargetTest
+    """Test of the selected policy."""
 
 
 class ResumePoint(Artefact):
@@ -64,7 +73,11 @@ class ResumePoint(Artefact):
     deciding: dict[str, str]
     """Digest of each input that decides about the result, by its name."""
     learners: dict[str, LearnerState]
-    """State of each started learner, by its number."""
+    """State of each unfinished learner, by its number."""
+    finished: tuple[LearnerResult, ...]
+    """Figures of the finished learners."""
+    best: TabularPolicy | None
+    """Best policy of the finished learners."""
 
 
 def pack(training: TrainingState) -> bytes:
@@ -103,7 +116,7 @@ def unpack(data: bytes, training: TrainingState) -> None:
             raise _damaged(f"{name} out of range")
 
 
-def table(data: bytes, kind: type[np.float64] | type[np.int64]) -> npt.NDArray[Any]:
+def table(data: bytes) -> npt.NDArray[np.float64]:
     """Return a table of 270 x 8 numbers from its bytes.
 
     Raises:
@@ -111,7 +124,7 @@ def table(data: bytes, kind: type[np.float64] | type[np.int64]) -> npt.NDArray[A
     """
     if len(data) != COUNT * ACTIONS * 8:
         raise _damaged(f"a table of {len(data)} bytes")
-    return np.frombuffer(data, kind).reshape(COUNT, ACTIONS).copy()
+    return np.frombuffer(data, np.float64).reshape(COUNT, ACTIONS).copy()
 
 
 def _arrays(values: Any) -> Iterator[npt.NDArray[Any]]:

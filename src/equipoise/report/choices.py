@@ -110,8 +110,8 @@ def departures(settings: Settings) -> Iterator[str]:
     if selection.every > 0:
         average = " a running average of" if selection.averaging < 1.0 else ""
         yield (
-            f"The policy is not the last table: of{average} the tables of the training, the one "
-            "with the best result in separate trials is kept."
+            f"The policy is not the last table: of{average} the late tables of the training, the "
+            "one with the best result in separate trials is kept."
         )
     yield "The simulator is ours (the paper: V-REP with MATLAB)."
 

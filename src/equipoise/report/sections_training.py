@@ -188,13 +188,17 @@ def _training(results: Results, picture: html.Picture) -> html.Part:
         chosen, rule = policy.checkpoints[0], s.selection
         candidate = "current table" if rule.averaging == 1.0 else "running average of the table"
         selection = (
-            f"A later table is not always better. So after every {rule.every} episodes the "
-            f"{candidate} runs {rule.screening_trials} trials of {rule.duration:g} s, on plants "
-            f"with {rule.spread:g} times the variation of the training; the best {rule.finalists} "
-            f"run {rule.final_trials} more of {rule.final_duration:g} s. The table after episode "
-            f"{chosen.episodes:,} was kept: it stood in {chosen.survived} of {chosen.trials}. The "
-            "results below use other trials."
+            f"A later table is not always better. So the greedy policies of the {candidate} in the "
+            f"last {100.0 * rule.late:g} % of the episodes race: they run the same trials of "
+            f"{rule.duration:g} s, on plants with {rule.spread:g} times the variation of the "
+            f"training, and those that are worse leave. Of {len(policy.checkpoints)} candidates, "
+            f"the table after episode {chosen.episodes:,} won: it lasted {chosen.survived} of "
+            f"{chosen.trials} trials."
         )
+    if policy.test is not None:
+        selection += f" In its test, whose trials chose nothing, {policy.test.text}."
+    if policy.shortfall:
+        selection += " The policy misses the target of its training."
     return html.part(
         "training",
         "Training",
@@ -212,9 +216,9 @@ def _training(results: Results, picture: html.Picture) -> html.Part:
         html.paragraph(selection),
         picture(
             "learning-curve",
-            "Above: duration of the training episodes, with exploration. Below: survival of the "
-            "greedy policy at each checkpoint. One changed action can change it drastically: "
-            "therefore the best table is kept, not the last.",
-            "Mean duration of the training episodes and survival of the greedy policy",
+            "Above: duration of the training episodes, with exploration. Below: the candidates of "
+            "the selection, larger with more trials. One changed action can change the share "
+            "drastically: therefore the best table is kept, not the last.",
+            "Mean duration of the training episodes and survival of the candidates",
         ),
     )

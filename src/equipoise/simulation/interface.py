@@ -108,8 +108,10 @@ class Setup(NamedTuple):
 class Simulation(ABC):
     """Trials in a simulated world."""
 
+    BATCH: ClassVar[int] = 1
+    """Number of trials that advance together."""
     PIECE: ClassVar[int]
-    """Number of trials that a thread takes at a time."""
+    """Maximum number of trials that a thread takes at a time; a multiple of `BATCH`."""
     seed: int
     """Master seed of the trials."""
     stream: int
@@ -156,7 +158,8 @@ class Simulation(ABC):
                 self.run_piece(kernel, trials, piece, duration)
                 done(piece)
 
-            size = self.PIECE
+            share = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
+            size = min(self.PIECE, max(share, 1))
             pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
             run_over_cores(run_piece, pieces, workers)
         elif not isinstance(policy, PolicyKernel):

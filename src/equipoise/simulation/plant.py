@@ -13,7 +13,7 @@ import numpy as np
 from equipoise.compiled import handle, kernel
 from equipoise.control.boxes import TRUNCATED
 from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
-from equipoise.control.policy import RANDOM, PolicyKernel, act
+from equipoise.control.policy import RANDOM, TABLE, PolicyKernel, act, table_action
 from equipoise.learning.closed_loop import (
     TRACKED,
     BatchState,
@@ -75,6 +75,7 @@ def advance_lanes(lanes: Any, count: int) -> None:
 class PlantSimulation(Simulation):
     """Trials on the plant of the training."""
 
+    BATCH: ClassVar[int] = BATCH_SIZE
     PIECE: ClassVar[int] = 4 * BATCH_SIZE
 
     params: LoopParams
@@ -199,7 +200,7 @@ def run_trials(
     Args:
         plant: Constants.
         batch: Scratch space for the states.
-        policy: The policy.
+        policy: The policy; with several tables, each row has the index of its own.
         pendulum: Nominal parameters, which the factors of each trial scale.
         trials: Conditions; receives the results.
         rows: Rows of the trials to run.
@@ -222,17 +223,15 @@ def run_trials(
         lanes += 1
     while lanes > 0:
         for n in range(lanes):
+            x, x_dot = at(observation, OBS_X, n), at(observation, OBS_X_DOT, n)
+            phi, phi_dot = at(observation, OBS_PHI, n), at(observation, OBS_PHI_DOT, n)
+            if policy.kind == TABLE:
+                u[n] = table_action(policy, int(trials.table[row[n]]), x, x_dot, phi, phi_dot)
+                continue
             chance = 0.0
             if policy.kind == RANDOM:
                 chance = uniform(philox(seed, tick[n], number[n], 1, stream)[0], 0.0, 1.0)
-            u[n] = act(
-                policy,
-                at(observation, OBS_X, n),
-                at(observation, OBS_X_DOT, n),
-                at(observation, OBS_PHI, n),
-                at(observation, OBS_PHI_DOT, n),
-                chance,
-            )
+            u[n] = act(policy, x, x_dot, phi, phi_dot, chance)
         draw_noise(controller.noise, seed, tick, number, 0, stream, lanes)
         step(plant, batch, lanes)
         for n in range(lanes - 1, -1, -1):

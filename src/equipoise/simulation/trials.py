@@ -7,7 +7,7 @@ or on the policy, so that policies are compared on the same trials.
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +49,8 @@ class Trials(NamedTuple):
     """Factor on the lags of the joints, shape (n,)."""
     zero: Array
     """Encoder zero offset in phi [rad], shape (n,)."""
+    table: Whole
+    """Index of the table among those of the policy, shape (n,); for several tables."""
     steps: Whole
     """Result: number of steps, shape (n,)."""
     cause: Whole
@@ -62,6 +64,16 @@ class Trials(NamedTuple):
         factors = (self.inertia_factor, self.friction_factor, self.delay, self.lag_factor)
         variation = DomainRandomization(*(float(of[row]) for of in (*factors, self.zero)))
         return Trial(int(self.number[row]), (x, x_dot, phi, phi_dot), variation)
+
+    def of_tables(self, tables: Sequence[int]) -> "Trials":
+        """Return these trials for each of several tables, one table after the other.
+
+        Args:
+            tables: Index of each table among those of the policy.
+        """
+        count = len(self.number)
+        columns: Any = [np.concatenate([values] * len(tables)) for values in self]
+        return Trials(*columns)._replace(table=np.repeat(tables, count))
 
 
 def draw_trials(
@@ -97,6 +109,7 @@ def draw_trials(
         delay=plant.delay_spread * rig[:, 0],
         lag_factor=1.0 + plant.lag_spread * rig[:, 1],
         zero=plant.zero_error * rig[:, 2],
+        table=np.zeros(count, np.int64),
         steps=np.zeros(count, np.int64),
         cause=np.zeros(count, np.int64),
         sum_x2=np.zeros(count),

@@ -77,9 +77,7 @@ def compile_training(arm: Arm, settings: Settings) -> None:
     """Compile the kernels of training and evaluation, for one arm."""
     tree = settings.model_dump()
     tree["learning"] |= {"episodes": 1, "episode_duration": MOMENT}
-    counts = ("every", "screening_trials", "finalists", "final_trials")
-    durations = {"duration": MOMENT, "final_duration": MOMENT}
-    tree["selection"] |= dict.fromkeys(counts, 1) | durations
+    tree["selection"] |= {"every": 1, "rounds": 1, "duration": MOMENT}
     tree["evaluation"] = {}
     train(shipped_pendulum(), arm, Settings.model_validate(tree))
 

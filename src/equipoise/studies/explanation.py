@@ -170,7 +170,7 @@ ADVICE: Final = {
 """Advice for each cause."""
 _TRAIN_FOR_WORLD: Final = (
     "train for this world's actuator: `equipoise deploy --excite --world WORLD`, `equipoise "
-    "identify`, `equipoise train --actuator actuator.json --seeds 5`"
+    "identify`, `equipoise train --actuator actuator.json`"
 )
 IN_SIMULATION: Final = {
     CauseName.OUTSIDE: "start nearer to upright (`evaluation.phi_high`, "

@@ -79,13 +79,15 @@ VARIANTS: Final[Mapping[str, Mapping[str, Any]]] = {
 }
 """Variants of the unpublished servo, as changes of the twin's settings."""
 
-BEST_TABLE: Final = ("selection.every=10", "selection.averaging=1")
+BEST_TABLE: Final = (
+    *("selection.every=20", "selection.averaging=1"),
+    *("selection.late=1", "selection.candidates=500"),
+)
 """Overrides that select the table with the longest survival on its own plant. The paper's table
 balanced in simulation before it ran on the robot; the last table of recipe `paper` rarely does."""
 BEST_TABLE_QUICK: Final = (
-    *("selection.every=25", "selection.screening_trials=16", "selection.duration=20"),
-    *("selection.finalists=4", "selection.final_trials=32", "selection.final_duration=20"),
-    "selection.averaging=1",
+    *BEST_TABLE,
+    *("selection.round_trials=64", "selection.rounds=5", "selection.duration=20"),
 )
 """Overrides for the same with fewer and shorter trials of the candidates."""
 

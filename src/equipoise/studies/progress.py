@@ -3,12 +3,13 @@
 import time
 from collections.abc import Callable
 from functools import partial
-from statistics import fmean
 from threading import Lock
 from typing import Any, NamedTuple
 
-from equipoise.control.policy import LearningPoint
+from equipoise.control.policy import LearningPoint, format_share
+from equipoise.learning.checkpoint import LearnerResult
 from equipoise.settings import Settings
+from equipoise.training import TargetProgress
 
 
 class ProgressReporter(NamedTuple):
@@ -56,61 +57,87 @@ def counted(stage: str, total: int, show: Show) -> Callable[[int], None]:
     return done
 
 
-class TrainingProgress:
-    """Sum of the learners' progress: episodes, and trials of the final selection.
+class TrainingProgress(TargetProgress):
+    """Progress of a training to a target.
 
-    Both may run at once, since one learner may finish its episodes before another.
+    The first learner has a stage each for its episodes, its race and its test; all further learners
+    are one stage.
     """
 
-    def __init__(self, settings: Settings, learners: int, show: Show, of: str = "") -> None:
+    def __init__(self, settings: Settings, show: Show, learners: int = 1, of: str = "") -> None:
         """Begin with the episodes.
 
         Args:
             settings: Settings of the training.
-            learners: Number of learners.
             show: Called with the progress.
+            learners: Maximum number of learners.
             of: Suffix of the stages' names, in a study with two trainings.
         """
-        selection = settings.selection
-        self._show, self._learners = show, learners
-        self._select, episodes = f"select {of}".strip(), learners * settings.learning.episodes
-        self._first = ProgressReporter(f"train {of}".strip(), 0, episodes, "episodes")
-        self._trials = selection.finalists * selection.final_trials
+        self._show, self._learners, self._of = show, learners, of
+        self._episodes = settings.learning.episodes
         self._points: dict[int, LearningPoint] = {}
-        self._finals: dict[int, tuple[int, int]] = {}
+        self._results: dict[int, LearnerResult] = {}
         self._begin: tuple[float, int] | None = None
         self._lock = Lock()
         self.speed = 0.0
         """Control steps per second of all learners, since the first report."""
-        show(self._first)
+        show(self._stage("train", 0, self._episodes, "episodes"))
 
-    def of_learner(self, learner: int = 0) -> dict[str, Any]:
-        """Return the callbacks `report` and `selecting` of a training with one learner."""
-        report, selecting = partial(self.report, learner), partial(self.selecting, learner)
-        return {"report": report, "selecting": selecting}
+    def of_learner(self) -> dict[str, Any]:
+        """Return the callbacks `report` and `selecting` of a training of one learner."""
+        return {"report": partial(self.report, 0), "selecting": partial(self.selecting, 0)}
 
     def report(self, learner: int, point: LearningPoint) -> None:
         """Add a point of a learning curve."""
         with self._lock:
             self._points[learner] = point
-            points = list(self._points.values())
-            now, steps = time.perf_counter(), sum(p.steps for p in points)
+            now, steps = time.perf_counter(), sum(p.steps for p in self._points.values())
             if self._begin is None:
                 self._begin = now, steps
             elapsed = now - self._begin[0]
             self.speed = (steps - self._begin[1]) / elapsed if elapsed > 0.0 else 0.0
-            screened = [p.survival for p in points if p.survival is not None]
-            text = f"{fmean(p.duration for p in points):.1f} s an episode"
-            if screened:
-                text = f"{100.0 * fmean(screened):.0f} % stand"
-            episodes = sum(p.episodes for p in points)
-            self._show(self._first._replace(completed=episodes, text=text))
+            text = f"{point.duration:.1f} s an episode"
+            if learner == 0:
+                stage = self._stage("train", point.episodes, self._episodes, "episodes")
+                self._show(stage._replace(text=text))
+            else:
+                self._show_learners()
 
     def selecting(self, learner: int, done: int, of: int) -> None:
-        """Add the finished and the total number of trials of a learner's final selection."""
+        """Show the trials of a race."""
+        if learner == 0:
+            self._show(self._stage("select", done, of, "trials"))
+        else:
+            self._show_learners()
+
+    def testing(self, learner: int, done: int, of: int) -> None:
+        """Show the trials of a test."""
+        if learner == 0:
+            self._show(self._stage("test", done, of, "trials"))
+        else:
+            self._show_learners()
+
+    def finished(self, result: LearnerResult) -> None:
+        """Count a tested learner."""
         with self._lock:
-            self._finals[learner] = done, of
-            others = self._learners - len(self._finals)
-            total = sum(of for _, of in self._finals.values()) + others * self._trials
-            completed = sum(done for done, _ in self._finals.values())
-            self._show(ProgressReporter(self._select, completed, total, "trials"))
+            self._results[result.learner] = result
+            if result.learner > 0 or not result.test.met:
+                self._show_learners()
+
+    def _show_learners(self) -> None:
+        """Show the learners after the first one, with the best share up to now."""
+        if self._learners == 1:
+            return
+        results = self._results.values()
+        met, total = any(result.test.met for result in results), self._learners - 1
+        later = [n for n in self._points if n > 0]
+        begun = sum(self._points[n].episodes for n in later if n not in self._results)
+        done = sum(n > 0 for n in self._results) + 0.8 * begun / self._episodes
+        best = max((result.test.interval[0] for result in results), default=0.0)
+        text = f"best: {format_share(best)} or more"
+        self._show(self._stage("retry", total if met else done, total, "learners", text))
+
+    def _stage(
+        self, name: str, completed: float, total: float, unit: str, text: str = ""
+    ) -> ProgressReporter:
+        return ProgressReporter(f"{name} {self._of}".strip(), completed, total, unit, text)

@@ -23,7 +23,6 @@ import numpy.typing as npt
 from equipoise.artefacts import Estimate, Value
 from equipoise.control.policy import Checkpoint, TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.evaluation import Done
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
 from equipoise.identification.closed_loop import ClosedLoopFit, ParameterChange, compare, regress
 from equipoise.logs.run_log import RunLog
@@ -31,8 +30,9 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import Pendulum
+from equipoise.selection import Running
 from equipoise.settings import PlantSettings, Settings
-from equipoise.training import score_policy, train
+from equipoise.training import TARGET, compare_policies, measure_policy, train
 
 Array = npt.NDArray[np.float64]
 
@@ -177,10 +177,13 @@ def retrain(
     episodes: int = EPISODES,
     seed: int = 0,
     workers: int = 1,
-    done: Done = lambda _: None,
+    comparing: Running = lambda _, __: None,
+    testing: Running = lambda _, __: None,
     **options: Any,
 ) -> Refinement:
     """Continue a policy's training on another model, and keep the better of old and new table.
+
+    The table that is kept is tested on the new model, for the target of the policy.
 
     Args:
         policy: The policy with the initial table and visits.
@@ -189,26 +192,23 @@ def retrain(
         episodes: Number of episodes.
         seed: Master seed.
         workers: Threads; the result does not depend on it.
-        done: Called with the number of just finished trials of the comparison, which has
-            `compared_trials` in all.
+        comparing: Called as trials of the comparison finish.
+        testing: Called as trials of the test finish.
         options: `partial`, `report` and `selecting` of `train`.
     """
     settings = settings_of_retraining(policy.settings, episodes)
     options |= {"actuator": actuator, "seed": seed, "init_policy": policy, "workers": workers}
     new = train(pendulum, policy.arm, settings, **options)
     old = policy.model_copy(update={"pendulum": pendulum, "actuator": actuator})
-    of_old, of_new = (
-        score_policy(each, seed=seed + COMPARISON_SEED, workers=workers, done=done)
-        for each in (old, new)
+    of_old, of_new = compare_policies(
+        [old, new], seed=seed + COMPARISON_SEED, workers=workers, running=comparing
     )
-    if of_new.score > of_old.score:
-        return Refinement(new, "new", of_old, of_new)
-    return Refinement(old.model_copy(update={"checkpoints": (of_old,)}), "old", of_old, of_new)
-
-
-def compared_trials(policy: TabularPolicy) -> int:
-    """Return the number of trials of the comparison in `retrain`."""
-    return 2 * policy.settings.selection.final_trials
+    kept, better = ("new", new) if of_new.score > of_old.score else ("old", old)
+    if kept == "old":
+        better = better.model_copy(update={"checkpoints": (of_old,)})
+    target = TARGET if policy.test is None else policy.test.target
+    test = measure_policy(better, target=target, workers=workers, running=testing)
+    return Refinement(better.model_copy(update={"test": test}), kept, of_old, of_new)
 
 
 def settings_of_retraining(settings: Settings, episodes: int) -> Settings:

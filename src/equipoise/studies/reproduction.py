@@ -56,7 +56,7 @@ from equipoise.studies.results import (
     verdict,
 )
 from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
-from equipoise.training import LEARNERS, software, train_several
+from equipoise.training import LEARNERS, TARGET, software, train_to_target
 from equipoise.trajectory import Trajectory, read_swing, write_swing
 
 T = TypeVar("T")
@@ -70,11 +70,10 @@ COMMAND: Final = "reproduce"
 
 QUICK: Final = {
     "learning.episodes": 5000,
-    "selection.screening_trials": 8,
+    "selection.candidates": 16,
+    "selection.round_trials": 64,
+    "selection.rounds": 5,
     "selection.duration": 20.0,
-    "selection.finalists": 3,
-    "selection.final_trials": 64,
-    "selection.final_duration": 30.0,
     "evaluation.trials": 50,
     "evaluation.duration": 20.0,
 }
@@ -266,15 +265,15 @@ def reproduce(
     recorded = replace(read_swing(out / SWING), source=given.source, released=given.released)
     work = partial(identify, recorded, settings.identification)
     pendulum = saved("identify", PENDULUM, Pendulum, work, IDENTIFY_TIME, swing=recorded.sha256)
-    # Without a selection, no score compares several learners.
-    learners = 1 if quick or settings.selection.every == 0 else LEARNERS
 
     def learn() -> TabularPolicy:
-        progress = TrainingProgress(settings, learners, report)
-        options: Any = {"report": progress.report, "selecting": progress.selecting, **common}
-        checkpoints = partial_path(out / POLICY)
-        task = pendulum, arm, settings
-        return train_several(*task, learners=learners, partial=checkpoints, **options)[0]
+        # Without a selection, or with few episodes, the first learner is taken as it is.
+        wanted: Any = {"target": 0.0, "learners": 1}
+        if not quick and settings.selection.every > 0:
+            wanted = {"target": TARGET, "learners": LEARNERS}
+        progress = TrainingProgress(settings, report, wanted["learners"])
+        wanted |= {"partial": partial_path(out / POLICY), "progress": progress, **common}
+        return train_to_target(pendulum, arm, settings, **wanted).policy
 
     if POLICY not in finished:
         with compiling(report, FUNCTIONS):
@@ -295,7 +294,7 @@ def reproduce(
     def short_gap() -> Gap:
         trials, duration = QUICK_GAP if quick else (None, None)
         form: Any = {"world": TWIN, "quick": True, "trials": trials}
-        progress = TrainingProgress(paper_settings(quick=True), 1, report, "paper").of_learner()
+        progress = TrainingProgress(paper_settings(quick=True), report, of="paper").of_learner()
         checkpoints = partial_path(out / PAPER_POLICY)
         table = train_paper(policy, quick=True, partial=checkpoints, **progress, **common)
         done = counted("gap", trials_of(**form), report)

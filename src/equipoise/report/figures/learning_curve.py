@@ -1,4 +1,4 @@
-"""Learning curve: duration of the training episodes, and survival of the greedy policies."""
+"""Learning curve: duration of the training episodes, and survival of the candidates."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.control.policy import TabularPolicy
-from equipoise.report.style import BLUE, GREY, INK, ORANGE, new_figure, styled
+from equipoise.report.style import BLUE, INK, ORANGE, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,17 +15,18 @@ Array = npt.NDArray[np.float64]
 
 MAX_MEANS = 100
 """Approximate maximum number of plotted means of the episode duration."""
+MAX_AREA = 30.0
+"""Area of the mark of a candidate with as many trials as the winner [points^2]."""
 
 
 @styled()
 def learning_curve(policy: TabularPolicy) -> "Figure":
-    """Draw the learning curve of a policy, and the checkpoint that was kept.
+    """Draw the learning curve of a policy, and the candidates of its selection.
 
     Args:
-        policy: The policy, with the curve and the finalists of its selection.
+        policy: The policy, with its learning curve and the results of its race.
     """
-    curve, settings = policy.learning_curve, policy.settings
-    tried = [point for point in curve if point.survival is not None]
+    tried, settings = policy.checkpoints, policy.settings
     figure = new_figure(4.2 if tried else 2.4, "Learning curve")
     axes: Any = figure.subplots(2 if tried else 1, 1, sharex=True, squeeze=False)[:, 0]
     axes[0].stairs(*_mean_duration(policy), baseline=None, color=INK, linewidth=1.1)
@@ -35,16 +36,13 @@ def learning_curve(policy: TabularPolicy) -> "Figure":
     axes[0].set_title(f"training episodes, truncated after {limit}")
     if tried:
         selection, panel = settings.selection, axes[1]
-        episodes = [point.episodes for point in tried]
-        percent = [100.0 * (point.survival or 0.0) for point in tried]
-        panel.plot(episodes, percent, color=BLUE, linewidth=0.8, label="each candidate")
         panel.set_ylabel("trials that lasted [%]")
         panel.set_ylim(-4.0, 107.0)
         panel.set_title(
-            f"greedy policy at each checkpoint, {selection.screening_trials} trials of "
-            f"{selection.duration:g} s, {selection.spread:g} times the variation of the training"
+            f"candidates in trials of {selection.duration:g} s, {selection.spread:g} times the "
+            "variation of the training"
         )
-        _finalists(panel, policy)
+        _candidates(panel, policy)
     axes[-1].set_xlabel("episodes")
     axes[-1].set_xlim(0, policy.episodes)
     return figure
@@ -60,15 +58,13 @@ def _mean_duration(policy: TabularPolicy) -> tuple[Array, Array]:
     return np.diff(seconds) / np.diff(episodes), episodes
 
 
-def _finalists(panel: Any, policy: TabularPolicy) -> None:
-    survival = {point.episodes: point.survival for point in policy.learning_curve}
-
-    def place(*numbers: int) -> tuple[list[int], list[float]]:
-        return list(numbers), [100.0 * (survival.get(n) or 0.0) for n in numbers]
-
-    chosen, *others = (candidate.episodes for candidate in policy.checkpoints)
-    panel.plot(*place(*others), "o", color=GREY, markersize=3.5, label="finalist")
+def _candidates(panel: Any, policy: TabularPolicy) -> None:
+    episodes = [candidate.episodes for candidate in policy.checkpoints]
+    percent = [100.0 * candidate.survived / candidate.trials for candidate in policy.checkpoints]
+    trials = np.array([candidate.trials for candidate in policy.checkpoints])
+    area = MAX_AREA * trials[1:] / trials[0]
+    panel.scatter(episodes[1:], percent[1:], area, color=BLUE, linewidth=0, label="candidate")
     diamond: Any = {"marker": "D", "markeredgecolor": INK, "markersize": 7, "clip_on": False}
-    label = f"kept: episode {chosen:,}"
-    panel.plot(*place(chosen), color=ORANGE, linestyle="", label=label, **diamond)
-    panel.figure.legend(loc="outside lower center", ncols=3)
+    label = f"kept: episode {episodes[0]:,}"
+    panel.plot(episodes[:1], percent[:1], color=ORANGE, linestyle="", label=label, **diamond)
+    panel.figure.legend(loc="outside lower center", ncols=2)

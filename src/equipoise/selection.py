@@ -1,0 +1,303 @@
+"""Selection of a policy among candidates by a race, and the test of the selected policy.
+
+All candidates run the same trials: common random numbers make differences between them larger than
+those between trials. A race (Maron & Moore 1994, "Hoeffding races") runs the trials in growing
+blocks and drops a candidate once it is significantly worse than the leader. The bound is an exact
+sign test over the trials in which one of the two lasts longer, as in the rank tests of Birattari et
+al. 2002, "A racing algorithm for configuring metaheuristics": durations of trials have long tails,
+for which bounds on a mean (Mnih et al. 2008, "Empirical Bernstein stopping") need many more trials.
+A limited number of trials per round leaves the better candidates (Karnin et al. 2013, "Almost
+optimal exploration in multi-armed bandits": successive halving).
+
+The best of many results is biased. The share that a policy states is therefore measured in trials
+that chose nothing, with a confidence sequence (Robbins 1970): its bounds hold at all times at once,
+so that the test may stop as soon as they answer the question.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from math import log
+from threading import Lock
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq
+from scipy.special import betaln, xlog1py, xlogy
+from scipy.stats import binom
+
+from equipoise import paper
+from equipoise.control.boxes import CAUSES, TRUNCATED, cause_named
+from equipoise.control.policy import Checkpoint, TargetTest, table_kernel
+from equipoise.learning.closed_loop import LoopParams, make_loop_params
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.random import SELECTION, TARGET_TEST
+from equipoise.settings import Settings
+from equipoise.simulation.plant import PlantSimulation
+
+Array = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+Running = Callable[[int, int], None]
+"""Callback for finished trials, and the number of trials that are expected; from any thread."""
+
+FIRST_BLOCK: Final = 4
+"""Number of trials of each candidate in the first round; each round doubles them."""
+RACE_ERROR: Final = 0.05
+"""Probability that a race drops the best candidate by its sign tests."""
+ERROR: Final = 0.05
+"""Probability that a command accepts any policy whose share is below the target."""
+PRIOR: Final = (100.0, 0.3)
+"""Parameters of the beta distribution of the confidence sequence. With its mean of 0.997, a
+target of 0.99 needs the fewest trials; the bounds hold for all shares and all targets."""
+SETTLED: Final = 32
+"""Number of trials after which candidates of equal durations count as equal."""
+TEST_BLOCK: Final = 64
+"""Number of trials between two looks at the bounds of a test."""
+
+
+class Candidate(NamedTuple):
+    """A greedy policy of a training."""
+
+    episodes: int
+    """Number of training episodes before it."""
+    u_of_box: Array
+    """Acceleration of each box [m/s^2], shape (270,)."""
+
+
+class TrialPlant(NamedTuple):
+    """Inputs of the trials of candidates, which all share."""
+
+    params: LoopParams
+    """Constants of the closed loop."""
+    arm: Arm
+    """The arm."""
+    pendulum: PendulumParameters
+    """Nominal parameters, which the trials vary."""
+    settings: Settings
+    """Ranges of the trials' conditions, and the rules of the selection."""
+    seed: int
+    """Master seed."""
+
+    def simulation(self, stream: int, spread: float) -> PlantSimulation:
+        """Return the simulation of trials for one purpose."""
+        params, arm, pendulum, settings, seed = self
+        return PlantSimulation(
+            params, arm, pendulum, settings, seed=seed, stream=stream, spread=spread
+        )
+
+
+def trial_plant(
+    pendulum: Pendulum, arm: Arm, settings: Settings, actuator: Actuator, seed: int
+) -> TrialPlant:
+    """Return the inputs of trials on the plant of a training.
+
+    Raises:
+        ArmError: Home is a singular posture.
+        SettingsError: The delay exceeds the controller's history.
+    """
+    nominal = pendulum.parameters(linearised=settings.plant.linearised)
+    params = make_loop_params(arm, settings, paper.STEP, nominal, actuator)
+    return TrialPlant(params, arm, nominal, settings, seed)
+
+
+def race(
+    plant: TrialPlant,
+    candidates: Sequence[Candidate],
+    *,
+    workers: int = 1,
+    running: Running = lambda _, __: None,
+) -> list[tuple[int, Checkpoint]]:
+    """Race candidates on common trials; return their indices and results, the best first.
+
+    Args:
+        plant: Inputs of the trials.
+        candidates: At least one.
+        workers: Threads; the result does not depend on it.
+        running: Called as trials finish.
+    """
+    rule, count = plant.settings.selection, len(candidates)
+    simulation = plant.simulation(SELECTION, rule.spread)
+    policy = table_kernel(np.concatenate([each.u_of_box for each in candidates]))
+    most, lock = FIRST_BLOCK * 2 ** (rule.rounds - 1), Lock()
+    steps, sum_x2 = np.zeros((count, most), np.int64), np.zeros((count, most))
+    cause = np.zeros((count, most), np.int64)
+    results: dict[int, Checkpoint] = {}
+    alive, first, finished = list(range(count)), 0, 0
+    while alive:
+        last = max(2 * first, FIRST_BLOCK)
+        trials = simulation.draw(last - first, first).of_tables(alive)
+        rounds_left = (most // last).bit_length() - 1
+        expected = finished + len(trials.table) + rounds_left * rule.round_trials
+
+        def done(rows: Sequence[int], expected: int = expected) -> None:
+            nonlocal finished
+            with lock:
+                finished += len(rows)
+                running(finished, max(expected, finished + 1))
+
+        rows = range(len(trials.table))
+        simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
+        at = trials.table, trials.number
+        steps[at], sum_x2[at], cause[at] = trials.steps, trials.sum_x2, trials.cause
+        for i in alive:
+            lasted = int(np.sum(cause[i, :last] == TRUNCATED))
+            parts = candidates[i].episodes, lasted, steps[i, :last], sum_x2[i, :last]
+            results[i] = _result(plant, *parts)
+        alive.sort(key=lambda i: (-results[i].score, i))
+        kept = not_worse(steps[alive, :last], RACE_ERROR / (count * rule.rounds))
+        alive = [i for i, keep in zip(alive, kept, strict=True) if keep]
+        alive = alive[: max(rule.round_trials // last, 1)]
+        equal = last >= SETTLED and not np.any(steps[alive, :last] != steps[alive[0], :last])
+        if len(alive) == 1 or last == most or equal:
+            break
+        first = last
+    running(finished, finished)
+    order = sorted(results, key=lambda i: (-results[i].trials, -results[i].score, i))
+    return [(i, results[i]) for i in order]
+
+
+def not_worse(steps: Whole, error: float) -> list[bool]:
+    """Return which candidates the trials do not show to be worse than the first one.
+
+    If a candidate were as good as the first, each of the two would last longer in half of the
+    trials in which their durations differ. The tail of that binomial distribution is the error of
+    dropping the candidate.
+
+    Args:
+        steps: Durations of common trials [steps], shape (candidates, trials); the leader first.
+        error: Probability of dropping a candidate that is as good as the leader.
+    """
+    shorter = np.sum(steps < steps[0], axis=1)
+    longer = np.sum(steps > steps[0], axis=1)
+    tail = binom.sf(shorter - 1, shorter + longer, 0.5)
+    return (tail > error).tolist()
+
+
+def _result(
+    plant: TrialPlant, episodes: int, lasted: int, steps: Whole, sum_x2: Array
+) -> Checkpoint:
+    rule, h = plant.settings.selection, plant.params.controller.h
+    mean_duration = float(np.mean(steps)) * h
+    rms_x = float(np.sqrt(np.sum(sum_x2) / np.sum(steps)))
+    return Checkpoint(
+        episodes=episodes,
+        trials=len(steps),
+        survived=lasted,
+        mean_duration=mean_duration,
+        rms_x=rms_x,
+        score=mean_duration / rule.duration - rule.rms_x_weight * rms_x / paper.X_LIMIT,
+    )
+
+
+def measure_share(
+    plant: TrialPlant,
+    u_of_box: Array,
+    *,
+    target: float,
+    error: float = ERROR,
+    workers: int = 1,
+    running: Running = lambda _, __: None,
+) -> TargetTest:
+    """Measure the share of trials that a selected policy lasts, until the target is decided.
+
+    The trials are those of an evaluation of the policy on the plant of its training; their seeds
+    chose nothing. The test ends when the interval lies on one side of the target, or when failures
+    have put the target out of reach of the remaining trials.
+
+    Args:
+        plant: Inputs of the trials.
+        u_of_box: Acceleration of each box [m/s^2], shape (270,).
+        target: Required share [-].
+        error: Probability that the interval does not contain the share.
+        workers: Threads; the result does not depend on it.
+        running: Called as trials finish, with the number after which the target would be met.
+    """
+    rule = plant.settings.selection
+    simulation, policy = plant.simulation(TARGET_TEST, 1.0), table_kernel(u_of_box)
+    count, failed, causes = 0, 0, Counter[str]()
+    low, high, lock = 0.0, 1.0, Lock()
+    finished = 0
+    while count == 0 or (low < target <= high and count < rule.test_trials):
+        expected = trials_to_meet(target, error, count, failed, rule.test_trials)
+        if expected is None and failed:
+            break
+        trials = simulation.draw(min(TEST_BLOCK, rule.test_trials - count), count)
+
+        def done(rows: Sequence[int], expected: int = expected or rule.test_trials) -> None:
+            nonlocal finished
+            with lock:
+                finished += len(rows)
+                running(finished, max(expected, finished + 1))
+
+        rows = range(len(trials.steps))
+        simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
+        causes.update(map(cause_named, trials.cause.tolist()))
+        count += len(rows)
+        failed = count - causes[CAUSES[0]]
+        low, high = confidence_sequence(count - failed, failed, error)
+    running(count, count)
+    return TargetTest(
+        target=target,
+        met=low >= target,
+        duration=rule.duration,
+        trials=count,
+        survived=count - failed,
+        interval=(low, high),
+        causes=dict(causes),
+    )
+
+
+def trials_to_meet(target: float, error: float, count: int, failed: int, most: int) -> int | None:
+    """Return the number of trials after which a target is met if no further trial fails.
+
+    Args:
+        target: Required share [-].
+        error: Error of the confidence sequence.
+        count: Number of trials up to now.
+        failed: Number of them that failed.
+        most: Maximum number of trials.
+
+    Returns:
+        The number, a multiple of `TEST_BLOCK` or `most`; None if the target is out of reach.
+    """
+    looks = [*range(count + TEST_BLOCK, most, TEST_BLOCK), most]
+    enough = (n for n in looks if confidence_sequence(n - failed, failed, error)[0] >= target)
+    return next(enough, None)
+
+
+def confidence_sequence(lasted: int, failed: int, error: float) -> tuple[float, float]:
+    r"""Return bounds of a share that hold after every trial at once.
+
+    With the weight of `PRIOR`, the average likelihood of all shares over that of the true share p,
+
+    .. math:: M_n(p) = \frac{B(a + s, b + f)}{B(a, b) \, p^s (1 - p)^f}
+
+    is a martingale of mean 1, so that it ever exceeds 1 / error with a probability below the error
+    (Ville's inequality). The bounds enclose all p whose M_n is smaller (Robbins 1970, "Statistical
+    methods related to the law of the iterated logarithm"; Howard et al. 2021).
+
+    Args:
+        lasted: Number of trials that lasted, s.
+        failed: Number of trials that failed, f.
+        error: Probability that the bounds ever exclude the share.
+    """
+    a, b = PRIOR
+    limit = betaln(a + lasted, b + failed) - betaln(a, b) + log(error)
+
+    def excess(share: float) -> float:
+        return float(limit - xlogy(lasted, share) - xlog1py(failed, -share))
+
+    n = lasted + failed
+    if n == 0:
+        return 0.0, 1.0
+
+    def root(below: float, above: float) -> float:
+        solve: Any = brentq  # SciPy's type allows a second result
+        return float(solve(excess, below, above, xtol=1e-9))
+
+    mean, least, most = lasted / n, 1e-12, 1.0 - 1e-12
+    low = root(least, mean) if lasted and excess(least) > 0.0 else 0.0
+    high = root(mean, most) if failed and excess(most) > 0.0 else 1.0
+    return low, high
