@@ -137,6 +137,7 @@ def race(
                 finished += len(rows)
                 running(finished, max(expected, finished + 1))
 
+        running(finished, expected)
         rows = range(len(trials.table))
         simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
         at = trials.table, trials.number
@@ -231,6 +232,7 @@ def measure_share(
                 finished += len(rows)
                 running(finished, max(expected, finished + 1))
 
+        running(finished, expected or rule.test_trials)
         rows = range(len(trials.steps))
         simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
         causes.update(map(cause_named, trials.cause.tolist()))

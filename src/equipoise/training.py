@@ -189,7 +189,6 @@ def train_to_target(
         InputError: The test has too few trials for the target, even without a failure.
         OutsideError: The disk rejects a checkpoint.
         SettingsError: No controller saves any of the releases.
-        SettingsError: No controller saves any of the releases.
     """
     most = settings.selection.test_trials
     if trials_to_meet(target, _error(0), 0, 0, most) is None:
