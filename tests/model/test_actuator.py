@@ -15,6 +15,7 @@ from equipoise.model.actuator import (
     INTERVAL_WIDTH,
     KST,
     LAG,
+    NEAR,
     Actuator,
     ActuatorParameters,
     follow,
@@ -52,6 +53,15 @@ def test_the_shaping_law_is_the_servers_formula(e):
     expected = np.sign(e) * 0.07 * -expm1(-((e / 0.0525) ** 2))
     assert shaped_step(e, AMPLITUDE, INTERVAL_WIDTH) == pytest.approx(
         expected, rel=1e-11, abs=1e-300
+    )
+
+
+@given(st.floats(-NEAR, NEAR))
+def test_the_short_series_is_the_servers_formula(ratio):
+    e = ratio * INTERVAL_WIDTH
+    expected = np.sign(e) * 0.07 * -expm1(-((e / 0.0525) ** 2))
+    assert shaped_step(e, AMPLITUDE, INTERVAL_WIDTH) == pytest.approx(
+        expected, rel=1e-12, abs=1e-300
     )
 
 
@@ -151,10 +161,12 @@ def test_no_lag_takes_up_all_at_once():
     assert lag_share(0.008) == pytest.approx(1.0 - exp(-1.0 / 8.0), rel=1e-12)
 
 
+@pytest.mark.parametrize("error", [0.1, NEAR * INTERVAL_WIDTH / 2.0])
 @pytest.mark.parametrize("kind", [IDEAL, LAG, KST])
-def test_each_lane_and_joint_moves_alone(kind):
+def test_each_lane_and_joint_moves_alone(kind, error):
+    # Small errors alone take the short series, with others among them the whole law.
     rng = np.random.default_rng(2)
-    target, q = rng.uniform(-0.1, 0.1, (2, 6 * BATCH_SIZE))
+    target, q = rng.uniform(-error, error, (2, 6 * BATCH_SIZE))
     dq, share = rng.uniform(-0.5, 0.5, 6 * BATCH_SIZE), rng.uniform(0.05, 1.0, 6 * BATCH_SIZE)
     together, speeds = q.copy(), dq.copy()
     follow(together, speeds, target, share, ActuatorParameters(kind), BATCH_SIZE)

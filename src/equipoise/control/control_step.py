@@ -97,6 +97,8 @@ class ControllerParams(NamedTuple):
 
     kinematics: KinematicsFunction
     """The arm's kinematics."""
+    motion: KinematicsFunction
+    """The same without J and J_dot dq."""
     clik: ClikParameters
     """Gains and damping."""
     limits: Array
@@ -165,7 +167,7 @@ class ControllerState(NamedTuple):
     model_dq: Array
     """Their velocities [rad/s], 6 rows."""
     model_frame: Array
-    """Record of the kinematics there."""
+    """Position, rotation and twist of the flange there."""
     offset: Array
     """Measured minus modelled joints, slowly varying [rad], 6 rows."""
     scratch: Array
@@ -227,6 +229,7 @@ def make_controller_params(
     lags = np.array([lag.value for lag in actuator.lags])
     return ControllerParams(
         kinematics=compiled.kinematics,
+        motion=compiled.motion,
         clik=ClikParameters(
             clik.K_p, clik.K_d, clik.singular_share * w, clik.damping, (wrist_x, wrist_y, wrist_z)
         ),
@@ -527,15 +530,17 @@ def command(controller: ControllerParams, state: ControllerState, lanes: int) ->
     for i in range(6):
         lower, upper = limits[0, i], limits[1, i]
         max_velocity, max_acceleration = limits[2, i], limits[3, i]
+        # Loops with few arrays: a compiler vectorises no loop over many.
         for n in range(lanes):
             a, v, angle = at(ddq, i, n), at(dq, i, n), at(q, i, n)
             put(setpoints, i, n, angle + 0.5 * v * h + 0.125 * a * h * h)
-            angle += v * h + 0.5 * a * h * h
-            v += a * h
-            put(setpoints, 6 + i, n, angle)
-            put(q, i, n, angle)
-            put(dq, i, n, v)
-            slow = (abs(v) <= max_velocity) & (abs(a) <= max_acceleration)
+            put(setpoints, 6 + i, n, angle + (v * h + 0.5 * a * h * h))
+        for n in range(lanes):
+            put(q, i, n, at(setpoints, 6 + i, n))
+            put(dq, i, n, at(dq, i, n) + at(ddq, i, n) * h)
+        for n in range(lanes):
+            angle = at(q, i, n)
+            slow = (abs(at(dq, i, n)) <= max_velocity) & (abs(at(ddq, i, n)) <= max_acceleration)
             beyond[n] = beyond[n] if (lower <= angle) & (angle <= upper) & slow else 1
     controller.kinematics(q, dq, frame, lanes)
     if controller.has_sensor:
@@ -559,7 +564,7 @@ def _advance_arm_model(controller: ControllerParams, state: ControllerState, lan
             angle = at(q, i, n)
             put(past, entry + MODEL_Q + i, n, angle)
             put(scratch, i, n, angle + at(state.offset, i, n))
-    controller.kinematics(scratch, dq, frame, lanes)
+    controller.motion(scratch, dq, frame, lanes)
     home_x = controller.home_reference[POSITION]
     for n in range(lanes):
         put(past, entry + PIVOT_V, n, pivot_velocity(frame, controller.pivot, n))

@@ -149,6 +149,8 @@ class BatchState(NamedTuple):
     """Index of the newest setpoint, shape (1,)."""
     delay: npt.NDArray[np.int64]
     """Transport delay of each lane [servo cycles], 1 row."""
+    change: npt.NDArray[np.int64]
+    """Scratch for the cycle of the tick in which a lane's setpoint changes next, 1 row."""
     zero: Array
     """Encoder zero error, added to phi [rad], 1 row."""
 
@@ -212,6 +214,7 @@ def new_batch_state() -> BatchState:
         setpoints=rows(6 * SETPOINT_HISTORY),
         newest=np.zeros(1, np.int64),
         delay=np.zeros(BATCH_SIZE, np.int64),
+        change=np.zeros(BATCH_SIZE, np.int64),
         zero=rows(1),
     )
 
@@ -347,9 +350,9 @@ def move_arms(
         block.controller.setpoints,
         block.delay,
     )
-    before, state = np.empty(BATCH_SIZE), block.state
+    state, change, before = block.state, block.change, block.controller.scratch
     for n in range(lanes):
-        before[n] = at(state, TRACKED, n)
+        put(before, 0, n, at(state, TRACKED, n))
     cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
     for s in range(SETPOINTS_PER_TICK):
         block.newest[0] = (block.newest[0] + 1) % SETPOINT_HISTORY
@@ -359,23 +362,29 @@ def move_arms(
                 put(sent, row + i, n, at(setpoints, 6 * s + i, n))
     # Index of the first setpoint of this tick; each earlier setpoint is one older.
     at_tick = block.newest[0] - (SETPOINTS_PER_TICK - 1)
+    for n in range(lanes):
+        change[n] = 0
     for cycle in range(SETPOINTS_PER_TICK * cycles):
         for n in range(lanes):
-            row = 6 * ((at_tick + (cycle - delay[n]) // cycles) % SETPOINT_HISTORY)
-            for i in range(6):
-                put(target, i, n, at(sent, row + i, n))
+            if change[n] == cycle:
+                age = (cycle - delay[n]) // cycles
+                change[n] = delay[n] + (age + 1) * cycles
+                row = 6 * ((at_tick + age) % SETPOINT_HISTORY)
+                for i in range(6):
+                    put(target, i, n, at(sent, row + i, n))
         follow(block.q, block.dq, target, block.share, controller.actuator, lanes)
         if dry:
             for n in range(lanes):
                 put(state, TRACKED, n, -pivot_velocity(block.frame, controller.pivot, n))
-            controller.kinematics(block.q, block.dq, block.frame, lanes)
+            controller.motion(block.q, block.dq, block.frame, lanes)
             for n in range(lanes):
-                change = pivot_velocity(block.frame, controller.pivot, n) + at(state, TRACKED, n)
-                put(state, TRACKED, n, change / CYCLE)
+                v = pivot_velocity(block.frame, controller.pivot, n)
+                put(state, TRACKED, n, (v + at(state, TRACKED, n)) / CYCLE)
             advance_pendula(state, block.pendula, CYCLE, linearised, lanes)
+    if not dry:
+        controller.motion(block.q, block.dq, block.frame, lanes)
     for n in range(lanes):
-        put(state, TRACKED, n, before[n])
-    controller.kinematics(block.q, block.dq, block.frame, lanes)
+        put(state, TRACKED, n, at(before, 0, n))
 
 
 @kernel

@@ -28,7 +28,7 @@ from pydantic import Field, model_validator
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
 from equipoise.compiled import PACKAGE, inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.elementary import at, put
+from equipoise.model.elementary import BATCH_SIZE
 
 Array = npt.NDArray[np.float64]
 Kind = Literal["ideal", "lag", "kst"]
@@ -48,6 +48,8 @@ MAX_RESPONSE_TIME: Final = 10.0
 """Limit on delay, lag and cycle [s]: a pendulum of a metre falls within one."""
 MIN_CYCLE: Final = 1e-6
 """Lower limit on the cycle of the shaping law [s], which keeps its rate finite."""
+NEAR: Final = 0.2
+"""Error below which the law is a short series [widths]: 10 mrad, the steady error at 2.7 rad/s."""
 TYPICAL_SPEED: Final = 0.1
 """Default joint speed of `response_time` [rad/s]: balancing moves the joints at 0.05 to 0.3
 rad/s."""
@@ -64,6 +66,13 @@ class ActuatorParameters(NamedTuple):
     """a of the shaping law [rad]."""
     width: float = INTERVAL_WIDTH
     """b of the shaping law [rad]."""
+
+
+@inlined
+def _near_saturation(z: float) -> float:
+    """Return (1 - exp(-z)) / z for z <= NEAR^2, to 1e-12: Taylor's series, in pairs of terms."""
+    pair = (1.0 / 120.0) - z * (1.0 / 720.0)
+    return (1.0 - 0.5 * z) + z * z * (((1.0 / 6.0) - z * (1.0 / 24.0)) + z * z * pair)
 
 
 @inlined
@@ -84,6 +93,13 @@ def _saturation(z: float) -> float:
 
 
 @inlined
+def _near_step(e: float, amplitude: float, width: float) -> float:
+    """Return `shaped_step` of an error below NEAR widths."""
+    ratio = e * (1.0 / width)
+    return amplitude * (ratio * abs(ratio) * _near_saturation(ratio * ratio))
+
+
+@inlined
 def shaped_step(e: float, amplitude: float, width: float) -> float:
     """Return the step from the measured position to the server's destination [rad].
 
@@ -92,7 +108,9 @@ def shaped_step(e: float, amplitude: float, width: float) -> float:
         amplitude: a [rad].
         width: b [rad].
     """
-    ratio = e / width
+    ratio = e * (1.0 / width)
+    if abs(ratio) <= NEAR:
+        return _near_step(e, amplitude, width)
     step = amplitude * _saturation(ratio * ratio)
     return step if e >= 0.0 else -step
 
@@ -111,27 +129,49 @@ def follow(
         actuator: Constants.
         lanes: Number of lanes.
     """
-    if actuator.kind == KST:
-        rate, width = 1.0 / actuator.cycle, actuator.width
-        amplitude = actuator.amplitude
-        for i in range(FREE_JOINTS):
-            for n in range(lanes):
-                angle, speed = at(q, i, n), at(dq, i, n)
-                wanted = rate * shaped_step(at(target, i, n) - angle, amplitude, width)
-                speed += (wanted - speed) * at(share, i, n)
-                put(dq, i, n, speed)
-                put(q, i, n, angle + CYCLE * speed)
-    elif actuator.kind == LAG:
-        for i in range(FREE_JOINTS):
-            for n in range(lanes):
-                move = (at(target, i, n) - at(q, i, n)) * at(share, i, n)
-                put(dq, i, n, move / CYCLE)
-                put(q, i, n, at(q, i, n) + move)
+    # One flat loop over adjacent numbers: the lanes that are not in use are computed as well.
+    count, stride = (FREE_JOINTS, BATCH_SIZE) if lanes == 1 else (FREE_JOINTS * BATCH_SIZE, 1)
+    if stride == 1 and actuator.kind == KST:
+        _follow_shaped(q, dq, target, share, actuator)
+        return
+    rate, width, amplitude = 1.0 / actuator.cycle, actuator.width, actuator.amplitude
+    for i in range(0, count * stride, stride):
+        e = target[i] - q[i]
+        if actuator.kind == KST:
+            dq[i] += (rate * shaped_step(e, amplitude, width) - dq[i]) * share[i]
+            q[i] += CYCLE * dq[i]
+        elif actuator.kind == LAG:
+            dq[i] = e * share[i] / CYCLE
+            q[i] += e * share[i]
+        else:
+            dq[i] = e / CYCLE
+            q[i] = target[i]
+
+
+@kernel
+def _follow_shaped(
+    q: Array, dq: Array, target: Array, share: Array, actuator: ActuatorParameters
+) -> None:
+    """Advance the free joints of all lanes by one servo cycle of the shaping law."""
+    rate, width, amplitude = 1.0 / actuator.cycle, actuator.width, actuator.amplitude
+    count = FREE_JOINTS * BATCH_SIZE
+    far = 0
+    for i in range(count):
+        far |= abs((target[i] - q[i]) * (1.0 / width)) > NEAR
+    # Joints are almost always near their setpoints: for them the law is a short series. Both loops
+    # give equal bits where it holds.
+    if far:
+        for i in range(count):
+            wanted = rate * shaped_step(target[i] - q[i], amplitude, width)
+            speed = dq[i] + (wanted - dq[i]) * share[i]
+            dq[i] = speed
+            q[i] += CYCLE * speed
     else:
-        for i in range(FREE_JOINTS):
-            for n in range(lanes):
-                put(dq, i, n, (at(target, i, n) - at(q, i, n)) / CYCLE)
-                put(q, i, n, at(target, i, n))
+        for i in range(count):
+            wanted = rate * _near_step(target[i] - q[i], amplitude, width)
+            speed = dq[i] + (wanted - dq[i]) * share[i]
+            dq[i] = speed
+            q[i] += CYCLE * speed
 
 
 @inlined

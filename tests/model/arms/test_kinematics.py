@@ -56,6 +56,14 @@ def case(request):
     return arm, urdf, q, dq, frames
 
 
+def test_the_motion_is_the_same_bits_without_jacobian_and_bias(case):
+    arm, _, q, dq, frames = case
+    motions = np.full_like(frames, np.nan)
+    frames_of(arm.compiled()._replace(kinematics=arm.compiled().motion), q, dq, motions)
+    np.testing.assert_array_equal(motions[:, :BIAS], frames[:, :BIAS])
+    assert not motions[:, BIAS:].any()
+
+
 @pytest.mark.parametrize("library", [Pinocchio, MuJoCo])
 def test_pose_jacobian_and_bias_equal_those_of_an_independent_library(case, library):
     arm, urdf, q, dq, frames = case

@@ -19,7 +19,7 @@ from equipoise.artefacts import Name, Value, first_fault, shortened, value_diges
 from equipoise.compiled import function_pointer
 from equipoise.errors import ArmError
 from equipoise.model.arms.chain import FREE_JOINTS, Chain, Floats, Triple, links, wrist_centre
-from equipoise.model.arms.compiler import FRAME_SIZE, PARTS, KinematicsFunction, load
+from equipoise.model.arms.compiler import FRAME_SIZE, PARTS, ArmFunctions, KinematicsFunction, load
 from equipoise.model.elementary import BATCH_SIZE
 
 T = TypeVar("T")
@@ -138,6 +138,8 @@ class ArmKernel(NamedTuple):
     kinematics: KinematicsFunction
     """Function kinematics(q, dq, frame, lanes), compiled for blocks of 6, 6 and `FRAME_SIZE`
     rows."""
+    motion: KinematicsFunction
+    """The same without J and J_dot dq."""
     wrist: Floats
     """Point in which the last three axes meet, in the flange frame [m], shape (3,); NaN without
     one."""
@@ -257,7 +259,7 @@ class Arm(_Described):
         )
         q_block[::BATCH_SIZE] = (float(angle) for angle in q)
         dq_block[::BATCH_SIZE] = (float(rate) for rate in dq)
-        _kinematics(self)(q_block, dq_block, frame, 1)
+        _functions(self).kinematics(q_block, dq_block, frame, 1)
         position, R, twist, bias, J = np.split(np.array(frame[::BATCH_SIZE]), PARTS[1:])
         return Kinematics(position, R.reshape(3, 3), twist, bias, J.reshape(6, FREE_JOINTS))
 
@@ -288,7 +290,7 @@ def _shape(arm: Arm, *, limits: bool) -> str:
 
 
 @functools.lru_cache(maxsize=64)
-def _kinematics(arm: Arm) -> KinematicsFunction:
+def _functions(arm: Arm) -> ArmFunctions:
     return load(arm.chain)
 
 
@@ -298,5 +300,6 @@ def _compiled(arm: Arm) -> ArmKernel:
     limits = np.array([(j.lower, j.upper, j.velocity, j.acceleration) for j in arm.free_joints])
     lower, upper, velocity, acceleration = np.ascontiguousarray(limits.T)
     signature = numba.void(array, array, array, numba.int64)
-    kinematics, wrist = function_pointer(_kinematics(arm), signature), wrist_centre(arm.chain.links)
-    return ArmKernel(kinematics, wrist, lower, upper, velocity, acceleration)
+    kinematics, motion = (function_pointer(each, signature) for each in _functions(arm))
+    wrist = wrist_centre(arm.chain.links)
+    return ArmKernel(kinematics, motion, wrist, lower, upper, velocity, acceleration)

@@ -3,8 +3,9 @@
 `trace` runs a plain recursion from the base to the flange on symbols instead of numbers. Constants
 are folded (most entries of an arm's constant rotations are 0, 1 or -1), equal expressions become
 one, and expressions that no entry of the record needs are not written. `source` prints the rest as
-a Python module with one function, `kinematics(q, dq, frame, lanes)`, without small matrices: one
-loop over the lanes with some 300 operations and six pairs of sine and cosine for an iiwa.
+a Python module with two functions of `(q, dq, frame, lanes)`, without small matrices: one loop over
+the lanes each. `kinematics` writes the whole record, with some 300 operations and six pairs of sine
+and cosine for an iiwa; `motion` writes position, rotation and twist alone, with equal bits.
 
 The modules of the iiwas are part of the package (`make generated` writes them). The module of any
 other arm is written to the user's cache directory under the digest of its geometry. Numba caches
@@ -28,9 +29,9 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -45,10 +46,22 @@ KinematicsFunction = Callable[[Any, Any, Any, int], None]
 """Function kinematics(q, dq, frame, lanes): reads blocks of joint angles [rad] and velocities
 [rad/s] and writes the records of the first `lanes` lanes."""
 
+
+class ArmFunctions(NamedTuple):
+    """Generated functions of an arm."""
+
+    kinematics: KinematicsFunction
+    """Writes whole records."""
+    motion: KinematicsFunction
+    """Writes position, rotation and twist of the records, with the same bits."""
+
+
 POSITION, ROTATION, TWIST, BIAS, JACOBIAN = PARTS = (0, 3, 12, 18, 24)
 """First row of each part of a record."""
 FRAME_SIZE: Final = 60
 """Number of rows of a record."""
+MOTION_PARTS: Final = 3
+"""Number of its parts that `motion` writes: those before BIAS."""
 
 COMMITTED: Final = ("iiwa7", "iiwa14")
 """Names of the arms whose modules are part of the package."""
@@ -78,10 +91,13 @@ DIGEST = "{chain.digest}"
 """Digest of the geometry that these lines belong to."""
 
 
-def kinematics(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
-    """Write the record of the flange to `frame`; see `equipoise.model.arms.compiler`."""
-    for n in range(lanes):
 '''
+
+FUNCTION: Final = '''
+def {name}(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
+    """Write {rows} of the flange to `frame`; see the generator."""
+    for n in range(lanes):
+{body}'''
 
 
 def trace(links: Sequence[Link]) -> tuple[Tape, dict[str, dict[str, Symbol]]]:
@@ -167,18 +183,29 @@ def source(chain: Chain) -> str:
     """Return the module of a chain as text."""
     tape, record = trace(chain.links)
     lines = list(tape.python(record))
-    formulas = (INDEX.sub("", line) for line in lines if "#" not in line)
-    operations = sum(formula.count(f" {sign} ") for formula in formulas for sign in "+-*")
+    text = HEADER.format(chain=chain, operations=operations(lines))
+    text += _function("kinematics", "the record", lines)
+    moving = {title: record[title] for title in list(record)[:MOTION_PARTS]}
+    return text + "\n" + _function("motion", "position, rotation and twist", tape.python(moving))
+
+
+def operations(lines: Iterable[str]) -> int:
+    """Return the number of sums, differences and products in lines of a generated function."""
+    formulas = (INDEX.sub("", line) for line in lines if "#" not in line and " = " in line)
+    return sum(formula.count(f" {sign} ") for formula in formulas for sign in "+-*")
+
+
+def _function(name: str, rows: str, lines: Iterable[str]) -> str:
     body = "".join(f"        {line}\n" for line in lines)
-    return HEADER.format(chain=chain, operations=operations) + body
+    return FUNCTION.format(name=name, rows=rows, body=body)
 
 
-def load(chain: Chain) -> KinematicsFunction:
-    """Return `kinematics(q, dq, frame, lanes)` of a chain: a plain function of a real file."""
+def load(chain: Chain) -> ArmFunctions:
+    """Return the functions of a chain: plain functions of a real file."""
     if chain.name in COMMITTED:
         module = importlib.import_module(f"equipoise.model.arms.generated.{chain.name}")
         if chain.digest == module.DIGEST:
-            return module.kinematics
+            return _functions(module)
     name = f"{chain.digest.removeprefix('sha256:')}.py"
     text = source(chain)
     folder = cache_folder("arms")
@@ -191,7 +218,11 @@ def load(chain: Chain) -> KinematicsFunction:
     if folder is None:
         folder = _temporary_folder()
         _write(folder / name, text)
-    return _imported(folder / name).kinematics
+    return _functions(_imported(folder / name))
+
+
+def _functions(module: Any) -> ArmFunctions:
+    return ArmFunctions(module.kinematics, module.motion)
 
 
 def _write(path: Path, text: str) -> None:

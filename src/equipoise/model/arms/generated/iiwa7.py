@@ -16,8 +16,9 @@ DIGEST = "sha256:2e96f6f47e927402eb60461c88f9e2e98fc9f3ef1b73efc97d91376a4dc927a
 """Digest of the geometry that these lines belong to."""
 
 
+
 def kinematics(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
-    """Write the record of the flange to `frame`; see `equipoise.model.arms.compiler`."""
+    """Write the record of the flange to `frame`; see the generator."""
     for n in range(lanes):
         # The state
         s_1, c_1 = sincos(q[n])
@@ -240,3 +241,133 @@ def kinematics(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
         frame[912 + n] = y_3_z
         frame[928 + n] = -neg_y_4_z
         frame[944 + n] = z_6_z
+
+
+def motion(q: Floats, dq: Floats, frame: Floats, lanes: int) -> None:
+    """Write position, rotation and twist of the flange to `frame`; see the generator."""
+    for n in range(lanes):
+        # The state
+        s_1, c_1 = sincos(q[n])
+        s_2, c_2 = sincos(q[16 + n])
+        s_3, c_3 = sincos(q[32 + n])
+        s_4, c_4 = sincos(q[48 + n])
+        s_5, c_5 = sincos(q[64 + n])
+        s_6, c_6 = sincos(q[80 + n])
+        dq_1 = dq[n]
+        dq_2 = dq[16 + n]
+        dq_3 = dq[32 + n]
+        dq_4 = dq[48 + n]
+        dq_5 = dq[64 + n]
+        dq_6 = dq[80 + n]
+        # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 2 turns)
+        neg_z_dq_2_x = s_1 * dq_2
+        z_dq_2_y = c_1 * dq_2
+        x_2_x = c_1 * c_2
+        x_2_y = s_1 * c_2
+        rest_y_3_x = c_1 * s_2
+        rest_y_3_y = s_1 * s_2
+        # r_3 = R r'; v += w x r; v_dot += w_dot x r + w x (w x r)  (to joint 3, r' = 0 -0.4 0)
+        r_3_x = 0.4 * rest_y_3_x
+        r_3_y = 0.4 * rest_y_3_y
+        r_3_z = 0.4 * c_2
+        wxr_3_x = z_dq_2_y * r_3_z - dq_1 * r_3_y
+        wxr_3_y = dq_1 * r_3_x + neg_z_dq_2_x * r_3_z
+        neg_wxr_3_z = neg_z_dq_2_x * r_3_y + z_dq_2_y * r_3_x
+        # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 3 turns)
+        z_dq_3_x = s_1 * dq_3
+        neg_z_dq_3_y = c_1 * dq_3
+        w_3_x = z_dq_3_x - neg_z_dq_2_x
+        w_3_y = z_dq_2_y - neg_z_dq_3_y
+        x_3_x = c_3 * x_2_x + s_3 * rest_y_3_x
+        x_3_y = c_3 * x_2_y + s_3 * rest_y_3_y
+        x_3_z = c_2 * s_3 - s_2 * c_3
+        y_3_x = c_3 * rest_y_3_x - s_3 * x_2_x
+        y_3_y = c_3 * rest_y_3_y - s_3 * x_2_y
+        y_3_z = c_2 * c_3 + s_2 * s_3
+        # r_4 = R r'; v += w x r; v_dot += w_dot x r + w x (w x r)  (to joint 4, r' = 0 0.4 0)
+        r_4_x = 0.4 * y_3_x
+        r_4_y = 0.4 * y_3_y
+        r_4_z = 0.4 * y_3_z
+        wxr_4_x = w_3_y * r_4_z - dq_1 * r_4_y
+        wxr_4_y = dq_1 * r_4_x - w_3_x * r_4_z
+        wxr_4_z = w_3_x * r_4_y - w_3_y * r_4_x
+        v_4_x = wxr_3_x + wxr_4_x
+        v_4_y = wxr_3_y + wxr_4_y
+        v_4_z = wxr_4_z - neg_wxr_3_z
+        # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 4 turns)
+        z_dq_4_x = dq_4 * y_3_x
+        z_dq_4_y = dq_4 * y_3_y
+        z_dq_4_z = dq_4 * y_3_z
+        w_4_x = w_3_x + z_dq_4_x
+        w_4_y = w_3_y + z_dq_4_y
+        w_4_z = dq_1 + z_dq_4_z
+        x_4_z = c_4 * x_3_z
+        x_4_x = c_4 * x_3_x - s_1 * s_4
+        x_4_y = c_4 * x_3_y + c_1 * s_4
+        neg_y_4_z = s_4 * x_3_z
+        neg_y_4_x = s_1 * c_4 + s_4 * x_3_x
+        y_4_y = c_1 * c_4 - s_4 * x_3_y
+        # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 5 turns)
+        neg_z_dq_5_x = dq_5 * neg_y_4_x
+        z_dq_5_y = dq_5 * y_4_y
+        neg_z_dq_5_z = dq_5 * neg_y_4_z
+        w_5_x = w_4_x - neg_z_dq_5_x
+        w_5_y = w_4_y + z_dq_5_y
+        w_5_z = w_4_z - neg_z_dq_5_z
+        x_5_x = c_5 * x_4_x - s_5 * y_3_x
+        x_5_y = c_5 * x_4_y - s_5 * y_3_y
+        x_5_z = c_5 * x_4_z - s_5 * y_3_z
+        z_6_x = c_5 * y_3_x + s_5 * x_4_x
+        z_6_y = c_5 * y_3_y + s_5 * x_4_y
+        z_6_z = c_5 * y_3_z + s_5 * x_4_z
+        # w_dot += w x z dq; w += z dq; R = R R_z(q)  (joint 6 turns)
+        z_dq_6_x = dq_6 * z_6_x
+        z_dq_6_y = dq_6 * z_6_y
+        z_dq_6_z = dq_6 * z_6_z
+        w_6_x = w_5_x + z_dq_6_x
+        w_6_y = w_5_y + z_dq_6_y
+        w_6_z = w_5_z + z_dq_6_z
+        x_6_x = c_6 * x_5_x - s_6 * neg_y_4_x
+        x_6_y = c_6 * x_5_y + s_6 * y_4_y
+        x_6_z = c_6 * x_5_z - s_6 * neg_y_4_z
+        neg_y_6_x = c_6 * neg_y_4_x + s_6 * x_5_x
+        y_6_y = c_6 * y_4_y - s_6 * x_5_y
+        neg_y_6_z = c_6 * neg_y_4_z + s_6 * x_5_z
+        # r_7 = R r'; v += w x r; v_dot += w_dot x r + w x (w x r)  (to the flange, r' = 0 0 0.126)
+        r_7_x = 0.126 * z_6_x
+        r_7_y = 0.126 * z_6_y
+        r_7_z = 0.126 * z_6_z
+        wxr_7_x = w_6_y * r_7_z - w_6_z * r_7_y
+        wxr_7_y = w_6_z * r_7_x - w_6_x * r_7_z
+        wxr_7_z = w_6_x * r_7_y - w_6_y * r_7_x
+        v_7_x = v_4_x + wxr_7_x
+        v_7_y = v_4_y + wxr_7_y
+        v_7_z = v_4_z + wxr_7_z
+        # reach_i = r_i+1 + ... + r_7; column i of J = z_i x reach_i over z_i
+        reach_3_x = r_4_x + r_7_x
+        reach_3_y = r_4_y + r_7_y
+        reach_3_z = r_4_z + r_7_z
+        reach_2_x = r_3_x + reach_3_x
+        reach_2_y = r_3_y + reach_3_y
+        reach_2_z = r_3_z + reach_3_z
+        # Position
+        frame[n] = reach_2_x
+        frame[16 + n] = reach_2_y
+        frame[32 + n] = 0.34 + reach_2_z
+        # R
+        frame[48 + n] = x_6_x
+        frame[64 + n] = -neg_y_6_x
+        frame[80 + n] = z_6_x
+        frame[96 + n] = x_6_y
+        frame[112 + n] = y_6_y
+        frame[128 + n] = z_6_y
+        frame[144 + n] = x_6_z
+        frame[160 + n] = -neg_y_6_z
+        frame[176 + n] = z_6_z
+        # J dq: v, w
+        frame[192 + n] = v_7_x
+        frame[208 + n] = v_7_y
+        frame[224 + n] = v_7_z
+        frame[240 + n] = w_6_x
+        frame[256 + n] = w_6_y
+        frame[272 + n] = w_6_z
