@@ -22,6 +22,7 @@ from equipoise.rigs import read_rig
 from equipoise.settings import resolve
 from equipoise.studies.certification import Certificate, certify, make_claim
 from equipoise.studies.gap_results import Gap
+from equipoise.studies.recovery_map import RecoveryMap, map_recovery
 from equipoise.studies.verification import verify
 from equipoise.training import train
 from equipoise.trajectory import read_swing
@@ -110,6 +111,7 @@ FORMATS = {
     "policy.json": (shipped_policy(), TabularPolicy.load),
     "certificate.json": (certified, Certificate.load),
     "gap.json": (studied, Gap.load),
+    "map.json": (lambda: map_recovery(shipped_policy(), starts=4, duration=0.1), RecoveryMap.load),
     "policy.partial.json": (Unfinished, ResumePoint.load),
     "evaluation.json": (evaluated, Evaluation.load),
 }

@@ -1,7 +1,8 @@
 """Draw the pictures of README and documents with the shipped policy: `make pictures`.
 
 balancing.webp shows one run on the digital twin, survival.png the policy and the baselines on the
-training plant. gap.png is drawn from the file of a full gap study, which takes long to compute:
+training plant, map.png the starts that the policy holds there. gap.png is drawn from the file of a
+full gap study, which takes long to compute:
 
     equipoise gap POLICY --out gap.json
     python docs/figures/make.py --gap gap.json
@@ -11,10 +12,11 @@ import argparse
 from pathlib import Path
 
 import equipoise as eq
-from equipoise.report.figures import gap_figure, survival
+from equipoise.report.figures import gap_figure, recovery_figure, survival
 from equipoise.report.pictures import animation
 from equipoise.report.style import render
 from equipoise.studies.gap_results import Gap
+from equipoise.studies.recovery_map import map_recovery
 
 HERE = Path(__file__).parent
 
@@ -28,6 +30,7 @@ def main() -> None:
     run = eq.deploy(policy, world="twin:nominal", duration=10.0)
     (HERE / "balancing.webp").write_bytes(animation(run, policy.arm).webp)
     (HERE / "survival.png").write_bytes(render(survival(eq.evaluate(policy)), "png"))
+    (HERE / "map.png").write_bytes(render(recovery_figure(map_recovery(policy)), "png"))
     if options.gap:
         (HERE / "gap.png").write_bytes(render(gap_figure(Gap.load(options.gap)), "png"))
 

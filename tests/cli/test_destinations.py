@@ -158,6 +158,7 @@ VERBS = {
     "deploy": ((), ".mcap"),
     "rig record": (("--encoder", "serial:///dev/nowhere"), ".csv"),
     "evaluate --claim 0.9": ((), ".json"),
+    "map": ((), ".json"),
     "gap": ((), ".json"),
     "refine": (("policy.json", "run.mcap"), ".json"),
     "reproduce": ((), ""),

@@ -97,6 +97,11 @@ class RecoveryParams(NamedTuple):
         return fall_rate(self.pendulum)
 
     @property
+    def fade(self) -> float:
+        """Rate of the converging motion, mu [1/s]."""
+        return self.rate + self.pendulum.c
+
+    @property
     def largest(self) -> float:
         """Largest diverging angle that an endless track would allow, after the delay [rad]."""
         w2, k, _, f = self.pendulum[:4]
@@ -384,7 +389,7 @@ def boundary(
     if plane == FLANGE_PLANE:
         scale = params.x_limit, sqrt(2.0 * params.u_max * params.x_limit)
     else:
-        scale = params.phi_limit, params.phi_limit * (params.rate + params.pendulum.c)
+        scale = params.phi_limit, params.phi_limit * params.fade
     # The pendulum and its mirror image have mirrored sets.
     half: list[tuple[float, float]] = []
     for angle in np.pi * (np.arange(DIRECTIONS // 2) / (DIRECTIONS // 2)):
@@ -418,9 +423,8 @@ def _help(params: RecoveryParams) -> Array:
     Columns: the largest effect of a tick on the diverging and on the converging angle. Both are
     bounded separately, which includes every course within the tick.
     """
-    w2, k, c, f, drag = params.pendulum[:5]
-    a, rate = params.phi_limit, params.rate
-    other, h = rate + c, params.h
+    w2, k, _, f, drag = params.pendulum[:5]
+    a, rate, other, h = params.phi_limit, params.rate, params.fade, params.h
     largest = f
     if not params.pendulum.linearised:
         largest += w2 * (a - sin(a)) + k * params.u_max * (1.0 - cos(a))

@@ -12,6 +12,7 @@ from equipoise.cli.explain import explain
 from equipoise.cli.export import export
 from equipoise.cli.gap import gap
 from equipoise.cli.identify import identify
+from equipoise.cli.map import map_recoverable
 from equipoise.cli.record import record
 from equipoise.cli.refine import refine
 from equipoise.cli.rehearse import rehearse
@@ -39,7 +40,10 @@ app = group(
 rig = group(help="Check, emulate, use and test a rig: doctor, emulate, record, rehearse.")
 log = group(help="Read the log of a run, or another file: explain, replay, export, show.")
 
-for verb in (reproduce, identify, train, evaluate, gap, refine):
+for verb in (reproduce, identify, train, evaluate):
+    app.command(rich_help_panel=PIPELINE)(verb)
+app.command("map", rich_help_panel=PIPELINE)(map_recoverable)
+for verb in (gap, refine):
     app.command(rich_help_panel=PIPELINE)(verb)
 app.command(rich_help_panel=ROBOT)(deploy)
 for verb in (doctor, emulate, record, rehearse):

@@ -31,6 +31,7 @@ TARGET_TEST: Final = 10
 TEST: Final = 12
 ENVIRONMENT: Final = 14
 DEPLOYMENT: Final = 16
+MAP: Final = 18
 TWIN: Final = 20
 """First of the four streams of the twin."""
 

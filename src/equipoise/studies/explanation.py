@@ -1,9 +1,9 @@
 r"""Causes of a run's end, ranked by their evidence in its log.
 
-**The recoverable set.** Near upright the diverging component of the motion is :math:`\varphi +
-\dot\varphi / \sqrt{w_2}`, which grows with :math:`e^{\sqrt{w_2} t}`. The maximum acceleration
-:math:`u_{max}` reverses it below :math:`k u_{max} / w_2`; beyond, no command does. The state is
-the policy's observation, at which its command takes effect.
+**The recoverable set** (`equipoise.checks.recoverable`). The maximum acceleration
+:math:`u_{max}` turns the diverging angle :math:`\varphi + \dot\varphi / \mu` back below
+:math:`(k u_{max} + f) / w_2`; beyond, no command does. The state is the policy's observation, at
+which its command takes effect.
 
 **The unexplained rate.** The measurements of encoder and joints are compared with the pendulum's
 equation:
@@ -21,13 +21,14 @@ that names a symptom (the angle, the track) ranks last.
 
 from collections.abc import Mapping
 from enum import Enum
-from math import cos, degrees, sqrt
+from math import cos, degrees
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
+from equipoise.checks.recoverable import RecoveryParams, diverging_angle
 from equipoise.control.run_controller import POLICY
 from equipoise.control.safety import (
     MAX_COUNT_JUMP,
@@ -388,8 +389,9 @@ def _local_fits(time: Array, values: Array, at: Array, half: float) -> tuple[Arr
 def _outside(timeline: RunTimeline) -> Evidence | None:
     """Detect the time after which no command could hold the pendulum."""
     log, pendulum = timeline.log, timeline.pendulum
-    diverging = log.phi + log.phi_dot / sqrt(pendulum.w2)
-    bound = pendulum.k * timeline.u_max / pendulum.w2
+    params = RecoveryParams(pendulum, delay=0.0, u_max=timeline.u_max)
+    diverging = diverging_angle(log.phi, log.phi_dot, pendulum)
+    bound = params.largest
     beyond = np.abs(diverging) > bound
     inside = np.flatnonzero(~beyond)
     first = int(inside[-1]) + 1 if len(inside) else 0
@@ -397,7 +399,7 @@ def _outside(timeline: RunTimeline) -> Evidence | None:
         return None
     time = float(log.time[first])
     where = (
-        f"phi + phi_dot/sqrt(w2) was {degrees(diverging[first]):+.1f} deg at "
+        f"phi + phi_dot / {params.fade:.1f} was {degrees(diverging[first]):+.1f} deg at "
         f"{time:.2f} s, and u of {timeline.u_max:g} m/s^2 can turn back {degrees(bound):.1f} deg"
     )
     if time <= RELEASE_WINDOW:

@@ -20,6 +20,7 @@ from equipoise.model.pendulum import Pendulum
 from equipoise.studies.certification import Certificate, check_evaluation, evaluation_path
 from equipoise.studies.formatting import format_failures
 from equipoise.studies.gap_results import Gap
+from equipoise.studies.recovery_map import RecoveryMap
 from equipoise.studies.results import StageRecord
 from equipoise.studies.runs import summarise
 
@@ -111,6 +112,15 @@ def _gap(gap: Gap) -> str:
     return f"cost of each effect of {gap.world}{form}, {trials}"
 
 
+def _map(found: RecoveryMap) -> str:
+    trials = sum(len(one.starts) for one in found.slices)
+    share = found.slices[0].held_share("necessary")
+    return (
+        f"recoverable set on the {found.arm}, world {found.world}, {trials:,} starts; the policy "
+        f"holds {100.0 * share.share:.1f} % of it"
+    )
+
+
 def _policy(policy: TabularPolicy) -> str:
     return (
         f"{len(policy.Q)} boxes by {len(policy.actions)} actions for the {policy.arm.name}, recipe "
@@ -156,6 +166,7 @@ _KINDS: Mapping[str, tuple[str, type[Artefact], Callable[[Any], str]]] = {
     TabularPolicy.FORMAT: ("policy", TabularPolicy, _policy),
     Evaluation.FORMAT: ("evaluation", Evaluation, _evaluation),
     Gap.FORMAT: ("gap study", Gap, _gap),
+    RecoveryMap.FORMAT: ("map", RecoveryMap, _map),
     Certificate.FORMAT: ("certificate", Certificate, _certificate),
     StageRecord.FORMAT: ("reproduction", StageRecord, _reproduction),
 }

@@ -6,10 +6,11 @@ Every function returns a matplotlib figure; `equipoise.report.style.save` writes
 from equipoise.report.figures.free_swing import free_swing, predicted_swing
 from equipoise.report.figures.gap import gap_figure
 from equipoise.report.figures.learning_curve import learning_curve
+from equipoise.report.figures.recovery_map import recovery_figure
 from equipoise.report.figures.run import commands, encoder_zero, flange, joints, pendulum
 from equipoise.report.figures.survival import survival
 from equipoise.report.figures.table import policy_picture
 
 __all__ = ["commands", "encoder_zero", "flange", "joints", "pendulum"]
 __all__ += ["free_swing", "gap_figure", "learning_curve", "policy_picture", "predicted_swing"]
-__all__ += ["survival"]
+__all__ += ["recovery_figure", "survival"]
