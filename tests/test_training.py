@@ -468,6 +468,9 @@ def test_a_pendulum_that_no_controller_balances_is_refused_before_the_training(p
     assert check_task(pendulum, ARM, settings()) is None
     part = late.model_copy(update={"delay": Estimate.around(0.1, 0.0, "assumed")})
     assert "% of the releases" in check_task(pendulum, ARM, settings(), part)
+    tested = settings("selection.test_trials=2000")
+    with pytest.raises(SettingsError, match="% of the releases: .* expected at most 1 %"):
+        train_to_target(pendulum, ARM, tested, actuator=part, target=0.99)
 
 
 # A limited speed

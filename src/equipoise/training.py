@@ -188,7 +188,7 @@ def train_to_target(
         ArtefactError: `partial` is the checkpoint of another training, or damaged.
         InputError: The test has too few trials for the target, even without a failure.
         OutsideError: The disk rejects a checkpoint.
-        SettingsError: No controller saves any of the releases.
+        SettingsError: No controller saves as many of the releases as the target needs.
     """
     most = settings.selection.test_trials
     if trials_to_meet(target, _error(0), 0, 0, most) is None:
@@ -198,7 +198,7 @@ def train_to_target(
         )
     if learners < 1:
         raise InputError(f"{learners} learners are given, expected at least one")
-    task = _task(pendulum, arm, settings, actuator, seed, None)
+    task = _task(pendulum, arm, settings, actuator, seed, None, target)
     shown = progress or TargetProgress()
     wanted = {"target": str(target)}
     with _Checkpoints(partial, task, wanted) as checkpoints:
@@ -282,7 +282,11 @@ class _DecidedError(Exception):
 
 
 def check_task(
-    pendulum: Pendulum, arm: Arm, settings: Settings, actuator: Actuator | None = None
+    pendulum: Pendulum,
+    arm: Arm,
+    settings: Settings,
+    actuator: Actuator | None = None,
+    target: float = 0.0,
 ) -> str | None:
     """Compare the releases of a task with the recoverable set, before a training.
 
@@ -291,15 +295,17 @@ def check_task(
         arm: The arm with its home posture.
         settings: Resolved settings.
         actuator: Actuator of the arm; as in `train`.
+        target: Share of the releases that a policy shall balance.
 
     Returns:
         A warning with the share of releases that no controller saves, or None.
 
     Raises:
-        SettingsError: No controller saves any of the releases.
+        SettingsError: No controller saves any of the releases, or the share that the target needs.
     """
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
-    return check_releases(parameters, arm, settings, actuator or default_actuator(settings))
+    response = actuator or default_actuator(settings)
+    return check_releases(parameters, arm, settings, response, least=target)
 
 
 def default_actuator(settings: Settings) -> Actuator:
@@ -325,8 +331,9 @@ def _task(
     actuator: Actuator | None,
     seed: int,
     init_policy: TabularPolicy | None,
+    target: float = 0.0,
 ) -> _Task:
-    check_task(pendulum, arm, settings, actuator)
+    check_task(pendulum, arm, settings, actuator, target)
     actuator = actuator or default_actuator(settings)
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
     return _Task(pendulum, arm, settings, actuator, seed, init_policy)

@@ -93,11 +93,11 @@ def train(
     from equipoise.studies.progress import TrainingProgress
     from equipoise.training import LEARNERS, TARGET, check_task, train_to_target
 
-    output.warn(check_task(source, machine, resolved, response))
     begin = time.perf_counter()
     opt.check_range("--target", target, 0.0, 1.0)
     if target is None:
         target = TARGET if resolved.selection.every else 0.0
+    output.warn(check_task(source, machine, resolved, response, target))
     budget = LEARNERS if learners is None else learners
     with unfinished(destination, resume=resume) as partial:
         with output.stages() as show:
