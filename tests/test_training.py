@@ -109,6 +109,24 @@ def test_the_first_learner_that_meets_the_target_is_the_result(
     assert found.policy.Q == learners[1].Q
 
 
+@pytest.mark.parametrize("workers", [1, 3])
+def test_of_a_population_all_are_trained_and_the_best_score_wins(
+    monkeypatch, pendulum, learners, workers
+):
+    original = training.measure_policy
+
+    def tested(policy, **given):
+        test = original(policy, **given)
+        return test.model_copy(update={"met": policy.learner != 2})
+
+    monkeypatch.setattr(training, "measure_policy", tested)
+    given = {"target": 0.9, "learners": 3, "population": True, "seed": 5, "workers": workers}
+    found = train_to_target(pendulum, ARM, settings(), **given)
+    assert [each.learner for each in found.learners] == [0, 1, 2]
+    scores = [each.checkpoints[0].score for each in learners[:2]]
+    assert found.policy.checkpoints[0].score == max(scores)
+
+
 def test_a_target_of_zero_takes_the_first_learner(pendulum, learners):
     found = train_to_target(pendulum, ARM, settings(), target=0.0, learners=3, seed=5)
     assert [each.learner for each in found.learners] == [0]

@@ -130,9 +130,10 @@ class TrainedLearners(NamedTuple):
     """Result of a training to a target."""
 
     policy: TabularPolicy
-    """Policy of the first learner that meets the target; if none does, the best one."""
+    """Policy of the first learner that meets the target, of a population that of the best score; if
+    none meets it, the one with the highest lower end of the interval."""
     learners: tuple[LearnerResult, ...]
-    """Figures of all learners up to the first that meets the target."""
+    """Figures of all learners up to the first that meets the target; of a population, of all."""
 
 
 class TargetProgress:
@@ -158,6 +159,7 @@ def train_to_target(
     *,
     target: float = TARGET,
     learners: int = LEARNERS,
+    population: bool = False,
     actuator: Actuator | None = None,
     seed: int = 0,
     workers: int = 1,
@@ -178,6 +180,7 @@ def train_to_target(
         settings: Resolved settings; as in `train`.
         target: Share of trials that a policy has to last: the lower end of its interval.
         learners: Maximum number of learners.
+        population: Whether all learners are trained, in parallel, also if one meets the target.
         actuator: Actuator of the arm; as in `train`.
         seed: Master seed.
         workers: Threads; the result does not depend on it.
@@ -200,8 +203,8 @@ def train_to_target(
         raise InputError(f"{learners} learners are given, expected at least one")
     task = _task(pendulum, arm, settings, actuator, seed, None, target)
     shown = progress or TargetProgress()
-    wanted = {"target": str(target)}
-    with _Checkpoints(partial, task, wanted) as checkpoints:
+    wanted = {"target": str(target), "--all": str(population)}
+    with _Checkpoints(partial, task, wanted, population) as checkpoints:
 
         def run(learner: int, workers: int = 1) -> None:
             def report(point: LearningPoint) -> None:
@@ -227,10 +230,12 @@ def train_to_target(
             checkpoints.finish(policy, test)
             shown.finished(_result(policy, test))
 
-        run(0, workers)
-        run_over_cores(run, range(1, learners), workers)
+        if not population:
+            run(0, workers)
+        run_over_cores(run, range(learners), workers)
         policy = cast(TabularPolicy, checkpoints.best)
-        last = policy.learner if policy.test and policy.test.met else learners
+        decided = not population and policy.test and policy.test.met
+        last = policy.learner if decided else learners
         results = sorted(checkpoints.finished, key=lambda result: result.learner)
     return TrainedLearners(policy, tuple(each for each in results if each.learner <= last))
 
@@ -476,20 +481,18 @@ def _result(policy: TabularPolicy, test: TargetTest) -> LearnerResult:
     )
 
 
-def _rank(policy: TabularPolicy) -> tuple[bool, float, float, int]:
-    """Return the sort key of a tested policy: those that meet the target by number, then others."""
-    test = policy.test
-    if test is None or test.met:
-        return (test is not None, 0.0, 0.0, -policy.learner)
-    score = policy.checkpoints[0].score if policy.checkpoints else 0.0
-    return (False, test.interval[0], score, -policy.learner)
-
-
 class _Checkpoints(PartialFile):
     """File with the states of all learners of a training, and the best policy up to now."""
 
-    def __init__(self, path: StrPath | None, task: _Task, wanted: dict[str, str]) -> None:
+    def __init__(
+        self,
+        path: StrPath | None,
+        task: _Task,
+        wanted: dict[str, str],
+        population: bool = False,
+    ) -> None:
         super().__init__(path, "train", self._checkpoint)
+        self._population = population
         self.states: dict[str, LearnerState] = {}
         self.finished: tuple[LearnerResult, ...] = ()
         self.best: TabularPolicy | None = None
@@ -529,7 +532,9 @@ class _Checkpoints(PartialFile):
         with self._lock:
             del self.states[str(policy.learner)]
             self.finished += (_result(policy, test),)
-            self.best = max(self.best or policy, policy, key=_rank)
+            known = self.best
+            if known is None or self._key(policy) > self._key(known):
+                self.best = policy
         self.update()
 
     def is_finished(self, learner: int) -> bool:
@@ -537,8 +542,16 @@ class _Checkpoints(PartialFile):
         return any(result.learner == learner for result in self.finished)
 
     def is_decided(self, learner: int) -> bool:
-        """Return whether a learner of a lower number meets the target."""
-        return any(result.test.met and result.learner < learner for result in self.finished)
+        """Return whether a learner is not needed: one of a lower number meets the target."""
+        met = (result.learner for result in self.finished if result.test.met)
+        return not self._population and any(number < learner for number in met)
+
+    def _key(self, policy: TabularPolicy) -> tuple[float, ...]:
+        """Return the sort key of a tested policy; the highest one is the best."""
+        test, score = policy.test, policy.checkpoints[0].score if policy.checkpoints else 0.0
+        if test is None or not test.met:
+            return (0.0, 0.0 if test is None else test.interval[0], score, -policy.learner)
+        return (1.0, score if self._population else 0.0, -policy.learner)
 
     def _checkpoint(self) -> ResumePoint | None:
         with self._lock:

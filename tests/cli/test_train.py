@@ -61,6 +61,18 @@ def test_a_policy_that_misses_the_target_is_written_and_marked(equipoise, pendul
         assert line in " ".join(equipoise(*verb).out.split())
 
 
+def test_all_learners_of_a_population_are_trained(equipoise, pendulum_file):
+    population = (*SHORT, "--set=selection.duration=0.05", *FEW, "--all")
+    ran = equipoise("train", pendulum_file, *population)
+    assert ran.code == 0
+    assert re.search(r"learners +3 of 3 meet the target", ran.out)
+    assert [line.split()[0] for line in ran.err.splitlines()] == ["compile", "learners"]
+    found = equipoise("train", pendulum_file, *population, "--json").json
+    scores = {each["learner"]: each["score"] for each in found["learners"]}
+    assert set(scores) == {0, 1, 2}
+    assert scores[found["learner"]] == max(scores.values())
+
+
 def test_the_first_learner_that_meets_the_target_ends_the_training(equipoise, pendulum_file):
     ran = equipoise("train", pendulum_file, *SHORT, "--set=selection.duration=0.05", *FEW, "--json")
     assert ran.code == 0
@@ -277,10 +289,10 @@ def test_force_begins_anew_where_a_training_was_interrupted(equipoise, pendulum_
 
 def test_each_stage_is_one_line_where_there_is_no_terminal(equipoise, pendulum_file):
     ran = equipoise("train", pendulum_file, *SHORT, *FEW)
-    stages = ["compile", "train", "select", "test", "retry"]
+    stages = ["compile", "train", "select", "test", "learners"]
     assert [line.split()[0] for line in ran.err.splitlines()] == stages
     assert re.search(r"train +\d+\.\d s  40 episodes$", ran.err, re.MULTILINE)
-    assert re.search(r"retry +\d+\.\d s  2 learners$", ran.err, re.MULTILINE)
+    assert re.search(r"learners +\d+\.\d s  2 learners$", ran.err, re.MULTILINE)
 
 
 def test_a_limited_speed_is_in_the_policy_and_in_its_evaluation(equipoise, pendulum_file, tmp_path):

@@ -106,7 +106,7 @@ def test_the_stages_are_told_as_they_go(made):
     assert [stage.name for stage in made.results.record.stages] == stages
     shown = list(dict.fromkeys(p.stage for p in told))
     assert shown == [
-        *("swing", "identify", "compile", "train", "select", "test", "retry", "evaluate"),
+        *("swing", "identify", "compile", "train", "select", "test", "learners", "evaluate"),
         *("compile twin", "deploy", "gap", "train paper", "select paper"),
     ]
     for stage in shown:
@@ -119,7 +119,7 @@ def test_the_stages_are_told_as_they_go(made):
         assert shares == sorted(shares) or stage == "test"
     whole = {p.stage: (p.total, p.unit) for p in told if p.unit}
     assert whole["train"] == (60, "episodes")
-    assert whole["retry"] == (LEARNERS - 1, "learners")
+    assert whole["learners"] == (LEARNERS - 1, "learners")
     assert whole["evaluate"] == (40, "trials")  # eight for the policy and each yardstick
 
 

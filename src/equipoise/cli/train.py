@@ -49,6 +49,7 @@ def train(
     learners: int | None = opt.value(
         "N", "Maximum number of learners that are trained for it; by default 6.", min=1
     ),
+    population: bool = opt.flag("--all", "Train all learners, and write the best."),
     max_speed: float | None = opt.MAX_SPEED,
     seed: int = opt.SEED,
     workers: int | None = opt.WORKERS,
@@ -103,13 +104,14 @@ def train(
         with output.stages() as show:
             with compiling(show, FUNCTIONS):
                 compile_training(machine, resolved)
-            progress = TrainingProgress(resolved, show, budget)
+            progress = TrainingProgress(resolved, show, budget, population=population)
             trained = train_to_target(
                 source,
                 machine,
                 resolved,
                 target=target,
                 learners=budget,
+                population=population,
                 actuator=response,
                 seed=seed,
                 workers=opt.available_workers(workers),
@@ -164,6 +166,9 @@ def _say(
     rows["selected"] = whose + _chosen(best)
     if (test := best.test) is not None:
         rows["tested"] = test.text
+        if count > 1:
+            met = sum(result.test.met for result in trained.learners)
+            rows["learners"] = f"{met:,} of {count:,} meet the target"
         if test.failures:
             rows["ended by"] = ", ".join(f"{cause} {n}" for cause, n in test.failures.items())
     output.rows(rows)

@@ -4,12 +4,15 @@ import time
 from collections.abc import Callable
 from functools import partial
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from equipoise.control.policy import LearningPoint, format_share
 from equipoise.learning.checkpoint import LearnerResult
 from equipoise.settings import Settings
 from equipoise.training import TargetProgress
+
+LEARNING_SHARE: Final = 0.7
+"""Share of the episodes in the time of a learner; the rest are the trials of its race and test."""
 
 
 class ProgressReporter(NamedTuple):
@@ -61,27 +64,38 @@ class TrainingProgress(TargetProgress):
     """Progress of a training to a target.
 
     The first learner has a stage each for its episodes, its race and its test; all further learners
-    are one stage.
+    are one stage. The learners of a population are one stage.
     """
 
-    def __init__(self, settings: Settings, show: Show, learners: int = 1, of: str = "") -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        show: Show,
+        learners: int = 1,
+        *,
+        population: bool = False,
+        of: str = "",
+    ) -> None:
         """Begin with the episodes.
 
         Args:
             settings: Settings of the training.
             show: Called with the progress.
             learners: Maximum number of learners.
+            population: Whether all learners are trained in parallel.
             of: Suffix of the stages' names, in a study with two trainings.
         """
-        self._show, self._learners, self._of = show, learners, of
-        self._episodes = settings.learning.episodes
+        self._show, self._of, self._population = show, of, population
+        self._learners = learners if population else learners - 1
+        self._episodes, self._steps = settings.learning.episodes, 0
         self._points: dict[int, LearningPoint] = {}
-        self._results: dict[int, LearnerResult] = {}
+        self._finished, self._met, self._best = 0, False, 0.0
         self._begin: tuple[float, int] | None = None
         self._lock = Lock()
         self.speed = 0.0
         """Control steps per second of all learners, since the first report."""
-        show(self._stage("train", 0, self._episodes, "episodes"))
+        if not population:
+            show(self._stage("train", 0, self._episodes, "episodes"))
 
     def of_learner(self) -> dict[str, Any]:
         """Return the callbacks `report` and `selecting` of a training of one learner."""
@@ -91,53 +105,56 @@ class TrainingProgress(TargetProgress):
         """Add a point of a learning curve."""
         with self._lock:
             self._points[learner] = point
-            now, steps = time.perf_counter(), sum(p.steps for p in self._points.values())
+            now = time.perf_counter()
+            steps = self._steps + sum(p.steps for p in self._points.values())
             if self._begin is None:
                 self._begin = now, steps
             elapsed = now - self._begin[0]
             self.speed = (steps - self._begin[1]) / elapsed if elapsed > 0.0 else 0.0
-            text = f"{point.duration:.1f} s an episode"
-            if learner == 0:
+            if self._is_single(learner):
                 stage = self._stage("train", point.episodes, self._episodes, "episodes")
-                self._show(stage._replace(text=text))
+                self._show(stage._replace(text=f"{point.duration:.1f} s an episode"))
             else:
                 self._show_learners()
 
     def selecting(self, learner: int, done: int, of: int) -> None:
         """Show the trials of a race."""
-        if learner == 0:
-            self._show(self._stage("select", done, of, "trials"))
-        else:
-            self._show_learners()
+        with self._lock:
+            if self._is_single(learner):
+                self._show(self._stage("select", done, of, "trials"))
+            else:
+                self._show_learners()
 
     def testing(self, learner: int, done: int, of: int) -> None:
         """Show the trials of a test."""
-        if learner == 0:
-            self._show(self._stage("test", done, of, "trials"))
-        else:
-            self._show_learners()
+        with self._lock:
+            if self._is_single(learner):
+                self._show(self._stage("test", done, of, "trials"))
+            else:
+                self._show_learners()
 
     def finished(self, result: LearnerResult) -> None:
         """Count a tested learner."""
         with self._lock:
-            self._results[result.learner] = result
-            if result.learner > 0 or not result.test.met:
+            self._points.pop(result.learner, None)
+            self._steps += result.steps
+            self._finished += not self._is_single(result.learner)
+            self._met = self._met or result.test.met
+            self._best = max(self._best, result.test.interval[0])
+            if self._learners and not (self._is_single(result.learner) and result.test.met):
                 self._show_learners()
 
-    def _show_learners(self) -> None:
-        """Show the learners after the first one, with the best share up to now."""
-        if self._learners == 1:
-            return
-        results = self._results.values()
-        met, total = any(result.test.met for result in results), self._learners - 1
-        later = [n for n in self._points if n > 0]
-        begun = sum(self._points[n].episodes for n in later if n not in self._results)
-        done = sum(n > 0 for n in self._results) + 0.8 * begun / self._episodes
-        best = max((result.test.interval[0] for result in results), default=0.0)
-        text = f"best: {format_share(best)} or more"
-        self._show(self._stage("retry", total if met else done, total, "learners", text))
+    def _is_single(self, learner: int) -> bool:
+        return learner == 0 and not self._population
 
-    def _stage(
-        self, name: str, completed: float, total: float, unit: str, text: str = ""
-    ) -> ProgressReporter:
-        return ProgressReporter(f"{name} {self._of}".strip(), completed, total, unit, text)
+    def _show_learners(self) -> None:
+        """Show the learners of the common stage, with the best share up to now."""
+        begun = sum(p.episodes for n, p in self._points.items() if not self._is_single(n))
+        done = self._finished + LEARNING_SHARE * begun / self._episodes
+        if self._met and not self._population:
+            done = self._learners
+        text = f"best share {format_share(self._best)} or more"
+        self._show(self._stage("learners", done, self._learners, "learners")._replace(text=text))
+
+    def _stage(self, name: str, completed: float, total: float, unit: str) -> ProgressReporter:
+        return ProgressReporter(f"{name} {self._of}".strip(), completed, total, unit)
