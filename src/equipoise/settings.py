@@ -253,8 +253,8 @@ class SelectionSettings(Value):
     is the candidate; 1 uses the table itself. The values of the best two actions differ by less
     than the fluctuation of a table."""
     late: float = Field(default=0.5, gt=0.0, le=1.0)
-    """Share of the episodes, at the end of a training, after which candidates are taken: before,
-    the policy is still improving."""
+    """Share of the episodes, at the end of a training, in which candidates are taken. With 0.3,
+    three of six learners lost their best table: 96 % of its trials lasted, then 83, 54 and 33 %."""
     candidates: int = Field(default=48, ge=1, le=1000)
     """Maximum number of candidates, the latest ones; a training has 20 to 45 in its second half."""
     round_trials: int = Field(default=192, ge=1, le=MOST_TRIALS)

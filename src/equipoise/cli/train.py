@@ -15,15 +15,16 @@ if TYPE_CHECKING:
     from equipoise.training import TrainedLearners
 
 HELP: Final = {
-    "track": "track: the pendulum stays up, and the flange leaves the track. What varies in the "
-    "training moves it: reduce an uncertainty (plant.delay_spread, plant.zero_error, "
-    "plant.inertia_sigma) or the delay, if the rig allows it, or train more learners.",
-    "angle": "angle: the pendulum falls within the track. Its delay leaves too little of the "
-    "recoverable set: shorten the delay, or take a longer pendulum.",
+    "track": "track: the pendulum stays up, and the table moves the flange off its track. Tables "
+    "differ in this from learner to learner: train more of them, or with a reward that "
+    "centres the flange.",
+    "angle": "angle: the pendulum falls within the track; equipoise map shows which of the states "
+    "at the release any controller could save.",
     "joint limit": "joint limit: the posture leaves no room; choose another home.",
     "guard": "guard: the flange exceeds --max-speed; allow more, if the mode of the arm does.",
 }
-"""Remedies for each cause of a failed trial."""
+"""Remedies for each cause of a failed trial. Smaller uncertainties are not among them: of 12 tables
+that failed on the track, 897 of 1,152 trials lasted, and 901 without variation of the plant."""
 
 
 @verb
