@@ -45,7 +45,7 @@ def train(
     target: float | None = opt.value(
         "P",
         "Share of trials of 60 s that the policy has to last, with 95 % confidence; by default "
-        "0.99, and 0 for a recipe without a selection. With 0 the first learner is taken.",
+        "0.99, or 0 without a selection: the first learner.",
     ),
     learners: int | None = opt.value(
         "N", "Maximum number of learners that are trained for it; by default 6.", min=1
