@@ -48,9 +48,10 @@ RACE_ERROR: Final = 0.05
 """Probability that a race drops the best candidate by its sign tests."""
 ERROR: Final = 0.05
 """Probability that a command accepts any policy whose share is below the target."""
-PRIOR: Final = (100.0, 0.3)
-"""Parameters of the beta distribution of the confidence sequence. With its mean of 0.997, a
-target of 0.99 needs the fewest trials; the bounds hold for all shares and all targets."""
+PRIORS: Final = ((0.9, 100.0, 0.3), (0.1, 0.5, 0.5))
+"""Weights and parameters of the beta distributions of the confidence sequence. With the first one,
+of mean 0.997, a target of 0.99 needs the fewest trials; the second one narrows the intervals of low
+shares. The bounds hold for all shares and all targets."""
 SETTLED: Final = 32
 """Number of trials after which candidates of equal durations count as equal."""
 TEST_BLOCK: Final = 64
@@ -272,9 +273,9 @@ def trials_to_meet(target: float, error: float, count: int, failed: int, most: i
 def confidence_sequence(lasted: int, failed: int, error: float) -> tuple[float, float]:
     r"""Return bounds of a share that hold after every trial at once.
 
-    With the weight of `PRIOR`, the average likelihood of all shares over that of the true share p,
+    With weights by `PRIORS`, the mean likelihood of all shares over that of the true share p,
 
-    .. math:: M_n(p) = \frac{B(a + s, b + f)}{B(a, b) \, p^s (1 - p)^f}
+    .. math:: M_n(p) = \sum_i w_i \frac{B(a_i + s, b_i + f)}{B(a_i, b_i) \, p^s (1 - p)^f}
 
     is a martingale of mean 1, so that it ever exceeds 1 / error with a probability below the error
     (Ville's inequality). The bounds enclose all p whose M_n is smaller (Robbins 1970, "Statistical
@@ -285,8 +286,8 @@ def confidence_sequence(lasted: int, failed: int, error: float) -> tuple[float, 
         failed: Number of trials that failed, f.
         error: Probability that the bounds ever exclude the share.
     """
-    a, b = PRIOR
-    limit = betaln(a + lasted, b + failed) - betaln(a, b) + log(error)
+    means = [betaln(a + lasted, b + failed) - betaln(a, b) + log(w) for w, a, b in PRIORS]
+    limit = float(np.logaddexp.reduce(means)) + log(error)
 
     def excess(share: float) -> float:
         return float(limit - xlogy(lasted, share) - xlog1py(failed, -share))
