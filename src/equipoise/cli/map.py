@@ -51,6 +51,7 @@ def map_recoverable(
     from equipoise.studies import recovery_map as study
 
     chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
+    output.warn(opt.shortfall(chosen))
     known = opt.read_actuator(actuator)
     starts = starts or study.default_starts(world)
     total = study.trials_of(world, starts)

@@ -98,6 +98,7 @@ def reproduce(
         )
         page = folder / PAGE
     output.points(found.verdict)
+    output.warn(found.results.policy.shortfall)
     output.wrote(page)
     output.next(*shlex.split(found.next_command)[1:])
     evaluation, run = found.results.evaluation, found.results.run
