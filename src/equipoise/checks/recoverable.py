@@ -355,7 +355,7 @@ def check_releases(
         f"{f'take a {other} pendulum' if slow is None else 'raise the speed limit'}"
     )
     if found.share == 1.0:
-        reach = f"the worst release reaches {found.use:.0%} of the physical limit"
+        reach = f"the worst release reaches {100.0 * found.use:.0f} % of the physical limit"
         return f"{reach}, and a table may lose it: {leans}; {cure}"
     if found.share == 0.0:
         raise SettingsError(f"no controller balances this pendulum: {leans}; {cure}")
