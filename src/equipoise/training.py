@@ -151,6 +151,9 @@ class TargetProgress:
     def finished(self, result: LearnerResult) -> None:
         """Receive the figures of a tested learner."""
 
+    def ended(self) -> None:
+        """Receive the end of the training."""
+
 
 def train_to_target(
     pendulum: Pendulum,
@@ -233,6 +236,7 @@ def train_to_target(
         if not population:
             run(0, workers)
         run_over_cores(run, range(learners), workers)
+        shown.ended()
         policy = cast(TabularPolicy, checkpoints.best)
         decided = not population and policy.test and policy.test.met
         last = policy.learner if decided else learners

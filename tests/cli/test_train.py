@@ -73,6 +73,22 @@ def test_all_learners_of_a_population_are_trained(equipoise, pendulum_file):
     assert scores[found["learner"]] == max(scores.values())
 
 
+def test_the_line_of_the_learners_counts_those_that_were_needed(
+    equipoise, pendulum_file, monkeypatch
+):
+    original = training.measure_policy
+
+    def tested(policy, **given):
+        test = original(policy, **given)
+        return test.model_copy(update={"met": policy.learner >= 2})
+
+    monkeypatch.setattr(training, "measure_policy", tested)
+    ran = equipoise("train", pendulum_file, *SHORT, "--target=0.9", "--learners=50")
+    assert ran.code == 0
+    assert re.search(r"learners +\d+\.\d s  2 learners$", ran.err, re.MULTILINE)
+    assert re.search(r"learners +1 of 3 meet the target", ran.out)
+
+
 def test_the_first_learner_that_meets_the_target_ends_the_training(equipoise, pendulum_file):
     ran = equipoise("train", pendulum_file, *SHORT, "--set=selection.duration=0.05", *FEW, "--json")
     assert ran.code == 0

@@ -89,7 +89,7 @@ class TrainingProgress(TargetProgress):
         self._learners = learners if population else learners - 1
         self._episodes, self._steps = settings.learning.episodes, 0
         self._points: dict[int, LearningPoint] = {}
-        self._finished, self._met, self._best = 0, False, 0.0
+        self._finished, self._best = 0, 0.0
         self._begin: tuple[float, int] | None = None
         self._lock = Lock()
         self.speed = 0.0
@@ -139,10 +139,16 @@ class TrainingProgress(TargetProgress):
             self._points.pop(result.learner, None)
             self._steps += result.steps
             self._finished += not self._is_single(result.learner)
-            self._met = self._met or result.test.met
             self._best = max(self._best, result.test.interval[0])
             if self._learners and not (self._is_single(result.learner) and result.test.met):
                 self._show_learners()
+
+    def ended(self) -> None:
+        """End the common stage, with the number of learners that were needed."""
+        with self._lock:
+            if self._finished:
+                total = self._finished
+                self._show(self._stage("learners", total, total, "learners"))
 
     def _is_single(self, learner: int) -> bool:
         return learner == 0 and not self._population
@@ -151,8 +157,7 @@ class TrainingProgress(TargetProgress):
         """Show the learners of the common stage, with the best share up to now."""
         begun = sum(p.episodes for n, p in self._points.items() if not self._is_single(n))
         done = self._finished + LEARNING_SHARE * begun / self._episodes
-        if self._met and not self._population:
-            done = self._learners
+        done = min(done, self._learners - 0.01)
         text = f"best share {format_share(self._best)} or more"
         self._show(self._stage("learners", done, self._learners, "learners")._replace(text=text))
 
