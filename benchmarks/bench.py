@@ -1,14 +1,20 @@
-"""Steps per second, side by side: our training and two peers, on one core, in one run.
+"""Steps per second, side by side: our training and trials and two peers, on one core, in one run.
 
-- `equipoise`: a training step of the paper's simulation, everything included: boxes, action, noise,
+- `training`: a training step of the paper's simulation, everything included: boxes, action, noise,
   CLIK on the full kinematics of the arm, pendulum, update of the table and its mirror image, starts
-  of episodes. Servo, encoder and observer, which no peer has, are left out.
+  of episodes.
+- `training behind the actuator`: the same with transport delay, servo and drives, encoder,
+  observer and prediction, which no peer has.
+- `trials behind the actuator`: steps of trials of the shipped policy there.
+- `trials on the twin`: the same with the arm and the pendulum in MuJoCo.
 - `pinocchio`: the arm's part of that step alone, through Pinocchio from Python.
 - `gymnasium`: a CartPole step, which has no arm, with a tabular update in Python.
 
 The peers are optimised as far as Python allows. Each does the same piece of work in
 each round, and the rounds alternate, so that a processor that warms up or is shared slows all of
-them alike. Compilation and imports come before the first round::
+them alike. Compilation and imports come before the first round.
+
+Last, trainings run side by side on several cores::
 
     python benchmarks/bench.py            # a table
     python benchmarks/bench.py --json     # steps_per_second and ratios, by name
@@ -24,6 +30,7 @@ import sys
 import time
 from bisect import bisect
 from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib import import_module
 from math import radians
@@ -32,13 +39,18 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from equipoise import paper
 from equipoise.artefacts import Value
-from equipoise.model.actuator import IDEAL_ACTUATOR
+from equipoise.control.policy import shipped_policy
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
+from equipoise.model.random import TEST
 from equipoise.settings import Settings
+from equipoise.simulation import setup_of, simulate
+from equipoise.simulation.trials import available_cores
 from equipoise.training import train
 
 if TYPE_CHECKING:
@@ -55,7 +67,16 @@ POOLS: Final = (
     "VECLIB_MAXIMUM_THREADS",
 )
 """Variables that set the number of threads of a BLAS."""
-OURS: Final = "equipoise"
+OURS: Final = "training"
+BEHIND: Final = "training behind the actuator"
+TRIALS: Final = "trials behind the actuator"
+TWIN: Final = "trials on the twin"
+YARDSTICK: Final = "pinocchio"
+"""Peer of which every ratio is."""
+TRIAL_COUNT: Final = 64
+TRIAL_TIME: Final = 10.0
+"""Length of a trial [s]."""
+TWIN_TRIALS: Final = 2
 ROUNDS: Final = 5
 PEER_STEPS: Final = 32_000
 """Steps of a peer in a round: some tenths of a second."""
@@ -106,11 +127,22 @@ class Benchmark(Value):
         """Median steps per second, by name."""
         return {name: rate.steps_per_second for name, rate in self.rates.items()}
 
+    scaling: dict[int, float] = Field(default_factory=dict)
+    """Speed of trainings side by side on a number of cores, relative to one core."""
+
     @property
     def ratios(self) -> dict[str, float]:
-        """How many times faster ours is than each peer, by name."""
-        ours = self.rates[OURS].steps_per_second
-        return {name: ours / rate for name, rate in self.steps_per_second.items() if name != OURS}
+        """How many times faster each is than Pinocchio's loop, by name; empty without that."""
+        if YARDSTICK not in self.rates:
+            return {}
+        peer = self.rates[YARDSTICK].steps_per_second
+        return {n: rate / peer for n, rate in self.steps_per_second.items() if n != YARDSTICK}
+
+    @property
+    def real_time(self) -> dict[str, float]:
+        """How many times faster than the arm ours are, by name."""
+        ours = (OURS, BEHIND, TRIALS, TWIN)
+        return {n: r * paper.STEP for n, r in self.steps_per_second.items() if n in ours}
 
 
 def benchmark(
@@ -135,7 +167,10 @@ def benchmark(
     if episodes is not None:
         learning = settings.learning.model_copy(update={"episodes": episodes})
         settings = settings.model_copy(update={"learning": learning})
-    return race(contestants(pendulum, arm, settings), rounds, progress=progress)
+    result = race(contestants(pendulum, arm, settings), rounds, progress=progress)
+    _tell(progress, "side by side")
+    work = training_work(pendulum, arm, settings)
+    return result.model_copy(update={"scaling": scaling(work, available_cores(), rounds)})
 
 
 def contestants(pendulum: Pendulum, arm: Arm, settings: Settings) -> tuple[Contestant, ...]:
@@ -146,6 +181,24 @@ def contestants(pendulum: Pendulum, arm: Arm, settings: Settings) -> tuple[Conte
             f"training on the full kinematics of the {arm.name}",
             "",
             lambda: training_work(pendulum, arm, settings),
+        ),
+        Contestant(
+            BEHIND,
+            "with delay, servo, encoder, observer and prediction",
+            "",
+            lambda: training_work(pendulum, arm, settings, shipped_actuator()),
+        ),
+        Contestant(
+            TRIALS,
+            "of the shipped policy",
+            "",
+            lambda: trials_work("model", TRIAL_COUNT),
+        ),
+        Contestant(
+            TWIN,
+            "with arm and pendulum in MuJoCo",
+            "mujoco",
+            lambda: trials_work("twin:nominal", TWIN_TRIALS),
         ),
         Contestant(
             "pinocchio",
@@ -225,24 +278,70 @@ def table(result: Benchmark) -> "Table":
     from rich.table import Table
 
     where = result.processor if result.core is None else f"core {result.core}, {result.processor}"
-    notes = [f"median of {result.rounds} rounds; ratio: ours over the peer; {where}"]
+    notes = [f"median of {result.rounds} rounds, on {where}"]
+    notes += [f"ratio: to the {YARDSTICK} loop; real time: steps of {paper.STEP:g} s"]
+    cores = ", ".join(f"{n}: {speed:.2f}" for n, speed in result.scaling.items())
+    notes += [f"speed of trainings side by side, by the number of cores: {cores}"] if cores else []
     notes += [f"{name} is left out: {why}" for name, why in result.missing.items()]
     view = Table(title="Steps per second", caption="\n".join(notes))
     view.add_column()
-    for title in ("steps/s", "slowest", "fastest", "ratio"):
+    for title in ("steps/s", "slowest", "fastest", "ratio", "x real time"):
         view.add_column(title, justify="right", no_wrap=True)
     for name, rate in result.rates.items():
         speeds = (rate.steps_per_second, rate.slowest, rate.fastest)
-        ratio = f"{result.ratios[name]:.1f}" if name in result.ratios else ""
-        view.add_row(f"{name}: {rate.what}", *(f"{speed:,.0f}" for speed in speeds), ratio)
+        cells = (result.ratios, "{:.1f}"), (result.real_time, "{:,.0f}")
+        others = (form.format(values[name]) if name in values else "" for values, form in cells)
+        view.add_row(f"{name}: {rate.what}", *(f"{speed:,.0f}" for speed in speeds), *others)
     return view
 
 
-def training_work(pendulum: Pendulum, arm: Arm, settings: Settings) -> Work:
+def training_work(
+    pendulum: Pendulum, arm: Arm, settings: Settings, actuator: Actuator = IDEAL_ACTUATOR
+) -> Work:
     """Return our work: one training, without the trials that select a policy."""
     selection = settings.selection.model_copy(update={"every": 0})
     alone = settings.model_copy(update={"selection": selection})
-    return lambda: train(pendulum, arm, alone, actuator=IDEAL_ACTUATOR).steps
+    return lambda: train(pendulum, arm, alone, actuator=actuator).steps
+
+
+def trials_work(world: str, count: int) -> Work:
+    """Return the work of trials of the shipped policy, on the arm that it was trained for.
+
+    Raises:
+        ImportError: The world needs a library that is not installed.
+    """
+    if world != "model":
+        _imported("mujoco")
+    policy = shipped_policy()
+    setup = setup_of(policy, world, None, shipped_actuator())
+    simulation = simulate(world, setup, seed=0, stream=TEST)
+
+    def work() -> int:
+        trials = simulation.draw(count)
+        simulation.run(policy, trials, range(count), duration=TRIAL_TIME)
+        return int(trials.steps.sum())
+
+    return work
+
+
+def scaling(work: Work, cores: int, rounds: int) -> dict[int, float]:
+    """Return the speed of works side by side in threads, relative to one, by their number.
+
+    Args:
+        work: Releases Python's lock.
+        cores: Largest number of threads; numbers are powers of two.
+        rounds: Number of alternating rounds, of which the median is taken.
+    """
+    numbers = [2**i for i in range(cores.bit_length())]
+    speeds: dict[int, list[float]] = {number: [] for number in numbers}
+    for _ in range(rounds):
+        for number in numbers:
+            with ThreadPoolExecutor(number) as pool:
+                begin = time.perf_counter()
+                steps = sum(pool.map(lambda _: work(), range(number)))
+                speeds[number].append(steps / (time.perf_counter() - begin))
+    alone = statistics.median(speeds[1])
+    return {number: statistics.median(speeds[number]) / alone for number in numbers}
 
 
 def pinocchio_work(arm: Arm, settings: Settings, steps: int = PEER_STEPS) -> Work:
@@ -502,6 +601,8 @@ def summary(result: Benchmark) -> dict[str, object]:
     return {
         "steps_per_second": result.steps_per_second,
         "ratios": result.ratios,
+        "real_time": result.real_time,
+        "scaling": result.scaling,
         "missing": result.missing,
         "processor": result.processor,
     }

@@ -9,7 +9,17 @@ import os
 import numpy as np
 import pytest
 from benchmarks import bench
-from benchmarks.bench import OURS, Contestant, PinocchioLoop, race, table
+from benchmarks.bench import (
+    BEHIND,
+    OURS,
+    TRIALS,
+    TWIN,
+    YARDSTICK,
+    Contestant,
+    PinocchioLoop,
+    race,
+    table,
+)
 from rich.console import Console
 
 from equipoise import paper
@@ -61,13 +71,14 @@ def absent(name):
 def test_the_rounds_alternate_and_the_first_work_is_not_timed():
     bench = Bench()
     ours = bench.contestant(OURS, 600, [50.0, 1.0, 2.0, 3.0])
-    peer = bench.contestant("peer", 10, [70.0, 1.0, 1.0, 5.0])
+    peer = bench.contestant(YARDSTICK, 10, [70.0, 1.0, 1.0, 5.0])
     result = race([ours, peer], 3, clock=bench.clock)
-    assert bench.calls == [OURS, "peer"] * 4
-    assert result.steps_per_second == {OURS: 300.0, "peer": 10.0}
+    assert bench.calls == [OURS, YARDSTICK] * 4
+    assert result.steps_per_second == {OURS: 300.0, YARDSTICK: 10.0}
     assert (result.rates[OURS].slowest, result.rates[OURS].fastest) == (200.0, 600.0)
-    assert (result.rates["peer"].slowest, result.rates["peer"].fastest) == (2.0, 10.0)
-    assert result.ratios == {"peer": 30.0}
+    assert (result.rates[YARDSTICK].slowest, result.rates[YARDSTICK].fastest) == (2.0, 10.0)
+    assert result.ratios == {OURS: 30.0}
+    assert result.real_time == {OURS: pytest.approx(3.0)}
 
 
 def test_a_peer_that_is_not_installed_is_named_with_what_installs_it():
@@ -81,7 +92,7 @@ def test_a_peer_that_is_not_installed_is_named_with_what_installs_it():
 def test_the_table_names_everyone():
     bench = Bench()
     ours = bench.contestant(OURS, 4_000_000, [1.0] * 2)
-    peer = bench.contestant("peer", 50_000, [1.0] * 2)
+    peer = bench.contestant(YARDSTICK, 50_000, [1.0] * 2)
     result = race([ours, peer, absent("other")], 1, clock=bench.clock)
     written = io.StringIO()
     Console(width=120, file=written).print(table(result))
@@ -172,7 +183,10 @@ def test_the_whole_benchmark_measures_ours_and_every_peer_that_is_there():
         episodes=20,
         progress=told.append,
     )
-    assert list(result.steps_per_second) == [OURS, "pinocchio", "gymnasium"]
-    assert set(result.ratios) == {"pinocchio", "gymnasium"}
+    ours = [OURS, BEHIND, TRIALS, TWIN]
+    assert list(result.steps_per_second) == [*ours, "pinocchio", "gymnasium"]
+    assert list(result.ratios) == [*ours, "gymnasium"]
+    assert list(result.real_time) == ours
+    assert result.scaling[1] == 1.0
     assert all(rate > 0.0 for rate in result.steps_per_second.values())
-    assert len(told) == 6
+    assert len(told) == 13
