@@ -96,7 +96,7 @@ def test_a_bare_arm_moves_as_the_model_of_the_actuator():
         target[::BATCH_SIZE] = row
         for _ in range(5):
             twin.advance(TICK)
-            follow(q, dq, target, share, model)
+            follow(q, dq, target, share, model, 1)
             apart.append(twin.kernel.bodies.qpos[twin.kernel.free] - q[::BATCH_SIZE])
     # Off home the mass matrix is another than the drives': joints shake each other a little.
     assert np.max(np.abs(apart)) < 1e-3

@@ -38,7 +38,7 @@ def moved(targets, actuator, lag=0.0):
     q, dq = np.zeros(6 * BATCH_SIZE), np.zeros(6 * BATCH_SIZE)
     positions, velocities = [], []
     for target in targets:
-        follow(q, dq, np.full(6 * BATCH_SIZE, target), share_of(lag), actuator)
+        follow(q, dq, np.full(6 * BATCH_SIZE, target), share_of(lag), actuator, 1)
         positions.append(q[0])
         velocities.append(dq[0])
     return np.array(positions), np.array(velocities)
@@ -169,13 +169,13 @@ def test_each_lane_and_joint_moves_alone(kind, error):
     target, q = rng.uniform(-error, error, (2, 6 * BATCH_SIZE))
     dq, share = rng.uniform(-0.5, 0.5, 6 * BATCH_SIZE), rng.uniform(0.05, 1.0, 6 * BATCH_SIZE)
     together, speeds = q.copy(), dq.copy()
-    follow(together, speeds, target, share, ActuatorParameters(kind))
+    follow(together, speeds, target, share, ActuatorParameters(kind), BATCH_SIZE)
     for place in range(6 * BATCH_SIZE):
         one, speed, its_target, its_share = (np.zeros(6 * BATCH_SIZE) for _ in range(4))
         one[0], speed[0], its_target[0], its_share[0] = (
             q[place], dq[place], target[place], share[place]
         )  # fmt: skip
-        follow(one, speed, its_target, its_share, ActuatorParameters(kind))
+        follow(one, speed, its_target, its_share, ActuatorParameters(kind), 1)
         assert (one[0], speed[0]) == (together[place], speeds[place])
 
 

@@ -12,15 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise.compiled import kernel
-from equipoise.model.elementary import (
-    BATCH_SIZE,
-    NEAR_ANGLE,
-    at,
-    logarithm,
-    near_sincos,
-    put,
-    sincos,
-)
+from equipoise.model.elementary import BATCH_SIZE, at, put, sincos
 
 DIGITS = 60
 PI = Decimal(
@@ -154,23 +146,6 @@ def test_known_points_are_exact():
     assert sincos(5e-324) == (5e-324, 1.0)
     assert sincos(pi / 2)[0] == 1.0
     assert sincos(pi)[1] == -1.0
-
-
-@given(x=st.floats(-NEAR_ANGLE, NEAR_ANGLE))
-def test_the_sine_and_cosine_of_a_small_angle_are_the_same_bits(x):
-    assert near_sincos(x) == sincos(x)
-
-
-@given(x=st.floats(1e-300, 1e300) | st.floats(0.5, 2.0))
-def test_the_logarithm_is_exact_to_a_unit_in_the_last_place(x):
-    with localcontext() as context:
-        context.prec = DIGITS
-        true = Decimal(x).ln()
-    assert abs(Decimal(float(logarithm(x))) - true) <= Decimal(ulp(float(true)))
-
-
-def test_the_logarithm_of_one_is_zero():
-    assert logarithm(1.0) == 0.0
 
 
 # Lanes

@@ -177,7 +177,7 @@ def response_delay(arm: Arm, actuator: Actuator, rate: float, u_max: float = pap
         # A setpoint is the place of the reference at the end of its interval.
         sent = max((cycle - late) // interval + 1, 0) * interval * CYCLE
         target[::BATCH_SIZE] = 0.5 * u_max * sent**2 * along_x
-        follow(q, dq, target, share, actuator.parameters)
+        follow(q, dq, target, share, actuator.parameters, 1)
         v[cycle] = of_pivot @ dq[::BATCH_SIZE]
     # By parts, with the mean of the last interval and full acceleration from there on.
     weights = np.diff(-np.exp(-rate * CYCLE * np.arange(cycles + 1)))

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
 from equipoise.model.arms.compiler import BIAS, JACOBIAN, POSITION, ROTATION, TWIST
-from equipoise.model.elementary import BATCH_SIZE, JOINT_BLOCK, at, put
+from equipoise.model.elementary import at, put
 
 Array = npt.NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -99,11 +99,11 @@ def joint_acceleration(
     Returns:
         The number of lanes with a damped inverse.
     """
-    K_p, K_d = parameters.K_p, parameters.K_d
-    twist, bias = TWIST * BATCH_SIZE, BIAS * BATCH_SIZE
-    for k in range(JOINT_BLOCK):
-        feedback = K_d * (reference[twist + k] - frame[twist + k]) + K_p * e[k]
-        e[k] = reference[bias + k] + feedback - frame[bias + k]
+    for i in range(6):
+        for n in range(lanes):
+            e_dot = at(reference, TWIST + i, n) - at(frame, TWIST + i, n)
+            feedback = parameters.K_d * e_dot + parameters.K_p * at(e, i, n)
+            put(e, i, n, at(reference, GAMMA + i, n) + feedback - at(frame, BIAS + i, n))
     return solve(frame, e, parameters, ddq, lanes)
 
 

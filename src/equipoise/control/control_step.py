@@ -52,8 +52,8 @@ from equipoise.model.actuator import (
 )
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST, KinematicsFunction
-from equipoise.model.elementary import BATCH_SIZE, JOINT_BLOCK, at, put, zeros
-from equipoise.model.pendulum import PendulumParameters, runge_kutta, stays_near
+from equipoise.model.elementary import BATCH_SIZE, at, put
+from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.settings import Settings
 
 Array = npt.NDArray[np.float64]
@@ -171,7 +171,7 @@ class ControllerState(NamedTuple):
     offset: Array
     """Measured minus modelled joints, slowly varying [rad], 6 rows."""
     scratch: Array
-    """Scratch for joints or accelerations, 6 rows."""
+    """Scratch for joints, 6 rows."""
     history: Array
     """Motion of the model at the last `HISTORY_TICKS` ticks: pivot velocity [m/s], flange x [m],
     rotation of the flange about the spindle [rad], joints [rad]."""
@@ -226,8 +226,7 @@ def make_controller_params(
         )
     wrist_x, wrist_y, wrist_z = (float(value) for value in compiled.wrist)
     own, clik = settings.controller, settings.clik
-    lags, share = np.array([lag.value for lag in actuator.lags]), zeros(JOINT_BLOCK)
-    share[:] = np.repeat([float(lag_share(lag)) for lag in lags.tolist()], BATCH_SIZE)
+    lags = np.array([lag.value for lag in actuator.lags])
     return ControllerParams(
         kinematics=compiled.kinematics,
         motion=compiled.motion,
@@ -244,7 +243,7 @@ def make_controller_params(
         has_sensor=has_sensor,
         actuator=actuator.parameters,
         lags=lags,
-        share=share,
+        share=np.repeat([float(lag_share(lag)) for lag in lags.tolist()], BATCH_SIZE),
         delay=actuator.delay.value,
         horizon=horizon(arm, actuator, own.margin) if own.predict else 0.0,
         pendulum=pendulum,
@@ -292,7 +291,7 @@ def new_controller_state() -> ControllerState:
     blocks: dict[str, Any] = {
         name: np.zeros(whole[name], np.int64)
         if name in whole
-        else zeros(rows.get(name, FREE_JOINTS) * BATCH_SIZE)
+        else np.zeros(rows.get(name, FREE_JOINTS) * BATCH_SIZE)
         for name in ControllerState._fields
     }
     return ControllerState(**blocks)
@@ -424,17 +423,18 @@ def observe(
     past, newest = state.history, state.newest[0]
     estimate, obs = state.estimate, state.observation
     measured, offset, counts, frame = state.measured, state.offset, state.counts, state.frame
-    h, delay, pendulum, u = controller.h, controller.delay, controller.pendulum, state.scratch
+    h, delay, pendulum = controller.h, controller.delay, controller.pendulum
     on_phi, on_phi_dot, on_bias = controller.gains
     resolution, correction = controller.resolution, controller.correction
 
     back = (delay + reply_age) / h
     near, far, f = _entry(newest, int(back)), _entry(newest, int(back) + 1), back - int(back)
-    now, then = (near + MODEL_Q) * BATCH_SIZE, (far + MODEL_Q) * BATCH_SIZE
-    for k in range(JOINT_BLOCK):
-        model = past[now + k]
-        model += f * (past[then + k] - model)
-        offset[k] += correction * (measured[k] - model - offset[k])
+    for i in range(6):
+        for n in range(lanes):
+            model = at(past, near + MODEL_Q + i, n)
+            model += f * (at(past, far + MODEL_Q + i, n) - model)
+            old = at(offset, i, n)
+            put(offset, i, n, old + correction * (at(measured, i, n) - model - old))
 
     back = (delay + encoder_age) / h
     near, far, f = _entry(newest, int(back)), _entry(newest, int(back) + 1), back - int(back)
@@ -448,11 +448,10 @@ def observe(
     for n in range(lanes):
         v = at(past, near + PIVOT_V, n)
         v += f * (at(past, far + PIVOT_V, n) - v)
-        u[n] = (v - at(estimate, EST_PIVOT_V, n)) / h
-        put(estimate, EST_PIVOT_V, n, v)
-    _move_pendulums(estimate, EST_PHI, u, h, pendulum, lanes)
-    for n in range(lanes):
-        phi, phi_dot = at(estimate, EST_PHI, n), at(estimate, EST_PHI_DOT, n)
+        u = (v - at(estimate, EST_PIVOT_V, n)) / h
+        phi, phi_dot = runge_kutta(
+            at(estimate, EST_PHI, n), at(estimate, EST_PHI_DOT, n), u, h, 0.0, pendulum
+        )
         bias = at(estimate, EST_BIAS, n)
         surprise = _wrapped(at(obs, OBS_PHI, n) - bias - phi + encoder_age * phi_dot)
         phi += on_phi * surprise
@@ -460,9 +459,10 @@ def observe(
         put(estimate, EST_PHI, n, phi)
         put(estimate, EST_PHI_DOT, n, phi_dot)
         put(estimate, EST_BIAS, n, bias + on_bias * surprise)
+        put(estimate, EST_PIVOT_V, n, v)
         put(obs, OBS_PHI, n, phi)
         put(obs, OBS_PHI_DOT, n, phi_dot)
-        put(obs, OBS_X_DOT, n, at(estimate, EST_PIVOT_V, n))
+        put(obs, OBS_X_DOT, n, v)
         x = at(past, near + FLANGE_X, n)
         x += f * (at(past, far + FLANGE_X, n) - x)
         put(estimate, EST_X, n, x)
@@ -472,66 +472,29 @@ def observe(
     part = delay - whole * h
     for j in range(whole, -1, -1):
         if part > MIN_PREDICTION_STEP:
-            row = (_entry(newest, j) + PIVOT_V) * BATCH_SIZE
-            _propagate(obs, past, row, u, part, pendulum, lanes)
+            to = _entry(newest, j)
+            for n in range(lanes):
+                _propagate(obs, at(past, to + PIVOT_V, n), part, pendulum, n)
         part = h
     part = controller.horizon - delay
     home_x = controller.home_reference[POSITION]
     if part > MIN_PREDICTION_STEP:
-        _propagate(obs, frame, TWIST * BATCH_SIZE, u, part, pendulum, lanes)
+        for n in range(lanes):
+            _propagate(obs, at(frame, TWIST, n), part, pendulum, n)
     for n in range(lanes):
         put(obs, OBS_X, n, at(frame, POSITION, n) - home_x)
         put(obs, OBS_X_DOT, n, at(frame, TWIST, n))
 
 
-@kernel
-def _propagate(
-    obs: Array,
-    speeds: Array,
-    row: int,
-    u: Array,
-    time: float,
-    pendulum: PendulumParameters,
-    lanes: int,
-) -> None:
-    """Propagate the predicted pendulums while the pivot velocities ramp to a row of `speeds`.
-
-    Args:
-        obs: Observations, changed in place.
-        speeds: A block; its velocities begin at the entry `row` [m/s].
-        row: Index of an entry.
-        u: Scratch for the accelerations.
-        time: Duration [s].
-        pendulum: Physical parameters.
-        lanes: Number of lanes.
-    """
-    for n in range(lanes):
-        u[n] = (speeds[row + n] - at(obs, OBS_X_DOT, n)) / time
-        put(obs, OBS_X_DOT, n, speeds[row + n])
-    _move_pendulums(obs, OBS_PHI, u, time, pendulum, lanes)
-
-
-@kernel
-def _move_pendulums(
-    block: Array, first: int, u: Array, time: float, pendulum: PendulumParameters, lanes: int
-) -> None:
-    """Advance phi and phi_dot, two rows of a block, with the accelerations u of the pivot."""
-    wide = 0
-    for n in range(lanes):
-        phi, phi_dot = at(block, first, n), at(block, first + 1, n)
-        wide |= not stays_near(phi, phi_dot, u[n], time, pendulum)
-    if wide:
-        for n in range(lanes):
-            phi, phi_dot = at(block, first, n), at(block, first + 1, n)
-            phi, phi_dot = runge_kutta(phi, phi_dot, u[n], time, 0.0, pendulum)
-            put(block, first, n, phi)
-            put(block, first + 1, n, phi_dot)
-    else:
-        for n in range(lanes):
-            phi, phi_dot = at(block, first, n), at(block, first + 1, n)
-            phi, phi_dot = runge_kutta(phi, phi_dot, u[n], time, 0.0, pendulum, True)
-            put(block, first, n, phi)
-            put(block, first + 1, n, phi_dot)
+@inlined
+def _propagate(obs: Array, v: float, time: float, pendulum: PendulumParameters, n: int) -> None:
+    """Propagate the predicted pendulum of lane `n` while the pivot velocity ramps to `v`."""
+    u = (v - at(obs, OBS_X_DOT, n)) / time
+    phi, phi_dot = at(obs, OBS_PHI, n), at(obs, OBS_PHI_DOT, n)
+    phi, phi_dot = runge_kutta(phi, phi_dot, u, time, 0.0, pendulum)
+    put(obs, OBS_PHI, n, phi)
+    put(obs, OBS_PHI_DOT, n, phi_dot)
+    put(obs, OBS_X_DOT, n, v)
 
 
 @kernel
@@ -560,37 +523,28 @@ def command(controller: ControllerParams, state: ControllerState, lanes: int) ->
         put(reference, GAMMA, n, u[n])
     state.damped[0] += joint_acceleration(frame, reference, e, controller.clik, ddq, lanes)
     for n in range(lanes):
+        beyond[n] = 0
         move = at(reference, TWIST, n) * h + 0.5 * u[n] * h * h
         put(reference, POSITION, n, at(reference, POSITION, n) + move)
         put(reference, TWIST, n, at(reference, TWIST, n) + u[n] * h)
-    for k in range(JOINT_BLOCK):
-        a, v, angle = ddq[k], dq[k], q[k]
-        setpoints[k] = angle + 0.5 * v * h + 0.125 * a * h * h
-        setpoints[JOINT_BLOCK + k] = angle + (v * h + 0.5 * a * h * h)
-    for k in range(JOINT_BLOCK):
-        q[k] = setpoints[JOINT_BLOCK + k]
-        dq[k] += ddq[k] * h
-    for n in range(lanes):
-        within = (
-            _joint_within(q, dq, ddq, limits, 0, n)
-            & _joint_within(q, dq, ddq, limits, 1, n)
-            & _joint_within(q, dq, ddq, limits, 2, n)
-            & _joint_within(q, dq, ddq, limits, 3, n)
-            & _joint_within(q, dq, ddq, limits, 4, n)
-            & _joint_within(q, dq, ddq, limits, 5, n)
-        )
-        beyond[n] = 0 if within else 1
+    for i in range(6):
+        lower, upper = limits[0, i], limits[1, i]
+        max_velocity, max_acceleration = limits[2, i], limits[3, i]
+        # Loops with few arrays: a compiler vectorises no loop over many.
+        for n in range(lanes):
+            a, v, angle = at(ddq, i, n), at(dq, i, n), at(q, i, n)
+            put(setpoints, i, n, angle + 0.5 * v * h + 0.125 * a * h * h)
+            put(setpoints, 6 + i, n, angle + (v * h + 0.5 * a * h * h))
+        for n in range(lanes):
+            put(q, i, n, at(setpoints, 6 + i, n))
+            put(dq, i, n, at(dq, i, n) + at(ddq, i, n) * h)
+        for n in range(lanes):
+            angle = at(q, i, n)
+            slow = (abs(at(dq, i, n)) <= max_velocity) & (abs(at(ddq, i, n)) <= max_acceleration)
+            beyond[n] = beyond[n] if (lower <= angle) & (angle <= upper) & slow else 1
     controller.kinematics(q, dq, frame, lanes)
     if controller.has_sensor:
         _advance_arm_model(controller, state, lanes)
-
-
-@inlined
-def _joint_within(q: Array, dq: Array, ddq: Array, limits: Array, i: int, n: int) -> bool:
-    """Return whether joint `i` of lane `n` keeps its limits."""
-    angle = at(q, i, n)
-    slow = (abs(at(dq, i, n)) <= limits[2, i]) & (abs(at(ddq, i, n)) <= limits[3, i])
-    return (limits[0, i] <= angle) & (angle <= limits[1, i]) & slow
 
 
 @kernel
@@ -602,13 +556,14 @@ def _advance_arm_model(controller: ControllerParams, state: ControllerState, lan
     for s in range(SETPOINTS_PER_TICK):
         target = state.setpoints[6 * s * BATCH_SIZE : 6 * (s + 1) * BATCH_SIZE]
         for _ in range(cycles):
-            follow(q, dq, target, share, controller.actuator)
+            follow(q, dq, target, share, controller.actuator, lanes)
     state.newest[0] = (state.newest[0] + 1) % HISTORY_TICKS
     entry = _entry(state.newest[0], 0)
-    first, offset = (entry + MODEL_Q) * BATCH_SIZE, state.offset
-    for k in range(JOINT_BLOCK):
-        past[first + k] = q[k]
-        scratch[k] = q[k] + offset[k]
+    for i in range(6):
+        for n in range(lanes):
+            angle = at(q, i, n)
+            put(past, entry + MODEL_Q + i, n, angle)
+            put(scratch, i, n, angle + at(state.offset, i, n))
     controller.motion(scratch, dq, frame, lanes)
     home_x = controller.home_reference[POSITION]
     for n in range(lanes):
@@ -642,10 +597,6 @@ def copy_controller_state(state: ControllerState, source: int, target: int) -> N
     for block in commanded + modelled + observed:
         copy_rows(block, source, target)
     state.limit_exceeded[target] = state.limit_exceeded[source]
-    # Loops over all lanes move the one that is left, too: at rest it stays near its setpoints.
-    for i in range(FREE_JOINTS):
-        put(state.dq, i, source, 0.0)
-        put(state.ddq, i, source, 0.0)
 
 
 @kernel

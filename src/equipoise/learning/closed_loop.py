@@ -61,8 +61,8 @@ from equipoise.model.actuator import (
 )
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, TWIST
-from equipoise.model.elementary import BATCH_SIZE, JOINT_BLOCK, at, put, sincos, zeros
-from equipoise.model.pendulum import PendulumParameters, runge_kutta, stays_near
+from equipoise.model.elementary import BATCH_SIZE, at, put, sincos
+from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.random import normal_radius, philox, turn, uniform
 from equipoise.settings import Settings
@@ -199,7 +199,7 @@ def new_batch_state() -> BatchState:
     """Return a block for `reset`."""
 
     def rows(count: int) -> Array:
-        return zeros(count * BATCH_SIZE)
+        return np.zeros(count * BATCH_SIZE)
 
     return BatchState(
         controller=new_controller_state(),
@@ -288,10 +288,10 @@ def step(plant: LoopParams, block: BatchState, lanes: int) -> None:
     """
     controller, memory, state, cause = plant.controller, block.controller, block.state, block.cause
     noise, h, home_x = memory.noise, controller.h, controller.home_reference[POSITION]
-    for k in range(JOINT_BLOCK // 2):
-        noise[k] *= plant.position_noise
-    for k in range(JOINT_BLOCK // 2, JOINT_BLOCK):
-        noise[k] *= plant.orientation_noise
+    for i in range(6):
+        sigma = plant.position_noise if i < 3 else plant.orientation_noise
+        for n in range(lanes):
+            put(noise, i, n, sigma * at(noise, i, n))
     frame = memory.frame
     if controller.has_sensor:
         frame = block.frame
@@ -356,9 +356,10 @@ def move_arms(
     cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
     for s in range(SETPOINTS_PER_TICK):
         block.newest[0] = (block.newest[0] + 1) % SETPOINT_HISTORY
-        to, source = JOINT_BLOCK * block.newest[0], JOINT_BLOCK * s
-        for k in range(JOINT_BLOCK):
-            sent[to + k] = setpoints[source + k]
+        row = 6 * block.newest[0]
+        for i in range(6):
+            for n in range(lanes):
+                put(sent, row + i, n, at(setpoints, 6 * s + i, n))
     # Index of the first setpoint of this tick; each earlier setpoint is one older.
     at_tick = block.newest[0] - (SETPOINTS_PER_TICK - 1)
     for n in range(lanes):
@@ -371,7 +372,7 @@ def move_arms(
                 row = 6 * ((at_tick + age) % SETPOINT_HISTORY)
                 for i in range(6):
                     put(target, i, n, at(sent, row + i, n))
-        follow(block.q, block.dq, target, block.share, controller.actuator)
+        follow(block.q, block.dq, target, block.share, controller.actuator, lanes)
         if dry:
             for n in range(lanes):
                 put(state, TRACKED, n, -pivot_velocity(block.frame, controller.pivot, n))
@@ -394,9 +395,9 @@ def measure(controller: ControllerParams, block: BatchState, lanes: int) -> None
         tilt = -pose_error(frame, memory.reference, n)[4]
         theta = pi - (at(state, PHI, n) - tilt + at(zero, 0, n))
         put(memory.counts, 0, n, floor(theta / controller.resolution + 0.5))
-    measured, q = memory.measured, block.q
-    for k in range(JOINT_BLOCK):
-        measured[k] = q[k]
+    for i in range(6):
+        for n in range(lanes):
+            put(memory.measured, i, n, at(block.q, i, n))
 
 
 @kernel
@@ -407,17 +408,12 @@ def advance_pendula(state: Array, pendula: Array, h: float, linearised: bool, la
         dry = max(dry, at(pendula, 3, n))
     # Dry friction can stop the pendulum within a step: those branches have a loop of their own.
     if dry == 0.0:
-        wide = 0
         for n in range(lanes):
             phi, phi_dot, tracked = at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n)
             own = pendulum_of(pendula, linearised, n)
-            wide |= not stays_near(phi, phi_dot, tracked, h, own)
-        if wide:
-            for n in range(lanes):
-                _advance_pendulum(state, pendula, h, linearised, False, n)
-        else:
-            for n in range(lanes):
-                _advance_pendulum(state, pendula, h, linearised, True, n)
+            phi, phi_dot = runge_kutta(phi, phi_dot, tracked, h, 0.0, own)
+            put(state, PHI, n, phi)
+            put(state, PHI_DOT, n, phi_dot)
     else:
         for n in range(lanes):
             phi, phi_dot, tracked = at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n)
@@ -425,18 +421,6 @@ def advance_pendula(state: Array, pendula: Array, h: float, linearised: bool, la
             phi, phi_dot = pendulum_step(phi, phi_dot, tracked, h, own)
             put(state, PHI, n, phi)
             put(state, PHI_DOT, n, phi_dot)
-
-
-@inlined
-def _advance_pendulum(
-    state: Array, pendula: Array, h: float, linearised: bool, near: bool, n: int
-) -> None:
-    """Advance the pendulum of lane `n`, without dry friction; see `runge_kutta`."""
-    phi, phi_dot, tracked = at(state, PHI, n), at(state, PHI_DOT, n), at(state, TRACKED, n)
-    own = pendulum_of(pendula, linearised, n)
-    phi, phi_dot = runge_kutta(phi, phi_dot, tracked, h, 0.0, own, near)
-    put(state, PHI, n, phi)
-    put(state, PHI_DOT, n, phi_dot)
 
 
 @inlined
@@ -482,9 +466,13 @@ def draw_noise(
         put(noise, 3, n, turn(w3))
         put(noise, 4, n, uniform(v0, 1.0, 0.0))
         put(noise, 5, n, turn(v1))
+    # The logarithm is a call; its own loop lets the compiler vectorise the others.
     for i in range(0, 6, 2):
         for n in range(lanes):
-            radius = normal_radius(at(noise, i, n))
+            put(noise, i, n, normal_radius(at(noise, i, n)))
+    for i in range(0, 6, 2):
+        for n in range(lanes):
+            radius = at(noise, i, n)
             sine, cosine = sincos(at(noise, i + 1, n))
             put(noise, i, n, radius * cosine)
             put(noise, i + 1, n, radius * sine)

@@ -34,7 +34,7 @@ from equipoise.learning.closed_loop import (
     step,
 )
 from equipoise.learning.learner import LearnerKernel, Tables, Transition, UpdateParams, new_tables
-from equipoise.model.elementary import BATCH_SIZE, at, zeros
+from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
@@ -156,7 +156,7 @@ def new_training_state(tables: int = 0) -> TrainingState:
         gained=np.zeros(BATCH_SIZE),
         chance=np.zeros(BATCH_SIZE),
         epsilon=np.zeros(BATCH_SIZE),
-        before=zeros(4 * BATCH_SIZE),
+        before=np.zeros(4 * BATCH_SIZE),
         totals=np.zeros(5, np.int64),
     )
 

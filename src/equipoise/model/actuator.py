@@ -28,7 +28,7 @@ from pydantic import Field, model_validator
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
 from equipoise.compiled import PACKAGE, inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.elementary import JOINT_BLOCK
+from equipoise.model.elementary import BATCH_SIZE
 
 Array = npt.NDArray[np.float64]
 Kind = Literal["ideal", "lag", "kst"]
@@ -116,8 +116,10 @@ def shaped_step(e: float, amplitude: float, width: float) -> float:
 
 
 @kernel
-def follow(q: Array, dq: Array, target: Array, share: Array, actuator: ActuatorParameters) -> None:
-    """Advance the free joints of all lanes by one servo cycle towards their targets.
+def follow(
+    q: Array, dq: Array, target: Array, share: Array, actuator: ActuatorParameters, lanes: int
+) -> None:
+    """Advance the free joints of the first lanes by one servo cycle towards their targets.
 
     Args:
         q: Joint positions [rad], a block of 6 rows, changed in place.
@@ -125,17 +127,24 @@ def follow(q: Array, dq: Array, target: Array, share: Array, actuator: ActuatorP
         target: Active setpoints [rad], a block of 6 rows.
         share: Gain of the lag per cycle, from `lag_share`, a block of 6 rows.
         actuator: Constants.
+        lanes: Number of lanes.
     """
-    if actuator.kind == KST:
+    # One flat loop over adjacent numbers: the lanes that are not in use are computed as well.
+    count, stride = (FREE_JOINTS, BATCH_SIZE) if lanes == 1 else (FREE_JOINTS * BATCH_SIZE, 1)
+    if stride == 1 and actuator.kind == KST:
         _follow_shaped(q, dq, target, share, actuator)
-    elif actuator.kind == LAG:
-        for i in range(JOINT_BLOCK):
-            move = (target[i] - q[i]) * share[i]
-            dq[i] = move / CYCLE
-            q[i] += move
-    else:
-        for i in range(JOINT_BLOCK):
-            dq[i] = (target[i] - q[i]) / CYCLE
+        return
+    rate, width, amplitude = 1.0 / actuator.cycle, actuator.width, actuator.amplitude
+    for i in range(0, count * stride, stride):
+        e = target[i] - q[i]
+        if actuator.kind == KST:
+            dq[i] += (rate * shaped_step(e, amplitude, width) - dq[i]) * share[i]
+            q[i] += CYCLE * dq[i]
+        elif actuator.kind == LAG:
+            dq[i] = e * share[i] / CYCLE
+            q[i] += e * share[i]
+        else:
+            dq[i] = e / CYCLE
             q[i] = target[i]
 
 
@@ -145,19 +154,20 @@ def _follow_shaped(
 ) -> None:
     """Advance the free joints of all lanes by one servo cycle of the shaping law."""
     rate, width, amplitude = 1.0 / actuator.cycle, actuator.width, actuator.amplitude
+    count = FREE_JOINTS * BATCH_SIZE
     far = 0
-    for i in range(JOINT_BLOCK):
+    for i in range(count):
         far |= abs((target[i] - q[i]) * (1.0 / width)) > NEAR
     # Joints are almost always near their setpoints: for them the law is a short series. Both loops
     # give equal bits where it holds.
     if far:
-        for i in range(JOINT_BLOCK):
+        for i in range(count):
             wanted = rate * shaped_step(target[i] - q[i], amplitude, width)
             speed = dq[i] + (wanted - dq[i]) * share[i]
             dq[i] = speed
             q[i] += CYCLE * speed
     else:
-        for i in range(JOINT_BLOCK):
+        for i in range(count):
             wanted = rate * _near_step(target[i] - q[i], amplitude, width)
             speed = dq[i] + (wanted - dq[i]) * share[i]
             dq[i] = speed

@@ -1,4 +1,4 @@
-"""Vectorised kernels: blocks of lanes; sine, cosine and logarithm as polynomials.
+"""Vectorised kernels: blocks of lanes, and sine and cosine as polynomials.
 
 A processor computes several numbers with one instruction if straight-line code runs over adjacent
 numbers. Therefore kernels advance a *block* of `BATCH_SIZE` independent states (episodes, trials)
@@ -18,39 +18,11 @@ from equipoise.compiled import inlined
 BATCH_SIZE: Final = 16
 """Number of states in a block: fills the widest registers and hides the latency of a division."""
 
-CACHE_LINE: Final = 64
-"""Size of a cache line [bytes], and of the widest registers."""
-JOINT_BLOCK: Final = 6 * BATCH_SIZE
-"""Size of a block of 6 rows, one for each free joint. A formula that is equal for all joints is one
-loop over it, unused lanes included: a short loop costs more by its begin and end than by its body.
-"""
-
 TWO_OVER_PI: Final = 0.6366197723675814
 # pi/2 in three parts; k * HALF_PI_1 is exact for |k| < 2^20.
 HALF_PI_1: Final = 1.57079632673412561417e00
 HALF_PI_2: Final = 6.07710050630396597660e-11
 HALF_PI_3: Final = 2.02226624879595063154e-21
-NEAR_ANGLE: Final = 0.78
-"""Angle below which `near_sincos` may be called [rad]: within pi/4, for which k is zero."""
-
-# ln 2 in two parts; k * LN_2_1 is exact for the exponents k of all numbers.
-LN_2_1: Final = 6.93147180369123816490e-01
-LN_2_2: Final = 1.90821492927058770002e-10
-SQRT_HALF_BITS: Final = 0x3FE6A09E667F3BCD
-"""Bits of the square root of 1/2."""
-MANTISSA: Final = 52
-"""Number of bits of a mantissa."""
-
-
-def zeros(count: int) -> npt.NDArray[np.float64]:
-    """Return an array of zeros that begins on a cache line.
-
-    Of registers as wide as a cache line, each that is loaded from elsewhere or stored touches two.
-    """
-    size = np.dtype(np.float64).itemsize * count
-    room = np.zeros(size + CACHE_LINE, np.uint8)
-    first = -room.ctypes.data % CACHE_LINE
-    return room[first : first + size].view(np.float64)
 
 
 @inlined
@@ -76,27 +48,6 @@ def sincos(x: float) -> tuple[float, float]:
     t = x - k * HALF_PI_1
     r = t - k * HALF_PI_2
     lost = ((t - r) - k * HALF_PI_2) - k * HALF_PI_3
-    s, c = _sine_cosine(r, lost)
-    quadrant = k - 4.0 * np.floor(0.25 * k)
-    odd = quadrant == 1.0 or quadrant == 3.0
-    sine = c if odd else s
-    cosine = s if odd else c
-    if quadrant >= 2.0:
-        sine = -sine
-    if quadrant == 1.0 or quadrant == 2.0:
-        cosine = -cosine
-    return sine, cosine
-
-
-@inlined
-def near_sincos(x: float) -> tuple[float, float]:
-    """Return the bits of `sincos` for an angle within NEAR_ANGLE, with half the operations."""
-    return _sine_cosine(x, 0.0)
-
-
-@inlined
-def _sine_cosine(r: float, lost: float) -> tuple[float, float]:
-    """Return sine and cosine of r + lost, r within pi/4 and `lost` its rounding error."""
     z = r * r
     s = 1.58969099521155010221e-10
     s = -2.50507602534068634195e-08 + z * s
@@ -111,27 +62,13 @@ def _sine_cosine(r: float, lost: float) -> tuple[float, float]:
     c = 2.48015872894767294178e-05 + z * c
     c = -1.38888888888741095749e-03 + z * c
     c = 4.16666666666666019037e-02 + z * c
-    return s, 1.0 - (0.5 * z - (z * z * c - r * lost))
-
-
-@inlined
-def logarithm(x: float) -> float:
-    """Return the natural logarithm of a positive normal number, to one unit in the last place.
-
-    x = 2^k (1 + f) with 1 + f from sqrt(1/2) to sqrt(2); with s = f / (2 + f), log(1 + f) is
-    2 artanh(s): f - s (f - p), p a polynomial of degree 14 in s, near minimax (Ng, fdlibm).
-    """
-    bits = np.float64(x).view(np.int64)
-    exponent = (bits - SQRT_HALF_BITS) >> MANTISSA
-    f = np.int64(bits - (exponent << MANTISSA)).view(np.float64) - 1.0
-    s = f / (2.0 + f)
-    z = s * s
-    p = 1.479819860511658591e-01
-    p = 1.531383769920937332e-01 + z * p
-    p = 1.818357216161805012e-01 + z * p
-    p = 2.222219843214978396e-01 + z * p
-    p = 2.857142874366239149e-01 + z * p
-    p = 3.999999999940941908e-01 + z * p
-    p = z * (6.666666666666735130e-01 + z * p)
-    k, half = float(exponent), 0.5 * f * f
-    return k * LN_2_1 - ((half - (s * (half + p) + k * LN_2_2)) - f)
+    c = 1.0 - (0.5 * z - (z * z * c - r * lost))
+    quadrant = k - 4.0 * np.floor(0.25 * k)
+    odd = quadrant == 1.0 or quadrant == 3.0
+    sine = c if odd else s
+    cosine = s if odd else c
+    if quadrant >= 2.0:
+        sine = -sine
+    if quadrant == 1.0 or quadrant == 2.0:
+        cosine = -cosine
+    return sine, cosine

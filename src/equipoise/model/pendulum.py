@@ -21,7 +21,7 @@ from pydantic import Field, model_validator
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
 from equipoise.compiled import PACKAGE, inlined, kernel
 from equipoise.errors import RecordingError
-from equipoise.model.elementary import NEAR_ANGLE, near_sincos, sincos
+from equipoise.model.elementary import sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 from equipoise.trajectory import Trajectory
 from equipoise.views import Viewable
@@ -61,59 +61,29 @@ class PendulumParameters(NamedTuple):
 
 @inlined
 def _acceleration(
-    phi: float,
-    phi_dot: float,
-    u: float,
-    dry: float,
-    pendulum: PendulumParameters,
-    near: bool = False,
+    phi: float, phi_dot: float, u: float, dry: float, pendulum: PendulumParameters
 ) -> float:
     """Return the angular acceleration [rad/s^2]; `dry` is f sign(phi_dot), known beforehand."""
     friction = pendulum.c * phi_dot + pendulum.drag * abs(phi_dot) * phi_dot + dry
     if pendulum.linearised:
         return pendulum.w2 * phi - friction - pendulum.k * u
-    sine, cosine = near_sincos(phi) if near else sincos(phi)
+    sine, cosine = sincos(phi)
     return pendulum.w2 * sine - friction - pendulum.k * u * cosine
 
 
 @inlined
-def stays_near(
-    phi: float, phi_dot: float, u: float, h: float, pendulum: PendulumParameters
-) -> bool:
-    """Return whether a step without dry friction surely stays within NEAR_ANGLE.
-
-    With A a bound of the acceleration at its start, c h and the drag below 1, no stage's angle
-    differs from phi by more than h |phi_dot| + 1.1 h^2 A.
-    """
-    rate = abs(phi_dot)
-    bound = pendulum.w2 + pendulum.k * abs(u) + (pendulum.c + pendulum.drag * rate) * rate
-    reach = abs(phi) + h * (rate + 2.0 * h * bound)
-    return (reach <= NEAR_ANGLE) & (abs(pendulum.c) * h <= 1.0) & (pendulum.drag <= 1.0)
-
-
-@inlined
 def runge_kutta(
-    phi: float,
-    phi_dot: float,
-    u: float,
-    h: float,
-    dry: float,
-    pendulum: PendulumParameters,
-    near: bool = False,
+    phi: float, phi_dot: float, u: float, h: float, dry: float, pendulum: PendulumParameters
 ) -> tuple[float, float]:
-    """Advance by one Runge-Kutta step of fourth order, with u and dry friction held.
-
-    A step that `stays_near` may be called with `near`, a constant: the bits are the same, with half
-    the operations.
-    """
+    """Advance by one Runge-Kutta step of fourth order, with u and dry friction held."""
     v1 = phi_dot
-    a1 = _acceleration(phi, v1, u, dry, pendulum, near)
+    a1 = _acceleration(phi, v1, u, dry, pendulum)
     v2 = phi_dot + 0.5 * h * a1
-    a2 = _acceleration(phi + 0.5 * h * v1, v2, u, dry, pendulum, near)
+    a2 = _acceleration(phi + 0.5 * h * v1, v2, u, dry, pendulum)
     v3 = phi_dot + 0.5 * h * a2
-    a3 = _acceleration(phi + 0.5 * h * v2, v3, u, dry, pendulum, near)
+    a3 = _acceleration(phi + 0.5 * h * v2, v3, u, dry, pendulum)
     v4 = phi_dot + h * a3
-    a4 = _acceleration(phi + h * v3, v4, u, dry, pendulum, near)
+    a4 = _acceleration(phi + h * v3, v4, u, dry, pendulum)
     return (
         phi + h * (v1 + 2.0 * v2 + 2.0 * v3 + v4) / 6.0,
         phi_dot + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0,

@@ -8,11 +8,11 @@ number of workers. Key and counter identify each draw::
     counter  step, index (episode or trial), learner, stream
 """
 
-from math import pi, sqrt
+from math import log, pi, sqrt
 from typing import Final
 
 from equipoise.compiled import inlined
-from equipoise.model.elementary import logarithm, sincos
+from equipoise.model.elementary import sincos
 
 Words = tuple[int, int, int, int]
 
@@ -76,7 +76,7 @@ def normal_radius(unit: float) -> float:
     Box and Muller: with a uniform angle, radius * cos(angle) and radius * sin(angle) are two
     independent standard normal numbers.
     """
-    return sqrt(-2.0 * logarithm(unit))
+    return sqrt(-2.0 * log(unit))
 
 
 @inlined
