@@ -209,12 +209,12 @@ def test_workers_do_not_change_a_race_or_a_test(make_plant):
 
 
 @pytest.mark.compiled_only
-def test_a_race_of_one_is_short_and_one_of_equals_ends_where_nothing_separates_them(make_plant):
+def test_a_race_of_one_is_short_and_one_of_equals_runs_all_rounds(make_plant):
     good = shipped_policy().u_of_box
     assert race(make_plant(), [Candidate(1, good)])[0][1].trials == selection.FIRST_BLOCK
-    plant = make_plant("selection.rounds=6", "selection.duration=0.3")
+    plant = make_plant("selection.rounds=4", "selection.duration=0.3")
     equal = race(plant, [Candidate(1, good), Candidate(2, good)])
-    assert [result.trials for _, result in equal] == [selection.SETTLED] * 2
+    assert [result.trials for _, result in equal] == [8 * selection.FIRST_BLOCK] * 2
     assert equal[0][0] == 0
 
 

@@ -52,8 +52,6 @@ PRIORS: Final = ((0.9, 100.0, 0.3), (0.1, 0.5, 0.5))
 """Weights and parameters of the beta distributions of the confidence sequence. With the first one,
 of mean 0.997, a target of 0.99 needs the fewest trials; the second one narrows the intervals of low
 shares. The bounds hold for all shares and all targets."""
-SETTLED: Final = 32
-"""Number of trials after which candidates of equal durations count as equal."""
 TEST_BLOCK: Final = 64
 """Number of trials between two looks at the bounds of a test."""
 
@@ -151,8 +149,7 @@ def race(
         kept = not_worse(steps[alive, :last], RACE_ERROR / (count * rule.rounds))
         alive = [i for i, keep in zip(alive, kept, strict=True) if keep]
         alive = alive[: max(rule.round_trials // last, 1)]
-        equal = last >= SETTLED and not np.any(steps[alive, :last] != steps[alive[0], :last])
-        if len(alive) == 1 or last == most or equal:
+        if len(alive) == 1 or last == most:
             break
         first = last
     running(finished, finished)

@@ -177,7 +177,8 @@ def test_with_a_mirror_the_table_is_symmetric_to_the_bit(pendulum, held):
 
 @pytest.mark.parametrize("recipe", ["robust", "paper"])
 def test_values_lie_between_failure_and_nothing(pendulum, recipe):
-    plant, parameters, settings = problem(pendulum, recipe, "learning.episodes=200")
+    changes = "learning.episodes=200", "learning.reward=paper"
+    plant, parameters, settings = problem(pendulum, recipe, *changes)
     progress = trained(plant, parameters, settings, 200)
     assert progress.tables.Q.min() >= -1.0
     assert progress.tables.Q.max() <= 0.0

@@ -82,9 +82,9 @@ class Episode:
         variation = DomainRandomization(
             inertia_factor=1.0,  # the pendulum has them already
             friction_factor=1.0,
-            delay=rig.delay_spread * (2.0 * w0 / 2**32 - 1.0),
-            lag_factor=1.0 + rig.lag_spread * (2.0 * w1 / 2**32 - 1.0),
-            zero=rig.zero_error * (2.0 * w2 / 2**32 - 1.0),
+            delay=uniform(w0, -rig.delay_spread, rig.delay_spread),
+            lag_factor=uniform(w1, 1.0 - rig.lag_spread, 1.0 + rig.lag_spread),
+            zero=uniform(w2, -rig.zero_error, rig.zero_error),
         )
         reset(plant, self.block, own, variation, start, 0)
         self.cell = self.place()
@@ -114,11 +114,17 @@ class Episode:
         return self.block.cause[0] != TRUNCATED
 
 
+def ahead(state):
+    """Return where the centre of percussion will be after 0.7 s at its present velocity."""
+    x, x_dot, phi, phi_dot = state
+    return x + 0.14 * phi + 0.7 * (x_dot + 0.14 * phi_dot)
+
+
 REWARDS = {
     "paper": lambda before, u, after, failed, failure: failure * failed,
     "alive": lambda before, u, after, failed, failure: 1.0 - failed,
     "centred": lambda before, u, after, failed, failure: (
-        failure if failed else -0.2 * after[0] ** 2 - 0.27 * after[2] ** 2
+        failure if failed else -0.2 * ahead(after) * ahead(after) - 0.27 * after[2] * after[2]
     ),
 }
 
