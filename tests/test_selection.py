@@ -186,7 +186,7 @@ def test_the_policy_that_balances_wins_and_no_pair_runs_twice(make_plant, pairs)
 def test_a_result_is_that_of_the_policy_alone_on_the_same_trials(make_plant):
     plant, field = make_plant("selection.rms_x_weight=0.5"), candidates(5)
     for i, result in race(plant, field):
-        simulation = plant.simulation(selection.SELECTION, 2.0)
+        simulation = plant.simulation(selection.SELECTION, plant.settings.selection.spread)
         trials = simulation.draw(result.trials)
         kernel = selection.table_kernel(field[i].u_of_box)
         simulation.run(kernel, trials, range(result.trials), duration=3.0)
