@@ -34,6 +34,11 @@ TAKEN_BACK = {
         "robust",
         ["plant.delay_spread=0", "plant.lag_spread=0", "plant.zero_error=0"],
     ),
+    "only a failure costs": ("robust", ["learning.reward=paper"]),
+    "only a failure costs, gamma = 0.97": (
+        "robust",
+        ["learning.reward=paper", "learning.gamma=0.97"],
+    ),
     "an update in each step": ("robust", ["learning.hold_action=false"]),
     "constant alpha = 0.1": (
         "robust",

@@ -274,7 +274,7 @@ def test_race_and_test_have_trials_of_their_own(monkeypatch, pendulum):
 
     monkeypatch.setattr(plant, "draw_trials", spy)
     train_to_target(pendulum, ARM, settings(), target=0.9, learners=2, seed=5)
-    assert seen == {(5, SELECTION, 2.0), (5, TARGET_TEST, 1.0)}
+    assert seen == {(5, SELECTION, settings().selection.spread), (5, TARGET_TEST, 1.0)}
     assert TEST not in (SELECTION, TARGET_TEST)
 
 

@@ -229,11 +229,11 @@ def draw_fault(kind, seed):
         share = float(random.uniform(0.35, 0.7))
         return plain._replace(name=CauseName.ZERO, once=lambda s: setattr(s.board, "loss", share))
     if kind == "weak":
-        share = float(random.uniform(0.2, 0.3))
+        share = float(random.uniform(0.18, 0.24))
         kernel = shipped_policy().kernel
         return plain._replace(
             name=CauseName.SATURATION,
-            start=(sign * np.deg2rad(0.7), sign * np.deg2rad(4.0)),
+            start=(sign * np.deg2rad(0.5), sign * np.deg2rad(3.0)),
             policy=kernel._replace(u_of_box=share * kernel.u_of_box),
             u_max=2.0 * share,
         )
