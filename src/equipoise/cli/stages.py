@@ -6,8 +6,9 @@ stage also one every 30 s before.
 
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from threading import Lock
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console, RenderableType
 from rich.padding import Padding
@@ -111,9 +112,10 @@ class Stages:
             stage.now = reported
             if stage.now.share >= 1.0:
                 stage.done = True
-                if self._bars is not None:
-                    self._bars.drop(name)
-                self._write(stage.last_line)
+                with self._bars.still() if self._bars is not None else nullcontext():
+                    if self._bars is not None:
+                        self._bars.drop(name)
+                    self._write(stage.last_line)
             elif self._bars is None and time.monotonic() - stage.told >= LINE_EVERY:
                 stage.told = time.monotonic()
                 self._write(stage.line)
@@ -153,6 +155,14 @@ class _Bars(Progress):
         """Remove the bar of a stage."""
         with self._lock:
             self.remove_task(self._rows.pop(name))
+
+    def still(self) -> AbstractContextManager[Any]:
+        """Return a context without refreshes.
+
+        Rich computes the cursor's place before it draws; a refresh by its thread in between, with
+        another number of bars, would overwrite a line.
+        """
+        return self.live._lock
 
     def clear(self) -> None:
         """Remove all bars: an interruption leaves some."""
