@@ -66,6 +66,17 @@ class Summary(NamedTuple):
     """Number of trials by the cause of their end."""
 
 
+def exact_interval(count: int, of: int) -> tuple[float, float]:
+    """Return the exact (Clopper-Pearson) 95 % interval of a share.
+
+    Args:
+        count: Number of successes.
+        of: Number of trials, at least one.
+    """
+    low, high = binomtest(count, of).proportion_ci(CONFIDENCE, method="exact")
+    return float(low), float(high)
+
+
 class TrialResults(Value):
     """The trials of one policy, in their order."""
 
@@ -88,8 +99,7 @@ class TrialResults(Value):
     def summary(self) -> Summary:
         """Return share, interval, quantiles and causes."""
         trials, survived = len(self.survival), self.causes.count(CAUSES[0])
-        low, high = binomtest(survived, trials).proportion_ci(CONFIDENCE, method="exact")
-        rate, interval = survived / trials, (float(low), float(high))
+        rate, interval = survived / trials, exact_interval(survived, trials)
         q05, q25, q50, q75, q95 = np.quantile(self.survival, [0.05, 0.25, 0.5, 0.75, 0.95]).tolist()
         quantiles, causes = (q05, q25, q75, q95), dict(Counter(self.causes))
         return Summary(trials, survived, rate, interval, q50, quantiles, causes)

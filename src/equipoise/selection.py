@@ -101,6 +101,25 @@ def trial_plant(
     return TrialPlant(params, arm, nominal, settings, seed)
 
 
+class _Counter:
+    """Count of finished trials, which any thread may add to."""
+
+    def __init__(self, running: Running) -> None:
+        self.finished, self._expected = 0, 0
+        self._running, self._lock = running, Lock()
+
+    def expect(self, expected: int) -> None:
+        """Report the number of trials that are expected until the end."""
+        self._expected = expected
+        self._running(self.finished, expected)
+
+    def add(self, rows: Sequence[int]) -> None:
+        """Add finished trials; the last report is left to the caller."""
+        with self._lock:
+            self.finished += len(rows)
+            self._running(self.finished, max(self._expected, self.finished + 1))
+
+
 def race(
     plant: TrialPlant,
     candidates: Sequence[Candidate],
@@ -119,25 +138,17 @@ def race(
     rule, count = plant.settings.selection, len(candidates)
     simulation = plant.simulation(SELECTION, rule.spread)
     policy = table_kernel(np.concatenate([each.u_of_box for each in candidates]))
-    most, lock = FIRST_BLOCK * 2 ** (rule.rounds - 1), Lock()
+    most, counter = FIRST_BLOCK * 2 ** (rule.rounds - 1), _Counter(running)
     steps, sum_x2 = np.zeros((count, most), np.int64), np.zeros((count, most))
     cause = np.zeros((count, most), np.int64)
     results: dict[int, Checkpoint] = {}
-    alive, first, finished = list(range(count)), 0, 0
+    alive, first = list(range(count)), 0
     while alive:
         last = max(2 * first, FIRST_BLOCK)
         trials = simulation.draw(last - first, first).of_tables(alive)
         rounds_left = (most // last).bit_length() - 1
-        expected = finished + len(trials.table) + rounds_left * rule.round_trials
-
-        def done(rows: Sequence[int], expected: int = expected) -> None:
-            nonlocal finished
-            with lock:
-                finished += len(rows)
-                running(finished, max(expected, finished + 1))
-
-        running(finished, expected)
-        rows = range(len(trials.table))
+        counter.expect(counter.finished + len(trials.table) + rounds_left * rule.round_trials)
+        rows, done = range(len(trials.table)), counter.add
         simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
         at = trials.table, trials.number
         steps[at], sum_x2[at], cause[at] = trials.steps, trials.sum_x2, trials.cause
@@ -152,7 +163,7 @@ def race(
         if len(alive) == 1 or last == most:
             break
         first = last
-    running(finished, finished)
+    running(counter.finished, counter.finished)
     order = sorted(results, key=lambda i: (-results[i].trials, -results[i].score, i))
     return [(i, results[i]) for i in order]
 
@@ -216,22 +227,14 @@ def measure_share(
     rule = plant.settings.selection
     simulation, policy = plant.simulation(TARGET_TEST, 1.0), table_kernel(u_of_box)
     count, failed, causes = 0, 0, Counter[str]()
-    low, high, lock = 0.0, 1.0, Lock()
-    finished = 0
+    low, high, counter = 0.0, 1.0, _Counter(running)
     while count == 0 or (low < target <= high and count < rule.test_trials):
         expected = trials_to_meet(target, error, count, failed, rule.test_trials)
         if expected is None and failed:
             break
         trials = simulation.draw(min(TEST_BLOCK, rule.test_trials - count), count)
-
-        def done(rows: Sequence[int], expected: int = expected or rule.test_trials) -> None:
-            nonlocal finished
-            with lock:
-                finished += len(rows)
-                running(finished, max(expected, finished + 1))
-
-        running(finished, expected or rule.test_trials)
-        rows = range(len(trials.steps))
+        counter.expect(expected or rule.test_trials)
+        rows, done = range(len(trials.steps)), counter.add
         simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
         causes.update(map(cause_named, trials.cause.tolist()))
         count += len(rows)

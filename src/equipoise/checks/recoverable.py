@@ -406,9 +406,10 @@ def boundary(
     for angle in np.pi * (np.arange(DIRECTIONS // 2) / (DIRECTIONS // 2)):
         a, b = scale[0] * np.cos(angle), scale[1] * np.sin(angle)
         direction = a * across + b * up
-        found = largest_recovery if sufficient else largest_start
-        result = found(params, direction)
-        factor = result[0] if isinstance(result, tuple) else result
+        if sufficient:
+            factor, _ = largest_recovery(params, direction)
+        else:
+            factor = largest_start(params, direction)
         half.append((factor * a, factor * b))
     points = np.array(half)
     return Boundary(np.concatenate((-points, points)), scale)

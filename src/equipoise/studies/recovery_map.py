@@ -13,7 +13,6 @@ from typing import Annotated, ClassVar, Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
-from scipy.stats import binomtest
 
 from equipoise.artefacts import Artefact, Estimate, Name, Number, Seed, Share, Value
 from equipoise.checks.recoverable import (
@@ -29,7 +28,7 @@ from equipoise.checks.recoverable import (
 from equipoise.control.boxes import TRUNCATED
 from equipoise.control.policy import TaskPolicy
 from equipoise.errors import InputError
-from equipoise.evaluation import CONFIDENCE, Done
+from equipoise.evaluation import Done, exact_interval
 from equipoise.model.actuator import Actuator
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import MAP
@@ -156,8 +155,7 @@ def held_share(held: npt.NDArray[np.bool_]) -> HeldShare:
     count, starts = int(np.sum(held)), len(held)
     if starts == 0:
         return HeldShare(0, 0, 0.0, (0.0, 1.0))
-    low, high = binomtest(count, starts).proportion_ci(CONFIDENCE, method="exact")
-    return HeldShare(count, starts, count / starts, (float(low), float(high)))
+    return HeldShare(count, starts, count / starts, exact_interval(count, starts))
 
 
 def default_starts(world: str | World) -> int:
