@@ -19,6 +19,7 @@ Python to a kernel takes a microsecond, passing its parts takes a hundred.
 that one training loop serves every arm (a dispatcher as an argument would always miss the cache).
 """
 
+import ctypes
 import functools
 import hashlib
 import logging
@@ -224,6 +225,30 @@ def _lazily_compiled(function: F, **options: Any) -> F:
         {name: numba.types.unliteral(kind) for name, kind in kws.items()},
     )
     return dispatcher
+
+
+def _multiply_add() -> Any:
+    """Return the fused product and sum: LLVM's for kernels, the C library's for Python."""
+    if disabled():
+        fused: Any = ctypes.CDLL("ucrtbase" if os.name == "nt" else None).fma
+        fused.argtypes, fused.restype = [ctypes.c_double] * 3, ctypes.c_double
+        return fused
+    from numba.extending import intrinsic
+
+    number = numba.float64
+
+    @intrinsic
+    def multiply_add(typing: Any, a: Any, b: Any, c: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            return builder.fma(*values)
+
+        return number(number, number, number), generate
+
+    return multiply_add
+
+
+multiply_add = _multiply_add()
+"""Return a b + c with one rounding; kernels call `equipoise.model.elementary.fma`."""
 
 
 @functools.cache
