@@ -188,15 +188,17 @@ def disabled() -> bool:
 
 def kernel(function: F) -> F:
     """Compile `function` on its first call; with `NUMBA_DISABLE_JIT=1` return it unchanged."""
-    return _lazily_compiled(function)
+    return _lazily_compiled(function, _nrt=True)
 
 
 def inlined(function: F) -> F:
     """Compile `function` into each kernel that calls it.
 
-    Formulas inside loops over lanes need it: a processor vectorises a loop only without calls.
+    Formulas inside loops over lanes need it: a processor vectorises a loop only without calls. So
+    do functions of a control step, because a call copies all arrays of its named tuples. Such a
+    function creates no array: it counts no references, which would take longer than its formulas.
     """
-    return _lazily_compiled(function, forceinline=True)
+    return _lazily_compiled(function, _nrt=False, forceinline=True)
 
 
 def compilable(function: F) -> F:
@@ -269,7 +271,7 @@ def function_pointer(function: F, signature: Any, cached: bool = True) -> F:
     from numba.core.ccallback import CFunc
     from numba.core.sigutils import normalize_signature
 
-    options = {"error_model": "numpy", "boundscheck": not cached}
+    options = {"error_model": "numpy", "boundscheck": not cached, "_nrt": not cached}
     pointer: Any = CFunc(function, normalize_signature(signature), {}, options)
     if cached:
         _cached(pointer)

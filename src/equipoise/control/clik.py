@@ -82,7 +82,7 @@ def pose_error(frame: Array, reference: Array, n: int) -> Twist:
     )
 
 
-@kernel
+@inlined
 def joint_acceleration(
     frame: Array, reference: Array, e: Array, parameters: ClikParameters, ddq: Array, lanes: int
 ) -> int:
@@ -107,7 +107,7 @@ def joint_acceleration(
     return solve(frame, e, parameters, ddq, lanes)
 
 
-@kernel
+@inlined
 def solve(frame: Array, rhs: Array, parameters: ClikParameters, y: Array, lanes: int) -> int:
     """Solve J y = rhs in each lane, damped near singularities; return the number damped."""
     wrist, w_0 = parameters.wrist, parameters.w_0

@@ -403,7 +403,7 @@ def _wrapped(angle: float) -> float:
     return angle - 2.0 * pi * floor((angle + pi) / (2.0 * pi))
 
 
-@kernel
+@inlined
 def observe(
     controller: ControllerParams,
     state: ControllerState,
@@ -497,7 +497,7 @@ def _propagate(obs: Array, v: float, time: float, pendulum: PendulumParameters, 
     put(obs, OBS_X_DOT, n, v)
 
 
-@kernel
+@inlined
 def command(controller: ControllerParams, state: ControllerState, lanes: int) -> None:
     """Compute the setpoints of the joints from u, in the first lanes.
 
@@ -547,7 +547,7 @@ def command(controller: ControllerParams, state: ControllerState, lanes: int) ->
         _advance_arm_model(controller, state, lanes)
 
 
-@kernel
+@inlined
 def _advance_arm_model(controller: ControllerParams, state: ControllerState, lanes: int) -> None:
     """Advance the model of the arm to the end of the tick, and record its motion."""
     scratch, past, frame = state.scratch, state.history, state.model_frame

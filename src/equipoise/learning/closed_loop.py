@@ -274,7 +274,7 @@ def reset(
         put(block.frame, i, n, at(memory.frame, i, n))
 
 
-@kernel
+@inlined
 def step(plant: LoopParams, block: BatchState, lanes: int) -> None:
     """Advance controller, arm and pendulum of the first lanes by one time step.
 
@@ -328,7 +328,7 @@ def step(plant: LoopParams, block: BatchState, lanes: int) -> None:
                 put(memory.observation, i, n, at(state, i, n))
 
 
-@kernel
+@inlined
 def move_arms(
     controller: ControllerParams, block: BatchState, linearised: bool, dry: bool, lanes: int
 ) -> None:
@@ -387,7 +387,7 @@ def move_arms(
         put(state, TRACKED, n, at(before, 0, n))
 
 
-@kernel
+@inlined
 def measure(controller: ControllerParams, block: BatchState, lanes: int) -> None:
     """Write encoder counts and measured joints to the controllers of the first lanes."""
     memory, state, frame, zero = block.controller, block.state, block.frame, block.zero
@@ -400,7 +400,7 @@ def measure(controller: ControllerParams, block: BatchState, lanes: int) -> None
             put(memory.measured, i, n, at(block.q, i, n))
 
 
-@kernel
+@inlined
 def advance_pendula(state: Array, pendula: Array, h: float, linearised: bool, lanes: int) -> None:
     """Advance the pendulums of the first lanes by one time step, driven by u'."""
     dry = 0.0
@@ -436,7 +436,7 @@ def pendulum_of(pendula: Array, linearised: bool, n: int) -> PendulumParameters:
     )
 
 
-@kernel
+@inlined
 def draw_noise(
     noise: Array,
     seed: int,
