@@ -198,7 +198,7 @@ def test_the_drives_torques_carry_the_arm():
     bench, clock = stand()
     wait(clock, 0.5)
     own, other = np.array(bench.body.torques(False)), np.array(bench.body.torques(True))
-    gravity = np.array(bench.twin.data.qfrc_gravcomp[:7])
+    gravity = bench.twin.kernel.bodies.gravity
     assert own + other == pytest.approx(gravity, abs=0.4)
 
 

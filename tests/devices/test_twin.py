@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from equipoise.devices.twin.excitation import excitation
-from equipoise.devices.twin.physics import TICK
+from equipoise.devices.twin.physics import TICK, build
 from equipoise.devices.twin.twin import Twin
 from equipoise.identification import identify
 from equipoise.model.arms.iiwa import iiwa
@@ -162,6 +162,23 @@ def test_the_truth_is_what_mujoco_says_of_the_bodies():
     assert real.phi_dot == pytest.approx((phi_after(1e-5) - phi_after(-1e-5)) / 2e-5, rel=1e-6)
     # In space, not relative to the flange, which is tilted by now.
     assert abs(real.phi - twin.data.qpos[7]) > 1e-3
+
+
+def test_the_drives_balance_the_arms_own_gravity_as_mujoco_would():
+    twin = Twin(ARM, PENDULUM, TwinSettings(substeps=2), seed=2)
+    for lean in (0.0, 0.1):  # MuJoCo's own balance, which the twin has switched off
+        model = build(ARM, PENDULUM, TwinSettings(substeps=2))
+        gravity = GRAVITY * np.array([np.sin(lean), 0.0, -np.cos(lean)])
+        twin.model.opt.gravity[:] = model.opt.gravity[:] = gravity
+        twin.reset(ARM.home_free + 0.3, phi=0.4)
+        twin.send(ARM.home_free)
+        twin.advance(0.05)
+        data = mujoco.MjData(model)
+        data.qpos[:] = twin.data.qpos
+        mujoco.mj_forward(model, data)
+        balanced = twin.kernel.bodies.gravity
+        assert np.abs(balanced).max() > 10.0
+        assert balanced == pytest.approx(data.qfrc_gravcomp[:7], abs=1e-9)
 
 
 def test_at_rest_the_truth_is_what_reset_said():

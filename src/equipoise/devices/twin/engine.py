@@ -42,11 +42,17 @@ def engine(model: Any, data: Any) -> Engine:
 
 @functools.cache
 def _library() -> ctypes.CDLL:
-    """Return the library that MuJoCo's own Python module has loaded."""
+    """Return the library that MuJoCo's own Python module has loaded, with its profiler off.
+
+    MuJoCo reads a clock at the start and the end of each stage of a step, a sixth of the step.
+    """
     mujoco()  # loads it
     if sys.platform == "win32":  # modules there do not export the symbols of their libraries
-        return ctypes.CDLL("mujoco.dll")
-    return ctypes.CDLL(importlib.import_module("mujoco._functions").__file__)
+        library = ctypes.CDLL("mujoco.dll")
+    else:
+        library = ctypes.CDLL(importlib.import_module("mujoco._functions").__file__)
+    ctypes.c_void_p.in_dll(library, "mjcb_time").value = None
+    return library
 
 
 def call(function: int, model: int, data: int) -> None:

@@ -1,14 +1,16 @@
 """The bodies of the twin in MuJoCo: the arm, the bracket on its flange, and the pendulum.
 
-The geometry of `equipoise.model.arms.scene` with the masses of the robot. The arm's own gravity is
+The bodies of `equipoise.model.arms.scene` with the masses of the robot. The arm's own gravity is
 balanced, as by its drives; that of bracket and pendulum is not. The pendulum is a uniform rod, and
 its free swing determines its length::
 
     l = 3 g / (4 w2)      I = m g l / w2
 
-Nothing collides: a trial ends before anything could.
+Nothing collides: a trial ends before anything could. The bodies have no shapes, whose poses MuJoCo
+would compute in each step.
 """
 
+import functools
 from math import copysign
 from typing import Any, Final
 
@@ -17,7 +19,7 @@ import numpy as np
 from equipoise.model.arms.arm import Arm, Inertial
 from equipoise.model.arms.chain import Floats, Triple
 from equipoise.model.arms.inertials import inertia_entries, link_inertials
-from equipoise.model.arms.scene import SIZES, Sizes, scene
+from equipoise.model.arms.scene import SIZES, scene
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.physics_engine import mujoco
 from equipoise.model.sim_configs import TwinSettings
@@ -36,7 +38,7 @@ DRY_SHARE: Final = 0.999
 TOLERANCE: Final = 1e-14
 """Tolerance of the solver. MuJoCo's 1e-8 is relative to the inertia of the whole arm; the dry
 friction of a pendulum of 0.15 kg can be smaller and would be lost."""
-SOLVER_BYTES: Final = 1 << 20
+SOLVER_BYTES: Final = 1 << 17
 """Memory of the solver [bytes]; a chain without contacts needs little."""
 
 
@@ -51,14 +53,16 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
     Raises:
         ArmError: The masses of the arm's links are not known.
     """
-    arm = arm.model_copy(update={"pivot": pivot(arm, settings.pivot_outward)})
+    outward, bracket, rotor = (
+        settings.pivot_outward,
+        settings.bracket_mass,
+        settings.rotor_inertia,
+    )
+    spec = _loaded(arm, outward, bracket, rotor).copy()
+    spec.option.timestep = TICK / settings.substeps
     l = 3.0 * GRAVITY / (4.0 * pendulum.w2)
     m = settings.pendulum_mass
     I = m * GRAVITY * l / pendulum.w2
-    spec = _weighed(arm, SIZES._replace(rod_length=2.0 * l), settings.rotor_inertia)
-    spec.option.timestep = TICK / settings.substeps
-    if settings.bracket_mass > 0.0:
-        _weigh(spec.body("flange"), _bar(settings.bracket_mass, np.array(arm.pivot)))
     across, along = I - m * l**2, 0.5 * m * SIZES.rod**2
     inertia = (across, 0.0, 0.0, across, 0.0, along)
     rod = Inertial(name="pendulum", mass=m, com=(0.0, 0.0, l), inertia=inertia)
@@ -71,6 +75,16 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
     phi.solref_friction = [DRY_TIME, 1.0]
     phi.solimp_friction = [DRY_SHARE, DRY_SHARE, *phi.solimp_friction[2:]]
     return spec.compile()
+
+
+@functools.lru_cache(maxsize=8)
+def _loaded(arm: Arm, outward: float, bracket: float, rotor_inertia: float) -> Any:
+    """Return the scene with all masses but that of the pendulum, which differs between trials."""
+    arm = arm.model_copy(update={"pivot": pivot(arm, outward)})
+    spec = _weighed(arm, rotor_inertia)
+    if bracket > 0.0:
+        _weigh(spec.body("flange"), _bar(bracket, np.array(arm.pivot)))
+    return spec
 
 
 def pivot(arm: Arm, outward: float) -> Triple:
@@ -96,7 +110,7 @@ def build_bare(arm: Arm, rotor_inertia: float) -> Any:
     Raises:
         ArmError: The masses of the arm's links are not known.
     """
-    spec = _weighed(arm, SIZES, rotor_inertia)
+    spec = _weighed(arm, rotor_inertia)
     spec.delete(spec.body("flange"))
     spec.delete(spec.key("home"))
     return spec.compile()
@@ -119,10 +133,10 @@ def mass_matrix(arm: Arm, rotor_inertia: float) -> Floats:
     return M
 
 
-def _weighed(arm: Arm, sizes: Sizes, rotor_inertia: float) -> Any:
-    """Return the scene with the masses of the arm's links."""
+def _weighed(arm: Arm, rotor_inertia: float) -> Any:
+    """Return the scene without shapes, with the masses of the arm's links."""
     mj = mujoco()
-    spec = scene(arm, sizes=sizes)
+    spec = scene(arm)
     spec.memory = SOLVER_BYTES
     spec.compiler.boundmass, spec.compiler.boundinertia = 0.0, 0.0
     spec.option.tolerance = TOLERANCE
@@ -131,8 +145,10 @@ def _weighed(arm: Arm, sizes: Sizes, rotor_inertia: float) -> Any:
     # A diverging state must be visible, not reset; the pendulum's damping needs no implicit step.
     for feature in ("CONTACT", "ISLAND", "EULERDAMP", "AUTORESET"):
         spec.option.disableflags |= int(getattr(off, f"mjDSBL_{feature}"))
-    for geom in spec.geoms:
-        geom.mass = 0.0
+    # A solver over the constraint forces: one row of dry friction needs one pass.
+    spec.option.solver = mj.mjtSolver.mjSOL_PGS
+    for geom in list(spec.geoms):
+        spec.delete(geom)
     for number, (joint, link) in enumerate(zip(arm.joints, link_inertials(arm), strict=True), 1):
         body = spec.body(f"frame {number}")
         body.gravcomp = 1.0

@@ -175,7 +175,7 @@ def serve(
         servo: Constants.
         q: Joint positions [rad], all joints first, shape (n,) or longer.
         dq: Their velocities [rad/s], likewise.
-        gravity: Torques that balance the arm's own gravity, which are added elsewhere [N m].
+        gravity: Torques that balance the arm's own gravity [N m].
         force: Receives the torques of the drives [N m].
     """
     clock, arriving, target = cabinet.clock, cabinet.arriving, cabinet.target
@@ -207,5 +207,5 @@ def serve(
             wish += inertia[i, j] * pull[j]
         given = min(max(wish, -torque[i]), torque[i])
         saturated = saturated if given == wish else 1
-        force[i] = given - gravity[i]
+        force[i] = given
     clock[SATURATED] += saturated

@@ -84,9 +84,9 @@ class SimulatedArm:
             bare.qpos[:], bare.qvel[:] = bodies.qpos[:n], bodies.qvel[:n]
             bare.qacc[:] = self._twin.data.qacc[:n]
             self._inverse(self._bare, bare)
-            torques = bare.qfrc_inverse - bodies.applied[:n]
+            torques = bare.qfrc_inverse + bodies.gravity - bodies.applied[:n]
         else:
-            torques = bodies.applied[:n] + bodies.gravity[:n]
+            torques = bodies.applied[:n].copy()
         noise(self._twin.kernel, TORQUE_NOISE, TORQUE_STREAM, torques)
         return tuple(torques.tolist())
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import kernel
+from equipoise.compiled import inlined, kernel
 from equipoise.devices.twin.engine import Engine, call, engine
 from equipoise.devices.twin.physics import TICK, build
 from equipoise.devices.twin.sensors import (
@@ -58,7 +58,7 @@ class Bodies(NamedTuple):
     applied: Array
     """Torques of the drives, and zero for the pendulum [N m]."""
     gravity: Array
-    """Torques that balance the arm's own gravity [N m]."""
+    """Torques that balance the arm's own gravity, from `balance` [N m], shape (n,)."""
     warmstart: Array
     """Initial guess of the engine's solver [rad/s^2]."""
     xpos: Array
@@ -69,8 +69,18 @@ class Bodies(NamedTuple):
     """Angular velocity [rad/s], then linear at the tree's centre of mass [m/s], shape (n, 6)."""
     centre: Array
     """Centre of mass of the tree below each body [m], shape (n, 3)."""
+    axis: Array
+    """Axes of the joints, shape (n + 1, 3)."""
+    anchor: Array
+    """Points on them [m], likewise."""
+    mass_centre: Array
+    """Centres of mass of the bodies [m], shape (n, 3)."""
+    mass: Array
+    """Masses of the arm's links [kg], shape (n,)."""
+    weight: Array
+    """Acceleration of gravity [m/s^2], shape (3,)."""
     root: int
-    """First body of the arm."""
+    """First body of the arm; each of its joints has one."""
     flange: int
     """The flange."""
     pendulum: int
@@ -121,6 +131,30 @@ class TrueState(NamedTuple):
     """Its rate [rad/s]."""
 
 
+@inlined
+def balance(bodies: Bodies) -> None:
+    """Set the torques that balance the arm's own gravity; the drives apply the change at once."""
+    axis, anchor, centre, mass = bodies.axis, bodies.anchor, bodies.mass_centre, bodies.mass
+    gravity, applied, root = bodies.gravity, bodies.applied, bodies.root
+    gx, gy, gz = bodies.weight[0], bodies.weight[1], bodies.weight[2]
+    # Mass and first moment of the links beyond the joint.
+    m, sx, sy, sz = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(mass) - 1, -1, -1):
+        own = mass[i]
+        m += own
+        sx += own * centre[root + i, 0]
+        sy += own * centre[root + i, 1]
+        sz += own * centre[root + i, 2]
+        x, y, z = sx - m * anchor[i, 0], sy - m * anchor[i, 1], sz - m * anchor[i, 2]
+        torque = -(
+            axis[i, 0] * (y * gz - z * gy)
+            + axis[i, 1] * (z * gx - x * gz)
+            + axis[i, 2] * (x * gy - y * gx)
+        )
+        applied[i] += torque - gravity[i]
+        gravity[i] = torque
+
+
 @kernel
 def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
     """Set time to zero, the arm at rest and held at its position.
@@ -141,6 +175,7 @@ def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
     bodies.qvel[:] = 0.0
     bodies.qvel[n] = phi_dot
     bodies.applied[:] = 0.0
+    bodies.gravity[:] = 0.0
     bodies.warmstart[:] = 0.0
     start(twin.cabinet, q)
     for tick in range(1 - HISTORY_MS, 1):
@@ -148,6 +183,7 @@ def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
         for i in range(FREE_JOINTS):
             past.q[tick % HISTORY_MS, i] = q[free[i]]
     call(twin.engine.before, twin.engine.model, twin.engine.data)
+    balance(bodies)
 
 
 @kernel
@@ -168,6 +204,7 @@ def advance(twin: TwinKernel, ticks: int) -> None:
         for _ in range(twin.substeps):
             call(after, model, data)
             call(before, model, data)
+            balance(bodies)
         clock[NOW] += 1
         slot = clock[NOW] % HISTORY_MS
         past_phi[slot] = qpos[n]
@@ -256,7 +293,7 @@ class Twin:
         self.kernel = TwinKernel(
             engine=engine(self.model, self.data),
             substeps=settings.substeps,
-            bodies=_bodies(self.model, self.data),
+            bodies=_bodies(self.model, self.data, len(arm.joints)),
             servo=make_servo_params(arm, settings) if servo is None else servo,
             cabinet=new_servo_state(len(arm.joints)),
             sensors=make_sensors(settings, seed, index),
@@ -322,8 +359,25 @@ class Twin:
         return int(self.kernel.cabinet.clock[NOW])
 
 
-def _bodies(model: Any, data: Any) -> Bodies:
-    joints = (data.qpos, data.qvel, data.qfrc_applied, data.qfrc_gravcomp, data.qacc_warmstart)
-    bodies = (data.xpos, data.xmat, data.cvel, data.subtree_com)
-    numbers = (model.body(name).id for name in ("frame 1", "flange", "pendulum"))
-    return Bodies(*joints, *bodies, *numbers)
+def _bodies(model: Any, data: Any, n: int) -> Bodies:
+    root, flange, pendulum = (model.body(name).id for name in ("frame 1", "flange", "pendulum"))
+    model.body_gravcomp[:] = 0.0  # `balance` takes a tenth of the time
+    return Bodies(
+        qpos=data.qpos,
+        qvel=data.qvel,
+        applied=data.qfrc_applied,
+        gravity=np.zeros(n),
+        warmstart=data.qacc_warmstart,
+        xpos=data.xpos,
+        xmat=data.xmat,
+        cvel=data.cvel,
+        centre=data.subtree_com,
+        axis=data.xaxis,
+        anchor=data.xanchor,
+        mass_centre=data.xipos,
+        mass=model.body_mass[root : root + n].copy(),
+        weight=model.opt.gravity,
+        root=root,
+        flange=flange,
+        pendulum=pendulum,
+    )
