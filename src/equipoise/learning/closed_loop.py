@@ -365,7 +365,10 @@ def move_arms(
     for n in range(lanes):
         change[n] = 0
     for cycle in range(SETPOINTS_PER_TICK * cycles):
+        due = 0
         for n in range(lanes):
+            due |= change[n] == cycle
+        for n in range(lanes if due else 0):
             if change[n] == cycle:
                 age = (cycle - delay[n]) // cycles
                 change[n] = delay[n] + (age + 1) * cycles
@@ -379,7 +382,7 @@ def move_arms(
             controller.motion(block.q, block.dq, block.frame, lanes)
             for n in range(lanes):
                 v = pivot_velocity(block.frame, controller.pivot, n)
-                put(state, TRACKED, n, (v + at(state, TRACKED, n)) / CYCLE)
+                put(state, TRACKED, n, (v + at(state, TRACKED, n)) * (1.0 / CYCLE))
             advance_pendula(state, block.pendula, CYCLE, linearised, lanes)
     if not dry:
         controller.motion(block.q, block.dq, block.frame, lanes)
@@ -394,7 +397,7 @@ def measure(controller: ControllerParams, block: BatchState, lanes: int) -> None
     for n in range(lanes):
         tilt = -pose_error(frame, memory.reference, n)[4]
         theta = pi - (at(state, PHI, n) - tilt + at(zero, 0, n))
-        put(memory.counts, 0, n, floor(theta / controller.resolution + 0.5))
+        put(memory.counts, 0, n, floor(theta * (1.0 / controller.resolution) + 0.5))
     for i in range(6):
         for n in range(lanes):
             put(memory.measured, i, n, at(block.q, i, n))

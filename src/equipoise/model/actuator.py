@@ -28,7 +28,7 @@ from pydantic import Field, model_validator
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
 from equipoise.compiled import PACKAGE, inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS
-from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.elementary import BATCH_SIZE, fma
 
 Array = npt.NDArray[np.float64]
 Kind = Literal["ideal", "lag", "kst"]
@@ -69,10 +69,17 @@ class ActuatorParameters(NamedTuple):
 
 
 @inlined
-def _near_saturation(z: float) -> float:
-    """Return (1 - exp(-z)) / z for z <= NEAR^2, to 1e-12: Taylor's series, in pairs of terms."""
-    pair = (1.0 / 120.0) - z * (1.0 / 720.0)
-    return (1.0 - 0.5 * z) + z * z * (((1.0 / 6.0) - z * (1.0 / 24.0)) + z * z * pair)
+def _near_gain(z: float, amplitude: float, width: float) -> float:
+    """Return a (1 - exp(-z / b^2)) / z for z <= (NEAR b)^2, to 1e-12: near minimax."""
+    # The factors do not depend on z: a compiler takes them out of a loop.
+    s = 1.0 / (width * width)
+    gain1 = amplitude * s
+    gain2 = gain1 * s
+    gain3 = gain2 * s
+    gain4 = gain3 * s
+    p = fma(z, gain4 * s * 0.008195725493063237, gain4 * -0.04166186463547304)
+    p = fma(z, p, gain3 * 0.1666665981572807)
+    return fma(z, fma(z, p, gain2 * -0.49999999965765884), gain1 * 0.9999999999997261)
 
 
 @inlined
@@ -93,13 +100,6 @@ def _saturation(z: float) -> float:
 
 
 @inlined
-def _near_step(e: float, amplitude: float, width: float) -> float:
-    """Return `shaped_step` of an error below NEAR widths."""
-    ratio = e * (1.0 / width)
-    return amplitude * (ratio * abs(ratio) * _near_saturation(ratio * ratio))
-
-
-@inlined
 def shaped_step(e: float, amplitude: float, width: float) -> float:
     """Return the step from the measured position to the server's destination [rad].
 
@@ -108,14 +108,34 @@ def shaped_step(e: float, amplitude: float, width: float) -> float:
         amplitude: a [rad].
         width: b [rad].
     """
+    if abs(e) <= NEAR * width:
+        return e * abs(e) * _near_gain(e * e, amplitude, width)
     ratio = e * (1.0 / width)
-    if abs(ratio) <= NEAR:
-        return _near_step(e, amplitude, width)
     step = amplitude * _saturation(ratio * ratio)
     return step if e >= 0.0 else -step
 
 
-@kernel
+@inlined
+def _shaped_velocity(
+    e: float, dq: float, share: float, far: bool, actuator: ActuatorParameters
+) -> float:
+    """Return the velocity of a joint after a servo cycle of the shaping law [rad/s].
+
+    Args:
+        e: Setpoint minus position at the beginning [rad].
+        dq: Velocity then [rad/s].
+        share: Gain of the lag per cycle.
+        far: Whether the error may exceed NEAR widths; if not, the law is a short series.
+        actuator: Constants.
+    """
+    rate, width = actuator.amplitude / actuator.cycle, actuator.width
+    change = fma(e * abs(e), _near_gain(e * e, rate, width), -dq)
+    if far and abs(e) > NEAR * width:
+        change = shaped_step(e, rate, width) - dq
+    return fma(change, share, dq)
+
+
+@inlined
 def follow(
     q: Array, dq: Array, target: Array, share: Array, actuator: ActuatorParameters, lanes: int
 ) -> None:
@@ -129,18 +149,19 @@ def follow(
         actuator: Constants.
         lanes: Number of lanes.
     """
-    # One flat loop over adjacent numbers: the lanes that are not in use are computed as well.
+    # Flat loops over adjacent numbers: the lanes that are not in use are computed as well.
     count, stride = (FREE_JOINTS, BATCH_SIZE) if lanes == 1 else (FREE_JOINTS * BATCH_SIZE, 1)
-    if stride == 1 and actuator.kind == KST:
-        _follow_shaped(q, dq, target, share, actuator)
+    if actuator.kind == KST:
+        if stride == 1:
+            _follow_shaped(q, dq, target, share, actuator)
+            return
+        for i in range(0, count * stride, stride):
+            dq[i] = _shaped_velocity(target[i] - q[i], dq[i], share[i], True, actuator)
+            q[i] = fma(CYCLE, dq[i], q[i])
         return
-    rate, width, amplitude = 1.0 / actuator.cycle, actuator.width, actuator.amplitude
     for i in range(0, count * stride, stride):
         e = target[i] - q[i]
-        if actuator.kind == KST:
-            dq[i] += (rate * shaped_step(e, amplitude, width) - dq[i]) * share[i]
-            q[i] += CYCLE * dq[i]
-        elif actuator.kind == LAG:
+        if actuator.kind == LAG:
             dq[i] = e * share[i] / CYCLE
             q[i] += e * share[i]
         else:
@@ -148,30 +169,27 @@ def follow(
             q[i] = target[i]
 
 
-@kernel
+@inlined
 def _follow_shaped(
     q: Array, dq: Array, target: Array, share: Array, actuator: ActuatorParameters
 ) -> None:
     """Advance the free joints of all lanes by one servo cycle of the shaping law."""
-    rate, width, amplitude = 1.0 / actuator.cycle, actuator.width, actuator.amplitude
     count = FREE_JOINTS * BATCH_SIZE
     far = 0
     for i in range(count):
-        far |= abs((target[i] - q[i]) * (1.0 / width)) > NEAR
+        far |= abs(target[i] - q[i]) > NEAR * actuator.width
     # Joints are almost always near their setpoints: for them the law is a short series. Both loops
     # give equal bits where it holds.
     if far:
         for i in range(count):
-            wanted = rate * shaped_step(target[i] - q[i], amplitude, width)
-            speed = dq[i] + (wanted - dq[i]) * share[i]
+            speed = _shaped_velocity(target[i] - q[i], dq[i], share[i], True, actuator)
             dq[i] = speed
-            q[i] += CYCLE * speed
+            q[i] = fma(CYCLE, speed, q[i])
     else:
         for i in range(count):
-            wanted = rate * _near_step(target[i] - q[i], amplitude, width)
-            speed = dq[i] + (wanted - dq[i]) * share[i]
+            speed = _shaped_velocity(target[i] - q[i], dq[i], share[i], False, actuator)
             dq[i] = speed
-            q[i] += CYCLE * speed
+            q[i] = fma(CYCLE, speed, q[i])
 
 
 @inlined

@@ -21,7 +21,7 @@ from pydantic import Field, model_validator
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
 from equipoise.compiled import PACKAGE, inlined, kernel
 from equipoise.errors import RecordingError
-from equipoise.model.elementary import sincos
+from equipoise.model.elementary import fma, sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 from equipoise.trajectory import Trajectory
 from equipoise.views import Viewable
@@ -64,11 +64,9 @@ def _acceleration(
     phi: float, phi_dot: float, u: float, dry: float, pendulum: PendulumParameters
 ) -> float:
     """Return the angular acceleration [rad/s^2]; `dry` is f sign(phi_dot), known beforehand."""
-    friction = pendulum.c * phi_dot + pendulum.drag * abs(phi_dot) * phi_dot + dry
-    if pendulum.linearised:
-        return pendulum.w2 * phi - friction - pendulum.k * u
-    sine, cosine = sincos(phi)
-    return pendulum.w2 * sine - friction - pendulum.k * u * cosine
+    friction = fma(fma(pendulum.drag, abs(phi_dot), pendulum.c), phi_dot, dry)
+    sine, cosine = (phi, 1.0) if pendulum.linearised else sincos(phi)
+    return fma(pendulum.w2, sine, -fma(pendulum.k * u, cosine, friction))
 
 
 @inlined
@@ -76,17 +74,18 @@ def runge_kutta(
     phi: float, phi_dot: float, u: float, h: float, dry: float, pendulum: PendulumParameters
 ) -> tuple[float, float]:
     """Advance by one Runge-Kutta step of fourth order, with u and dry friction held."""
+    half, sixth = 0.5 * h, h * (1.0 / 6.0)
     v1 = phi_dot
     a1 = _acceleration(phi, v1, u, dry, pendulum)
-    v2 = phi_dot + 0.5 * h * a1
-    a2 = _acceleration(phi + 0.5 * h * v1, v2, u, dry, pendulum)
-    v3 = phi_dot + 0.5 * h * a2
-    a3 = _acceleration(phi + 0.5 * h * v2, v3, u, dry, pendulum)
-    v4 = phi_dot + h * a3
-    a4 = _acceleration(phi + h * v3, v4, u, dry, pendulum)
+    v2 = fma(half, a1, phi_dot)
+    a2 = _acceleration(fma(half, v1, phi), v2, u, dry, pendulum)
+    v3 = fma(half, a2, phi_dot)
+    a3 = _acceleration(fma(half, v2, phi), v3, u, dry, pendulum)
+    v4 = fma(h, a3, phi_dot)
+    a4 = _acceleration(fma(h, v3, phi), v4, u, dry, pendulum)
     return (
-        phi + h * (v1 + 2.0 * v2 + 2.0 * v3 + v4) / 6.0,
-        phi_dot + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0,
+        fma(sixth, fma(2.0, v2 + v3, v1 + v4), phi),
+        fma(sixth, fma(2.0, a2 + a3, a1 + a4), phi_dot),
     )
 
 
