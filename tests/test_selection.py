@@ -188,7 +188,7 @@ def test_a_result_is_that_of_the_policy_alone_on_the_same_trials(make_plant):
     for i, result in race(plant, field):
         simulation = plant.simulation(selection.SELECTION, plant.settings.selection.spread)
         trials = simulation.draw(result.trials)
-        kernel = selection.table_kernel(field[i].u_of_box)
+        kernel = plant.tables(field[i].u_of_box)
         simulation.run(kernel, trials, range(result.trials), duration=3.0)
         assert result.survived == np.sum(trials.cause == 0)
         assert result.mean_duration == pytest.approx(0.01 * np.mean(trials.steps), rel=1e-12)

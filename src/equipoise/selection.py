@@ -28,7 +28,7 @@ from scipy.stats import binom
 
 from equipoise import paper
 from equipoise.control.boxes import CAUSES, TRUNCATED, cause_named
-from equipoise.control.policy import Checkpoint, TargetTest, table_kernel
+from equipoise.control.policy import Checkpoint, PolicyKernel, TargetTest, table_kernel
 from equipoise.learning.closed_loop import LoopParams, make_loop_params
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
@@ -86,6 +86,10 @@ class TrialPlant(NamedTuple):
             params, arm, pendulum, settings, seed=seed, stream=stream, spread=spread
         )
 
+    def tables(self, u_of_box: Array) -> PolicyKernel:
+        """Return the policy of m tables, from the acceleration of each box, shape (270 m,)."""
+        return table_kernel(u_of_box, self.params.controller.boxes)
+
 
 def trial_plant(
     pendulum: Pendulum, arm: Arm, settings: Settings, actuator: Actuator, seed: int
@@ -137,7 +141,7 @@ def race(
     """
     rule, count = plant.settings.selection, len(candidates)
     simulation = plant.simulation(SELECTION, rule.spread)
-    policy = table_kernel(np.concatenate([each.u_of_box for each in candidates]))
+    policy = plant.tables(np.concatenate([each.u_of_box for each in candidates]))
     most, counter = FIRST_BLOCK * 2 ** (rule.rounds - 1), _Counter(running)
     steps, sum_x2 = np.zeros((count, most), np.int64), np.zeros((count, most))
     cause = np.zeros((count, most), np.int64)
@@ -225,7 +229,7 @@ def measure_share(
         running: Called as trials finish, with the number after which the target would be met.
     """
     rule = plant.settings.selection
-    simulation, policy = plant.simulation(TARGET_TEST, 1.0), table_kernel(u_of_box)
+    simulation, policy = plant.simulation(TARGET_TEST, 1.0), plant.tables(u_of_box)
     count, failed, causes = 0, 0, Counter[str]()
     low, high, counter = 0.0, 1.0, _Counter(running)
     while count == 0 or (low < target <= high and count < rule.test_trials):

@@ -583,6 +583,5 @@ def training_config(settings: Settings) -> TrainingConfig:
         max_steps=round(s.episode_duration / paper.STEP),
         update=UpdateParams(*(values[name] for name in UpdateParams._fields)),
         start=(s.start_x, s.start_x_dot, s.start_phi, s.start_phi_dot),
-        boxes=boxes.boxes(),
         actions=paper.ACTIONS,
     )

@@ -182,7 +182,7 @@ OPTIONS = {
     "impossible setting": (("--set", "learning.gamma=1.5"), "setting learning.gamma"),
     "setting of another kind": (("--set", "learning.gamma=high"), "setting learning.gamma"),
     "unknown learner": (("--learner", "sarza"), "did you mean 'sarsa'?"),
-    "unknown reward": (("--reward", "none"), "known: paper, alive, centred"),
+    "unknown reward": (("--reward", "none"), "known: paper, alive"),
     "reward of no module": (("--reward", "nowhere:reward"), "there is no module 'nowhere'"),
     "no episodes": (("--episodes", "0"), "--episodes"),
     "half an episode": (("--episodes", "0.5"), "--episodes"),

@@ -149,7 +149,7 @@ def test_raw_measurements_are_counts_and_joints_with_their_ages():
         assert abs(phi - info["state"][2]) < np.radians(1.0)
         assert 0.0 <= age < 0.01
         assert 0.0 <= joints_age < 0.02
-        assert joints == pytest.approx(env.unwrapped._setup.arm.home, abs=0.02)
+        assert joints == pytest.approx(env.unwrapped.task.arm.home, abs=0.02)
         observation, *_, info = env.step(np.array([0.5]))
 
 

@@ -135,7 +135,7 @@ def test_a_trial_has_the_same_bits_alone_and_in_company():
     plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM)
     table = random_table(4)
     simulation = on_the_plant(plant, arm, PENDULUM, SETTINGS, seed=7)
-    kernel = table_kernel(table)
+    kernel = table_kernel(table, boxes.boxes())
     trials = run_all(simulation, kernel, simulation.draw(2 * BATCH_SIZE + 5), 3.0)
     assert len(set(trials.steps.tolist())) > 5
     for i in (0, 3, BATCH_SIZE, 2 * BATCH_SIZE + 4):

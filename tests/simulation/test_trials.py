@@ -10,7 +10,7 @@ from scipy import stats
 
 from equipoise import paper
 from equipoise.control.baselines import lqr_gains
-from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, TRACK, TRUNCATED, cause_named
+from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, TRACK, TRUNCATED, boxes, cause_named
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, act, table_kernel
 from equipoise.control.trial_safety import guard_named
 from equipoise.learning.closed_loop import (
@@ -60,7 +60,7 @@ def kernels():
     rng = np.random.default_rng(0)
     gains = lqr_gains(PENDULUM, paper.STEP)
     return {
-        "table": table_kernel(rng.choice(paper.ACTIONS, 270)),
+        "table": table_kernel(rng.choice(paper.ACTIONS, 270), boxes()),
         "linear": PolicyKernel(LINEAR, gains=gains),
         "snapped": PolicyKernel(SNAPPED, gains=gains),
         "random": PolicyKernel(RANDOM),

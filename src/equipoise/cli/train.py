@@ -38,7 +38,7 @@ def train(
     learner: str | None = opt.value(
         "NAME", "q_learning (the paper's), sarsa, watkins, double_q, or MODULE:NAME."
     ),
-    reward: str | None = opt.value("NAME", "centred, paper, alive, or MODULE:NAME of a function."),
+    reward: str | None = opt.value("NAME", "paper, alive, or MODULE:NAME of a function."),
     episodes: int | None = opt.value(
         "N", "Number of episodes; by default the paper's 10,000.", min=1
     ),

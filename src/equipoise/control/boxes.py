@@ -60,6 +60,8 @@ class Boxes(NamedTuple):
     """Failure angle [rad]."""
     x_limit: float
     """Failure displacement [m]."""
+    look_ahead: float
+    """Time over which x is continued at its velocity [s]."""
 
 
 Intervals = Annotated[tuple[Name, ...], Field(max_length=16)]
@@ -95,8 +97,12 @@ def describe() -> BoxDescription:
 
 
 @functools.cache
-def boxes() -> Boxes:
-    """Return the paper's boxes in SI units, for kernels."""
+def boxes(look_ahead: float = 0.0) -> Boxes:
+    """Return the paper's boxes in SI units, for kernels.
+
+    Args:
+        look_ahead: Time over which x is continued at its velocity [s]; 0 as in the paper.
+    """
     return Boxes(
         phi=_axis(paper.PHI_INTERVALS_DEG, degrees=True),
         phi_dot=_axis(paper.PHI_DOT_INTERVALS_DEG, degrees=True),
@@ -104,6 +110,7 @@ def boxes() -> Boxes:
         x_dot=_axis(paper.X_DOT_INTERVALS, degrees=False),
         phi_limit=radians(paper.PHI_LIMIT_DEG),
         x_limit=paper.X_LIMIT,
+        look_ahead=look_ahead,
     )
 
 
@@ -142,7 +149,7 @@ def box_index(x: float, x_dot: float, phi: float, phi_dot: float, boxes: Boxes) 
     """
     i = interval_index(phi, boxes.phi)
     j = interval_index(phi_dot, boxes.phi_dot)
-    k = interval_index(x, boxes.x)
+    k = interval_index(x + boxes.look_ahead * x_dot, boxes.x)
     m = interval_index(x_dot, boxes.x_dot)
     return ((i * 5 + j) * 3 + k) * 3 + m
 

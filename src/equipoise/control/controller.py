@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import kernel
-from equipoise.control.boxes import box_index, boxes
+from equipoise.control.boxes import box_index
 from equipoise.control.clik import manipulability
 from equipoise.control.control_step import (
     SETPOINTS_PER_TICK,
@@ -64,7 +64,7 @@ class Controller:
     def __init__(self, arm: Arm, controller: ControllerParams) -> None:
         """Begin at home, at rest."""
         self._arm, self._controller = arm, controller
-        self._state, self._boxes = new_controller_state(), boxes()
+        self._state = new_controller_state()
         self._free = list(arm.free)
         self._home_x = float(controller.home_reference[POSITION])
         self.begin(0.0, 0.0)
@@ -105,7 +105,7 @@ class Controller:
     @property
     def box(self) -> int:
         """Box of the observation."""
-        return int(box_index(*self.observation, self._boxes))
+        return int(box_index(*self.observation, self._controller.boxes))
 
     def command(self, u: float) -> tuple[tuple[float, ...], ...]:
         """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""

@@ -153,9 +153,15 @@ def act(
     return nearest
 
 
-def table_kernel(u_of_box: Array) -> PolicyKernel:
-    """Return the kernel of m tables, with a copy of their accelerations [m/s^2], shape (270 m,)."""
-    return PolicyKernel(TABLE, np.array(u_of_box))
+def table_kernel(u_of_box: Array, partition: Boxes) -> PolicyKernel:
+    """Return the kernel of m tables.
+
+    Args:
+        u_of_box: Acceleration of each box [m/s^2], one table after the other, shape (270 m,);
+            copied.
+        partition: The boxes.
+    """
+    return PolicyKernel(TABLE, np.array(u_of_box), boxes=partition)
 
 
 class KernelPolicy:
@@ -370,7 +376,7 @@ class TabularPolicy(Viewable, Artefact):
     @property
     def kernel(self) -> PolicyKernel:
         """Greedy policy for compiled loops."""
-        return table_kernel(self.u_of_box)
+        return table_kernel(self.u_of_box, boxes.boxes(self.settings.controller.look_ahead))
 
     def reset(self) -> None:
         """Do nothing: a table has no state."""
@@ -378,7 +384,8 @@ class TabularPolicy(Viewable, Artefact):
     def act(self, observation: Array) -> float:
         """Return u [m/s^2] for the observation (x, x_dot, phi, phi_dot), shape (4,)."""
         x, x_dot, phi, phi_dot = (float(value) for value in observation)
-        return _greedy(self.Q)[box_index(x, x_dot, phi, phi_dot, boxes.boxes())]
+        partition = boxes.boxes(self.settings.controller.look_ahead)
+        return _greedy(self.Q)[box_index(x, x_dot, phi, phi_dot, partition)]
 
 
 def greedy_accelerations(Q: Array) -> Array:

@@ -87,7 +87,8 @@ def deploy(
             "replies": {"time": rows.measured[:, -1], "q": _all_joints(arm, rows.measured[:, :-1])},
             "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
         }
-    partition, state = boxes(), ("x", "x_dot", "phi", "phi_dot")
+    partition = boxes(settings.controller.look_ahead)
+    state = ("x", "x_dot", "phi", "phi_dot")
     return RunLog.simulated(
         RunConditions(
             arm=arm,

@@ -169,7 +169,7 @@ class BalanceEnv(gym.Env[Array, Any]):
             )
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"render_mode is {render_mode!r}; expected 'human' or 'rgb_array'")
-        self._setup = Setup(
+        self.task = Setup(
             pendulum or shipped_pendulum(),
             arm or iiwa(7),
             settings or Settings(),
@@ -178,8 +178,8 @@ class BalanceEnv(gym.Env[Array, Any]):
         )
         self._observe, self._duration, self._reward = observe, duration, reward
         self.render_mode = render_mode
-        self._screen = None if render_mode is None else Screen(self._setup.arm, render_mode)
-        size = 3 + len(self._setup.arm.joints) if observe == "raw" else 4
+        self._screen = None if render_mode is None else Screen(self.task.arm, render_mode)
+        size = 3 + len(self.task.arm.joints) if observe == "raw" else 4
         self.observation_space = spaces.Box(-inf, inf, (size,), np.float64)
         self.action_space = spaces.Box(-paper.U_MAX, paper.U_MAX, (1,), np.float64)
         self._seed, self._number, self._steps, self._u = -1, 0, 0, 0.0
@@ -190,11 +190,11 @@ class BalanceEnv(gym.Env[Array, Any]):
             from equipoise.rigs import read_rig
 
             described = read_rig(None if rig is None else Path(rig))
-            self._setup = self._setup._replace(arm=described.described_arm)
+            self.task = self.task._replace(arm=described.described_arm)
             log, robot = None if log is None else Path(log), robot or ""
-            self._rig = Episode(self._setup, described, robot, encoder, duration, log, operator)
+            self._rig = Episode(self.task, described, robot, encoder, duration, log, operator)
             return
-        self._simulation = simulate(world, self._setup, seed=0, stream=ENVIRONMENT)
+        self._simulation = simulate(world, self.task, seed=0, stream=ENVIRONMENT)
         self._loop, self._window = self._simulation.loop(), None
 
     def reset(
@@ -236,7 +236,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         self._steps, self._u = self._steps + 1, u
         before, self._state = self._state, Observation(*predicted(self._loop).tolist())
         failed = cause != TRUNCATED
-        truncated = not failed and self._steps >= round(self._duration / self._setup.h)
+        truncated = not failed and self._steps >= round(self._duration / self.task.h)
         reward = float(self._reward(before, u, self._state, failed))
         if self.render_mode == "human":
             self.render()
@@ -296,7 +296,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         self, rig: "RigEpisode", before: Observation, u: float
     ) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         got, self._steps = rig.step(u), self._steps + 1
-        info = {"time": self._steps * self._setup.h, "cause": "", "reason": ""}
+        info = {"time": self._steps * self.task.h, "cause": "", "reason": ""}
         failed = truncated = False
         if isinstance(got, np.ndarray):
             after = Observation(*got.tolist())
@@ -312,7 +312,7 @@ class BalanceEnv(gym.Env[Array, Any]):
             return estimated(self._loop)
         if self._observe == "predicted" or (measured := self._loop.measurement()) is None:
             return predicted(self._loop)
-        now, q = self._loop.now, self._setup.arm.with_held(measured.q)
+        now, q = self._loop.now, self.task.arm.with_held(measured.q)
         return np.array(
             [measured.counts, now - measured.counted_at, *q, now - measured.measured_at]
         )
@@ -338,7 +338,9 @@ class BalanceDiscreteEnv(BalanceEnv):
 
 
 class BoxIndexObservation(gym.ObservationWrapper[np.int64, Any, Array]):
-    """Observes the number of the paper's box, `Discrete(270)`; 270 boxes cover the track.
+    """Observes the number of the box that a table sees, `Discrete(270)`.
+
+    The boxes of x hold the place on the track after the setting `controller.look_ahead`.
 
     A state outside all boxes, as at a failure, has the number 0; the episode ends there.
     """
@@ -349,7 +351,9 @@ class BoxIndexObservation(gym.ObservationWrapper[np.int64, Any, Array]):
         if env.observation_space.shape != (4,):
             raise InputError("the boxes need x, x_dot, phi and phi_dot; leave out observe='raw'")
         self.observation_space = spaces.Discrete(COUNT)
-        self._boxes = boxes()
+        balance = env.unwrapped
+        settings = balance.task.settings if isinstance(balance, BalanceEnv) else Settings()
+        self._boxes = boxes(settings.controller.look_ahead)
 
     def observation(self, observation: Array) -> np.int64:
         """Return the number of the box."""

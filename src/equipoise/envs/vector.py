@@ -115,7 +115,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
         self.metadata = {**self.metadata, "autoreset_mode": self._mode}
         single = self.SINGLE(world, **arguments)
         self._simulation, self._observe = single._simulation, single._observe
-        self._reward, self._arm, self._h = single._reward, single._setup.arm, single._setup.h
+        self._reward, self._arm, self._h = single._reward, single.task.arm, single.task.h
         self._max_steps = round(single._duration / self._h)
         self.num_envs = num_envs
         self.single_observation_space = single.observation_space

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
-from equipoise.control.boxes import TRUNCATED, Boxes
+from equipoise.control.boxes import TRUNCATED
 from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
 from equipoise.control.controller import Observation
 from equipoise.learning.closed_loop import (
@@ -82,7 +82,6 @@ class TrainingConfig(NamedTuple):
     delay_spread: float
     lag_spread: float
     zero_error: float
-    boxes: Boxes
     actions: tuple[float, ...]
     """Accelerations [m/s^2]."""
 
@@ -196,7 +195,7 @@ def begin_episode(
     training.tick[n] = training.held_steps[n] = 0
     training.gained[n] = 0.0
     training.epsilon[n] = exploration(episode, config)
-    training.box[n] = box_of(training.batch.controller.observation, config.boxes, n)
+    training.box[n] = box_of(training.batch.controller.observation, plant.controller.boxes, n)
     training.totals[BEGUN] += 1
 
 
@@ -270,7 +269,7 @@ def train_episodes(
             tick[n] += 1
             held[n] += 1
             ended = failed or tick[n] >= config.max_steps
-            box_next = box_of(seen, config.boxes, n)
+            box_next = box_of(seen, plant.controller.boxes, n)
             if config.hold_action and box_next == box[n] and not ended:
                 continue
             of_action, action_next = chance[n], -1
