@@ -167,9 +167,9 @@ class ControllerSettings(Value):
     instead of the present state. The pendulum keeps falling during the delay, and pending commands
     move it."""
     look_ahead: float = Field(default=0.5, ge=0.0, le=10.0)
-    """Time over which a table's x is continued at its velocity [s]; 0 as in the paper. The boxes
-    do not resolve velocities below 0.5 m/s: without it, a table learns of a drift only when the
-    track is nearly used up, and all failures are at its ends."""
+    """Time over which a table's x is continued at the velocity of the pendulum's centre of
+    percussion [s]; 0 as in the paper. The boxes do not resolve velocities below 0.5 m/s: without
+    it, a table learns of a drift only when the track is nearly used up, and fails at its ends."""
     estimate_bias: bool = True
     """Whether the zero error of the encoder is estimated while balancing."""
     margin: float = Field(default=0.005, ge=0.0, le=0.2)

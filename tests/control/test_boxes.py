@@ -213,9 +213,12 @@ def test_a_table_of_zeros_pushes_towards_the_side_to_which_the_pendulum_tips():
 
 
 @pytest.mark.parametrize("x_dot", [-0.3, 0.1, 0.4])
-def test_x_is_where_the_flange_will_be(x_dot):
+@pytest.mark.parametrize("phi_dot", [-1.0, 0.0, 0.3])
+def test_x_is_continued_at_the_velocity_of_the_centre_of_percussion(x_dot, phi_dot):
+    state = {"x_dot": x_dot, "phi": 0.0, "phi_dot": phi_dot}
     for x in (-0.2, -0.05, 0.0, 0.1, 0.2):
-        for now in (0.0, 0.5):
-            seen = box_index(x, x_dot, 0.0, 0.0, boxes(now))
-            assert seen == box_index(x + now * x_dot, x_dot, 0.0, 0.0, BOXES)
-    assert box_index(0.0, 0.3, 0.0, 0.0, boxes(0.5)) != box_index(0.0, 0.3, 0.0, 0.0, BOXES)
+        assert box_index(x, **state, boxes=boxes(0.0)) == box_index(x, **state, boxes=BOXES)
+        # I / (m l) = 1 / k = 0.125 m from the pivot.
+        there = x + 0.5 * (x_dot + 0.125 * phi_dot)
+        seen = box_index(x, **state, boxes=boxes(0.5, k=8.0))
+        assert seen == box_index(there, **state, boxes=BOXES)

@@ -105,7 +105,8 @@ def test_a_tabular_policy_takes_the_best_action_of_the_box(pendulum, state):
     Q = np.random.default_rng(1).normal(size=(270, 8))
     policy = TabularPolicy(**table(Q, pendulum=pendulum))
     x, x_dot, phi, phi_dot = state
-    ahead = min(max(x + 0.5 * x_dot, -0.2199), 0.2199)
+    ahead = x + 0.5 * (x_dot + phi_dot / pendulum.parameters().k)
+    ahead = min(max(ahead, -0.2199), 0.2199)
     best = Q.reshape(6, 5, 3, 3, 8)[place(ahead, x_dot, phi, phi_dot)].argmax()
     assert policy.act(np.array(state)) == paper.ACTIONS[best]
     assert isinstance(policy.act(np.array(state)), float)

@@ -87,7 +87,7 @@ class Episode:
             zero=uniform(w2, -rig.zero_error, rig.zero_error),
         )
         reset(plant, self.block, own, variation, start, 0)
-        self.look_ahead = settings.controller.look_ahead
+        self.look_ahead, self.length = settings.controller.look_ahead, 1.0 / pendulum.k
         self.cell = self.place()
         self.action, self.held, self.gained, self.coin = -1, 0, 0.0, 0.0
         self.traces = {}
@@ -99,7 +99,7 @@ class Episode:
     def place(self):
         """Return the intervals (i, j, k, m) that hold what the policy sees."""
         x, x_dot, phi, phi_dot = self.observation()
-        x += self.look_ahead * x_dot
+        x += self.look_ahead * (x_dot + self.length * phi_dot)
         # A prediction may lie beyond the limits, where no box is: it counts as just within.
         x, phi = min(max(x, -0.2199), 0.2199), min(max(phi, -0.1919), 0.1919)
         return place(x, x_dot, phi, phi_dot)

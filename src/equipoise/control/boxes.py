@@ -60,8 +60,10 @@ class Boxes(NamedTuple):
     """Failure angle [rad]."""
     x_limit: float
     """Failure displacement [m]."""
-    look_ahead: float
-    """Time over which x is continued at its velocity [s]."""
+    x_per_x_dot: float
+    """Time over which x is continued [s]."""
+    x_per_phi_dot: float
+    """The same, times the distance from the pivot to the centre of percussion [m s]."""
 
 
 Intervals = Annotated[tuple[Name, ...], Field(max_length=16)]
@@ -96,12 +98,15 @@ def describe() -> BoxDescription:
     )
 
 
-@functools.cache
-def boxes(look_ahead: float = 0.0) -> Boxes:
+@functools.lru_cache(maxsize=64)
+def boxes(look_ahead: float = 0.0, k: float = 1.0) -> Boxes:
     """Return the paper's boxes in SI units, for kernels.
 
     Args:
-        look_ahead: Time over which x is continued at its velocity [s]; 0 as in the paper.
+        look_ahead: Time over which x is continued at the velocity x_dot + phi_dot / k of the
+            pendulum's centre of percussion [s]; 0 as in the paper. The flange's acceleration does
+            not act on that point: its velocity is the drift along the track.
+        k: Coupling of the pendulum to the pivot's acceleration [1/m].
     """
     return Boxes(
         phi=_axis(paper.PHI_INTERVALS_DEG, degrees=True),
@@ -110,7 +115,8 @@ def boxes(look_ahead: float = 0.0) -> Boxes:
         x_dot=_axis(paper.X_DOT_INTERVALS, degrees=False),
         phi_limit=radians(paper.PHI_LIMIT_DEG),
         x_limit=paper.X_LIMIT,
-        look_ahead=look_ahead,
+        x_per_x_dot=look_ahead,
+        x_per_phi_dot=look_ahead / k,
     )
 
 
@@ -149,7 +155,8 @@ def box_index(x: float, x_dot: float, phi: float, phi_dot: float, boxes: Boxes) 
     """
     i = interval_index(phi, boxes.phi)
     j = interval_index(phi_dot, boxes.phi_dot)
-    k = interval_index(x + boxes.look_ahead * x_dot, boxes.x)
+    ahead = x + boxes.x_per_x_dot * x_dot + boxes.x_per_phi_dot * phi_dot
+    k = interval_index(ahead, boxes.x)
     m = interval_index(x_dot, boxes.x_dot)
     return ((i * 5 + j) * 3 + k) * 3 + m
 

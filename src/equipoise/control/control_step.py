@@ -253,7 +253,7 @@ def make_controller_params(
         gains=observer_gains(pendulum, own, counts_per_rev, h),
         resolution=2.0 * pi / counts_per_rev,
         correction=own.correction,
-        boxes=boxes(own.look_ahead),
+        boxes=boxes(own.look_ahead, pendulum.k),
     )
 
 

@@ -376,7 +376,12 @@ class TabularPolicy(Viewable, Artefact):
     @property
     def kernel(self) -> PolicyKernel:
         """Greedy policy for compiled loops."""
-        return table_kernel(self.u_of_box, boxes.boxes(self.settings.controller.look_ahead))
+        return table_kernel(self.u_of_box, self.partition)
+
+    @property
+    def partition(self) -> Boxes:
+        """The boxes for kernels."""
+        return boxes.boxes(self.settings.controller.look_ahead, self.pendulum.parameters().k)
 
     def reset(self) -> None:
         """Do nothing: a table has no state."""
@@ -384,8 +389,7 @@ class TabularPolicy(Viewable, Artefact):
     def act(self, observation: Array) -> float:
         """Return u [m/s^2] for the observation (x, x_dot, phi, phi_dot), shape (4,)."""
         x, x_dot, phi, phi_dot = (float(value) for value in observation)
-        partition = boxes.boxes(self.settings.controller.look_ahead)
-        return _greedy(self.Q)[box_index(x, x_dot, phi, phi_dot, partition)]
+        return _greedy(self.Q)[box_index(x, x_dot, phi, phi_dot, self.partition)]
 
 
 def greedy_accelerations(Q: Array) -> Array:

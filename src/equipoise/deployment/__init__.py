@@ -87,7 +87,7 @@ def deploy(
             "replies": {"time": rows.measured[:, -1], "q": _all_joints(arm, rows.measured[:, :-1])},
             "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
         }
-    partition = boxes(settings.controller.look_ahead)
+    partition = boxes(settings.controller.look_ahead, pendulum.parameters().k)
     state = ("x", "x_dot", "phi", "phi_dot")
     return RunLog.simulated(
         RunConditions(

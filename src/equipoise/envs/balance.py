@@ -352,8 +352,10 @@ class BoxIndexObservation(gym.ObservationWrapper[np.int64, Any, Array]):
             raise InputError("the boxes need x, x_dot, phi and phi_dot; leave out observe='raw'")
         self.observation_space = spaces.Discrete(COUNT)
         balance = env.unwrapped
-        settings = balance.task.settings if isinstance(balance, BalanceEnv) else Settings()
-        self._boxes = boxes(settings.controller.look_ahead)
+        if not isinstance(balance, BalanceEnv):
+            raise InputError(f"{balance} is not an environment of Equipoise")
+        task = balance.task
+        self._boxes = boxes(task.settings.controller.look_ahead, task.pendulum.parameters().k)
 
     def observation(self, observation: Array) -> np.int64:
         """Return the number of the box."""
