@@ -229,28 +229,34 @@ def _lazily_compiled(function: F, **options: Any) -> F:
     return dispatcher
 
 
-def _multiply_add() -> Any:
-    """Return the fused product and sum: LLVM's for kernels, the C library's for Python."""
-    if disabled():
-        fused: Any = ctypes.CDLL("ucrtbase" if os.name == "nt" else None).fma
-        fused.argtypes, fused.restype = [ctypes.c_double] * 3, ctypes.c_double
-        return fused
-    from numba.extending import intrinsic
-
-    number = numba.float64
-
-    @intrinsic
-    def multiply_add(typing: Any, a: Any, b: Any, c: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-            return builder.fma(*values)
-
-        return number(number, number, number), generate
-
-    return multiply_add
+_library_fma: Any = ctypes.CDLL("ucrtbase" if os.name == "nt" else None).fma
+_library_fma.argtypes, _library_fma.restype = [ctypes.c_double] * 3, ctypes.c_double
 
 
-multiply_add = _multiply_add()
-"""Return a b + c with one rounding; kernels call `equipoise.model.elementary.fma`."""
+def fma(a: float, b: float, c: float) -> float:
+    """Return a b + c with one rounding; in kernels it is one instruction.
+
+    A compiler must not join a product and a sum by itself, because that changes the result.
+    """
+    return _library_fma(a, b, c)
+
+
+def _teach_numba_fma() -> None:
+    from numba.extending import lower_builtin, type_callable
+
+    number = numba.types.float64
+
+    @type_callable(fma)
+    def type_of_fma(context: Any) -> Any:
+        return lambda a, b, c: number
+
+    @lower_builtin(fma, number, number, number)
+    def code_of_fma(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.fma(*values)
+
+
+if not disabled():
+    _teach_numba_fma()
 
 
 @functools.cache

@@ -14,7 +14,6 @@ from equipoise.learning.episodes import (
     ENDED,
     IN_USE,
     STEPS,
-    discount,
     exploration,
     new_training_state,
     train_episodes,
@@ -319,9 +318,3 @@ def test_the_first_episodes_try_every_action(pendulum):
     # A table of zeros chooses among all alike: no action is forgotten or favoured by its place.
     # Half of the steps are taken with the favourites of the moment; an eighth of the rest is 6 %.
     assert visits.min() > 0.02 * visits.sum()
-
-
-def test_a_power_of_gamma_is_the_same_from_the_table_and_beyond_it():
-    powers = np.array([1.0, 0.9, 0.81])
-    assert [discount(n, 0.9, powers) for n in (0, 1, 2)] == [1.0, 0.9, 0.81]
-    assert discount(7, 0.9, powers) == pytest.approx(np.prod([0.9] * 7), rel=1e-15)

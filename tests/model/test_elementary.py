@@ -1,9 +1,10 @@
-"""Sine and cosine to two units in the last place (far out: three), the same bits in every lane.
+"""Sine, cosine and logarithm to units in the last place, the same bits in every lane.
 
 The witness sums the series of sine and cosine with 60 decimals (`decimal`), on any machine.
 """
 
 from decimal import Decimal, localcontext
+from fractions import Fraction
 from math import inf, nextafter, pi, ulp
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise.compiled import kernel
-from equipoise.model.elementary import BATCH_SIZE, at, put, sincos
+from equipoise.model.elementary import BATCH_SIZE, at, fma, log, put, sincos
 
 DIGITS = 60
 PI = Decimal(
@@ -146,6 +147,34 @@ def test_known_points_are_exact():
     assert sincos(5e-324) == (5e-324, 1.0)
     assert sincos(pi / 2)[0] == 1.0
     assert sincos(pi)[1] == -1.0
+
+
+# Logarithm and fused multiply-add
+
+
+@given(x=st.floats(2.0**-1000, 2.0**1000) | st.floats(0.5, 2.0))
+def test_the_logarithm_is_right_to_a_unit_in_the_last_place(x):
+    with localcontext() as context:
+        context.prec = DIGITS
+        true = Decimal(x).ln()
+    assert abs(Decimal(float(log(x))) - true) <= Decimal(ulp(float(true)))
+
+
+def test_the_logarithm_of_powers_of_two_is_that_of_the_library():
+    assert log(1.0) == 0.0
+    assert [log(2.0**k) for k in range(-40, 40)] == [np.log(2.0**k) for k in range(-40, 40)]
+
+
+@kernel
+def fused(a, b, c):
+    """Return a b + c as kernels do it."""
+    return fma(a, b, c)
+
+
+@given(a=st.floats(-1e100, 1e100), b=st.floats(-1e100, 1e100), c=st.floats(-1e200, 1e200))
+def test_a_product_and_a_sum_are_rounded_once(a, b, c):
+    true = Fraction(a) * Fraction(b) + Fraction(c)
+    assert fused(a, b, c) == float(true)
 
 
 # Lanes

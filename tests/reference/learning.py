@@ -90,6 +90,7 @@ class Episode:
         self.look_ahead, self.length = settings.controller.look_ahead, 1.0 / pendulum.k
         self.cell = self.place()
         self.action, self.held, self.gained, self.coin = -1, 0, 0.0, 0.0
+        self.discount = 1.0  # gamma to the number of steps held, a product as it grows
         self.traces = {}
 
     def observation(self):
@@ -162,7 +163,7 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
 
     def learn(episode, cell, action, coin, failed, ended):
         """Apply the learner's rule; the episode is in its next cell, with its next action."""
-        R, discount, after = episode.gained, s.gamma**episode.held, episode.cell
+        R, discount, after = episode.gained, episode.discount, episode.cell
         if s.learner == "watkins":
             best = 0.0 if failed else max(Q[after])
             delta = (R if failed else R + discount * best) - Q[cell][action]
@@ -208,7 +209,8 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
             episode = running[n]
             u, after = paper.ACTIONS[episode.action], episode.observation()
             r = reward(before[n], u, after, failed[n], s.reward_failure)
-            episode.gained += s.gamma**episode.held * r
+            episode.gained += episode.discount * r
+            episode.discount *= s.gamma
             episode.held += 1
             over = failed[n] or episode.tick >= longest
             cell, action, coin = episode.cell, episode.action, episode.coin
@@ -219,7 +221,7 @@ def train(plant, pendulum, settings, until, seed, learner, reward=None):
             if ahead and not failed[n]:
                 episode.action = int(choose(episode))
             learn(episode, cell, action, coin, failed[n], over)
-            episode.held, episode.gained = 0, 0.0
+            episode.held, episode.gained, episode.discount = 0, 0.0, 1.0
             if not over:
                 continue
             ended += 1

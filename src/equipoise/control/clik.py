@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
 from equipoise.model.arms.compiler import BIAS, JACOBIAN, POSITION, ROTATION, TWIST
-from equipoise.model.elementary import at, put
+from equipoise.model.elementary import at, fma, put
 
 Array = npt.NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -69,16 +69,16 @@ def pose_error(frame: Array, reference: Array, n: int) -> Twist:
     for i in range(ROTATION, ROTATION + 3):
         r0, r1, r2 = at(reference, i, n), at(reference, i + 3, n), at(reference, i + 6, n)
         f0, f1, f2 = at(frame, i, n), at(frame, i + 3, n), at(frame, i + 6, n)
-        sx += 0.5 * (r2 * f1 - r1 * f2)
-        sy += 0.5 * (r0 * f2 - r2 * f0)
-        sz += 0.5 * (r1 * f0 - r0 * f1)
+        sx = fma(r2, f1, fma(-r1, f2, sx))
+        sy = fma(r0, f2, fma(-r2, f0, sy))
+        sz = fma(r1, f0, fma(-r0, f1, sz))
     return (
         at(reference, POSITION, n) - at(frame, POSITION, n),
         at(reference, POSITION + 1, n) - at(frame, POSITION + 1, n),
         at(reference, POSITION + 2, n) - at(frame, POSITION + 2, n),
-        sx,
-        sy,
-        sz,
+        0.5 * sx,
+        0.5 * sy,
+        0.5 * sz,
     )
 
 
@@ -102,8 +102,8 @@ def joint_acceleration(
     for i in range(6):
         for n in range(lanes):
             e_dot = at(reference, TWIST + i, n) - at(frame, TWIST + i, n)
-            feedback = parameters.K_d * e_dot + parameters.K_p * at(e, i, n)
-            put(e, i, n, at(reference, GAMMA + i, n) + feedback - at(frame, BIAS + i, n))
+            wanted = at(reference, GAMMA + i, n) - at(frame, BIAS + i, n)
+            put(e, i, n, fma(parameters.K_p, at(e, i, n), fma(parameters.K_d, e_dot, wanted)))
     return solve(frame, e, parameters, ddq, lanes)
 
 
@@ -134,12 +134,11 @@ def _solve_at_wrist(frame: Array, rhs: Array, wrist: Point, y: Array, n: int) ->
     |det J| = |det A| |det C|: two systems of three equations, by Cramer's rule.
     """
     # From the flange to the wrist centre, in base axes.
-    wx, wy, wz = wrist
     r = ROTATION
     p = (
-        at(frame, r, n) * wx + at(frame, r + 1, n) * wy + at(frame, r + 2, n) * wz,
-        at(frame, r + 3, n) * wx + at(frame, r + 4, n) * wy + at(frame, r + 5, n) * wz,
-        at(frame, r + 6, n) * wx + at(frame, r + 7, n) * wy + at(frame, r + 8, n) * wz,
+        dot((at(frame, r, n), at(frame, r + 1, n), at(frame, r + 2, n)), wrist),
+        dot((at(frame, r + 3, n), at(frame, r + 4, n), at(frame, r + 5, n)), wrist),
+        dot((at(frame, r + 6, n), at(frame, r + 7, n), at(frame, r + 8, n)), wrist),
     )
     # B: axes of the first three joints, by columns; A: velocities that they give the wrist centre.
     b0, b1, b2 = (
@@ -154,9 +153,10 @@ def _solve_at_wrist(frame: Array, rhs: Array, wrist: Point, y: Array, n: int) ->
     g3, g4, g5 = at(rhs, 3, n), at(rhs, 4, n), at(rhs, 5, n)
     g = _velocity_at(p, (at(rhs, 0, n), at(rhs, 1, n), at(rhs, 2, n)), (g3, g4, g5))
     y0, y1, y2, det_a = _cramer(a0, a1, a2, g)
-    g3 -= b0[0] * y0 + b1[0] * y1 + b2[0] * y2
-    g4 -= b0[1] * y0 + b1[1] * y1 + b2[1] * y2
-    g5 -= b0[2] * y0 + b1[2] * y1 + b2[2] * y2
+    first = y0, y1, y2
+    g3 -= dot((b0[0], b1[0], b2[0]), first)
+    g4 -= dot((b0[1], b1[1], b2[1]), first)
+    g5 -= dot((b0[2], b1[2], b2[2]), first)
     # C: axes of the last three joints.
     c0, c1 = _axis(frame, ANGULAR + 3, n), _axis(frame, ANGULAR + 4, n)
     c2 = _axis(frame, ANGULAR + 5, n)
@@ -180,9 +180,9 @@ def _axis(frame: Array, row: int, n: int) -> Point:
 def _velocity_at(p: Point, v: Point, omega: Point) -> Point:
     """Return the velocity v + omega x p of a point at p from one with velocity v."""
     return (
-        v[0] + omega[1] * p[2] - omega[2] * p[1],
-        v[1] + omega[2] * p[0] - omega[0] * p[2],
-        v[2] + omega[0] * p[1] - omega[1] * p[0],
+        fma(-omega[2], p[1], fma(omega[1], p[2], v[0])),
+        fma(-omega[0], p[2], fma(omega[2], p[0], v[1])),
+        fma(-omega[1], p[0], fma(omega[0], p[1], v[2])),
     )
 
 
@@ -191,19 +191,24 @@ def _cramer(a: Point, b: Point, c: Point, g: Point) -> tuple[float, float, float
     """Solve x a + y b + z c = g; return x, y, z (zero if there is no solution), determinant."""
     # Rows of the adjugate are cross products of the columns.
     n0, n1, n2 = _cross(b, c), _cross(c, a), _cross(a, b)
-    det = a[0] * n0[0] + a[1] * n0[1] + a[2] * n0[2]
+    det = dot(a, n0)
     scale = 1.0 / (det if det != 0.0 else np.inf)
-    return (
-        (n0[0] * g[0] + n0[1] * g[1] + n0[2] * g[2]) * scale,
-        (n1[0] * g[0] + n1[1] * g[1] + n1[2] * g[2]) * scale,
-        (n2[0] * g[0] + n2[1] * g[1] + n2[2] * g[2]) * scale,
-        det,
-    )
+    return dot(n0, g) * scale, dot(n1, g) * scale, dot(n2, g) * scale, det
 
 
 @inlined
 def _cross(a: Point, b: Point) -> Point:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return (
+        fma(a[1], b[2], -(a[2] * b[1])),
+        fma(a[2], b[0], -(a[0] * b[2])),
+        fma(a[0], b[1], -(a[1] * b[0])),
+    )
+
+
+@inlined
+def dot(a: Point, b: Point) -> float:
+    """Return the product a . b."""
+    return fma(a[2], b[2], fma(a[1], b[1], a[0] * b[0]))
 
 
 @kernel

@@ -16,6 +16,7 @@ from equipoise.control.boxes import ACTIONS, COUNT
 from equipoise.control.policy import LearningPoint, TabularPolicy, TargetTest
 from equipoise.errors import ArtefactError
 from equipoise.learning.episodes import BEGUN, ENDED, IN_USE, TrainingState
+from equipoise.learning.learner import UNDECIDED
 from equipoise.model.elementary import BATCH_SIZE
 
 
@@ -105,14 +106,14 @@ def unpack(data: bytes, training: TrainingState) -> None:
     # Compiled code does not check its indices.
     totals = training.totals
     bounds = {
-        "box": (training.box, COUNT),
-        "place": (training.place, BATCH_SIZE),
-        "action": (training.action, ACTIONS),
-        "lanes in use": (totals[IN_USE], BATCH_SIZE + 1),
-        "episodes ended": (totals[ENDED], int(totals[BEGUN]) + 1),
+        "box": (training.decisions.box, 0, COUNT),
+        "place": (training.decisions.place, 0, BATCH_SIZE),
+        "action": (training.decisions.action, UNDECIDED, ACTIONS),
+        "lanes in use": (totals[IN_USE], 0, BATCH_SIZE + 1),
+        "episodes ended": (totals[ENDED], 0, int(totals[BEGUN]) + 1),
     }
-    for name, (values, end) in bounds.items():
-        if np.any(values < 0) or np.any(values >= end):
+    for name, (values, first, end) in bounds.items():
+        if np.any(values < first) or np.any(values >= end):
             raise _damaged(f"{name} out of range")
 
 

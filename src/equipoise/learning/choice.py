@@ -18,7 +18,7 @@ from typing import Any, Final
 import numba
 from numba.core.errors import NumbaError
 
-from equipoise.compiled import disabled, function_pointer
+from equipoise.compiled import compilable, disabled, function_pointer
 from equipoise.control.controller import Observation
 from equipoise.errors import InputError, SettingsError
 from equipoise.guests import format_error, load_object, source_digest
@@ -28,9 +28,13 @@ from equipoise.learning.learner import (
     LearnerKernel,
     Transition,
     UpdateParams,
+    choose_signature,
+    choose_with,
+    learn_signature,
+    learn_with,
     new_tables,
-    select_signature,
-    update_signature,
+    rewards_of,
+    rewards_signature,
 )
 from equipoise.learning.learners import learner_names, named_learner
 from equipoise.settings import LearningSettings
@@ -97,23 +101,31 @@ def compile_learner(settings: LearningSettings) -> LearnerKernel:
     guest = ":" in settings.learner
     if guest:
         _try_learner(learner, settings.learner)
-    if ":" in settings.reward:
+    guest_reward = ":" in settings.reward
+    if guest_reward:
         reward = _guest_reward(_guest(settings.reward, REWARD), settings.reward)
     else:
         _check_known(settings.reward, REWARD, reward_names())
-        reward = getattr(rewards, settings.reward)
-    state, number = numba.typeof(STATE), numba.float64
-    signature = number(state, number, state, numba.boolean, number)
+        reward = compilable(getattr(rewards, settings.reward))
+    ahead = learner.chooses_ahead
+    select, update = _callable(learner.select), _callable(learner.update)
+    learn = learn_with(update, select, ahead)
     return LearnerKernel(
-        select=_compiled(learner.select, select_signature(), guest, settings.learner),
-        update=_compiled(learner.update, update_signature(), guest, settings.learner),
-        reward=_compiled(reward, signature, ":" in settings.reward, settings.reward),
-        chooses_ahead=learner.chooses_ahead,
+        choose=_compiled(choose_with(select), choose_signature(), guest, settings.learner),
+        learn=_compiled(learn, learn_signature(), guest, settings.learner),
+        rewards=_compiled(rewards_of(reward), rewards_signature(), guest_reward, settings.reward),
+        chooses_ahead=ahead,
     )
 
 
+def _callable(function: Any) -> Any:
+    """Return a function that kernels can call; a guest's has its indices checked."""
+    if disabled() or function.__module__.startswith("equipoise."):
+        return compilable(function)
+    return numba.njit(error_model="numpy", boundscheck=True)(function)
+
+
 def _compiled(function: Any, signature: Any, guest: bool, name: str) -> Any:
-    guest = guest and not function.__module__.startswith("equipoise.")
     try:
         return function_pointer(function, signature, cached=not guest)
     except NumbaError as error:
@@ -154,18 +166,16 @@ def _guest_reward(function: Any, name: str) -> Callable[..., float]:
                 f"{name} returned {value!r:.60} for failed = {failed}, expected a finite number; "
                 "correct it"
             )
-    if count == 5 or disabled():
-        return (
-            function if count == 5 else lambda s, u, after, failed, _: function(s, u, after, failed)
-        )
-    inner = numba.njit(error_model="numpy")(function)
+    inner = _callable(function)
+    if count == 5:
+        return inner
 
     def reward(
         state: Observation, u: float, next_state: Observation, failed: bool, _: float
     ) -> float:
         return inner(state, u, next_state, failed)
 
-    return reward
+    return reward if disabled() else numba.njit(error_model="numpy")(reward)
 
 
 def _try_learner(learner: Learner, name: str) -> None:

@@ -469,13 +469,10 @@ def draw_noise(
         put(noise, 3, n, turn(w3))
         put(noise, 4, n, uniform(v0, 1.0, 0.0))
         put(noise, 5, n, turn(v1))
-    # The logarithm is a call; its own loop lets the compiler vectorise the others.
+    # Loops with few arrays and formulas: a compiler vectorises no large one.
     for i in range(0, 6, 2):
         for n in range(lanes):
-            put(noise, i, n, normal_radius(at(noise, i, n)))
-    for i in range(0, 6, 2):
-        for n in range(lanes):
-            radius = at(noise, i, n)
+            radius = normal_radius(at(noise, i, n))
             sine, cosine = sincos(at(noise, i + 1, n))
             put(noise, i, n, radius * cosine)
             put(noise, i + 1, n, radius * sine)

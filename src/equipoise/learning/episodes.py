@@ -20,8 +20,6 @@ import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
 from equipoise.control.boxes import TRUNCATED
-from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
-from equipoise.control.controller import Observation
 from equipoise.learning.closed_loop import (
     BatchState,
     DomainRandomization,
@@ -33,8 +31,22 @@ from equipoise.learning.closed_loop import (
     reset,
     step,
 )
-from equipoise.learning.learner import LearnerKernel, Tables, Transition, UpdateParams, new_tables
-from equipoise.model.elementary import BATCH_SIZE, at
+from equipoise.learning.learner import (
+    CONTINUES,
+    DECIDED,
+    FAILED,
+    TIMED_OUT,
+    UNDECIDED,
+    Decisions,
+    Draws,
+    LearnerKernel,
+    Results,
+    Tables,
+    UpdateParams,
+    new_decisions,
+    new_tables,
+)
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
@@ -48,6 +60,7 @@ from equipoise.model.random import (
 )
 
 Array = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
 
 
 # Entries of `TrainingState.totals`.
@@ -56,10 +69,6 @@ ENDED: Final = 1
 IN_USE: Final = 2
 STEPS: Final = 3
 ENDED_STEPS: Final = 4
-
-
-SMALL_POWERS: Final = 64
-"""Number of powers of gamma that are computed once; an action is seldom held for longer."""
 
 
 class TrainingConfig(NamedTuple):
@@ -95,13 +104,6 @@ def exploration(episode: int, config: TrainingConfig) -> float:
     return config.epsilon_initial * max(0.0, 1.0 - done)
 
 
-@inlined
-def discount(steps: int, gamma: float, powers: Array) -> float:
-    """Return gamma to the power of a number of steps; `powers` holds the first of them."""
-    # As a float: Numba's power of whole numbers rounds otherwise than Python's.
-    return powers[steps] if steps < powers.size else gamma ** float(steps)
-
-
 class TrainingState(NamedTuple):
     """State of a training: the tables and the running episodes."""
 
@@ -111,22 +113,10 @@ class TrainingState(NamedTuple):
     """States of the running episodes."""
     episode: npt.NDArray[np.int64]
     """Number of the episode of each lane, shape (BATCH_SIZE,)."""
-    place: npt.NDArray[np.int64]
-    """Index among the running episodes, constant over an episode, shape (BATCH_SIZE,)."""
     tick: npt.NDArray[np.int64]
     """Current step of each episode, shape (BATCH_SIZE,)."""
-    box: npt.NDArray[np.int64]
-    """Current box of each episode, shape (BATCH_SIZE,)."""
-    action: npt.NDArray[np.int64]
-    """Index of the current action of each episode, shape (BATCH_SIZE,)."""
-    held_steps: npt.NDArray[np.int64]
-    """Number of steps for which the action is held, shape (BATCH_SIZE,)."""
-    gained: Array
-    """Discounted sum of the rewards of those steps, shape (BATCH_SIZE,)."""
-    chance: Array
-    """Uniform random number in [0, 1) of the decision, for the learner, shape (BATCH_SIZE,)."""
-    epsilon: Array
-    """Probability of a random action in the episode, shape (BATCH_SIZE,)."""
+    decisions: Decisions
+    """Current decision of each episode."""
     before: Array
     """Observation before the step; a block of 4 rows."""
     totals: npt.NDArray[np.int64]
@@ -139,22 +129,12 @@ def new_training_state(tables: int = 0) -> TrainingState:
     Args:
         tables: Number of tables of the learner's own.
     """
-
-    def integers() -> npt.NDArray[np.int64]:
-        return np.zeros(BATCH_SIZE, np.int64)
-
     return TrainingState(
         tables=new_tables(tables),
         batch=new_batch_state(),
-        episode=integers(),
-        place=np.arange(BATCH_SIZE),
-        tick=integers(),
-        box=integers(),
-        action=integers(),
-        held_steps=integers(),
-        gained=np.zeros(BATCH_SIZE),
-        chance=np.zeros(BATCH_SIZE),
-        epsilon=np.zeros(BATCH_SIZE),
+        episode=np.zeros(BATCH_SIZE, np.int64),
+        tick=np.zeros(BATCH_SIZE, np.int64),
+        decisions=new_decisions(),
         before=np.zeros(4 * BATCH_SIZE),
         totals=np.zeros(5, np.int64),
     )
@@ -191,23 +171,25 @@ def begin_episode(
         uniform(w3, -phi_dot, phi_dot),
     )
     reset(plant, training.batch, pendulum, variation, start, n)
-    training.episode[n] = episode
-    training.tick[n] = training.held_steps[n] = 0
-    training.gained[n] = 0.0
-    training.epsilon[n] = exploration(episode, config)
-    training.box[n] = box_of(training.batch.controller.observation, plant.controller.boxes, n)
+    training.episode[n], training.tick[n] = episode, 0
+    decisions = training.decisions
+    decisions.action[n], decisions.gained[n], decisions.discount[n] = UNDECIDED, 0.0, 1.0
+    decisions.epsilon[n] = exploration(episode, config)
+    decisions.box[n] = box_of(training.batch.controller.observation, plant.controller.boxes, n)
     training.totals[BEGUN] += 1
 
 
 @inlined
-def observed(block: Array, n: int) -> Observation:
-    """Return the observation of lane `n`."""
-    return Observation(
-        at(block, OBS_X, n),
-        at(block, OBS_X_DOT, n),
-        at(block, OBS_PHI, n),
-        at(block, OBS_PHI_DOT, n),
-    )
+def draw_decisions(
+    draws: Draws, seed: int, tick: Whole, episode: Whole, number: int, lanes: int
+) -> None:
+    """Draw the random numbers of a decision in each lane, at its tick."""
+    explore, choice, chance = draws
+    for n in range(lanes):
+        w0, w1, w2, _ = philox(seed, tick[n], episode[n], number, TRAINING_ACTION)
+        explore[n] = uniform(w0, 0.0, 1.0)
+        choice[n] = uniform(w1, 0.0, 1.0)
+        chance[n] = uniform(w2, 0.0, 1.0)
 
 
 @kernel
@@ -236,67 +218,46 @@ def train_episodes(
         number: Number of the learner; each has its own random numbers.
     """
     tables, block, before = training.tables, training.batch, training.before
-    episode, place, tick, box = training.episode, training.place, training.tick, training.box
-    action, held, gained = training.action, training.held_steps, training.gained
-    chance, epsilon, totals, cause = training.chance, training.epsilon, training.totals, block.cause
+    decisions, episode, tick = training.decisions, training.episode, training.tick
+    box, action, chance, gained, discount, epsilon, place = decisions
+    totals, cause = training.totals, block.cause
     noise, seen, u = block.controller.noise, block.controller.observation, block.controller.u
-    powers = np.empty(SMALL_POWERS)
-    for i in range(SMALL_POWERS):
-        powers[i] = config.gamma ** float(i)
+    accelerations = np.array(config.actions)
+    reward = np.zeros(BATCH_SIZE)
+    box_next, outcome = np.zeros(BATCH_SIZE, np.int64), np.zeros(BATCH_SIZE, np.int64)
+    results = Results(reward, box_next, outcome)
+    draws = Draws(np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE))
     lanes = totals[IN_USE]
     while lanes < BATCH_SIZE and totals[BEGUN] < config.episodes:
         begin_episode(plant, pendulum, config, training, seed, number, lanes)
         lanes += 1
     while totals[ENDED] < until and lanes > 0:
+        draw_decisions(draws, seed, tick, episode, number, lanes)
+        learner.choose(tables, decisions, draws, lanes)
         for n in range(lanes):
-            if held[n] == 0 and not (learner.chooses_ahead and tick[n] > 0):
-                w0, w1, w2, _ = philox(seed, tick[n], episode[n], number, TRAINING_ACTION)
-                chance[n] = uniform(w2, 0.0, 1.0)
-                explore, choice = uniform(w0, 0.0, 1.0), uniform(w1, 0.0, 1.0)
-                action[n] = learner.select(tables, box[n], epsilon[n], explore, choice)
-            u[n] = config.actions[action[n]]
+            u[n] = accelerations[action[n]]
         for i in range(before.size):
             before[i] = seen[i]
         draw_noise(noise, seed, tick, episode, number, TRAINING_NOISE, lanes)
         step(plant, block, lanes)
         totals[STEPS] += lanes
-        for n in range(lanes - 1, -1, -1):
-            failed = cause[n] != TRUNCATED
-            state, next_state = observed(before, n), observed(seen, n)
-            reward = learner.reward(state, u[n], next_state, failed, config.reward_failure)
-            if reward != 0.0:
-                gained[n] += discount(held[n], config.gamma, powers) * reward
+        learner.rewards(before, u, seen, cause, config.reward_failure, reward, lanes)
+        for n in range(lanes):
+            box_next[n] = box_of(seen, plant.controller.boxes, n)
+        for n in range(lanes):
+            gained[n] += discount[n] * reward[n]
+            discount[n] *= config.gamma
             tick[n] += 1
-            held[n] += 1
-            ended = failed or tick[n] >= config.max_steps
-            box_next = box_of(seen, plant.controller.boxes, n)
-            if config.hold_action and box_next == box[n] and not ended:
-                continue
-            of_action, action_next = chance[n], -1
-            if learner.chooses_ahead and not failed:
-                w0, w1, w2, _ = philox(seed, tick[n], episode[n], number, TRAINING_ACTION)
-                chance[n] = uniform(w2, 0.0, 1.0)
-                explore, choice = uniform(w0, 0.0, 1.0), uniform(w1, 0.0, 1.0)
-                action_next = learner.select(tables, box_next, epsilon[n], explore, choice)
-            learner.update(
-                tables,
-                Transition(
-                    box[n],
-                    action[n],
-                    gained[n],
-                    discount(held[n], config.gamma, powers),
-                    box_next,
-                    action_next,
-                    failed,
-                    ended,
-                    epsilon[n],
-                    of_action,
-                    place[n],
-                ),
-                config.update,
-            )
-            box[n], action[n], held[n], gained[n] = box_next, max(action_next, 0), 0, 0.0
-            if not ended:
+        for n in range(lanes):
+            held = config.hold_action & (box_next[n] == box[n])
+            going = CONTINUES if held else DECIDED
+            going = TIMED_OUT if tick[n] >= config.max_steps else going
+            outcome[n] = FAILED if cause[n] != TRUNCATED else going
+        if learner.chooses_ahead:
+            draw_decisions(draws, seed, tick, episode, number, lanes)
+        learner.learn(tables, decisions, results, draws, config.update, lanes)
+        for n in range(lanes - 1, -1, -1):
+            if outcome[n] < TIMED_OUT:
                 continue
             totals[ENDED] += 1
             totals[ENDED_STEPS] += tick[n]
@@ -306,6 +267,6 @@ def train_episodes(
                 lanes -= 1
                 copy_lane(block, lanes, n)
                 episode[n], place[n], tick[n] = episode[lanes], place[lanes], tick[lanes]
-                box[n], action[n], held[n] = box[lanes], action[lanes], held[lanes]
+                box[n], action[n], discount[n] = box[lanes], action[lanes], discount[lanes]
                 gained[n], chance[n], epsilon[n] = gained[lanes], chance[lanes], epsilon[lanes]
     totals[IN_USE] = lanes

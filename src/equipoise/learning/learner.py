@@ -5,21 +5,26 @@ A `Learner` says how a table learns from one decision. The episode loop
 chooses an action, `update` learns from a `Transition`. Each learner of the project is one file of
 `equipoise.learning.learners`; a guest brings a `Learner`, or its `update` alone, as MODULE:NAME.
 
-Both functions are compiled with Numba, for one signature, and passed to the loop as values
+Both functions are compiled with Numba into functions for a whole block (`choose_with`,
+`learn_with`; `rewards_of` does it with a reward), which are passed to the loop as values
 (`equipoise.compiled.function_pointer`): one compiled loop serves every learner.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import inlined
-from equipoise.control.boxes import ACTIONS, COUNT, mirrored_box
+from equipoise.control.boxes import ACTIONS, COUNT, TRUNCATED, mirrored_box
+from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
+from equipoise.control.controller import Observation
+from equipoise.model.elementary import BATCH_SIZE, at
 
 Array = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
 
 
 class Tables(NamedTuple):
@@ -167,13 +172,182 @@ class Learner(NamedTuple):
     """Whether the next action a' is chosen before the update and passed to it."""
 
 
-class LearnerKernel(NamedTuple):
-    """Compiled learner and reward, as the episode loop takes them."""
+class Decisions(NamedTuple):
+    """Decisions of the episodes that run side by side; all arrays have shape (BATCH_SIZE,)."""
 
-    select: Any
-    update: Any
-    reward: Any
+    box: Whole
+    """Box of the decision."""
+    action: Whole
+    """Index of the action, or `UNDECIDED`."""
+    chance: Array
+    """Uniform random number in [0, 1) of the decision, for the learner."""
+    gained: Array
+    """Discounted sum of the rewards since the decision."""
+    discount: Array
+    """gamma to the number of steps since the decision."""
+    epsilon: Array
+    """Probability of a random action in the episode."""
+    place: Whole
+    """Index among the running episodes, constant over an episode."""
+
+
+class Draws(NamedTuple):
+    """Uniform random numbers in [0, 1) for a decision in each lane, shape (BATCH_SIZE,) each."""
+
+    explore: Array
+    """Decides whether the action is random."""
+    choice: Array
+    """Selects among several actions."""
+    chance: Array
+    """For the learner's own use."""
+
+
+class Results(NamedTuple):
+    """Results of a step in each lane, shape (BATCH_SIZE,) each."""
+
+    reward: Array
+    """Reward of the step."""
+    box_next: Whole
+    """Box after the step."""
+    outcome: Whole
+    """`CONTINUES`, `DECIDED`, `TIMED_OUT` or `FAILED`."""
+
+
+UNDECIDED: Final = -1
+"""Index of the action of an episode that has to choose one."""
+CONTINUES: Final = 0
+"""Outcome of a step: the action is held."""
+DECIDED: Final = 1
+"""The decision is complete, and the episode continues."""
+TIMED_OUT: Final = 2
+"""The decision is complete, and the episode has reached its time limit."""
+FAILED: Final = 3
+"""The decision is complete, and the episode has failed."""
+
+
+class LearnerKernel(NamedTuple):
+    """Compiled functions of a learner and a reward, each for all lanes of a block in one call."""
+
+    choose: Any
+    """`choose_with` a learner."""
+    learn: Any
+    """`learn_with` a learner."""
+    rewards: Any
+    """`rewards_of` a reward."""
     chooses_ahead: bool
+    """Whether the next action is chosen before the update."""
+
+
+def choose_with(select: Callable[..., int]) -> Callable[..., None]:
+    """Return a function that chooses the actions of undecided episodes.
+
+    Args:
+        select: `Learner.select`, callable in kernels.
+    """
+
+    def choose(tables: Tables, decisions: Decisions, draws: Draws, lanes: int) -> None:
+        box, action, chance, epsilon = (
+            decisions.box,
+            decisions.action,
+            decisions.chance,
+            decisions.epsilon,
+        )
+        explore, choice, chance_next = draws.explore, draws.choice, draws.chance
+        for n in range(lanes):
+            if action[n] == UNDECIDED:
+                action[n] = select(tables, box[n], epsilon[n], explore[n], choice[n])
+                chance[n] = chance_next[n]
+
+    return choose
+
+
+def learn_with(
+    update: Callable[..., None], select: Callable[..., int], chooses_ahead: bool
+) -> Callable[..., None]:
+    """Return a function that learns from complete decisions, the last lane first.
+
+    Args:
+        update: `Learner.update`, callable in kernels.
+        select: `Learner.select`, callable in kernels.
+        chooses_ahead: Whether the next action is chosen before the update, with `draws`.
+    """
+
+    def learn(
+        tables: Tables,
+        decisions: Decisions,
+        results: Results,
+        draws: Draws,
+        params: UpdateParams,
+        lanes: int,
+    ) -> None:
+        box, action, chance, gained = (
+            decisions.box,
+            decisions.action,
+            decisions.chance,
+            decisions.gained,
+        )
+        discount, epsilon, place = decisions.discount, decisions.epsilon, decisions.place
+        box_next, outcome = results.box_next, results.outcome
+        explore, choice, chance_next = draws.explore, draws.choice, draws.chance
+        for n in range(lanes - 1, -1, -1):
+            if outcome[n] == CONTINUES:
+                continue
+            failed = outcome[n] == FAILED
+            action_next = UNDECIDED
+            if chooses_ahead and not failed:
+                action_next = select(tables, box_next[n], epsilon[n], explore[n], choice[n])
+            transition = Transition(
+                box[n],
+                action[n],
+                gained[n],
+                discount[n],
+                box_next[n],
+                action_next,
+                failed,
+                outcome[n] != DECIDED,
+                epsilon[n],
+                chance[n],
+                place[n],
+            )
+            update(tables, transition, params)
+            box[n], action[n], chance[n] = box_next[n], action_next, chance_next[n]
+            discount[n], gained[n] = 1.0, 0.0
+
+    return learn
+
+
+def rewards_of(reward: Callable[..., float]) -> Callable[..., None]:
+    """Return a function that writes the rewards of a step.
+
+    Args:
+        reward: A reward of `equipoise.learning.rewards`, callable in kernels.
+    """
+
+    def rewards(
+        before: Array,
+        u: Array,
+        after: Array,
+        cause: Whole,
+        reward_failure: float,
+        out: Array,
+        lanes: int,
+    ) -> None:
+        for n in range(lanes):
+            failed = cause[n] != TRUNCATED
+            out[n] = reward(observed(before, n), u[n], observed(after, n), failed, reward_failure)
+
+    return rewards
+
+
+@inlined
+def observed(block: Array, n: int) -> Observation:
+    """Return the observation of lane `n`."""
+    return Observation(
+        at(block, OBS_X, n),
+        at(block, OBS_X_DOT, n),
+        at(block, OBS_PHI, n),
+        at(block, OBS_PHI_DOT, n),
+    )
 
 
 def new_tables(count: int) -> Tables:
@@ -185,14 +359,45 @@ def new_tables(count: int) -> Tables:
     )
 
 
-def select_signature() -> Any:
-    """Return Numba's signature of `Learner.select`."""
-    number = numba.float64
-    return numba.int64(numba.typeof(new_tables(0)), numba.int64, number, number, number)
+def new_decisions() -> Decisions:
+    """Return the decisions of episodes that have not begun."""
+    whole = np.zeros((3, BATCH_SIZE), np.int64)
+    return Decisions(
+        box=whole[0],
+        action=whole[1],
+        chance=np.zeros(BATCH_SIZE),
+        gained=np.zeros(BATCH_SIZE),
+        discount=np.ones(BATCH_SIZE),
+        epsilon=np.zeros(BATCH_SIZE),
+        place=np.arange(BATCH_SIZE),
+    )
 
 
-def update_signature() -> Any:
-    """Return Numba's signature of `Learner.update`."""
-    transition = Transition(0, 0, 0.0, 0.0, 0, 0, False, False, 0.0, 0.0, 0)
+def new_draws() -> Draws:
+    """Return scratch for random numbers."""
+    return Draws(np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE))
+
+
+def new_results() -> Results:
+    """Return scratch for the results of a step."""
+    whole = np.zeros((2, BATCH_SIZE), np.int64)
+    return Results(np.zeros(BATCH_SIZE), whole[0], whole[1])
+
+
+def rewards_signature() -> Any:
+    """Return Numba's signature of `LearnerKernel.rewards`."""
+    number, array, whole = numba.float64, numba.float64[::1], numba.int64
+    return numba.void(array, array, array, whole[::1], number, array, whole)
+
+
+def choose_signature() -> Any:
+    """Return Numba's signature of `LearnerKernel.choose`."""
+    given = new_tables(0), new_decisions(), new_draws()
+    return numba.void(*map(numba.typeof, given), numba.int64)
+
+
+def learn_signature() -> Any:
+    """Return Numba's signature of `LearnerKernel.learn`."""
     params = UpdateParams(0.0, 0.0, 0.0, 0.0, False)
-    return numba.void(*map(numba.typeof, (new_tables(0), transition, params)))
+    given = new_tables(0), new_decisions(), new_results(), new_draws(), params
+    return numba.void(*map(numba.typeof, given), numba.int64)

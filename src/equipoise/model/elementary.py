@@ -1,4 +1,4 @@
-"""Vectorised kernels: blocks of lanes, and sine and cosine as polynomials.
+"""Vectorised kernels: blocks of lanes; sine, cosine and logarithm as polynomials.
 
 A processor computes several numbers with one instruction if straight-line code runs over adjacent
 numbers. Therefore kernels advance a *block* of `BATCH_SIZE` independent states (episodes, trials)
@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import inlined, multiply_add
+from equipoise.compiled import fma, inlined
 
 BATCH_SIZE: Final = 16
 """Number of states in a block: fills the widest registers and hides the latency of a division."""
@@ -23,6 +23,13 @@ TWO_OVER_PI: Final = 0.6366197723675814
 HALF_PI_1: Final = 1.5707963267948966
 HALF_PI_2: Final = 6.123233995736766e-17
 HALF_PI_3: Final = -1.4973849048591833e-33
+
+MANTISSA_BITS: Final = 52
+ROOT_HALF_BITS: Final = 0x3FE6A09E667F3BCD
+"""Bits of the double that is nearest to the root of 1/2."""
+# log 2 in two parts; an exponent times the first is exact.
+LOG_2_1: Final = 6.93147180369123816490e-01
+LOG_2_2: Final = 1.90821492927058770002e-10
 
 
 @inlined
@@ -35,15 +42,6 @@ def at(block: npt.NDArray[np.float64], row: int, n: int) -> float:
 def put(block: npt.NDArray[np.float64], row: int, n: int, value: float) -> None:
     """Write the entry of a block in a row, in lane `n`."""
     block[row * BATCH_SIZE + n] = value
-
-
-@inlined
-def fma(a: float, b: float, c: float) -> float:
-    """Return a b + c with one rounding: one instruction, and the same bits on every machine.
-
-    A compiler must not join a product and a sum by itself, because that changes the result.
-    """
-    return multiply_add(a, b, c)
 
 
 @inlined
@@ -74,3 +72,26 @@ def sincos(x: float) -> tuple[float, float]:
     if fma(-2.0, np.floor(0.5 * half_turns), half_turns) != 0.0:
         s, c = -s, -c
     return s, c
+
+
+@inlined
+def log(x: float) -> float:
+    """Return the natural logarithm of a positive normal number, to one unit in the last place.
+
+    x is 2^k m with m between the roots of 1/2 and 2. With s = (m - 1) / (m + 1) the logarithm of m
+    is 2 s + 2 s^3/3 + ..., a polynomial in s^2 (of degree 7, near minimax).
+    """
+    bits = np.float64(x).view(np.int64)
+    k = (bits - ROOT_HALF_BITS) >> MANTISSA_BITS
+    f = np.int64(bits - (k << MANTISSA_BITS)).view(np.float64) - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    r = fma(z, 1.479819860511658591e-01, 1.531383769920937332e-01)
+    r = fma(z, r, 1.818357216161805012e-01)
+    r = fma(z, r, 2.222219843214978396e-01)
+    r = fma(z, r, 2.857142874366239149e-01)
+    r = fma(z, r, 3.999999999940941908e-01)
+    r = fma(z, r, 6.666666666666735130e-01)
+    half_square = 0.5 * f * f
+    rest = fma(s, fma(z, r, half_square), float(k) * LOG_2_2)
+    return fma(float(k), LOG_2_1, f - (half_square - rest))

@@ -8,11 +8,11 @@ number of workers. Key and counter identify each draw::
     counter  step, index (episode or trial), learner, stream
 """
 
-from math import log, pi, sqrt
+from math import pi, sqrt
 from typing import Final
 
 from equipoise.compiled import inlined
-from equipoise.model.elementary import sincos
+from equipoise.model.elementary import log, sincos
 
 Words = tuple[int, int, int, int]
 

@@ -85,7 +85,7 @@ their rates at q_ddot = 0; reach_i goes from joint i to the flange; neg_ before 
 """
 
 from equipoise.model.arms.chain import Floats
-from equipoise.model.elementary import sincos
+from equipoise.model.elementary import fma, sincos
 
 DIGEST = "{chain.digest}"
 """Digest of the geometry that these lines belong to."""
@@ -182,6 +182,7 @@ def trace(links: Sequence[Link]) -> tuple[Tape, dict[str, dict[str, Symbol]]]:
 def source(chain: Chain) -> str:
     """Return the module of a chain as text."""
     tape, record = trace(chain.links)
+    tape.fuse(record)
     lines = list(tape.python(record))
     text = HEADER.format(chain=chain, operations=operations(lines))
     text += _function("kinematics", "the record", lines)
@@ -192,7 +193,8 @@ def source(chain: Chain) -> str:
 def operations(lines: Iterable[str]) -> int:
     """Return the number of sums, differences and products in lines of a generated function."""
     formulas = (INDEX.sub("", line) for line in lines if "#" not in line and " = " in line)
-    return sum(formula.count(f" {sign} ") for formula in formulas for sign in "+-*")
+    counts = {" + ": 1, " - ": 1, " * ": 1, "fma(": 2}
+    return sum(formula.count(sign) * n for formula in formulas for sign, n in counts.items())
 
 
 def _function(name: str, rows: str, lines: Iterable[str]) -> str:

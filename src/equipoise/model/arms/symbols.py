@@ -2,7 +2,8 @@
 
 A `Tape` records sums and products of inputs and numbers. Numbers are folded, signs are moved
 outwards and cancelled, and the operands of + and * are kept in one order. Equal expressions are one
-object, so each is computed once. `Tape.python` prints the expressions that the outputs need.
+object, so each is computed once. `Tape.fuse` joins products that one sum needs to it, as fused
+multiply-adds. `Tape.python` prints the expressions that the outputs need.
 """
 
 from collections.abc import Iterator, Mapping
@@ -19,6 +20,8 @@ class Symbol:
         self.tape, self.operation, self.operands, self.number = tape, operation, operands, number
         self.order, self.block = len(tape.symbols), tape.block
         self.name = ""
+        self.fused = False
+        """Whether it is a term of the one sum that needs it."""
 
     def __neg__(self) -> "Symbol":
         if self.operation == "number":
@@ -85,14 +88,34 @@ class Symbol:
                 return f"-{a._inside('+-')}"
             case "*", (a, b):
                 return f"{a._inside('+-')} * {b._inside('+-')}"
-            case "-", (a, b):
-                return f"{a} - {b._inside('+-')}"
             case _:
-                a, b = self.operands
-                return f"{a} + {b._inside('+-')}"
+                return self._sum()
+
+    def _sum(self) -> str:
+        """Return a sum or difference, with one fused multiply-add for each of its products."""
+        terms = sorted(self._terms(), key=lambda term: term[0])  # positive ones first
+        rest = [(sign, term) for sign, term in terms if not term.fused]
+        products = [(sign, term) for sign, term in terms if term.fused]
+        (sign, first), *rest = rest or [products.pop(0)]
+        text = f"{sign}{first._inside('+-') if sign else first}"
+        text += "".join(f" {sign or '+'} {term._inside('+-')}" for sign, term in rest)
+        for sign, product in products:
+            a, b = product.operands
+            text = f"fma({sign}{a._inside('+-') if sign else a}, {b}, {text})"
+        return text
+
+    def _terms(self, sign: str = "") -> "Iterator[tuple[str, Symbol]]":
+        """Yield the terms of a sum with their signs, those of its fused sums included."""
+        other = "" if sign else "-"
+        a, b = self.operands
+        for term, own in ((a, sign), (b, other if self.operation == "-" else sign)):
+            if term.fused and term.operation in "+-":
+                yield from term._terms(own)
+            else:
+                yield own, term
 
     def _inside(self, weaker: str) -> str:
-        bare = self.name or self.operation not in weaker
+        bare = self.name or self.operation not in weaker or str(self).startswith("fma(")
         return str(self) if bare else f"({self})"
 
 
@@ -145,18 +168,20 @@ class Tape:
                 symbol.name = f"{'neg_' if negated else ''}{name}_{component}"
         return vector
 
+    def fuse(self, record: Mapping[str, Mapping[str, Symbol]]) -> None:
+        """Make sums and products that only one sum of a record needs terms of that sum."""
+        users = _users(record)
+        for symbol in users:
+            for term in symbol.operands if symbol.operation in ("+", "-") else ():
+                if users[term] == 1 and term.operation in ("+", "-", "*"):
+                    term.fused, term.name = True, ""
+
     def python(self, record: Mapping[str, Mapping[str, Symbol]]) -> Iterator[str]:
         """Yield the lines that compute a record: for each title, its targets and their symbols.
 
         Expressions with several uses get a line of their own; unused ones are left out.
         """
-        users: dict[Symbol, int] = {}
-        pending = [symbol for entries in record.values() for symbol in entries.values()]
-        while pending:
-            symbol = pending.pop()
-            users[symbol] = users.get(symbol, 0) + 1
-            if users[symbol] == 1:
-                pending.extend(symbol.operands)
+        users = _users(record)
         needed = sorted(users, key=lambda symbol: symbol.order)
         shared = (s for s in needed if s.operation in "+-*" and users[s] > 1 and not s.name)
         for count, symbol in enumerate(shared, start=1):
@@ -171,3 +196,15 @@ class Tape:
         for title, entries in record.items():
             yield f"# {title}"
             yield from (f"{target} = {symbol}" for target, symbol in entries.items())
+
+
+def _users(record: Mapping[str, Mapping[str, Symbol]]) -> dict[Symbol, int]:
+    """Return the symbols that a record needs, with the number of uses of each."""
+    users: dict[Symbol, int] = {}
+    pending = [symbol for entries in record.values() for symbol in entries.values()]
+    while pending:
+        symbol = pending.pop()
+        users[symbol] = users.get(symbol, 0) + 1
+        if users[symbol] == 1:
+            pending.extend(symbol.operands)
+    return users
