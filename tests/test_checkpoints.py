@@ -190,7 +190,8 @@ def test_a_state_that_no_training_has_is_refused():
         unpack(pack(progress)[:-1], progress)
     for name, value in (("action", 8), ("place", 16), ("box", 270), ("box", -1), ("totals", 17)):
         wrong = new_training_state()
-        getattr(wrong, name)[2] = value
+        values = wrong.totals if name == "totals" else getattr(wrong.decisions, name)
+        values[2] = value
         with pytest.raises(ArtefactError, match="out of range"):
             unpack(pack(wrong), new_training_state())
 

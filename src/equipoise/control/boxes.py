@@ -163,12 +163,11 @@ def box_index(x: float, x_dot: float, phi: float, phi_dot: float, boxes: Boxes) 
 
 @inlined
 def mirrored_box(box: int) -> int:
-    """Return the box of the mirror image: each axis is counted from its other end."""
-    m = box % 3
-    k = box // 3 % 3
-    j = box // 9 % 5
-    i = box // 45
-    return (((5 - i) * 5 + 4 - j) * 3 + 2 - k) * 3 + 2 - m
+    """Return the box of the mirror image.
+
+    Counting each axis from its other end counts all boxes from the other end.
+    """
+    return COUNT - 1 - box
 
 
 @kernel

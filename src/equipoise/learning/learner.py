@@ -85,10 +85,10 @@ def learning_rate(visits: float, params: UpdateParams) -> float:
 @inlined
 def best_value(Q: Array, box: int) -> float:
     """Return the largest value of a box."""
-    best = Q[box, 0]
-    for i in range(1, Q.shape[1]):
-        best = max(best, Q[box, i])
-    return best
+    # In pairs: a chain of comparisons would take twice as long.
+    low = max(max(Q[box, 0], Q[box, 1]), max(Q[box, 2], Q[box, 3]))
+    high = max(max(Q[box, 4], Q[box, 5]), max(Q[box, 6], Q[box, 7]))
+    return max(low, high)
 
 
 @inlined
@@ -102,22 +102,21 @@ def best_action(Q: Array, box: int, chance: float) -> int:
     """
     best = best_value(Q, box)
     ties = 0
-    for i in range(Q.shape[1]):
+    for i in range(ACTIONS):
         ties += Q[box, i] == best
     skip = int(ties * chance)
-    action = 0
-    for i in range(Q.shape[1]):
-        if Q[box, i] == best:
-            if skip == 0:
-                action = i
-            skip -= 1
-    return action
+    # Without branches: the action is the number of those before the chosen one.
+    action, found = 0, 0
+    for i in range(ACTIONS):
+        found += Q[box, i] == best
+        action += found <= skip
+    return min(action, ACTIONS - 1)  # values that are not numbers have no best one
 
 
 @inlined
 def write_mirrored(table: npt.NDArray[Any], box: int, action: int) -> None:
     """Copy an entry of a table to its mirror image."""
-    table[mirrored_box(box), table.shape[1] - 1 - action] = table[box, action]
+    table[mirrored_box(box), ACTIONS - 1 - action] = table[box, action]
 
 
 @inlined
@@ -155,7 +154,7 @@ def epsilon_greedy(tables: Tables, box: int, epsilon: float, chance: float, choi
         choice: Uniform random number in [0, 1) that selects among several actions.
     """
     if chance < epsilon:
-        return int(tables.Q.shape[1] * choice)
+        return int(ACTIONS * choice)
     return best_action(tables.Q, box, choice)
 
 
