@@ -10,6 +10,10 @@
 - `pinocchio`: the arm's part of that step alone, through Pinocchio from Python.
 - `gymnasium`: a CartPole step, which has no arm, with a tabular update in Python.
 
+A share of the core's peak is the floating-point operations of a step (`benchmarks/operations.py`
+counts them; random numbers and the table are left out) times the steps per second, over the speed
+of a loop of fused multiply-adds in the same rounds.
+
 The peers are optimised as far as Python allows. Each does the same piece of work in
 each round, and the rounds alternate, so that a processor that warms up or is shared slows all of
 them alike. Compilation and imports come before the first round.
@@ -26,6 +30,7 @@ import json
 import os
 import platform
 import statistics
+import subprocess
 import sys
 import time
 from bisect import bisect
@@ -43,9 +48,11 @@ from pydantic import Field
 
 from equipoise import paper
 from equipoise.artefacts import Value
+from equipoise.compiled import kernel
 from equipoise.control.policy import shipped_policy
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
+from equipoise.model.elementary import fma
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
 from equipoise.settings import Settings
@@ -73,6 +80,14 @@ TRIALS: Final = "trials behind the actuator"
 TWIN: Final = "trials on the twin"
 YARDSTICK: Final = "pinocchio"
 """Peer of which every ratio is."""
+PEAK: Final = "peak"
+"""The loop of fused multiply-adds."""
+OPERATIONS: Final = {OURS: "ideal", BEHIND: "actuator", TRIALS: "actuator"}
+"""Step of each of ours, by its name in `operations.py`; MuJoCo's operations are not known."""
+PEAK_ADDS: Final = 64
+"""Number of multiply-adds for each number that is loaded and stored."""
+PEAK_LANES: Final = 512
+"""Number of independent numbers: their chains of multiply-adds overlap."""
 TRIAL_COUNT: Final = 64
 TRIAL_TIME: Final = 10.0
 """Length of a trial [s]."""
@@ -125,8 +140,11 @@ class Benchmark(Value):
     @property
     def steps_per_second(self) -> dict[str, float]:
         """Median steps per second, by name."""
-        return {name: rate.steps_per_second for name, rate in self.rates.items()}
+        rates = self.rates.items()
+        return {name: rate.steps_per_second for name, rate in rates if name != PEAK}
 
+    operations: dict[str, float] = Field(default_factory=dict)
+    """Floating-point operations of a step, by name."""
     scaling: dict[int, float] = Field(default_factory=dict)
     """Speed of trainings side by side on a number of cores, relative to one core."""
 
@@ -143,6 +161,14 @@ class Benchmark(Value):
         """How many times faster than the arm ours are, by name."""
         ours = (OURS, BEHIND, TRIALS, TWIN)
         return {n: r * paper.STEP for n, r in self.steps_per_second.items() if n in ours}
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Share of the core's peak, by name."""
+        if PEAK not in self.rates:
+            return {}
+        peak, speed = self.rates[PEAK].steps_per_second, self.steps_per_second
+        return {name: count * speed[name] / peak for name, count in self.operations.items()}
 
 
 def benchmark(
@@ -170,7 +196,19 @@ def benchmark(
     result = race(contestants(pendulum, arm, settings), rounds, progress=progress)
     _tell(progress, "side by side")
     work = training_work(pendulum, arm, settings)
-    return result.model_copy(update={"scaling": scaling(work, available_cores(), rounds)})
+    speeds = scaling(work, available_cores(), rounds)
+    return result.model_copy(update={"scaling": speeds, "operations": count_operations()})
+
+
+def count_operations() -> dict[str, float]:
+    """Return the floating-point operations of a step, by name: those of the iiwa7."""
+    file = Path(__file__).with_name("operations.py")
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    counted = subprocess.run(
+        [sys.executable, str(file)], env=environment, check=True, capture_output=True
+    )
+    numbers: dict[str, float] = json.loads(counted.stdout)
+    return {name: numbers[step] for name, step in OPERATIONS.items()}
 
 
 def contestants(pendulum: Pendulum, arm: Arm, settings: Settings) -> tuple[Contestant, ...]:
@@ -212,6 +250,7 @@ def contestants(pendulum: Pendulum, arm: Arm, settings: Settings) -> tuple[Conte
             "gymnasium",
             cart_pole_work,
         ),
+        Contestant(PEAK, "fused multiply-adds alone, operations per second", "", peak_work),
     )
 
 
@@ -285,11 +324,15 @@ def table(result: Benchmark) -> "Table":
     notes += [f"{name} is left out: {why}" for name, why in result.missing.items()]
     view = Table(title="Steps per second", caption="\n".join(notes))
     view.add_column()
-    for title in ("steps/s", "slowest", "fastest", "ratio", "x real time"):
+    for title in ("steps/s", "slowest", "fastest", "ratio", "x real time", "of peak"):
         view.add_column(title, justify="right", no_wrap=True)
     for name, rate in result.rates.items():
         speeds = (rate.steps_per_second, rate.slowest, rate.fastest)
-        cells = (result.ratios, "{:.1f}"), (result.real_time, "{:,.0f}")
+        cells = (
+            (result.ratios, "{:.1f}"),
+            (result.real_time, "{:,.0f}"),
+            (result.shares, "{:.0%}"),
+        )
         others = (form.format(values[name]) if name in values else "" for values, form in cells)
         view.add_row(f"{name}: {rate.what}", *(f"{speed:,.0f}" for speed in speeds), *others)
     return view
@@ -320,6 +363,28 @@ def trials_work(world: str, count: int) -> Work:
         trials = simulation.draw(count)
         simulation.run(policy, trials, range(count), duration=TRIAL_TIME)
         return int(trials.steps.sum())
+
+    return work
+
+
+@kernel
+def multiply_adds(numbers: Array, repeats: int) -> None:
+    """Apply `PEAK_ADDS` multiply-adds to each number, `repeats` times."""
+    for _ in range(repeats):
+        for i in range(PEAK_LANES):
+            x = numbers[i]
+            for _ in range(PEAK_ADDS):
+                x = fma(x, 0.999, 0.001)
+            numbers[i] = x
+
+
+def peak_work(repeats: int = 4000) -> Work:
+    """Return a work of fused multiply-adds, which counts operations, two for each."""
+    numbers = np.ones(PEAK_LANES)
+
+    def work() -> int:
+        multiply_adds(numbers, repeats)
+        return 2 * PEAK_ADDS * PEAK_LANES * repeats
 
     return work
 
@@ -602,6 +667,8 @@ def summary(result: Benchmark) -> dict[str, object]:
         "steps_per_second": result.steps_per_second,
         "ratios": result.ratios,
         "real_time": result.real_time,
+        "operations": result.operations,
+        "share_of_peak": result.shares,
         "scaling": result.scaling,
         "missing": result.missing,
         "processor": result.processor,
