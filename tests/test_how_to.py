@@ -12,7 +12,7 @@ from equipoise.control.policy import TabularPolicy
 PAGES = Path(__file__).parents[1] / "docs" / "how-to"
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 WRITES = {
-    "change-the-reward.md": {"paper.json": "paper", "gentle.json": "own_reward:gentle@"},
+    "change-the-reward.md": {"alive.json": "alive", "gentle.json": "own_reward:gentle@"},
     "bring-a-learner.md": {"sarsa.json": "sarsa", "own.json": "own_learner:learner@"},
 }
 
