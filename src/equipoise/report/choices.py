@@ -89,6 +89,11 @@ def departures(settings: Settings) -> Iterator[str]:
             yield "The table receives a prediction of the state at which its command takes effect."
         if controller.estimate_bias:
             yield "The error of the encoder's zero is estimated while balancing, and subtracted."
+    if controller.look_ahead > 0.0:
+        yield (
+            f"The x that selects a box is continued over {controller.look_ahead:g} s at the "
+            "velocity of the pendulum's centre of percussion."
+        )
     yield (
         f"{BATCH_SIZE} episodes learn at once on one table, for speed (the paper: presumably one "
         "after the other)."

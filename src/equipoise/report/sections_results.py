@@ -32,7 +32,8 @@ def _policy(picture: html.Picture) -> html.Part:
             "get below it: red. The lower left corner is the mirror image."
         ),
         html.paragraph(
-            "The columns are positions on the track. To return from the right end, the flange "
+            "The columns are positions on the track, where the flange is going at its present "
+            "drift if the policy looks ahead. To return from the right end, the flange "
             "first moves further right until the pendulum leans left, then follows it to the "
             "middle. So near upright the right column pushes right and the left column left. A "
             "good policy stays in the middle row; entries of the rarely visited outer rows are "

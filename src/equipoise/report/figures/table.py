@@ -43,7 +43,9 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
     largest = float(np.max(np.abs(actions)))
     norm, colours = Normalize(-1.2 * largest, 1.2 * largest), colormaps[MAP]
 
-    figure = new_figure(7.0, "Policy: acceleration u in each of the 270 boxes")
+    look_ahead = policy.settings.controller.look_ahead
+    drifted = f", with x after {look_ahead:g} s of drift" if look_ahead > 0.0 else ""
+    figure = new_figure(7.0, f"Policy: acceleration u in each of the 270 boxes{drifted}")
     axes: Any = figure.subplots(3, 3, sharex=True, sharey=True)
     for k, m in np.ndindex(*SHAPE[2:]):
         # Rows from the top: x_dot high to low; columns: x low to high.
