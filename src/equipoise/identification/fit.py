@@ -239,15 +239,14 @@ def _least_squares(
     low[0], high[0] = recording.w2_range
     guess = start[fitted].copy()
     guess[0] = np.clip(guess[0], 1.001 * low[0], 0.999 * high[0])
-    unknowns[fitted] = guess
-    if not np.all(np.isfinite(recording.predict(unknowns))):
-        # The friction is too stiff for the integration steps.
-        return start.copy()
 
     def at(x: Array) -> Array:
         unknowns[fitted] = x * scales
         return unknowns
 
+    if not np.all(np.isfinite(recording.predict(at(guess / scales)))):
+        # The friction is too stiff for the integration steps.
+        return start.copy()
     solution = least_squares(
         lambda x: -recording.residual(at(x)),
         guess / scales,
