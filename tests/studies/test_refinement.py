@@ -211,7 +211,7 @@ def test_what_moved_makes_another_pendulum():
 def test_a_pivot_with_more_dry_friction_is_found():
     known = shipped_policy().pendulum
     # The shipped policy hardly moves the pendulum: a fine encoder shows its friction.
-    log = run(9, duration=60.0, coulomb=1.0, counts_per_rev=1 << 16)
+    log = run(6, duration=60.0, coulomb=1.0, counts_per_rev=1 << 18)
     found = inspect(at_once(), {"run": log})
     assert [move.name for move in found.moves] == ["c"]
     assert found.pendulum.w2 == known.w2
