@@ -15,11 +15,9 @@ import json
 import time
 from pathlib import Path
 
-from scipy.stats import binomtest
-
 from equipoise.control.policy import TabularPolicy
 from equipoise.deployment import excite
-from equipoise.evaluation import Evaluation, evaluate
+from equipoise.evaluation import Evaluation, evaluate, exact_interval
 from equipoise.identification.actuator import identify_run
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
@@ -109,7 +107,6 @@ def main() -> None:
             flush=True,
         )
     trials = given.seeds * given.trials
-    interval = binomtest(lasted, trials).proportion_ci(0.95, method="exact")
     print(
         json.dumps(
             {
@@ -117,7 +114,7 @@ def main() -> None:
                 "arm": arm.name,
                 "survived": lasted,
                 "trials": trials,
-                "interval": [float(interval.low), float(interval.high)],
+                "interval": exact_interval(lasted, trials),
                 "seeds_at_99_percent": sum(rate >= 0.99 for rate in rates),
                 "worst_seed": min(rates),
             }
