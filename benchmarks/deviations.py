@@ -39,7 +39,7 @@ TAKEN_BACK = {
         "robust",
         [LAST, "plant.delay_spread=0", "plant.lag_spread=0", "plant.zero_error=0"],
     ),
-    "the table sees the present x": ("robust", [LAST, "controller.look_ahead=0"]),
+    "the table sees the present x": ("robust", [LAST, "boxes.look_ahead=0"]),
     "gamma = 0.97": ("robust", [LAST, "learning.gamma=0.97"]),
     "5,000 episodes": ("robust", [LAST, "learning.episodes=5000"]),
     "double Q-learning": ("robust", [LAST, "learning.learner=double_q"]),

@@ -184,16 +184,16 @@ def test_a_checkpoint_is_small(checkpoint):
 
 
 def test_a_state_that_no_training_has_is_refused():
-    progress = new_training_state()
+    progress = new_training_state(270)
     unpack(pack(progress), progress)
     with pytest.raises(ArtefactError, match="bytes of state"):
         unpack(pack(progress)[:-1], progress)
     for name, value in (("action", 8), ("place", 16), ("box", 270), ("box", -1), ("totals", 17)):
-        wrong = new_training_state()
+        wrong = new_training_state(270)
         values = wrong.totals if name == "totals" else getattr(wrong.decisions, name)
         values[2] = value
         with pytest.raises(ArtefactError, match="out of range"):
-            unpack(pack(wrong), new_training_state())
+            unpack(pack(wrong), new_training_state(270))
 
 
 def test_a_file_of_unfinished_work_takes_a_bounded_share_of_the_time(

@@ -247,8 +247,9 @@ def test_the_winner_of_the_race_is_the_policy(pendulum):
     assert best.score == max(c.score for c in policy.checkpoints if c.trials == best.trials)
     # The table of the policy is the running average at the moment when the winner was taken.
     plant = make_loop_params(ARM, settings(), 0.01, pendulum.parameters(), shipped_actuator())
-    constants, learner = training.training_config(settings()), compile_learner(settings().learning)
-    progress, averaged = new_training_state(), np.zeros((270, 8))
+    constants = training.training_config(settings(), pendulum.parameters().k)
+    learner = compile_learner(settings().learning)
+    progress, averaged = new_training_state(270), np.zeros((270, 8))
     selection = settings().selection
     for taken in range(1, best.episodes // selection.every + 1):
         until = taken * selection.every
@@ -302,11 +303,11 @@ def test_the_recipe_paper_selects_nothing_and_keeps_the_last_table(pendulum):
     policy = train(pendulum, ARM, of_paper())
     assert policy.recipe.startswith("custom: paper with learning.episodes = 60, ")
     assert policy.checkpoints == ()
-    progress = new_training_state()
+    progress = new_training_state(270)
     train_episodes(
         make_loop_params(ARM, of_paper(), 0.01, pendulum.parameters(linearised=True)),
         pendulum.parameters(linearised=True),
-        training.training_config(of_paper()),
+        training.training_config(of_paper(), pendulum.parameters().k),
         compile_learner(of_paper().learning),
         progress,
         60,
@@ -436,7 +437,8 @@ def test_settings_become_the_constants_of_the_learner():
                 "plant.lag_spread=0.19",
                 "plant.zero_error=0.020",
             ]
-        )
+        ),
+        5.0,
     )
     assert constants == (
         11,
@@ -454,6 +456,7 @@ def test_settings_become_the_constants_of_the_learner():
         0.19,
         0.020,
         constants.actions,
+        constants.boxes,
     )
 
 

@@ -27,7 +27,7 @@ from scipy.special import betaln, xlog1py, xlogy
 from scipy.stats import binom
 
 from equipoise import paper
-from equipoise.control.boxes import CAUSES, TRUNCATED, cause_named
+from equipoise.control.boxes import CAUSES, TRUNCATED, cause_named, partition
 from equipoise.control.policy import Checkpoint, PolicyKernel, TargetTest, table_kernel
 from equipoise.learning.closed_loop import LoopParams, make_loop_params
 from equipoise.model.actuator import Actuator
@@ -62,7 +62,7 @@ class Candidate(NamedTuple):
     episodes: int
     """Number of training episodes before it."""
     u_of_box: Array
-    """Acceleration of each box [m/s^2], shape (270,)."""
+    """Acceleration of each box [m/s^2], shape (boxes,)."""
 
 
 class TrialPlant(NamedTuple):
@@ -87,8 +87,8 @@ class TrialPlant(NamedTuple):
         )
 
     def tables(self, u_of_box: Array) -> PolicyKernel:
-        """Return the policy of m tables, from the acceleration of each box, shape (270 m,)."""
-        return table_kernel(u_of_box, self.params.controller.boxes)
+        """Return the policy of several tables, from their accelerations one after the other."""
+        return table_kernel(u_of_box, partition(self.settings.boxes, self.pendulum.k))
 
 
 def trial_plant(
@@ -222,7 +222,7 @@ def measure_share(
 
     Args:
         plant: Inputs of the trials.
-        u_of_box: Acceleration of each box [m/s^2], shape (270,).
+        u_of_box: Acceleration of each box [m/s^2], shape (boxes,).
         target: Required share [-].
         error: Probability that the interval does not contain the share.
         workers: Threads; the result does not depend on it.

@@ -9,7 +9,8 @@ settings.
 import difflib
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
-from math import radians
+from itertools import pairwise
+from math import inf, prod, radians
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -42,6 +43,8 @@ MAX_EPISODES: Final = 100_000_000
 """Limit on the number of episodes: more than one day on one core."""
 MOST_CANDIDATES: Final = 100_000
 """Limit on the number of candidates of a training, whose screening takes days."""
+MOST_BOXES: Final = 10_000
+"""Limit on the number of boxes: a policy's file takes about 100 bytes for each."""
 FINEST_ENCODER: Final = 2**48
 """Limit on counts per revolution: finer steps are below the rounding error of an angle."""
 QUARTER_TURN: Final = radians(90.0)
@@ -166,10 +169,6 @@ class ControllerSettings(Value):
     """Whether the policy observes the predicted state at the time when its command takes effect,
     instead of the present state. The pendulum keeps falling during the delay, and pending commands
     move it."""
-    look_ahead: float = Field(default=0.5, ge=0.0, le=10.0)
-    """Time over which a table's x is continued at the velocity of the pendulum's centre of
-    percussion [s]; 0 as in the paper. The boxes do not resolve velocities below 0.5 m/s: without
-    it, a table learns of a drift only when the track is nearly used up, and fails at its ends."""
     estimate_bias: bool = True
     """Whether the zero error of the encoder is estimated while balancing."""
     margin: float = Field(default=0.005, ge=0.0, le=0.2)
@@ -189,6 +188,68 @@ class ControllerSettings(Value):
     """Share of the difference between measured and modelled joints that is corrected per tick: a
     time constant of 0.1 s. The model is faster than the measurement; only slow differences, such
     as the sag under the pendulum's weight, are significant."""
+
+
+End = Annotated[float, Field(ge=-1e4, le=1e4)]
+"""Inner end of an interval; the limit keeps it finite."""
+Ends = Annotated[tuple[End, ...], Field(min_length=1, max_length=63)]
+"""Inner ends of the intervals of one quantity, in rising order and symmetric about zero."""
+
+
+class BoxSettings(Value):
+    """Boxes of a table: inner ends of the intervals of each quantity, the paper's by default.
+
+    The outer ends are the limits of failure. The ends lie symmetrically about zero, so that each
+    box has a mirror image. An end of phi belongs to the interval above it, an end of another
+    quantity to the interval farther from zero, as in the paper.
+    """
+
+    phi_deg: Ends = tuple(interval.low for interval in paper.PHI_INTERVALS_DEG[1:])
+    """Ends for the angle from upright [deg]; zero is one of them, so that each box has a side to
+    which the pendulum tips."""
+    phi_dot_deg: Ends = tuple(interval.low for interval in paper.PHI_DOT_INTERVALS_DEG[1:])
+    """Ends for the angular velocity [deg/s]."""
+    x: Ends = tuple(interval.low for interval in paper.X_INTERVALS[1:])
+    """Ends for the displacement of the flange, continued by `look_ahead` [m]."""
+    x_dot: Ends = tuple(interval.low for interval in paper.X_DOT_INTERVALS[1:])
+    """Ends for its velocity [m/s]."""
+    look_ahead: float = Field(default=0.5, ge=0.0, le=10.0)
+    """Time over which a table's x is continued at the velocity of the pendulum's centre of
+    percussion [s]; 0 as in the paper. The boxes do not resolve velocities below 0.5 m/s: without
+    it, a table learns of a drift only when the track is nearly used up, and fails at its ends."""
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Number of intervals of phi, phi_dot, x, x_dot."""
+        ends = self.phi_deg, self.phi_dot_deg, self.x, self.x_dot
+        phi, phi_dot, x, x_dot = (len(inner) + 1 for inner in ends)
+        return phi, phi_dot, x, x_dot
+
+    def same_ends(self, other: Self) -> bool:
+        """Return whether the intervals are those of other boxes."""
+        return self == other.model_copy(update={"look_ahead": self.look_ahead})
+
+    @property
+    def count(self) -> int:
+        """Number of boxes."""
+        return prod(self.shape)
+
+    @model_validator(mode="after")
+    def _divides_and_mirrors(self) -> Self:
+        limits = {"phi_deg": paper.PHI_LIMIT_DEG, "x": paper.X_LIMIT}
+        for name in ("phi_deg", "phi_dot_deg", "x", "x_dot"):
+            ends, limit = getattr(self, name), limits.get(name, inf)
+            if any(low >= high for low, high in pairwise(ends)):
+                raise ValueError(f"{name} must rise, got {list(ends)}")
+            if ends != tuple(-end for end in reversed(ends)):
+                raise ValueError(f"{name} must be symmetric about zero, got {list(ends)}")
+            if ends[-1] >= limit:
+                raise ValueError(f"{name} must lie within the limit {limit:g}, got {list(ends)}")
+        if 0.0 not in self.phi_deg:
+            raise ValueError(f"phi_deg must have the end 0, got {list(self.phi_deg)}")
+        if self.count > MOST_BOXES:
+            raise ValueError(f"the ends make {self.count:,} boxes, at most {MOST_BOXES:,} fit")
+        return self
 
 
 class LearningSettings(Value):
@@ -313,6 +374,7 @@ class Settings(Value):
     clik: ClikSettings = ClikSettings()
     controller: ControllerSettings = ControllerSettings()
     plant: PlantSettings = PlantSettings()
+    boxes: BoxSettings = BoxSettings()
     learning: LearningSettings = LearningSettings()
     selection: SelectionSettings = SelectionSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
@@ -332,7 +394,7 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "robust": {},
     "paper": {
         "controller.predict": False,
-        "controller.look_ahead": 0.0,
+        "boxes.look_ahead": 0.0,
         "controller.estimate_bias": False,
         "plant.ideal": True,
         "plant.linearised": True,

@@ -22,7 +22,7 @@ from equipoise import paper
 from equipoise.artefacts import PartialFile, Provenance, StrPath, value_digest
 from equipoise.checks.recoverable import check_releases
 from equipoise.compiled import kernel_sources_digest
-from equipoise.control import boxes
+from equipoise.control.boxes import ACTIONS, partition
 from equipoise.control.policy import (
     Checkpoint,
     LearningPoint,
@@ -344,6 +344,10 @@ def _task(
 ) -> _Task:
     check_task(pendulum, arm, settings, actuator, target)
     actuator = actuator or default_actuator(settings)
+    if init_policy is not None and init_policy.settings.boxes != settings.boxes:
+        raise InputError(
+            "the policy to go on from has other boxes than the settings; train with its boxes"
+        )
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
     return _Task(pendulum, arm, settings, actuator, seed, init_policy)
 
@@ -361,12 +365,13 @@ def _train(
     plant = trial_plant(pendulum, arm, settings, actuator, seed)
     # The boxes do not resolve speeds below the limit; selection finds the tables that respect it.
     of_episodes = plant.params._replace(speed_limit=inf)
-    config, kernel = training_config(settings), compile_learner(settings.learning)
-    training = new_training_state(load_learner(settings.learning).tables)
+    config = training_config(settings, pendulum.parameters().k)
+    kernel, boxes = compile_learner(settings.learning), settings.boxes.count
+    training = new_training_state(boxes, load_learner(settings.learning).tables)
     tables, totals = training.tables, training.totals
     if task.init_policy is not None:
         tables.Q[:], tables.visits[:] = task.init_policy.table, task.init_policy.visits
-    candidates = _Candidates(settings.selection, config.episodes)
+    candidates = _Candidates(settings.selection, config.episodes, np.zeros((boxes, ACTIONS)))
     every = settings.selection.every or max(1, config.episodes // MAX_REPORTS)
     curve: list[LearningPoint] = []
     if (before := checkpoints.states.get(str(learner))) is not None:
@@ -400,7 +405,6 @@ def _train(
         chosen = candidates.averages[order[0][0]]
         results = tuple(result for _, result in order)
     return TabularPolicy(
-        boxes=boxes.describe(),
         actions=paper.ACTIONS,
         Q=tuple(tuple(row) for row in chosen.tolist()),
         visits=tuple(tuple(row) for row in tables.visits.tolist()),
@@ -425,7 +429,8 @@ class _Candidates:
     rule: SelectionSettings
     episodes: int
     """Number of episodes of the training."""
-    averaged: Array = field(default_factory=lambda: np.zeros((boxes.COUNT, boxes.ACTIONS)))
+    averaged: Array
+    """Running average of the table, shape (boxes, 8)."""
     count: int = 0
     """Number of tables in the average."""
     found: dict[bytes, tuple[int, Array]] = field(default_factory=dict[bytes, tuple[int, Array]])
@@ -457,9 +462,10 @@ class _Candidates:
 
     def restore(self, state: LearnerState) -> None:
         """Restore the candidates of a checkpoint."""
-        self.averaged, self.count = table(state.averaged), state.averages
+        boxes = len(self.averaged)
+        self.averaged, self.count = table(state.averaged, boxes), state.averages
         for stored in state.candidates:
-            self._take(stored.episodes, table(stored.Q))
+            self._take(stored.episodes, table(stored.Q, boxes))
 
     def state(self, training: TrainingState, curve: Sequence[LearningPoint]) -> LearnerState:
         """Return the state of the training and its candidates."""
@@ -574,7 +580,7 @@ def software() -> str:
     return json.dumps(Provenance.now("", None).software) + kernel_sources_digest()
 
 
-def training_config(settings: Settings) -> TrainingConfig:
+def training_config(settings: Settings, k: float) -> TrainingConfig:
     """Return the configuration of the episode loop."""
     s = settings.learning
     values: dict[str, Any] = {**dict(settings.plant), **dict(s)}
@@ -584,4 +590,5 @@ def training_config(settings: Settings) -> TrainingConfig:
         update=UpdateParams(*(values[name] for name in UpdateParams._fields)),
         start=(s.start_x, s.start_x_dot, s.start_phi, s.start_phi_dot),
         actions=paper.ACTIONS,
+        boxes=partition(settings.boxes, k),
     )

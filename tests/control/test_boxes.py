@@ -5,22 +5,22 @@ from math import inf, nextafter, pi
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from equipoise.control.boxes import (
-    COUNT,
-    SHAPE,
+    box_count,
     box_index,
-    boxes,
-    describe,
     greedy_actions,
     interval_index,
     mirrored_box,
+    partition,
 )
+from equipoise.errors import SettingsError
+from equipoise.settings import BoxSettings, resolve
 from tests.reference import intervals as printed
 
-BOXES = boxes()
+BOXES = partition(BoxSettings(look_ahead=0.0), 1.0)
 CENTRE = {"phi": 0.01, "phi_dot": 0.0, "x": 0.0, "x_dot": 0.0}
 INNER_EDGES = [
     (axis, interval.low * unit)
@@ -95,7 +95,7 @@ def test_all_270_boxes_can_be_reached():
     ]
     # In the order of the indices: that of the file, with x_dot the fastest.
     assert found == list(range(270))
-    assert COUNT == np.prod(SHAPE) == 270
+    assert BoxSettings().count == box_count(BOXES) == np.prod(BoxSettings().shape) == 270
 
 
 @pytest.mark.parametrize("far", [1e3, 1e300])
@@ -110,21 +110,16 @@ def test_minus_zero_is_zero():
     assert box_of(phi=-0.0) == box_of(phi=0.0) == box_of(phi=0.001)
 
 
-def test_the_limits_are_those_of_a_failure_in_si_units():
-    assert pytest.approx(11 * pi / 180, rel=1e-15) == BOXES.phi_limit
-    assert BOXES.x_limit == 0.22
-
-
 def test_the_mirror_image_counts_each_axis_from_its_other_end():
-    for box in range(COUNT):
+    for box in range(270):
         i, j, k, m = unpacked(box)
-        assert unpacked(int(mirrored_box(box))) == (5 - i, 4 - j, 2 - k, 2 - m)
+        assert unpacked(int(mirrored_box(box, 270))) == (5 - i, 4 - j, 2 - k, 2 - m)
 
 
 def test_mirroring_is_an_involution_without_a_fixed_point():
-    images = [int(mirrored_box(box)) for box in range(COUNT)]
-    assert sorted(images) == list(range(COUNT))
-    assert all(images[images[box]] == box != images[box] for box in range(COUNT))
+    images = [int(mirrored_box(box, 270)) for box in range(270)]
+    assert sorted(images) == list(range(270))
+    assert all(images[images[box]] == box != images[box] for box in range(270))
 
 
 @given(
@@ -138,15 +133,15 @@ def test_away_from_the_edges_the_mirrored_state_is_in_the_mirrored_box(x, x_dot,
     mirrored = {axis: -value for axis, value in state.items()}
     on_an_edge = any(abs(state[axis]) == abs(edge) for axis, edge in INNER_EDGES)
     if not on_an_edge:
-        assert box_of(**mirrored) == mirrored_box(box_of(**state))
+        assert box_of(**mirrored) == mirrored_box(box_of(**state), 270)
 
 
 def test_on_an_edge_of_phi_binning_the_mirrored_state_is_another_box():
     # Why mirroring is a map of indices: [1, 5[ holds 1 degree, its image [-5, -1[ not -1 degree.
     one = 1 * pi / 180
-    assert box_of(phi=-one) != mirrored_box(box_of(phi=one))
+    assert box_of(phi=-one) != mirrored_box(box_of(phi=one), 270)
     # x closes outward, ]-0.22, -0.08] and [0.08, 0.22[: there both are the same.
-    assert box_of(x=-0.08, phi=-0.01) == mirrored_box(box_of(x=0.08, phi=0.01))
+    assert box_of(x=-0.08, phi=-0.01) == mirrored_box(box_of(x=0.08, phi=0.01), 270)
 
 
 @given(
@@ -162,21 +157,52 @@ def test_an_index_counts_the_edges_that_a_value_has_passed(edges, value, data):
         assert interval_index(float(value), axis) == len(passed)
 
 
-def test_a_file_says_the_boxes_in_the_notation_of_the_paper():
-    described = describe()
-    for texts, axis in [
-        (described.phi_deg, "phi"),
-        (described.phi_dot_deg, "phi_dot"),
-        (described.x, "x"),
-        (described.x_dot, "x_dot"),
-    ]:
-        plain = [
-            text.replace("inf", r"\infty").replace(r", \infty", r", +\infty") for text in texts
-        ]
-        assert (
-            tuple(map(printed.read, (text.replace(", ", ",") for text in plain)))
-            == (printed.AXES[axis][0])
-        )
+ENDS = {
+    name: st.lists(st.floats(0.01, limit), min_size=1, max_size=4, unique=True).map(
+        lambda found, zero=zero: tuple(sorted({*found, *(-end for end in found), *zero}))
+    )
+    for name, limit, zero in (
+        ("phi_deg", 10.9, (0.0,)),
+        ("phi_dot_deg", 400.0, ()),
+        ("x", 0.21, ()),
+        ("x_dot", 2.0, ()),
+    )
+}
+
+
+@given(ends=st.fixed_dictionaries(ENDS), state=st.tuples(*(st.floats(-1, 1) for _ in range(4))))
+def test_any_ends_give_the_box_that_numpy_gives_and_its_mirror_image(ends, state):
+    given = BoxSettings(**ends, look_ahead=0.0)
+    boxes = partition(given, 1.0)
+    state = np.array(state) * (0.19, 8.0, 0.22, 2.5)
+    unit = (np.pi / 180, np.pi / 180, 1.0, 1.0)
+    places = [
+        int(np.searchsorted(np.array(ends[name]) * scale, value, side="right"))
+        for name, scale, value in zip(ENDS, unit, state, strict=True)
+    ]
+    phi, phi_dot, x, x_dot = state.tolist()
+    assume(bool(np.all(state)))  # zero is its own mirror image
+    box = int(box_index(x, x_dot, phi, phi_dot, boxes))
+    assert box == np.ravel_multi_index(places, given.shape)
+    assert int(box_index(-x, -x_dot, -phi, -phi_dot, boxes)) == mirrored_box(box, given.count)
+
+
+@pytest.mark.parametrize(
+    ("ends", "message"),
+    [
+        ("boxes.x=[0.1, -0.1]", "x must rise"),
+        ("boxes.x=[-0.1, 0.05]", "x must be symmetric about zero"),
+        ("boxes.x=[-0.22, 0.22]", "x must lie within the limit 0.22"),
+        ("boxes.phi_deg=[-5, 5]", "phi_deg must have the end 0"),
+        ("boxes.phi_dot_deg=[]", "phi_dot_deg"),
+        ("boxes.x_dot=fast", "x_dot"),
+        ("boxes.x_dot=[nan]", "x_dot"),
+    ],
+)
+def test_ends_that_divide_nothing_are_refused_with_one_sentence(ends, message):
+    with pytest.raises(SettingsError, match=message) as refused:
+        resolve(overrides=[ends])
+    assert "\n" not in str(refused.value)
 
 
 def mirror_image(Q):
@@ -202,8 +228,8 @@ def test_a_symmetric_table_gives_a_symmetric_policy_whatever_its_ties(box, row, 
     Q[135:] = mirror_image(Q)[135:]
     assert np.array_equal(Q, mirror_image(Q))
     chosen = greedy_actions(Q)
-    for box in range(COUNT):
-        assert chosen[mirrored_box(box)] == 7 - chosen[box]
+    for box in range(270):
+        assert chosen[mirrored_box(box, 270)] == 7 - chosen[box]
 
 
 def test_a_table_of_zeros_pushes_towards_the_side_to_which_the_pendulum_tips():
@@ -216,9 +242,10 @@ def test_a_table_of_zeros_pushes_towards_the_side_to_which_the_pendulum_tips():
 @pytest.mark.parametrize("phi_dot", [-1.0, 0.0, 0.3])
 def test_x_is_continued_at_the_velocity_of_the_centre_of_percussion(x_dot, phi_dot):
     state = {"x_dot": x_dot, "phi": 0.0, "phi_dot": phi_dot}
+    plain, ahead = (partition(BoxSettings(look_ahead=time), 8.0) for time in (0.0, 0.5))
     for x in (-0.2, -0.05, 0.0, 0.1, 0.2):
-        assert box_index(x, **state, boxes=boxes(0.0)) == box_index(x, **state, boxes=BOXES)
+        assert box_index(x, **state, boxes=plain) == box_index(x, **state, boxes=BOXES)
         # I / (m l) = 1 / k = 0.125 m from the pivot.
         there = x + 0.5 * (x_dot + 0.125 * phi_dot)
-        seen = box_index(x, **state, boxes=boxes(0.5, k=8.0))
+        seen = box_index(x, **state, boxes=ahead)
         assert seen == box_index(there, **state, boxes=BOXES)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise import paper
-from equipoise.control.boxes import boxes, describe
+from equipoise.control.boxes import partition
 from equipoise.control.policy import (
     LINEAR,
     RANDOM,
@@ -18,12 +18,12 @@ from equipoise.control.policy import (
     act,
     table_kernel,
 )
-from equipoise.errors import ArtefactError
 from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.settings import Settings
+from equipoise.settings import BoxSettings, Settings
 from tests.reference.intervals import place
 
+BOXES = partition(BoxSettings(look_ahead=0.0), 1.0)
 STATE = (0.0, 0.0, 0.01, 0.0)
 states = st.tuples(
     st.floats(-0.219, 0.219), st.floats(-2, 2), st.floats(-0.19, 0.19), st.floats(-9, 9)
@@ -35,7 +35,6 @@ def table(values=None, **changes):
     if values is None:
         values = np.random.default_rng(1).normal(size=(270, 8))
     return {
-        "boxes": describe(),
         "actions": paper.ACTIONS,
         "Q": tuple(map(tuple, values.tolist())),
         "visits": ((0,) * 8,) * 270,
@@ -64,7 +63,7 @@ def policy(pendulum):
 def test_a_table_commands_what_stands_in_the_box_of_the_paper(state, seed):
     x, x_dot, phi, phi_dot = state
     u_of_box = np.random.default_rng(seed).uniform(-2, 2, (6, 5, 3, 3))
-    kernel = table_kernel(u_of_box.ravel(), boxes())
+    kernel = table_kernel(u_of_box.ravel(), BOXES)
     assert act(kernel, x, x_dot, phi, phi_dot, 0.0) == u_of_box[place(x, x_dot, phi, phi_dot)]
 
 
@@ -92,7 +91,7 @@ def test_a_random_policy_gives_each_action_the_same_share_of_the_chances():
 
 def test_a_kernel_has_a_table_of_its_own():
     u_of_box = np.ones(270)
-    kernel = table_kernel(u_of_box, boxes())
+    kernel = table_kernel(u_of_box, BOXES)
     u_of_box[:] = -1.0
     assert act(kernel, *STATE, 0.0) == 1.0
 
@@ -164,24 +163,12 @@ ROW = (0.0,) * 8
         ({"actions": (*paper.ACTIONS, 3.0)}, "actions"),
         ({"actuator": "lag"}, "actuator"),
         ({"actuator": None}, "actuator"),
-        ({"boxes": describe().model_copy(update={"x": ("]-1, 1[",)})}, "boxes"),
         (
-            {"boxes": describe().model_copy(update={"phi_deg": ("]-11, -5]",) * 6})},
-            "boxes",
+            {"settings": Settings(boxes=BoxSettings(x=(-0.1, -0.05, 0.05, 0.1)))},
+            "Q must have 450 rows of 8",
         ),
     ],
 )
 def test_a_table_that_does_not_fit_the_boxes_is_refused(pendulum, changes, message):
     with pytest.raises(ValueError, match=message):
         TabularPolicy(**table(pendulum=pendulum, **changes))
-
-
-def test_a_file_with_other_boxes_is_refused_with_one_sentence(policy, tmp_path):
-    path = tmp_path / "policy.json"
-    other = policy.model_copy(
-        update={"boxes": policy.boxes.model_copy(update={"x": ("]-0.3, 0.3[",)})}
-    )
-    other.save(path, command="test")  # its digest is right
-    with pytest.raises(ArtefactError, match="boxes or actions are not the ones") as refused:
-        TabularPolicy.load(path)
-    assert "\n" not in str(refused.value)

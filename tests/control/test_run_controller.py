@@ -72,7 +72,8 @@ class Course:
             h=H, counts_per_rev=COUNTS,
         )  # fmt: skip
         self.guard = guard
-        self.pilot = RunController(ARM, controller, tick_policy(POLICY), guard, q, duration=60.0)
+        boxes, policy = POLICY.settings.boxes, tick_policy(POLICY)
+        self.pilot = RunController(ARM, controller, boxes, policy, guard, q, duration=60.0)
         self.tick_number, self.now = 0, 0.0
         self.theta = lambda time: 0.0
         self.samples_lost = frozenset()

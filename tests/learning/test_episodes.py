@@ -38,12 +38,12 @@ WORD = 2**32
 
 def config(**changes):
     """Return constants of the loop with some settings changed."""
-    return training_config(resolve())._replace(**changes)
+    return training_config(resolve(), 5.0)._replace(**changes)
 
 
 def params(**changes):
     """Return constants of an update with some settings changed."""
-    return training_config(resolve()).update._replace(**changes)
+    return training_config(resolve(), 5.0).update._replace(**changes)
 
 
 def problem(pendulum, recipe, *overrides, actuator=IDEAL_ACTUATOR):
@@ -55,14 +55,14 @@ def problem(pendulum, recipe, *overrides, actuator=IDEAL_ACTUATOR):
 
 
 def trained(plant, parameters, settings, *stops, seed=0, number=0):
-    training = new_training_state(load_learner(settings.learning).tables)
+    training = new_training_state(270, load_learner(settings.learning).tables)
     for until in stops:
         go_on(plant, parameters, settings, training, until, seed, number)
     return training
 
 
 def go_on(plant, parameters, settings, training, until, seed=0, number=0):
-    constants, learner = training_config(settings), compile_learner(settings.learning)
+    constants, learner = training_config(settings, parameters.k), compile_learner(settings.learning)
     train_episodes(plant, parameters, constants, learner, training, until, seed, number)
 
 
@@ -166,7 +166,7 @@ def test_with_a_mirror_the_table_is_symmetric_to_the_bit(pendulum, held):
         pendulum, "robust", "learning.episodes=60", f"learning.hold_action={held}"
     )
     progress = trained(plant, parameters, settings, 60)
-    image = [int(mirrored_box(box)) for box in range(270)]
+    image = [int(mirrored_box(box, 270)) for box in range(270)]
     assert np.array_equal(progress.tables.Q, progress.tables.Q[image][:, ::-1])
     assert np.array_equal(progress.tables.visits, progress.tables.visits[image][:, ::-1])
     # Every update has its image; an action that is held is updated once for all of its steps.

@@ -29,7 +29,7 @@ def corridor(state, action):
 
 def learned(name, updates, seed=0):
     """Return the tables after a walk on the corridor, with falling learning rates."""
-    learner, tables = named_learner(name), new_tables(named_learner(name).tables)
+    learner, tables = named_learner(name), new_tables(270, named_learner(name).tables)
     params = UpdateParams(1.0, 0.2, 0.0, 0.7, False)
     rng = np.random.default_rng(seed)
     state = int(rng.integers(1, STATES + 1))
@@ -85,7 +85,7 @@ def test_sarsa_finds_the_values_of_the_policy_that_explores():
 def test_double_q_moves_one_table_towards_the_value_of_the_other(chance, moved):
     rng = np.random.default_rng(3)
     A, B = rng.normal(size=(2, 270, 8))
-    tables = new_tables(1)
+    tables = new_tables(270, 1)
     tables.Q[:], tables.own[0] = (A + B) / 2, (A - B) / 2
     given = transition(4, 5, -0.25, 9, chance=chance)
     double_q.update(tables, given, UpdateParams(0.5, 0.0, 0.0, 0.0, False))
@@ -97,7 +97,7 @@ def test_double_q_moves_one_table_towards_the_value_of_the_other(chance, moved):
 
 def test_watkins_carries_a_failure_back_until_an_action_that_was_not_the_best():
     watkins, params = named_learner("watkins"), UpdateParams(1.0, 0.0, 0.0, 0.5, False)
-    tables = new_tables(watkins.tables)
+    tables = new_tables(270, watkins.tables)
     watkins.update(tables, transition(1, 0, 0.0, 2, 0, lane=3), params)
     tables.Q[4, 1] = -0.5  # so that action 1 in box 4 is not the best
     watkins.update(tables, transition(2, 0, 0.0, 4, 1, lane=3), params)

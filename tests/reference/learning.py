@@ -87,7 +87,7 @@ class Episode:
             zero=uniform(w2, -rig.zero_error, rig.zero_error),
         )
         reset(plant, self.block, own, variation, start, 0)
-        self.look_ahead, self.length = settings.controller.look_ahead, 1.0 / pendulum.k
+        self.look_ahead, self.length = settings.boxes.look_ahead, 1.0 / pendulum.k
         self.cell = self.place()
         self.action, self.held, self.gained, self.coin = -1, 0, 0.0, 0.0
         self.discount = 1.0  # gamma to the number of steps held, a product as it grows

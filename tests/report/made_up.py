@@ -6,7 +6,6 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.artefacts import Estimate, Provenance
-from equipoise.control.boxes import describe
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
 from equipoise.evaluation import Evaluation, TrialResults
 from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd
@@ -100,7 +99,6 @@ def policy(of, recipe="robust", unvisited=7):
         for n in (9000, 8000, 10000)
     ]
     return TabularPolicy(
-        boxes=describe(),
         actions=paper.ACTIONS,
         Q=tuple(map(tuple, np.outer(lean, paper.ACTIONS).tolist())),
         visits=tuple(map(tuple, visits.tolist())),

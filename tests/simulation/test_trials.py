@@ -10,7 +10,15 @@ from scipy import stats
 
 from equipoise import paper
 from equipoise.control.baselines import lqr_gains
-from equipoise.control.boxes import ANGLE, CAUSES, JOINT_LIMIT, TRACK, TRUNCATED, boxes, cause_named
+from equipoise.control.boxes import (
+    ANGLE,
+    CAUSES,
+    JOINT_LIMIT,
+    TRACK,
+    TRUNCATED,
+    cause_named,
+    partition,
+)
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, act, table_kernel
 from equipoise.control.trial_safety import guard_named
 from equipoise.learning.closed_loop import (
@@ -29,7 +37,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
-from equipoise.settings import resolve
+from equipoise.settings import BoxSettings, resolve
 from equipoise.simulation.plant import run_trials
 from equipoise.simulation.trials import available_cores, draw_trials, run_over_cores
 from tests.simulation.recorded import on_the_plant, record, run_all
@@ -60,7 +68,7 @@ def kernels():
     rng = np.random.default_rng(0)
     gains = lqr_gains(PENDULUM, paper.STEP)
     return {
-        "table": table_kernel(rng.choice(paper.ACTIONS, 270), boxes()),
+        "table": table_kernel(rng.choice(paper.ACTIONS, 270), partition(BoxSettings(), 1.0)),
         "linear": PolicyKernel(LINEAR, gains=gains),
         "snapped": PolicyKernel(SNAPPED, gains=gains),
         "random": PolicyKernel(RANDOM),

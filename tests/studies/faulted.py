@@ -133,6 +133,7 @@ def run_with(fault, seed, path):
     pilot = RunController(
         arm,
         controller,
+        request.policy.settings.boxes,
         KernelPolicy(fault.policy or request.policy.kernel),
         guard,
         robot.started_at,

@@ -33,7 +33,7 @@ from scipy.sparse import block_array, block_diag, csr_array, eye_array
 from scipy.special import ndtri
 
 from equipoise import paper
-from equipoise.control.boxes import boxes
+from equipoise.control.boxes import PHI_LIMIT
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.errors import SettingsError
 from equipoise.learning.closed_loop import MIN_INERTIA_FACTOR, scaled
@@ -85,7 +85,7 @@ class RecoveryParams(NamedTuple):
     """T, from the release to the acceleration of the flange [s]."""
     u_max: float = paper.U_MAX
     """Largest acceleration of the flange [m/s^2]."""
-    phi_limit: float = boxes().phi_limit
+    phi_limit: float = PHI_LIMIT
     """Failure angle [rad]."""
     x_limit: float = paper.X_LIMIT
     """Failure displacement of the flange [m]."""

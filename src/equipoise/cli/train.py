@@ -67,7 +67,7 @@ def train(
     """Train a policy by Q-learning, or by another learner.
 
     Learners are trained one after the other until a policy meets the target in
-    trials that chose nothing. Writes the policy: the table of 270 boxes by 8
+    trials that chose nothing. Writes the policy: the table of boxes by 8
     actions, its learning curve, its test, and everything needed to train it
     again. Exit code 1: no learner meets the target; the best policy is written
     and marked. After an interruption the same command with --resume continues.

@@ -31,7 +31,6 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
-from equipoise.control.boxes import Boxes, boxes
 from equipoise.control.clik import (
     GAMMA,
     REFERENCE_SIZE,
@@ -132,8 +131,6 @@ class ControllerParams(NamedTuple):
     """Angle of one encoder count, with the encoder's sign [rad]."""
     correction: float
     """Share of the difference between measured and modelled q that is corrected per tick [-]."""
-    boxes: Boxes
-    """The boxes of a table."""
 
 
 class ControllerState(NamedTuple):
@@ -253,7 +250,6 @@ def make_controller_params(
         gains=observer_gains(pendulum, own, counts_per_rev, h),
         resolution=2.0 * pi / counts_per_rev,
         correction=own.correction,
-        boxes=boxes(own.look_ahead, pendulum.k),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import kernel
-from equipoise.control.boxes import box_index
+from equipoise.control.boxes import box_index, partition
 from equipoise.control.clik import manipulability
 from equipoise.control.control_step import (
     SETPOINTS_PER_TICK,
@@ -26,6 +26,7 @@ from equipoise.control.policy import Policy
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST, KinematicsFunction
 from equipoise.model.elementary import BATCH_SIZE, at
+from equipoise.settings import BoxSettings
 
 Array = npt.NDArray[np.float64]
 
@@ -61,9 +62,10 @@ class StateEstimate(NamedTuple):
 class Controller:
     """A controller with its state."""
 
-    def __init__(self, arm: Arm, controller: ControllerParams) -> None:
+    def __init__(self, arm: Arm, controller: ControllerParams, boxes: BoxSettings) -> None:
         """Begin at home, at rest."""
         self._arm, self._controller = arm, controller
+        self._boxes = partition(boxes, controller.pendulum.k)
         self._state = new_controller_state()
         self._free = list(arm.free)
         self._home_x = float(controller.home_reference[POSITION])
@@ -105,7 +107,7 @@ class Controller:
     @property
     def box(self) -> int:
         """Box of the observation."""
-        return int(box_index(*self.observation, self._controller.boxes))
+        return int(box_index(*self.observation, self._boxes))
 
     def command(self, u: float) -> tuple[tuple[float, ...], ...]:
         """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""

@@ -20,12 +20,12 @@ from equipoise import paper
 from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Share, Value, value_digest
 from equipoise.compiled import inlined, kernel
 from equipoise.control import boxes
-from equipoise.control.boxes import BoxDescription, Boxes, box_index
+from equipoise.control.boxes import Boxes, box_count, box_index
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import DEPLOYMENT, philox, uniform
-from equipoise.settings import MOST_CANDIDATES, Settings, describe_recipe
+from equipoise.settings import MOST_CANDIDATES, BoxSettings, Settings, describe_recipe
 from equipoise.views import Viewable
 
 Array = npt.NDArray[np.float64]
@@ -53,13 +53,13 @@ class PolicyKernel(NamedTuple):
 
     kind: int
     """TABLE, LINEAR (clipped to the range of the actions), SNAPPED (to an action) or RANDOM."""
-    u_of_box: Array = np.zeros(boxes.COUNT)
-    """Acceleration of each box [m/s^2], one table after the other, shape (270 m,); for TABLE."""
+    u_of_box: Array = np.zeros(0)
+    """Acceleration of each box [m/s^2], one table after the other; for TABLE."""
     gains: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Gains of u = gains . (x, x_dot, phi, phi_dot); for LINEAR and SNAPPED."""
     actions: tuple[float, ...] = paper.ACTIONS
     """The eight accelerations [m/s^2]."""
-    boxes: Boxes = boxes.boxes()
+    boxes: Boxes = boxes.partition(BoxSettings(), 1.0)
     """Edges of the boxes."""
 
 
@@ -117,7 +117,8 @@ def table_action(
     policy: PolicyKernel, table: int, x: float, x_dot: float, phi: float, phi_dot: float
 ) -> float:
     """Return the acceleration [m/s^2] of one of the tables of a policy of kind TABLE."""
-    return policy.u_of_box[boxes.COUNT * table + box_index(x, x_dot, phi, phi_dot, policy.boxes)]
+    box = box_index(x, x_dot, phi, phi_dot, policy.boxes)
+    return policy.u_of_box[box_count(policy.boxes) * table + box]
 
 
 @kernel
@@ -157,7 +158,7 @@ def table_kernel(u_of_box: Array, partition: Boxes) -> PolicyKernel:
     """Return the kernel of m tables.
 
     Args:
-        u_of_box: Acceleration of each box [m/s^2], one table after the other, shape (270 m,);
+        u_of_box: Acceleration of each box [m/s^2], one table after the other;
             copied.
         partition: The boxes.
     """
@@ -284,16 +285,14 @@ class TabularPolicy(Viewable, Artefact):
     """A trained table, with its task and the settings to train it again."""
 
     FORMAT: ClassVar[str] = "equipoise-policy"
-    VERSION: ClassVar[int] = 3
+    VERSION: ClassVar[int] = 4
 
-    boxes: BoxDescription
-    """The boxes, in the paper's notation."""
     actions: Annotated[tuple[Number, ...], Field(max_length=len(paper.ACTIONS))]
     """Accelerations [m/s^2]."""
     Q: tuple[tuple[Number, ...], ...]
-    """State-action values, 270 x 8."""
+    """State-action values, a row of 8 for each box."""
     visits: tuple[tuple[Count, ...], ...]
-    """Number of updates of each value, 270 x 8."""
+    """Number of updates of each value, in the same shape."""
     h: float = Field(ge=0.001, le=0.1)
     """Time step [s]: at least the servo's cycle of 1 ms; with 0.1 s no policy balances."""
     pendulum: Pendulum
@@ -321,11 +320,9 @@ class TabularPolicy(Viewable, Artefact):
 
     @model_validator(mode="after")
     def _fits_the_boxes(self) -> Self:
-        if self.boxes != boxes.describe() or self.actions != paper.ACTIONS:
-            raise ValueError(
-                "the boxes or actions are not the ones of this Equipoise (the paper's 270 and 8)"
-            )
-        shape = (boxes.COUNT, boxes.ACTIONS)
+        if self.actions != paper.ACTIONS:
+            raise ValueError("the actions are not the ones of this Equipoise (the paper's eight)")
+        shape = (self.settings.boxes.count, boxes.ACTIONS)
         for name, table in (("Q", self.Q), ("visits", self.visits)):
             if len(table) != shape[0] or any(len(row) != shape[1] for row in table):
                 raise ValueError(f"{name} must have {shape[0]} rows of {shape[1]} numbers")
@@ -365,12 +362,12 @@ class TabularPolicy(Viewable, Artefact):
 
     @property
     def table(self) -> Array:
-        """Q as an array, shape (270, 8)."""
+        """Q as an array, shape (boxes, 8)."""
         return np.array(self.Q)
 
     @property
     def u_of_box(self) -> Array:
-        """Greedy acceleration of each box [m/s^2], shape (270,)."""
+        """Greedy acceleration of each box [m/s^2], shape (boxes,)."""
         return greedy_accelerations(self.table)
 
     @property
@@ -381,7 +378,7 @@ class TabularPolicy(Viewable, Artefact):
     @property
     def partition(self) -> Boxes:
         """The boxes for kernels."""
-        return boxes.boxes(self.settings.controller.look_ahead, self.pendulum.parameters().k)
+        return boxes.partition(self.settings.boxes, self.pendulum.parameters().k)
 
     def reset(self) -> None:
         """Do nothing: a table has no state."""
@@ -393,7 +390,7 @@ class TabularPolicy(Viewable, Artefact):
 
 
 def greedy_accelerations(Q: Array) -> Array:
-    """Return the greedy acceleration of each box [m/s^2], shape (270,), of a table."""
+    """Return the greedy acceleration of each box [m/s^2], shape (boxes,), of a table."""
     return np.array(paper.ACTIONS)[boxes.greedy_actions(Q)]
 
 

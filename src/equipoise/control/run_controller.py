@@ -35,6 +35,7 @@ from equipoise.control.stop import Ramp, at_rest, ramp, stoppable_speeds, way_ba
 from equipoise.control.ticks import OK, OperatorMessage, TickInputs, TickOutput, TickRecord
 from equipoise.model.arms.arm import Arm
 from equipoise.printable import printable
+from equipoise.settings import BoxSettings
 
 Array = npt.NDArray[np.float64]
 Setpoints = tuple[tuple[float, ...], tuple[float, ...]]
@@ -88,6 +89,7 @@ class RunController:
         self,
         arm: Arm,
         controller: ControllerParams,
+        boxes: BoxSettings,
         policy: Policy,
         safety_params: SafetyParams,
         q: Sequence[float],
@@ -100,6 +102,7 @@ class RunController:
         Args:
             arm: The arm with its home.
             controller: Constants of the control step, with the rig's counts per revolution.
+            boxes: Boxes whose numbers the records hold.
             policy: Any policy.
             safety_params: Safety limits of the rig.
             q: Measured joints, all of them [rad].
@@ -107,7 +110,7 @@ class RunController:
             clock: Clock for the policy's computing time [s]; the default gives zero.
         """
         self._params, self._policy, self._safety = controller, policy, safety_params
-        self._controller = Controller(arm, controller)
+        self._controller = Controller(arm, controller, boxes)
         self._flange = FlangeKinematics(arm, controller)
         self._release = ReleaseDetector(controller.pendulum)
         self._duration, self._clock, self._h = duration, clock, controller.h

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.control.boxes import box_index, boxes, cause_named
+from equipoise.control.boxes import box_index, cause_named, partition
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TaskPolicy
 from equipoise.control.trial_safety import guard_named
@@ -87,7 +87,7 @@ def deploy(
             "replies": {"time": rows.measured[:, -1], "q": _all_joints(arm, rows.measured[:, :-1])},
             "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
         }
-    partition = boxes(settings.controller.look_ahead, pendulum.parameters().k)
+    boxes = partition(settings.boxes, pendulum.parameters().k)
     state = ("x", "x_dot", "phi", "phi_dot")
     return RunLog.simulated(
         RunConditions(
@@ -111,7 +111,7 @@ def deploy(
             "time": time,
             **dict(zip(state, rows.observation.T, strict=True)),
             "box": np.array(
-                [box_index(*row, boxes=partition) for row in rows.observation.tolist()], np.int64
+                [box_index(*row, boxes=boxes) for row in rows.observation.tolist()], np.int64
             ),
             "u": rows.u,
             "estimated_phi": rows.estimate[:, 0],

@@ -321,6 +321,7 @@ def run_on_rig(
         controller = RunController(
             request.settings.described_arm,
             request.controller(counts_per_rev),
+            request.policy.settings.boxes,
             policy,
             request.guard(counts_per_rev, max_speed),
             robot.started_at,
@@ -427,7 +428,7 @@ def warm_up(request: RunRequest) -> None:
     """
     settings, policy = request.settings, tick_policy(request.policy)
     arm, params = settings.described_arm, request.controller(settings.counts_per_rev)
-    controller, took = Controller(arm, params), list[float]()
+    controller, took = Controller(arm, params, request.policy.settings.boxes), list[float]()
     policy.reset()
     for _ in range(WARM_UP_CALLS):
         controller.observe(0.0, 0.0, arm.home, 0.0)

@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from equipoise import paper
 from equipoise.artefacts import StrPath
-from equipoise.control.boxes import COUNT, TRUNCATED, box_index, boxes, cause_named
+from equipoise.control.boxes import TRUNCATED, box_index, cause_named, partition
 from equipoise.control.controller import Observation
 from equipoise.control.trial_safety import guard_named
 from equipoise.devices.operator import Operator
@@ -76,7 +76,7 @@ class BalanceEnv(gym.Env[Array, Any]):
     | `"raw"` | encoder counts, their age [s], measured joints [rad], their age [s] |
 
     With `"raw"` the shape is (10,) for an arm of seven joints. The world `ideal` has no encoder:
-    the observation is the state itself. `BoxIndexObservation` maps it to the paper's 270 boxes.
+    the observation is the state itself. `BoxIndexObservation` maps it to the number of a box.
 
     ## Rewards
 
@@ -338,9 +338,9 @@ class BalanceDiscreteEnv(BalanceEnv):
 
 
 class BoxIndexObservation(gym.ObservationWrapper[np.int64, Any, Array]):
-    """Observes the number of the box that a table sees, `Discrete(270)`.
+    """Observes the number of the box that a table sees, `Discrete(270)` with the paper's boxes.
 
-    The boxes of x hold the place on the track after the setting `controller.look_ahead`.
+    The boxes of x hold the place on the track after the setting `boxes.look_ahead`.
 
     A state outside all boxes, as at a failure, has the number 0; the episode ends there.
     """
@@ -350,12 +350,12 @@ class BoxIndexObservation(gym.ObservationWrapper[np.int64, Any, Array]):
         super().__init__(env)
         if env.observation_space.shape != (4,):
             raise InputError("the boxes need x, x_dot, phi and phi_dot; leave out observe='raw'")
-        self.observation_space = spaces.Discrete(COUNT)
         balance = env.unwrapped
         if not isinstance(balance, BalanceEnv):
             raise InputError(f"{balance} is not an environment of Equipoise")
         task = balance.task
-        self._boxes = boxes(task.settings.controller.look_ahead, task.pendulum.parameters().k)
+        self.observation_space = spaces.Discrete(task.settings.boxes.count)
+        self._boxes = partition(task.settings.boxes, task.pendulum.parameters().k)
 
     def observation(self, observation: Array) -> np.int64:
         """Return the number of the box."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pydantic import ConfigDict, Field
 
 from equipoise.artefacts import Artefact, Count, Number, Value
-from equipoise.control.boxes import ACTIONS, COUNT
+from equipoise.control.boxes import ACTIONS
 from equipoise.control.policy import LearningPoint, TabularPolicy, TargetTest
 from equipoise.errors import ArtefactError
 from equipoise.learning.episodes import BEGUN, ENDED, IN_USE, TrainingState
@@ -32,7 +32,7 @@ class StoredCandidate(_Bytes):
     episodes: Count
     """Number of episodes before it."""
     Q: bytes
-    """Averaged state-action values, 270 x 8 float64."""
+    """Averaged state-action values; float64, a row of 8 for each box."""
 
 
 class LearnerState(_Bytes):
@@ -41,7 +41,7 @@ class LearnerState(_Bytes):
     training: bytes
     """All arrays of `episodes.TrainingState`, in their order."""
     averaged: bytes
-    """Running average of the table, 270 x 8 float64."""
+    """Running average of the table; float64, a row of 8 for each box."""
     averages: Count
     """Number of tables in the average."""
     candidates: tuple[StoredCandidate, ...]
@@ -106,7 +106,7 @@ def unpack(data: bytes, training: TrainingState) -> None:
     # Compiled code does not check its indices.
     totals = training.totals
     bounds = {
-        "box": (training.decisions.box, 0, COUNT),
+        "box": (training.decisions.box, 0, len(training.tables.Q)),
         "place": (training.decisions.place, 0, BATCH_SIZE),
         "action": (training.decisions.action, UNDECIDED, ACTIONS),
         "lanes in use": (totals[IN_USE], 0, BATCH_SIZE + 1),
@@ -117,15 +117,15 @@ def unpack(data: bytes, training: TrainingState) -> None:
             raise _damaged(f"{name} out of range")
 
 
-def table(data: bytes) -> npt.NDArray[np.float64]:
-    """Return a table of 270 x 8 numbers from its bytes.
+def table(data: bytes, boxes: int) -> npt.NDArray[np.float64]:
+    """Return a table from its bytes, shape (boxes, 8).
 
     Raises:
         ArtefactError: The bytes have another size.
     """
-    if len(data) != COUNT * ACTIONS * 8:
+    if len(data) != boxes * ACTIONS * 8:
         raise _damaged(f"a table of {len(data)} bytes")
-    return np.frombuffer(data, np.float64).reshape(COUNT, ACTIONS).copy()
+    return np.frombuffer(data, np.float64).reshape(boxes, ACTIONS).copy()
 
 
 def _arrays(values: Any) -> Iterator[npt.NDArray[Any]]:

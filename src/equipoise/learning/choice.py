@@ -37,7 +37,7 @@ from equipoise.learning.learner import (
     rewards_signature,
 )
 from equipoise.learning.learners import learner_names, named_learner
-from equipoise.settings import LearningSettings
+from equipoise.settings import BoxSettings, LearningSettings
 
 DIGEST_LENGTH: Final = 16
 """Number of hexadecimal digits of a guest's digest in a name."""
@@ -180,9 +180,10 @@ def _guest_reward(function: Any, name: str) -> Callable[..., float]:
 
 def _try_learner(learner: Learner, name: str) -> None:
     """Call the functions of a guest's learner once in Python, with a result and with a failure."""
-    tables = new_tables(learner.tables)
+    boxes = BoxSettings().count
+    tables = new_tables(boxes, learner.tables)
     params = UpdateParams(0.5, 0.0, 0.1, 0.5, True)
-    after = Transition(0, 0, -0.1, 0.9, 269, 7, False, False, 0.1, 0.5, 0)
+    after = Transition(0, 0, -0.1, 0.9, boxes - 1, 7, False, False, 0.1, 0.5, 0)
     try:
         action = learner.select(tables, 0, 0.1, 0.5, 0.5)
         for transition in (after, after._replace(failed=True, ended=True)):

@@ -21,16 +21,17 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from equipoise import paper
 from equipoise.compiled import inlined, kernel
 from equipoise.control.boxes import (
     ANGLE,
     JOINT_LIMIT,
+    PHI_LIMIT,
     SAFETY_STOP,
     TRACK,
     TRUNCATED,
     Boxes,
     box_index,
-    boxes,
 )
 from equipoise.control.clik import pose_error
 from equipoise.control.control_step import (
@@ -175,7 +176,7 @@ def make_loop_params(
         ArmError: Home is a singular posture.
         SettingsError: The delay exceeds the controller's history.
     """
-    limits, max_speed = boxes(), settings.plant.max_speed
+    max_speed = settings.plant.max_speed
     return LoopParams(
         controller=make_controller_params(
             arm,
@@ -186,8 +187,8 @@ def make_loop_params(
             counts_per_rev=settings.plant.counts_per_rev,
             has_sensor=actuator.kind != "ideal",
         ),
-        phi_limit=limits.phi_limit,
-        x_limit=limits.x_limit,
+        phi_limit=PHI_LIMIT,
+        x_limit=paper.X_LIMIT,
         speed_limit=inf if max_speed is None else max_speed,
         position_noise=settings.plant.position_error_sigma,
         orientation_noise=settings.plant.orientation_error_sigma,

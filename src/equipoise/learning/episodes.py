@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
-from equipoise.control.boxes import TRUNCATED
+from equipoise.control.boxes import TRUNCATED, Boxes
 from equipoise.learning.closed_loop import (
     BatchState,
     DomainRandomization,
@@ -93,6 +93,8 @@ class TrainingConfig(NamedTuple):
     zero_error: float
     actions: tuple[float, ...]
     """Accelerations [m/s^2]."""
+    boxes: Boxes
+    """Boxes of the tables."""
 
 
 @inlined
@@ -123,14 +125,15 @@ class TrainingState(NamedTuple):
     """Episodes begun, episodes ended, lanes in use, steps, steps of ended episodes; shape (5,)."""
 
 
-def new_training_state(tables: int = 0) -> TrainingState:
+def new_training_state(boxes: int, tables: int = 0) -> TrainingState:
     """Return the initial state of a training, with tables of zeros.
 
     Args:
+        boxes: Number of boxes of a table.
         tables: Number of tables of the learner's own.
     """
     return TrainingState(
-        tables=new_tables(tables),
+        tables=new_tables(boxes, tables),
         batch=new_batch_state(),
         episode=np.zeros(BATCH_SIZE, np.int64),
         tick=np.zeros(BATCH_SIZE, np.int64),
@@ -175,7 +178,7 @@ def begin_episode(
     decisions = training.decisions
     decisions.action[n], decisions.gained[n], decisions.discount[n] = UNDECIDED, 0.0, 1.0
     decisions.epsilon[n] = exploration(episode, config)
-    decisions.box[n] = box_of(training.batch.controller.observation, plant.controller.boxes, n)
+    decisions.box[n] = box_of(training.batch.controller.observation, config.boxes, n)
     training.totals[BEGUN] += 1
 
 
@@ -243,7 +246,7 @@ def train_episodes(
         totals[STEPS] += lanes
         learner.rewards(before, u, seen, cause, config.reward_failure, reward, lanes)
         for n in range(lanes):
-            box_next[n] = box_of(seen, plant.controller.boxes, n)
+            box_next[n] = box_of(seen, config.boxes, n)
         for n in range(lanes):
             gained[n] += discount[n] * reward[n]
             discount[n] *= config.gamma

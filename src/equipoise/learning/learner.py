@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.compiled import inlined
-from equipoise.control.boxes import ACTIONS, COUNT, TRUNCATED, mirrored_box
+from equipoise.control.boxes import ACTIONS, TRUNCATED, mirrored_box
 from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
 from equipoise.control.controller import Observation
 from equipoise.model.elementary import BATCH_SIZE, at
@@ -31,11 +31,11 @@ class Tables(NamedTuple):
     """Tables of a training, changed in place."""
 
     Q: Array
-    """State-action values of the policy, shape (270, 8)."""
+    """State-action values of the policy, shape (boxes, 8)."""
     visits: npt.NDArray[np.int64]
-    """Number of updates of each value, shape (270, 8)."""
+    """Number of updates of each value, shape (boxes, 8)."""
     own: Array
-    """Tables of the learner's own, shape (`Learner.tables`, 270, 8); zeros at the start."""
+    """Tables of the learner's own, shape (`Learner.tables`, boxes, 8); zeros at the start."""
 
 
 class Transition(NamedTuple):
@@ -96,7 +96,7 @@ def best_action(Q: Array, box: int, chance: float) -> int:
     """Return the action of the largest value of a box.
 
     Args:
-        Q: State-action values, shape (270, 8).
+        Q: State-action values, shape (boxes, 8).
         box: The box.
         chance: Uniform random number in [0, 1) that decides between equal values.
     """
@@ -116,7 +116,7 @@ def best_action(Q: Array, box: int, chance: float) -> int:
 @inlined
 def write_mirrored(table: npt.NDArray[Any], box: int, action: int) -> None:
     """Copy an entry of a table to its mirror image."""
-    table[mirrored_box(box), ACTIONS - 1 - action] = table[box, action]
+    table[mirrored_box(box, table.shape[0]), ACTIONS - 1 - action] = table[box, action]
 
 
 @inlined
@@ -166,7 +166,7 @@ class Learner(NamedTuple):
     select: Callable[[Tables, int, float, float, float], int] = epsilon_greedy
     """Choose an action: called as `select(tables, box, epsilon, chance, choice)`."""
     tables: int = 0
-    """Number of tables of the learner's own, 270 x 8 numbers each."""
+    """Number of tables of the learner's own."""
     chooses_ahead: bool = False
     """Whether the next action a' is chosen before the update and passed to it."""
 
@@ -349,12 +349,12 @@ def observed(block: Array, n: int) -> Observation:
     )
 
 
-def new_tables(count: int) -> Tables:
-    """Return tables of zeros, `count` of them the learner's own."""
+def new_tables(boxes: int, own: int) -> Tables:
+    """Return tables of zeros, `own` of them the learner's own."""
     return Tables(
-        Q=np.zeros((COUNT, ACTIONS)),
-        visits=np.zeros((COUNT, ACTIONS), np.int64),
-        own=np.zeros((count, COUNT, ACTIONS)),
+        Q=np.zeros((boxes, ACTIONS)),
+        visits=np.zeros((boxes, ACTIONS), np.int64),
+        own=np.zeros((own, boxes, ACTIONS)),
     )
 
 
@@ -391,12 +391,12 @@ def rewards_signature() -> Any:
 
 def choose_signature() -> Any:
     """Return Numba's signature of `LearnerKernel.choose`."""
-    given = new_tables(0), new_decisions(), new_draws()
+    given = new_tables(1, 0), new_decisions(), new_draws()
     return numba.void(*map(numba.typeof, given), numba.int64)
 
 
 def learn_signature() -> Any:
     """Return Numba's signature of `LearnerKernel.learn`."""
     params = UpdateParams(0.0, 0.0, 0.0, 0.0, False)
-    given = new_tables(0), new_decisions(), new_results(), new_draws(), params
+    given = new_tables(1, 0), new_decisions(), new_results(), new_draws(), params
     return numba.void(*map(numba.typeof, given), numba.int64)

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 from equipoise.artefacts import Value
 from equipoise.model.elementary import BATCH_SIZE
-from equipoise.settings import RECIPES, LearningSettings, Settings
+from equipoise.settings import RECIPES, BoxSettings, LearningSettings, Settings
 
 UNIT: Final = re.compile(r"\s*\[([^\]]+)\]")
 DIFFERENT: Final = frozenset(name for recipe in RECIPES.values() for name in recipe)
@@ -89,9 +89,11 @@ def departures(settings: Settings) -> Iterator[str]:
             yield "The table receives a prediction of the state at which its command takes effect."
         if controller.estimate_bias:
             yield "The error of the encoder's zero is estimated while balancing, and subtracted."
-    if controller.look_ahead > 0.0:
+    if not settings.boxes.same_ends(BoxSettings()):
+        yield f"The table has {settings.boxes.count} boxes (section 4.1: 270)."
+    if settings.boxes.look_ahead > 0.0:
         yield (
-            f"The x that selects a box is continued over {controller.look_ahead:g} s at the "
+            f"The x that selects a box is continued over {settings.boxes.look_ahead:g} s at the "
             "velocity of the pendulum's centre of percussion."
         )
     yield (

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from equipoise import paper
-from equipoise.control.boxes import COUNT
 from equipoise.model.sim_configs import MODEL, TwinSettings
+from equipoise.settings import BoxSettings
 from equipoise.studies.formatting import LASTED, format_end, format_failures, percent
 from equipoise.studies.results import Results, truth
 
@@ -20,8 +20,9 @@ def comparison(results: Results) -> Iterator[tuple[str, str, str, str]]:
     yield "Robot", "3, 4.3", "a real seven-joint arm", f"a simulated {policy.arm.name}, {where}"
     published, ours = f"around {paper.FREE_SWING_PERIOD:g} s", f"{results.pendulum.period:.4f} s"
     yield "Period of the free swing", "3.2", published, ours
-    published = f"{COUNT} boxes × {len(paper.ACTIONS)} accelerations"
-    ours = f"{len(policy.Q)} boxes × {len(policy.actions)} accelerations, the same ones"
+    published = f"{BoxSettings().count} boxes × {len(paper.ACTIONS)} accelerations"
+    same = ", the same ones" if policy.settings.boxes.same_ends(BoxSettings()) else ""
+    ours = f"{len(policy.Q)} boxes × {len(policy.actions)} accelerations{same}"
     yield "Table", "4.1", published, ours
     published = f"|φ| reaches {paper.PHI_LIMIT_DEG:g}° or |x| reaches {paper.X_LIMIT:g} m"
     yield "Failure", "4.1", published, "the same, or a joint exceeds its limits"

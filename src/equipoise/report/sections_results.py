@@ -43,7 +43,7 @@ def _policy(picture: html.Picture) -> html.Part:
             "policy",
             "Blue boxes accelerate left, red ones right. Hatched boxes were never visited in "
             "training: their entries have no meaning. The recorded run visited the framed boxes.",
-            "Commanded acceleration in each of the 270 boxes, as a grid of coloured numbers",
+            "Commanded acceleration in each of the boxes, as a grid of coloured numbers",
         ),
     )
 

@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from equipoise.compiled import handle, kernel
-from equipoise.control.boxes import boxes
 from equipoise.control.control_step import make_controller_params, new_controller_state
 from equipoise.control.policy import PolicyKernel
 from equipoise.control.trial_safety import TrialSafetyMonitor, new_trial_monitor, trial_safety
@@ -19,13 +18,13 @@ from equipoise.model.sim_configs import TwinSettings, pivot_friction
 from equipoise.simulation.interface import Array, Measurement, Setup, Simulation
 from equipoise.simulation.trials import Trial, Trials, draw_trials
 
-TwinHandle: Any = handle("TwinHandle", __name__, ("twin", "params", "state", "limits", "monitor"))
+TwinHandle: Any = handle("TwinHandle", __name__, ("twin", "params", "state", "monitor"))
 
 
 @kernel
 def new_twin_handle(trial: TwinTrial) -> Any:
     """Return a closed loop on a twin that kernels take by reference; see `trial.step`."""
-    return TwinHandle(trial.twin, trial.params, trial.state, trial.limits, trial.monitor)
+    return TwinHandle(trial.twin, trial.params, trial.state, trial.monitor)
 
 
 @kernel
@@ -91,13 +90,13 @@ class TwinSimulation(Simulation):
         self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
     ) -> None:
         """Run trials of a compiled policy in this thread; see `Simulation.run`."""
-        max_steps, limits = round(duration / self.params.h), boxes()
+        max_steps = round(duration / self.params.h)
         for row in rows:
             trial = trials.trial(row)
             _, _, phi, phi_dot = trial.start
             # The twin owns the memory of the engine and has to outlive the kernel's run.
             twin, state, monitor = self.twin(trial), new_controller_state(), self.monitor()
-            loop = TwinTrial(twin.kernel, self.params, state, limits, monitor)
+            loop = TwinTrial(twin.kernel, self.params, state, monitor)
             result = run_trial(loop, policy, phi, phi_dot, max_steps)
             trials.steps[row], trials.cause[row], trials.sum_x2[row] = result
 
@@ -122,7 +121,7 @@ class TwinLoop:
 
     def __init__(self, simulation: TwinSimulation) -> None:
         """Allocate the controller; the twin is made for each trial."""
-        self._simulation, self._limits = simulation, boxes()
+        self._simulation = simulation
         self._monitor = simulation.monitor()
         self.params, self.controller = simulation.params, new_controller_state()
         self.now, self.tracked = 0.0, 0.0
@@ -133,7 +132,7 @@ class TwinLoop:
         self._twin, self.pendulum = self._simulation.twin(trial), self._simulation.pendulum(trial)
         _, _, phi, phi_dot = trial.start
         twin, params, state = self._twin.kernel, self.params, self.controller
-        loop = TwinTrial(twin, params, state, self._limits, self._monitor)
+        loop = TwinTrial(twin, params, state, self._monitor)
         release(loop, phi, phi_dot)
         self._handle = new_twin_handle(loop)
         self._state, self.now, self.tracked = np.array(self._twin.truth()), 0.0, 0.0

@@ -144,6 +144,7 @@ def _of_rig(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
     controller = RunController(
         settings.described_arm,
         request.controller(counts_per_rev),
+        policy.settings.boxes,
         tick_policy(policy),
         request.guard(counts_per_rev, logged_speed_limit((e.name, e.text) for e in run.events)),
         began["q"][0].tolist(),
@@ -264,7 +265,8 @@ def _of_twin(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
         h=conditions.h,
         counts_per_rev=per_rev,
     )
-    return _control_steps(run, policy, Controller(policy.arm, params), params.resolution)
+    controller = Controller(policy.arm, params, policy.settings.boxes)
+    return _control_steps(run, policy, controller, params.resolution)
 
 
 def _control_steps(

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from equipoise import paper
 from equipoise.compiled import kernel
-from equipoise.control.boxes import ANGLE, JOINT_LIMIT, SAFETY_STOP, TRACK, TRUNCATED, Boxes
+from equipoise.control.boxes import ANGLE, JOINT_LIMIT, PHI_LIMIT, SAFETY_STOP, TRACK, TRUNCATED
 from equipoise.control.control_step import (
     OBS_PHI,
     OBS_PHI_DOT,
@@ -62,8 +63,6 @@ class TwinTrial(NamedTuple):
     """Constants of the controller."""
     state: ControllerState
     """State of the controller."""
-    limits: Boxes
-    """|x| and |phi| of failure."""
     monitor: TrialSafetyMonitor
     """Rules of the world with their state."""
 
@@ -96,7 +95,7 @@ def step(trial: TwinTrial) -> int:
         The cause of failure, TRUNCATED without one.
     """
     twin, controller, state, monitor = trial.twin, trial.params, trial.state, trial.monitor
-    limits, q = trial.limits, np.empty(FREE_JOINTS)
+    q = np.empty(FREE_JOINTS)
     command(controller, state, 1)
     for s in range(SETPOINTS_PER_TICK):
         for i in range(FREE_JOINTS):
@@ -116,9 +115,9 @@ def step(trial: TwinTrial) -> int:
     observe(controller, state, tick * TICK - counted, tick * TICK - measured, 1)
     real = truth(twin)
     # Written so that NaN is a failure.
-    if not abs(real.phi) < limits.phi_limit:
+    if not abs(real.phi) < PHI_LIMIT:
         return ANGLE
-    if not abs(real.x) < limits.x_limit:
+    if not abs(real.x) < paper.X_LIMIT:
         return TRACK
     if state.limit_exceeded[0]:
         return JOINT_LIMIT

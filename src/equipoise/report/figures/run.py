@@ -153,9 +153,9 @@ def _joint_lines(panel: Any, run: RunLog, values: Array, until: float) -> None:
 def pendulum(run: RunLog) -> "Figure":
     """Draw angle and angular velocity of the pendulum, with the edges of the boxes."""
     title = "Angle and angular velocity of the pendulum (the paper's figure 6)"
-    true, deg = run.truth, np.rad2deg
-    top = ("φ [°]", deg(run.phi), deg(true.phi), paper.PHI_INTERVALS_DEG)
-    bottom = ("dφ/dt [°/s]", deg(run.phi_dot), deg(true.phi_dot), paper.PHI_DOT_INTERVALS_DEG)
+    true, deg, boxes = run.truth, np.rad2deg, run.conditions.settings.boxes
+    top = ("φ [°]", deg(run.phi), deg(true.phi), boxes.phi_deg)
+    bottom = ("dφ/dt [°/s]", deg(run.phi_dot), deg(true.phi_dot), boxes.phi_dot_deg)
     return _series(run, title, top, bottom, paper.PHI_LIMIT_DEG, "°")
 
 
@@ -163,8 +163,9 @@ def pendulum(run: RunLog) -> "Figure":
 def flange(run: RunLog) -> "Figure":
     """Draw displacement and velocity of the flange, with the ends of the track."""
     title = "Displacement and velocity of the flange along x (the paper's figure 7)"
-    top = ("x [m]", run.x, run.truth.x, paper.X_INTERVALS)
-    bottom = ("dx/dt [m/s]", run.x_dot, run.truth.x_dot, paper.X_DOT_INTERVALS)
+    boxes = run.conditions.settings.boxes
+    top = ("x [m]", run.x, run.truth.x, boxes.x)
+    bottom = ("dx/dt [m/s]", run.x_dot, run.truth.x_dot, boxes.x_dot)
     return _series(run, title, top, bottom, paper.X_LIMIT, " m")
 
 
@@ -192,8 +193,8 @@ def encoder_zero(run: RunLog) -> "Figure":
     return figure
 
 
-Series = tuple[str, Array, Array, Sequence[paper.Interval]]
-"""A quantity: label with unit, observation and true values, shape (n,), and its boxes."""
+Series = tuple[str, Array, Array, Sequence[float]]
+"""A quantity: label with unit, observation and true values, shape (n,), and inner ends."""
 
 
 def _series(
@@ -206,8 +207,7 @@ def _series(
     axes: Any = figure.subplots(2, len(spans), sharex="col", sharey="row", squeeze=False)
     failure = f"failure at ±{limit:g}{unit}"
     axes[0, 0].annotate(failure, (0.0, limit), (3, 2), fontsize=7.5, **style.BESIDE)
-    for row, (label, observed, true, boxes) in enumerate((top, bottom)):
-        edges = [interval.high for interval in boxes[:-1]]
+    for row, (label, observed, true, edges) in enumerate((top, bottom)):
         limits = [-limit, limit] if row == 0 else []
         for column, (until, _) in enumerate(spans):
             panel, shown = axes[row, column], run.time < until

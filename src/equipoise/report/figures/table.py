@@ -1,15 +1,17 @@
-"""Picture of a policy: 270 boxes with the commanded acceleration of each."""
+"""Picture of a policy: the boxes of its table with the commanded acceleration of each."""
 
-from math import isinf
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from math import inf, isinf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from equipoise import paper
-from equipoise.control.boxes import SHAPE
 from equipoise.control.policy import TabularPolicy
 from equipoise.logs.run_log import RunLog
 from equipoise.report.style import INK, new_figure, styled, typeset
+from equipoise.settings import BoxSettings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,31 +37,34 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
     from matplotlib.colors import Normalize
     from matplotlib.patches import Patch, Rectangle
 
-    u = policy.u_of_box.reshape(SHAPE)
-    unvisited = ~np.any(np.array(policy.visits) > 0, axis=1).reshape(SHAPE)
+    ends = policy.settings.boxes
+    shape = ends.shape
+    u = policy.u_of_box.reshape(shape)
+    unvisited = ~np.any(np.array(policy.visits) > 0, axis=1).reshape(shape)
     boxes = np.array([], np.intp) if run is None else run.box
-    visited_by_run = np.bincount(boxes, minlength=u.size).reshape(SHAPE) > 0
+    visited_by_run = np.bincount(boxes, minlength=u.size).reshape(shape) > 0
     actions = np.array(policy.actions)
     largest = float(np.max(np.abs(actions)))
     norm, colours = Normalize(-1.2 * largest, 1.2 * largest), colormaps[MAP]
 
-    look_ahead = policy.settings.controller.look_ahead
-    drifted = f", with x after {look_ahead:g} s of drift" if look_ahead > 0.0 else ""
-    figure = new_figure(7.0, f"Policy: acceleration u in each of the 270 boxes{drifted}")
-    axes: Any = figure.subplots(3, 3, sharex=True, sharey=True)
-    for k, m in np.ndindex(*SHAPE[2:]):
+    drifted = f", with x after {ends.look_ahead:g} s of drift" if ends.look_ahead > 0.0 else ""
+    title = f"Policy: acceleration u in each of the {ends.count} boxes{drifted}"
+    figure = new_figure(7.0 * max(1.0, shape[1] * shape[3] / 15.0), title)
+    axes: Any = figure.subplots(shape[3], shape[2], sharex=True, sharey=True, squeeze=False)
+    size = 6.8 * min(1.0, 18.0 / (shape[0] * shape[2]))
+    for k, m in np.ndindex(*shape[2:]):
         # Rows from the top: x_dot high to low; columns: x low to high.
-        panel = axes[SHAPE[3] - 1 - m, k]
+        panel = axes[shape[3] - 1 - m, k]
         panel.grid(visible=False)
         colours_of = colours(norm(u[:, :, k, m].T))
         panel.pcolormesh(colours_of, edgecolor="white", linewidth=0.8)
-        for i, j in np.ndindex(*SHAPE[:2]):
+        for i, j in np.ndindex(*shape[:2]):
             fill = colours_of[j, i]
             pen = INK if fill[:3] @ LUMA > 0.5 else "white"
             if unvisited[i, j, k, m]:
                 _add(panel, Rectangle((i, j), 1, 1, edgecolor=pen, **HATCHED))
             command = typeset(f"{u[i, j, k, m]:+g}")
-            text = panel.text(i + 0.5, j + 0.5, command, color=pen, fontsize=6.8)
+            text = panel.text(i + 0.5, j + 0.5, command, color=pen, fontsize=size)
             text.set(ha="center", va="center", in_layout=False)
             if unvisited[i, j, k, m]:
                 text.set_bbox({"facecolor": fill, "edgecolor": "none", "pad": 1.0})
@@ -69,16 +74,17 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
                     frame = Rectangle((i + 0.07, j + 0.07), 0.86, 0.86, fill=False, zorder=3)
                     frame.set(edgecolor=colour, linewidth=width)
                     _add(panel, frame)
-    for k, where in enumerate(("left", "middle", "right")):
-        title = f"{where}: {_between('x', paper.X_INTERVALS[k])} m"
-        axes[0, k].set_title(title, ha="center", x=0.5)
-    for m, how in enumerate(("moving left", "slow", "moving right")):
-        title = f"{how}:\n{_between('dx/dt', paper.X_DOT_INTERVALS[m])} m/s"
+    for k, (side, between) in enumerate(_intervals("x", ends.x, paper.X_LIMIT)):
+        where = ("left", "middle", "right")[side]
+        axes[0, k].set_title(f"{where}: {between} m", ha="center", x=0.5)
+    for m, (side, between) in enumerate(_intervals("dx/dt", ends.x_dot, inf)):
+        how = ("moving left", "slow", "moving right")[side]
         look: Any = {"rotation": -90, "va": "center", "ma": "center"}
-        axes[SHAPE[3] - 1 - m, -1].annotate(title, (1.03, 0.5), xycoords="axes fraction", **look)
-    _edges(axes)
-    shape: Any = {"location": "right", "shrink": 0.6, "aspect": 30, "pad": 0.02}
-    bar = figure.colorbar(ScalarMappable(norm, colours), ax=axes, **shape)
+        beside = f"{how}:\n{between} m/s"
+        axes[shape[3] - 1 - m, -1].annotate(beside, (1.03, 0.5), xycoords="axes fraction", **look)
+    _label_edges(axes, ends)
+    where: Any = {"location": "right", "shrink": 0.6, "aspect": 30, "pad": 0.02}
+    bar = figure.colorbar(ScalarMappable(norm, colours), ax=axes, **where)
     bar.set_ticks(actions.tolist(), labels=[typeset(f"{action:+g}") for action in actions])
     bar.minorticks_off()
     bar.set_label("u [m/s²]: the flange accelerates towards \N{MINUS SIGN}x (blue) or +x (red)")
@@ -90,10 +96,10 @@ def policy_picture(policy: TabularPolicy, run: RunLog | None = None) -> "Figure"
     return figure
 
 
-def _edges(axes: Any) -> None:
+def _label_edges(axes: Any, ends: BoxSettings) -> None:
     phi, phi_dot = (
-        [_number(intervals[0].low), *(_number(interval.high) for interval in intervals)]
-        for intervals in (paper.PHI_INTERVALS_DEG, paper.PHI_DOT_INTERVALS_DEG)
+        [_number(end) for end in (-limit, *inner, limit)]
+        for inner, limit in ((ends.phi_deg, paper.PHI_LIMIT_DEG), (ends.phi_dot_deg, inf))
     )
     for panel in axes[-1]:
         panel.set_xticks(range(len(phi)), phi)
@@ -112,15 +118,21 @@ def _add(panel: Any, patch: Any) -> None:
     panel.add_patch(patch)
 
 
-def _between(name: str, interval: paper.Interval) -> str:
-    """Format an interval as inequalities, which need no legend for brackets."""
-    low, high = (_number(end) for end in (interval.low, interval.high))
-    left, right = ("≤" if closed else "<" for closed in (interval.low_closed, interval.high_closed))
-    if isinf(interval.low):
-        return f"{name} {right} {high}"
-    if isinf(interval.high):
-        return f"{name} {left.replace('≤', '≥').replace('<', '>')} {low}"
-    return f"{low} {left} {name} {right} {high}"
+def _intervals(name: str, ends: Sequence[float], limit: float) -> Iterator[tuple[int, str]]:
+    """Yield the side of each interval (0 negative, 1 around zero, 2 positive) and its inequality.
+
+    Inequalities need no legend for brackets. An end belongs to the interval farther from zero.
+    """
+    for low, high in pairwise((-limit, *ends, limit)):
+        left = "≤" if low >= 0.0 and low > -limit else "<"
+        right = "≤" if high < 0.0 else "<"
+        side = 0 if high <= 0.0 else 2 if low >= 0.0 else 1
+        if isinf(low):
+            yield side, f"{name} {right} {_number(high)}"
+        elif isinf(high):
+            yield side, f"{name} {left.replace('≤', '≥').replace('<', '>')} {_number(low)}"
+        else:
+            yield side, f"{_number(low)} {left} {name} {right} {_number(high)}"
 
 
 def _number(value: float) -> str:
