@@ -318,13 +318,15 @@ def table(result: Benchmark) -> "Table":
 
     where = result.processor if result.core is None else f"core {result.core}, {result.processor}"
     notes = [f"median of {result.rounds} rounds, on {where}"]
-    notes += [f"ratio: to the {YARDSTICK} loop; real time: steps of {paper.STEP:g} s"]
+    notes += [
+        f"ratio: to the {YARDSTICK} loop; real time: as a multiple, with steps of {paper.STEP:g} s"
+    ]
     cores = ", ".join(f"{n}: {speed:.2f}" for n, speed in result.scaling.items())
     notes += [f"speed of trainings side by side, by the number of cores: {cores}"] if cores else []
     notes += [f"{name} is left out: {why}" for name, why in result.missing.items()]
-    view = Table(title="Steps per second", caption="\n".join(notes))
+    view = Table(title="Thousand steps per second", caption="\n".join(notes))
     view.add_column()
-    for title in ("steps/s", "slowest", "fastest", "ratio", "x real time", "of peak"):
+    for title in ("median", "slowest", "fastest", "ratio", "real time", "of peak"):
         view.add_column(title, justify="right", no_wrap=True)
     for name, rate in result.rates.items():
         speeds = (rate.steps_per_second, rate.slowest, rate.fastest)
@@ -334,7 +336,7 @@ def table(result: Benchmark) -> "Table":
             (result.shares, "{:.0%}"),
         )
         others = (form.format(values[name]) if name in values else "" for values, form in cells)
-        view.add_row(f"{name}: {rate.what}", *(f"{speed:,.0f}" for speed in speeds), *others)
+        view.add_row(f"{name}: {rate.what}", *(f"{speed / 1e3:,.0f}" for speed in speeds), *others)
     return view
 
 
