@@ -12,7 +12,7 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.errors import InputError, SettingsError
 from equipoise.learning.choice import compile_learner
 from equipoise.learning.closed_loop import make_loop_params
-from equipoise.learning.episodes import new_training_state, train_episodes
+from equipoise.learning.episodes import new_training_loop, new_training_state, train_episodes
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
@@ -250,10 +250,11 @@ def test_the_winner_of_the_race_is_the_policy(pendulum):
     constants = training.training_config(settings(), pendulum.parameters().k)
     learner = compile_learner(settings().learning)
     progress, averaged = new_training_state(270), np.zeros((270, 8))
-    selection = settings().selection
+    selection, key = settings().selection, np.array((5, 0))
+    loop = new_training_loop(plant, pendulum.parameters(), constants, learner, progress, key)
     for taken in range(1, best.episodes // selection.every + 1):
         until = taken * selection.every
-        train_episodes(plant, pendulum.parameters(), constants, learner, progress, until, 5, 0)
+        train_episodes(loop, until)
         averaged += max(selection.averaging, 1.0 / taken) * (progress.tables.Q - averaged)
     np.testing.assert_allclose(policy.table, averaged, rtol=0.0, atol=1e-12)
 
@@ -304,16 +305,15 @@ def test_the_recipe_paper_selects_nothing_and_keeps_the_last_table(pendulum):
     assert policy.recipe.startswith("custom: paper with learning.episodes = 60, ")
     assert policy.checkpoints == ()
     progress = new_training_state(270)
-    train_episodes(
+    loop = new_training_loop(
         make_loop_params(ARM, of_paper(), 0.01, pendulum.parameters(linearised=True)),
         pendulum.parameters(linearised=True),
         training.training_config(of_paper(), pendulum.parameters().k),
         compile_learner(of_paper().learning),
         progress,
-        60,
-        0,
-        0,
+        np.array((0, 0)),
     )
+    train_episodes(loop, 60)
     assert np.array_equal(progress.tables.Q, policy.table)
 
 

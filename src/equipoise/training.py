@@ -47,6 +47,7 @@ from equipoise.learning.episodes import (
     STEPS,
     TrainingConfig,
     TrainingState,
+    new_training_loop,
     new_training_state,
     train_episodes,
 )
@@ -379,10 +380,12 @@ def _train(
         candidates.restore(before)
         curve += before.curve
         report(curve[-1])
+    key = np.array((seed, learner))
+    loop = new_training_loop(of_episodes, plant.pendulum, config, kernel, training, key)
     while totals[ENDED] < config.episodes:
         ended, steps = int(totals[ENDED]), int(totals[ENDED_STEPS])
         until = min(ended + every, config.episodes)
-        train_episodes(of_episodes, plant.pendulum, config, kernel, training, until, seed, learner)
+        train_episodes(loop, until)
         if not np.isfinite(tables.Q).all():
             raise InputError(
                 f"the table holds a value that is not finite after {totals[ENDED]} episodes with "

@@ -15,6 +15,7 @@ from equipoise.learning.episodes import (
     IN_USE,
     STEPS,
     exploration,
+    new_training_loop,
     new_training_state,
     train_episodes,
 )
@@ -63,7 +64,9 @@ def trained(plant, parameters, settings, *stops, seed=0, number=0):
 
 def go_on(plant, parameters, settings, training, until, seed=0, number=0):
     constants, learner = training_config(settings, parameters.k), compile_learner(settings.learning)
-    train_episodes(plant, parameters, constants, learner, training, until, seed, number)
+    key = np.array((seed, number))
+    loop = new_training_loop(plant, parameters, constants, learner, training, key)
+    train_episodes(loop, until)
 
 
 def same(progress, other):

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
 from equipoise.model.arms.compiler import BIAS, JACOBIAN, POSITION, ROTATION, TWIST
-from equipoise.model.elementary import at, fma, put
+from equipoise.model.elementary import BATCH_SIZE, at, fma, put
 
 Array = npt.NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -99,12 +99,31 @@ def joint_acceleration(
     Returns:
         The number of lanes with a damped inverse.
     """
-    for i in range(6):
-        for n in range(lanes):
-            e_dot = at(reference, TWIST + i, n) - at(frame, TWIST + i, n)
-            wanted = at(reference, GAMMA + i, n) - at(frame, BIAS + i, n)
-            put(e, i, n, fma(parameters.K_p, at(e, i, n), fma(parameters.K_d, e_dot, wanted)))
+    if lanes == 1:
+        _right_hand_side(frame, reference, e, parameters, BATCH_SIZE)
+    else:
+        _right_hand_side(frame, reference, e, parameters, 1)
     return solve(frame, e, parameters, ddq, lanes)
+
+
+@inlined
+def _right_hand_side(
+    frame: Array, reference: Array, e: Array, parameters: ClikParameters, step: int
+) -> None:
+    """Replace the pose error by the bracket of equation (3).
+
+    Args:
+        frame: Record of the arm's kinematics.
+        reference: Record of the reference.
+        e: Pose error, a block of 6 rows; overwritten.
+        parameters: Gains.
+        step: 1 for all lanes, `BATCH_SIZE` for the first one.
+    """
+    twist, gamma, bias = TWIST * BATCH_SIZE, GAMMA * BATCH_SIZE, BIAS * BATCH_SIZE
+    for i in range(0, 6 * BATCH_SIZE, step):
+        e_dot = reference[twist + i] - frame[twist + i]
+        wanted = reference[gamma + i] - frame[bias + i]
+        e[i] = fma(parameters.K_p, e[i], fma(parameters.K_d, e_dot, wanted))
 
 
 @inlined

@@ -46,13 +46,13 @@ from equipoise.model.actuator import (
     CYCLE,
     Actuator,
     ActuatorParameters,
-    follow,
+    follow_setpoint,
     lag_share,
     steady_error,
 )
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST, KinematicsFunction
-from equipoise.model.elementary import BATCH_SIZE, at, put
+from equipoise.model.elementary import BATCH_SIZE, at, put, zeros
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.settings import Settings
 
@@ -171,7 +171,7 @@ class ControllerState(NamedTuple):
     offset: Array
     """Measured minus modelled joints, slowly varying [rad], 6 rows."""
     scratch: Array
-    """Scratch for joints, 6 rows."""
+    """Scratch for joints and their velocities, 12 rows."""
     history: Array
     """Motion of the model at the last `HISTORY_TICKS` ticks: pivot velocity [m/s], flange x [m],
     rotation of the flange about the spindle [rad], joints [rad]."""
@@ -283,6 +283,7 @@ def new_controller_state() -> ControllerState:
         "setpoints": 6 * SETPOINTS_PER_TICK,
         "counts": 1,
         "model_frame": FRAME_SIZE,
+        "scratch": 2 * FREE_JOINTS,
         "history": HISTORY_TICKS * HISTORY_ROWS,
         "estimate": 5,
         "observation": 4,
@@ -291,7 +292,7 @@ def new_controller_state() -> ControllerState:
     blocks: dict[str, Any] = {
         name: np.zeros(whole[name], np.int64)
         if name in whole
-        else np.zeros(rows.get(name, FREE_JOINTS) * BATCH_SIZE)
+        else zeros(rows.get(name, FREE_JOINTS) * BATCH_SIZE)
         for name in ControllerState._fields
     }
     return ControllerState(**blocks)
@@ -523,28 +524,46 @@ def command(controller: ControllerParams, state: ControllerState, lanes: int) ->
         put(reference, GAMMA, n, u[n])
     state.damped[0] += joint_acceleration(frame, reference, e, controller.clik, ddq, lanes)
     for n in range(lanes):
-        beyond[n] = 0
         move = at(reference, TWIST, n) * h + 0.5 * u[n] * h * h
         put(reference, POSITION, n, at(reference, POSITION, n) + move)
         put(reference, TWIST, n, at(reference, TWIST, n) + u[n] * h)
-    for i in range(6):
-        lower, upper = limits[0, i], limits[1, i]
-        max_velocity, max_acceleration = limits[2, i], limits[3, i]
-        # Loops with few arrays: a compiler vectorises no loop over many.
-        for n in range(lanes):
-            a, v, angle = at(ddq, i, n), at(dq, i, n), at(q, i, n)
-            put(setpoints, i, n, angle + 0.5 * v * h + 0.125 * a * h * h)
-            put(setpoints, 6 + i, n, angle + (v * h + 0.5 * a * h * h))
-        for n in range(lanes):
-            put(q, i, n, at(setpoints, 6 + i, n))
-            put(dq, i, n, at(dq, i, n) + at(ddq, i, n) * h)
-        for n in range(lanes):
+    if lanes == 1:
+        _advance_joints(q, dq, ddq, setpoints, h, BATCH_SIZE)
+    else:
+        _advance_joints(q, dq, ddq, setpoints, h, 1)
+    for n in range(lanes):
+        within = True
+        for i in range(6):
             angle = at(q, i, n)
-            slow = (abs(at(dq, i, n)) <= max_velocity) & (abs(at(ddq, i, n)) <= max_acceleration)
-            beyond[n] = beyond[n] if (lower <= angle) & (angle <= upper) & slow else 1
+            slow = (abs(at(dq, i, n)) <= limits[2, i]) & (abs(at(ddq, i, n)) <= limits[3, i])
+            within &= (limits[0, i] <= angle) & (angle <= limits[1, i]) & slow
+        beyond[n] = 0 if within else 1
     controller.kinematics(q, dq, frame, lanes)
     if controller.has_sensor:
         _advance_arm_model(controller, state, lanes)
+
+
+@inlined
+def _advance_joints(q: Array, dq: Array, ddq: Array, setpoints: Array, h: float, step: int) -> None:
+    """Advance the commanded joints by one tick, and write their setpoints.
+
+    Args:
+        q: Joints [rad], a block of 6 rows, changed in place.
+        dq: Their velocities [rad/s], a block of 6 rows, changed in place.
+        ddq: Their accelerations [rad/s^2], a block of 6 rows.
+        setpoints: Receives the joints in the middle and at the end of the tick [rad], 12 rows.
+        h: Length of the tick [s].
+        step: 1 to advance all lanes, `BATCH_SIZE` to advance the first one.
+    """
+    # Flat loops over adjacent numbers with few arrays: a compiler vectorises no loop over many.
+    count = FREE_JOINTS * BATCH_SIZE
+    for i in range(0, count, step):
+        a, v, angle = ddq[i], dq[i], q[i]
+        setpoints[i] = angle + 0.5 * v * h + 0.125 * a * h * h
+        setpoints[count + i] = angle + (v * h + 0.5 * a * h * h)
+    for i in range(0, count, step):
+        q[i] = setpoints[count + i]
+        dq[i] = dq[i] + ddq[i] * h
 
 
 @inlined
@@ -555,8 +574,9 @@ def _advance_arm_model(controller: ControllerParams, state: ControllerState, lan
     cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
     for s in range(SETPOINTS_PER_TICK):
         target = state.setpoints[6 * s * BATCH_SIZE : 6 * (s + 1) * BATCH_SIZE]
-        for _ in range(cycles):
-            follow(q, dq, target, share, controller.actuator, lanes)
+        follow_setpoint(
+            q, dq, target, target, share, False, share, controller.actuator, cycles, scratch, lanes
+        )
     state.newest[0] = (state.newest[0] + 1) % HISTORY_TICKS
     entry = _entry(state.newest[0], 0)
     for i in range(6):

@@ -56,13 +56,15 @@ from equipoise.model.actuator import (
     CYCLE,
     IDEAL_ACTUATOR,
     Actuator,
+    aim_at,
     follow,
+    follow_setpoint,
     lag_share,
     steady_error,
 )
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, TWIST
-from equipoise.model.elementary import BATCH_SIZE, at, put, sincos
+from equipoise.model.elementary import BATCH_SIZE, at, put, sincos, zeros
 from equipoise.model.pendulum import PendulumParameters, runge_kutta
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.random import normal_radius, philox, turn, uniform
@@ -143,15 +145,17 @@ class BatchState(NamedTuple):
     share: Array
     """Share of its lag that a joint makes up per servo cycle [-], 6 rows."""
     target: Array
-    """Setpoints in force [rad], 6 rows; overwritten in each cycle."""
+    """Setpoints in force at the end of a tick [rad], 6 rows."""
+    before: Array
+    """Those in force before them, 6 rows."""
     setpoints: Array
     """Last `SETPOINT_HISTORY` setpoints [rad], 6 rows each."""
     newest: npt.NDArray[np.int64]
     """Index of the newest setpoint, shape (1,)."""
     delay: npt.NDArray[np.int64]
-    """Transport delay of each lane [servo cycles], 1 row."""
-    change: npt.NDArray[np.int64]
-    """Scratch for the cycle of the tick in which a lane's setpoint changes next, 1 row."""
+    """Whole setpoints of the transport delay, 1 row."""
+    turn: Array
+    """Its other servo cycles, 6 equal rows."""
     zero: Array
     """Encoder zero error, added to phi [rad], 1 row."""
 
@@ -200,7 +204,7 @@ def new_batch_state() -> BatchState:
     """Return a block for `reset`."""
 
     def rows(count: int) -> Array:
-        return np.zeros(count * BATCH_SIZE)
+        return zeros(count * BATCH_SIZE)
 
     return BatchState(
         controller=new_controller_state(),
@@ -212,10 +216,11 @@ def new_batch_state() -> BatchState:
         frame=rows(FRAME_SIZE),
         share=rows(6),
         target=rows(6),
+        before=rows(6),
         setpoints=rows(6 * SETPOINT_HISTORY),
         newest=np.zeros(1, np.int64),
         delay=np.zeros(BATCH_SIZE, np.int64),
-        change=np.zeros(BATCH_SIZE, np.int64),
+        turn=rows(6),
         zero=rows(1),
     )
 
@@ -259,9 +264,10 @@ def reset(
     if not controller.has_sensor:
         return
     delay = max(controller.delay + variation.delay, 0.0)
-    block.delay[n] = round(delay / CYCLE)
     put(block.zero, 0, n, zero)
     apart = controller.h / SETPOINTS_PER_TICK
+    cycles, delayed = round(apart / CYCLE), round(delay / CYCLE)
+    block.delay[n] = delayed // cycles
     for i in range(FREE_JOINTS):
         dq, lag = at(memory.dq, i, n), controller.lags[i] * variation.lag_factor
         behind = dq * delay + steady_error(dq, lag, controller.actuator)
@@ -271,6 +277,8 @@ def reset(
         for j in range(SETPOINT_HISTORY):
             row = 6 * ((block.newest[0] - j) % SETPOINT_HISTORY)
             put(block.setpoints, row + i, n, at(memory.q, i, n) - j * apart * dq)
+        put(block.turn, i, n, float(delayed % cycles))
+        put(block.target, i, n, at(memory.q, i, n) - block.delay[n] * apart * dq)
     for i in range(FRAME_SIZE):
         put(block.frame, i, n, at(memory.frame, i, n))
 
@@ -345,50 +353,58 @@ def move_arms(
         dry: Whether any pendulum has dry friction.
         lanes: Number of lanes.
     """
-    sent, target, setpoints, delay = (
-        block.setpoints,
-        block.target,
-        block.controller.setpoints,
-        block.delay,
-    )
-    state, change, before = block.state, block.change, block.controller.scratch
-    for n in range(lanes):
-        put(before, 0, n, at(state, TRACKED, n))
+    q, dq, share, actuator = block.q, block.dq, block.share, controller.actuator
+    before, target, turn = block.before, block.target, block.turn
+    state, frame, scratch = block.state, block.frame, block.controller.scratch
     cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
-    for s in range(SETPOINTS_PER_TICK):
-        block.newest[0] = (block.newest[0] + 1) % SETPOINT_HISTORY
-        row = 6 * block.newest[0]
-        for i in range(6):
-            for n in range(lanes):
-                put(sent, row + i, n, at(setpoints, 6 * s + i, n))
-    # Index of the first setpoint of this tick; each earlier setpoint is one older.
-    at_tick = block.newest[0] - (SETPOINTS_PER_TICK - 1)
+    if not dry:
+        for s in range(SETPOINTS_PER_TICK):
+            _send(block, s, lanes)
+            follow_setpoint(
+                q, dq, before, target, turn, True, share, actuator, cycles, scratch, lanes
+            )
+        controller.motion(q, dq, frame, lanes)
+        return
     for n in range(lanes):
-        change[n] = 0
-    for cycle in range(SETPOINTS_PER_TICK * cycles):
-        due = 0
-        for n in range(lanes):
-            due |= change[n] == cycle
-        for n in range(lanes if due else 0):
-            if change[n] == cycle:
-                age = (cycle - delay[n]) // cycles
-                change[n] = delay[n] + (age + 1) * cycles
-                row = 6 * ((at_tick + age) % SETPOINT_HISTORY)
-                for i in range(6):
-                    put(target, i, n, at(sent, row + i, n))
-        follow(block.q, block.dq, target, block.share, controller.actuator, lanes)
-        if dry:
+        put(scratch, FREE_JOINTS, n, at(state, TRACKED, n))
+    for s in range(SETPOINTS_PER_TICK):
+        _send(block, s, lanes)
+        for cycle in range(cycles):
+            aim_at(cycle, before, target, turn, scratch)
+            follow(q, dq, scratch, share, actuator, lanes)
             for n in range(lanes):
-                put(state, TRACKED, n, -pivot_velocity(block.frame, controller.pivot, n))
-            controller.motion(block.q, block.dq, block.frame, lanes)
+                put(state, TRACKED, n, -pivot_velocity(frame, controller.pivot, n))
+            controller.motion(q, dq, frame, lanes)
             for n in range(lanes):
-                v = pivot_velocity(block.frame, controller.pivot, n)
+                v = pivot_velocity(frame, controller.pivot, n)
                 put(state, TRACKED, n, (v + at(state, TRACKED, n)) * (1.0 / CYCLE))
             advance_pendula(state, block.pendula, CYCLE, linearised, lanes)
-    if not dry:
-        controller.motion(block.q, block.dq, block.frame, lanes)
     for n in range(lanes):
-        put(state, TRACKED, n, at(before, 0, n))
+        put(state, TRACKED, n, at(scratch, FREE_JOINTS, n))
+
+
+@inlined
+def _send(block: BatchState, s: int, lanes: int) -> None:
+    """Send setpoint `s` of the tick, and take the next one that comes into force in each lane."""
+    sent, setpoints, delay = block.setpoints, block.controller.setpoints, block.delay
+    before, target = block.before, block.target
+    block.newest[0] = (block.newest[0] + 1) % SETPOINT_HISTORY
+    row = FREE_JOINTS * block.newest[0]
+    for i in range(FREE_JOINTS):
+        for n in range(lanes):
+            put(sent, row + i, n, at(setpoints, FREE_JOINTS * s + i, n))
+    least, most = delay[0], delay[0]
+    for n in range(lanes):
+        least, most = min(least, delay[n]), max(most, delay[n])
+    for k in range(FREE_JOINTS * BATCH_SIZE):
+        before[k] = target[k]
+    # The delays of all lanes span few setpoints: whole rows are read for each of them.
+    for age in range(least, most + 1):
+        row = FREE_JOINTS * ((block.newest[0] - age) % SETPOINT_HISTORY)
+        for i in range(FREE_JOINTS):
+            for n in range(lanes):
+                old = at(target, i, n)
+                put(target, i, n, at(sent, row + i, n) if delay[n] == age else old)
 
 
 @inlined
@@ -399,9 +415,9 @@ def measure(controller: ControllerParams, block: BatchState, lanes: int) -> None
         tilt = -pose_error(frame, memory.reference, n)[4]
         theta = pi - (at(state, PHI, n) - tilt + at(zero, 0, n))
         put(memory.counts, 0, n, floor(theta * (1.0 / controller.resolution) + 0.5))
-    for i in range(6):
-        for n in range(lanes):
-            put(memory.measured, i, n, at(block.q, i, n))
+    measured, q = memory.measured, block.q
+    for i in range(FREE_JOINTS * BATCH_SIZE):
+        measured[i] = q[i]
 
 
 @inlined
@@ -502,7 +518,9 @@ def copy_lane(block: BatchState, source: int, target: int) -> None:
     copy_rows(block.frame, source, target)
     copy_rows(block.share, source, target)
     copy_rows(block.setpoints, source, target)
+    copy_rows(block.target, source, target)
     copy_rows(block.delay, source, target)
+    copy_rows(block.turn, source, target)
     copy_rows(block.zero, source, target)
     block.cause[target] = block.cause[source]
 

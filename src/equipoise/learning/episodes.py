@@ -13,12 +13,12 @@ The learning rules are in `equipoise.learning.learners`, the rewards in
 `equipoise.learning.rewards`.
 """
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import inlined, kernel
+from equipoise.compiled import handle, inlined, kernel
 from equipoise.control.boxes import TRUNCATED, Boxes
 from equipoise.learning.closed_loop import (
     BatchState,
@@ -46,7 +46,7 @@ from equipoise.learning.learner import (
     new_decisions,
     new_tables,
 )
-from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.elementary import BATCH_SIZE, zeros
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
     TRAINING_ACTION,
@@ -138,9 +138,36 @@ def new_training_state(boxes: int, tables: int = 0) -> TrainingState:
         episode=np.zeros(BATCH_SIZE, np.int64),
         tick=np.zeros(BATCH_SIZE, np.int64),
         decisions=new_decisions(),
-        before=np.zeros(4 * BATCH_SIZE),
+        before=zeros(4 * BATCH_SIZE),
         totals=np.zeros(5, np.int64),
     )
+
+
+TrainingLoop: Any = handle(
+    "TrainingLoop", __name__, ("plant", "pendulum", "config", "learner", "training", "key")
+)
+
+
+@kernel
+def new_training_loop(
+    plant: LoopParams,
+    pendulum: PendulumParameters,
+    config: TrainingConfig,
+    learner: LearnerKernel,
+    training: TrainingState,
+    key: Whole,
+) -> Any:
+    """Return a training that `train_episodes` takes by reference.
+
+    Args:
+        plant: Constants of the closed loop.
+        pendulum: Nominal pendulum; each episode varies it.
+        config: Constants of the training.
+        learner: Compiled learner and reward.
+        training: State; changed in place.
+        key: Master seed, and number of the learner: each has its own random numbers; shape (2,).
+    """
+    return TrainingLoop(plant, pendulum, config, learner, training, key)
 
 
 @kernel
@@ -196,30 +223,17 @@ def draw_decisions(
 
 
 @kernel
-def train_episodes(
-    plant: LoopParams,
-    pendulum: PendulumParameters,
-    config: TrainingConfig,
-    learner: LearnerKernel,
-    training: TrainingState,
-    until: int,
-    seed: int,
-    number: int,
-) -> None:
+def train_episodes(loop: Any, until: int) -> None:
     """Train until a number of episodes have ended.
 
     Must equal `tests/reference/learning.py`.
 
     Args:
-        plant: Constants of the closed loop.
-        pendulum: Nominal pendulum; each episode varies it.
-        config: Constants of the training.
-        learner: Compiled learner and reward.
-        training: Changed in place; the next call continues from it.
+        loop: The training, from `new_training_loop`; the next call continues from its state.
         until: Number of ended episodes at which to stop, at most `config.episodes`.
-        seed: Master seed.
-        number: Number of the learner; each has its own random numbers.
     """
+    plant, pendulum, config = loop.plant, loop.pendulum, loop.config
+    learner, training, seed, number = loop.learner, loop.training, loop.key[0], loop.key[1]
     tables, block, before = training.tables, training.batch, training.before
     decisions, episode, tick = training.decisions, training.episode, training.tick
     box, action, chance, gained, discount, epsilon, place = decisions

@@ -48,6 +48,8 @@ MAX_RESPONSE_TIME: Final = 10.0
 """Limit on delay, lag and cycle [s]: a pendulum of a metre falls within one."""
 MIN_CYCLE: Final = 1e-6
 """Lower limit on the cycle of the shaping law [s], which keeps its rate finite."""
+FUSED_CYCLES: Final = 5
+"""Number of servo cycles that lanes advance in registers: a setpoint of 5 ms."""
 NEAR: Final = 0.2
 """Error below which the law is a short series [widths]: 10 mrad, the steady error at 2.7 rad/s."""
 TYPICAL_SPEED: Final = 0.1
@@ -129,7 +131,8 @@ def _shaped_velocity(
         actuator: Constants.
     """
     rate, width = actuator.amplitude / actuator.cycle, actuator.width
-    change = fma(e * abs(e), _near_gain(e * e, rate, width), -dq)
+    square = e * abs(e)
+    change = fma(square, _near_gain(abs(square), rate, width), -dq)
     if far and abs(e) > NEAR * width:
         change = shaped_step(e, rate, width) - dq
     return fma(change, share, dq)
@@ -152,9 +155,6 @@ def follow(
     # Flat loops over adjacent numbers: the lanes that are not in use are computed as well.
     count, stride = (FREE_JOINTS, BATCH_SIZE) if lanes == 1 else (FREE_JOINTS * BATCH_SIZE, 1)
     if actuator.kind == KST:
-        if stride == 1:
-            _follow_shaped(q, dq, target, share, actuator)
-            return
         for i in range(0, count * stride, stride):
             dq[i] = _shaped_velocity(target[i] - q[i], dq[i], share[i], True, actuator)
             q[i] = fma(CYCLE, dq[i], q[i])
@@ -170,26 +170,104 @@ def follow(
 
 
 @inlined
-def _follow_shaped(
-    q: Array, dq: Array, target: Array, share: Array, actuator: ActuatorParameters
+def follow_setpoint(
+    q: Array,
+    dq: Array,
+    before: Array,
+    target: Array,
+    turn: Array,
+    delayed: bool,
+    share: Array,
+    actuator: ActuatorParameters,
+    cycles: int,
+    scratch: Array,
+    lanes: int,
 ) -> None:
-    """Advance the free joints of all lanes by one servo cycle of the shaping law."""
-    count = FREE_JOINTS * BATCH_SIZE
-    far = 0
-    for i in range(count):
-        far |= abs(target[i] - q[i]) > NEAR * actuator.width
+    """Advance the free joints of the first lanes by the servo cycles of one setpoint.
+
+    Args:
+        q: Joint positions [rad], a block of 6 rows, changed in place.
+        dq: Joint velocities [rad/s], a block of 6 rows, changed in place.
+        before: Setpoints in force in the first cycles [rad], a block of 6 rows.
+        target: Setpoints in force in the others [rad], a block of 6 rows.
+        turn: Number of the first cycle with `target`, a block of 6 rows.
+        delayed: Whether `before` and `turn` are used; otherwise `target` is always in force.
+        share: Gain of the lag per cycle, from `lag_share`, a block of 6 rows.
+        actuator: Constants.
+        cycles: Number of cycles.
+        scratch: A block of 12 rows.
+        lanes: Number of lanes.
+    """
+    cycle = 0
+    if actuator.kind == KST and lanes > 1:
+        while cycle + FUSED_CYCLES <= cycles:
+            _follow_fused(q, dq, before, target, turn, delayed, share, actuator, cycle, scratch)
+            cycle += FUSED_CYCLES
+    while cycle < cycles:
+        aim = target
+        if delayed:
+            aim = scratch
+            aim_at(cycle, before, target, turn, aim)
+        follow(q, dq, aim, share, actuator, lanes)
+        cycle += 1
+
+
+@inlined
+def aim_at(cycle: int, before: Array, target: Array, turn: Array, aim: Array) -> None:
+    """Write the setpoints in force in a cycle to `aim`; the blocks of `follow_setpoint`."""
+    for i in range(FREE_JOINTS * BATCH_SIZE):
+        old, new = before[i], target[i]
+        aim[i] = old if cycle < turn[i] else new
+
+
+@inlined
+def _follow_fused(
+    q: Array,
+    dq: Array,
+    before: Array,
+    target: Array,
+    turn: Array,
+    delayed: bool,
+    share: Array,
+    actuator: ActuatorParameters,
+    first: int,
+    scratch: Array,
+) -> None:
+    """Advance the free joints of all lanes by `FUSED_CYCLES` cycles of the shaping law."""
+    count, limit = FREE_JOINTS * BATCH_SIZE, NEAR * actuator.width
     # Joints are almost always near their setpoints: for them the law is a short series. Both loops
     # give equal bits where it holds.
+    far = 0
+    # Two joints at a time: while one number waits for its last cycle, the other continues.
+    half = count // 2
+    for i in range(half):
+        angle, speed, other_angle, other_speed = q[i], dq[i], q[half + i], dq[half + i]
+        old, new, change, gain = before[i], target[i], turn[i], share[i]
+        other_old, other_new = before[half + i], target[half + i]
+        other_change, other_gain = turn[half + i], share[half + i]
+        for cycle in range(FUSED_CYCLES):
+            e = (old if delayed and first + cycle < change else new) - angle
+            other_e = other_old if delayed and first + cycle < other_change else other_new
+            other_e -= other_angle
+            far |= (abs(e) > limit) | (abs(other_e) > limit)
+            speed = _shaped_velocity(e, speed, gain, False, actuator)
+            other_speed = _shaped_velocity(other_e, other_speed, other_gain, False, actuator)
+            angle = fma(CYCLE, speed, angle)
+            other_angle = fma(CYCLE, other_speed, other_angle)
+        scratch[i], scratch[count + i] = angle, speed
+        scratch[half + i], scratch[count + half + i] = other_angle, other_speed
     if far:
         for i in range(count):
-            speed = _shaped_velocity(target[i] - q[i], dq[i], share[i], True, actuator)
-            dq[i] = speed
-            q[i] = fma(CYCLE, speed, q[i])
-    else:
-        for i in range(count):
-            speed = _shaped_velocity(target[i] - q[i], dq[i], share[i], False, actuator)
-            dq[i] = speed
-            q[i] = fma(CYCLE, speed, q[i])
+            scratch[i], scratch[count + i] = q[i], dq[i]
+        for cycle in range(FUSED_CYCLES):
+            for i in range(count):
+                angle, speed = scratch[i], scratch[count + i]
+                old, new = before[i], target[i]
+                aim = old if delayed and first + cycle < turn[i] else new
+                speed = _shaped_velocity(aim - angle, speed, share[i], True, actuator)
+                scratch[i], scratch[count + i] = fma(CYCLE, speed, angle), speed
+    for i in range(count):
+        q[i], dq[i] = scratch[i], scratch[count + i]
 
 
 @inlined

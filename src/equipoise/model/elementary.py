@@ -8,17 +8,23 @@ prevents vectorisation; the polynomials below do not. They also give identical b
 a block, independent of the other lanes.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from numba import types
 
-from equipoise.compiled import fma, inlined
+from equipoise.compiled import disabled, fma, inlined
 
 BATCH_SIZE: Final = 16
 """Number of states in a block: fills the widest registers and hides the latency of a division."""
 
+CACHE_LINE: Final = 64
+"""Size of a cache line [bytes], and of the widest registers."""
+
 TWO_OVER_PI: Final = 0.6366197723675814
+ROUNDING: Final = 1.5 * 2.0**52
+"""A sum with this number has no fraction; the last bits of its mantissa are the whole number."""
 # pi/2 in three parts of 53 bits.
 HALF_PI_1: Final = 1.5707963267948966
 HALF_PI_2: Final = 6.123233995736766e-17
@@ -32,16 +38,64 @@ LOG_2_1: Final = 6.93147180369123816490e-01
 LOG_2_2: Final = 1.90821492927058770002e-10
 
 
-@inlined
+def zeros(count: int) -> npt.NDArray[np.float64]:
+    """Return an array of zeros that begins on a cache line.
+
+    A wide register that is loaded from elsewhere or stored there touches two lines.
+    """
+    size = np.dtype(np.float64).itemsize * count
+    room = np.zeros(size + CACHE_LINE, np.uint8)
+    first = -room.ctypes.data % CACHE_LINE
+    return room[first : first + size].view(np.float64)
+
+
 def at(block: npt.NDArray[np.float64], row: int, n: int) -> float:
     """Return the entry of a block in a row, in lane `n`."""
     return block[row * BATCH_SIZE + n]
 
 
-@inlined
 def put(block: npt.NDArray[np.float64], row: int, n: int, value: float) -> None:
     """Write the entry of a block in a row, in lane `n`."""
     block[row * BATCH_SIZE + n] = value
+
+
+def _teach_numba_blocks() -> None:
+    """Compile `at` and `put` to one load and one store, for an index that is not negative.
+
+    Numba counts a negative index from the end of an array. Where a compiler cannot exclude one, it
+    reads the lanes of a row one by one.
+    """
+    from numba.core.typing.templates import signature
+    from numba.extending import lower_builtin, type_callable
+
+    index = types.intp
+
+    @type_callable(at)
+    def type_of_at(context: Any) -> Any:
+        return lambda block, row, n: signature(block.dtype, block, index, index)
+
+    @type_callable(put)
+    def type_of_put(context: Any) -> Any:
+        return lambda block, row, n, value: signature(types.none, block, index, index, block.dtype)
+
+    def address(context: Any, builder: Any, kind: Any, block: Any, row: Any, n: Any) -> Any:
+        first = builder.mul(row, row.type(BATCH_SIZE))
+        data = context.make_array(kind)(context, builder, block).data
+        return builder.gep(data, [builder.add(first, n)], inbounds=True)
+
+    @lower_builtin(at, types.Array, index, index)
+    def code_of_at(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        return builder.load(address(context, builder, called.args[0], *values))
+
+    @lower_builtin(put, types.Array, index, index, types.Any)
+    def code_of_put(context: Any, builder: Any, called: Any, values: Any) -> Any:
+        *place, value = values
+        builder.store(value, address(context, builder, called.args[0], *place))
+        return context.get_dummy_value()
+
+
+if not disabled():
+    _teach_numba_blocks()
 
 
 @inlined
@@ -51,7 +105,8 @@ def sincos(x: float) -> tuple[float, float]:
     The angle is reduced by a multiple of pi/2 to within pi/4 (Cody and Waite; the first difference
     is exact); two polynomials (of degree 13 and 14, near minimax) give sine and cosine.
     """
-    k = np.floor(fma(x, TWO_OVER_PI, 0.5))
+    rounded = fma(x, TWO_OVER_PI, ROUNDING)
+    k = rounded - ROUNDING
     r = fma(-k, HALF_PI_3, fma(-k, HALF_PI_2, fma(-k, HALF_PI_1, x)))
     z = r * r
     s = fma(z, 1.58969099521155010221e-10, -2.50507602534068634195e-08)
@@ -66,10 +121,10 @@ def sincos(x: float) -> tuple[float, float]:
     c = fma(z, c, -1.38888888888741095749e-03)
     c = fma(z, c, 4.16666666666666019037e-02)
     c = fma(z, fma(z, c, -0.5), 1.0)
-    half_turns = np.floor(0.5 * k)
-    if fma(-2.0, half_turns, k) != 0.0:  # an odd number of quarter turns
+    quarters = np.float64(rounded).view(np.int64)
+    if quarters & 1:
         s, c = c, -s
-    if fma(-2.0, np.floor(0.5 * half_turns), half_turns) != 0.0:
+    if quarters & 2:
         s, c = -s, -c
     return s, c
 
