@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from equipoise.devices.twin.excitation import excitation
 from equipoise.devices.twin.physics import TICK, build
-from equipoise.devices.twin.twin import Twin
+from equipoise.devices.twin.twin import Twin, reset
 from equipoise.identification import identify
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.encoder import theta_from_counts
@@ -107,7 +107,7 @@ def test_a_pendulum_is_identified_as_it_was_built(model, friction):
     assert found.c.value == pytest.approx(pendulum.c, rel=0.02)
     assert found.coulomb.value == pytest.approx(pendulum.coulomb, rel=0.02)
     assert found.drag.value == pytest.approx(pendulum.drag, rel=0.02)
-    assert found.fit.offset == pytest.approx(-twin.kernel.sensors.zero, abs=1e-4)
+    assert found.fit.offset == pytest.approx(-twin.kernel.sensors.zero[0], abs=1e-4)
     assert found.fit.warnings == ()
 
 
@@ -181,6 +181,39 @@ def test_the_drives_balance_the_arms_own_gravity_as_mujoco_would():
         assert balanced == pytest.approx(data.qfrc_gravcomp[:7], abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("phi", "phi_dot", "moved", "beyond", "sticks"),
+    [
+        (0.3, 0.5, 0.02, -1.0, False),  # the pendulum slides
+        (np.pi - 0.003, 0.0, 0.0, -1.0, True),  # it sticks
+        (np.pi - 0.1, -0.1, 0.02, -1.0, False),  # it turns back
+        (0.3, 0.5, 0.02, 0.002, False),  # a joint is beyond its range
+    ],
+)
+def test_a_millisecond_is_a_whole_step_of_mujoco(phi, phi_dot, moved, beyond, sticks):
+    pendulum = PENDULUM._replace(coulomb=0.5, drag=0.02)
+    twin = Twin(ARM, pendulum, TwinSettings(), seed=2)
+    bodies, whole, n = twin.kernel.bodies, mujoco.MjData(twin.model), len(ARM.joints)
+    posture = np.array(ARM.home)
+    posture[5] = max(posture[5], ARM.joints[5].upper + beyond)
+    reset(twin.kernel, posture, phi, phi_dot)
+    twin.send(np.array(ARM.without_held(posture)) + moved)
+    ends, friction = 0, []
+    for _ in range(40):
+        whole.qpos[:], whole.qvel[:], before = bodies.qpos, bodies.qvel, bodies.gravity.copy()
+        twin.advance(TICK)
+        # The torques now balance the gravity at the end of the millisecond.
+        whole.qfrc_applied[:n] = bodies.applied[:n] - bodies.gravity + before
+        mujoco.mj_step(twin.model, whole)
+        assert twin.data.qpos == pytest.approx(whole.qpos, abs=1e-13)
+        assert twin.data.qvel == pytest.approx(whole.qvel, abs=1e-11)
+        assert twin.data.qacc == pytest.approx(whole.qacc, abs=1e-8)
+        friction.append(abs(whole.efc_force[0]) / twin.model.dof_frictionloss[n])
+        ends += whole.nefc - 1
+    assert (min(friction) < 0.99) == sticks
+    assert (ends > 0) == (beyond > 0.0)
+
+
 def test_at_rest_the_truth_is_what_reset_said():
     twin = Twin(ARM, PENDULUM, TwinSettings())
     assert tuple(twin.truth()) == pytest.approx((0.0, 0.0, np.pi, 0.0), abs=1e-12)
@@ -211,6 +244,15 @@ def test_after_a_reset_everything_is_as_in_a_new_twin():
     assert np.array_equal(path(used), first)
     assert np.array_equal(path(Twin(ARM, PENDULUM, TwinSettings(), seed=5, index=6)), first)
     assert not np.array_equal(path(Twin(ARM, PENDULUM, TwinSettings(), seed=5, index=7)), first)
+
+
+def test_a_twin_after_other_trials_is_a_new_one():
+    used = Twin(ARM, PENDULUM._replace(w2=60.0, coulomb=0.3), TwinSettings(), seed=4, index=1)
+    path(used)
+    rubbed = PENDULUM._replace(coulomb=0.1, drag=0.02)
+    used.set_trial(rubbed, 5, 6)
+    used.reset()
+    assert np.array_equal(path(used), path(Twin(ARM, rubbed, TwinSettings(), seed=5, index=6)))
 
 
 SESSION = """

@@ -8,6 +8,7 @@ import pytest
 from equipoise.devices.twin.sensors import (
     HISTORY_MS,
     encoder,
+    encoder_zero,
     make_sensors,
     new_sensor_history,
     reply,
@@ -39,13 +40,13 @@ def test_a_wrong_zero_reads_so_much_too_much_of_phi(zero):
 
 def test_the_zero_error_differs_between_trials_within_its_bounds():
     settings = EXACT.model_copy(update={"zero_error": 0.01, "zero_offset": 0.1})
-    zeros = np.array([make_sensors(settings, 5, i).zero for i in range(500)]) - 0.1
+    zeros = np.array([encoder_zero(settings, 5, i) for i in range(500)]) - 0.1
     assert np.all(np.abs(zeros) <= 0.01)
     # Even in +-0.01: mean 0, standard deviation 0.0058; 500 of them.
     assert np.mean(zeros) == pytest.approx(0.0, abs=5 * 0.0058 / np.sqrt(500))
     assert np.std(zeros) == pytest.approx(0.01 / np.sqrt(3), rel=0.1)
-    assert make_sensors(settings, 5, 3).zero == make_sensors(settings, 5, 3).zero
-    assert make_sensors(settings, 6, 3).zero != make_sensors(settings, 5, 3).zero
+    assert encoder_zero(settings, 5, 3) == encoder_zero(settings, 5, 3)
+    assert encoder_zero(settings, 6, 3) != encoder_zero(settings, 5, 3)
 
 
 @pytest.mark.parametrize(("age", "ticks"), [(0.0, 0), (0.001, 1), (0.0042, 5), (0.05, 50)])

@@ -192,7 +192,7 @@ def test_what_moved_makes_another_pendulum():
         update=dict.fromkeys(("mass", "length", "inertia", "friction"), weighed)
     )
     policy = policy.model_copy(update={"pendulum": known})
-    found = inspect(policy, {"run": run(3, 1.1)})
+    found = inspect(policy, {"run": run(4, 1.1)})
     assert [move.name for move in found.moves] == ["w2"]
     assert "w2 moved by +" in found.moves[0].text
     there = found.pendulum

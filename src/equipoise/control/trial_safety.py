@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.compiled import kernel
+from equipoise.compiled import inlined, kernel
 from equipoise.control import safety
 from equipoise.control.boxes import SAFETY_STOP
 from equipoise.control.control_step import (
@@ -115,7 +115,7 @@ def reset_trial_monitor(monitor: TrialSafetyMonitor, q: Array) -> None:
     monitor.error_time[0] = 0.0
 
 
-@kernel
+@inlined
 def setpoint_violation(monitor: TrialSafetyMonitor, q: Array, now: float) -> int:
     """Return the code of the rule that forbids a setpoint, `NO_VIOLATION` if none.
 
@@ -138,7 +138,7 @@ def setpoint_violation(monitor: TrialSafetyMonitor, q: Array, now: float) -> int
     return code
 
 
-@kernel
+@inlined
 def trial_violation(
     monitor: TrialSafetyMonitor,
     controller: ControllerParams,

@@ -10,21 +10,36 @@ from equipoise.control.control_step import make_controller_params, new_controlle
 from equipoise.control.policy import PolicyKernel
 from equipoise.control.trial_safety import TrialSafetyMonitor, new_trial_monitor, trial_safety
 from equipoise.devices.twin.servo_model import make_servo_params
-from equipoise.devices.twin.trial import TwinTrial, release, run_trial, step
+from equipoise.devices.twin.trial import TrialResult, TwinTrial, release, run_trial, step
 from equipoise.devices.twin.twin import Twin, truth
 from equipoise.learning.closed_loop import scaled
+from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import TwinSettings, pivot_friction
 from equipoise.simulation.interface import Array, Measurement, Setup, Simulation
 from equipoise.simulation.trials import Trial, Trials, draw_trials
 
-TwinHandle: Any = handle("TwinHandle", __name__, ("twin", "params", "state", "monitor"))
+TwinHandle: Any = handle("TwinHandle", __name__, ("trial",))
 
 
 @kernel
 def new_twin_handle(trial: TwinTrial) -> Any:
     """Return a closed loop on a twin that kernels take by reference; see `trial.step`."""
-    return TwinHandle(trial.twin, trial.params, trial.state, trial.monitor)
+    return TwinHandle(trial)
+
+
+@kernel
+def release_twin(loop: Any, phi: float, phi_dot: float) -> None:
+    """Release the pendulum; see `trial.release`."""
+    release(loop.trial, phi, phi_dot)
+
+
+@kernel
+def run_twin(
+    loop: Any, policy: PolicyKernel, phi: float, phi_dot: float, max_steps: int
+) -> TrialResult:
+    """Run one trial; see `trial.run_trial`."""
+    return run_trial(loop.trial, policy, phi, phi_dot, max_steps)
 
 
 @kernel
@@ -35,8 +50,9 @@ def advance_twin(loop: Any, true_state: Array) -> int:
         loop: The closed loop.
         true_state: Receives x, x_dot, phi, phi_dot in SI units, shape (4,).
     """
-    cause = step(loop)
-    state = truth(loop.twin)
+    trial = loop.trial
+    cause = step(trial)
+    state = truth(trial.twin)
     for i in range(4):
         true_state[i] = state[i]
     return cause
@@ -69,6 +85,7 @@ class TwinSimulation(Simulation):
         model = arm, settings, actuator, self._nominal
         self.params = make_controller_params(*model, h=h, counts_per_rev=world.counts_per_rev)
         self._safety = trial_safety(arm, world, actuator, h, settings.plant.max_speed)
+        self._idle: list[TwinLoop] = []
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on.
@@ -91,14 +108,14 @@ class TwinSimulation(Simulation):
     ) -> None:
         """Run trials of a compiled policy in this thread; see `Simulation.run`."""
         max_steps = round(duration / self.params.h)
+        try:
+            loop = self._idle.pop()  # of a thread that has finished
+        except IndexError:
+            loop = self.loop()
         for row in rows:
-            trial = trials.trial(row)
-            _, _, phi, phi_dot = trial.start
-            # The twin owns the memory of the engine and has to outlive the kernel's run.
-            twin, state, monitor = self.twin(trial), new_controller_state(), self.monitor()
-            loop = TwinTrial(twin.kernel, self.params, state, monitor)
-            result = run_trial(loop, policy, phi, phi_dot, max_steps)
+            result = loop.run(policy, trials.trial(row), max_steps)
             trials.steps[row], trials.cause[row], trials.sum_x2[row] = result
+        self._idle.append(loop)
 
     def pendulum(self, trial: Trial) -> PendulumParameters:
         """Return the pendulum of a trial, with the friction that acts in the twin."""
@@ -106,10 +123,9 @@ class TwinSimulation(Simulation):
         varied = scaled(self._nominal, own.inertia_factor, own.friction_factor)
         return self._friction.on(varied)
 
-    def twin(self, trial: Trial) -> Twin:
-        """Return the twin of a trial."""
-        model, number = (self._arm, self.pendulum(trial), self._world), trial.number
-        return Twin(*model, seed=self.seed, index=number, servo=self._servo)
+    def twin(self) -> Twin:
+        """Return a twin for `Twin.set_trial`."""
+        return Twin(self._arm, self._nominal, self._world, servo=self._servo)
 
     def monitor(self) -> TrialSafetyMonitor:
         """Return the rules of the world for one trial."""
@@ -117,26 +133,35 @@ class TwinSimulation(Simulation):
 
 
 class TwinLoop:
-    """Closed loop on one twin per trial."""
+    """Closed loop on a twin, which the trials use in turn."""
 
     def __init__(self, simulation: TwinSimulation) -> None:
-        """Allocate the controller; the twin is made for each trial."""
-        self._simulation = simulation
-        self._monitor = simulation.monitor()
+        """Build the twin, and allocate the controller."""
+        self._simulation, self._twin = simulation, simulation.twin()
         self.params, self.controller = simulation.params, new_controller_state()
         self.now, self.tracked = 0.0, 0.0
         self.zero: float | None = None
+        twin, q, monitor = self._twin.kernel, np.zeros(FREE_JOINTS), simulation.monitor()
+        # The twin owns the memory of the engine and has to outlive the handle.
+        self._handle = new_twin_handle(TwinTrial(twin, self.params, self.controller, q, monitor))
+
+    def run(self, policy: PolicyKernel, trial: Trial, max_steps: int) -> TrialResult:
+        """Run a trial of a compiled policy; see `trial.run_trial`."""
+        self._set(trial)
+        _, _, phi, phi_dot = trial.start
+        return run_twin(self._handle, policy, phi, phi_dot, max_steps)
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
-        self._twin, self.pendulum = self._simulation.twin(trial), self._simulation.pendulum(trial)
+        self._set(trial)
         _, _, phi, phi_dot = trial.start
-        twin, params, state = self._twin.kernel, self.params, self.controller
-        loop = TwinTrial(twin, params, state, self._monitor)
-        release(loop, phi, phi_dot)
-        self._handle = new_twin_handle(loop)
+        release_twin(self._handle, phi, phi_dot)
         self._state, self.now, self.tracked = np.array(self._twin.truth()), 0.0, 0.0
-        self.zero = twin.sensors.zero
+
+    def _set(self, trial: Trial) -> None:
+        self.pendulum = self._simulation.pendulum(trial)
+        self._twin.set_trial(self.pendulum, self._simulation.seed, trial.number)
+        self.zero = float(self._twin.kernel.sensors.zero[0])
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""

@@ -10,6 +10,7 @@ Nothing collides: a trial ends before anything could. The bodies have no shapes,
 would compute in each step.
 """
 
+import copy
 import functools
 from math import copysign
 from typing import Any, Final
@@ -58,33 +59,50 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
         settings.bracket_mass,
         settings.rotor_inertia,
     )
-    spec = _loaded(arm, outward, bracket, rotor).copy()
-    spec.option.timestep = TICK / settings.substeps
-    l = 3.0 * GRAVITY / (4.0 * pendulum.w2)
     m = settings.pendulum_mass
+    model = copy.copy(_loaded(arm, outward, bracket, rotor, m))
+    model.opt.timestep = TICK / settings.substeps
+    set_pendulum(model, mujoco().MjData(model), pendulum)
+    return model
+
+
+def set_pendulum(model: Any, data: Any, pendulum: PendulumParameters) -> None:
+    """Set the pendulum of a MuJoCo model of the twin, which differs between trials.
+
+    Args:
+        model: From `build`; changed in place.
+        data: Its state; set to the initial one.
+        pendulum: w2 and the frictions.
+    """
+    body, phi = model.nbody - 1, model.nv - 1
+    m = model.body_mass[body]
+    l = 3.0 * GRAVITY / (4.0 * pendulum.w2)
     I = m * GRAVITY * l / pendulum.w2
     across, along = I - m * l**2, 0.5 * m * SIZES.rod**2
-    inertia = (across, 0.0, 0.0, across, 0.0, along)
-    rod = Inertial(name="pendulum", mass=m, com=(0.0, 0.0, l), inertia=inertia)
-    _weigh(spec.body("pendulum"), rod)
-
-    phi = spec.joint("phi")
-    # MuJoCo's torque is -(damping[0] + damping[1] |rate|) rate.
-    phi.damping[:2] = [pendulum.c * I, pendulum.drag * I]
-    phi.frictionloss = pendulum.coulomb * I
-    phi.solref_friction = [DRY_TIME, 1.0]
-    phi.solimp_friction = [DRY_SHARE, DRY_SHARE, *phi.solimp_friction[2:]]
-    return spec.compile()
+    model.body_ipos[body], model.body_inertia[body] = (0.0, 0.0, l), (across, across, along)
+    # MuJoCo's torque is -(damping + dampingpoly |rate|) rate.
+    model.dof_damping[phi], model.dof_dampingpoly[phi, 0] = pendulum.c * I, pendulum.drag * I
+    model.dof_frictionloss[phi] = pendulum.coulomb * I
+    mj = mujoco()
+    mj.mj_setConst(model, data)
+    mj.mj_resetData(model, data)
 
 
 @functools.lru_cache(maxsize=8)
-def _loaded(arm: Arm, outward: float, bracket: float, rotor_inertia: float) -> Any:
-    """Return the scene with all masses but that of the pendulum, which differs between trials."""
+def _loaded(arm: Arm, outward: float, bracket: float, rotor_inertia: float, m: float) -> Any:
+    """Return the model with the drawing's pendulum of mass m [kg], for `set_pendulum`."""
     arm = arm.model_copy(update={"pivot": pivot(arm, outward)})
     spec = _weighed(arm, rotor_inertia)
     if bracket > 0.0:
         _weigh(spec.body("flange"), _bar(bracket, np.array(arm.pivot)))
-    return spec
+    l, along = 0.5 * SIZES.rod_length, 0.5 * m * SIZES.rod**2
+    inertia = (m * l**2 / 3.0, 0.0, 0.0, m * l**2 / 3.0, 0.0, along)
+    rod = Inertial(name="pendulum", mass=m, com=(0.0, 0.0, l), inertia=inertia)
+    _weigh(spec.body("pendulum"), rod)
+    phi = spec.joint("phi")
+    phi.solref_friction = [DRY_TIME, 1.0]
+    phi.solimp_friction = [DRY_SHARE, DRY_SHARE, *phi.solimp_friction[2:]]
+    return spec.compile()
 
 
 def pivot(arm: Arm, outward: float) -> Triple:

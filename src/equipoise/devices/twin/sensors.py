@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import kernel
+from equipoise.compiled import inlined
 from equipoise.devices.twin.physics import TICK
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.encoder import counts_from_theta
@@ -30,8 +30,8 @@ class Sensors(NamedTuple):
 
     counts_per_rev: float
     """Encoder counts per revolution."""
-    zero: float
-    """Encoder zero offset [rad]."""
+    zero: Array
+    """Encoder zero offset of the trial [rad], shape (1,)."""
     encoder_age: int
     """Age of the newest count [ms]."""
     encoder_jitter: float
@@ -59,11 +59,9 @@ def make_sensors(settings: TwinSettings, seed: int, index: int) -> Sensors:
         seed: Master seed.
         index: Number of the trial, which decides the error of the encoder's zero.
     """
-    word = philox(seed, 0, index, 0, TWIN + 1)[0]
-    error = float(uniform(word, -settings.zero_error, settings.zero_error))
     return Sensors(
         counts_per_rev=float(settings.counts_per_rev),
-        zero=settings.zero_offset + error,
+        zero=np.array([encoder_zero(settings, seed, index)]),
         encoder_age=ceil(settings.encoder_age / TICK - ROUNDING),
         encoder_jitter=settings.encoder_jitter,
         reply_age=ceil(settings.reply_age / TICK - ROUNDING),
@@ -71,12 +69,24 @@ def make_sensors(settings: TwinSettings, seed: int, index: int) -> Sensors:
     )
 
 
+def encoder_zero(settings: TwinSettings, seed: int, index: int) -> float:
+    """Return the encoder zero offset in one trial [rad].
+
+    Args:
+        settings: Its mean and its error.
+        seed: Master seed.
+        index: Number of the trial.
+    """
+    word = philox(seed, 0, index, 0, TWIN + 1)[0]
+    return settings.zero_offset + float(uniform(word, -settings.zero_error, settings.zero_error))
+
+
 def new_sensor_history() -> SensorHistory:
     """Return an empty history."""
     return SensorHistory(np.zeros(HISTORY_MS), np.zeros((HISTORY_MS, FREE_JOINTS)))
 
 
-@kernel
+@inlined
 def encoder(
     sensors: Sensors, past: SensorHistory, now: int, seed: int, index: int
 ) -> tuple[float, float]:
@@ -90,13 +100,13 @@ def encoder(
         index: Number of the trial.
     """
     tick = now - sensors.encoder_age
-    theta = pi - (past.phi[tick % HISTORY_MS] + sensors.zero)
+    theta = pi - (past.phi[tick % HISTORY_MS] + sensors.zero[0])
     word = philox(seed, tick, index, 0, TWIN)[1]
     stamp = tick * TICK + uniform(word, -sensors.encoder_jitter, sensors.encoder_jitter)
     return counts_from_theta(theta, sensors.counts_per_rev, 1.0), stamp
 
 
-@kernel
+@inlined
 def reply(
     sensors: Sensors, past: SensorHistory, now: int, seed: int, index: int, q: Array
 ) -> float:

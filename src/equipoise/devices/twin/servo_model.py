@@ -142,7 +142,7 @@ def start(cabinet: ServoState, q: Array) -> None:
         cabinet.wanted[i] = 0.0
 
 
-@kernel
+@inlined
 def send(cabinet: ServoState, servo: ServoParams, q: Array, seed: int, index: int) -> None:
     """Send a setpoint.
 

@@ -122,7 +122,7 @@ class SimulatedArm:
             self.stop("a target that is not finite")
         elif self.running:
             twin = self._twin.kernel
-            send(twin.cabinet, twin.servo, wanted + self._error, twin.seed, twin.trial)
+            send(twin.cabinet, twin.servo, wanted + self._error, twin.key[0], twin.key[1])
 
     def stop(self, why: str) -> None:
         """Brake, and ignore targets until `set_free`, as after an emergency stop.

@@ -10,9 +10,10 @@ from math import pi
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.compiled import kernel
+from equipoise.compiled import inlined, kernel
 from equipoise.control.boxes import ANGLE, JOINT_LIMIT, PHI_LIMIT, SAFETY_STOP, TRACK, TRUNCATED
 from equipoise.control.control_step import (
     OBS_PHI,
@@ -42,6 +43,8 @@ from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import at, put
 from equipoise.model.random import TWIN, philox, uniform
 
+Array = npt.NDArray[np.float64]
+
 
 class TrialResult(NamedTuple):
     """Result of a trial."""
@@ -63,6 +66,8 @@ class TwinTrial(NamedTuple):
     """Constants of the controller."""
     state: ControllerState
     """State of the controller."""
+    q: Array
+    """Scratch array: free joints [rad], shape (6,)."""
     monitor: TrialSafetyMonitor
     """Rules of the world with their state."""
 
@@ -78,13 +83,13 @@ def release(trial: TwinTrial, phi: float, phi_dot: float) -> None:
     """
     twin, controller = trial.twin, trial.params
     reset(twin, twin.home, phi, phi_dot)
-    counts, stamp = encoder(twin.sensors, twin.past, 0, twin.seed, twin.trial)
+    counts, stamp = encoder(twin.sensors, twin.past, 0, twin.key[0], twin.key[1])
     shown = pi - counts * controller.resolution - stamp * phi_dot
     start_controller(controller, trial.state, 0.0, 0.0, shown, phi_dot, 0)
     reset_trial_monitor(trial.monitor, controller.home)
 
 
-@kernel
+@inlined
 def step(trial: TwinTrial) -> int:
     """Advance by one control step: send the setpoints for u, and observe at its end.
 
@@ -95,7 +100,7 @@ def step(trial: TwinTrial) -> int:
         The cause of failure, TRUNCATED without one.
     """
     twin, controller, state, monitor = trial.twin, trial.params, trial.state, trial.monitor
-    q = np.empty(FREE_JOINTS)
+    q = trial.q
     command(controller, state, 1)
     for s in range(SETPOINTS_PER_TICK):
         for i in range(FREE_JOINTS):
@@ -107,8 +112,8 @@ def step(trial: TwinTrial) -> int:
         send_free(twin, q)
         advance(twin, round(controller.h / SETPOINTS_PER_TICK / TICK))
     tick = twin.cabinet.clock[NOW]
-    counts, counted = encoder(twin.sensors, twin.past, tick, twin.seed, twin.trial)
-    measured = reply(twin.sensors, twin.past, tick, twin.seed, twin.trial, q)
+    counts, counted = encoder(twin.sensors, twin.past, tick, twin.key[0], twin.key[1])
+    measured = reply(twin.sensors, twin.past, tick, twin.key[0], twin.key[1], q)
     put(state.counts, 0, 0, counts)
     for i in range(FREE_JOINTS):
         put(state.measured, i, 0, q[i])
@@ -128,12 +133,12 @@ def step(trial: TwinTrial) -> int:
     return TRUNCATED
 
 
-@kernel
+@inlined
 def decide(twin: TwinKernel, state: ControllerState, policy: PolicyKernel) -> None:
     """Compute u from the observation."""
     chance = 0.0
     if policy.kind == RANDOM:
-        words = philox(twin.seed, twin.cabinet.clock[NOW], twin.trial, 0, TWIN)
+        words = philox(twin.key[0], twin.cabinet.clock[NOW], twin.key[1], 0, TWIN)
         chance = uniform(words[2], 0.0, 1.0)
     seen = state.observation
     x, x_dot = at(seen, OBS_X, 0), at(seen, OBS_X_DOT, 0)
@@ -141,7 +146,7 @@ def decide(twin: TwinKernel, state: ControllerState, policy: PolicyKernel) -> No
     state.u[0] = act(policy, x, x_dot, phi, phi_dot, chance)
 
 
-@kernel
+@inlined
 def run_trial(
     trial: TwinTrial, policy: PolicyKernel, phi: float, phi_dot: float, max_steps: int
 ) -> TrialResult:

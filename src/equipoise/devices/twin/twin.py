@@ -10,7 +10,7 @@ is in space. They differ by the flange's rotation about the spindle.
 
 from collections.abc import Sequence
 from importlib import import_module
-from math import atan2
+from math import atan2, copysign
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,12 +18,13 @@ import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
 from equipoise.devices.twin.engine import Engine, call, engine
-from equipoise.devices.twin.physics import TICK, build
+from equipoise.devices.twin.physics import TICK, build, set_pendulum
 from equipoise.devices.twin.sensors import (
     HISTORY_MS,
     SensorHistory,
     Sensors,
     encoder,
+    encoder_zero,
     make_sensors,
     new_sensor_history,
     reply,
@@ -56,11 +57,19 @@ class Bodies(NamedTuple):
     qvel: Array
     """Their velocities [rad/s]."""
     applied: Array
-    """Torques of the drives, and zero for the pendulum [N m]."""
+    """Torques of the drives, and the dry friction of the pendulum [N m]."""
     gravity: Array
     """Torques that balance the arm's own gravity, from `balance` [N m], shape (n,)."""
+    smooth: Array
+    """Accelerations under all forces but those of constraints [rad/s^2]."""
+    acceleration: Array
+    """Accelerations [rad/s^2]."""
     warmstart: Array
     """Initial guess of the engine's solver [rad/s^2]."""
+    lower: Array
+    """Lower ends of the joints' ranges [rad], shape (n,)."""
+    upper: Array
+    """Upper ends [rad], likewise."""
     xpos: Array
     """Origins of the bodies [m], shape (n, 3)."""
     xmat: Array
@@ -87,6 +96,21 @@ class Bodies(NamedTuple):
     """The pendulum."""
 
 
+class DryFriction(NamedTuple):
+    """Dry friction of the pendulum, a row of the engine's constraints."""
+
+    row: Array
+    """Maximum torque [N m]; regularization [1/(kg m^2)] and damping [1/s] of the row."""
+    torque: Array
+    """Unit torque on the pendulum, shape (n + 1,)."""
+    response: Array
+    """Scratch array: accelerations under it [1/(kg m^2)], likewise."""
+    torque_address: int
+    """Address of `torque`."""
+    response_address: int
+    """Address of `response`."""
+
+
 class TwinKernel(NamedTuple):
     """A twin as kernels take it: constants, and the state, which they change in place."""
 
@@ -96,6 +120,8 @@ class TwinKernel(NamedTuple):
     """Steps of the engine in a millisecond."""
     bodies: Bodies
     """State of the bodies."""
+    dry: DryFriction
+    """Dry friction of the pendulum."""
     servo: ServoParams
     """Constants of the cabinet."""
     cabinet: ServoState
@@ -112,10 +138,8 @@ class TwinKernel(NamedTuple):
     """Position of the flange at home along base x [m]."""
     setpoint: Array
     """Scratch array: all joints of a setpoint [rad], shape (n,)."""
-    seed: int
-    """Master seed of all random numbers in a trial."""
-    trial: int
-    """Number of the trial."""
+    key: Whole
+    """Master seed and number of the trial, which determine all random numbers, shape (2,)."""
 
 
 class TrueState(NamedTuple):
@@ -155,6 +179,83 @@ def balance(bodies: Bodies) -> None:
         gravity[i] = torque
 
 
+@inlined
+def within_limits(bodies: Bodies) -> bool:
+    """Return whether no end of a joint's range acts."""
+    q, lower, upper = bodies.qpos, bodies.lower, bodies.upper
+    inside = True
+    for i in range(len(lower)):
+        inside &= (lower[i] < q[i]) & (q[i] < upper[i])
+    return inside
+
+
+@inlined
+def update(twin: TwinKernel, inside: bool) -> None:
+    """Compute what depends on positions and velocities, and balance the arm's gravity.
+
+    Args:
+        twin: Changed in place.
+        inside: Whether no end of a joint's range acts.
+    """
+    engine = twin.engine
+    if inside:
+        for stage in engine.update:
+            call(stage, (engine.model, engine.data))
+        call(engine.bias, (engine.model, engine.data, 0, engine.forces))
+    else:
+        call(engine.before, (engine.model, engine.data))
+    balance(twin.bodies)
+
+
+@inlined
+def integrate(twin: TwinKernel, inside: bool) -> None:
+    """Advance positions and velocities by a step of the engine.
+
+    Args:
+        twin: Changed in place.
+        inside: Argument of the last `update`. Outside, the engine's solver computes all forces of
+            constraints. Inside, dry friction is the only one.
+    """
+    engine, n = twin.engine, len(twin.home)
+    if inside:
+        call(engine.accelerate, (engine.model, engine.data))
+        apply_dry_friction(twin)
+        call(engine.integrate, (engine.model, engine.data))
+    else:
+        twin.bodies.applied[n] = 0.0
+        call(engine.after, (engine.model, engine.data))
+
+
+@inlined
+def apply_dry_friction(twin: TwinKernel) -> None:
+    r"""Compute the accelerations with dry friction, those of the engine's solver for one row.
+
+    The friction f minimises the cost of MuJoCo's dual problem within the maximum F:
+
+    .. math:: (A + R) f + \ddot\varphi_0 + B \dot\varphi = 0, \quad |f| \le F
+
+    with the response A to a unit torque, the acceleration without friction, and regularization R
+    and damping B of the row. The f of the step before is part of the applied torques; mostly the
+    pendulum slides on, and it remains.
+
+    Args:
+        twin: Changed in place.
+    """
+    bodies, dry, engine, n = twin.bodies, twin.dry, twin.engine, len(twin.home)
+    smooth, acceleration, response = bodies.smooth, bodies.acceleration, dry.response
+    most, R, B = dry.row[0], dry.row[1], dry.row[2]
+    f = bodies.applied[n]
+    slope = R * f + smooth[n] + B * bodies.qvel[n]
+    for i in range(n + 1):
+        acceleration[i] = smooth[i]
+    if f != -copysign(most, slope):
+        addresses = dry.response_address, dry.torque_address
+        call(engine.solve, (engine.model, engine.data, *addresses, 1))
+        bodies.applied[n] = min(max(f - slope / (response[n] + R), -most), most)
+        for i in range(n + 1):
+            acceleration[i] += response[i] * (bodies.applied[n] - f)
+
+
 @kernel
 def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
     """Set time to zero, the arm at rest and held at its position.
@@ -182,11 +283,10 @@ def reset(twin: TwinKernel, q: Array, phi: float, phi_dot: float) -> None:
         past.phi[tick % HISTORY_MS] = phi + tick * TICK * phi_dot
         for i in range(FREE_JOINTS):
             past.q[tick % HISTORY_MS, i] = q[free[i]]
-    call(twin.engine.before, twin.engine.model, twin.engine.data)
-    balance(bodies)
+    update(twin, within_limits(bodies))
 
 
-@kernel
+@inlined
 def advance(twin: TwinKernel, ticks: int) -> None:
     """Advance by a number of milliseconds.
 
@@ -194,17 +294,16 @@ def advance(twin: TwinKernel, ticks: int) -> None:
         twin: Changed in place.
         ticks: Number of milliseconds.
     """
-    before, after, model, data = twin.engine
     bodies, cabinet, servo, free = twin.bodies, twin.cabinet, twin.servo, twin.free
     qpos, qvel, applied, gravity = bodies.qpos, bodies.qvel, bodies.applied, bodies.gravity
     clock, past_phi, past_q = cabinet.clock, twin.past.phi, twin.past.q
-    n = len(twin.home)
+    n, inside = len(twin.home), within_limits(bodies)
     for _ in range(ticks):
         serve(cabinet, servo, qpos, qvel, gravity, applied)
         for _ in range(twin.substeps):
-            call(after, model, data)
-            call(before, model, data)
-            balance(bodies)
+            integrate(twin, inside)
+            inside = within_limits(bodies)
+            update(twin, inside)
         clock[NOW] += 1
         slot = clock[NOW] % HISTORY_MS
         past_phi[slot] = qpos[n]
@@ -212,14 +311,14 @@ def advance(twin: TwinKernel, ticks: int) -> None:
             past_q[slot, i] = qpos[free[i]]
 
 
-@kernel
+@inlined
 def send_free(twin: TwinKernel, q: Array) -> None:
     """Send a setpoint of the free joints [rad], shape (6,), now; the held joint stays."""
     for i in range(len(twin.home)):
         twin.setpoint[i] = twin.home[i]
     for i in range(FREE_JOINTS):
         twin.setpoint[twin.free[i]] = q[i]
-    send(twin.cabinet, twin.servo, twin.setpoint, twin.seed, twin.trial)
+    send(twin.cabinet, twin.servo, twin.setpoint, twin.key[0], twin.key[1])
 
 
 @kernel
@@ -233,11 +332,11 @@ def noise(twin: TwinKernel, sigma: float, stream: int, values: Array) -> None:
         values: Changed in place, shape (n,).
     """
     for i in range(len(values)):
-        words = philox(twin.seed, twin.cabinet.clock[NOW], twin.trial, 1 + i, TWIN + stream)
+        words = philox(twin.key[0], twin.cabinet.clock[NOW], twin.key[1], 1 + i, TWIN + stream)
         values[i] += sigma * normal_pair(words[0], words[1])[0]
 
 
-@kernel
+@inlined
 def truth(twin: TwinKernel) -> TrueState:
     """Return the true state of flange and pendulum."""
     bodies = twin.bodies
@@ -287,13 +386,14 @@ class Twin:
         Raises:
             ArmError: The masses of the arm's links are not known.
         """
-        self._arm = arm
+        self._arm, self._settings = arm, settings
         self.model = build(arm, pendulum, settings)
         self.data = import_module("mujoco").MjData(self.model)
         self.kernel = TwinKernel(
             engine=engine(self.model, self.data),
             substeps=settings.substeps,
             bodies=_bodies(self.model, self.data, len(arm.joints)),
+            dry=_dry_friction(len(arm.joints)),
             servo=make_servo_params(arm, settings) if servo is None else servo,
             cabinet=new_servo_state(len(arm.joints)),
             sensors=make_sensors(settings, seed, index),
@@ -302,10 +402,24 @@ class Twin:
             free=np.array(arm.free),
             home_x=float(arm.pose(arm.home_free).position[0]),
             setpoint=np.zeros(len(arm.joints)),
-            seed=seed,
-            trial=index,
+            key=np.array([seed, index]),
         )
+        _read_dry_friction(self.model, self.data, self.kernel)
         self.reset()
+
+    def set_trial(self, pendulum: PendulumParameters, seed: int, index: int) -> None:
+        """Change pendulum, seed and number of the trial; `reset` or `release` has to follow.
+
+        Args:
+            pendulum: The pendulum of this trial, with the friction that acts in the twin.
+            seed: Master seed of jitter, noise and the error of the encoder's zero.
+            index: Number of the trial.
+        """
+        twin = self.kernel
+        set_pendulum(self.model, self.data, pendulum)
+        _read_dry_friction(self.model, self.data, twin)
+        twin.key[:] = seed, index
+        twin.sensors.zero[0] = encoder_zero(self._settings, seed, index)
 
     def reset(
         self, q: Sequence[float] | Array | None = None, phi: float = np.pi, phi_dot: float = 0.0
@@ -341,13 +455,14 @@ class Twin:
     def encoder(self) -> tuple[float, float]:
         """Return the newest encoder counts and their time stamp [s]."""
         twin = self.kernel
-        counts, stamp = encoder(twin.sensors, twin.past, self._tick, twin.seed, twin.trial)
+        index = twin.key[1]
+        counts, stamp = encoder(twin.sensors, twin.past, self._tick, twin.key[0], index)
         return float(counts), float(stamp)
 
     def measured(self) -> tuple[Array, float]:
         """Return the newest measured free joints [rad], shape (6,), and their time [s]."""
         twin, q = self.kernel, np.zeros(FREE_JOINTS)
-        stamp = reply(twin.sensors, twin.past, self._tick, twin.seed, twin.trial, q)
+        stamp = reply(twin.sensors, twin.past, self._tick, twin.key[0], twin.key[1], q)
         return q, float(stamp)
 
     def truth(self) -> TrueState:
@@ -367,7 +482,11 @@ def _bodies(model: Any, data: Any, n: int) -> Bodies:
         qvel=data.qvel,
         applied=data.qfrc_applied,
         gravity=np.zeros(n),
+        smooth=data.qacc_smooth,
+        acceleration=data.qacc,
         warmstart=data.qacc_warmstart,
+        lower=model.jnt_range[:n, 0].copy(),
+        upper=model.jnt_range[:n, 1].copy(),
         xpos=data.xpos,
         xmat=data.xmat,
         cvel=data.cvel,
@@ -381,3 +500,19 @@ def _bodies(model: Any, data: Any, n: int) -> Bodies:
         flange=flange,
         pendulum=pendulum,
     )
+
+
+def _dry_friction(n: int) -> DryFriction:
+    torque, response = np.append(np.zeros(n), 1.0), np.zeros(n + 1)
+    return DryFriction(np.zeros(3), torque, response, torque.ctypes.data, response.ctypes.data)
+
+
+def _read_dry_friction(model: Any, data: Any, twin: TwinKernel) -> None:
+    """Read the row of dry friction from the constraints of the engine at home."""
+    twin.bodies.qpos[: len(twin.home)] = twin.home
+    call(twin.engine.before, (twin.engine.model, twin.engine.data))
+    kinds, most = data.efc_type, model.dof_frictionloss[-1]
+    rows = np.flatnonzero(kinds == import_module("mujoco").mjtConstraint.mjCNSTR_FRICTION_DOF)
+    twin.dry.row[:] = 0.0
+    for row in rows:
+        twin.dry.row[:] = most, data.efc_R[row], data.efc_KBIP[row, 1]
