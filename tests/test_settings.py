@@ -145,7 +145,7 @@ def test_a_single_setting_is_read_as_its_type(override, wanted):
 def test_an_unknown_recipe_is_refused_and_the_known_ones_are_named():
     message = refusal(recipe="papier")
     assert "'papier'" in message
-    assert "robust, paper" in message
+    assert "robust, fine, paper" in message
 
 
 @pytest.mark.parametrize(

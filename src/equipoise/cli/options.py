@@ -71,7 +71,11 @@ RESUME = flag(
 )
 SETTINGS_FILE = value("TOML", "Settings, one table per section.", "--settings", panel=IN_AND_OUT)
 SET = value("NAME=VALUE", "One setting; repeatable.", "--set", panel=IN_AND_OUT)
-RECIPE = value("NAME", "robust, or paper: the most literal reading of its text.", default="robust")
+RECIPE = value(
+    "NAME",
+    "robust; fine: 756 boxes, for slow pendulums; paper: the most literal reading of its text.",
+    default="robust",
+)
 MAX_SPEED = value("M/S", "Flange speed limit of a trial (T1: 0.23; default: none).")
 TWIN = value("WORLD", "twin:nominal, twin:harsh, or twin:FILE.", default="twin:nominal")
 

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 HELP: Final = {
     "track": "track: the pendulum stays up, and the table moves the flange off its track. Tables "
-    "differ in this from learner to learner: train more of them, or with a reward that "
-    "centres the flange.",
+    "differ in this from learner to learner: train more of them, or finer boxes "
+    "(--recipe fine), which a slow pendulum needs.",
     "angle": "angle: the pendulum falls within the track; equipoise map shows which of the states "
     "at the release any controller could save.",
     "joint limit": "joint limit: the posture leaves no room; choose another home.",
