@@ -200,6 +200,8 @@ def fall(params: RecoveryParams, states: Array, delay: float | None = None) -> A
     low, high = FALL_STEPS
     steps = max(low, min(high, ceil(abs(time) * params.rate / FALL_STEP)))
     after = np.array(states, np.float64)
+    if time == 0.0:
+        return after
     after[:, 0] += time * after[:, 1]
     for row in after:
         phi, phi_dot = float(row[2]), float(row[3])

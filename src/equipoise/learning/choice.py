@@ -9,6 +9,7 @@ line; then Numba compiles them, in each process anew. Code that Numba cannot com
 plain Python a training would take hours.
 """
 
+import functools
 import inspect
 import math
 from collections.abc import Callable
@@ -106,7 +107,7 @@ def compile_learner(settings: LearningSettings) -> LearnerKernel:
         reward = _guest_reward(_guest(settings.reward, REWARD), settings.reward)
     else:
         _check_known(settings.reward, REWARD, reward_names())
-        reward = compilable(getattr(rewards, settings.reward))
+        reward = _callable(getattr(rewards, settings.reward))
     ahead = learner.chooses_ahead
     select, update = _callable(learner.select), _callable(learner.update)
     learn = learn_with(update, select, ahead)
@@ -118,6 +119,7 @@ def compile_learner(settings: LearningSettings) -> LearnerKernel:
     )
 
 
+@functools.cache
 def _callable(function: Any) -> Any:
     """Return a function that kernels can call; a guest's has its indices checked."""
     if disabled() or function.__module__.startswith("equipoise."):

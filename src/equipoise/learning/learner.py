@@ -10,6 +10,7 @@ Both functions are compiled with Numba into functions for a whole block (`choose
 (`equipoise.compiled.function_pointer`): one compiled loop serves every learner.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
@@ -237,6 +238,7 @@ class LearnerKernel(NamedTuple):
     """Whether the next action is chosen before the update."""
 
 
+@functools.cache
 def choose_with(select: Callable[..., int]) -> Callable[..., None]:
     """Return a function that chooses the actions of undecided episodes.
 
@@ -260,6 +262,7 @@ def choose_with(select: Callable[..., int]) -> Callable[..., None]:
     return choose
 
 
+@functools.cache
 def learn_with(
     update: Callable[..., None], select: Callable[..., int], chooses_ahead: bool
 ) -> Callable[..., None]:
@@ -315,6 +318,7 @@ def learn_with(
     return learn
 
 
+@functools.cache
 def rewards_of(reward: Callable[..., float]) -> Callable[..., None]:
     """Return a function that writes the rewards of a step.
 
