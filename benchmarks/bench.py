@@ -102,8 +102,6 @@ class Contestant(NamedTuple):
 
     name: str
     """One word."""
-    what: str
-    """What a step of it holds."""
     package: str
     """What `pip` installs it from; empty for ours."""
     prepare: Callable[[], Work]
@@ -113,8 +111,6 @@ class Contestant(NamedTuple):
 class Rate(Value):
     """How fast one of them was."""
 
-    what: str
-    """What a step of it holds."""
     steps_per_second: float
     """Median over the rounds."""
     slowest: float
@@ -216,41 +212,35 @@ def contestants(pendulum: Pendulum, arm: Arm, settings: Settings) -> tuple[Conte
     return (
         Contestant(
             OURS,
-            f"training on the full kinematics of the {arm.name}",
             "",
             lambda: training_work(pendulum, arm, settings),
         ),
         Contestant(
             BEHIND,
-            "with delay, servo, encoder, observer and prediction",
             "",
             lambda: training_work(pendulum, arm, settings, shipped_actuator()),
         ),
         Contestant(
             TRIALS,
-            "of the shipped policy",
             "",
             lambda: trials_work("model", TRIAL_COUNT),
         ),
         Contestant(
             TWIN,
-            "with arm and pendulum in MuJoCo",
             "mujoco",
             lambda: trials_work("twin:nominal", TWIN_TRIALS),
         ),
         Contestant(
             "pinocchio",
-            f"the CLIK step of the {arm.name} alone, from Python",
             "pin",
             lambda: pinocchio_work(arm, settings),
         ),
         Contestant(
             "gymnasium",
-            "CartPole, without an arm, with a tabular update in Python",
             "gymnasium",
             cart_pole_work,
         ),
-        Contestant(PEAK, "fused multiply-adds alone, operations per second", "", peak_work),
+        Contestant(PEAK, "", peak_work),
     )
 
 
@@ -273,7 +263,7 @@ def race(
     missing: dict[str, str] = {}
     rates: dict[str, list[float]] = {}
     with _one_core() as core:
-        for name, _, package, prepare in contestants:
+        for name, package, prepare in contestants:
             _tell(progress, f"{name}: preparing")
             try:
                 works[name] = prepare()
@@ -297,12 +287,11 @@ def race(
     return Benchmark(
         rates={
             name: Rate(
-                what=what,
                 steps_per_second=statistics.median(rates[name]),
                 slowest=min(rates[name]),
                 fastest=max(rates[name]),
             )
-            for name, what, _, _ in contestants
+            for name, _, _ in contestants
             if name in rates
         },
         missing=missing,
@@ -329,6 +318,8 @@ def table(result: Benchmark) -> "Table":
     for title in ("median", "slowest", "fastest", "ratio", "real time", "of peak"):
         view.add_column(title, justify="right", no_wrap=True)
     for name, rate in result.rates.items():
+        if name == PEAK:
+            continue
         speeds = (rate.steps_per_second, rate.slowest, rate.fastest)
         cells = (
             (result.ratios, "{:.1f}"),
@@ -336,7 +327,7 @@ def table(result: Benchmark) -> "Table":
             (result.shares, "{:.0%}"),
         )
         others = (form.format(values[name]) if name in values else "" for values, form in cells)
-        view.add_row(f"{name}: {rate.what}", *(f"{speed / 1e3:,.0f}" for speed in speeds), *others)
+        view.add_row(name, *(f"{speed / 1e3:,.0f}" for speed in speeds), *others)
     return view
 
 

@@ -61,14 +61,14 @@ class Bench:
             self.now += next(left)
             return steps
 
-        return Contestant(name, f"{name} works", package, lambda: work)
+        return Contestant(name, package, lambda: work)
 
 
 def absent(name):
     def prepare():
         raise ModuleNotFoundError("No module named 'rocket'")
 
-    return Contestant(name, "", "rocket", prepare)
+    return Contestant(name, "rocket", prepare)
 
 
 def test_the_rounds_alternate_and_the_first_work_is_not_timed():
@@ -113,7 +113,7 @@ def test_all_work_runs_on_one_core_and_the_thread_is_free_again_afterwards():
         seen.append(os.sched_getaffinity(0))
         return 1
 
-    result = race([Contestant(OURS, "", "", lambda: work)], 1)
+    result = race([Contestant(OURS, "", lambda: work)], 1)
     assert seen == [{result.core}] * 2
     assert os.sched_getaffinity(0) == before
 

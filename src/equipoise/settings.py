@@ -395,6 +395,7 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "fine": {
         "boxes.phi_deg": (-8.0, -5.0, -3.0, -1.0, -0.5, 0.0, 0.5, 1.0, 3.0, 5.0, 8.0),
         "boxes.phi_dot_deg": (-50.0, -30.0, -10.0, 10.0, 30.0, 50.0),
+        "boxes.look_ahead": 0.7,
     },
     "paper": {
         "controller.predict": False,
