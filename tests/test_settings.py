@@ -334,11 +334,9 @@ def test_what_the_design_asks_for_is_the_default():
 # A limited speed
 
 
-def test_a_limited_speed_brings_its_differences_unless_others_are_given(tmp_path):
-    slow = resolve(max_speed=0.23)
-    assert (slow.plant.max_speed, slow.learning.gamma) == (0.23, 0.95)
+def test_a_given_speed_limit_replaces_that_of_the_settings(tmp_path):
+    assert resolve(max_speed=0.23).plant.max_speed == 0.23
     assert resolve().plant.max_speed is None
-    assert resolve(overrides=["learning.gamma=0.9"], max_speed=0.23).learning.gamma == 0.9
     file = toml(tmp_path, "[learning]\ngamma = 0.98\n[plant]\nmax_speed = 0.5\n")
     assert resolve(file=file, max_speed=0.23).plant.max_speed == 0.23
     assert resolve(file=file).plant.max_speed == 0.5

@@ -422,11 +422,6 @@ that the paper's 270 resolve too coarsely. `paper` is the most literal reading o
 textbook constants for unpublished parameters, starts near upright, no symmetry, and the last table
 as the policy."""
 
-LIMITED_SPEED: Mapping[str, Any] = {"learning.gamma": 0.95}
-"""Additional differences for a limited speed: a horizon of a fifth of a second, for tables with
-less effort. At 0.23 m/s the first two learners of seed 0 last 168 and 132 of 200 trials of the
-selection; with 0.97, a third of a second, they last 66 and 139."""
-
 
 def resolve(
     recipe: str = "robust",
@@ -435,14 +430,13 @@ def resolve(
     *,
     max_speed: float | None = None,
 ) -> Settings:
-    """Return the settings: defaults < recipe < limited speed < TOML file < single settings.
+    """Return the settings: defaults < recipe < TOML file < single settings.
 
     Args:
         recipe: A name in `RECIPES`.
         file: TOML with a table for each section, e.g. `[learning]` with `gamma = 0.97`.
         overrides: Single settings such as `learning.gamma=0.97`.
-        max_speed: `plant.max_speed` [m/s], which adds the differences of `LIMITED_SPEED`; None for
-            no limit.
+        max_speed: `plant.max_speed` [m/s]; None for that of the settings.
 
     Raises:
         SettingsError: A name is unknown or a value is invalid.
@@ -456,8 +450,6 @@ def resolve(
     # `model_dump` would omit some fields.
     tree: dict[str, dict[str, Any]] = {name: dict(section) for name, section in Settings()}
     differences = [*RECIPES[recipe].items()]
-    if max_speed is not None:
-        differences += LIMITED_SPEED.items()
     if file is not None:
         differences += _flat(read_toml(Path(file), "the settings"))
     for name, value in differences:
