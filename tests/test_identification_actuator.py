@@ -60,6 +60,7 @@ def cabinet(
     delay=0.010,
     lags=LAGS,
     law="kst",
+    cycle=1e-3,
     jitter=1e-3,
     phase=None,
     push=0.0,
@@ -75,8 +76,9 @@ def cabinet(
     position, velocity, path = q[0].copy(), np.zeros(6), [q[0].copy()]
     for target in q[newest]:
         e = target - position
-        if law == "kst":
-            wanted = np.sign(e) * 0.07 * -np.expm1(-((e / 0.0525) ** 2)) / 1e-3 + push
+        if law in ("kst", "unshaped"):
+            step = np.sign(e) * 0.07 * -np.expm1(-((e / 0.0525) ** 2)) if law == "kst" else e
+            wanted = step / cycle + push
             change = (1.0 - keeps) * (wanted - velocity)
             velocity = velocity + np.clip(change, -1e-3 * strength, 1e-3 * strength)
             position = position + 1e-3 * velocity
@@ -118,6 +120,20 @@ def test_delay_lags_and_shaping_law_are_found_together(delay):
     np.testing.assert_allclose(values(actuator.lags), LAGS, rtol=0.2)
     assert actuator.cycle.value == pytest.approx(1e-3, rel=0.03)
     assert actuator.cycle.source == "identified"
+    assert actuator.fit.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("law", "cycle"), [("kst", 0.016), ("kst", 0.04), ("unshaped", 0.006), ("unshaped", 0.03)]
+)
+def test_a_slow_servo_is_found_with_or_without_the_shaping_law(law, cycle):
+    actuator = identified(recorded(law=law, cycle=cycle))
+    assert actuator.kind == law
+    assert holds(actuator.cycle, cycle)
+    assert holds(actuator.delay, 0.010 + WAITING)
+    # Slow motions show the sum of delay and t_c of a linear servo, and little of their difference.
+    total = actuator.delay.value + actuator.cycle.value
+    assert total == pytest.approx(0.010 + WAITING + cycle, rel=0.02)
     assert actuator.fit.warnings == ()
 
 

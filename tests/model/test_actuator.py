@@ -16,6 +16,7 @@ from equipoise.model.actuator import (
     KST,
     LAG,
     NEAR,
+    UNSHAPED,
     Actuator,
     ActuatorParameters,
     follow,
@@ -27,6 +28,7 @@ from equipoise.model.actuator import (
 from equipoise.model.elementary import BATCH_SIZE
 
 SHAPED = ActuatorParameters(KST)
+UNSHAPED_SERVO = ActuatorParameters(UNSHAPED, cycle=0.02)
 
 
 def share_of(lag):
@@ -96,12 +98,13 @@ def test_the_steady_lag_is_the_table_of_the_servo(speed, cycle):
 
 @pytest.mark.parametrize("lag", [0.0, 0.004, 0.016])
 @pytest.mark.parametrize("speed", [0.05, 0.25, 1.0])
-def test_a_ramp_is_followed_at_the_steady_error(speed, lag):
+@pytest.mark.parametrize("servo", [SHAPED, UNSHAPED_SERVO])
+def test_a_ramp_is_followed_at_the_steady_error(servo, speed, lag):
     times = np.arange(1500) * CYCLE
-    q, dq = moved(speed * times, SHAPED, lag)
+    q, dq = moved(speed * times, servo, lag)
     # The error that the next cycle sees.
     e = speed * (times[-1] + CYCLE) - q[-1]
-    assert e == pytest.approx(steady_error(speed, lag, SHAPED), rel=1e-6)
+    assert e == pytest.approx(steady_error(speed, lag, servo), rel=1e-6)
     assert dq[-1] == pytest.approx(speed, rel=1e-6)
 
 
@@ -111,17 +114,20 @@ def test_a_step_takes_as_long_to_nine_tenths_as_the_table_says(step, expected_ms
     assert int(np.argmax(q >= 0.9 * step)) + 1 == pytest.approx(expected_ms, abs=1)
 
 
-def test_behind_a_lag_the_servo_is_the_differential_equation_of_the_docstring():
+@pytest.mark.parametrize("servo", [SHAPED, UNSHAPED_SERVO])
+def test_behind_a_lag_the_servo_is_the_differential_equation_of_the_docstring(servo):
     lag, target = 0.016, 0.005
 
     def slope(t, y):
         e = target - y[0]
         wanted = np.sign(e) * 0.07 / 1e-3 * -np.expm1(-((e / 0.0525) ** 2))
+        if servo is UNSHAPED_SERVO:
+            wanted = e / 0.02
         return [y[1], (wanted - y[1]) / lag]
 
     times = np.arange(1, 200) * CYCLE
     exact = solve_ivp(slope, (0.0, 0.2), [0.0, 0.0], t_eval=times, rtol=1e-10, atol=1e-12).y
-    q, dq = moved(np.full(len(times), target), SHAPED, lag)
+    q, dq = moved(np.full(len(times), target), servo, lag)
     # A cycle moves at the velocity of its end: half a cycle ahead.
     top = np.max(np.abs(exact[1]))
     np.testing.assert_allclose(q, exact[0], atol=0.55 * CYCLE * top)
@@ -162,7 +168,7 @@ def test_no_lag_takes_up_all_at_once():
 
 
 @pytest.mark.parametrize("error", [0.1, NEAR * INTERVAL_WIDTH / 2.0])
-@pytest.mark.parametrize("kind", [IDEAL, LAG, KST])
+@pytest.mark.parametrize("kind", [IDEAL, LAG, UNSHAPED, KST])
 def test_each_lane_and_joint_moves_alone(kind, error):
     # Small errors alone take the short series, with others among them the whole law.
     rng = np.random.default_rng(2)
@@ -197,7 +203,9 @@ def sine(duration=0.6, period=0.005):
     return time, 0.1 * (1.0 - np.cos(6.0 * time))
 
 
-@pytest.mark.parametrize(("kind", "lag"), [(KST, 0.008), (KST, 0.0), (LAG, 0.008), (IDEAL, 0.0)])
+@pytest.mark.parametrize(
+    ("kind", "lag"), [(KST, 0.008), (KST, 0.0), (UNSHAPED, 0.008), (LAG, 0.008), (IDEAL, 0.0)]
+)
 def test_a_log_is_simulated_as_the_servo_moves(kind, lag):
     # Setpoints that take effect on the cycles' own grid: the very loop of `follow`.
     time, stream = sine()
@@ -217,7 +225,7 @@ def test_between_cycles_a_position_lies_on_the_way():
     np.testing.assert_allclose(found[inner], expected[inner], atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", [KST, LAG, IDEAL])
+@pytest.mark.parametrize("kind", [KST, UNSHAPED, LAG, IDEAL])
 @pytest.mark.parametrize("spread", [0.0, 1e-3])
 def test_the_simulation_depends_smoothly_on_the_delay(kind, spread):
     time, stream = sine()

@@ -107,7 +107,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     with destination.claimed() as out:
         actuator.save(out, command="identify", inputs={"run": run.digest})
     rows = {"servo law": actuator.kind, "transport delay": in_ms(actuator.delay)}
-    if actuator.kind == "kst":
+    if actuator.kind in ("unshaped", "kst"):
         rows["servo cycle"] = in_ms(actuator.cycle)
     for place, lag in zip(run.conditions.arm.free, actuator.lags, strict=True):
         rows[f"lag of {run.conditions.joints[place]}"] = in_ms(lag)

@@ -4,7 +4,7 @@ Transport delay, shaping law and drive lags are fitted together to the simulatio
 controller use (`equipoise.model.actuator`). A linear delay and lag, fitted to an arm behind the
 shaping law, would depend on the amplitude of the motion.
 
-1. Search a coarse grid for the delay: with a periodic motion, a delay longer by one period fits
+1. Search a coarse grid for delay and t_c: with a periodic motion, a delay longer by one period fits
    nearly as well.
 2. Fit the whole log by least squares: one delay, one t_c, and for each joint a lag and the constant
    bias of its load. The drives know only the bare arm: a joint that carries a tool sags and follows
@@ -48,9 +48,12 @@ _LAGS, _BIASES = range(LAG, LOAD_BIAS), range(LOAD_BIAS, LOAD_BIAS + FREE_JOINTS
 FITTED: Final[dict[Kind, list[int]]] = {
     "ideal": [DELAY, *_BIASES],
     "lag": [DELAY, *_LAGS, *_BIASES],
+    "unshaped": [DELAY, T_C, *_LAGS, *_BIASES],
     "kst": [DELAY, T_C, *_LAGS, *_BIASES],
 }
 """Indices of the unknowns of each kind."""
+SIMPLE: Final[tuple[Kind, ...]] = ("ideal", "lag")
+"""Kinds without the inertia of a servo."""
 
 
 def _unknowns(delay: float, t_c: float, lag: float, bias: float) -> Array:
@@ -61,10 +64,15 @@ START: Final = _unknowns(0.0, CYCLE, 8e-3, 0.0)
 SCALES: Final = _unknowns(1e-2, 1e-3, 1e-2, 1e-1)
 """Scale of each unknown."""
 LOWER_BOUNDS: Final = _unknowns(0.0, 1e-4, 0.0, -np.inf)
-UPPER_BOUNDS: Final = _unknowns(0.1, 1e-2, 0.1, np.inf)
+UPPER_BOUNDS: Final = _unknowns(0.1, 0.1, 0.1, np.inf)
 """Upper bounds of the unknowns: a robot with more delay or lag cannot balance."""
 DELAY_GRID: Final = 5e-3
 """Grid step of the delay search [s]: a small part of any period."""
+T_C_GRID: Final = (CYCLE, 1e-2, 2.5e-2)
+"""Grid of t_c in that search [s]: a slow servo looks like more delay."""
+NEAR_BEST: Final = 3.0
+"""Residual of a start relative to the best one up to which a fit begins there, too: delay and t_c
+are nearly the same to slow motions, and a fit proceeds slowly from one to the other."""
 JITTER: Final = 1e-3
 """Largest deviation of a setpoint's delay from the mean [s], from the server's cycle and a quiet
 network. The log hardly shows it; the intervals allow for twice its square. With a true value of
@@ -201,7 +209,7 @@ def identify_actuator(
             that follows its setpoints.
     """
     log = _read(stream_time, stream_q, reply_time, reply_q)
-    kinds = KINDS if kind == "auto" else (kind,)
+    kinds: tuple[Kind, ...] = (kind,) if kind != "auto" else SIMPLE + _likeliest_law(log)
     fits = {each: _fit(log, each, FITTED[each]) for each in kinds}
     best = next(iter(fits.values()))
     for richer in fits.values():
@@ -209,8 +217,12 @@ def identify_actuator(
             best = richer
     _reject_unexplained(log, best)
     covariance = _covariance(log, best)
-    # Zero where t_c is fixed.
-    if _half_width(covariance, T_C) > MAX_T_C_UNCERTAINTY * best.unknowns[T_C]:
+    # Zero where t_c is fixed. Without the law, slow motions hardly tell delay from t_c, and an
+    # assumed t_c would give the delay too narrow an interval.
+    if (
+        best.kind == "kst"
+        and _half_width(covariance, T_C) > MAX_T_C_UNCERTAINTY * best.unknowns[T_C]
+    ):
         best = _fit(log, best.kind, [place for place in best.fitted if place != T_C])
         covariance = _covariance(log, best)
     estimates = [
@@ -317,20 +329,50 @@ def speed_ranges(time: Array, q: Array) -> Array:
     return np.ptp(np.quantile(velocity, [0.02, 0.98], axis=0), axis=0)
 
 
+def _likeliest_law(log: Log) -> tuple[Kind]:
+    """Return the law of a servo that a coarse search fits best; the others take long to fit."""
+    laws: tuple[Kind, Kind] = ("unshaped", "kst")
+    return (min(laws, key=lambda law: _search(log, law, FITTED[law])[0].share),)
+
+
+class Start(NamedTuple):
+    """A start of a fit, from a coarse grid."""
+
+    unknowns: Array
+    """Values, shape (14,)."""
+    left: Array
+    """Standard deviations of the residuals there [rad], shape (6,)."""
+    share: float
+    """Root mean square of their shares of the motion."""
+
+
+def _search(log: Log, kind: Kind, fitted: list[int]) -> list[Start]:
+    """Return the best delay of a coarse grid for each t_c; the best start first."""
+    start, found = START.copy(), list[Start]()
+    if kind == "ideal":
+        start[LAG:LOAD_BIAS] = 0.0
+    for cycle in T_C_GRID if T_C in fitted else (CYCLE,):
+        row = list[Start]()
+        for delay in np.arange(0.0, UPPER_BOUNDS[DELAY], DELAY_GRID):
+            start[[DELAY, T_C]] = delay, cycle
+            left = np.std(log.residual(kind, start), axis=1)
+            row.append(Start(start.copy(), left, float(_rms(left / np.std(log.measured, axis=1)))))
+        found.append(min(row, key=lambda one: one.share))
+    return sorted(found, key=lambda one: one.share)
+
+
 def _fit(log: Log, kind: Kind, fitted: list[int]) -> JointFit:
     """Fit one kind of actuator, weighted by residual first, then by the effective noise."""
-    delays = np.arange(0.0, UPPER_BOUNDS[DELAY], DELAY_GRID)
-    starts = np.tile(START, (len(delays), 1))
-    starts[:, DELAY] = delays
-    if kind == "ideal":
-        starts[:, LAG:LOAD_BIAS] = 0.0
-    left = np.stack([np.std(log.residual(kind, start), axis=1) for start in starts])
-    nearest = int(np.argmin(_rms(left / np.std(log.measured, axis=1))))
-    weights = 1.0 / left[nearest]
-    unknowns = _least_squares(log, kind, starts[nearest], fitted, weights)
-    weights = 1.0 / _effective_noise(log, kind, unknowns, fitted)
-    unknowns = _least_squares(log, kind, unknowns, fitted, weights)
-    return JointFit(kind, unknowns, fitted, weights, log.residual(kind, unknowns))
+    starts = _search(log, kind, fitted)
+    fits = list[JointFit]()
+    for start in starts:
+        if start.share > NEAR_BEST * starts[0].share:
+            break
+        unknowns = _least_squares(log, kind, start.unknowns, fitted, 1.0 / start.left)
+        weights = 1.0 / _effective_noise(log, kind, unknowns, fitted)
+        unknowns = _least_squares(log, kind, unknowns, fitted, weights)
+        fits.append(JointFit(kind, unknowns, fitted, weights, log.residual(kind, unknowns)))
+    return min(fits, key=lambda fit: fit.rms)
 
 
 def _least_squares(log: Log, kind: Kind, start: Array, fitted: list[int], weights: Array) -> Array:

@@ -1,7 +1,7 @@
 r"""Actuator: model and file format of an arm's response to setpoints.
 
 A setpoint takes effect a transport delay after it was sent. Then the servo moves each joint once
-per millisecond, by one of three laws.
+per millisecond, by one of four laws.
 
 ``kst`` is the position servo of the KUKA Sunrise Toolbox's server, with the error e = setpoint - q,
 followed by the response of the drive as a first-order lag T:
@@ -12,7 +12,8 @@ followed by the response of the drive as a first-order lag T:
 a = 0.07 rad, b = 0.0525 rad, t_c = 1 ms. The law is quadratic near zero: a soft dead band, whose
 lag decreases with speed (28 ms at 0.05 rad/s, 6 ms at 1 rad/s).
 
-``lag``: T q_dot = e. ``ideal``: q equals the setpoint immediately, as in the paper.
+``unshaped``: the same drive without the shaping law, q_dot_c = e / t_c. ``lag``: T q_dot = e.
+``ideal``: q equals the setpoint immediately, as in the paper.
 
 The training plant, the controller's observer and the identification use the kernels below.
 """
@@ -31,12 +32,13 @@ from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE, fma
 
 Array = npt.NDArray[np.float64]
-Kind = Literal["ideal", "lag", "kst"]
+Kind = Literal["ideal", "lag", "unshaped", "kst"]
 
 IDEAL: Final = 0
 LAG: Final = 1
-KST: Final = 2
-KINDS: Final[tuple[Kind, ...]] = ("ideal", "lag", "kst")
+UNSHAPED: Final = 2
+KST: Final = 3
+KINDS: Final[tuple[Kind, ...]] = ("ideal", "lag", "unshaped", "kst")
 
 CYCLE: Final = 1e-3
 """Period of the joint servo [s]."""
@@ -61,9 +63,9 @@ class ActuatorParameters(NamedTuple):
     """Actuator parameters for kernels."""
 
     kind: int
-    """IDEAL, LAG or KST."""
+    """IDEAL, LAG, UNSHAPED or KST."""
     cycle: float = CYCLE
-    """t_c of the shaping law [s]."""
+    """t_c of the servo [s]."""
     amplitude: float = AMPLITUDE
     """a of the shaping law [rad]."""
     width: float = INTERVAL_WIDTH
@@ -161,7 +163,10 @@ def follow(
         return
     for i in range(0, count * stride, stride):
         e = target[i] - q[i]
-        if actuator.kind == LAG:
+        if actuator.kind == UNSHAPED:
+            dq[i] = fma(e / actuator.cycle - dq[i], share[i], dq[i])
+            q[i] = fma(CYCLE, dq[i], q[i])
+        elif actuator.kind == LAG:
             dq[i] = e * share[i] / CYCLE
             q[i] += e * share[i]
         else:
@@ -311,15 +316,15 @@ def track(
         delay: Time from sending a setpoint to its effect [s].
         spread: Half width of the uniform distribution of the delay [s].
         lag: T [s].
-        push: Constant bias of the load, on the desired velocity for `kst` [rad/s], else on the
-            setpoint [rad].
+        push: Constant bias of the load, on the desired velocity for `unshaped` and `kst` [rad/s],
+            else on the setpoint [rad].
         memory: Share of its own position and velocity that the observer keeps, 0 to 1: 1 is an
             open-loop simulation, 0 restarts at each measurement.
         actuator: Constants.
         predicted: Receives the positions before their correction [rad], shape (p,).
     """
     rate, amplitude, width = 1.0 / actuator.cycle, actuator.amplitude, actuator.width
-    shaped = actuator.kind == KST
+    shaped, driven = actuator.kind == KST, actuator.kind >= UNSHAPED
     share = 1.0 if actuator.kind == IDEAL else lag_share(lag)
     q, dq = reply_q[0], (reply_q[1] - reply_q[0]) / (reply_time[1] - reply_time[0])
     before, now, cycles, newest = q, reply_time[0], 0, 0
@@ -343,7 +348,7 @@ def track(
                 mean += part / (now - begin) * (other - step)
                 step, i = other, i + 1
             before = q
-            if shaped:
+            if driven:
                 dq += (rate * mean + push - dq) * share
                 q += CYCLE * dq
             else:
@@ -367,6 +372,8 @@ def steady_error(dq: float, lag: float, actuator: ActuatorParameters) -> float:
     """
     if actuator.kind == LAG:
         return dq * lag
+    if actuator.kind == UNSHAPED:
+        return dq * actuator.cycle
     if actuator.kind == IDEAL:
         return 0.0
     part = min(abs(dq) * actuator.cycle / actuator.amplitude, 0.999)
@@ -436,13 +443,14 @@ class Actuator(Artefact):
     VERSION: ClassVar[int] = 1
 
     kind: Kind
-    """`kst`: the server's shaping law; `lag`: a first-order lag; `ideal`: none."""
+    """`kst`: the server's shaping law; `unshaped`: a drive towards the setpoint; `lag`: a
+    first-order lag; `ideal`: none."""
     delay: Estimate
     """Transport delay from sending a setpoint to its effect [s]."""
     lags: Annotated[tuple[Estimate, ...], Field(min_length=FREE_JOINTS, max_length=FREE_JOINTS)]
     """Time constant T of each free joint [s]."""
     cycle: Estimate
-    """t_c of the shaping law [s]."""
+    """t_c of the servo, for `unshaped` and `kst` [s]."""
     amplitude: float = Field(default=AMPLITUDE, ge=1e-6, le=10.0)
     """a of the shaping law [rad]."""
     width: float = Field(default=INTERVAL_WIDTH, ge=1e-6, le=10.0)
@@ -468,10 +476,10 @@ class Actuator(Artefact):
         """Return an assumed actuator, with intervals of zero width.
 
         Args:
-            kind: `ideal`, `lag` or `kst`.
+            kind: `ideal`, `lag`, `unshaped` or `kst`.
             delay: Time from sending a setpoint to its effect [s].
             lag: Time constant of every joint [s].
-            cycle: t_c of the shaping law [s].
+            cycle: t_c of the servo [s].
         """
         delay_, lag_, cycle_ = (Estimate.around(v, 0.0, "assumed") for v in (delay, lag, cycle))
         return cls(kind=kind, delay=delay_, lags=(lag_,) * FREE_JOINTS, cycle=cycle_)
@@ -485,14 +493,16 @@ class Actuator(Artefact):
     def response_time(self, joint: int, speed: float = TYPICAL_SPEED) -> float:
         """Return the response time of a joint to a small change, without transport [s].
 
-        The sum of the drive's lag and, for `kst`, the reciprocal slope of the shaping law at the
-        steady error of a speed.
+        The sum of the drive's lag and the reciprocal slope of the servo's law: t_c for `unshaped`;
+        for `kst` at the steady error of a speed.
 
         Args:
             joint: Index of the free joint, from zero.
             speed: Joint speed [rad/s].
         """
         lag = self.lags[joint].value
+        if self.kind == "unshaped":
+            return lag + self.cycle.value
         if self.kind != "kst":
             return lag
         e = steady_error(speed, lag, self.parameters)

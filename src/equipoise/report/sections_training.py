@@ -169,7 +169,7 @@ def _actuator(policy: TabularPolicy) -> str:
         ideal = "The arm follows its commands at once, and the state is known without a sensor"
         return f"{ideal}, as in the paper's simulation."
     lags = [1e3 * lag.value for lag in actuator.lags]
-    law = {"kst": "through the server's shaping law, ", "lag": "", "ideal": ""}[actuator.kind]
+    law = "through the server's shaping law, " if actuator.kind == "kst" else ""
     return (
         f"The arm follows its setpoints after {1e3 * actuator.delay.value:.1f} ms, {law}with lags "
         f"of {min(lags):.1f} to {max(lags):.1f} ms in its joints, estimated from a log of the "
