@@ -7,14 +7,17 @@ import sys
 from pathlib import Path
 
 import equipoise as eq
+from equipoise import paper
 
 policy = eq.TabularPolicy.load(Path(sys.argv[1])) if len(sys.argv) > 1 else eq.shipped_policy()
 
 # The axes of the table: phi, phi_dot, x, x_dot, each from its lowest interval.
-u = policy.u_of_box.reshape(6, 5, 3, 3)
+boxes = policy.settings.boxes
+u = policy.u_of_box.reshape(boxes.shape)
+middle = u[:, :, boxes.shape[2] // 2, boxes.shape[3] // 2]
 
 print(f"{policy.arm.name}, recipe {policy.recipe}: {policy.episodes:,} episodes of training")
-print("Acceleration of the flange [m/s^2]; rows phi [deg], columns phi_dot [deg/s]")
-print(" " * 10 + "".join(f"{interval:>11}" for interval in policy.boxes.phi_dot_deg))
-for row, interval in zip(u[:, :, 1, 1], policy.boxes.phi_deg, strict=True):
-    print(f"{interval:>10}" + "".join(f"{value:11.1f}" for value in row))
+print("Acceleration of the flange [m/s^2]; rows to phi [deg], columns to phi_dot [deg/s]")
+print(" " * 6 + "".join(f"{end:>7g}" for end in (*boxes.phi_dot_deg, float("inf"))))
+for row, end in zip(middle, (*boxes.phi_deg, paper.PHI_LIMIT_DEG), strict=True):
+    print(f"{end:>6g}" + "".join(f"{value:7.1f}" for value in row))

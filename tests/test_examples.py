@@ -15,7 +15,7 @@ SAY = {
     "identify_a_swing.py": "w2 = m g l / I",
     "train_and_evaluate.py": "LQR, snapped lasted 200 of 200 trials",
     "own_policy.py": "5 of 5 trials lasted 10 s",
-    "policy_table.py": "[10, 50[",
+    "policy_table.py": "    -10     10     50    inf",
     "deploy_on_the_twin.py": "twin:nominal-1: stood 20 of 20 s",
 }
 
