@@ -147,7 +147,7 @@ def test_a_policy_with_other_boxes_or_actions_is_refused(refused, policy_file):
     original = policy_file.read_bytes()
 
     def other_boxes(body):
-        body["boxes"]["x"][0] = "]-0.3,-0.08]"
+        body["settings"]["boxes"]["x"] = [-0.1, -0.05, 0.05, 0.1]
 
     def more_actions(body):
         body["actions"].append(3.0)
@@ -159,7 +159,7 @@ def test_a_policy_with_other_boxes_or_actions_is_refused(refused, policy_file):
         body["mood"] = "good"
 
     for change, saying in (
-        (other_boxes, "the boxes or actions are not the ones of this Equipoise"),
+        (other_boxes, "Q must have 450 rows"),
         (more_actions, "actions: Tuple should have at most 8 items"),
         (fewer_rows, "Q must have 270 rows"),
         (another_field, "mood"),

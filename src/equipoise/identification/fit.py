@@ -244,6 +244,11 @@ def _least_squares(
         unknowns[fitted] = x * scales
         return unknowns
 
+    def jacobian(x: Array) -> Array:
+        # Where a motion begins to diverge, it has no derivative, and no influence on the step.
+        J = sensitivities(recording, at(x), fitted) * scales
+        return np.where(np.isfinite(J), J, 0.0)
+
     if not np.all(np.isfinite(recording.predict(at(guess / scales)))):
         # The friction is too stiff for the integration steps.
         return start.copy()
@@ -251,7 +256,7 @@ def _least_squares(
         lambda x: -recording.residual(at(x)),
         guess / scales,
         # SciPy's stub accepts a name here, but no function.
-        jac=lambda x: sensitivities(recording, at(x), fitted) * scales,  # pyright: ignore[reportArgumentType]
+        jac=jacobian,  # pyright: ignore[reportArgumentType]
         bounds=(low / scales, high / scales),
         x_scale="jac",
         xtol=100.0 * tolerance,
