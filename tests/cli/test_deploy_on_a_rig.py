@@ -47,7 +47,7 @@ REFUSED = {
     "an encoder without a rig": (("--encoder", BOARD), "give --robot"),
     "no encoder": (("--robot", KST), "give --encoder"),
     "no scheme": (("--robot", "host"), "is no address of a robot"),
-    "another robot": (("--robot", "ros://host", "--encoder", BOARD), "expected kst://HOST:30001"),
+    "another robot": (("--robot", "ros://host", "--encoder", BOARD), "kst://HOST:30001"),
     "the model": (("--robot", "model:"), "is no address of a robot"),
     "port 0": (("--robot", "kst://host:0", "--encoder", BOARD), "expected 1 to 65535"),
     "an empty label": (("--robot", "kst://a..b", "--encoder", BOARD), "invalid host name"),

@@ -1,4 +1,4 @@
-"""Transports of bytes: TCP, and a pipe in memory with a delay."""
+"""Transports of bytes: sockets, and a pipe in memory with a delay."""
 
 import socket
 from collections import deque
@@ -61,15 +61,17 @@ def memory_pipe(clock: Clock, delay: float = 0.0) -> tuple[MemoryPipe, MemoryPip
     return one, other
 
 
-class TcpTransport:
-    """TCP connection with Nagle's algorithm and delayed acknowledgements turned off."""
+class SocketTransport:
+    """Connected socket; over TCP without Nagle's algorithm and delayed acknowledgements."""
 
     def __init__(self, connection: socket.socket) -> None:
         """Wrap a connected socket."""
         connection.setblocking(False)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        tcp = connection.family in (socket.AF_INET, socket.AF_INET6)
+        if tcp:
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = connection
-        self._quick = getattr(socket, "TCP_QUICKACK", None)
+        self._quick = getattr(socket, "TCP_QUICKACK", None) if tcp else None
 
     def write(self, data: bytes) -> None:
         """Send bytes; a full send buffer is an error of the link."""

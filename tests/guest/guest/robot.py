@@ -15,7 +15,7 @@ import numpy as np
 from equipoise.devices.interfaces import Request
 from equipoise.devices.plugins import EmulatedRobot, RobotPlugin
 from equipoise.devices.setpoints import checked
-from equipoise.devices.transports import TcpTransport, memory_pipe
+from equipoise.devices.transports import SocketTransport, memory_pipe
 from equipoise.errors import InputError, LinkError
 
 FORM = "guest://HOST:4000"
@@ -166,7 +166,7 @@ def host_and_port(address):
 def open_robot(address, session):
     def connected():
         try:
-            return TcpTransport(socket.create_connection(host_and_port(address), timeout=2.0))
+            return SocketTransport(socket.create_connection(host_and_port(address), timeout=2.0))
         except OSError as error:
             raise LinkError(f"no connection to {address} ({error}); switch the robot on") from None
 

@@ -58,13 +58,15 @@ SETPOINTS: Final[dict[ReplyKind, str]] = {
 VELOCITIES: Final[dict[ReplyKind, str]] = {
     kind: f"velJDC{suffix}" for kind, suffix in SUFFIXES.items()
 }
-"""Commands that set the velocity of the velocity servo, by requested reply. No driver uses them:
-the servo integrates the last velocity for ever, so that a lost client leaves the arm moving."""
+"""Commands that set the velocity of the velocity servo, by requested reply. The servo integrates
+the last velocity for ever, so that a lost client leaves the arm moving."""
 
 GET_JOINTS: Final = b"getJointsPositions\n"
 """Request for the measured joints, at any time."""
 START_SERVO: Final = b"startDirectServoJoints\n"
 """Start of the joint servo; acknowledged before it runs."""
+START_VELOCITY_SERVO: Final = b"stVelDcJoint_\n"
+"""Start of the velocity servo; acknowledged before it runs."""
 STOP_SERVO: Final = b"stopDirectServoJoints\n"
 """Stop of any servo; acknowledged at once, obeyed a few milliseconds later."""
 END: Final = b"end\n"
@@ -117,8 +119,28 @@ def setpoint(
     Raises:
         InputError: `q` is not one finite number for each joint.
     """
-    fields = "".join(f"{value:.{DIGITS}g}_" for value in checked(q, joints).tolist())
-    return f"{SETPOINTS[reply]}_{fields}\n".encode()
+    return _line(SETPOINTS[reply], q, joints)
+
+
+def velocity(
+    dq: Sequence[float] | Array, reply: ReplyKind = "joints", *, joints: int = JOINTS
+) -> bytes:
+    """Return the line that sets the velocity of the velocity servo.
+
+    Args:
+        dq: Velocities of all joints [rad/s], shape (joints,).
+        reply: Requested reply; not the force.
+        joints: Number of joints.
+
+    Raises:
+        InputError: `dq` is not one finite number for each joint.
+    """
+    return _line(VELOCITIES[reply], dq, joints)
+
+
+def _line(command: str, values: Sequence[float] | Array, joints: int) -> bytes:
+    fields = "".join(f"{value:.{DIGITS}g}_" for value in checked(values, joints).tolist())
+    return f"{command}_{fields}\n".encode()
 
 
 def parse_reply(line: bytes) -> Word | tuple[float, ...]:

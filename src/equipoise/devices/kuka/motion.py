@@ -120,7 +120,7 @@ class ServoTask(ServerTask):
         return True
 
     def _begin(self) -> None:
-        self._body.servo(True)
+        self._body.servo(True, shaped=self._mode != "velocity")
         self._q = [float(q) for q in self._body.measured()]
         if self._mode == "velocity":
             self._targets.dq[:] = self._dq

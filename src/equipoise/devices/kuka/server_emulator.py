@@ -18,9 +18,8 @@ the *main* thread, which ignores it while a servo or a motion runs. Hence:
   is ever served.
 
 Not modelled: a Cartesian servo answers, but the arm holds; Cartesian motions are acknowledged and
-then refused; conditional motions (`doPTP!`) are not answered; forces are zero; targets of the
-velocity servo pass through the same servo model; the server does not end when no client connects
-for 60 s.
+then refused; conditional motions (`doPTP!`) are not answered; forces are zero; the server does not
+end when no client connects for 60 s.
 """
 
 from collections.abc import Sequence
