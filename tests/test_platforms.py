@@ -49,7 +49,7 @@ from equipoise.devices.twin.physics import mass_matrix
 from equipoise.report.pictures.rendering import draw
 from equipoise.report.pictures.scene import stage
 arm = eq.iiwa(7)
-assert mass_matrix(arm, 0.1).shape == (7, 7)
+assert mass_matrix(arm).shape == (7, 7)
 try:
     next(draw(stage(arm, (64, 48)), np.array([arm.home]), np.zeros(1), [0.0]))
 except OutsideError as error:

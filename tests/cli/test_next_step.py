@@ -88,9 +88,9 @@ def evaluated(balanced, policy=OTHER, path=MINE, **given):
         ),
         (
             next_step.after_refinement(
-                True, Path("r.json"), MINE, [Path("1.mcap")], ["twin:harsh-1"]
+                True, Path("r.json"), MINE, [Path("1.mcap")], ["twin:harsh-2"]
             ),
-            "evaluate|r.json|--world|twin:harsh-1",
+            "evaluate|r.json|--world|twin:harsh-2",
         ),
         (
             next_step.after_refinement(

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from equipoise.devices.twin.physics import build, mass_matrix, pivot
+from equipoise.devices.twin.servo_model import make_servo_params
 from equipoise.errors import ArmError
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
@@ -52,15 +53,16 @@ def test_the_arm_is_that_of_an_independent_library(name, library):
 def test_the_drives_know_the_bare_arm_at_home_and_its_rotors(name, library):
     arm, urdf = WEIGHED[name]
     M, _ = library(urdf, np.array(arm.home))
-    assert mass_matrix(arm, 0.0) == pytest.approx(M, abs=1e-6)
-    assert mass_matrix(arm, 0.2) == pytest.approx(M + 0.2 * np.eye(len(arm.joints)), abs=1e-6)
+    servo = make_servo_params(arm, TwinSettings(rotor_inertia=(0.3, 0.2)))
+    assert servo.inertia == pytest.approx(M, abs=1e-6)
+    assert servo.rotors.tolist() == [0.3] + [0.2] * (len(arm.joints) - 1)
 
 
 def test_rotors_bracket_and_pendulum_have_their_inertia():
     arm, home = iiwa(7), [*iiwa(7).home, 0.0]
-    rotors = BARE.model_copy(update={"rotor_inertia": 0.3})
+    rotors = BARE.model_copy(update={"rotor_inertia": (0.3, 0.2)})
     more = matrix(build(arm, PENDULUM, rotors), home) - matrix(build(arm, PENDULUM, BARE), home)
-    assert more == pytest.approx(np.diag([0.3] * 7 + [0.0]), abs=1e-9)
+    assert more == pytest.approx(np.diag([0.3] + [0.2] * 6 + [0.0]), abs=1e-9)
 
     model = build(arm, PENDULUM, TwinSettings(bracket_mass=0.4, pendulum_mass=0.3))
     outward = np.array([0.0, 0.13, 0.0])
@@ -177,4 +179,4 @@ def test_an_arm_of_unknown_masses_is_refused():
     with pytest.raises(ArmError, match="has no mass, no inertia"):
         build(arm, PENDULUM, TwinSettings())
     with pytest.raises(ArmError, match="has no mass, no inertia"):
-        mass_matrix(arm, 0.0)
+        mass_matrix(arm)

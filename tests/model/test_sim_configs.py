@@ -1,6 +1,7 @@
 """Worlds: their names, their numbers as published, and what is refused."""
 
 from math import radians
+from pathlib import Path
 
 import pytest
 
@@ -54,8 +55,8 @@ def test_a_name_stands_for_its_newest_version_which_has_a_name_of_its_own(short)
     [
         (DRY, "twin:nominal", 1.957, 0.02, "dry friction 1.96 1/s^2 (as identified), drag 0.02"),
         (DRY, "twin:harsh", 1.957, 0.02, "(as identified)"),
-        (VISCOUS, "twin:nominal", 0.1, 0.0, "assumed by twin:nominal-1; not identified"),
-        (VISCOUS, "twin:harsh", 0.3, 0.0, "assumed by twin:harsh-1; not identified"),
+        (VISCOUS, "twin:nominal", 0.1, 0.0, "assumed by twin:nominal-2; not identified"),
+        (VISCOUS, "twin:harsh", 0.3, 0.0, "assumed by twin:harsh-2; not identified"),
     ],
 )
 def test_a_twin_has_the_friction_of_its_pendulum_unless_its_set_says_otherwise(
@@ -77,6 +78,34 @@ def test_what_a_trial_varies_varies_the_pendulums_own_friction_and_not_the_world
     assert "set by twin:sticky.toml; the pendulum has 1.96" in told
 
 
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("light-rotors", {"rotor_inertia": 0.02}),
+        ("bare", {"rotor_inertia": 0.0}),
+        ("pd", {"inner": "pd"}),
+        ("trajectory40", {"inner": "trajectory40"}),
+        ("smart60", {"inner": "pd", "shaped": False, "transport": 0.044}),
+        ("fri", {"inner": "pd", "shaped": False, "transport": 0.003}),
+    ],
+)
+def test_the_other_sets_differ_from_nominal_in_what_the_documents_state(name, changes):
+    nominal = read_world("twin:nominal").settings
+    assert nominal.rotor_inertia == (3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394)
+    assert read_world(f"twin:{name}").settings == nominal.model_copy(update=changes)
+    # A drive critically damped at omega stays 2 / omega behind a ramp.
+    smart60 = read_world("twin:smart60").settings
+    assert smart60.transport + 2.0 / smart60.pd_frequency == pytest.approx(0.060)
+
+
+def test_the_documents_say_of_each_set_what_is_known_and_what_is_guessed():
+    page = (Path(__file__).parents[2] / "docs/how-to/digital-twin.md").read_text(encoding="utf-8")
+    for name, full in NEWEST.items():
+        assert f"| `{name}` |" in page
+        assert SETS[full].known.endswith(".")
+        assert SETS[full].guessed.endswith(".")
+
+
 def test_each_set_can_be_told_from_the_others():
     assert len({read_world(f"twin:{name}").settings.model_dump_json() for name in SETS}) == len(
         SETS
@@ -89,7 +118,7 @@ def test_every_number_says_what_it_is():
 
 
 def test_a_file_holds_differences_to_nominal_and_keeps_its_own_name(tmp_path):
-    file = tmp_path / "nominal-1.toml"
+    file = tmp_path / "nominal-2.toml"
     file.write_text("transport = 0.02\nzero_offset = 0.0087\n")
     world = read_world(f"twin:{file}")
     nominal = read_world("twin:nominal").settings

@@ -56,7 +56,7 @@ class RunConditions(Value):
     """Digest of the actuator assumed by the controller, or `ideal`."""
     counts_per_rev: int | None = Field(ge=1, le=2**24)
     """Encoder counts per revolution; None without an encoder."""
-    world_settings: dict[str, float | int | str | None] | None = None
+    world_settings: dict[str, float | int | str | tuple[float, ...] | None] | None = None
     """Resolved parameters of the digital twin; None elsewhere."""
     zero_error: Number | None = None
     """True error of the encoder's zero [rad]; None without an encoder, and on a rig."""

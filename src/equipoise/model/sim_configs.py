@@ -1,9 +1,10 @@
 """Simulated worlds for testing a policy, by name.
 
 `ideal` is the paper's plant, whose arm has no delay; `model` is the training plant, with the
-identified actuator. `twin:nominal`, `twin:harsh` and `twin:bare` are named, frozen parameter sets
-of the digital twin; `twin:FILE` is a TOML file of differences to nominal. Sets carry a version
-(`nominal-1`), which a changed number increments, so that published results stay comparable.
+identified actuator. `twin:nominal` and the others of `SETS` are named, frozen parameter sets of the
+digital twin, each with what is known and what is guessed about it; `twin:FILE` is a TOML file of
+differences to nominal. Sets carry a version (`nominal-2`), which a changed number increments, so
+that published results stay comparable.
 
 A twin's pendulum has the identified friction: viscous, dry and drag. A world may override dry
 friction and drag; `pivot_friction` returns the effective friction and its origin.
@@ -16,8 +17,10 @@ import os.path
 from collections.abc import Mapping
 from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import Field, ValidationError
 
 from equipoise.artefacts import Number, Value, first_fault, quoted
@@ -39,9 +42,18 @@ FrictionSource = Literal["pendulum", "world", "assumed"]
 """Origin of a friction: the pendulum's identification, an override of the world, or the world's
 assumption for a pendulum without an identified value."""
 
+RotorInertia = Annotated[float, Field(ge=0.0, le=100.0)]
+"""Inertia of the motor and gear of a joint, reflected to its output: n^2 J [kg m^2]."""
+LWR_ROTORS: Final = (3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394)
+"""Reflected rotor inertias of the KUKA LWR, A1 to A7 [kg m^2], the predecessor of the iiwa. Jubien,
+Gautier and Janot identified them on that arm from motor and joint torques (IFAC Proceedings 47(3),
+2014, pp. 8391-8396)."""
+LIGHT_ROTOR: Final = 0.02
+"""Rotor inertia of `light-rotors` [kg m^2]: a fifth of a small motor (1e-5 kg m^2) behind 1:100."""
+
 
 class TwinSettings(Value):
-    """Parameters of the digital twin; the defaults are `nominal-1`."""
+    """Parameters of the digital twin; the defaults are `nominal-2`."""
 
     transport: float = Field(default=0.010, ge=0.0, le=0.2)
     """Delay from sending a setpoint to its use by the servo [s]. Assumed: a request and its reply
@@ -53,7 +65,7 @@ class TwinSettings(Value):
     """Cycle of the server's shaping law [ms]: `Thread.sleep(1)` in its source."""
     shaped: bool = True
     """Whether the server applies its shaping law, as in its source. Otherwise the destination is
-    the setpoint; no robot works so, but the comparison shows the cost of the law."""
+    the setpoint, as behind KUKA's FRI."""
     inner: Inner = "velocity"
     """Servo model of the cabinet behind the shaping law; it is not published. `velocity`: a joint
     velocity of (destination - q) over the cycle, through a first-order lag. `pd`: a PD controller
@@ -64,11 +76,14 @@ class TwinSettings(Value):
     pd_frequency: float = Field(default=125.0, ge=1.0, le=2000.0)
     """Natural frequency of `pd`, critically damped [rad/s]. Assumed: 1 / lag of `velocity`. A cycle
     of 1 ms limits it to 2000."""
-    rotor_inertia: float = Field(default=0.02, ge=0.0, le=100.0)
-    """Inertia of motor and gear at each joint [kg m^2], known to the drive. KUKA publishes no
-    value; a small motor (1e-5 kg m^2) behind a gear of 1:100 has 0.1. Assumed: a fifth of that, for
-    every joint. With 0 (`bare`) the drive of A7 would hold bracket and pendulum with the 0.0003 kg
-    m^2 of its link alone."""
+    rotor_inertia: RotorInertia | Annotated[tuple[RotorInertia, ...], Field(min_length=1)] = (
+        LWR_ROTORS
+    )
+    """Inertia of motor and gear, reflected to the output of the joint [kg m^2]: one number for all
+    joints, or one for each from the base on, the last one for further joints. The drive knows it.
+    KUKA publishes none for the iiwa. Default: as identified on its predecessor, the LWR. Drake's
+    model of the iiwa 14 estimates more, from types of motors and gears: 3.4 for A1 to A4, 1.3 for
+    A5, 1.2 for A6 and A7."""
     bracket_mass: float = Field(default=0.1, ge=0.0, le=14.0)
     """Mass of the bracket of the pendulum, unknown to the drive [kg]. Assumed. The payload of every
     iiwa is at most 14 kg."""
@@ -195,30 +210,102 @@ def pendulum_on(pendulum: "Pendulum", settings: TwinSettings) -> "PendulumParame
     return pivot_friction(pendulum, settings).on(pendulum.parameters())
 
 
+def rotor_inertias(settings: TwinSettings, n: int) -> npt.NDArray[np.float64]:
+    """Return the rotor inertia of each joint [kg m^2], shape (n,).
+
+    Args:
+        settings: Parameters of the twin.
+        n: Number of joints of the arm.
+
+    Example:
+        >>> rotor_inertias(TwinSettings(rotor_inertia=(3.0, 2.0)), 3)
+        array([3., 2., 2.])
+    """
+    given = np.atleast_1d(np.asarray(settings.rotor_inertia, np.float64))
+    return given[np.minimum(np.arange(n), len(given) - 1)]
+
+
 class World(NamedTuple):
     """Digital twin with the name of its parameter set."""
 
     name: str
-    """Name with version, e.g. `twin:nominal-1`."""
+    """Name with version, e.g. `twin:nominal-2`."""
     settings: TwinSettings
     """Parameters of the twin."""
 
 
-SETS: Final[Mapping[str, Mapping[str, Any]]] = {
-    "nominal-1": {},
-    "harsh-1": {
-        "transport": 0.030,
-        "counts_per_rev": 4096,
-        "assumed_coulomb": 0.3,
-        "zero_error": radians(0.4),
-        "inertia_sigma": 0.04,
-        "friction_sigma": 0.4,
-    },
-    "bare-1": {"rotor_inertia": 0.0},
-}
-"""Frozen parameter sets by name and version, as differences to the defaults of `TwinSettings`."""
+class NamedSet(NamedTuple):
+    """Frozen parameter set of the digital twin."""
 
-NEWEST: Final[Mapping[str, str]] = {name.partition("-")[0]: name for name in SETS}
+    changes: Mapping[str, Any]
+    """Differences to the defaults of `TwinSettings`."""
+    known: str
+    """What is known about such a cabinet, with its source."""
+    guessed: str
+    """What is guessed about it."""
+
+
+SETS: Final[Mapping[str, NamedSet]] = {
+    "nominal-2": NamedSet(
+        {},
+        known="The server's shaping law and cycle, from its source; the masses of the links. The "
+        "rotor inertias are those of the predecessor of the iiwa, the KUKA LWR.",
+        guessed="10 ms of transport. The drives reach a destination within a cycle, through a "
+        "first-order lag of 8 ms.",
+    ),
+    "harsh-2": NamedSet(
+        {
+            "transport": 0.030,
+            "counts_per_rev": 4096,
+            "assumed_coulomb": 0.3,
+            "zero_error": radians(0.4),
+            "inertia_sigma": 0.04,
+            "friction_sigma": 0.4,
+        },
+        known="As nominal.",
+        guessed="As nominal, with 30 ms of transport, half the encoder's counts, three times the "
+        "dry friction, and twice the errors of zero, inertia and friction.",
+    ),
+    "light-rotors-1": NamedSet(
+        {"rotor_inertia": LIGHT_ROTOR},
+        known="As nominal; published rotor inertias are 20 to 160 times as large.",
+        guessed="Rotor inertias of 0.02 kg m^2, so that the load disturbs the drives of the wrist.",
+    ),
+    "bare-1": NamedSet(
+        {"rotor_inertia": 0.0},
+        known="As nominal; a joint without a rotor does not exist.",
+        guessed="No rotor inertia: the drive of A7 knows the 0.0003 kg m^2 of its link alone, a "
+        "tenth of bracket and pendulum.",
+    ),
+    "pd-1": NamedSet(
+        {"inner": "pd"},
+        known="As nominal.",
+        guessed="The drives control the position, critically damped at 125 rad/s. Behind the law "
+        "they reach a destination in 16 ms instead of 1 ms.",
+    ),
+    "trajectory40-1": NamedSet(
+        {"inner": "trajectory40"},
+        known="As nominal; the server's source requests a minimum trajectory execution time of "
+        "40 ms.",
+        guessed="The drives take these 40 ms to each destination.",
+    ),
+    "smart60-1": NamedSet(
+        {"shaped": False, "transport": 0.044, "inner": "pd"},
+        known="A program with KUKA's SmartServo sets destinations without the shaping law of KST. "
+        "A total delay of about 60 ms is reported, without a published measurement.",
+        guessed="Its split: 44 ms of transport, and drives that control the position, critically "
+        "damped at 125 rad/s, 16 ms behind a ramp. SmartServo plans its own trajectories.",
+    ),
+    "fri-1": NamedSet(
+        {"shaped": False, "transport": 0.003, "inner": "pd"},
+        known="KUKA's FRI takes a position every 1 to 5 ms, without a shaping law.",
+        guessed="A setpoint takes effect after 2 to 4 ms. The drives control the position, "
+        "critically damped at 125 rad/s, 16 ms behind a ramp.",
+    ),
+}
+"""Frozen parameter sets by name and version."""
+
+NEWEST: Final[Mapping[str, str]] = {name.rpartition("-")[0]: name for name in SETS}
 """Newest version of each set, by its name without version."""
 
 
@@ -226,7 +313,7 @@ def read_world(name: str) -> World:
     """Return the twin of a name.
 
     Args:
-        name: `twin:nominal`, `twin:harsh`, either with a version (`twin:harsh-1`), or
+        name: `twin:` and a key of `NEWEST` or of `SETS` (`twin:harsh`, `twin:harsh-2`), or
             `twin:FILE`, where the file is TOML with differences to nominal.
 
     Raises:
@@ -235,7 +322,7 @@ def read_world(name: str) -> World:
     Example:
         >>> world = read_world("twin:harsh")
         >>> world.name, world.settings.transport
-        ('twin:harsh-1', 0.03)
+        ('twin:harsh-2', 0.03)
     """
     twins = f"{', '.join(PREFIX + short for short in NEWEST)} or {PREFIX}FILE.toml"
     if name == MODEL:
@@ -245,7 +332,7 @@ def read_world(name: str) -> World:
     which = name.removeprefix(PREFIX)
     which = NEWEST.get(which, which)
     if which in SETS:
-        return World(PREFIX + which, TwinSettings.model_validate(SETS[which]))
+        return World(PREFIX + which, TwinSettings.model_validate(SETS[which].changes))
     file = Path(which)
     try:
         which.encode()
@@ -258,7 +345,10 @@ def read_world(name: str) -> World:
             f"there is no world {quoted(name)}: no set of that name, and no such file; choose one "
             f"of {', '.join(NEWEST)}, or give a TOML file"
         )
-    differences = SETS[NEWEST["nominal"]] | read_toml(file, "the numbers of a world")
+    differences = {
+        **SETS[NEWEST["nominal"]].changes,
+        **read_toml(file, "the numbers of a world"),
+    }
     try:
         return World(name, TwinSettings.model_validate(differences))
     except ValidationError as error:

@@ -32,7 +32,13 @@ from equipoise.control.policy import TabularPolicy, TaskPolicy
 from equipoise.errors import InputError
 from equipoise.evaluation import Done, TrialResults, evaluate
 from equipoise.model.actuator import CYCLE, Actuator
-from equipoise.model.sim_configs import MODEL, TwinSettings, World, pivot_friction, read_world
+from equipoise.model.sim_configs import (
+    MODEL,
+    TwinSettings,
+    World,
+    pivot_friction,
+    read_world,
+)
 from equipoise.settings import MOST_TRIALS, EvaluationSettings, Settings, resolve
 from equipoise.studies.gap_results import (
     CURED,
@@ -52,10 +58,10 @@ _ABSENT: Final = (
     *("zero_offset", "coulomb", "inertia_sigma", "friction_sigma", "bracket_mass"),
     *("reply_age", "joint_noise"),
 )
-_SMALL: Final = {"shaped": False, "lag": 0.001, "rotor_inertia": 0.1, "pendulum_mass": 0.01}
+_SMALL: Final = {"shaped": False, "lag": 0.001, "pendulum_mass": 0.01}
 CLEAN: Final[Mapping[str, Any]] = dict.fromkeys(_ABSENT, 0.0) | _SMALL | {"counts_per_rev": 2**20}
-"""Settings of the clean twin: negligible delay and lag, an encoder without steps and age, no load
-on an arm with real rotors."""
+"""Settings of the clean twin: negligible delay and lag, an encoder without steps and age, no
+load."""
 
 EFFECTS: Final[Mapping[str, tuple[str, ...]]] = {
     "transport delay": ("transport",),
@@ -66,7 +72,7 @@ EFFECTS: Final[Mapping[str, tuple[str, ...]]] = {
     "zero error": ("zero_error", "zero_offset"),
     "dry friction": ("coulomb",),
     "wrong I and b": ("inertia_sigma", "friction_sigma"),
-    "weight on the arm": ("rotor_inertia", "bracket_mass", "pendulum_mass"),
+    "weight on the arm": ("bracket_mass", "pendulum_mass"),
     "age of measured joints": ("reply_age", "joint_noise"),
 }
 """Effects that are switched, and the settings of the twin that belong to each."""

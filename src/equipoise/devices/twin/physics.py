@@ -23,7 +23,7 @@ from equipoise.model.arms.inertials import inertia_entries, link_inertials
 from equipoise.model.arms.scene import SIZES, scene
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.physics_engine import mujoco
-from equipoise.model.sim_configs import TwinSettings
+from equipoise.model.sim_configs import TwinSettings, rotor_inertias
 from equipoise.settings import GRAVITY
 
 TICK: Final = 1e-3
@@ -54,13 +54,10 @@ def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any
     Raises:
         ArmError: The masses of the arm's links are not known.
     """
-    outward, bracket, rotor = (
-        settings.pivot_outward,
-        settings.bracket_mass,
-        settings.rotor_inertia,
-    )
-    m = settings.pendulum_mass
-    model = copy.copy(_loaded(arm, outward, bracket, rotor, m))
+    outward, bracket, m = settings.pivot_outward, settings.bracket_mass, settings.pendulum_mass
+    model = copy.copy(_loaded(arm, outward, bracket, m))
+    n = len(arm.joints)
+    model.dof_armature[:n] = rotor_inertias(settings, n)
     model.opt.timestep = TICK / settings.substeps
     set_pendulum(model, mujoco().MjData(model), pendulum)
     return model
@@ -89,10 +86,10 @@ def set_pendulum(model: Any, data: Any, pendulum: PendulumParameters) -> None:
 
 
 @functools.lru_cache(maxsize=8)
-def _loaded(arm: Arm, outward: float, bracket: float, rotor_inertia: float, m: float) -> Any:
-    """Return the model with the drawing's pendulum of mass m [kg], for `set_pendulum`."""
+def _loaded(arm: Arm, outward: float, bracket: float, m: float) -> Any:
+    """Return the model with the drawing's pendulum of mass m [kg], without rotors, for `build`."""
     arm = arm.model_copy(update={"pivot": pivot(arm, outward)})
-    spec = _weighed(arm, rotor_inertia)
+    spec = _weighed(arm)
     if bracket > 0.0:
         _weigh(spec.body("flange"), _bar(bracket, np.array(arm.pivot)))
     l, along = 0.5 * SIZES.rod_length, 0.5 * m * SIZES.rod**2
@@ -118,31 +115,22 @@ def pivot(arm: Arm, outward: float) -> Triple:
     return float(x), float(y), float(z)
 
 
-def build_bare(arm: Arm, rotor_inertia: float) -> Any:
-    """Return the MuJoCo model of the bare arm, the model of its drives.
-
-    Args:
-        arm: The arm.
-        rotor_inertia: Inertia of motor and gear at each joint [kg m^2].
+def build_bare(arm: Arm) -> Any:
+    """Return the MuJoCo model of the bare arm's links, as its drives know them.
 
     Raises:
         ArmError: The masses of the arm's links are not known.
     """
-    spec = _weighed(arm, rotor_inertia)
+    spec = _weighed(arm)
     spec.delete(spec.body("flange"))
     spec.delete(spec.key("home"))
     return spec.compile()
 
 
-def mass_matrix(arm: Arm, rotor_inertia: float) -> Floats:
-    """Return the mass matrix of the bare arm at home, all joints [kg m^2], shape (n, n).
-
-    Args:
-        arm: The arm.
-        rotor_inertia: Inertia of motor and gear at each joint [kg m^2].
-    """
+def mass_matrix(arm: Arm) -> Floats:
+    """Return the mass matrix of the bare arm at home, without rotors [kg m^2], shape (n, n)."""
     mj = mujoco()
-    model = build_bare(arm, rotor_inertia)
+    model = build_bare(arm)
     data = mj.MjData(model)
     data.qpos[:] = arm.home
     mj.mj_forward(model, data)
@@ -151,7 +139,7 @@ def mass_matrix(arm: Arm, rotor_inertia: float) -> Floats:
     return M
 
 
-def _weighed(arm: Arm, rotor_inertia: float) -> Any:
+def _weighed(arm: Arm) -> Any:
     """Return the scene without shapes, with the masses of the arm's links."""
     mj = mujoco()
     spec = scene(arm)
@@ -171,7 +159,7 @@ def _weighed(arm: Arm, rotor_inertia: float) -> Any:
         body = spec.body(f"frame {number}")
         body.gravcomp = 1.0
         hinge = spec.joint(joint.name)
-        hinge.armature, hinge.solref_limit = rotor_inertia, [END_TIME, 1.0]
+        hinge.solref_limit = [END_TIME, 1.0]
         _weigh(body, link)
     return spec
 

@@ -14,8 +14,10 @@ lag T; ``trajectory40``: the same over 40 ms instead of the cycle
 
 .. math:: \tau = M\,(\omega^2 (q_c - q) - 2 \omega \dot q)
 
-The arm's own gravity is balanced beside it, and the sum keeps within the torques that the joints
-can give. The model ignores bracket and pendulum. The held joint runs through the same servo.
+The arm's own gravity is balanced beside it. What a joint passes on to its link keeps within the
+torque that the joint can give: KUKA's limits are those of the output, behind gear and torque
+sensor. The torque that accelerates the rotor stays inside the joint; the limits of the motors are
+not published. The model ignores bracket and pendulum. The held joint runs through the same servo.
 """
 
 from math import floor
@@ -29,7 +31,7 @@ from equipoise.devices.twin.physics import TICK, mass_matrix
 from equipoise.model.actuator import AMPLITUDE, INTERVAL_WIDTH, lag_share, shaped_step
 from equipoise.model.arms.arm import Arm
 from equipoise.model.random import TWIN, philox, uniform
-from equipoise.model.sim_configs import Inner, TwinSettings
+from equipoise.model.sim_configs import Inner, TwinSettings, rotor_inertias
 
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
@@ -67,9 +69,11 @@ class ServoParams(NamedTuple):
     damping: float
     """2 omega of `pd` [1/s]."""
     inertia: Array
-    """M, shape (n, n) [kg m^2]."""
+    """M of the links, without the rotors, shape (n, n) [kg m^2]."""
+    rotors: Array
+    """Inertias of the rotors, shape (n,) [kg m^2]."""
     torque: Array
-    """Limits of the torques [N m], shape (n,)."""
+    """Limits of the torques on the links [N m], shape (n,)."""
     transport: float
     """Time from sending to use [ms]."""
     jitter: float
@@ -114,7 +118,8 @@ def make_servo_params(arm: Arm, settings: TwinSettings) -> ServoParams:
         share=float(lag_share(settings.lag)) / TICK,
         stiffness=settings.pd_frequency**2,
         damping=2.0 * settings.pd_frequency,
-        inertia=mass_matrix(arm, settings.rotor_inertia),
+        inertia=mass_matrix(arm),
+        rotors=rotor_inertias(settings, len(arm.joints)),
         torque=np.array([joint.torque for joint in arm.joints]),
         transport=settings.transport / TICK,
         jitter=settings.transport_jitter / TICK,
@@ -207,5 +212,5 @@ def serve(
             wish += inertia[i, j] * pull[j]
         given = min(max(wish, -torque[i]), torque[i])
         saturated = saturated if given == wish else 1
-        force[i] = given
+        force[i] = given + servo.rotors[i] * pull[i]
     clock[SATURATED] += saturated

@@ -56,7 +56,7 @@ class SimulatedArm:
         self._twin, self._n = twin, len(arm.joints)
         self._joint_noise, self._shaped = settings.joint_noise, settings.shaped
         self._inverse = mj.mj_inverse
-        self._bare = build_bare(arm, settings.rotor_inertia)
+        self._bare = build_bare(arm)
         self._bare_data = mj.MjData(self._bare)
         self._error = np.zeros(self._n)
         self._braking = 0
@@ -72,22 +72,22 @@ class SimulatedArm:
         return tuple(q.tolist())
 
     def torques(self, external: bool) -> tuple[float, ...]:
-        """Return torques at the joints, about their axes [N m].
+        """Return the torques that the joints pass on to their links, about their axes [N m].
 
         Args:
             external: Whether to return external torques, by the cabinet's model of the bare arm:
-                those of bracket, pendulum and contacts. Otherwise return those of the drives.
+                those of bracket, pendulum and contacts. Otherwise return those on the links.
         """
-        bodies, n = self._twin.kernel.bodies, self._n
+        kernel, n = self._twin.kernel, self._n
+        acceleration = self._twin.data.qacc[:n]
+        torques = kernel.bodies.applied[:n] - kernel.servo.rotors * acceleration
         if external:
             bare = self._bare_data
-            bare.qpos[:], bare.qvel[:] = bodies.qpos[:n], bodies.qvel[:n]
-            bare.qacc[:] = self._twin.data.qacc[:n]
+            bare.qpos[:], bare.qvel[:] = kernel.bodies.qpos[:n], kernel.bodies.qvel[:n]
+            bare.qacc[:] = acceleration
             self._inverse(self._bare, bare)
-            torques = bare.qfrc_inverse + bodies.gravity - bodies.applied[:n]
-        else:
-            torques = bodies.applied[:n].copy()
-        noise(self._twin.kernel, TORQUE_NOISE, TORQUE_STREAM, torques)
+            torques = bare.qfrc_inverse + kernel.bodies.gravity - torques
+        noise(kernel, TORQUE_NOISE, TORQUE_STREAM, torques)
         return tuple(torques.tolist())
 
     def flange(self) -> tuple[float, ...]:
