@@ -12,13 +12,14 @@ from equipoise.devices.twin.servo_model import (
     NEWEST,
     NOW,
     SLOTS,
+    equivalent_actuator,
     make_servo_params,
     new_servo_state,
     send,
     start,
 )
 from equipoise.devices.twin.twin import Twin
-from equipoise.model.actuator import KST, ActuatorParameters, follow, lag_share
+from equipoise.model.actuator import follow, lag_share
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
@@ -83,12 +84,25 @@ def test_pd_stays_behind_its_destination_by_two_over_omega(speed):
     assert lag == pytest.approx(B * sqrt(-log(1 - 0.02 * speed / A)) / speed, abs=2e-4)
 
 
-def test_a_bare_arm_moves_as_the_model_of_the_actuator():
-    twin = Twin(ARM, PENDULUM, UNLOADED)
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"inner": "pd"},
+        {"inner": "trajectory40"},
+        {"inner": "pd", "shaped": False},
+        {"inner": "trajectory40", "shaped": False},
+    ],
+    ids=str,
+)
+def test_an_arm_without_load_moves_as_the_equivalent_actuator(changes):
+    settings = UNLOADED.model_copy(update=changes)
+    twin = Twin(ARM, PENDULUM, settings)
     setpoints = excitation(ARM, duration=2.0)
-    model = ActuatorParameters(KST)
+    found = equivalent_actuator(settings)
+    model = found.parameters
     q, dq, target = (np.zeros(6 * BATCH_SIZE) for _ in range(3))
-    share = np.full(6 * BATCH_SIZE, lag_share(UNLOADED.lag))
+    share = np.full(6 * BATCH_SIZE, lag_share(found.lags[0].value))
     q[::BATCH_SIZE] = ARM.home_free
     apart = []
     for row in setpoints:

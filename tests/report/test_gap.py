@@ -69,11 +69,11 @@ def test_it_says_what_it_shows_in_which_unit(gap):
         "removed alone; full twin: ",
         *LABELS.values(),
         *gap.names("alone"),
-        *gap.names("variant"),
+        *gap.names("named"),
     ):
         assert any(label in text for text in shown), label
     assert any("the short form" in text for text in shown) == gap.quick
-    assert any("an open question" in text for text in shown) == bool(gap.names("variant"))
+    assert any("An open question" in text for text in shown) == bool(gap.names("named"))
 
 
 def test_curves_and_rows_are_the_numbers(small_policy):

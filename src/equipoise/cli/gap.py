@@ -127,7 +127,17 @@ def _say(output: Output, found: "Gap") -> None:
         output.say(f"Effect by effect, {LABELS[controller]}")
         columns = ("", "added alone, clean twin", "removed alone, twin")
         output.table(columns, list(_effects(found, controller)), section=0)
+    if names := found.names("named"):
+        output.say("Named worlds: mean survival [s]")
+        columns = ("", "actuator identified there", "actuator of the training")
+        output.table(columns, [_named(found, name) for name in names], section=None)
     output.points(sentences(found))
+
+
+def _named(found: "Gap", name: str) -> Sequence[str]:
+    from equipoise.studies.gap_results import CURED, UNTUNED
+
+    return name, *(_cell(found, found.point("named", who, name)) for who in (CURED, UNTUNED))
 
 
 def _say_curves(output: Output, found: "Gap", part: Literal["delay", "zero"]) -> None:

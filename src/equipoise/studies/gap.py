@@ -9,12 +9,11 @@ digital twin, with the same starts and the same random numbers:
 3. The step from the training plant to the twin, effect by effect. A *clean* twin has every effect
    switched off. Each effect is added there alone, and removed alone from the full twin.
    Effects do not add up, so that both lists are needed.
-4. Variants of the cabinet's servo, which KUKA does not publish.
+4. All named worlds: guesses about the cabinet, whose servo KUKA does not publish.
 
 Knowledge of the controllers. The cures use the actuator that an identification on the changed twin
-would find: its delay and lag follow those of the twin, except in the curve `not told`, in which
-they keep the delay of the training. Without the servo's shaping law they use a lag of one cycle of
-its loop, which is then the lag of its drives. The paper's table uses an `ideal` actuator, no
+would find: its delay, law and lags follow those of the twin, except for the controller `not told`,
+which keeps the actuator of the training. The paper's table uses an `ideal` actuator, no
 prediction, and the encoder's zero without a correction. Its angular velocity comes from the same
 observer.
 
@@ -29,11 +28,14 @@ from typing import Any, Final, NamedTuple
 
 from equipoise.artefacts import Estimate
 from equipoise.control.policy import TabularPolicy, TaskPolicy
+from equipoise.devices.twin.servo_model import equivalent_actuator
 from equipoise.errors import InputError
 from equipoise.evaluation import Done, TrialResults, evaluate
-from equipoise.model.actuator import CYCLE, Actuator
+from equipoise.model.actuator import Actuator
 from equipoise.model.sim_configs import (
     MODEL,
+    NEWEST,
+    PREFIX,
     TwinSettings,
     World,
     pivot_friction,
@@ -77,14 +79,6 @@ EFFECTS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Effects that are switched, and the settings of the twin that belong to each."""
 
-VARIANTS: Final[Mapping[str, Mapping[str, Any]]] = {
-    "inner pd": {"inner": "pd"},
-    "inner trajectory40": {"inner": "trajectory40"},
-    "servo loop of 4 ms": {"cycle": 4},
-    "no rotor inertia": {"rotor_inertia": 0.0},
-}
-"""Variants of the unpublished servo, as changes of the twin's settings."""
-
 BEST_TABLE: Final = (
     *("selection.every=20", "selection.averaging=1"),
     *("selection.late=1", "selection.candidates=500"),
@@ -111,13 +105,13 @@ class Form(NamedTuple):
     """Constant errors of the encoder's zero [rad]."""
     by_effect: tuple[Controller, ...] = (PAPER, CURED)
     """Controllers that run effect by effect."""
-    variants: bool = True
-    """Whether the variants of the servo run."""
+    worlds: tuple[str, ...] = tuple(NEWEST.values())
+    """Other named worlds."""
 
 
 FULL: Final = Form()
 SHORT: Final = Form(
-    8, 20.0, (0.0, 0.010, 0.030), tuple(map(radians, (0.0, 0.5, 1.0))), (PAPER,), variants=False
+    8, 20.0, (0.0, 0.010, 0.030), tuple(map(radians, (0.0, 0.5, 1.0))), (PAPER,), worlds=()
 )
 
 
@@ -176,10 +170,11 @@ def gap(
         update={"trials": form.trials, "duration": form.duration}
     )
     plan = tuple(_plan(twin.settings, form))
+    equivalent = equivalent_actuator(twin.settings)
 
     def run(case: _Case) -> TrialResults:
         table = paper_policy if case.controller == PAPER else policy
-        known = case.known and expected_actuator(actuator, twin.settings, case.known)
+        known = case.known and expected_actuator(actuator, equivalent, case.known)
         return evaluate(
             table,
             _settings(table.settings, case.controller, evaluation),
@@ -252,26 +247,28 @@ def read_twin(world: str | World) -> World:
     return read_world(world)
 
 
-def expected_actuator(actuator: Actuator, world: TwinSettings, changed: TwinSettings) -> Actuator:
+def expected_actuator(actuator: Actuator, before: Actuator, after: Actuator) -> Actuator:
     """Return the actuator that an identification would find on a changed twin.
 
     Args:
         actuator: Identified actuator of the original twin.
-        world: Settings of the original twin.
-        changed: Settings of the changed twin.
+        before: Equivalent actuator of the original twin.
+        after: Equivalent actuator of the changed twin.
     """
 
     def moved(estimate: Estimate, by: float = 0.0, times: float = 1.0) -> Estimate:
         ends = {name: times * getattr(estimate, name) + by for name in ("low", "value", "high")}
         return estimate.model_copy(update=ends).not_negative()
 
-    delay = moved(actuator.delay, changed.transport - world.transport)
-    if not changed.shaped:
-        unshaped = Actuator.assumed("lag", lag=changed.cycle * CYCLE)
-        return unshaped.model_copy(update={"delay": delay})
-    lags = tuple(moved(lag, changed.lag - world.lag) for lag in actuator.lags)
-    cycle = moved(actuator.cycle, times=changed.cycle / world.cycle)
-    return actuator.model_copy(update={"delay": delay, "lags": lags, "cycle": cycle})
+    more = after.lags[0].value - before.lags[0].value
+    return actuator.model_copy(
+        update={
+            "kind": actuator.kind if after.kind == before.kind else after.kind,
+            "delay": moved(actuator.delay, after.delay.value - before.delay.value),
+            "lags": tuple(moved(lag, more) for lag in actuator.lags),
+            "cycle": moved(actuator.cycle, times=after.cycle.value / before.cycle.value),
+        }
+    )
 
 
 class _Case(NamedTuple):
@@ -281,8 +278,9 @@ class _Case(NamedTuple):
     """The controller; `cured` where only its actuator differs."""
     world: TwinSettings | None
     """Settings of the twin; None for the training plant."""
-    known: TwinSettings | None
-    """Settings that the controller's actuator assumes; None for the actuator of the training."""
+    known: Actuator | None
+    """Equivalent actuator of the twin that the controller's actuator assumes; None for the actuator
+    of the training."""
 
 
 def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., GapPoint], _Case]]:
@@ -294,8 +292,10 @@ def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., GapPo
     ) -> tuple[Callable[..., GapPoint], _Case]:
         point = partial(GapPoint, part=part, controller=controller, **of_point)
         if controller == UNTUNED:
-            return point, _Case(CURED, twin, world)
-        return point, _Case(controller, twin, None if controller == PAPER else twin)
+            return point, _Case(CURED, twin, equivalent_actuator(world))
+        if twin is None or controller == PAPER:
+            return point, _Case(controller, twin, None)
+        return point, _Case(controller, twin, equivalent_actuator(twin))
 
     for controller in form.by_effect:
         yield entry("plant", controller, None)
@@ -317,8 +317,9 @@ def _plan(world: TwinSettings, form: Form) -> Iterator[tuple[Callable[..., GapPo
             for at in places:
                 twin = base.model_copy(update={number: at, **rest})
                 yield entry(part, controller, twin, at=at, on_clean=base is clean)
-    for name, numbers in VARIANTS.items() if form.variants else ():
-        yield entry("variant", CURED, world.model_copy(update=dict(numbers)), name=name)
+    for name in form.worlds:
+        for controller in (CURED, UNTUNED):
+            yield entry("named", controller, read_world(PREFIX + name).settings, name=name)
 
 
 def _form(quick: bool, trials: int | None, duration: float | None) -> Form:

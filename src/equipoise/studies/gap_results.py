@@ -23,7 +23,7 @@ from equipoise.studies.formatting import LASTED, percent
 
 Array = npt.NDArray[np.float64]
 Controller = Literal["cured", "not told", "no prediction", "no bias estimate", "paper"]
-Part = Literal["plant", "clean", "world", "delay", "zero", "alone", "without", "variant"]
+Part = Literal["plant", "clean", "world", "delay", "zero", "alone", "without", "named"]
 
 CURED: Final = "cured"
 UNTUNED: Final = "not told"
@@ -33,7 +33,7 @@ PAPER: Final = "paper"
 
 LABELS: Final[Mapping[Controller, str]] = {
     CURED: "with its cures",
-    UNTUNED: "cures with a fixed delay",
+    UNTUNED: "cures not told of the change",
     NO_PREDICTION: "without prediction",
     NO_BIAS: "without bias estimate",
     PAPER: "trained as the paper describes",
@@ -48,14 +48,14 @@ class GapPoint(Value):
 
     part: Part
     """`plant`: the training plant; `clean`, `world`: the clean and the full twin; `delay`, `zero`:
-    a point of a curve; `alone`, `without`: one effect switched on, one effect removed; `variant`:
-    a variant of the servo."""
+    a point of a curve; `alone`, `without`: one effect switched on, one effect removed; `named`: a
+    named world."""
     controller: Controller
     """The controller."""
     on_clean: bool = False
     """Whether a point of a curve is on the clean twin."""
     name: Name = ""
-    """Name of the effect or the variant."""
+    """Name of the effect or of the world."""
     at: Number = 0.0
     """Transport delay [s] or error of the zero [rad] of a point of a curve."""
     results: TrialResults
@@ -168,7 +168,7 @@ class Gap(Artefact):
         return next(p for p in self.points if (p.part, p.controller, p.name) == wanted)
 
     def names(self, part: Part) -> tuple[str, ...]:
-        """Return the names of the effects or the variants."""
+        """Return the names of the effects or of the worlds."""
         return tuple(dict.fromkeys(p.name for p in self.points if p.part == part))
 
 
@@ -206,7 +206,7 @@ def sentences(gap: Gap) -> tuple[str, ...]:
     def along(part: Literal["delay", "zero"], controller: Controller, clean: bool = False) -> str:
         return _along(gap.curve(part, controller, clean))
 
-    variants = (_open_question(gap),) if gap.names("variant") else ()
+    worlds = (_open_question(gap),) if gap.names("named") else ()
     return (
         _conclusion(gap),
         _steps(gap),
@@ -220,7 +220,7 @@ def sentences(gap: Gap) -> tuple[str, ...]:
         f"the cures still assume {1e3 * gap.delay:.0f} ms, "
         f"{_along(gap.curve('delay', UNTUNED), gap.delay)}.",
         f"Without the bias estimate it stands, with a zero error, {along('zero', NO_BIAS)}.",
-        *variants,
+        *worlds,
         _caveat(gap),
     )
 
@@ -310,15 +310,14 @@ def _ranked(differences: Mapping[str, Seconds]) -> str:
 
 
 def _open_question(gap: Gap) -> str:
-    parts: list[str] = []
-    for name in gap.names("variant"):
-        results = gap.point("variant", CURED, name).results
-        share = track_share(results)
-        ends = "" if share is None else f" ({percent(share)} of the falls on the track limit)"
-        parts.append(f"{name} {_mean(results)} s{ends}")
+    def stands(name: str) -> str:
+        found, kept = (gap.point("named", who, name).results for who in (CURED, UNTUNED))
+        return f"{name} {_mean(found)} s ({_mean(kept)} s)"
+
     return (
-        "KUKA does not publish the servo of the cabinet; the policy with its cures under other "
-        f"assumptions: {', '.join(parts)}."
+        "KUKA does not publish the servo of the cabinet. On each guess the policy stands, with the "
+        "actuator identified there (in brackets with that of its training): "
+        f"{', '.join(map(stands, gap.names('named')))}."
     )
 
 

@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from equipoise.compiled import inlined, kernel
 from equipoise.devices.twin.physics import TICK, mass_matrix
-from equipoise.model.actuator import AMPLITUDE, INTERVAL_WIDTH, lag_share, shaped_step
+from equipoise.model.actuator import AMPLITUDE, INTERVAL_WIDTH, Actuator, lag_share, shaped_step
 from equipoise.model.arms.arm import Arm
 from equipoise.model.random import TWIN, philox, uniform
 from equipoise.model.sim_configs import Inner, TwinSettings, rotor_inertias
@@ -124,6 +124,23 @@ def make_servo_params(arm: Arm, settings: TwinSettings) -> ServoParams:
         transport=settings.transport / TICK,
         jitter=settings.transport_jitter / TICK,
     )
+
+
+def equivalent_actuator(settings: TwinSettings) -> Actuator:
+    """Return the actuator that responds as the cabinet of an arm without load does.
+
+    `pd` is a drive with T = 1 / (2 omega) that reaches a destination in t_c = 2 / omega.
+
+    Args:
+        settings: Times and variant.
+    """
+    cycle, lag = settings.cycle * TICK, settings.lag
+    if settings.inner == "pd":
+        cycle, lag = 2.0 / settings.pd_frequency, 0.5 / settings.pd_frequency
+    elif settings.inner == "trajectory40":
+        cycle = TRAJECTORY_TIME
+    kind = "kst" if settings.shaped else "unshaped"
+    return Actuator.assumed(kind, delay=settings.transport, lag=lag, cycle=cycle)
 
 
 def new_servo_state(n: int) -> ServoState:

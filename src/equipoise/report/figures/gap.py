@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from equipoise.report import style
 from equipoise.studies import gap_results as study
-from equipoise.studies.formatting import percent
+from equipoise.studies.formatting import LASTED
 from equipoise.studies.gap_results import Gap, GapPoint
 
 if TYPE_CHECKING:
@@ -37,8 +37,8 @@ BARS: Final[dict[str, Any]] = {"markersize": 4, "capsize": 2}
 @style.styled()
 def gap_figure(gap: Gap) -> "Figure":
     """Draw a gap study."""
-    effects, variants = len(gap.names("alone")), len(gap.names("variant"))
-    rows = [*(effects for _ in gap.by_effect), *([variants] if variants else [])]
+    effects, worlds = len(gap.names("alone")), len(gap.names("named"))
+    rows = [*(effects for _ in gap.by_effect), *([worlds] if worlds else [])]
     heights = [3.8, *(ROW * count + 0.75 for count in rows)]
     title = f"Gap between training plant and the twin {gap.world}"
     figure = style.new_figure(sum(heights) + 0.5, title)
@@ -47,8 +47,8 @@ def gap_figure(gap: Gap) -> "Figure":
     _curves(top, gap)
     for part, controller in zip(rest, gap.by_effect, strict=False):
         _effects(part, gap, controller)
-    if variants:
-        _variants(rest[-1], gap)
+    if worlds:
+        _named(rest[-1], gap)
     return figure
 
 
@@ -115,18 +115,22 @@ def _effects(part: Any, gap: Gap, controller: study.Controller) -> None:
     left.set_yticks(range(len(names)), names)
 
 
-def _variants(part: Any, gap: Gap) -> None:
-    panel = part.subplots()
-    names = gap.names("variant")
-    points = [gap.point("variant", study.CURED, name) for name in names]
-    _rows(panel, gap, points, style.BLUE)
-    for row, point in enumerate(points):
-        share = study.track_share(point.results)
-        ends = "none fell" if share is None else f"{percent(share)} of the falls on the track limit"
-        _remark(panel, row, f"{study.mean(point.results, gap.duration).text}, {ends}")
-    panel.set_yticks(range(len(names)), names)
-    title = "an open question: alternative models of the cabinet"
-    panel.set_title(f"{title}, {study.LABELS[study.CURED]}")
+def _named(part: Any, gap: Gap) -> None:
+    names = gap.names("named")
+    panels = part.subplots(1, 2, sharey=True)
+    sides: tuple[tuple[study.Controller, str, str], ...] = (
+        (study.CURED, style.BLUE, "actuator identified there"),
+        (study.UNTUNED, style.SKY, "actuator of the training"),
+    )
+    for panel, (controller, colour, title) in zip(panels, sides, strict=True):
+        points = [gap.point("named", controller, name) for name in names]
+        _rows(panel, gap, points, colour)
+        for row, point in enumerate(points):
+            lasted = point.results.causes.count(LASTED)
+            _remark(panel, row, f"{lasted} of {gap.trials} lasted")
+        panel.set_title(title)
+    panels[0].set_yticks(range(len(names)), names)
+    _title(part, "An open question: named worlds, each a guess about the cabinet")
 
 
 def _rows(panel: Any, gap: Gap, points: list[GapPoint], colour: str) -> None:
