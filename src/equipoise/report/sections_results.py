@@ -161,11 +161,10 @@ def _twin(twin: TwinSettings, results: Results) -> str:
     modelled = (
         f"A transport delay: a setpoint takes effect {1e3 * twin.transport:g} ms after it was "
         f"sent, ± {1e3 * twin.transport_jitter:g} ms.",
-        "The servo law of the KUKA Sunrise Toolbox's server, from its source, every "
-        f"{twin.cycle:g} ms: a soft dead band, which delays slow motions.",
-        f"Joint drives with a lag of {1e3 * twin.lag:g} ms and the torques of the real joints. "
-        "They compensate the arm's own weight and its inertia at home, but not the load of tool "
-        f"and pendulum ({1e3 * (twin.bracket_mass + twin.pendulum_mass):g} g).",
+        *_servo(twin),
+        "Joints with rotors, and the torques of the real ones. Their drives compensate the arm's "
+        "weight and its inertia at home, but not the load of tool and pendulum "
+        f"({1e3 * (twin.bracket_mass + twin.pendulum_mass):g} g).",
         f"A pendulum whose pivot is {1e3 * twin.pivot_outward:g} mm beside the last joint's axis, "
         f"with {friction} besides the viscous one.",
         f"An encoder with {twin.counts_per_rev:,} counts per turn, read "
@@ -182,6 +181,22 @@ def _twin(twin: TwinSettings, results: Results) -> str:
             "numbers are assumptions, listed below. It is a simulation, not the authors' robot."
         )
     )
+
+
+def _servo(twin: TwinSettings) -> Iterator[str]:
+    if twin.shaped:
+        yield (
+            "The servo law of the KUKA Sunrise Toolbox's server, from its source, every "
+            f"{twin.cycle:g} ms: a soft dead band, which delays slow motions."
+        )
+    else:
+        yield "A servo without a shaping law: the drives follow each setpoint itself."
+    if twin.inner == "pd":
+        frequency = f"{twin.pd_frequency:g} rad/s"
+        yield f"Joint drives that control the position, critically damped at {frequency}."
+    else:
+        slowly = " They take 40 ms to each destination." * (twin.inner == "trajectory40")
+        yield f"Joint drives with a lag of {1e3 * twin.lag:g} ms.{slowly}"
 
 
 def _conditions(results: Results) -> Iterator[tuple[str, str, str]]:
