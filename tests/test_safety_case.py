@@ -62,6 +62,8 @@ def test_each_number_of_the_page_is_that_of_the_code():
     from equipoise.studies.rehearsal.verdicts import MAX_NOTICE
 
     assert f"within {1e3 * MAX_NOTICE:.0f} ms" in PAGE
+    assert f"up to {1e3 * safety.MAX_STALL:g} ms is bridged" in PAGE
+    assert f"not answered for {1e3 * run_controller.MAX_UNANSWERED:g} ms" in PAGE
     assert f"({safety.STOP_DECELERATION:g} m/s² at the flange" in PAGE
     assert f"{100 * safety.TORQUE_SHARE:.0f} % of the joint's torque" in PAGE
     assert f"a following error of {safety.FOLLOWING_LIMIT:g} rad" in PAGE

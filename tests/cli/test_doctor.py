@@ -18,7 +18,7 @@ from equipoise.devices.encoder.terminal import Terminal
 from equipoise.studies.doctor import Fitness
 from tests.devices.kuka.test_listener import Served
 
-STABLE = {"verdict", "findings", "machine", "lateness", "loaded", "link", "encoder"}
+STABLE = {"verdict", "findings", "machine", "lateness", "stalls", "loaded", "link", "encoder"}
 VERDICTS = {"fit": 0, "usable with care": 0, "not fit": 1}
 QUICK = ("--seconds", 0.2)
 
@@ -50,7 +50,8 @@ def test_words_show_both_histograms_each_finding_and_the_verdict(equipoise):
 
 
 @pytest.mark.parametrize(
-    ("late", "code", "saying"), [(0.0001, 0, "Verdict on this"), (0.03, 1, "machine: not fit.")]
+    ("late", "code", "saying"),
+    [(0.0001, 0, "Verdict on this"), (0.03, 0, "rides through"), (0.08, 1, "machine: not fit.")],
 )
 def test_a_deadline_missed_by_far_is_told_by_the_exit_code(
     equipoise, monkeypatch, late, code, saying

@@ -283,3 +283,16 @@ def test_whatever_goes_in_what_leaves_keeps_all_limits(start, shares, late, bad)
         robot.send(setpoint)
     check_sent(tape.sent)
     assert robot.held_back is None or robot.at_rest
+
+
+def test_a_stream_that_stood_still_begins_anew_from_rest():
+    robot, tape = moving()
+    last, before = np.array(tape.sent[-1]), np.array(tape.sent[-2])
+    # The moving arm may go on so; the one that has come to rest meanwhile may not.
+    robot.send(tuple(2.0 * last - before), from_rest=True)
+    assert "rad/s^2" in robot.held_back
+    assert np.array_equal(tape.sent[-1], last)
+    robot, tape = moving()
+    for n, setpoint in enumerate(along(tape.sent[-1], 0.4 * np.ones(7), 10)):
+        robot.send(setpoint, from_rest=n == 0)
+    assert robot.held_back is None

@@ -208,7 +208,7 @@ def draw_fault(kind, seed):
             name=CauseName.TRACK, policy=PolicyKernel(LINEAR, gains=gains), u_max=2.0
         )
     if kind == "late":
-        late = float(random.uniform(0.025, 0.08))
+        late = float(random.uniform(0.08, 0.15))
         return plain._replace(
             name=CauseName.LATE, once=lambda s: setattr(s.clock, "oversleep", late)
         )

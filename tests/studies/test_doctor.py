@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from equipoise.checks.deadlines import check_lateness, check_loaded_lateness
+from equipoise.checks.deadlines import (
+    check_lateness,
+    check_loaded_lateness,
+    check_stalls,
+    stalls,
+)
 from equipoise.checks.encoder import EncoderReading, check_encoder
 from equipoise.checks.host import HostInfo, check_host, check_realtime
 from equipoise.checks.link import check_link, check_networks
@@ -118,7 +123,7 @@ def test_what_the_machine_did_not_allow_has_the_cure_of_its_setting():
         ((0.004,), "good"),
         ((0.0051,), "warning"),
         ((0.0199,), "warning"),
-        ((0.0201,), "bad"),
+        ((0.0801,), "warning"),
         ((0.0015,) * 150, "warning"),
         ((0.0015,) * 50, "good"),
     ],
@@ -127,6 +132,26 @@ def test_a_late_deadline_costs_by_how_late_it_was(late, state):
     found = check_lateness(spread(*late))
     assert found.verdict == state
     assert bool(found.cure) == (state != "good")
+
+
+@pytest.mark.parametrize(
+    ("longest", "state", "saying"),
+    [(0.0199, "good", "none above 20 ms"), (0.0699, "warning", "rides through 70 ms"),
+     (0.0701, "bad", "ends at 70 ms")],
+)  # fmt: skip
+def test_a_stall_counts_once_and_is_told_by_whether_a_run_outlasts_it(longest, state, saying):
+    # A stall of the longest and one of 23 ms, each with the later deadlines that it makes late.
+    late = np.zeros(200)
+    late[20:35] = np.maximum(longest - 0.005 * np.arange(15), 0.0)
+    late[100:105] = 0.023 - 0.005 * np.arange(5)
+    found = stalls(late if longest > 0.02 else np.minimum(late, 0.02))
+    assert found == ((longest, 0.023) if longest > 0.02 else ())
+    result = check_stalls(found, 1.0)
+    assert result.verdict == state
+    assert saying in result.found
+    if found:
+        assert result.found.startswith("2 above 20 ms in 1 s, 1 above 40 ms")
+    assert diagnose(GOOD, MEASURES, PUNCTUAL, found).stalls == found
 
 
 def test_under_load_lateness_is_at_worst_a_matter_of_care():
@@ -250,7 +275,7 @@ def test_a_spread_says_what_numpy_says():
     for t, share in found.longer.items():
         expected = np.exp(-float(t) / 4.0)
         assert share == pytest.approx(expected, abs=5.0 * np.sqrt(expected * (1 - expected) / 5000))
-    assert list(found.longer) == ["1", "5", "20"]
+    assert list(found.longer) == ["1", "5", "20", "70"]
 
 
 def test_a_histogram_counts_each_duration_once_in_its_range():

@@ -9,6 +9,8 @@ from equipoise.control.policy import shipped_policy
 from equipoise.deployment import deploy
 from equipoise.errors import ArtefactError
 from equipoise.logs.run_log import RunLog
+from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario, Trigger
+from equipoise.studies.rehearsal.faults import hold_back
 from equipoise.studies.replay import replay
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
@@ -90,3 +92,24 @@ def test_a_run_on_the_model_does_not_hold_what_a_replay_needs(small_policy):
     log = deploy(small_policy, duration=0.2)
     with pytest.raises(ArtefactError, match="replay a run on a twin or a rig"):
         replay(log, small_policy)
+
+
+STALLS = {
+    "loop": lambda harness: harness.clock.stalls.extend((0.05, 0.0, 0.0)),
+    "second setpoint": lambda harness: harness.clock.stalls.extend((0.0, 0.05)),
+    "encoder": lambda harness: hold_back(harness, "sensor"),
+    "link": lambda harness: hold_back(harness, "robot"),
+}
+
+
+@pytest.mark.parametrize("stall", STALLS)
+def test_a_run_with_stalls_replays_to_the_bit(tmp_path, stall):
+    scenario = Scenario(duration=1.5, out=tmp_path / "run.mcap")
+    harness = FaultHarness(scenario, Trigger("balancing", 0.5), STALLS[stall])
+    assert harness.run().cause == "lasted"
+    log = RunLog.load(scenario.out)
+    ticks, rows = len(log.tables["tick"]), len(log.tables["stream"])
+    assert (rows < 2 * ticks) is (stall in ("second setpoint", "link"))
+    replayed = replay(log, scenario.policy)
+    assert replayed.difference is None
+    assert (replayed.ticks, replayed.largest) == (ticks, 0.0)

@@ -2,19 +2,28 @@
 
 import hashlib
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
 import numpy as np
 
-from equipoise.checks.results import SETPOINT_PERIOD, Array, CheckResult, Spread, rated
-from equipoise.control.safety import MAX_TICK_LATENESS
+from equipoise.checks.results import (
+    SETPOINT_PERIOD,
+    STALL,
+    Array,
+    CheckResult,
+    Spread,
+    rated,
+)
+from equipoise.control.safety import MAX_STALL
 from equipoise.devices.interfaces import Clock
 
 GOOD_LATENESS: Final = 0.001
 """99th percentile of the lateness of a good machine [s]: a fifth of the stream's period, far below
 the arm's delay."""
+LONG_STALL: Final = 0.040
+"""Duration of a stall that is counted apart [s]: a third of the pendulum's time constant."""
 HASH_BLOCK: Final = bytes(1 << 20)
 """Block that a loading thread hashes: 0.5 ms and more of work outside the interpreter's lock."""
 
@@ -63,19 +72,50 @@ def burning(threads: int) -> Generator[None]:
             burner.join()
 
 
+def stalls(late: Array) -> tuple[float, ...]:
+    """Return the duration of each stall [s]: a stall makes several deadlines late, the first most.
+
+    Args:
+        late: Lateness of each deadline, from `lateness` [s], shape (n,).
+    """
+    stalled = late > STALL
+    begins = stalled & ~np.append(False, stalled[:-1])
+    return tuple(late[begins].tolist())
+
+
 def check_lateness(late: Spread) -> CheckResult:
-    """Judge how late deadlines are met."""
-    if late.most > MAX_TICK_LATENESS:
-        cure = (
-            f"a run ends at {1e3 * MAX_TICK_LATENESS:g} ms: end other programs, then cure the "
-            "results above (kernel, governor, priority); measure again with --seconds 60"
-        )
-        return CheckResult("deadlines", "bad", late.text(), cure)
+    """Judge how late deadlines are met, stalls apart."""
     cure = (
         "setpoints will come unevenly: end other programs, set the governor, allow real-time "
         "priority; measure again with --seconds 60"
     )
     return rated("deadlines", "warning" if _uneven(late) else "good", late.text(), cure)
+
+
+def check_stalls(durations: Sequence[float], seconds: float) -> CheckResult:
+    """Judge the stalls of a machine: whether a run outlasts them.
+
+    Args:
+        durations: Duration of each stall [s].
+        seconds: Length of the measurement [s].
+    """
+    longest = max(durations, default=0.0)
+    if not durations:
+        return CheckResult("stalls", "good", f"none above {1e3 * STALL:g} ms in {seconds:g} s")
+    longer = sum(duration > LONG_STALL for duration in durations)
+    found = (
+        f"{len(durations)} above {1e3 * STALL:g} ms in {seconds:g} s, {longer} above "
+        f"{1e3 * LONG_STALL:g} ms, the longest {1e3 * longest:.0f} ms: "
+    )
+    cure = (
+        "end other programs, then cure the results above (kernel, governor, priority, no virtual "
+        "machine); measure again with --seconds 60"
+    )
+    if longest > MAX_STALL:
+        found += f"a run ends at {1e3 * MAX_STALL:g} ms"
+        return CheckResult("stalls", "bad", found, cure)
+    found += f"a run rides through {1e3 * MAX_STALL:g} ms"
+    return CheckResult("stalls", "warning", found, cure)
 
 
 def check_loaded_lateness(late: Spread) -> CheckResult:

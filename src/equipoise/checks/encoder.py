@@ -6,8 +6,7 @@ from typing import Final
 import numpy as np
 
 from equipoise.artefacts import Value
-from equipoise.checks.results import CheckResult, Spread, rated
-from equipoise.control.safety import ENCODER_STALE
+from equipoise.checks.results import STALL, CheckResult, Spread, rated
 from equipoise.devices.interfaces import AngleSensor, Clock
 
 READ_PERIOD: Final = 0.001
@@ -117,7 +116,7 @@ def check_encoder(
     late = rate < GOOD_SAMPLE_RATE or age > GOOD_SAMPLE_AGE
     yield rated(
         "encoder's samples",
-        "bad" if rate < MIN_SAMPLE_RATE or age > ENCODER_STALE else "warning" if late else "good",
+        "bad" if rate < MIN_SAMPLE_RATE or age > STALL else "warning" if late else "good",
         found,
         "use a board with native USB (Teensy, Pico), or set the adapter's latency timer to 1 ms: "
         "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer",

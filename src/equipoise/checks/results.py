@@ -8,16 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.artefacts import Value
-from equipoise.control.safety import ENCODER_STALE
+from equipoise.control.safety import MAX_STALL
 from equipoise.devices.interfaces import SETPOINT_PERIOD
 from equipoise.errors import InputError, OutsideError
 
 Array = npt.NDArray[np.float64]
 Verdict = Literal["good", "warning", "bad", "unknown"]
 
-REPORTED_DURATIONS: Final = (0.001, SETPOINT_PERIOD, ENCODER_STALE)
+STALL: Final = 0.020
+"""Delay from which a loop, an encoder or a link counts as stalled [s]: two ticks."""
+REPORTED_DURATIONS: Final = (0.001, SETPOINT_PERIOD, STALL, MAX_STALL)
 """Durations beyond which the share is reported [s]: jitter without effect on the controller, one
-period of the stream, and the lateness that ends a run."""
+period of the stream, a stall, and the stall that ends a run."""
 HISTOGRAM_EDGES: Final = tuple(digit * 10.0**power for power in range(-5, 0) for digit in (1, 2, 5))
 """Upper ends of a histogram's ranges [s], from 10 us to 0.5 s; the last range is open."""
 
@@ -72,7 +74,7 @@ class Spread(Value):
     most: float
     """Maximum [s]."""
     longer: dict[str, float]
-    """Share of measurements above 1, 5 and 20 ms, keyed by that time in ms."""
+    """Share of measurements above 1, 5, 20 and 70 ms, keyed by that time in ms."""
     histogram: tuple[tuple[float | None, int], ...]
     """Upper end [s] (None for the open range) and count of each range, from the first to the last
     range that is not empty."""

@@ -540,7 +540,7 @@ def command(controller: ControllerParams, state: ControllerState, lanes: int) ->
         beyond[n] = 0 if within else 1
     controller.kinematics(q, dq, frame, lanes)
     if controller.has_sensor:
-        _advance_arm_model(controller, state, lanes)
+        advance_arm_model(controller, state, lanes)
 
 
 @inlined
@@ -567,7 +567,7 @@ def _advance_joints(q: Array, dq: Array, ddq: Array, setpoints: Array, h: float,
 
 
 @inlined
-def _advance_arm_model(controller: ControllerParams, state: ControllerState, lanes: int) -> None:
+def advance_arm_model(controller: ControllerParams, state: ControllerState, lanes: int) -> None:
     """Advance the model of the arm to the end of the tick, and record its motion."""
     scratch, past, frame = state.scratch, state.history, state.model_frame
     q, dq, share = state.model_q, state.model_dq, controller.share

@@ -4,8 +4,8 @@
 `equipoise.control.control_step`, and reads their results from there.
 """
 
-from collections.abc import Sequence
-from math import asin, sqrt
+from collections.abc import Callable, Sequence
+from math import asin, ceil, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +15,10 @@ from equipoise.compiled import kernel
 from equipoise.control.boxes import box_index, partition
 from equipoise.control.clik import manipulability
 from equipoise.control.control_step import (
+    HISTORY_TICKS,
     SETPOINTS_PER_TICK,
     ControllerParams,
+    advance_arm_model,
     command,
     new_controller_state,
     observe,
@@ -69,26 +71,105 @@ class Controller:
         self._state = new_controller_state()
         self._free = list(arm.free)
         self._home_x = float(controller.home_reference[POSITION])
+        # A tick in the past needs the motion from its delay, and the age of its sample, before it.
+        self._kept = HISTORY_TICKS - 2 - ceil(controller.delay / controller.h + 1.0)
         self.begin(0.0, 0.0)
 
     def begin(self, phi: float, phi_dot: float) -> None:
         """Begin at home, at rest, with the measured pendulum [rad], [rad/s]."""
         start_controller(self._controller, self._state, 0.0, 0.0, phi, phi_dot, 0)
+        state = self._state
+        self._model = state.model_q.copy(), state.model_dq.copy()
+        # Estimate at the last tick with counts, and the number of ticks since.
+        self._confirmed, self._blind = state.estimate.copy(), 0
 
     def observe(
-        self, counts: float, encoder_age: float, q: Sequence[float], reply_age: float
+        self,
+        counts: float | None,
+        encoder_age: float,
+        q: Sequence[float] | None,
+        reply_age: float,
+        before: Callable[[float], tuple[float, float] | None] = lambda _: None,
     ) -> None:
         """Compute the observation from the measurements of a tick.
 
+        Without a count the observer predicts. Counts that come later are taken in order: the
+        observer goes back to the last tick with a count, and observes each tick since again.
+
         Args:
-            counts: Encoder counts from hanging, growing with theta.
+            counts: Encoder counts from hanging, growing with theta; None without new ones.
             encoder_age: Age of the counts [s].
-            q: Measured joints, all of them [rad].
+            q: Measured joints, all of them [rad]; None without a new measurement.
             reply_age: Age of the joints [s].
+            before: Returns the counts of a tick by its time before this one [s], and their age [s];
+                None without counts. Called for the ticks since the last one with counts.
         """
-        self._state.counts[0] = counts
-        self._state.measured[::BATCH_SIZE] = [q[joint] for joint in self._free]
-        observe(self._controller, self._state, encoder_age, reply_age, 1)
+        state, newest = self._state, int(self._state.newest[0])
+        if q is not None:
+            state.measured[::BATCH_SIZE] = [q[joint] for joint in self._free]
+        if 0 < self._blind <= self._kept:
+            state.estimate[:] = self._confirmed
+        else:
+            self._blind = 0
+        self._blind += 1
+        for back in range(self._blind - 1, 0, -1):
+            state.newest[0] = (newest - back) % HISTORY_TICKS
+            self._observe(back, before(back * self._controller.h))
+        state.newest[0] = newest
+        sample = None if counts is None else (counts, encoder_age)
+        self._observe(0, sample, None if q is None else reply_age)
+
+    def _observe(
+        self, back: int, sample: tuple[float, float] | None, reply_age: float | None = None
+    ) -> None:
+        """Observe the newest tick of the history with the measurements that there are.
+
+        Args:
+            back: Number of ticks since.
+            sample: Counts and their age [s].
+            reply_age: Age of the measured joints [s].
+        """
+        params, state, age = self._controller, self._state, 0.0
+        if sample is None:
+            params = params._replace(gains=(0.0, 0.0, 0.0))
+        else:
+            state.counts[0], age = sample
+        if reply_age is None:
+            params = params._replace(correction=0.0)
+        observe(params, state, age, reply_age or 0.0, 1)
+        if sample is not None:
+            self._confirmed[:], self._blind = state.estimate, back
+
+    def rest(self, q: Sequence[float], missed: int, unsent: bool) -> None:
+        """Begin anew from an arm that comes to rest at the last setpoint sent.
+
+        The model of the arm follows that setpoint over the missed ticks, without a measurement; the
+        next `observe` adds those that have come since.
+
+        Args:
+            q: The last setpoint sent, all joints [rad].
+            missed: Number of missed ticks.
+            unsent: Whether the second setpoint of the last command was not sent.
+        """
+        state = self._state
+        held = [q[joint] for joint in self._free]
+        state.setpoints[::BATCH_SIZE] = held * SETPOINTS_PER_TICK
+        if unsent:  # the model has followed it over half a tick
+            state.model_q[:], state.model_dq[:] = self._model
+            state.newest[0] = (state.newest[0] - 1) % HISTORY_TICKS
+            self.hold()
+        for _ in range(missed):
+            self._observe(0, None)
+            self._blind += 1
+            self.hold()
+        state.q[::BATCH_SIZE], state.dq[:], state.ddq[:] = held, 0.0, 0.0
+        self._controller.kinematics(state.q, state.dq, state.frame, 1)
+        state.reference[POSITION * BATCH_SIZE] = state.frame[POSITION * BATCH_SIZE]
+        state.reference[TWIST * BATCH_SIZE] = 0.0
+
+    def hold(self) -> None:
+        """Advance the model of the arm by a tick, towards the last setpoints."""
+        advance_arm_model(self._controller, self._state, 1)
 
     @property
     def observation(self) -> Observation:
@@ -111,9 +192,11 @@ class Controller:
 
     def command(self, u: float) -> tuple[tuple[float, ...], ...]:
         """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""
-        self._state.u[0] = u
-        command(self._controller, self._state, 1)
-        setpoints = self._state.setpoints.reshape(SETPOINTS_PER_TICK, -1)
+        state = self._state
+        self._model[0][:], self._model[1][:] = state.model_q, state.model_dq
+        state.u[0] = u
+        command(self._controller, state, 1)
+        setpoints = state.setpoints.reshape(SETPOINTS_PER_TICK, -1)
         return tuple(self._all_joints(self._arm.home, setpoint) for setpoint in setpoints)
 
     @property

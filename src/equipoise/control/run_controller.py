@@ -15,7 +15,7 @@ training (`equipoise.control.control_step`).
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import cosh, inf, isfinite, isnan, nan, pi, sinh, sqrt
+from math import cosh, inf, isfinite, nan, pi, sinh, sqrt
 from typing import Any, Final
 
 import numpy as np
@@ -28,11 +28,18 @@ from equipoise.control.dropouts import DropoutMonitor
 from equipoise.control.minimum_jerk import Path, path_within
 from equipoise.control.policy import Policy
 from equipoise.control.release import ReleaseDetector, ReleaseState
-from equipoise.control.safety import SafetyInputs, SafetyParams
+from equipoise.control.safety import STOP_DECELERATION, SafetyInputs, SafetyParams
 from equipoise.control.self_test import MOVE_TIME, SWING_TIME, SelfTest, SelfTestVerdict
 from equipoise.control.states import Cause, Phase, RunState
 from equipoise.control.stop import Ramp, at_rest, ramp, stoppable_speeds, way_back
-from equipoise.control.ticks import OK, OperatorMessage, TickInputs, TickOutput, TickRecord
+from equipoise.control.ticks import (
+    OK,
+    OperatorMessage,
+    TickInputs,
+    TickOutput,
+    TickRecord,
+    missed_ticks,
+)
 from equipoise.model.arms.arm import Arm
 from equipoise.printable import printable
 from equipoise.settings import BoxSettings
@@ -69,6 +76,18 @@ LATE: Final = "it took"
 POLICY_TIME_SHARE: Final = 0.5
 """Maximum computing time of the policy, as a share of a tick [-]: later, the second setpoint, due
 after half a tick, would be late too."""
+RESTART_ACCELERATION: Final = 0.5 * STOP_DECELERATION
+"""Additional acceleration of the flange after a pause of the setpoints, until it has the speed of
+before [m/s^2]: with the policy's largest acceleration that of a stop."""
+MAX_UNANSWERED: Final = 0.020
+"""Time without a reply after which no setpoint is sent until the replies have come [s], while the
+arm moves: a link that stands still delivers all setpoints at once, and the arm then goes to the
+last one at its highest speed. A round trip takes 1 to 4 ms."""
+SENDING_TIME: Final = 0.001
+"""Tolerance of the time at which a setpoint is sent [s]."""
+MAX_TIMED_REPLY: Final = 0.020
+"""Maximum round trip of a reply whose joints count as measured [s]: nobody knows when in a longer
+one they were read. A link to a robot takes 9 ms at most."""
 HISTORY: Final = 64
 """Number of samples and of setpoints in memory: 64 ms at 1 kHz, for the fit at the release."""
 
@@ -129,16 +148,15 @@ class RunController:
         """Phase before the stop."""
 
         self._q, self._dq = tuple(q), (0.0,) * len(q)
-        velocity = [HOMING_SHARE * joint.velocity for joint in arm.joints]
-        acceleration = [HOMING_SHARE * joint.acceleration for joint in arm.joints]
-        self._path = path_within(self._q, arm.home, velocity, acceleration)
+        self._arm = arm
+        self._path = self._path_home()
         self._ramp: Ramp = at_rest(self._q)
         self._back: Path | None = None
         self._back_since, self._rested = 0, False
         self._monitor = safety.MonitorState()
         self._commanded = np.tile(np.array(q, np.float64), (HISTORY, 1))
         self._sent_at, self._setpoints = np.full(HISTORY, -inf), 0
-        self._answered = nan
+        self._answered, self._overdue = -inf, 0.0
         self._torque_sum, self._torques = np.zeros(len(q)), 0
         self._at_home: Array | None = None
         self._at_start: Array | None = None
@@ -148,6 +166,7 @@ class RunController:
         self._pose: FlangePose | None = None
         self._missing, self._illegal, self._jump = 0, False, 0.0
         self._dropouts, self._warned = DropoutMonitor(), False
+        self._paused, self._lost_speed = False, 0.0
         self._fresh_q = self._fresh_torque = False
         self._ticks = 0  # of this phase
         self._samples = deque[ticks.Sample](maxlen=HISTORY)
@@ -173,6 +192,10 @@ class RunController:
             now: The time [s].
             inputs: Samples, replies, the operator's input and faults.
         """
+        missed = missed_ticks(inputs.lateness, self._h)
+        late = max(inputs.lateness - missed * self._h, 0.0)
+        if inputs.paused(self._h):
+            self._begin_anew(missed, inputs.unsent)
         self._take_samples(inputs.samples)
         self._take_replies(inputs.replies)
         self._take_input(inputs.lines)
@@ -181,10 +204,10 @@ class RunController:
             self._stop(Cause("fault", fault))
         self._check_rules(now, inputs.lateness)
         self._record = TickRecord(estimated_phi=self._phi())
-        before = self.phase
-        setpoints = first, second = self._STEPS[before](self, now)
-        self._store_setpoint(now, first)
-        self._store_setpoint(now + 0.5 * self._h, second)
+        before, stalls = self.phase, self._overdue > MAX_UNANSWERED and self.phase in MOVING
+        setpoints = self._wait() if stalls else self._STEPS[before](self, now)
+        for place, setpoint in enumerate(setpoints):
+            self._store_setpoint(now - late + place * 0.5 * self._h, setpoint)
         self._ticks = self._ticks + 1 if self.phase is before else 1
         events, self._events = self._events, []
         phase, to_rest = PHASES.index(self.phase), self.phase is Phase.STOPPING
@@ -205,6 +228,30 @@ class RunController:
         return self.state.phase
 
     # Inputs.
+
+    def _begin_anew(self, missed: int, unsent: int) -> None:
+        """Begin the motion of the phase anew from the last setpoint sent, where the arm rests.
+
+        Args:
+            missed: Number of missed ticks.
+            unsent: Number of setpoints of the last tick that were not sent.
+        """
+        self._setpoints -= unsent
+        q = tuple(self._commanded[(self._setpoints - 1) % HISTORY].tolist())
+        moved, self._q, self._dq = any(self._dq), q, (0.0,) * len(q)
+        if self.phase is Phase.HOMING:
+            self._path, self._ticks = self._path_home(), 0
+        elif self.phase is Phase.STOPPING:
+            self._ramp, self._back, self._back_since = at_rest(q), None, self._ticks
+        elif self.phase in (Phase.SELF_TEST, Phase.BALANCING):
+            self._lost_speed += self._controller.x_dot
+            self._controller.rest(q, missed, unsent > 0)
+        if self.phase is Phase.BALANCING:
+            self._ticks += missed
+        if moved and not self._paused:
+            self._paused = True
+            stalled = "The computer stood still: `equipoise rig doctor` looks for the cause."
+            self._notify("warning", stalled)
 
     def _take_samples(self, samples: Sequence[ticks.Sample]) -> None:
         held = self.phase in (Phase.LIFTING, Phase.ARMED)
@@ -230,7 +277,7 @@ class RunController:
         self._fresh_q = self._fresh_torque = False
         for reply in replies:
             self._answered = reply.sent
-            if reply.q is not None:
+            if reply.q is not None and reply.received - reply.sent <= MAX_TIMED_REPLY:
                 self._measured, self._fresh_q = tuple(reply.q), True
                 self._measured_at = 0.5 * (reply.sent + reply.received)
                 if self.phase is Phase.SELF_TEST and not self._swing.asked:
@@ -270,12 +317,12 @@ class RunController:
         """Return the inputs of the safety rules, with the estimate of the tick before."""
         phase, balancing = self.phase, self.phase is Phase.BALANCING
         moves = phase in MOVING or phase in (Phase.ARMED, Phase.STOPPING)
-        self._answered = now if isnan(self._answered) else self._answered
+        # The lateness of the loop itself is not the robot's delay.
+        self._overdue = self._unanswered_time(now - lateness)
         inputs = SafetyInputs(
             # A late tick is no danger while nothing moves; the fit of a swing causes some.
             lateness=lateness if moves else 0.0,
-            # The lateness of the loop itself is not the robot's delay.
-            overdue=max(now - lateness - self._answered - self._h, 0.0),
+            overdue=self._overdue,
             torque=self._external_torque() if self._fresh_torque else None,
             balancing=balancing,
             phi=self._controller.estimate.phi if balancing else 0.0,
@@ -296,12 +343,34 @@ class RunController:
             inputs = inputs._replace(on_track=True, x_dot=x_dot, **self._pose._asdict())
         return inputs
 
+    def _unanswered_time(self, now: float) -> float:
+        """Return the time since the oldest setpoint without a reply was sent [s]; or 0."""
+        oldest = now
+        for back in range(1, HISTORY):
+            sent = float(self._sent_at[(self._setpoints - back) % HISTORY])
+            if sent <= self._answered + SENDING_TIME:
+                break
+            oldest = sent
+        return max(now - oldest, 0.0)
+
     def _observe(self, now: float) -> None:
         """Pass the measurements of this tick to the observer."""
-        if self._samples and self.zero is not None:
-            sample = self._samples[-1]
-            ages = now - sample.time, now - self._measured_at
-            self._controller.observe(sample.counts - self.zero, ages[0], self._measured, ages[1])
+        if not self._samples or self.zero is None:
+            return
+        age = now - self._samples[-1].time
+        counts = self._samples[-1].counts - self.zero if age <= self._h else None
+        q, reply_age = (self._measured if self._fresh_q else None), now - self._measured_at
+        self._controller.observe(counts, age, q, reply_age, lambda back: self._before(now - back))
+
+    def _before(self, time: float) -> tuple[float, float] | None:
+        """Return the counts of a tick in the past [s] and their age [s]; None without new ones."""
+        for sample in reversed(self._samples):
+            age = time - sample.time
+            if age > self._h:
+                break
+            if age >= 0.0:
+                return sample.counts - (self.zero or 0.0), age
+        return None
 
     def _external_torque(self) -> tuple[float, ...] | None:
         """Return the external torques less those at rest [N m]; None before those are known."""
@@ -377,7 +446,25 @@ class RunController:
         self._q, self._dq = second.q, second.dq
         return first.q, second.q
 
+    def _wait(self) -> tuple[()]:
+        """Send nothing while the link stands still: the arm comes to rest at its last target."""
+        self._begin_anew(0, 0)
+        if self.phase is not Phase.HOMING:
+            self._controller.hold()
+        if self.phase is not Phase.BALANCING:
+            self._ticks -= 1  # its path waits, too
+        else:
+            observed, estimate = self._controller.observation, self._controller.estimate
+            self._record = TickRecord(*observed, self._controller.box, 0.0, *estimate[:3])
+        return ()
+
     # The phases.
+
+    def _path_home(self) -> Path:
+        """Return the path to home from the commanded joints, at rest."""
+        velocity = [HOMING_SHARE * joint.velocity for joint in self._arm.joints]
+        acceleration = [HOMING_SHARE * joint.acceleration for joint in self._arm.joints]
+        return path_within(self._q, self._arm.home, velocity, acceleration)
 
     def _home(self, now: float) -> Setpoints:
         if self._ticks * self._h < self._path.duration:
@@ -474,7 +561,15 @@ class RunController:
         return self._command(v / h)
 
     def _command(self, u: float) -> Setpoints:
-        """Return the setpoints of the controller for an acceleration of the flange [m/s^2]."""
+        """Return the setpoints of the controller for an acceleration of the flange [m/s^2].
+
+        The speed that a pause has taken comes back at `RESTART_ACCELERATION`.
+        """
+        if self._lost_speed != 0.0:
+            most = RESTART_ACCELERATION * self._h
+            gained = min(max(self._lost_speed, -most), most)
+            self._lost_speed -= gained
+            u += gained / self._h
         first, second = self._controller.command(u)
         self._q, self._dq = self._controller.q, self._controller.dq
         return first, second
@@ -496,6 +591,7 @@ class RunController:
         elif state is ReleaseState.RELEASED:
             phi, phi_dot = self._falling(now)
             self._controller.begin(phi, phi_dot)
+            self._lost_speed = 0.0
             self._go(states.RunEvent.RELEASED)
             self.began = now
             self._notify("balancing", "Balancing. Any key stops.")

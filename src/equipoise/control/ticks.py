@@ -4,6 +4,7 @@ A tick handler, such as `equipoise.control.run_controller`, uses no device, cloc
 """
 
 from collections.abc import Callable, Sequence
+from math import ceil
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -83,7 +84,7 @@ class TickOutput(NamedTuple):
     """Output of a tick handler."""
 
     setpoints: tuple[Sequence[float], ...]
-    """All joints now, and h / 2 later [rad]."""
+    """All joints now, and h / 2 later [rad]; empty while nothing is to be sent."""
     q: Sequence[float]
     """Commanded joints at the end of the tick [rad]."""
     dq: Sequence[float]
@@ -114,9 +115,32 @@ class TickInputs(NamedTuple):
     faults: Sequence[str]
     """Messages of failures: the encoder's link, a setpoint held back."""
     lateness: float
-    """Lateness of the tick [s]."""
+    """Lateness of the tick [s]. A loop that stood still skips the ticks that it missed, and begins
+    again at the time of a later one: the lateness is then whole ticks, to half a tick."""
     result: Any = None
     """Result of a job, passed once; an exception where it failed."""
+    unsent: int = 0
+    """Number of setpoints of the tick before that were not sent, because the loop stood still."""
+
+    def paused(self, h: float) -> bool:
+        """Return whether the arm has come to rest at the last setpoint sent: the loop stood still.
+
+        Args:
+            h: Time between ticks [s].
+        """
+        return self.unsent > 0 or missed_ticks(self.lateness, h) > 0
+
+
+def missed_ticks(lateness: float, h: float) -> int:
+    """Return the number of ticks that a late loop skips.
+
+    Later than half a tick, the tick's second setpoint is due: the loop waits for the next tick.
+
+    Args:
+        lateness: Lateness of the tick that was due [s].
+        h: Time between ticks [s].
+    """
+    return ceil(lateness / h - 0.5)
 
 
 class TickHandler(Protocol):

@@ -42,9 +42,9 @@ from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.rigs import restart_instruction
 
-HEARTBEAT_TIMEOUT: Final = 0.080
-"""Time without a tick after which the loop counts as stopped [s]; with the parent's polling period
-of 10 ms the operator is warned within 100 ms."""
+HEARTBEAT_TIMEOUT: Final = 0.085
+"""Time without a tick after which the loop counts as stopped [s]: more than a tick and a stall that
+is bridged. With the parent's polling period of 10 ms the operator is warned within 100 ms."""
 POLL_PERIOD: Final = 0.010
 """Polling period of the parent [s]."""
 DRAIN_PERIOD: Final = 0.050

@@ -73,13 +73,17 @@ class GuardedRobot:
         self.last = None
         self._robot.start()
 
-    def send(self, q: Sequence[float] | Array, *, to_rest: bool = False) -> None:
+    def send(
+        self, q: Sequence[float] | Array, *, to_rest: bool = False, from_rest: bool = False
+    ) -> None:
         """Send a setpoint, or the next one of a ramp to rest if the setpoint is invalid.
 
         Args:
             q: The joints [rad], shape (joints,).
             to_rest: Whether the setpoint belongs to a ramp to rest inside the limits, so that the
                 stopping distance is not checked.
+            from_rest: Whether the arm has come to rest at the last setpoint, because the stream
+                stood still.
 
         Raises:
             LinkError: The link is down, replies are overdue, or the first setpoint differs from the
@@ -88,6 +92,8 @@ class GuardedRobot:
         if self._ramp is None:
             setpoint = tuple(map(float, q))
             last = self.last
+            if from_rest and last is not None:
+                self._before = last
             if last is None:
                 before = setpoint
                 if broken := check_first(self._limits, setpoint, self.started_at):

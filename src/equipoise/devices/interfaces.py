@@ -88,7 +88,7 @@ class ServoedArm(Protocol):
 class Robot(ServoedArm, Protocol):
     """An arm that follows a stream of setpoints of all its joints.
 
-    After `start` it obeys them.
+    After `start` it obeys them; while none comes it goes to the last one, and rests there.
     """
 
     def send(self, q: Sequence[float] | Array) -> None:

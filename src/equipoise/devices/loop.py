@@ -1,8 +1,10 @@
 """Control loop of a run: read, decide, send; wait; send the setpoint of half a tick; wait.
 
 The loop runs in one thread. Deadlines are absolute times of the rig's clock, so that they do not
-drift. Ticks missed by a delay of more than a tick are skipped and counted. A tick takes no lock,
-prints nothing, and writes its records to preallocated rings (`equipoise.logs.recorder`).
+drift. A loop that stands still sends no setpoint that is later than the next one should be: the arm
+comes to rest at the last one sent, the missed ticks are skipped and counted, and the tick handler
+begins anew from there at the time of a later tick. A tick takes no lock, prints nothing, and writes
+its records to preallocated rings (`equipoise.logs.recorder`).
 
 A failure ends in one of two ways. While the robot accepts setpoints, the tick handler brings the
 arm to rest inside the stream; if the handler itself fails, the guard around the robot does. If the
@@ -17,7 +19,14 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.control.ticks import Job, OperatorMessage, TickHandler, TickInputs, TickOutput
+from equipoise.control.ticks import (
+    Job,
+    OperatorMessage,
+    TickHandler,
+    TickInputs,
+    TickOutput,
+    missed_ticks,
+)
 from equipoise.devices.guarded import GuardedRobot
 from equipoise.devices.interfaces import AngleSensor, Clock, Sample
 from equipoise.devices.operator import Operator
@@ -116,21 +125,22 @@ def run_loop(
     h = handler.h
     late, compute = np.zeros((2, round(max_duration / h)))
     executor = InlineExecutor() if executor is None else executor
-    ticks = missed = 0
+    ticks = missed = unsent = 0
     faults: list[str] = []
-    sensor_lost = refused = False
+    sensor_lost = refused = still = False
     deadline = clock.now() + h
     fault: str | None = None
     stoppable = True
     try:
         while True:
             clock.wait_until(deadline)
-            now, begin = clock.now(), perf_counter()
-            lateness = now - deadline
-            skipped = int(lateness / h)  # whole ticks that have passed already
-            if skipped > 0:
+            due = deadline
+            while (skipped := missed_ticks(clock.now() - deadline, h)) > 0:
                 deadline += skipped * h
                 missed += skipped
+                clock.wait_until(deadline)
+            now, begin = clock.now(), perf_counter()
+            lateness = now - due
             samples: list[Sample] = []
             if not sensor_lost:
                 try:
@@ -139,10 +149,14 @@ def run_loop(
                     sensor_lost = True
                     faults.append(str(error))
             replies, words = robot.replies(), operator.read_input()
-            inputs = TickInputs(samples, replies, words, faults, lateness, executor.result())
+            done = executor.result()
+            inputs = TickInputs(samples, replies, words, faults, lateness, done, unsent)
             output, faults = handler.tick(now, inputs), []
-            first, *rest = output.setpoints
-            robot.send(first, to_rest=output.to_rest)
+            first, rest = output.setpoints[:1], output.setpoints[1:]
+            still = still or inputs.paused(h)
+            for setpoint in first:
+                robot.send(setpoint, to_rest=output.to_rest, from_rest=still)
+            still = not first
             sent, took = clock.now(), perf_counter() - begin
             if ticks < len(late):
                 late[ticks], compute[ticks] = lateness, took
@@ -150,12 +164,18 @@ def run_loop(
             for sample in samples:
                 recorder.encoder.push(*sample, now)
             _record(recorder, now, took, inputs, output)
-            recorder.stream.push(sent, robot.last)  # as sent: the guard may have replaced it
+            if first:
+                recorder.stream.push(sent, robot.last)  # as sent: the guard may have replaced it
             for event in output.events:
                 _notify(recorder, operator, now, event)
+            unsent = 0
             for place, setpoint in enumerate(rest, start=1):
-                clock.wait_until(deadline + place * h / len(output.setpoints))
+                period = h / len(output.setpoints)
+                clock.wait_until(deadline + place * period)
                 moment = clock.now()
+                if moment > deadline + (place + 1) * period:
+                    unsent = len(rest) + 1 - place
+                    break
                 robot.send(setpoint, to_rest=output.to_rest)
                 recorder.stream.push(moment, robot.last)
             if output.job is not None:

@@ -6,7 +6,14 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 from equipoise.artefacts import Value
-from equipoise.checks.deadlines import burning, check_lateness, check_loaded_lateness, lateness
+from equipoise.checks.deadlines import (
+    burning,
+    check_lateness,
+    check_loaded_lateness,
+    check_stalls,
+    lateness,
+    stalls,
+)
 from equipoise.checks.encoder import EncoderReading, check_encoder, listen
 from equipoise.checks.host import HostInfo, check_host, check_realtime, read_host_info
 from equipoise.checks.link import check_link, check_networks, connected, round_trips
@@ -34,6 +41,8 @@ class Diagnosis(Value):
     """Properties of the machine."""
     lateness: Spread
     """Lateness of deadlines."""
+    stalls: tuple[float, ...]
+    """Duration of each stall of the loop above 20 ms [s]."""
     loaded: Spread | None
     """Lateness of deadlines with every core busy."""
     link: Spread | None
@@ -98,6 +107,8 @@ def examine(
         machine,
         measures,
         Spread.of(late),
+        stalls(late),
+        seconds=seconds,
         loaded=loaded,
         link=None if trips is None else Spread.of(trips),
         encoder=reading,
@@ -110,7 +121,9 @@ def diagnose(
     machine: HostInfo,
     measures: Sequence[RealtimeSetting],
     lateness: Spread,
+    stalls: Sequence[float] = (),
     *,
+    seconds: float = 0.0,
     loaded: Spread | None = None,
     link: Spread | None = None,
     encoder: EncoderReading | None = None,
@@ -123,6 +136,8 @@ def diagnose(
         machine: Properties of the machine.
         measures: Results of the real-time settings.
         lateness: Lateness of deadlines.
+        stalls: Duration of each stall [s].
+        seconds: Length of the measurement [s].
         loaded: Lateness of deadlines with every core busy.
         link: Round trips to the robot.
         encoder: Statistics of the encoder's stream.
@@ -130,6 +145,7 @@ def diagnose(
         silent: Error message of each device that could not be reached, by the device's name.
     """
     findings = [*check_host(machine), *check_realtime(measures), check_lateness(lateness)]
+    findings.append(check_stalls(stalls, seconds))
     if loaded is not None:
         findings.append(check_loaded_lateness(loaded))
     if link is not None:
@@ -148,6 +164,7 @@ def diagnose(
         findings=tuple(findings),
         machine=machine,
         lateness=lateness,
+        stalls=tuple(stalls),
         loaded=loaded,
         link=link,
         encoder=encoder,

@@ -32,7 +32,7 @@ from equipoise.checks.recoverable import RecoveryParams, diverging_angle
 from equipoise.control.run_controller import POLICY
 from equipoise.control.safety import (
     MAX_COUNT_JUMP,
-    MAX_TICK_LATENESS,
+    MAX_STALL,
     TORQUE_SHARE,
     Rule,
     unexplained_turn,
@@ -504,7 +504,7 @@ def _late(timeline: RunTimeline) -> Evidence | None:
     # The tick after the balancing may stop the run by its lateness.
     late = log.tables["tick"]["late"][ticks[0] : ticks[-1] + 2]
     i = int(np.argmax(late))
-    if late[i] <= MAX_TICK_LATENESS:
+    if late[i] <= MAX_STALL:
         return None
     when = i * log.conditions.h
     # This ranks above a rule's cause: after a late tick, replies are overdue too.

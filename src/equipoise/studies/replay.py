@@ -183,7 +183,9 @@ def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> R
     reply = reply[np.isfinite(reply["sent"])]
     result: Any = None
     working = None
-    for row in tick:
+    ends = [*np.searchsorted(stream["time"], tick["time"][1:]).tolist(), len(stream)]
+    unsent = 0
+    for row, end in zip(tick, ends, strict=True):
         now = float(row["time"])
         events = [event for event in run.events if event.time == now]
         texts = {event.name: event.text for event in events}
@@ -205,13 +207,15 @@ def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> R
             faults=[event.text for event in events if event.name == DEVICE_FAILED],
             lateness=float(row["late"]),
             result=result,
+            unsent=unsent,
         )
         result = None
         clock.late = stopping.startswith(f"{FAILED}: {LATE}")
         output = controller.tick(now, inputs)
         working = output.job or working
         first = int(np.searchsorted(stream["time"], now))
-        sent = stream["q"][first : first + len(output.setpoints)].tolist()
+        sent = stream["q"][first:end][: len(output.setpoints)].tolist()
+        unsent = len(output.setpoints) - len(sent)
         yield now, _pairs(row, sent, output)
 
 

@@ -12,6 +12,7 @@ from math import inf
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
 from equipoise.deployment.rig import RunRequest, run_virtually
@@ -302,7 +303,7 @@ class FaultyTickHandler:
         output = self._handler.tick(now, harness.change_inputs(inputs))
         if harness.injected_at is None:
             return output
-        step = self.h / len(output.setpoints)
+        step = self.h / SETPOINTS_PER_TICK
         if any(event.name == "stopping" for event in output.events):
             # After the stop the motion is the run's own.
             harness.stopped_at = min(now - step, harness.stopped_at)

@@ -108,6 +108,27 @@ def _with(**changes: Any) -> Callable[[Scenario], Scenario]:
     return lambda scenario: replace(scenario, **changes)
 
 
+STALL: Final = 0.060
+"""Duration of a stall that is bridged [s]."""
+
+
+def hold_back(harness: FaultHarness, part: str) -> None:
+    """Hold back all bytes of a link for the duration of a stall; then they come at once.
+
+    Args:
+        harness: The harness.
+        part: Part of the rig behind the link: `robot` or `sensor`.
+    """
+    link = getattr(harness.parts, part).link
+    ends = [(end, end.delay) for end in (link, link.other)]
+
+    def delay(since: float) -> None:
+        for end, usual in ends:
+            end.delay = max(usual, STALL - since)
+
+    harness.each(delay)
+
+
 # The encoder.
 
 
@@ -131,8 +152,8 @@ ENCODER: Final = of_kind(
           "a stop within a tick", _ends("fault"), _call("parts.sensor.link.close"),
           Trigger("swing", 0.7), within=0.02, says="encoder"),
     Fault("encoder silent", "no line comes any more, while balancing",
-          "a stop once the newest sample is 20 ms old", _ends(Rule.ENCODER_STALE),
-          _change("board", silent=True), within=0.04, says="its cable"),
+          "a stop once the newest sample is 70 ms old", _ends(Rule.ENCODER_STALE),
+          _change("board", silent=True), within=0.09, says="its cable"),
     Fault("encoder frozen", "the count stands still, while balancing",
           "the pendulum is lost; the arm stops on its track", FELL | _ends(Rule.ENCODER_JUMP),
           _change("board", frozen=True), within=2.0),
@@ -167,9 +188,11 @@ ENCODER: Final = of_kind(
     Fault("zero error while balancing", "the encoder slips by 1 deg on its spindle, in 0.2 s",
           "the zero is estimated and it balances, or the arm stops on its track",
           FELL | _ends("lasted"), _slip_slowly),
-    Fault("stale samples", "lines come 60 ms late, while balancing",
-          "a stop once the newest sample is 20 ms old", _ends(Rule.ENCODER_STALE),
-          _change("parts.sensor.link", delay=0.06), within=0.04, says="old"),
+    Fault("stale samples", "lines come 100 ms late, while balancing",
+          "a stop once the newest sample is 70 ms old", _ends(Rule.ENCODER_STALE),
+          _change("parts.sensor.link", delay=0.1), within=0.09, says="old"),
+    Fault("stall of the encoder", "no line comes for 60 ms, then all at once, while balancing",
+          "it goes on", _ends("lasted"), lambda harness: hold_back(harness, "sensor")),
     Fault("malformed lines", "one of fifty lines is damaged, while balancing",
           "it is rejected; a stop once gaps repeat", _ends(Rule.ENCODER_GAP),
           _change("board", malformed=0.02), within=0.5, says="missing"),
@@ -192,19 +215,23 @@ ENCODER: Final = of_kind(
 
 
 def _stall(*times: float) -> Inject:
-    # Waits alternate: one for a tick, one for the setpoint in its middle.
+    # Waits alternate: one for a tick, one for the setpoint in its middle. A late one for a tick is
+    # followed by another, for the next tick.
     return lambda harness: harness.clock.stalls.extend(times)
 
 
 # fmt: off
 TIME: Final = of_kind(
     "time",
-    Fault("late tick", "the loop is held up for 60 ms, while balancing", "a stop in the next tick",
-          _ends(Rule.TICK), _stall(0.06), within=0.08),
+    Fault("late tick", "the loop is held up for 90 ms, while balancing", "a stop in the next tick",
+          _ends(Rule.TICK), _stall(0.09), within=0.11),
+    Fault("stall of the loop", "the loop is held up for 60 ms, while balancing",
+          "a warning; the arm rests meanwhile, and it goes on", _ends("lasted"), _stall(0.06),
+          says="stood still"),
     Fault("one late tick", "the loop is held up for 8 ms, while balancing", "it goes on",
           _ends("lasted"), _stall(0.008)),
-    Fault("late ticks", "the loop is late by 12 ms six times in a row, while balancing",
-          "a stop at the third missed tick", _ends(Rule.TICK), _stall(*(6 * (0.012,))),
+    Fault("late ticks", "the loop is late by 12 ms at three ticks in a row, while balancing",
+          "a stop at the third missed tick", _ends(Rule.TICK), _stall(*(3 * (0.012, 0.0, 0.0))),
           within=0.08),
 )
 # fmt: on
@@ -229,7 +256,7 @@ def _half_open(harness: FaultHarness) -> None:
 
 def _back_up(harness: FaultHarness) -> None:
     there = harness.parts.robot.link.other
-    before, there.delay = there.delay, 0.08
+    before, there.delay = there.delay, 0.09
     harness.after(0.1, lambda: setattr(there, "delay", before))
 
 
@@ -334,10 +361,13 @@ ROBOT: Final = of_kind(
           _ends("link lost"), _drop, stoppable=False, within=0.02),
     Fault("half-open link", "nothing arrives any more, neither way, while balancing",
           "a warning within 100 ms that software may be unable to stop it", _ends("link lost"),
-          _half_open, stoppable=False, within=0.08),
-    Fault("command backlog", "commands arrive 80 ms late, while balancing",
-          "a stop after 50 ms, and rest", _ends(Rule.LINK), _back_up, within=0.08,
+          _half_open, stoppable=False, within=0.1),
+    Fault("command backlog", "commands arrive 90 ms late, while balancing",
+          "a stop after 70 ms, and rest", _ends(Rule.LINK), _back_up, within=0.1,
           says="has not answered"),
+    Fault("stall of the link", "nothing arrives for 60 ms, then all at once, while balancing",
+          "no setpoint is sent after 20 ms; it goes on", _ends("lasted"),
+          lambda harness: hold_back(harness, "robot"), says="stood still"),
     Fault("nak", "the server refuses setpoints, while balancing",
           "the link is given up; a warning within 100 ms that software cannot stop the robot",
           _ends("link lost"), lambda harness: _change_server(harness, refuse=1.0), stoppable=False,
@@ -433,7 +463,7 @@ def _damage(wire: str, line: bytes) -> Inject:
 NUMBERS: Final = of_kind(
     "numbers",
     Fault("NaN from the encoder's line", "lines hold nan, while balancing",
-          "they are rejected; a stop once the newest sample is 20 ms old",
+          "they are rejected; a stop once the newest sample is 70 ms old",
           _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
           _damage("encoder_tap", b"E,nan,nan,nan,0*00\n"), within=0.05),
     Fault("NaN from the robot's line", "answers hold NaN, while balancing",
