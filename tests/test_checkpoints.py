@@ -10,6 +10,7 @@ from equipoise.artefacts import PartialFile
 from equipoise.errors import ArtefactError
 from equipoise.learning.checkpoint import ResumePoint, pack, unpack
 from equipoise.learning.episodes import new_training_state
+from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
 from equipoise.training import TargetProgress, train, train_to_target
@@ -27,11 +28,13 @@ QUICK = [
     "selection.duration=4",
     "selection.test_trials=100",
 ]
+SLOW = Actuator.assumed("kst", delay=0.01, lag=0.004, cycle=0.016)
 SETTINGS = {
     "robust": resolve("robust", overrides=QUICK),
     "paper": resolve("paper", overrides=[*QUICK, "selection.every=0"]),
     "sarsa": resolve("robust", overrides=[*QUICK, "learning.learner=sarsa"]),
     "watkins": resolve("paper", overrides=[*QUICK, "learning.learner=watkins"]),
+    "two actuators": resolve("robust", overrides=QUICK),
 }
 
 
@@ -117,6 +120,8 @@ def test_a_training_goes_on_from_any_checkpoint(pendulum, tmp_path, monkeypatch,
         checkpoints.append(partial.read_bytes())
 
     of_all = {"seed": 5, "partial": partial}
+    if recipe == "two actuators":
+        of_all["actuator"] = [shipped_actuator(), SLOW]
     settings = SETTINGS[recipe]
     policy = train(pendulum, ARM, settings, **of_all, report=copy, selecting=copy)
     assert len(set(checkpoints)) >= 3
@@ -160,6 +165,7 @@ OTHERS = {
     },
     "settings": {"settings": resolve("robust", overrides=[*QUICK, "learning.gamma=0.96"])},
     "arm": {"arm": iiwa(7)},
+    "actuator": {"actuator": [shipped_actuator(), SLOW]},
 }
 
 

@@ -9,7 +9,7 @@ from scipy.stats import beta, binom, binomtest
 from equipoise import paper, selection
 from equipoise.control.boxes import TRACK
 from equipoise.control.policy import format_share, shipped_policy
-from equipoise.model.actuator import shipped_actuator
+from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.selection import (
     Candidate,
@@ -17,7 +17,7 @@ from equipoise.selection import (
     measure_share,
     not_worse,
     race,
-    trial_plant,
+    trial_plants,
     trials_to_meet,
 )
 from equipoise.settings import resolve
@@ -137,9 +137,9 @@ QUICK = ("selection.duration=3", "selection.rounds=4", "selection.test_trials=30
 
 @pytest.fixture(scope="module")
 def make_plant(pendulum):
-    def make(*overrides, seed=3):
+    def make(*overrides, seed=3, actuator=None):
         settings = resolve(overrides=[*QUICK, *overrides])
-        return trial_plant(pendulum, iiwa(7), settings, shipped_actuator(), seed)
+        return trial_plants(pendulum, iiwa(7), settings, [actuator or shipped_actuator()], seed)[0]
 
     return make
 
@@ -168,7 +168,7 @@ def candidates(count, good=2):
 @pytest.mark.compiled_only
 def test_the_policy_that_balances_wins_and_no_pair_runs_twice(make_plant, pairs):
     field = candidates(30)
-    order = race(make_plant(), field)
+    order = race([make_plant()], field)
     assert sorted(i for i, _ in order) == list(range(30))
     assert order[0][0] == 2
     assert order[0][1].episodes == 40
@@ -185,7 +185,7 @@ def test_the_policy_that_balances_wins_and_no_pair_runs_twice(make_plant, pairs)
 @pytest.mark.compiled_only
 def test_a_result_is_that_of_the_policy_alone_on_the_same_trials(make_plant):
     plant, field = make_plant("selection.rms_x_weight=0.5"), candidates(5)
-    for i, result in race(plant, field):
+    for i, result in race([plant], field):
         simulation = plant.simulation(selection.SELECTION, plant.settings.selection.spread)
         trials = simulation.draw(result.trials)
         kernel = plant.tables(field[i].u_of_box)
@@ -200,9 +200,23 @@ def test_a_result_is_that_of_the_policy_alone_on_the_same_trials(make_plant):
 
 
 @pytest.mark.compiled_only
+def test_behind_two_actuators_the_worst_one_scores(make_plant):
+    plants = [make_plant(), make_plant(actuator=Actuator.assumed("kst", delay=0.08, lag=0.08))]
+    field = candidates(4)
+    alone = [dict(race([plant], field)) for plant in plants]
+    for i, result in race(plants, field):
+        worst = min(each[i].score for each in alone if each[i].trials == result.trials)
+        assert result.score == worst
+    # The policy balances behind the first actuator alone.
+    assert race(plants[:1], field)[0][1].survived == race(plants[:1], field)[0][1].trials
+    best = race(plants, field)[0][1]
+    assert best.survived < best.trials
+
+
+@pytest.mark.compiled_only
 def test_workers_do_not_change_a_race_or_a_test(make_plant):
     plant, field = make_plant(), candidates(12)
-    assert race(plant, field, workers=3) == race(plant, field)
+    assert race([plant], field, workers=3) == race([plant], field)
     table = field[2].u_of_box
     one, three = (measure_share(plant, table, target=0.99, workers=n) for n in (1, 3))
     assert one == three
@@ -211,9 +225,9 @@ def test_workers_do_not_change_a_race_or_a_test(make_plant):
 @pytest.mark.compiled_only
 def test_a_race_of_one_is_short_and_one_of_equals_runs_all_rounds(make_plant):
     good = shipped_policy().u_of_box
-    assert race(make_plant(), [Candidate(1, good)])[0][1].trials == selection.FIRST_BLOCK
+    assert race([make_plant()], [Candidate(1, good)])[0][1].trials == selection.FIRST_BLOCK
     plant = make_plant("selection.rounds=4", "selection.duration=0.3")
-    equal = race(plant, [Candidate(1, good), Candidate(2, good)])
+    equal = race([plant], [Candidate(1, good), Candidate(2, good)])
     assert [result.trials for _, result in equal] == [8 * selection.FIRST_BLOCK] * 2
     assert equal[0][0] == 0
 
@@ -226,7 +240,7 @@ def test_the_trials_of_a_round_limit_the_candidates(make_plant, pairs):
         table = good.copy()
         table[rng.integers(0, 270, 2)] = rng.choice(paper.ACTIONS, 2)
         field.append(Candidate(i, table))
-    results = race(make_plant("selection.round_trials=48"), field)
+    results = race([make_plant("selection.round_trials=48")], field)
     by_number = Counter(n for _, _, n in pairs)
     assert by_number[0] == 12
     assert all(by_number[n] <= 48 // 8 for n in range(8, 16))
@@ -239,7 +253,7 @@ def test_the_trials_of_a_round_limit_the_candidates(make_plant, pairs):
 def test_progress_ends_with_the_number_of_trials(make_plant, workers):
     told = []
     results = race(
-        make_plant(), candidates(6), workers=workers, running=lambda *now: told.append(now)
+        [make_plant()], candidates(6), workers=workers, running=lambda *now: told.append(now)
     )
     total = sum(result.trials for _, result in results)
     assert told[-1] == (total, total)

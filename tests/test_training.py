@@ -12,9 +12,15 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.errors import InputError, SettingsError
 from equipoise.learning.choice import compile_learner
 from equipoise.learning.closed_loop import make_loop_params
-from equipoise.learning.episodes import new_training_loop, new_training_state, train_episodes
+from equipoise.learning.episodes import (
+    ENDED,
+    new_training_loop,
+    new_training_state,
+    train_episodes,
+)
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.settings import resolve
 from equipoise.simulation import plant, setup_of, simulate
@@ -84,7 +90,7 @@ def test_without_a_policy_that_meets_the_target_the_best_learner_is_the_result(
     assert found.policy.test.interval[0] == max(lows)
     assert not found.policy.test.met
     assert "misses the target" in found.policy.shortfall
-    untested = found.policy.model_copy(update={"test": None})
+    untested = found.policy.model_copy(update={"tests": ()})
     assert untested.digest == learners[found.policy.learner].digest
 
 
@@ -96,8 +102,8 @@ def test_the_first_learner_that_meets_the_target_is_the_result(
     original = training.measure_policy
 
     def tested(policy, **given):
-        test = original(policy, **given)
-        return test.model_copy(update={"met": policy.learner >= 1})
+        (test,) = original(policy, **given)
+        return (test.model_copy(update={"met": policy.learner >= 1}),)
 
     monkeypatch.setattr(training, "measure_policy", tested)
     found = train_to_target(
@@ -116,8 +122,8 @@ def test_of_a_population_all_are_trained_and_the_best_score_wins(
     original = training.measure_policy
 
     def tested(policy, **given):
-        test = original(policy, **given)
-        return test.model_copy(update={"met": policy.learner != 2})
+        (test,) = original(policy, **given)
+        return (test.model_copy(update={"met": policy.learner != 2}),)
 
     monkeypatch.setattr(training, "measure_policy", tested)
     given = {"target": 0.9, "learners": 3, "population": True, "seed": 5, "workers": workers}
@@ -157,6 +163,7 @@ def test_a_selection_does_not_disturb_the_training(pendulum):
 # Behind an actuator
 
 KST = Actuator.assumed("kst", delay=0.0125, lag=0.008)
+SLOW = Actuator.assumed("kst", delay=0.01, lag=0.004, cycle=0.016)
 
 
 @pytest.fixture(scope="module")
@@ -170,6 +177,52 @@ def test_behind_an_actuator_equal_seeds_give_equal_files(pendulum, behind):
     again = train(pendulum, ARM, settings("learning.episodes=120"), actuator=KST, seed=5, workers=2)
     assert again.digest == behind[0].digest
     assert again.episodes == 120
+
+
+@pytest.fixture(scope="module")
+def of_both(pendulum):
+    """A policy behind two actuators, tested behind each."""
+    given = {"actuator": [KST, SLOW], "target": 0.5, "learners": 1, "seed": 5}
+    return train_to_target(pendulum, ARM, settings(), **given).policy
+
+
+def test_behind_two_actuators_episodes_take_turns_on_one_table(monkeypatch, pendulum, of_both):
+    alone, ended = train(pendulum, ARM, settings(), actuator=KST, seed=5), []
+    original = training.new_training_state
+
+    def spy(*given):
+        ended.append((state := original(*given)).totals)
+        return state
+
+    def both(*given):
+        train_episodes(*given)
+        assert abs(int(ended[0][ENDED]) - int(ended[1][ENDED])) <= BATCH_SIZE
+
+    monkeypatch.setattr(training, "new_training_state", spy)
+    monkeypatch.setattr(training, "train_episodes", both)
+    again = train(pendulum, ARM, settings(), actuator=[KST, SLOW], seed=5)
+    assert again.actuators == (KST, SLOW)
+    assert again.actuator == KST
+    assert again.episodes == alone.episodes == 60
+    assert [int(totals[ENDED]) for totals in ended] == [30, 30]
+    assert again.Q == of_both.Q != alone.Q
+
+
+def test_each_of_two_actuators_has_its_test_and_the_worst_one_counts(pendulum, of_both):
+    for actuator, test in zip(of_both.actuators, of_both.tests, strict=True):
+        alone = of_both.model_copy(update={"actuators": (actuator,)})
+        assert (test,) == training.measure_policy(alone, target=0.5, error=0.025)
+    assert of_both.test.interval[0] == min(test.interval[0] for test in of_both.tests)
+    missed = of_both.tests[0].model_copy(update={"met": False, "interval": (0.0, 0.1)})
+    bad = of_both.model_copy(update={"tests": (of_both.tests[1], missed)})
+    assert "misses the target" in bad.shortfall
+
+
+def test_actuators_that_are_none_or_equal_give_one_error(pendulum):
+    with pytest.raises(InputError, match="0 actuators are given, expected 1 to 8"):
+        train(pendulum, ARM, settings(), actuator=[])
+    with pytest.raises(InputError, match="an actuator is given twice"):
+        train(pendulum, ARM, settings(), actuator=[KST, SLOW, KST])
 
 
 def test_a_policy_behind_an_actuator_can_be_trained_again_from_its_own_file(
@@ -282,7 +335,7 @@ def test_race_and_test_have_trials_of_their_own(monkeypatch, pendulum):
 
 def test_the_test_of_a_policy_is_its_evaluation_with_other_seeds(pendulum, learners):
     policy = learners[0]
-    test = training.measure_policy(policy, target=0.0)
+    (test,) = training.measure_policy(policy, target=0.0)
     setup = setup_of(policy, "model")
     simulation = simulate("model", setup, seed=policy.seed, stream=TARGET_TEST)
     trials = simulation.draw(test.trials)
@@ -463,7 +516,7 @@ def test_settings_become_the_constants_of_the_learner():
 @pytest.mark.slow
 def test_ten_thousand_robust_episodes_make_a_policy_that_stands(pendulum):
     policy = train(pendulum, ARM, resolve(), seed=1, workers=2)
-    test = training.measure_policy(policy, target=0.98, workers=2)
+    (test,) = training.measure_policy(policy, target=0.98, workers=2)
     assert test.met, test.text
 
 

@@ -28,7 +28,7 @@ from equipoise.artefacts import (
 )
 from equipoise.control.baselines import baselines
 from equipoise.control.boxes import CAUSES, cause_named
-from equipoise.control.policy import PolicyKernel, TaskPolicy
+from equipoise.control.policy import MAX_ACTUATORS, PolicyKernel, TaskPolicy
 from equipoise.control.trial_safety import guard_named
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
@@ -109,7 +109,7 @@ class Evaluation(Viewable, Artefact):
     """All trials of a policy and of the baselines."""
 
     FORMAT: ClassVar[str] = "equipoise-evaluation"
-    VERSION: ClassVar[int] = 3
+    VERSION: ClassVar[int] = 4
 
     policy: Name
     """Digest of the policy's file or source."""
@@ -121,8 +121,9 @@ class Evaluation(Viewable, Artefact):
     """Name of the arm."""
     arm_digest: Name
     """Digest of the arm."""
-    actuator: Name
-    """Digest of the controller's model of the arm's response."""
+    actuators: Annotated[tuple[Name, ...], Field(min_length=1, max_length=MAX_ACTUATORS)]
+    """Digests of the controller's models of the arm's response; of several, each trial on a twin
+    selects one from the move of the self-test before its release."""
     pendulum: Name
     """Digest of the pendulum that the trials vary."""
     friction: PivotFriction | None = None
@@ -177,7 +178,8 @@ def evaluate(
             (default: the policy's).
         world: `ideal`, `model`, a name that `read_world` knows, or a twin with its numbers.
         actuator: The controller's model of the arm's response (default: the policy's; in `ideal`
-            always the ideal one).
+            always the ideal one). A policy with several selects one in each trial on a twin, see
+            `equipoise.control.actuator_choice`; on a plant its first one holds.
         seed: Master seed of the trials.
         with_baselines: Run the baselines on the same trials.
         workers: Number of threads for compiled policies; the result does not depend on it.
@@ -190,7 +192,8 @@ def evaluate(
         ArmError: The masses of the twin's arm are unknown.
     """
     setup = setup_of(policy, world, settings, actuator)
-    pendulum, arm, settings, actuator, h = setup
+    pendulum, arm, settings, actuators, h = setup
+    responses = tuple(each.digest for each in actuators)
     place, numbers = find_world(world)
     simulation = simulate(world, setup, seed=seed, stream=TEST)
     count, kept = settings.evaluation.trials, None if partial is None else Path(partial)
@@ -205,7 +208,7 @@ def evaluate(
             policy=digest,
             world=numbers,
             arm=arm,
-            actuator=actuator.digest,
+            actuators=responses,
             pendulum=pendulum.digest,
             settings=trial_settings,
             seed=seed,
@@ -235,7 +238,7 @@ def evaluate(
         world_settings=numbers,
         arm=arm.name,
         arm_digest=arm.digest,
-        actuator=actuator.digest,
+        actuators=responses,
         pendulum=pendulum.digest,
         friction=None if numbers is None else pivot_friction(pendulum, numbers),
         settings=settings,
@@ -255,7 +258,7 @@ class _CacheKey(Value):
     policy: str
     world: TwinSettings | None
     arm: Arm
-    actuator: str
+    actuators: tuple[str, ...]
     pendulum: str
     settings: Settings
     seed: int

@@ -91,18 +91,18 @@ class TrialPlant(NamedTuple):
         return table_kernel(u_of_box, partition(self.settings.boxes, self.pendulum.k))
 
 
-def trial_plant(
-    pendulum: Pendulum, arm: Arm, settings: Settings, actuator: Actuator, seed: int
-) -> TrialPlant:
-    """Return the inputs of trials on the plant of a training.
+def trial_plants(
+    pendulum: Pendulum, arm: Arm, settings: Settings, actuators: Sequence[Actuator], seed: int
+) -> list[TrialPlant]:
+    """Return the inputs of trials on the plants of a training, one for each actuator.
 
     Raises:
         ArmError: Home is a singular posture.
         SettingsError: The delay exceeds the controller's history.
     """
     nominal = pendulum.parameters(linearised=settings.plant.linearised)
-    params = make_loop_params(arm, settings, paper.STEP, nominal, actuator)
-    return TrialPlant(params, arm, nominal, settings, seed)
+    each = (make_loop_params(arm, settings, paper.STEP, nominal, one) for one in actuators)
+    return [TrialPlant(params, arm, nominal, settings, seed) for params in each]
 
 
 class _Counter:
@@ -125,7 +125,7 @@ class _Counter:
 
 
 def race(
-    plant: TrialPlant,
+    plants: Sequence[TrialPlant],
     candidates: Sequence[Candidate],
     *,
     workers: int = 1,
@@ -133,35 +133,49 @@ def race(
 ) -> list[tuple[int, Checkpoint]]:
     """Race candidates on common trials; return their indices and results, the best first.
 
+    On several plants, the score of a candidate is that on the plant where it is lowest, and the
+    duration of a trial in the sign tests is the shortest one.
+
     Args:
-        plant: Inputs of the trials.
+        plants: Inputs of the trials, on each plant.
         candidates: At least one.
         workers: Threads; the result does not depend on it.
         running: Called as trials finish.
     """
-    rule, count = plant.settings.selection, len(candidates)
-    simulation = plant.simulation(SELECTION, rule.spread)
-    policy = plant.tables(np.concatenate([each.u_of_box for each in candidates]))
+    rule, count = plants[0].settings.selection, len(candidates)
+    simulations = [plant.simulation(SELECTION, rule.spread) for plant in plants]
+    policy = plants[0].tables(np.concatenate([each.u_of_box for each in candidates]))
     most, counter = FIRST_BLOCK * 2 ** (rule.rounds - 1), _Counter(running)
-    steps, sum_x2 = np.zeros((count, most), np.int64), np.zeros((count, most))
-    cause = np.zeros((count, most), np.int64)
+    shape = len(plants), count, most
+    steps, sum_x2, cause = np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape, np.int64)
     results: dict[int, Checkpoint] = {}
     alive, first = list(range(count)), 0
     while alive:
         last = max(2 * first, FIRST_BLOCK)
-        trials = simulation.draw(last - first, first).of_tables(alive)
         rounds_left = (most // last).bit_length() - 1
-        counter.expect(counter.finished + len(trials.table) + rounds_left * rule.round_trials)
-        rows, done = range(len(trials.table)), counter.add
-        simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
-        at = trials.table, trials.number
-        steps[at], sum_x2[at], cause[at] = trials.steps, trials.sum_x2, trials.cause
+        left = len(alive) * (last - first) + rounds_left * rule.round_trials
+        counter.expect(counter.finished + len(plants) * left)
+        for j, simulation in enumerate(simulations):
+            trials = simulation.draw(last - first, first).of_tables(alive)
+            rows, done = range(len(trials.table)), counter.add
+            simulation.run(policy, trials, rows, duration=rule.duration, workers=workers, done=done)
+            at = j, trials.table, trials.number
+            steps[at], sum_x2[at], cause[at] = trials.steps, trials.sum_x2, trials.cause
         for i in alive:
-            lasted = int(np.sum(cause[i, :last] == TRUNCATED))
-            parts = candidates[i].episodes, lasted, steps[i, :last], sum_x2[i, :last]
-            results[i] = _result(plant, *parts)
+            each = [
+                _result(
+                    plant,
+                    candidates[i].episodes,
+                    int(np.sum(cause[j, i, :last] == TRUNCATED)),
+                    steps[j, i, :last],
+                    sum_x2[j, i, :last],
+                )
+                for j, plant in enumerate(plants)
+            ]
+            results[i] = min(each, key=lambda result: result.score)
         alive.sort(key=lambda i: (-results[i].score, i))
-        kept = not_worse(steps[alive, :last], RACE_ERROR / (count * rule.rounds))
+        shortest = np.min(steps[:, alive, :last], axis=0)
+        kept = not_worse(shortest, RACE_ERROR / (count * rule.rounds))
         alive = [i for i, keep in zip(alive, kept, strict=True) if keep]
         alive = alive[: max(rule.round_trials // last, 1)]
         if len(alive) == 1 or last == most:

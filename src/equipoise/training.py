@@ -24,6 +24,7 @@ from equipoise.checks.recoverable import check_releases
 from equipoise.compiled import kernel_sources_digest
 from equipoise.control.boxes import ACTIONS, partition
 from equipoise.control.policy import (
+    MAX_ACTUATORS,
     Checkpoint,
     LearningPoint,
     TabularPolicy,
@@ -59,9 +60,10 @@ from equipoise.selection import (
     ERROR,
     Candidate,
     Running,
+    TrialPlant,
     measure_share,
     race,
-    trial_plant,
+    trial_plants,
     trials_to_meet,
 )
 from equipoise.settings import SelectionSettings, Settings
@@ -85,7 +87,7 @@ def train(
     arm: Arm,
     settings: Settings,
     *,
-    actuator: Actuator | None = None,
+    actuator: Actuator | Sequence[Actuator] | None = None,
     seed: int = 0,
     learner: int = 0,
     init_policy: TabularPolicy | None = None,
@@ -102,7 +104,9 @@ def train(
         settings: Resolved settings; the sections clik, controller, plant, learning and selection
             are used.
         actuator: Actuator of the arm; by default ideal with `plant.ideal`, else the shipped one,
-            identified from the twin.
+            identified from the twin. With several, the episodes take turns behind them, and the
+            selection scores a policy behind the one where it is worst; the first one is the
+            controller's default.
         seed: Master seed.
         learner: Index of the learner, each with its own random numbers.
         init_policy: Policy with the initial table and visits; by default zeros.
@@ -164,7 +168,7 @@ def train_to_target(
     target: float = TARGET,
     learners: int = LEARNERS,
     population: bool = False,
-    actuator: Actuator | None = None,
+    actuator: Actuator | Sequence[Actuator] | None = None,
     seed: int = 0,
     workers: int = 1,
     partial: StrPath | None = None,
@@ -229,10 +233,10 @@ def train_to_target(
             except _DecidedError:
                 return
             given: Any = {"error": _error(learner), "workers": workers, "running": testing}
-            test = measure_policy(policy, target=target, **given)
-            policy = policy.model_copy(update={"test": test})
-            checkpoints.finish(policy, test)
-            shown.finished(_result(policy, test))
+            tests = measure_policy(policy, target=target, **given)
+            policy = policy.model_copy(update={"tests": tests})
+            checkpoints.finish(policy)
+            shown.finished(_result(policy))
 
         if not population:
             run(0, workers)
@@ -252,11 +256,27 @@ def measure_policy(
     error: float = ERROR,
     workers: int = 1,
     running: Running = lambda _, __: None,
-) -> TargetTest:
-    """Test a policy on its own model; see `equipoise.selection.measure_share`."""
-    plant = trial_plant(policy.pendulum, policy.arm, policy.settings, policy.actuator, policy.seed)
-    given: Any = {"target": target, "error": error, "workers": workers, "running": running}
-    return measure_share(plant, policy.u_of_box, **given)
+) -> tuple[TargetTest, ...]:
+    """Test a policy behind each of its actuators; see `equipoise.selection.measure_share`.
+
+    A policy whose share is below the target behind any of them meets it behind all with a
+    probability of at most `error`.
+    """
+    finished, tests = 0, list[TargetTest]()
+    for plant in _plants(policy, policy.seed):
+
+        def add(done: int, of: int, before: int = finished) -> None:
+            running(before + done, before + of)
+
+        given: Any = {"target": target, "error": error, "workers": workers, "running": add}
+        tests.append(measure_share(plant, policy.u_of_box, **given))
+        finished += tests[-1].trials
+    return tuple(tests)
+
+
+def _plants(policy: TabularPolicy, seed: int) -> list[TrialPlant]:
+    """Return the inputs of trials on the plants of a policy's training."""
+    return trial_plants(policy.pendulum, policy.arm, policy.settings, policy.actuators, seed)
 
 
 def compare_policies(
@@ -274,11 +294,10 @@ def compare_policies(
         workers: Threads; the result does not depend on it.
         running: Called as trials finish, also from other threads.
     """
-    model = policies[0]
-    plant = trial_plant(model.pendulum, model.arm, model.settings, model.actuator, seed)
+    plants = _plants(policies[0], seed)
     candidates = [Candidate(policy.episodes, policy.u_of_box) for policy in policies]
     return [
-        result for _, result in sorted(race(plant, candidates, workers=workers, running=running))
+        result for _, result in sorted(race(plants, candidates, workers=workers, running=running))
     ]
 
 
@@ -295,7 +314,7 @@ def check_task(
     pendulum: Pendulum,
     arm: Arm,
     settings: Settings,
-    actuator: Actuator | None = None,
+    actuator: Actuator | Sequence[Actuator] | None = None,
     target: float = 0.0,
 ) -> str | None:
     """Compare the releases of a task with the recoverable set, before a training.
@@ -308,19 +327,36 @@ def check_task(
         target: Share of the releases that a policy shall balance.
 
     Returns:
-        A warning with the share of releases that no controller saves, or None.
+        A warning with the share of releases that no controller saves, or None; of several
+        actuators, for the first one that gives a warning.
 
     Raises:
         SettingsError: No controller saves any of the releases, or the share that the target needs.
     """
     parameters = pendulum.parameters(linearised=settings.plant.linearised)
-    response = actuator or default_actuator(settings)
-    return check_releases(parameters, arm, settings, response, least=target)
+    warnings = [
+        check_releases(parameters, arm, settings, each, least=target)
+        for each in _actuators(settings, actuator)
+    ]
+    return next(filter(None, warnings), None)
 
 
-def default_actuator(settings: Settings) -> Actuator:
-    """Return the actuator of a training without a given one."""
-    return IDEAL_ACTUATOR if settings.plant.ideal else shipped_actuator()
+def _actuators(
+    settings: Settings, given: Actuator | Sequence[Actuator] | None
+) -> tuple[Actuator, ...]:
+    """Return the actuators of a training.
+
+    Raises:
+        InputError: None, too many, or equal ones are given.
+    """
+    if given is None:
+        return (IDEAL_ACTUATOR if settings.plant.ideal else shipped_actuator(),)
+    actuators = (given,) if isinstance(given, Actuator) else tuple(given)
+    if not 1 <= len(actuators) <= MAX_ACTUATORS:
+        raise InputError(f"{len(actuators)} actuators are given, expected 1 to {MAX_ACTUATORS}")
+    if len({each.digest for each in actuators}) < len(actuators):
+        raise InputError("an actuator is given twice; give each of them once")
+    return actuators
 
 
 class _Task(NamedTuple):
@@ -329,7 +365,7 @@ class _Task(NamedTuple):
     pendulum: Pendulum
     arm: Arm
     settings: Settings
-    actuator: Actuator
+    actuators: tuple[Actuator, ...]
     seed: int
     init_policy: TabularPolicy | None
 
@@ -338,19 +374,19 @@ def _task(
     pendulum: Pendulum,
     arm: Arm,
     settings: Settings,
-    actuator: Actuator | None,
+    actuator: Actuator | Sequence[Actuator] | None,
     seed: int,
     init_policy: TabularPolicy | None,
     target: float = 0.0,
 ) -> _Task:
     check_task(pendulum, arm, settings, actuator, target)
-    actuator = actuator or default_actuator(settings)
+    actuators = _actuators(settings, actuator)
     if init_policy is not None and init_policy.settings.boxes != settings.boxes:
         raise InputError(
             "the policy to go on from has other boxes than the settings; train with its boxes"
         )
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
-    return _Task(pendulum, arm, settings, actuator, seed, init_policy)
+    return _Task(pendulum, arm, settings, actuators, seed, init_policy)
 
 
 def _train(
@@ -362,30 +398,38 @@ def _train(
     selecting: Running,
 ) -> TabularPolicy:
     """Train one learner and select its policy; resume from its checkpoint if one exists."""
-    pendulum, arm, settings, actuator, seed, _ = task
-    plant = trial_plant(pendulum, arm, settings, actuator, seed)
-    # The boxes do not resolve speeds below the limit; selection finds the tables that respect it.
-    of_episodes = plant.params._replace(speed_limit=inf)
+    pendulum, arm, settings, actuators, seed, _ = task
+    plants = trial_plants(pendulum, arm, settings, actuators, seed)
     config = training_config(settings, pendulum.parameters().k)
     kernel, boxes = compile_learner(settings.learning), settings.boxes.count
     training = new_training_state(boxes, load_learner(settings.learning).tables)
-    tables, totals = training.tables, training.totals
+    tables = training.tables
+    others = (new_training_state(0)._replace(tables=tables) for _ in plants[1:])
+    trainings = [training, *others]
     if task.init_policy is not None:
         tables.Q[:], tables.visits[:] = task.init_policy.table, task.init_policy.visits
     candidates = _Candidates(settings.selection, config.episodes, np.zeros((boxes, ACTIONS)))
     every = settings.selection.every or max(1, config.episodes // MAX_REPORTS)
     curve: list[LearningPoint] = []
     if (before := checkpoints.states.get(str(learner))) is not None:
-        unpack(before.training, training)
+        for data, each in zip(before.trainings, trainings, strict=True):
+            unpack(data, each)
         candidates.restore(before)
         curve += before.curve
         report(curve[-1])
     key = np.array((seed, learner))
-    loop = new_training_loop(of_episodes, plant.pendulum, config, kernel, training, key)
+    loops: list[Any] = []
+    for i, plant in enumerate(plants):
+        # The boxes do not resolve speeds below the limit; selection finds tables that respect it.
+        params = plant.params._replace(speed_limit=inf)
+        share = config._replace(episodes=(config.episodes + len(plants) - 1 - i) // len(plants))
+        given = params, plant.pendulum, share, kernel, trainings[i], key
+        loops.append(new_training_loop(*given))
+    totals = _totals(trainings)
     while totals[ENDED] < config.episodes:
-        ended, steps = int(totals[ENDED]), int(totals[ENDED_STEPS])
-        until = min(ended + every, config.episodes)
-        train_episodes(loop, until)
+        ended, steps = totals[ENDED], totals[ENDED_STEPS]
+        _train_in_turn(loops, trainings, min(ended + every, config.episodes))
+        totals = _totals(trainings)
         if not np.isfinite(tables.Q).all():
             raise InputError(
                 f"the table holds a value that is not finite after {totals[ENDED]} episodes with "
@@ -393,18 +437,18 @@ def _train(
                 f"{settings.learning.reward}; bound the reward, or lower the learning rate"
             )
         point = LearningPoint(
-            episodes=int(totals[ENDED]),
-            steps=int(totals[STEPS]),
-            duration=paper.STEP * (int(totals[ENDED_STEPS]) - steps) / (int(totals[ENDED]) - ended),
+            episodes=totals[ENDED],
+            steps=totals[STEPS],
+            duration=paper.STEP * (totals[ENDED_STEPS] - steps) / (totals[ENDED] - ended),
         )
         if settings.selection.every > 0:
-            candidates.add(training)
+            candidates.add(tables.Q, totals[ENDED])
         curve.append(point)
-        checkpoints.keep(learner, candidates.state(training, curve))
+        checkpoints.keep(learner, candidates.state(trainings, curve))
         report(point)
     chosen, results = tables.Q, tuple[Checkpoint, ...]()
     if candidates.found:
-        order = race(plant, candidates.greedy, workers=workers, running=selecting)
+        order = race(plants, candidates.greedy, workers=workers, running=selecting)
         chosen = candidates.averages[order[0][0]]
         results = tuple(result for _, result in order)
     return TabularPolicy(
@@ -414,15 +458,31 @@ def _train(
         h=paper.STEP,
         pendulum=pendulum,
         arm=arm,
-        actuator=actuator,
+        actuators=actuators,
         settings=settings,
         seed=seed,
         learner=learner,
-        episodes=int(totals[ENDED]),
-        steps=int(totals[STEPS]),
+        episodes=totals[ENDED],
+        steps=totals[STEPS],
         learning_curve=tuple(curve),
         checkpoints=results,
     )
+
+
+def _totals(trainings: Sequence[TrainingState]) -> list[int]:
+    """Return the sums of the totals over all actuators."""
+    return np.sum([training.totals for training in trainings], axis=0).tolist()
+
+
+def _train_in_turn(loops: Sequence[Any], trainings: Sequence[TrainingState], until: int) -> None:
+    """Train until a number of episodes have ended, with equal numbers behind each actuator.
+
+    Each next episode ends behind the actuator with the fewest ones, so that none of them shapes
+    the common table alone for longer than an episode.
+    """
+    while sum(ended := [int(each.totals[ENDED]) for each in trainings]) < until:
+        least = ended.index(min(ended))
+        train_episodes(loops[least], until if len(loops) == 1 else ended[least] + 1)
 
 
 @dataclass
@@ -439,12 +499,11 @@ class _Candidates:
     found: dict[bytes, tuple[int, Array]] = field(default_factory=dict[bytes, tuple[int, Array]])
     """Number of episodes and averaged table of each candidate, by its accelerations."""
 
-    def add(self, training: TrainingState) -> None:
-        """Add the table of a training to the average; take its greedy policy if it is late."""
+    def add(self, Q: Array, ended: int) -> None:
+        """Add the table after some episodes to the average; take its greedy policy if late."""
         self.count += 1
         share = max(self.rule.averaging, 1.0 / self.count)
-        self.averaged += share * (training.tables.Q - self.averaged)
-        ended = int(training.totals[ENDED])
+        self.averaged += share * (Q - self.averaged)
         if ended > (1.0 - self.rule.late) * self.episodes:
             self._take(ended, self.averaged.copy())
 
@@ -470,10 +529,12 @@ class _Candidates:
         for stored in state.candidates:
             self._take(stored.episodes, table(stored.Q, boxes))
 
-    def state(self, training: TrainingState, curve: Sequence[LearningPoint]) -> LearnerState:
-        """Return the state of the training and its candidates."""
+    def state(
+        self, trainings: Sequence[TrainingState], curve: Sequence[LearningPoint]
+    ) -> LearnerState:
+        """Return the state of the training behind each actuator, and its candidates."""
         return LearnerState(
-            training=pack(training),
+            trainings=tuple(map(pack, trainings)),
             averaged=self.averaged.tobytes(),
             averages=self.count,
             candidates=tuple(
@@ -483,8 +544,9 @@ class _Candidates:
         )
 
 
-def _result(policy: TabularPolicy, test: TargetTest) -> LearnerResult:
+def _result(policy: TabularPolicy) -> LearnerResult:
     chosen = policy.checkpoints[0] if policy.checkpoints else None
+    test = cast(TargetTest, policy.test)
     return LearnerResult(
         learner=policy.learner,
         steps=policy.steps,
@@ -514,7 +576,7 @@ class _Checkpoints(PartialFile):
         self._deciding = {
             "pendulum": task.pendulum.digest,
             "arm": task.arm.digest,
-            "actuator": task.actuator.digest,
+            "actuator": " ".join(each.digest for each in task.actuators),
             "learner": task.settings.learning.learner,
             "reward": task.settings.learning.reward,
             "settings": value_digest(task.settings),
@@ -540,11 +602,11 @@ class _Checkpoints(PartialFile):
             self.states[str(learner)] = state
         self.update()
 
-    def finish(self, policy: TabularPolicy, test: TargetTest) -> None:
+    def finish(self, policy: TabularPolicy) -> None:
         """Store the figures of a tested learner, and its policy if it is the best."""
         with self._lock:
             del self.states[str(policy.learner)]
-            self.finished += (_result(policy, test),)
+            self.finished += (_result(policy),)
             known = self.best
             if known is None or self._key(policy) > self._key(known):
                 self.best = policy

@@ -168,7 +168,7 @@ def test_files_are_found_by_their_digest_beside_the_policy(tmp_path, monkeypatch
     OTHER.pendulum.save(there / "my arm.json", command="test")
     (there / "a damaged one.json").write_bytes(b"\xff\x00")
     actuator = Actuator.assumed("kst", delay=0.02, lag=0.01)
-    policy = OTHER.model_copy(update={"actuator": actuator})
+    policy = OTHER.model_copy(update={"actuators": (actuator,)})
     words = next_step.train_again(policy, there / "policy.json")
     assert words[:2] == ("train", there / "my arm.json")
     OTHER.pendulum.save(tmp_path / "here.json", command="test")

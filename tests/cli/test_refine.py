@@ -61,7 +61,7 @@ def saved(policy, tmp_path, factor):
     pendulum = policy.pendulum.model_copy(update=known)
     path = tmp_path / "policy.json"
     actuator = Actuator.assumed("kst", delay=0.010, lag=0.008)
-    changes = {"pendulum": pendulum, "actuator": actuator}
+    changes = {"pendulum": pendulum, "actuators": (actuator,)}
     policy.model_copy(update=changes).save(path, command="test")
     return path
 

@@ -79,8 +79,8 @@ def test_the_line_of_the_learners_counts_those_that_were_needed(
     original = training.measure_policy
 
     def tested(policy, **given):
-        test = original(policy, **given)
-        return test.model_copy(update={"met": policy.learner >= 2})
+        (test,) = original(policy, **given)
+        return (test.model_copy(update={"met": policy.learner >= 2}),)
 
     monkeypatch.setattr(training, "measure_policy", tested)
     ran = equipoise("train", pendulum_file, *SHORT, "--target=0.9", "--learners=50")

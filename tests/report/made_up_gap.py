@@ -30,12 +30,12 @@ class Found(NamedTuple):
 
 def with_cures(policy):
     """The table of a policy, as if trained with an actuator."""
-    return policy.model_copy(update={"actuator": shipped_actuator()})
+    return policy.model_copy(update={"actuators": (shipped_actuator(),)})
 
 
 def paper_policy(policy):
     """The table of a policy, as if trained without an actuator."""
-    changes = {"actuator": IDEAL_ACTUATOR, "settings": resolve("paper"), "recipe": "paper"}
+    changes = {"actuators": (IDEAL_ACTUATOR,), "settings": resolve("paper"), "recipe": "paper"}
     return policy.model_copy(update=changes)
 
 

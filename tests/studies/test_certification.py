@@ -242,7 +242,7 @@ def fallen(monkeypatch, small_policy):
             world_settings=None if world == "model" else world.settings,
             arm=policy.arm.name,
             arm_digest=policy.arm.digest,
-            actuator=policy.actuator.digest,
+            actuators=(policy.actuator.digest,),
             pendulum=policy.pendulum.digest,
             settings=settings,
             seed=seed,

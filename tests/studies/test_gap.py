@@ -305,7 +305,7 @@ def test_other_numbers_make_other_words(policy):
 
 
 def test_what_cannot_be_compared_is_refused(policy):
-    ideal = policy.model_copy(update={"actuator": IDEAL_ACTUATOR})
+    ideal = policy.model_copy(update={"actuators": (IDEAL_ACTUATOR,)})
     with pytest.raises(InputError, match="no cures to leave out"):
         measured(ideal, falls_early)
     measured(ideal, falls_early, actuator=policy.actuator, quick=True)

@@ -67,7 +67,7 @@ def run(seed, factor=1.0, duration=20.0, **numbers):
 
 
 def policy_knowing(actuator=ACTUATOR):
-    return shipped_policy().model_copy(update={"actuator": actuator})
+    return shipped_policy().model_copy(update={"actuators": (actuator,)})
 
 
 def at_once():
@@ -354,8 +354,8 @@ def test_the_better_table_is_kept_with_the_new_model(small_policy):
     # Both ran the same trials, of the policy's own settings.
     assert refined.old.trials == refined.new.trials
     # The table that is kept has a test on the new model.
-    alone = refined.policy.model_copy(update={"test": None})
-    assert refined.policy.test == training.measure_policy(alone)
+    alone = refined.policy.model_copy(update={"tests": ()})
+    assert refined.policy.tests == training.measure_policy(alone)
 
 
 @pytest.mark.parametrize(("score", "kept"), [(0.6, "new"), (0.5, "old"), (0.4, "old")])

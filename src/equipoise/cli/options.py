@@ -96,10 +96,16 @@ SWING_OPTIONS = ("start", "end", "counts_per_rev", "from_upright", "columns")
 SEED = value("N", "Master seed; equal seeds give equal results.", default=0, callback=_seed)
 WORKERS = value("N", "Threads, by default one per core; results do not depend on them.", min=1)
 ARM = value("ARM", "iiwa7, iiwa14, another registered arm, a URDF or a rig.toml.", default="iiwa7")
-ACTUATOR = value(
-    "FILE", "From equipoise identify RUN.mcap, or ideal; by default the shipped actuator."
+ACTUATORS = value(
+    "FILE",
+    "From equipoise identify RUN.mcap, or ideal; by default the shipped actuator. Repeatable: the "
+    "first one is the controller's default.",
 )
-KNOWN_ACTUATOR = value("FILE", "Actuator that the controller assumes; by default the policy's.")
+KNOWN_ACTUATOR = value(
+    "FILE",
+    "Actuator that the controller assumes; by default the policy's, of several the one that the "
+    "move of the self-test shows.",
+)
 POLICY = argument(
     "POLICY",
     "Table from equipoise train, network (.onnx), Python MODULE:NAME, lqr, lqr-snapped, pd or "

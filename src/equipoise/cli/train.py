@@ -33,7 +33,7 @@ def train(
         "PENDULUM", "From equipoise identify; by default the shipped pendulum.", None
     ),
     arm: str = opt.ARM,
-    actuator: str | None = opt.ACTUATOR,
+    actuator: list[str] | None = opt.ACTUATORS,
     recipe: str = opt.RECIPE,
     learner: str | None = opt.value(
         "NAME", "q_learning (the paper's), sarsa, watkins, double_q, or MODULE:NAME."
@@ -68,9 +68,13 @@ def train(
 
     Learners are trained one after the other until a policy meets the target in
     trials that chose nothing. Writes the policy: the table of boxes by 8
-    actions, its learning curve, its test, and everything needed to train it
+    actions, its learning curve, its tests, and everything needed to train it
     again. Exit code 1: no learner meets the target; the best policy is written
     and marked. After an interruption the same command with --resume continues.
+
+    Several --actuator make one policy for an arm of which none is sure:
+    episodes take turns behind them, the worst one scores, and each has to meet
+    the target. Before the pendulum is lifted, a run selects one of them.
     """
     output = Output(as_json)
     output.say(f"Training for {pendulum or 'the shipped pendulum'} on {arm}")
@@ -89,7 +93,7 @@ def train(
         )
     source = opt.read_pendulum(pendulum)
     machine = opt.read_arm(arm, held, base, tip)
-    response = opt.read_actuator(actuator)
+    responses = [one for each in actuator or () if (one := opt.read_actuator(each))] or None
 
     from equipoise.studies.compilation import FUNCTIONS, compile_training, compiling
     from equipoise.studies.progress import TrainingProgress
@@ -99,7 +103,7 @@ def train(
     opt.check_range("--target", target, 0.0, 1.0)
     if target is None:
         target = TARGET if resolved.selection.every else 0.0
-    output.warn(check_task(source, machine, resolved, response, target))
+    output.warn(check_task(source, machine, resolved, responses, target))
     budget = LEARNERS if learners is None else learners
     with unfinished(destination, resume=resume) as partial:
         with output.stages() as show:
@@ -113,21 +117,22 @@ def train(
                 target=target,
                 learners=budget,
                 population=population,
-                actuator=response,
+                actuator=responses,
                 seed=seed,
                 workers=opt.available_workers(workers),
                 partial=partial,
                 progress=progress,
             )
         wall, speed, best = time.perf_counter() - begin, progress.speed, trained.policy
-        inputs = {"pendulum": source.digest, "actuator": best.actuator.digest}
+        names = ("actuator", *(f"actuator {i}" for i in range(2, 1 + len(best.actuators))))
+        inputs = {"pendulum": source.digest}
+        inputs |= {n: each.digest for n, each in zip(names, best.actuators, strict=True)}
         with destination.claimed() as out:
             best.save(out, command="train", inputs=inputs)
     _say(output, trained, wall, speed, resume)
     output.wrote(out)
     again = next_step.given(
         arm=arm if arm != "iiwa7" else None,
-        actuator=actuator,
         recipe=recipe if recipe != "robust" else None,
         held=held,
         base=base,
@@ -135,6 +140,7 @@ def train(
         max_speed=max_speed,
         settings=settings_file,
     )
+    again += tuple(word for text in actuator or () for word in ("--actuator", text))
     again += tuple(word for text in chosen for word in ("--set", text))
     again = (pendulum, *again, *next_step.given(target=target if target != TARGET else None))
     output.next(*next_step.after_training(out, best, again, budget))
@@ -145,6 +151,10 @@ def train(
         steps_per_second=speed,
         wall_s=wall,
         **({} if test is None else test.model_dump(mode="json")),
+        actuators=[
+            {"actuator": response.summary, **test.model_dump(mode="json")}
+            for response, test in zip(best.actuators, best.tests, strict=False)
+        ],
         learners=[result.model_dump(mode="json") for result in trained.learners],
         bad=bool(best.shortfall),
     )
@@ -166,7 +176,11 @@ def _say(
     whose = f"learner {best.learner}, " if of_each else ""
     rows["selected"] = whose + _chosen(best)
     if (test := best.test) is not None:
-        rows["tested"] = test.text
+        if len(best.tests) == 1:
+            rows["tested"] = test.text
+        for i, (response, each) in enumerate(zip(best.actuators, best.tests, strict=True), start=1):
+            if len(best.tests) > 1:
+                rows[f"tested behind {i}"] = f"{response.summary}: {each.text}"
         if count > 1:
             met = sum(result.test.met for result in trained.learners)
             rows["learners"] = f"{met:,} of {count:,} meet the target"

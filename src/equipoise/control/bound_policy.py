@@ -57,8 +57,8 @@ class BoundPolicy:
     """Nominal pendulum."""
     arm: Arm
     """Arm with its home posture."""
-    actuator: Actuator
-    """Model of the arm's response in the controller."""
+    actuators: tuple[Actuator, ...]
+    """Models of the arm's response that the controller carries, the default one first."""
     settings: Settings
     """Settings of plant, controller and evaluation."""
     h: float = paper.STEP
@@ -66,6 +66,11 @@ class BoundPolicy:
     u_max: float = paper.U_MAX
     """Largest acceleration [m/s^2], that of the paper's actions: safety limits assume it, and a
     larger u is clipped."""
+
+    @property
+    def actuator(self) -> Actuator:
+        """Default model of the arm's response in the controller: the first one."""
+        return self.actuators[0]
 
     def reset(self) -> None:
         """Begin a trial or a run.
@@ -174,7 +179,7 @@ def bind_policy(
         kernel=own.kernel if isinstance(own, KernelPolicy) else None,
         pendulum=pendulum or shipped_pendulum(),
         arm=arm or iiwa(7),
-        actuator=actuator or shipped_actuator(),
+        actuators=(actuator or shipped_actuator(),),
         settings=settings or Settings(),
     )
 

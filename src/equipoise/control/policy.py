@@ -36,6 +36,10 @@ SNAPPED: Final = 2
 RANDOM: Final = 3
 
 
+MAX_ACTUATORS: Final = 8
+"""Maximum number of actuators of one policy: every one multiplies the time of the selection."""
+
+
 class Policy(Protocol):
     """A map from observations to accelerations of the flange; it may have a state."""
 
@@ -97,8 +101,13 @@ class TaskPolicy(Policy, Protocol):
         ...
 
     @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """Models of the arm's response that the controller carries, the default one first."""
+        ...
+
+    @property
     def actuator(self) -> Actuator:
-        """Model of the arm's response in the controller."""
+        """Default model of the arm's response in the controller: the first one."""
         ...
 
     @property
@@ -220,7 +229,10 @@ class LearningPoint(Value):
 
 
 class Checkpoint(Value):
-    """A greedy policy from the course of the training, with its results on selection seeds."""
+    """A greedy policy from the course of the training, with its results on selection seeds.
+
+    Of several actuators, the results are those behind the one with the lowest score.
+    """
 
     episodes: Count
     """Number of episodes before it."""
@@ -285,7 +297,7 @@ class TabularPolicy(Viewable, Artefact):
     """A trained table, with its task and the settings to train it again."""
 
     FORMAT: ClassVar[str] = "equipoise-policy"
-    VERSION: ClassVar[int] = 4
+    VERSION: ClassVar[int] = 5
 
     actions: Annotated[tuple[Number, ...], Field(max_length=len(paper.ACTIONS))]
     """Accelerations [m/s^2]."""
@@ -299,8 +311,9 @@ class TabularPolicy(Viewable, Artefact):
     """Pendulum of the training."""
     arm: Arm
     """Arm of the training, with its home posture."""
-    actuator: Actuator
-    """Response of the arm to its setpoints in the training."""
+    actuators: Annotated[tuple[Actuator, ...], Field(min_length=1, max_length=MAX_ACTUATORS)]
+    """Responses of the arm to its setpoints in the training, the controller's default first. With
+    several, the controller selects one from the motion of the self-test, unless it is given."""
     settings: Settings
     """Resolved settings of the training."""
     seed: Seed
@@ -315,13 +328,15 @@ class TabularPolicy(Viewable, Artefact):
     """Course of the training."""
     checkpoints: Annotated[tuple[Checkpoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
     """Candidates of the selection, the chosen one first; empty if the last table was taken."""
-    test: TargetTest | None = None
-    """Test of the selected policy; None if it was not tested."""
+    tests: Annotated[tuple[TargetTest, ...], Field(max_length=MAX_ACTUATORS)] = ()
+    """Tests of the selected policy behind each actuator; empty if it was not tested."""
 
     @model_validator(mode="after")
     def _fits_the_boxes(self) -> Self:
         if self.actions != paper.ACTIONS:
             raise ValueError("the actions are not the ones of this Equipoise (the paper's eight)")
+        if len(self.tests) not in (0, len(self.actuators)):
+            raise ValueError("tests must have one entry for each actuator, or none")
         shape = (self.settings.boxes.count, boxes.ACTIONS)
         for name, table in (("Q", self.Q), ("visits", self.visits)):
             if len(table) != shape[0] or any(len(row) != shape[1] for row in table):
@@ -342,6 +357,16 @@ class TabularPolicy(Viewable, Artefact):
     def name(self) -> str:
         """Name in results."""
         return "policy"
+
+    @property
+    def actuator(self) -> Actuator:
+        """Default actuator of the controller: the first one."""
+        return self.actuators[0]
+
+    @property
+    def test(self) -> TargetTest | None:
+        """Test behind the actuator with the lowest lower end of the interval; None without one."""
+        return min(self.tests, key=lambda test: test.interval[0], default=None)
 
     @property
     def shortfall(self) -> str:

@@ -56,7 +56,8 @@ def deploy(
     Args:
         policy: The policy.
         world: `ideal`, `model`, a name that `read_world` knows, or a twin with its numbers.
-        actuator: The controller's model of the arm's response (default: that of the training).
+        actuator: The controller's model of the arm's response (default: that of the training). A
+            policy with several selects one on a twin, see `equipoise.control.actuator_choice`.
         seed: Master seed of pendulum, noise, start and zero.
         duration: Length of the run [s] (default: that of an evaluation's trial).
         settings: Noise of the plant, ranges of the start, the controller (default: the policy's).
@@ -69,7 +70,7 @@ def deploy(
         SettingsError: The world is unknown.
     """
     setup = setup_of(policy, world, settings, actuator)
-    pendulum, arm, settings, actuator, h = setup
+    pendulum, arm, settings, _, h = setup
     duration = settings.evaluation.duration if duration is None else duration
     name, twin = find_world(world)
     simulation = simulate(world, setup, seed=seed, stream=DEPLOYMENT)
@@ -77,6 +78,7 @@ def deploy(
     recorder = Recorder(len(arm.joints), round(duration / h))
     _, cause, _ = run_trial(loop, policy, trial, duration, recorder)
     rows = recorder.rows
+    used = setup.actuators[loop.chosen]
     time = np.arange(len(rows.u), dtype=np.float64) * h
     sent = (time[:, None] + np.arange(SETPOINTS_PER_TICK) * h / SETPOINTS_PER_TICK).ravel()
     setpoints = rows.setpoints.reshape(-1, FREE_JOINTS)
@@ -101,7 +103,7 @@ def deploy(
             h=h,
             duration=duration,
             seed=seed,
-            actuator=IDEAL if actuator.kind == "ideal" else actuator.digest,
+            actuator=IDEAL if used.kind == "ideal" else used.digest,
             zero_error=loop.zero,
             pendulum=named(loop.pendulum),
             **_twin_conditions(pendulum, twin),

@@ -173,7 +173,7 @@ class BalanceEnv(gym.Env[Array, Any]):
             pendulum or shipped_pendulum(),
             arm or iiwa(7),
             settings or Settings(),
-            IDEAL_ACTUATOR if world == IDEAL else actuator or shipped_actuator(),
+            (IDEAL_ACTUATOR if world == IDEAL else actuator or shipped_actuator(),),
             paper.STEP,
         )
         self._observe, self._duration, self._reward = observe, duration, reward

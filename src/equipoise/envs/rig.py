@@ -168,7 +168,7 @@ class RigEpisode:
             EquipoiseError: The run ended before the release.
         """
         self.end()
-        pendulum, arm, settings, actuator, h = self._setup
+        pendulum, arm, settings, actuators, h = self._setup
         self._between = handover = _Handover(self._operator)
         virtual, out = is_virtual(self._robot), self._log
         self._episodes += 1
@@ -179,8 +179,8 @@ class RigEpisode:
         ours, theirs = multiprocessing.Pipe()
         chosen = handover if virtual else _RemotePolicy(theirs)
         request = RunRequest(
-            policy=BoundPolicy(chosen, NAME, NAME, None, pendulum, arm, actuator, settings, h),
-            actuator=actuator,
+            policy=BoundPolicy(chosen, NAME, NAME, None, pendulum, arm, actuators, settings, h),
+            actuator=self._setup.actuator,
             settings=self._settings,
             robot=self._robot,
             encoder=self._encoder,

@@ -38,8 +38,8 @@ class StoredCandidate(_Bytes):
 class LearnerState(_Bytes):
     """State of one learner between two candidates."""
 
-    training: bytes
-    """All arrays of `episodes.TrainingState`, in their order."""
+    trainings: tuple[bytes, ...]
+    """All arrays of `episodes.TrainingState` in their order, for each actuator."""
     averaged: bytes
     """Running average of the table; float64, a row of 8 for each box."""
     averages: Count
@@ -69,7 +69,7 @@ class ResumePoint(Artefact):
     """Unfinished training of one or several learners."""
 
     FORMAT: ClassVar[str] = "equipoise-checkpoint"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     deciding: dict[str, str]
     """Digest of each input that decides about the result, by its name."""

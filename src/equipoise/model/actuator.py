@@ -490,6 +490,14 @@ class Actuator(Artefact):
         kind, cycle = KINDS.index(self.kind), self.cycle.value
         return ActuatorParameters(kind, cycle, self.amplitude, self.width)
 
+    @property
+    def summary(self) -> str:
+        """Kind, delay, t_c and lags in a few words."""
+        lags = [1e3 * lag.value for lag in self.lags]
+        law = f"t_c {1e3 * self.cycle.value:.1f} ms, " if self.kind in ("unshaped", "kst") else ""
+        delay = 1e3 * self.delay.value
+        return f"{self.kind}, delay {delay:.1f} ms, {law}lags {min(lags):.1f} to {max(lags):.1f} ms"
+
     def response_time(self, joint: int, speed: float = TYPICAL_SPEED) -> float:
         """Return the response time of a joint to a small change, without transport [s].
 

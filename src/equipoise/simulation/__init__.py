@@ -59,8 +59,9 @@ def setup_of(
 
     In the world `ideal` the arm has no delay, also with a given actuator.
     """
-    response = IDEAL_ACTUATOR if world == IDEAL else actuator or policy.actuator
-    return Setup(policy.pendulum, policy.arm, settings or policy.settings, response, policy.h)
+    carried = policy.actuators if actuator is None else (actuator,)
+    responses = (IDEAL_ACTUATOR,) if world == IDEAL else carried
+    return Setup(policy.pendulum, policy.arm, settings or policy.settings, responses, policy.h)
 
 
 def simulate(world: str | World, setup: Setup, *, seed: int, stream: int) -> Simulation:
@@ -82,7 +83,7 @@ def simulate(world: str | World, setup: Setup, *, seed: int, stream: int) -> Sim
         from equipoise.simulation.twin import TwinSimulation
 
         return TwinSimulation(numbers, setup, seed=seed, stream=stream)
-    pendulum, arm, settings, actuator, h = setup
+    pendulum, arm, settings, _, h = setup
     nominal = pendulum.parameters(linearised=settings.plant.linearised)
-    params = make_loop_params(arm, settings, h, nominal, actuator)
+    params = make_loop_params(arm, settings, h, nominal, setup.actuator)
     return PlantSimulation(params, arm, nominal, settings, seed=seed, stream=stream)

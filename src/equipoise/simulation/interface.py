@@ -60,6 +60,8 @@ class ClosedLoop(Protocol):
     """True parameters of the pendulum in this trial."""
     zero: float | None
     """Encoder zero offset in phi in this trial [rad]; `None` without an encoder."""
+    chosen: int
+    """Number of the actuator of the setup that the controller assumes in this trial."""
     now: float
     """Time since the release [s]."""
     tracked: float
@@ -99,10 +101,16 @@ class Setup(NamedTuple):
     """The arm with its home posture."""
     settings: Settings
     """Ranges of the trials' conditions, noise of the plant, the controller."""
-    actuator: Actuator
-    """The controller's model of the arm's response."""
+    actuators: tuple[Actuator, ...]
+    """The controller's models of the arm's response. Of several, a trial on a twin selects one from
+    the move of the self-test before the release; elsewhere the first one holds."""
     h: float
     """Time between ticks [s]."""
+
+    @property
+    def actuator(self) -> Actuator:
+        """Default model of the arm's response: the first one."""
+        return self.actuators[0]
 
 
 class Simulation(ABC):

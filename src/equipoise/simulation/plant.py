@@ -125,6 +125,7 @@ class PlantLoop:
         self.params, self.controller = self._plant.controller, batch.controller
         self.pendulum, self.now, self.tracked = simulation.pendulum, 0.0, 0.0
         self.zero: float | None = None
+        self.chosen = 0
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""

@@ -6,7 +6,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from equipoise.compiled import handle, kernel
-from equipoise.control.control_step import make_controller_params, new_controller_state
+from equipoise.control.actuator_choice import MotionRecord, choose_actuator, move_setpoints
+from equipoise.control.control_step import (
+    SETPOINTS_PER_TICK,
+    make_controller_params,
+    new_controller_state,
+)
 from equipoise.control.policy import PolicyKernel
 from equipoise.control.trial_safety import TrialSafetyMonitor, new_trial_monitor, trial_safety
 from equipoise.devices.twin.servo_model import make_servo_params
@@ -76,15 +81,25 @@ class TwinSimulation(Simulation):
             ArmError: The masses of the arm's links are unknown, or home is a singular posture.
             SettingsError: The delay exceeds the controller's history.
         """
-        pendulum, arm, settings, actuator, h = setup
+        pendulum, arm, settings, actuators, h = setup
         self._nominal = pendulum.parameters(linearised=settings.plant.linearised)
         self._friction = pivot_friction(pendulum, world)
         self._arm, self._world, self._settings = arm, world, settings
         self.seed, self.stream = seed, stream
         self._servo = make_servo_params(arm, world)
-        model = arm, settings, actuator, self._nominal
-        self.params = make_controller_params(*model, h=h, counts_per_rev=world.counts_per_rev)
-        self._safety = trial_safety(arm, world, actuator, h, settings.plant.max_speed)
+        given: Any = {"h": h, "counts_per_rev": world.counts_per_rev}
+        self.actuators = actuators
+        self.params = tuple(
+            make_controller_params(arm, settings, actuator, self._nominal, **given)
+            for actuator in actuators
+        )
+        """Constants of the controller with each actuator."""
+        self._safety = [
+            trial_safety(arm, world, actuator, h, settings.plant.max_speed)
+            for actuator in actuators
+        ]
+        self.move = move_setpoints(arm, self.params[0]) if len(actuators) > 1 else None
+        """Setpoints of the move before a release [rad], shape (m, 6); None without a selection."""
         self._idle: list[TwinLoop] = []
 
     def draw(self, count: int, first: int = 0) -> Trials:
@@ -107,7 +122,7 @@ class TwinSimulation(Simulation):
         self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
     ) -> None:
         """Run trials of a compiled policy in this thread; see `Simulation.run`."""
-        max_steps = round(duration / self.params.h)
+        max_steps = round(duration / self.params[0].h)
         try:
             loop = self._idle.pop()  # of a thread that has finished
         except IndexError:
@@ -127,23 +142,32 @@ class TwinSimulation(Simulation):
         """Return a twin for `Twin.set_trial`."""
         return Twin(self._arm, self._nominal, self._world, servo=self._servo)
 
-    def monitor(self) -> TrialSafetyMonitor:
-        """Return the rules of the world for one trial."""
-        return new_trial_monitor(self._arm, self._safety)
+    def monitors(self) -> list[TrialSafetyMonitor]:
+        """Return the rules of the world for one trial, with each actuator."""
+        return [new_trial_monitor(self._arm, safety) for safety in self._safety]
 
 
 class TwinLoop:
-    """Closed loop on a twin, which the trials use in turn."""
+    """Closed loop on a twin, which the trials use in turn.
+
+    A controller with several actuators is told none: before the release, with the pendulum hanging,
+    the arm makes the move of the self-test, and its setpoints and measured joints select one.
+    """
 
     def __init__(self, simulation: TwinSimulation) -> None:
         """Build the twin, and allocate the controller."""
         self._simulation, self._twin = simulation, simulation.twin()
-        self.params, self.controller = simulation.params, new_controller_state()
+        self.params, self.controller = simulation.params[0], new_controller_state()
         self.now, self.tracked = 0.0, 0.0
         self.zero: float | None = None
-        twin, q, monitor = self._twin.kernel, np.zeros(FREE_JOINTS), simulation.monitor()
-        # The twin owns the memory of the engine and has to outlive the handle.
-        self._handle = new_twin_handle(TwinTrial(twin, self.params, self.controller, q, monitor))
+        twin, q = self._twin.kernel, np.zeros(FREE_JOINTS)
+        # The twin owns the memory of the engine and has to outlive the handles.
+        self._handles: list[Any] = [
+            new_twin_handle(TwinTrial(twin, params, self.controller, q, monitor))
+            for params, monitor in zip(simulation.params, simulation.monitors(), strict=True)
+        ]
+        self._handle = self._handles[0]
+        self.chosen = 0
 
     def run(self, policy: PolicyKernel, trial: Trial, max_steps: int) -> TrialResult:
         """Run a trial of a compiled policy; see `trial.run_trial`."""
@@ -161,7 +185,23 @@ class TwinLoop:
     def _set(self, trial: Trial) -> None:
         self.pendulum = self._simulation.pendulum(trial)
         self._twin.set_trial(self.pendulum, self._simulation.seed, trial.number)
+        if (move := self._simulation.move) is not None:
+            self._select(move)
         self.zero = float(self._twin.kernel.sensors.zero[0])
+
+    def _select(self, move: Array) -> None:
+        """Make a move with the hanging pendulum, and select the actuator from it."""
+        twin, record = self._twin, MotionRecord()
+        twin.reset()
+        for q in move:
+            record.send(twin.now, q)
+            twin.send(q)
+            twin.advance(self.params.h / SETPOINTS_PER_TICK)
+            measured, stamp = twin.measured()
+            record.measure(stamp, measured)
+        chosen = choose_actuator(self._simulation.actuators, *record.values()).chosen
+        self.params, self._handle = self._simulation.params[chosen], self._handles[chosen]
+        self.chosen = chosen
 
     def step(self, u: float) -> int:
         """Advance by one tick with u [m/s^2], and return the cause of the failure."""

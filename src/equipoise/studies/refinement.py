@@ -199,7 +199,7 @@ def retrain(
     settings = settings_of_retraining(policy.settings, episodes)
     options |= {"actuator": actuator, "seed": seed, "init_policy": policy, "workers": workers}
     new = train(pendulum, policy.arm, settings, **options)
-    old = policy.model_copy(update={"pendulum": pendulum, "actuator": actuator})
+    old = policy.model_copy(update={"pendulum": pendulum, "actuators": (actuator,)})
     of_old, of_new = compare_policies(
         [old, new], seed=seed + COMPARISON_SEED, workers=workers, running=comparing
     )
@@ -207,8 +207,8 @@ def retrain(
     if kept == "old":
         better = better.model_copy(update={"checkpoints": (of_old,)})
     target = TARGET if policy.test is None else policy.test.target
-    test = measure_policy(better, target=target, workers=workers, running=testing)
-    return Refinement(better.model_copy(update={"test": test}), kept, of_old, of_new)
+    tests = measure_policy(better, target=target, workers=workers, running=testing)
+    return Refinement(better.model_copy(update={"tests": tests}), kept, of_old, of_new)
 
 
 def settings_of_retraining(settings: Settings, episodes: int) -> Settings:

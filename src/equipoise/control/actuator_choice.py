@@ -1,0 +1,139 @@
+"""Selection of one of several actuators, from the motion of the self-test.
+
+A policy for a doubtful cabinet carries several actuators. Before the pendulum is lifted, the flange
+makes the move of the self-test, 40 mm in 0.8 s. Its setpoints go through the simulation of each
+actuator (`equipoise.model.actuator.track`), and the one whose joints are nearest to the measured
+ones is the controller's. On the twin the right one of t_c 1, 16 and 40 ms leaves 0.2 to 1.2 mrad
+(root mean square) of 16 mrad, the next one 1.5 to 1.7 mrad.
+
+Only setpoints and measured joints are used, which every run has.
+"""
+
+from collections.abc import Sequence
+from math import inf, sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.control import self_test
+from equipoise.control.control_step import ControllerParams
+from equipoise.control.controller import Controller
+from equipoise.model.actuator import Actuator, track
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.settings import BoxSettings
+
+Array = npt.NDArray[np.float64]
+
+REST_BEFORE_MOVE: Final = 0.1
+"""Record before the move [s]: the first setpoint has taken effect when the simulation begins."""
+REST_AFTER_MOVE: Final = 0.2
+"""Record after the move [s]: the slowest servo has come to rest."""
+RECORD_SIZE: Final = 2048
+"""Maximum number of setpoints, and of replies, in a record."""
+
+
+class ActuatorChoice(NamedTuple):
+    """Result of a selection."""
+
+    chosen: int
+    """Number of the nearest actuator, from zero."""
+    residuals: tuple[float, ...]
+    """Root mean square of measured less simulated joints behind each actuator [rad]."""
+
+    def describe(self, actuators: Sequence[Actuator]) -> str:
+        """Return one line for the operator.
+
+        Args:
+            actuators: The actuators of the selection.
+        """
+        own, count = self.residuals[self.chosen], len(actuators)
+        others = (r for i, r in enumerate(self.residuals) if i != self.chosen)
+        left = ", ".join(f"{1e3 * each:.2f}" for each in others)
+        return (
+            f"The arm responds as actuator {self.chosen + 1} of {count}, "
+            f"{actuators[self.chosen].summary}: {1e3 * own:.2f} mrad from its simulation; "
+            f"the others {left} mrad"
+        )
+
+
+class MotionRecord:
+    """Setpoints and measured joints of a move, in memory allocated before; further rows are lost.
+
+    Rows are time [s] and the free joints [rad].
+    """
+
+    def __init__(self) -> None:
+        """Allocate the rows."""
+        self._rows = np.zeros((2, RECORD_SIZE, 1 + FREE_JOINTS))
+        self._counts = [0, 0]
+
+    def send(self, time: float, q: Sequence[float] | Array) -> None:
+        """Add a setpoint of the free joints."""
+        self._add(0, time, q)
+
+    def measure(self, time: float, q: Sequence[float] | Array) -> None:
+        """Add measured free joints, unless their time is that of the newest ones."""
+        count = self._counts[1]
+        if count == 0 or time > self._rows[1, count - 1, 0]:
+            self._add(1, time, q)
+
+    def _add(self, kind: int, time: float, q: Sequence[float] | Array) -> None:
+        count = self._counts[kind]
+        if count < RECORD_SIZE:
+            self._rows[kind, count, 0], self._rows[kind, count, 1:] = time, q
+            self._counts[kind] = count + 1
+
+    def values(self) -> tuple[Array, Array]:
+        """Return setpoints and measurements, shapes (m, 7) and (p, 7)."""
+        sent, measured = (self._rows[i, : self._counts[i]].copy() for i in range(2))
+        return sent, measured
+
+
+def choose_actuator(actuators: Sequence[Actuator], sent: Array, measured: Array) -> ActuatorChoice:
+    """Select the actuator whose simulation is nearest to the measured joints.
+
+    A constant difference of a joint counts for nothing: it is the load's.
+
+    Args:
+        actuators: At least one.
+        sent: Time [s] and setpoint of the free joints [rad], shape (m, 7).
+        measured: Time [s] and measured free joints [rad], shape (p, 7); the arm is at rest at the
+            first setpoint when they begin.
+    """
+    rows = measured[measured[:, 0] > sent[0, 0]]
+    if len(rows) < 2:
+        return ActuatorChoice(0, (inf,) * len(actuators))
+    stream, reply = np.ascontiguousarray(sent.T), np.ascontiguousarray(rows.T)
+    simulated, residuals = np.empty(len(rows)), list[float]()
+    for actuator in actuators:
+        squares, law, delay = 0.0, actuator.parameters, actuator.delay.value
+        for j, lag in enumerate(actuator.lags, start=1):
+            times = stream[0], stream[j], reply[0], reply[j]
+            track(*times, delay, 0.0, lag.value, 0.0, 1.0, law, simulated)
+            squares += float(np.var(reply[j] - simulated))
+        residuals.append(sqrt(squares / FREE_JOINTS))
+    return ActuatorChoice(int(np.argmin(residuals)), tuple(residuals))
+
+
+def move_setpoints(arm: Arm, params: ControllerParams) -> Array:
+    """Return the setpoints of the self-test's move from home, as a run sends them.
+
+    Args:
+        arm: The arm with its home posture.
+        params: Constants of the controller.
+
+    Returns:
+        Free joints [rad], h / 2 apart, from rest to rest, shape (m, 6).
+    """
+    controller, path, h = (
+        Controller(arm, params, BoxSettings()),
+        self_test.excitation(0.0),
+        params.h,
+    )
+    first, last = -round(REST_BEFORE_MOVE / h), round((path.duration + REST_AFTER_MOVE) / h)
+    rows = list[tuple[float, ...]]()
+    for tick in range(first, last):
+        change = path.at((tick + 1) * h).dq[0] - path.at(tick * h).dq[0]
+        rows += map(arm.without_held, controller.command(change / h))
+    return np.array(rows)
