@@ -32,6 +32,18 @@ def test_a_run_on_a_twin_is_filmed(equipoise, tmp_path, monkeypatch):
     assert (log.end.cause, arm.name, str(path)) == ("lasted", "iiwa7", "run.mp4")
 
 
+def test_a_table_that_fell_in_its_final_round_runs_only_anyway(equipoise, refused, tmp_path):
+    shipped = shipped_policy()
+    test = shipped.test.model_copy(update={"trials": 200, "survived": 184})
+    shipped.model_copy(update={"tests": (test,)}).save(tmp_path / "weak.json", command="test")
+    run = ("deploy", "weak.json", "--robot", "twin:nominal", "--dry-run")
+    refused(*run, saying="the policy lasted 184 of 200 trials in the final round of its training")
+    assert equipoise(*run, "--anyway").code == 0
+    test = test.model_copy(update={"survived": 185})
+    shipped.model_copy(update={"tests": (test,)}).save(tmp_path / "good.json", command="test")
+    assert equipoise("deploy", "good.json", *run[2:]).code == 0
+
+
 def test_a_dry_run_ends_before_the_arm_moves(equipoise):
     ran = equipoise("deploy", "--robot", "twin:nominal", "--dry-run")
     assert ran.code == 0, ran

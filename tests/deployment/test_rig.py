@@ -22,8 +22,10 @@ from equipoise.errors import InputError
 from equipoise.logs import writer as log_writer
 from equipoise.logs.recorder import Recorder, read_events
 from equipoise.logs.run_log import RunLog
+from equipoise.model.actuator import Actuator
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig
+from equipoise.studies.replay import replay
 
 pytestmark = pytest.mark.compiled_only
 
@@ -87,6 +89,26 @@ def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
     assert (np.abs(np.diff(steps, axis=0)) / 0.005 <= limits[1] * 1.001).all()
     assert run.end is not None
     assert run.end.cause == "lasted"
+
+
+def test_a_run_that_is_told_no_actuator_selects_it_before_the_lift(tmp_path):
+    own, out = shipped_policy().actuator, tmp_path / "run.mcap"
+    slow = Actuator.assumed("kst", delay=0.01, lag=0.008, cycle=0.04)
+    middle = Actuator.assumed("kst", delay=0.01, lag=0.004, cycle=0.016)
+    policy = shipped_policy().model_copy(update={"actuators": (own, middle, slow), "tests": ()})
+    wanted = request(policy=policy, robot="twin:trajectory40", alternatives=(middle, slow))
+    assert run_virtually(wanted, out, Spy()).cause == "lasted"
+    run = RunLog.load(out, damaged=True)
+    names = [event.name for event in run.events]
+    assert names.index("self-test") < names.index("actuator") < names.index("lift")
+    (said,) = (event.text for event in run.events if event.name == "actuator")
+    assert said.startswith("The arm responds as actuator 3 of 3, kst, delay 10.0 ms, t_c 40.0 ms")
+    # The log holds all that the selection needs.
+    replayed = replay(run, policy)
+    assert (replayed.difference, replayed.ticks) == (None, len(run.tables["tick"]))
+    # Told the wrong one, the same run falls.
+    told = request(policy=policy, robot="twin:trajectory40")
+    assert run_virtually(told, None, Spy()).cause != "lasted"
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -50,7 +50,8 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> Itera
             "the flange keeps its orientation, so that the motion is the same; measure it again "
             "where it should be equal",
         )
-    yield _check_response(policy, actuator)
+    fits = [_check_response(policy, trained, actuator) for trained in policy.actuators]
+    yield next((fit for fit in fits if fit.verdict == "good"), fits[0])
     trained_counts = policy.settings.plant.counts_per_rev
     if rig.counts_per_rev < trained_counts // 2:
         yield CheckResult(
@@ -63,8 +64,8 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> Itera
     yield from _check_room(policy, rig)
 
 
-def _check_response(policy: TaskPolicy, actuator: Actuator) -> CheckResult:
-    name, trained, plant = "arm's response", policy.actuator, policy.settings.plant
+def _check_response(policy: TaskPolicy, trained: Actuator, actuator: Actuator) -> CheckResult:
+    name, plant = "arm's response", policy.settings.plant
     cure = "train with --actuator and the file that identify makes of this rig's excitation"
     if plant.ideal or trained.kind == "ideal":
         return CheckResult(name, "bad", "the policy was trained on an ideal arm", cure)

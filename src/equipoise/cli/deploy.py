@@ -33,7 +33,7 @@ EXCITATION_DURATION = 10.0
 """Default duration of an excitation [s]."""
 TASK = ("actuator", "pendulum", "arm", "settings_file")
 OPTIONS = {
-    "--robot": ("policy", "robot", "encoder", "rig", *TASK, "dry_run", "t1", "video"),
+    "--robot": ("policy", "robot", "encoder", "rig", *TASK, "dry_run", "t1", "anyway", "video"),
     "--excite": ("excite", "world", "arm", "pendulum"),
     "a simulated run": ("policy", "world", *TASK, "video"),
 }
@@ -75,6 +75,11 @@ def deploy(
     rig: Path | None = opt.RIG,
     dry_run: bool = opt.flag("--dry-run", "Do everything except move.", panel=opt.RIG_PANEL),
     t1: bool = opt.flag("--t1", "Stop where the flange reaches 0.23 m/s.", panel=opt.RIG_PANEL),
+    anyway: bool = opt.flag(
+        "--anyway",
+        "Run also a table that lasted less than 92.5 % of its training's final round.",
+        panel=opt.RIG_PANEL,
+    ),
     excite: bool = opt.flag(
         "--excite", "Move every joint about home instead, the pendulum hanging.", panel=EXCITATION
     ),
@@ -120,7 +125,7 @@ def deploy(
     task = next_step.given(actuator=actuator, pendulum=pendulum, arm=arm)
     if robot is not None:
         from equipoise.control.bound_policy import BoundPolicy
-        from equipoise.deployment.rig import RunRequest
+        from equipoise.deployment.rig import RunRequest, require_survival
         from equipoise.rigs import read_rig
 
         described, length = read_rig(rig), duration or DURATION
@@ -128,10 +133,11 @@ def deploy(
         if arm is None and isinstance(chosen, BoundPolicy):
             chosen = replace(chosen, arm=described.described_arm)
         output.warn(opt.shortfall(chosen))
-        response = response or chosen.actuator
-        request = RunRequest(
-            chosen, response, described, robot, encoder, length, t1=t1, dry_run=dry_run, seed=seed
-        )
+        if not anyway:
+            require_survival(chosen)
+        carried = chosen.actuators if response is None else (response,)
+        options: Any = {"t1": t1, "dry_run": dry_run, "seed": seed, "alternatives": carried[1:]}
+        request = RunRequest(chosen, carried[0], described, robot, encoder, length, **options)
         out, report = log.path, _run_on_rig(output, request, policy, rig, task, log)
     else:
         from equipoise import deployment

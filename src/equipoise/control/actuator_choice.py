@@ -84,6 +84,10 @@ class MotionRecord:
             self._rows[kind, count, 0], self._rows[kind, count, 1:] = time, q
             self._counts[kind] = count + 1
 
+    def clear(self) -> None:
+        """Forget all rows."""
+        self._counts[:] = 0, 0
+
     def values(self) -> tuple[Array, Array]:
         """Return setpoints and measurements, shapes (m, 7) and (p, 7)."""
         sent, measured = (self._rows[i, : self._counts[i]].copy() for i in range(2))

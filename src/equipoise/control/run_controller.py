@@ -16,12 +16,18 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import cosh, inf, isfinite, nan, pi, sinh, sqrt
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.control import safety, self_test, states, ticks
+from equipoise.control.actuator_choice import (
+    REST_AFTER_MOVE,
+    ActuatorChoice,
+    MotionRecord,
+    choose_actuator,
+)
 from equipoise.control.control_step import ControllerParams
 from equipoise.control.controller import Controller, FlangeKinematics, FlangePose
 from equipoise.control.dropouts import DropoutMonitor
@@ -40,6 +46,7 @@ from equipoise.control.ticks import (
     TickRecord,
     missed_ticks,
 )
+from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.printable import printable
 from equipoise.settings import BoxSettings
@@ -91,6 +98,9 @@ one they were read. A link to a robot takes 9 ms at most."""
 HISTORY: Final = 64
 """Number of samples and of setpoints in memory: 64 ms at 1 kHz, for the fit at the release."""
 
+ACTUATOR: Final = "actuator"
+"""Name of the message with the selected actuator."""
+
 MOVING: Final = frozenset({Phase.HOMING, Phase.SELF_TEST, Phase.BALANCING})
 """Phases in which Enter stops, too."""
 ON_TRACK: Final = frozenset(
@@ -99,6 +109,17 @@ ON_TRACK: Final = frozenset(
 """Phases in which the rules of the flange apply."""
 PHASES: Final = tuple(Phase)
 """Phases by the index that logs use."""
+
+
+class Alternative(NamedTuple):
+    """An actuator that a run may select, and what follows from it."""
+
+    actuator: Actuator
+    """The actuator."""
+    params: ControllerParams
+    """Constants of the control step with it."""
+    safety: SafetyParams
+    """Safety limits with it."""
 
 
 class RunController:
@@ -115,6 +136,7 @@ class RunController:
         *,
         duration: float,
         clock: Callable[[], float] = lambda: 0.0,
+        alternatives: Sequence[Alternative] = (),
     ) -> None:
         """Begin the way home from the posture that the servo holds.
 
@@ -127,9 +149,14 @@ class RunController:
             q: Measured joints, all of them [rad].
             duration: Duration of the balance [s].
             clock: Clock for the policy's computing time [s]; the default gives zero.
+            alternatives: Actuators of which the move of the self-test selects one for the balance;
+                none or two and more. Until then `controller` and `safety_params` hold.
         """
         self._params, self._policy, self._safety = controller, policy, safety_params
-        self._controller = Controller(arm, controller, boxes)
+        self._controller, self._arm, self._boxes = Controller(arm, controller, boxes), arm, boxes
+        self._alternatives, self._motion = tuple(alternatives), MotionRecord()
+        self._selects = False
+        self._choice: ActuatorChoice | None = None
         self._flange = FlangeKinematics(arm, controller)
         self._release = ReleaseDetector(controller.pendulum)
         self._duration, self._clock, self._h = duration, clock, controller.h
@@ -207,7 +234,10 @@ class RunController:
         before, stalls = self.phase, self._overdue > MAX_UNANSWERED and self.phase in MOVING
         setpoints = self._wait() if stalls else self._STEPS[before](self, now)
         for place, setpoint in enumerate(setpoints):
-            self._store_setpoint(now - late + place * 0.5 * self._h, setpoint)
+            sent = now - late + place * 0.5 * self._h
+            self._store_setpoint(sent, setpoint)
+            if self._records_motion:
+                self._motion.send(sent, self._arm.without_held(setpoint))
         self._ticks = self._ticks + 1 if self.phase is before else 1
         events, self._events = self._events, []
         phase, to_rest = PHASES.index(self.phase), self.phase is Phase.STOPPING
@@ -282,6 +312,8 @@ class RunController:
                 self._measured_at = 0.5 * (reply.sent + reply.received)
                 if self.phase is Phase.SELF_TEST and not self._swing.asked:
                     self._swing.pivot.add(self._measured_at, self._flange.pose(self._measured).x)
+                if self._records_motion:
+                    self._motion.measure(self._measured_at, self._arm.without_held(reply.q))
             if reply.torque is not None:
                 self._torque, self._fresh_torque = tuple(reply.torque), True
                 if self._at_start is None:  # the way home has hardly begun
@@ -289,6 +321,13 @@ class RunController:
                 if self._at_home is None and self.phase in (Phase.AT_HOME, Phase.REFERENCING):
                     self._torque_sum += reply.torque
                     self._torques += 1
+
+    @property
+    def _records_motion(self) -> bool:
+        """Whether the first move of the self-test is under way, which selects the actuator."""
+        if not self._alternatives or self.phase is not Phase.SELF_TEST or self._swing.number > 1:
+            return False
+        return self._ticks * self._h - self._swing.begin < MOVE_TIME + REST_AFTER_MOVE
 
     # Safety.
 
@@ -499,6 +538,7 @@ class RunController:
                 self._at_home = self._torque_sum / self._torques
             self._go(states.RunEvent.REFERENCED)
             self._swing = _Swing(self._controller.x, REST_BEFORE, 1.0, 1)
+            self._motion.clear()
             self._notify("swing", "Self-test: the arm moves by 40 mm. Keep your hands off.")
         return self._still()
 
@@ -506,7 +546,7 @@ class RunController:
         """Move, record and judge the swing, then return home."""
         swing, h = self._swing, self._h
         if swing.judged is not None:
-            return self._after_test(swing.judged)
+            return self._after_test(now, swing.judged)
         t = self._ticks * h - swing.begin
         if -REST_BEFORE <= t < MOVE_TIME - 0.5 * h:
             return self._glide(swing.path, t)
@@ -532,6 +572,10 @@ class RunController:
                 self._swing = _Swing(self._controller.x, begin, -swing.direction, swing.number + 1)
             elif result.verdict in (SelfTestVerdict.PASSED, SelfTestVerdict.ZERO):
                 swing.judged = result
+                if self._alternatives and result.verdict is SelfTestVerdict.PASSED:
+                    carried = tuple(each.actuator for each in self._alternatives)
+                    self._job = partial(choose_actuator, carried, *self._motion.values())
+                    self._selects = True
                 swing.path = Path((self._controller.x,), (0.0,), RETURN_TIME)
                 swing.begin = self._ticks * h + h
             else:
@@ -539,9 +583,17 @@ class RunController:
                 return self._come_to_rest(now)
         return self._glide(Path((0.0,), (0.0,), 0.0), 1.0)
 
-    def _after_test(self, result: SelfTest) -> Setpoints:
+    def _after_test(self, now: float, result: SelfTest) -> Setpoints:
         t = self._ticks * self._h - self._swing.begin
-        if t < RETURN_TIME + REST_BEFORE:
+        if self._selects and isinstance(self._result, Exception):
+            reason = f"the selection of an actuator failed ({self._result})"
+            self._stop(Cause("self-test", reason))
+            return self._come_to_rest(now)
+        if self._selects and self._result is not None:
+            self._selects, self._choice = False, self._result
+            carried = [each.actuator for each in self._alternatives]
+            self._notify(ACTUATOR, self._result.describe(carried))
+        if t < RETURN_TIME + REST_BEFORE or self._selects:
             return self._glide(self._swing.path, t)
         if result.verdict is SelfTestVerdict.ZERO:
             self._go(states.RunEvent.REFUSED)
@@ -549,10 +601,17 @@ class RunController:
             self._notify("hang", "Let the pendulum hang freely, and steady it with a finger.")
         else:
             self.zero = (self.zero or 0.0) + result.zero.value / self._params.resolution
+            if self._choice is not None:
+                self._assume(self._alternatives[self._choice.chosen])
             self._go(states.RunEvent.PASSED)
             self._release.reset()
             self._notify("lift", "Lift the pendulum until it stands upright, and hold it there.")
         return self._still()
+
+    def _assume(self, response: Alternative) -> None:
+        """Assume a response of the arm from now on; the arm rests at home."""
+        self._params, self._safety = response.params, response.safety
+        self._controller = Controller(self._arm, response.params, self._boxes)
 
     def _glide(self, path: Path, t: float) -> Setpoints:
         """Move the flange along a path on its track, as the policy would."""

@@ -6,7 +6,7 @@ one in virtual time; arguments carry the differences.
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from math import ceil, inf, nan, radians
 from pathlib import Path
@@ -21,8 +21,8 @@ from equipoise.checks.link import check_link, round_trips
 from equipoise.checks.results import CheckResult, Spread, require
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
 from equipoise.control.controller import Controller, FlangeKinematics
-from equipoise.control.policy import Policy, TaskPolicy, tick_policy
-from equipoise.control.run_controller import PHASES, POLICY_TIME_SHARE, RunController
+from equipoise.control.policy import Policy, TabularPolicy, TaskPolicy, tick_policy
+from equipoise.control.run_controller import PHASES, POLICY_TIME_SHARE, Alternative, RunController
 from equipoise.control.safety import T1_SPEED, Rule, SafetyParams, make_safety_params
 from equipoise.control.states import Cause
 from equipoise.control.ticks import OperatorMessage, TickHandler
@@ -53,6 +53,8 @@ T1_DURATION: Final = 20.0
 """Length of each of these trials [s]."""
 T1_SHARE: Final = 0.9
 """Minimum share of these trials that last [-]."""
+MIN_SURVIVAL: Final = 185 / 200
+"""Minimum share of the final round's trials that a policy lasts before it runs on a rig [-]."""
 SPEED_LIMIT: Final = "speed limit"
 """Name of the event with the flange's speed limit."""
 PROLOGUE: Final = 600.0
@@ -103,6 +105,8 @@ class RunRequest:
     """Whether the run ends before the arm moves."""
     seed: int = 0
     """Seed of an emulated rig."""
+    alternatives: tuple[Actuator, ...] = ()
+    """Further actuators: with any, the run selects one of all from the move of the self-test."""
 
     def controller(self, counts_per_rev: int) -> ControllerParams:
         """Return the constants of the control step on the rig.
@@ -141,6 +145,20 @@ class RunRequest:
             torque_share=self.settings.torque_share,
         )
 
+    def responses(self, counts_per_rev: int, max_speed: float = inf) -> list[Alternative]:
+        """Return the responses of the arm of which the run selects one; empty without alternatives.
+
+        Args:
+            counts_per_rev: Counts per revolution that the rig's encoder reports.
+            max_speed: Flange speed limit from the pre-flight [m/s].
+        """
+        carried = (self.actuator, *self.alternatives) if self.alternatives else ()
+        requests = ((actuator, replace(self, actuator=actuator)) for actuator in carried)
+        return [
+            Alternative(a, one.controller(counts_per_rev), one.guard(counts_per_rev, max_speed))
+            for a, one in requests
+        ]
+
     def conditions(self) -> RunConditions:
         """Return the run conditions for the log.
 
@@ -161,6 +179,7 @@ class RunRequest:
             duration=self.duration,
             seed=self.seed,
             actuator=self.actuator.digest,
+            alternatives=tuple(each.digest for each in self.alternatives),
             counts_per_rev=self.settings.counts_per_rev,
             settings=policy.settings,
             u_max=policy.u_max,
@@ -327,6 +346,7 @@ def run_on_rig(
             robot.started_at,
             duration=request.duration,
             clock=rig.clock.now,
+            alternatives=request.responses(counts_per_rev, max_speed),
         )
         ending = run_loop(
             robot,
@@ -395,6 +415,23 @@ def check_request(request: RunRequest) -> None:
     """
     check_addresses(request.robot, request.encoder)
     require(list(check_fit(request.policy, request.actuator, request.settings)))
+
+
+def require_survival(policy: TaskPolicy) -> None:
+    """Refuse a table that lasted too few trials of the final round of its training.
+
+    Raises:
+        InputError: Fewer than `MIN_SURVIVAL` of them lasted.
+    """
+    final = policy.final_round if isinstance(policy, TabularPolicy) else None
+    if final is None or final[0] >= MIN_SURVIVAL * final[1]:
+        return
+    survived, trials = final
+    raise InputError(
+        f"the policy lasted {survived:,} of {trials:,} trials in the final round of its training, "
+        f"expected at least {MIN_SURVIVAL:.1%}; train more learners with equipoise train "
+        "--learners, or run it with --anyway"
+    )
 
 
 def logged_speed_limit(events: Iterable[tuple[str, str]]) -> float:
@@ -544,7 +581,7 @@ def rehearse_t1(
         run = deploy(
             request.policy,
             world=nominal._replace(settings=in_t1),
-            actuator=request.actuator,
+            actuator=None if request.alternatives else request.actuator,
             seed=seed,
             duration=duration,
         )

@@ -24,7 +24,7 @@ from equipoise.control.bound_policy import BoundPolicy
 from equipoise.control.control_step import make_controller_params
 from equipoise.control.controller import Controller
 from equipoise.control.policy import TaskPolicy, tick_policy
-from equipoise.control.run_controller import FAILED, LATE, RunController
+from equipoise.control.run_controller import ACTUATOR, FAILED, LATE, RunController
 from equipoise.control.ticks import TickInputs, TickOutput
 from equipoise.deployment.rig import RunRequest, logged_speed_limit
 from equipoise.devices.interfaces import Reply, Sample
@@ -38,6 +38,8 @@ from equipoise.rigs import RigSettings
 
 Array = npt.NDArray[np.float64]
 
+JOBS_FAILED: Final = ("the self-test failed", "the selection of an actuator failed")
+"""First words of the reasons of stops by a failed job."""
 SELF_TEST: Final = "self-test"
 """Name of the event with a verdict of the self-test."""
 COMPARED: Final = (
@@ -94,8 +96,8 @@ def replay(
         ArtefactError: The run was of another policy or actuator, or its log does not hold the
             controller's inputs, such as that of a run on the ideal model.
     """
-    actuator = policy.actuator if actuator is None else actuator
-    rows = (_of_twin if run.conditions.simulated else _of_rig)(run, policy, actuator)
+    carried = policy.actuators if actuator is None else (actuator,)
+    rows = (_of_twin if run.conditions.simulated else _of_rig)(run, policy, carried)
     ticks, largest = 0, 0.0
     for time, pairs in rows:
         for what, (logged, replayed) in pairs.items():
@@ -117,6 +119,13 @@ def _check(digest: str, expected: str, what: str) -> None:
         )
 
 
+def _with_digest(carried: Sequence[Actuator], digest: str) -> Actuator:
+    """Return the actuator of a digest in a log."""
+    names = {IDEAL if each.kind == "ideal" else each.digest: each for each in carried}
+    _check(digest if digest in names else next(iter(names)), digest, "actuator")
+    return names[digest]
+
+
 Pairs = dict[str, tuple[float, float]]
 Rows = Iterator[tuple[float, Pairs]]
 """Time of each tick, and logged and replayed value by name."""
@@ -125,31 +134,35 @@ Rows = Iterator[tuple[float, Pairs]]
 # A run on a rig.
 
 
-def _of_rig(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
+def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Rows:
     conditions, tables = run.conditions, run.tables
     _check(policy.digest, conditions.policy, "policy")
     _check(policy.pendulum.digest, conditions.pendulum_digest, "pendulum")
-    _check(actuator.digest, conditions.actuator, "actuator")
+    digests = (conditions.actuator, *conditions.alternatives)
+    actuator, *others = (_with_digest(carried, digest) for digest in digests)
     if isinstance(policy, BoundPolicy):
         policy = replace(policy, settings=conditions.settings)
     known = {name: getattr(conditions, name) for name in ("encoder", "duration", "t1", "seed")}
     settings = _rig_settings(run)
-    request = RunRequest(policy, actuator, settings, robot=conditions.world, dry_run=False, **known)
+    known |= {"robot": conditions.world, "alternatives": tuple(others)}
+    request = RunRequest(policy, actuator, settings, dry_run=False, **known)
     counts_per_rev = settings.counts_per_rev
     tick, reply = tables["tick"], tables["reply"]
     began = reply[np.isnan(reply["sent"])]
     if len(tick) == 0 or len(began) == 0:
         raise ArtefactError("nothing moved in this run; there is nothing to replay")
     clock = _PolicyClock()
+    max_speed = logged_speed_limit((e.name, e.text) for e in run.events)
     controller = RunController(
         settings.described_arm,
         request.controller(counts_per_rev),
         policy.settings.boxes,
         tick_policy(policy),
-        request.guard(counts_per_rev, logged_speed_limit((e.name, e.text) for e in run.events)),
+        request.guard(counts_per_rev, max_speed),
         began["q"][0].tolist(),
         duration=request.duration,
         clock=clock,
+        alternatives=request.responses(counts_per_rev, max_speed),
     )
     return _run_ticks(run, controller, clock)
 
@@ -190,8 +203,8 @@ def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> R
         events = [event for event in run.events if event.time == now]
         texts = {event.name: event.text for event in events}
         stopping = texts.get("stopping", "")
-        # The tick of a verdict of the self-test receives the result of its job.
-        judged = SELF_TEST in texts or stopping.startswith("the self-test failed")
+        # The tick of a verdict, or of a selected actuator, receives the result of its job.
+        judged = {SELF_TEST, ACTUATOR} & texts.keys() or stopping.startswith(JOBS_FAILED)
         if working is not None and judged:
             try:
                 result = working()
@@ -251,7 +264,7 @@ def _pairs(row: Any, sent: list[list[float]], output: TickOutput) -> Pairs:
 # A run on a twin, from the release.
 
 
-def _of_twin(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
+def _of_twin(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Rows:
     conditions, ticks, rows = run.conditions, len(run.time), len(run.encoder.time)
     per_rev = conditions.counts_per_rev
     if not ticks or per_rev is None or (rows < ticks if run.damage else rows != ticks):
@@ -260,7 +273,7 @@ def _of_twin(run: RunLog, policy: TaskPolicy, actuator: Actuator) -> Rows:
             "controller, which knows the state there; replay a run on a twin or a rig"
         )
     _check(policy.digest, conditions.policy, "policy")
-    _check(IDEAL if actuator.kind == "ideal" else actuator.digest, conditions.actuator, "actuator")
+    actuator = _with_digest(carried, conditions.actuator)
     params = make_controller_params(
         policy.arm,
         conditions.settings,
