@@ -131,7 +131,7 @@ def test_an_evaluation_says_what_was_evaluated(evaluation, small_policy, setting
     assert evaluation.pendulum == small_policy.pendulum.digest
     assert (evaluation.arm, evaluation.arm_digest) == ("iiwa14", small_policy.arm.digest)
     assert (evaluation.world, evaluation.world_settings) == ("model", None)
-    assert evaluation.actuator == small_policy.actuator.digest
+    assert evaluation.actuators == (small_policy.actuator.digest,)
     assert (evaluation.settings, evaluation.seed, evaluation.duration) == (settings, 3, 1.5)
     assert len(evaluation.results.survival) == len(evaluation.results.causes) == 20
     assert [beside.name for beside in evaluation.baselines] == list(
@@ -237,7 +237,7 @@ def test_yardsticks_as_plain_objects_run_the_same_trials(small_policy, world):
             with_baselines=False,
         )
         assert plain.results == compiled[name]
-    ideal = evaluated.actuator == IDEAL_ACTUATOR.digest
+    ideal = evaluated.actuators == (IDEAL_ACTUATOR.digest,)
     assert ideal == (world == "ideal")
 
 
@@ -294,7 +294,7 @@ def policy_behind(pendulum, quick_settings):
 @pytest.mark.compiled_only
 def test_a_policy_is_evaluated_behind_the_actuator_of_its_training(policy_behind, settings):
     evaluation = evaluate(policy_behind, settings, seed=3)
-    assert evaluation.actuator == KST.digest
+    assert evaluation.actuators == (KST.digest,)
     same = evaluate(policy_behind, settings, seed=3, actuator=KST, workers=2)
     assert same.digest == evaluation.digest
     # The yardsticks stand on what the controller shows them.
@@ -306,7 +306,7 @@ def test_a_policy_is_evaluated_behind_the_actuator_of_its_training(policy_behind
 def test_another_actuator_makes_another_evaluation(policy_behind, settings):
     here = evaluate(policy_behind, settings, seed=3)
     there = evaluate(policy_behind, settings, seed=3, actuator=IDEAL_ACTUATOR)
-    assert there.actuator == IDEAL_ACTUATOR.digest
+    assert there.actuators == (IDEAL_ACTUATOR.digest,)
     assert there.policy == here.policy
     assert there.results.survival != here.results.survival
 

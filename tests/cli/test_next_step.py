@@ -140,7 +140,7 @@ def test_a_policy_that_misses_its_target_is_trained_again_with_more_learners(met
         interval=(0.8, 0.98),
         causes={"lasted": 60, "track": 4},
     )
-    policy = shipped_policy().model_copy(update={"test": test})
+    policy = shipped_policy().model_copy(update={"tests": (test,)})
     again = ["p.json", "--arm", "iiwa14", "--set", "learning.episodes=10"]
     command = next_step.after_training(Path("policy.json"), policy, again, 6)
     assert "|".join(given_words(command)) == words

@@ -259,7 +259,7 @@ def test_until_a_guard_ends_it_a_trial_is_the_same(away):
 
 def test_the_limit_of_t1_ends_a_trial_that_is_too_fast(away):
     t1 = twins(GUARDED.model_copy(update={"t1": True}), seed=3)
-    assert t1._safety.speed == T1_SPEED
+    assert t1._safety[0].speed == T1_SPEED
     ended = [run_until_the_guard(away, t1, number)[1] for number in range(4)]
     assert Rule.SPEED.value in set(map(guard_named, ended))
 
@@ -282,7 +282,7 @@ def test_a_setpoint_that_may_not_be_sent_ends_a_trial_before_it_is_sent():
     simulation = twins(GUARDED, seed=3)
     limits = simulation._safety[0].limits
     slow = limits._replace(acceleration=tuple(0.5 for _ in limits.acceleration))
-    simulation._safety = simulation._safety._replace(limits=slow)
+    simulation._safety[0] = simulation._safety[0]._replace(limits=slow)
     loop, cause, rows = run_until_the_guard(LQR, simulation)
     assert guard_named(cause) == Rule.ACCELERATION.value
     assert len(rows.u) == 1
