@@ -10,7 +10,7 @@ Only setpoints and measured joints are used, which every run has.
 """
 
 from collections.abc import Sequence
-from math import inf, sqrt
+from math import sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ import numpy.typing as npt
 from equipoise.control import self_test
 from equipoise.control.control_step import ControllerParams
 from equipoise.control.controller import Controller
+from equipoise.errors import RecordingError
 from equipoise.model.actuator import Actuator, track
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.settings import BoxSettings
@@ -29,6 +30,8 @@ REST_BEFORE_MOVE: Final = 0.1
 """Record before the move [s]: the first setpoint has taken effect when the simulation begins."""
 REST_AFTER_MOVE: Final = 0.2
 """Record after the move [s]: the slowest servo has come to rest."""
+MIN_MOTION: Final = 0.02
+"""Minimum range of the setpoints of any joint [rad]; the whole move has 0.06 rad."""
 RECORD_SIZE: Final = 2048
 """Maximum number of setpoints, and of replies, in a record."""
 
@@ -104,10 +107,17 @@ def choose_actuator(actuators: Sequence[Actuator], sent: Array, measured: Array)
         sent: Time [s] and setpoint of the free joints [rad], shape (m, 7).
         measured: Time [s] and measured free joints [rad], shape (p, 7); the arm is at rest at the
             first setpoint when they begin.
+
+    Raises:
+        RecordingError: The joints hardly move.
     """
-    rows = measured[measured[:, 0] > sent[0, 0]]
-    if len(rows) < 2:
-        return ActuatorChoice(0, (inf,) * len(actuators))
+    rows = measured[measured[:, 0] > sent[0, 0]] if len(sent) else measured[:0]
+    most = float(np.ptp(sent[:, 1:], axis=0).max()) if len(rows) > 1 else 0.0
+    if most < MIN_MOTION:
+        raise RecordingError(
+            f"the setpoints of the self-test's move range over {1e3 * most:.1f} mrad, expected at "
+            f"least {1e3 * MIN_MOTION:g} mrad: a pause cut it short; run again"
+        )
     stream, reply = np.ascontiguousarray(sent.T), np.ascontiguousarray(rows.T)
     simulated, residuals = np.empty(len(rows)), list[float]()
     for actuator in actuators:

@@ -269,6 +269,7 @@ class RunController:
         self._setpoints -= unsent
         q = tuple(self._commanded[(self._setpoints - 1) % HISTORY].tolist())
         moved, self._q, self._dq = any(self._dq), q, (0.0,) * len(q)
+        self._motion.clear()  # it goes on from rest
         if self.phase is Phase.HOMING:
             self._path, self._ticks = self._path_home(), 0
         elif self.phase is Phase.STOPPING:
