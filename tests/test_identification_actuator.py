@@ -6,16 +6,20 @@ that jitter, replies with noise.
 
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 
+from equipoise.deployment import excite as excite_run
+from equipoise.devices.twin import physics
 from equipoise.devices.twin.excitation import excite
 from equipoise.errors import RecordingError
 from equipoise.identification import actuator as fitting
-from equipoise.identification.actuator import identify_actuator
+from equipoise.identification.actuator import identify_actuator, identify_run
+from equipoise.identification.wrist_load import WristLoad, load_motion
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.sim_configs import read_world
+from equipoise.model.pendulum import PendulumParameters, shipped_pendulum
+from equipoise.model.sim_configs import read_world, rotor_inertias
 
 pytestmark = pytest.mark.compiled_only
 
@@ -34,7 +38,7 @@ def one_step_errors(actuator, stream_time, stream_q, reply_time, reply_q):
     joints = stream_q.shape[1]
     log = fitting._read(stream_time, stream_q, reply_time, reply_q)
     lags = [lag.value for lag in actuator.lags]
-    unknowns = np.array([actuator.delay.value, actuator.cycle.value, *lags, *[0.0] * joints])
+    unknowns = np.array([actuator.delay.value, actuator.cycle.value, *lags, *[0.0] * joints, 1.0])
     biases = list(range(fitting.LOAD_BIAS, fitting.LOAD_BIAS + joints))
     unknowns = fitting._least_squares(log, actuator.kind, unknowns, biases, np.ones(joints))
     residual = log.residual(actuator.kind, unknowns)
@@ -253,6 +257,70 @@ def test_a_log_of_the_twin_gives_its_delay_and_lags(world):
     assert holds(actuator.lags[0], settings.lag)
     errors, noise = one_step_errors(actuator, **vars(fresh))
     assert np.all(errors < 2.0 * noise)
+
+
+# The load of the last joint.
+
+
+def test_the_load_on_the_last_joint_is_that_of_mujoco():
+    settings, arm = read_world("twin:nominal").settings, iiwa(7)
+    pendulum = PendulumParameters(w2=70.2, k=7.15, c=0.0)
+    load = WristLoad(
+        arm.model_copy(update={"pivot": physics.pivot(arm, settings.pivot_outward)}),
+        pendulum.w2,
+        settings.pendulum_mass,
+        settings.bracket_mass,
+    )
+    t = np.arange(0.0, 2.0, 0.005)
+    rates, phases = np.arange(4.0, 10.0), np.arange(6.0)
+    q = arm.home_free + 0.1 * np.sin(np.outer(t, rates) + phases)
+    dq = 0.1 * rates * np.cos(np.outer(t, rates) + phases)
+    ddq = -0.1 * rates**2 * np.sin(np.outer(t, rates) + phases)
+    ddq[:, -1] = 0.0  # the torque is that of all but the joint's own acceleration
+    swing = 0.6 * np.sin(8.0 * t)
+    found = load_motion(load, t, t, q, t, swing)
+
+    loads = {"bracket_mass": 0.0, "pendulum_mass": 1e-9}
+    models = [
+        physics.build(arm, pendulum, each) for each in (settings, settings.model_copy(update=loads))
+    ]
+    last, held = len(arm.joints) - 1, arm.held_joint - 1
+    for i in range(20, len(t) - 20, 7):
+        torque, inertia = [], []
+        for model in models:
+            data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+            data.qpos[:] = [*arm.with_held(q[i]), np.pi - swing[i]]
+            data.qvel[:] = [*np.insert(dq[i], held, 0.0), -4.8 * np.cos(8.0 * t[i])]
+            data.qacc[:] = [*np.insert(ddq[i], held, 0.0), 38.4 * np.sin(8.0 * t[i])]
+            mujoco.mj_inverse(model, data)
+            mujoco.mj_fullM(model, data, mass)
+            torque.append(data.qfrc_inverse[last])
+            inertia.append(mass[last, last])
+        assert found.torque[i] == pytest.approx(torque[1] - torque[0], abs=2e-4)
+        assert found.inertia[i] == pytest.approx(inertia[0] - inertia[1], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("world", "kind", "t_c"),
+    [
+        ("twin:nominal", "kst", 1e-3),
+        ("twin:bare", "kst", 1e-3),
+        ("twin:light-rotors", "kst", 1e-3),
+        pytest.param("twin:pd", "kst", 16e-3, marks=pytest.mark.slow),
+        pytest.param("twin:trajectory40", "kst", 40e-3, marks=pytest.mark.slow),
+        pytest.param("twin:smart60", "unshaped", 16e-3, marks=pytest.mark.slow),
+        pytest.param("twin:fri", "unshaped", 16e-3, marks=pytest.mark.slow),
+    ],
+)
+def test_a_log_of_a_named_world_gives_its_servo_and_its_rotor(world, kind, t_c):
+    settings = read_world(world).settings
+    actuator = identify_run(excite_run(iiwa(7), world, shipped_pendulum(), seed=3))
+    assert actuator.kind == kind
+    assert actuator.fit.warnings == ()
+    assert holds(actuator.delay, settings.transport)
+    assert holds(actuator.cycle, t_c)
+    _, low, high = actuator.drive_inertia.rotor
+    assert low <= rotor_inertias(settings, 7)[-1] <= high
 
 
 # What comes with the numbers.

@@ -84,6 +84,11 @@ class RigSettings(Value):
     """Distance from the axis of an iiwa's A7 to the plane in which the pendulum turns [mm]."""
     media_flange_mm: Literal[0, 35, 61] = 0
     """Height of an iiwa's media flange: none, electric or pneumatic, touch pneumatic [mm]."""
+    pendulum_mass_kg: float | None = Field(default=None, ge=1e-3, le=14.0)
+    """Mass of the pendulum [kg], weighed; with the bracket's, the inertia of A7's drive can be
+    identified."""
+    bracket_mass_kg: float | None = Field(default=None, ge=0.0, le=14.0)
+    """Mass of bracket and encoder from the flange to the pivot [kg], weighed."""
     counts_per_rev: int = Field(default=8192, ge=64, le=2**24)
     """Encoder counts per revolution, after x4."""
     encoder_sign: Literal[1, -1] = 1

@@ -193,7 +193,8 @@ def tracked(stream_time, stream_q, reply_time, reply_q, kind=KST, **options):
     predicted = np.empty_like(reply_time)
     track(
         stream_time, stream_q, reply_time, reply_q, settings["delay"], settings["spread"],
-        settings["lag"], settings["push"], settings["memory"], ActuatorParameters(kind), predicted,
+        settings["lag"], settings["push"], settings["memory"], ActuatorParameters(kind),
+        0.0, np.empty(0), np.empty(0), predicted,
     )  # fmt: skip
     return predicted
 

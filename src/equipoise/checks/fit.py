@@ -10,7 +10,7 @@ from equipoise.checks.link import GOOD_ROUND_TRIP
 from equipoise.checks.results import Array, CheckResult, Spread, rated
 from equipoise.control.policy import TaskPolicy
 from equipoise.control.safety import T1_SPEED
-from equipoise.model.actuator import Actuator
+from equipoise.model.actuator import Actuator, describe_rotor
 from equipoise.model.arms.arm import Arm
 from equipoise.rigs import RigSettings
 
@@ -22,6 +22,10 @@ MIN_CLEARANCE_MM: Final = 50.0
 """Minimum clearance below the tip of the hanging pendulum [mm]."""
 HOME_MARGIN_DEG: Final = 5.0
 """Minimum distance of home from a joint's limits, beyond the rig's margin [deg]."""
+
+MIN_ROTOR_INERTIA: Final = 1e-3
+"""Rotor inertia of the last joint below which a warning is given [kg m^2]: a third of the load of
+bracket and pendulum about it. Published estimates are 0.4 to 1.2."""
 
 
 def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> Iterator[CheckResult]:
@@ -52,6 +56,7 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> Itera
         )
     fits = [_check_response(policy, trained, actuator) for trained in policy.actuators]
     yield next((fit for fit in fits if fit.verdict == "good"), fits[0])
+    yield from _check_rotor(actuator)
     trained_counts = policy.settings.plant.counts_per_rev
     if rig.counts_per_rev < trained_counts // 2:
         yield CheckResult(
@@ -86,6 +91,20 @@ def _check_response(policy: TaskPolicy, trained: Actuator, actuator: Actuator) -
         fits = False
         found += f", a lag {worst:.2f} times the trained one"
     return rated(name, "good" if fits else "bad", found, cure)
+
+
+def _check_rotor(actuator: Actuator) -> Iterator[CheckResult]:
+    """Check whether the drive of the last joint can hold its load against the pendulum."""
+    if actuator.drive_inertia is None:
+        return
+    rotor = actuator.drive_inertia.rotor
+    yield rated(
+        "rotor of the last joint",
+        "warning" if rotor[0] < MIN_ROTOR_INERTIA else "good",
+        describe_rotor(rotor),
+        f"with less than {MIN_ROTOR_INERTIA:g} kg m^2 each swing twists the joint: enter the load "
+        "at the cabinet, or bring the pivot nearer to the joint's axis",
+    )
 
 
 def _check_home(rig: RigSettings) -> Iterator[CheckResult]:

@@ -98,6 +98,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     destination = choose_file(output, given, "actuator.json", log, force=force)
 
     from equipoise.identification.actuator import identify_run
+    from equipoise.model.actuator import describe_rotor
     from equipoise.studies.runs import load_run
 
     run = load_run(log)
@@ -111,6 +112,9 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
         rows["servo cycle"] = in_ms(actuator.cycle)
     for place, lag in zip(run.conditions.arm.free, actuator.lags, strict=True):
         rows[f"lag of {run.conditions.joints[place]}"] = in_ms(lag)
+    rotor = actuator.drive_inertia and actuator.drive_inertia.rotor
+    if rotor is not None:
+        rows["rotor of the last joint"] = describe_rotor(rotor)
     fit = actuator.fit
     if fit is not None:
         rows["residual"] = f"{fit.rms:.3g} rad RMS over {fit.samples:,} positions"
@@ -127,6 +131,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
         **with_intervals({"delay": actuator.delay, "cycle": actuator.cycle}),
         lags=[lag.value for lag in actuator.lags],
         lag_intervals=[list(lag.interval) for lag in actuator.lags],
+        rotor_inertia=rotor and [end if math.isfinite(end) else None for end in rotor],
         one_step=fit and fit.one_step,
         noise=fit and fit.noise,
         warnings=list(fit.warnings) if fit else [],

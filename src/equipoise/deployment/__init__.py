@@ -144,7 +144,7 @@ def excite(
         duration: Length of the record [s].
 
     Returns:
-        A log without ticks: setpoints and measured joints.
+        A log without ticks: setpoints, measured joints, and the hanging pendulum's swing.
 
     Raises:
         ArmError: The masses of the arm are unknown, or home is close to a limit.
@@ -174,6 +174,7 @@ def excite(
         {},
         stream={"time": record.stream_time, "q": _all_joints(arm, record.stream_q)},
         replies={"time": record.reply_time, "q": _all_joints(arm, record.reply_q)},
+        encoder={"time": record.encoder_time, "counts": record.counts},
     )
 
 

@@ -11,14 +11,19 @@ shaping law, would depend on the amplitude of the motion.
    more slowly than its drive alone would. Disturbances are autocorrelated, so the weight of a joint
    depends on the agreement of its blocks of time, not on the size of its residual.
 3. Compute intervals from a jackknife over these blocks and from the unknown transport jitter.
-4. Select the simplest kind of actuator that explains the log.
+4. Select the kind of actuator that leaves least; `ideal` unless another leaves less beyond chance.
+   A log hardly tells a servo with inertia from a linear lag: the intervals of the servo allow for
+   both.
+
+Where the log shows the swinging pendulum and the masses are known, the drive of the last joint
+moves its load, too (`equipoise.identification.wrist_load`): its inertia is fitted.
 
 The delay runs from sending a setpoint to its mean effect, independent of the phase of the cabinet's
 cycles. It includes the return path if the reply times are times of *arrival*.
 """
 
-from math import exp, sqrt
-from typing import Final, Literal, NamedTuple
+from math import exp, hypot, sqrt
+from typing import Final, Literal, NamedTuple, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +31,7 @@ import numpy.typing as npt
 from equipoise.artefacts import Estimate
 from equipoise.errors import RecordingError
 from equipoise.identification.jackknife import blocks_of_time, jackknife
+from equipoise.identification.wrist_load import LoadMotion, WristLoad, load_motion, wrist_load
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import (
     CYCLE,
@@ -33,41 +39,57 @@ from equipoise.model.actuator import (
     Actuator,
     ActuatorFit,
     ActuatorParameters,
+    DriveInertia,
     Kind,
     track,
 )
 from equipoise.model.arms.arm import FREE_JOINTS
+from equipoise.model.encoder import theta_from_counts
 
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.intp]
 
 DELAY, T_C, LAG, LOAD_BIAS = 0, 1, 2, 2 + FREE_JOINTS
-"""Indices of the unknowns: the delay, t_c, a lag and a load bias of each joint."""
+SHARE = LOAD_BIAS + FREE_JOINTS
+"""Indices of the unknowns: the delay, t_c, a lag and a load bias of each joint, and the share of
+the last joint's drive in the inertia that it moves."""
+LAST: Final = FREE_JOINTS - 1
+"""Index of the last free joint, which carries bracket and pendulum."""
 
-_LAGS, _BIASES = range(LAG, LOAD_BIAS), range(LOAD_BIAS, LOAD_BIAS + FREE_JOINTS)
+_LAGS, _BIASES = range(LAG, LOAD_BIAS), range(LOAD_BIAS, SHARE)
 FITTED: Final[dict[Kind, list[int]]] = {
     "ideal": [DELAY, *_BIASES],
     "lag": [DELAY, *_LAGS, *_BIASES],
-    "unshaped": [DELAY, T_C, *_LAGS, *_BIASES],
-    "kst": [DELAY, T_C, *_LAGS, *_BIASES],
+    "unshaped": [DELAY, T_C, *_LAGS, *_BIASES, SHARE],
+    "kst": [DELAY, T_C, *_LAGS, *_BIASES, SHARE],
 }
-"""Indices of the unknowns of each kind."""
+"""Indices of the unknowns of each kind; the share only with a known load."""
 SIMPLE: Final[tuple[Kind, ...]] = ("ideal", "lag")
 """Kinds without the inertia of a servo."""
 
 
-def _unknowns(delay: float, t_c: float, lag: float, bias: float) -> Array:
-    return np.array([delay, t_c, *[lag] * FREE_JOINTS, *[bias] * FREE_JOINTS])
+def _unknowns(delay: float, t_c: float, lag: float, bias: float, share: float) -> Array:
+    return np.array([delay, t_c, *[lag] * FREE_JOINTS, *[bias] * FREE_JOINTS, share])
 
 
-START: Final = _unknowns(0.0, CYCLE, 8e-3, 0.0)
-SCALES: Final = _unknowns(1e-2, 1e-3, 1e-2, 1e-1)
+def _joint(place: int) -> int | None:
+    """Return the joint of an unknown; None for delay and t_c, which all joints share."""
+    if place == SHARE:
+        return LAST
+    return (place - LAG) % FREE_JOINTS if place >= LAG else None
+
+
+START: Final = _unknowns(0.0, CYCLE, 8e-3, 0.0, 1.0)
+SCALES: Final = _unknowns(1e-2, 1e-3, 1e-2, 1e-1, 1e-1)
 """Scale of each unknown."""
-LOWER_BOUNDS: Final = _unknowns(0.0, 1e-4, 0.0, -np.inf)
-UPPER_BOUNDS: Final = _unknowns(0.1, 0.1, 0.1, np.inf)
+LOWER_BOUNDS: Final = _unknowns(0.0, 6e-4, 0.0, -np.inf, 0.01)
+"""Lower bounds of the unknowns: with less t_c a servo without shaping law and lag oscillates."""
+UPPER_BOUNDS: Final = _unknowns(0.1, 0.1, 0.1, np.inf, 1.0)
 """Upper bounds of the unknowns: a robot with more delay or lag cannot balance."""
 DELAY_GRID: Final = 5e-3
 """Grid step of the delay search [s]: a small part of any period."""
+SHARE_GRID: Final = (1.0, 0.1)
+"""Shares of the drive with which fits begin: of a heavy rotor, and of none."""
 T_C_GRID: Final = (CYCLE, 1e-2, 2.5e-2)
 """Grid of t_c in that search [s]: a slow servo looks like more delay."""
 NEAR_BEST: Final = 3.0
@@ -93,8 +115,11 @@ MIN_MOTION_SHARE: Final = 0.25
 """Minimum range of each measured joint, as a share of the range of its setpoints."""
 MAX_UNEXPLAINED: Final = 0.25
 """Largest accepted residual, as a share of a joint's motion."""
-MAX_RESIDUAL_RATIO: Final = 0.95
-"""Residual ratio below which a richer kind of actuator replaces a simpler one."""
+MIN_ADVANTAGE: Final = 2.5
+"""Mean reduction of the squared residual per block of time, in its standard errors, from which
+another kind of actuator replaces `ideal`."""
+LOAD_UNCERTAINTY: Final = 0.05
+"""Relative uncertainty of the load of the last joint [-]: of its weighing, and of uniform bars."""
 MAX_T_C_UNCERTAINTY: Final = 0.3
 """Relative half width of the interval of t_c above which t_c stays at the value of the server's
 source."""
@@ -103,6 +128,10 @@ MISFIT_LIMITS: Final = (3.0, 0.02)
 motion. Transport jitter alone leaves twice the noise."""
 OBSERVER_MEMORIES: Final = tuple(i / 10 for i in range(10))
 """Memories of the candidate observers for the one-step prediction."""
+
+
+NO_LOAD: Final = np.empty(0)
+"""Placeholder of an unknown load."""
 
 
 class Log(NamedTuple):
@@ -118,6 +147,8 @@ class Log(NamedTuple):
     """Measured positions [rad], shape (6, p)."""
     settled: int
     """Number of initial positions that are not fitted, while the simulation settles."""
+    load: LoadMotion | None = None
+    """Load on the last joint in each servo cycle from the first measurement on; None if unknown."""
 
     @property
     def time(self) -> Array:
@@ -139,11 +170,18 @@ class Log(NamedTuple):
     ) -> Array:
         """Simulate the positions of a joint [rad], shape (n,)."""
         delay, t_c, lag, bias = map(float, unknowns[[DELAY, T_C, LAG + joint, LOAD_BIAS + joint]])
+        compliance, inertia, torque = 0.0, NO_LOAD, NO_LOAD
+        if self.load is not None and joint == LAST:
+            inertia, torque = self.load
+            compliance = (1.0 / float(unknowns[SHARE]) - 1.0) / self.load.at_rest
         actuator = ActuatorParameters(KINDS.index(kind), t_c)
         stream = self.stream_time, self.stream_q[joint]
         replies = self.reply_time, self.reply_q[joint]
         predicted = np.empty_like(self.reply_time)
-        track(*stream, *replies, delay, spread, lag, bias, memory, actuator, predicted)
+        track(
+            *(*stream, *replies, delay, spread, lag, bias, memory, actuator),
+            *(compliance, inertia, torque, predicted),
+        )
         return predicted[self.settled :]
 
     def residual(self, kind: Kind, unknowns: Array, spread: float = JITTER) -> Array:
@@ -157,9 +195,12 @@ class Log(NamedTuple):
         base = self.measured - self.residual(kind, unknowns)
         for column, place in enumerate(fitted):
             moved = unknowns.copy()
-            moved[place] += 1e-3 * SCALES[place]
-            for j in [(place - LAG) % FREE_JOINTS] if place >= LAG else range(FREE_JOINTS):
-                J[j, :, column] = (self.predict(kind, moved, j) - base[j]) / 1e-3
+            # The share is at most 1: its derivative is that from below.
+            step = -1e-3 if place == SHARE else 1e-3
+            moved[place] += step * SCALES[place]
+            own = _joint(place)
+            for j in range(FREE_JOINTS) if own is None else [own]:
+                J[j, :, column] = (self.predict(kind, moved, j) - base[j]) / step
         return J
 
 
@@ -168,7 +209,7 @@ class JointFit(NamedTuple):
 
     kind: Kind
     unknowns: Array
-    """Values, shape (14,)."""
+    """Values, shape (15,)."""
     fitted: list[int]
     """Indices of the free unknowns."""
     weights: Array
@@ -190,6 +231,9 @@ def identify_actuator(
     *,
     source: str,
     kind: Literal["auto"] | Kind = "auto",
+    load: WristLoad | None = None,
+    encoder_time: Array = NO_LOAD,
+    theta: Array = NO_LOAD,
 ) -> Actuator:
     """Identify the actuator of an arm.
 
@@ -200,6 +244,9 @@ def identify_actuator(
         reply_q: Measured positions of the free joints [rad], shape (p, 6).
         source: Digest of the run log.
         kind: Kind of actuator; `auto` selects the simplest one that explains the log.
+        load: Bracket and pendulum; without them the inertia of the last drive is not fitted.
+        encoder_time: Times of the pendulum's angles, by the same clock [s], shape (s,).
+        theta: Angles of the pendulum from hanging [rad], shape (s,).
 
     Returns:
         The actuator, with 95 % intervals, and warnings about a poor fit.
@@ -209,12 +256,13 @@ def identify_actuator(
             that follows its setpoints.
     """
     log = _read(stream_time, stream_q, reply_time, reply_q)
+    if load is not None:
+        log = log._replace(load=_load_of(log, load, encoder_time, theta))
     kinds: tuple[Kind, ...] = (kind,) if kind != "auto" else SIMPLE + _likeliest_law(log)
-    fits = {each: _fit(log, each, FITTED[each]) for each in kinds}
-    best = next(iter(fits.values()))
-    for richer in fits.values():
-        if richer.rms < MAX_RESIDUAL_RATIO * best.rms:
-            best = richer
+    fits = {each: _fit(log, each, _fitted(log, each)) for each in kinds}
+    first, *others = fits.values()
+    better = [fit for fit in others if _explains_more(log, fit, first)]
+    best = min(better or [first], key=lambda fit: fit.rms)
     _reject_unexplained(log, best)
     covariance = _covariance(log, best)
     # Zero where t_c is fixed. Without the law, slow motions hardly tell delay from t_c, and an
@@ -225,13 +273,23 @@ def identify_actuator(
     ):
         best = _fit(log, best.kind, [place for place in best.fitted if place != T_C])
         covariance = _covariance(log, best)
+    values, drive_inertia = best.unknowns.copy(), None
+    if load is not None and log.load is not None and SHARE in best.fitted:
+        share = float(values[SHARE])
+        half_width = hypot(_half_width(covariance, SHARE), LOAD_UNCERTAINTY * (1.0 - share))
+        drive_inertia = DriveInertia(
+            share=Estimate.around(share, half_width, "identified"),
+            load=log.load.at_rest,
+            link=load.link_inertia,
+        )
+        _slow_down(values, covariance)
     estimates = [
         Estimate.around(
             float(value),
             _half_width(covariance, place),
             "identified" if place in best.fitted else "assumed",
         ).not_negative()
-        for place, value in enumerate(best.unknowns[:LOAD_BIAS])
+        for place, value in enumerate(values[:LOAD_BIAS])
     ]
     noise, duration = _noise(best.residual), float(log.time[-1] - log.time[0])
     return Actuator(
@@ -239,6 +297,7 @@ def identify_actuator(
         delay=estimates[DELAY],
         lags=tuple(estimates[LAG : LAG + FREE_JOINTS]),
         cycle=estimates[T_C],
+        drive_inertia=drive_inertia,
         fit=ActuatorFit(
             source=source,
             samples=len(log.time),
@@ -264,8 +323,58 @@ def identify_run(run: RunLog) -> Actuator:
     stream, replies = run.stream, run.replies
     free = list(run.conditions.arm.free)
     return identify_actuator(
-        stream.time, stream.q[:, free], replies.time, replies.q[:, free], source=run.digest
+        *(stream.time, stream.q[:, free], replies.time, replies.q[:, free]),
+        source=run.digest,
+        **_measured_load(run),
     )
+
+
+class _MeasuredLoad(TypedDict, total=False):
+    load: WristLoad
+    encoder_time: Array
+    theta: Array
+
+
+def _measured_load(run: RunLog) -> _MeasuredLoad:
+    """Return the load and the swing of its pendulum; nothing where the log lacks either."""
+    load, samples = wrist_load(run.conditions), run.encoder
+    if load is None or run.conditions.counts_per_rev is None or len(samples.time) < 2:
+        return {}
+    sign = (run.conditions.rig or {}).get("encoder_sign", 1)
+    counts = samples.counts.astype(np.float64)
+    theta = theta_from_counts(counts, run.conditions.counts_per_rev, sign)
+    return {"load": load, "encoder_time": samples.time, "theta": theta}
+
+
+def _load_of(log: Log, load: WristLoad, encoder_time: Array, theta: Array) -> LoadMotion | None:
+    """Return the load in each servo cycle; None where the encoder does not cover the log."""
+    begin, end = float(log.reply_time[0]), float(log.reply_time[-1])
+    if encoder_time[0] > begin + MAX_GAP or encoder_time[-1] < end - MAX_GAP:
+        return None
+    cycles = begin + CYCLE * np.arange(round((end - begin) / CYCLE) + 2, dtype=np.float64)
+    return load_motion(load, cycles, log.reply_time, log.reply_q.T, encoder_time, theta)
+
+
+def _fitted(log: Log, kind: Kind) -> list[int]:
+    """Return the indices of the unknowns of a kind that the log can show."""
+    return [place for place in FITTED[kind] if place != SHARE or log.load is not None]
+
+
+def _explains_more(log: Log, richer: JointFit, simpler: JointFit) -> bool:
+    """Return whether a kind leaves less than a simpler one, beyond chance."""
+    squares = (richer.weights[:, None] * simpler.residual) ** 2
+    squares -= (richer.weights[:, None] * richer.residual) ** 2
+    gains = np.bincount(log.blocks, weights=squares.sum(axis=0))
+    return float(np.mean(gains)) > MIN_ADVANTAGE * float(np.std(gains, ddof=1)) / sqrt(BLOCKS)
+
+
+def _slow_down(unknowns: Array, covariance: Array) -> None:
+    """Replace the lag of the last drive by that of the joint under its load, T over the share."""
+    place, share = LAG + LAST, unknowns[SHARE]
+    change = np.eye(len(unknowns))
+    change[place, place], change[place, SHARE] = 1.0 / share, -unknowns[place] / share**2
+    unknowns[place] /= share
+    covariance[:] = change @ covariance @ change.T
 
 
 def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array) -> Log:
@@ -332,14 +441,14 @@ def speed_ranges(time: Array, q: Array) -> Array:
 def _likeliest_law(log: Log) -> tuple[Kind]:
     """Return the law of a servo that a coarse search fits best; the others take long to fit."""
     laws: tuple[Kind, Kind] = ("unshaped", "kst")
-    return (min(laws, key=lambda law: _search(log, law, FITTED[law])[0].share),)
+    return (min(laws, key=lambda law: _search(log, law, _fitted(log, law))[0].share),)
 
 
 class Start(NamedTuple):
     """A start of a fit, from a coarse grid."""
 
     unknowns: Array
-    """Values, shape (14,)."""
+    """Values, shape (15,)."""
     left: Array
     """Standard deviations of the residuals there [rad], shape (6,)."""
     share: float
@@ -357,8 +466,22 @@ def _search(log: Log, kind: Kind, fitted: list[int]) -> list[Start]:
             start[[DELAY, T_C]] = delay, cycle
             left = np.std(log.residual(kind, start), axis=1)
             row.append(Start(start.copy(), left, float(_rms(left / np.std(log.measured, axis=1)))))
-        found.append(min(row, key=lambda one: one.share))
+        found.append(_with_rotor(log, kind, min(row, key=lambda one: one.share), fitted))
     return sorted(found, key=lambda one: one.share)
+
+
+def _with_rotor(log: Log, kind: Kind, start: Start, fitted: list[int]) -> Start:
+    """Return a start with the share of `SHARE_GRID` that fits the last joint best."""
+    if SHARE not in fitted:
+        return start
+    for share in SHARE_GRID[1:]:
+        unknowns = start.unknowns.copy()
+        unknowns[SHARE] = share
+        left = start.left.copy()
+        left[LAST] = np.std(log.measured[LAST] - log.predict(kind, unknowns, LAST))
+        if left[LAST] < start.left[LAST]:
+            start = start._replace(unknowns=unknowns, left=left)
+    return start
 
 
 def _fit(log: Log, kind: Kind, fitted: list[int]) -> JointFit:
@@ -414,7 +537,7 @@ def _effective_noise(log: Log, kind: Kind, unknowns: Array, fitted: list[int]) -
     J, residual = log.sensitivities(kind, unknowns, fitted), log.residual(kind, unknowns)
     block, sizes = log.blocks, np.empty(FREE_JOINTS)
     for j in range(FREE_JOINTS):
-        J_j = J[j][:, [i for i, p in enumerate(fitted) if p < LAG or (p - LAG) % FREE_JOINTS == j]]
+        J_j = J[j][:, [i for i, place in enumerate(fitted) if _joint(place) in (None, j)]]
         gradients = np.stack([J_j[block == i].T @ residual[j, block == i] for i in range(BLOCKS)])
         share = np.linalg.lstsq(J_j.T @ J_j, gradients.T @ gradients, rcond=None)[0]
         sizes[j] = sqrt(np.trace(share) / J_j.shape[1])
@@ -422,7 +545,7 @@ def _effective_noise(log: Log, kind: Kind, unknowns: Array, fitted: list[int]) -
 
 
 def _covariance(log: Log, fit: JointFit) -> Array:
-    """Return the covariance of the unknowns, shape (14, 14); zero for fixed unknowns.
+    """Return the covariance of the unknowns, shape (15, 15); zero for fixed unknowns.
 
     The sum of a jackknife over blocks of time of all joints together, and of the shift of the
     unknowns under a larger transport jitter.

@@ -19,7 +19,7 @@ The training plant, the controller's observer and the identification use the ker
 """
 
 import functools
-from math import exp, inf, log, log1p, sqrt
+from math import exp, inf, isinf, log, log1p, sqrt
 from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
 
 import numpy as np
@@ -296,6 +296,9 @@ def track(
     push: float,
     memory: float,
     actuator: ActuatorParameters,
+    compliance: float,
+    load_inertia: Array,
+    load_torque: Array,
     predicted: Array,
 ) -> None:
     """Simulate one joint from its first measured position to its last.
@@ -321,6 +324,12 @@ def track(
         memory: Share of its own position and velocity that the observer keeps, 0 to 1: 1 is an
             open-loop simulation, 0 restarts at each measurement.
         actuator: Constants.
+        compliance: Reciprocal of the drive's inertia, where its load acts on it [1/(kg m^2)]; zero
+            for a drive that does not notice its load. For `unshaped` and `kst` only.
+        load_inertia: Inertia of the load in each cycle from the first measurement on [kg m^2],
+            shape (cycles,) or longer; unused without compliance.
+        load_torque: Torque of the load in each cycle but for that of the joint's own acceleration
+            [N m], likewise.
         predicted: Receives the positions before their correction [rad], shape (p,).
     """
     rate, amplitude, width = 1.0 / actuator.cycle, actuator.amplitude, actuator.width
@@ -349,7 +358,11 @@ def track(
                 step, i = other, i + 1
             before = q
             if driven:
-                dq += (rate * mean + push - dq) * share
+                change = (rate * mean + push - dq) * share
+                if compliance > 0.0:
+                    change += CYCLE * compliance * load_torque[cycles - 1]
+                    change /= 1.0 + compliance * load_inertia[cycles - 1]
+                dq += change
                 q += CYCLE * dq
             else:
                 q += (mean + push) * share
@@ -411,6 +424,43 @@ def lag_share(lag: float) -> float:
     return 1.0 - exp(-CYCLE / lag) if lag > 0.0 else 1.0
 
 
+class DriveInertia(Value):
+    """Inertia of the drive of the last joint, from its response to its load."""
+
+    share: Estimate
+    """Share of the drive in the inertia that the joint moves, the pendulum hanging [-]: 1 for a
+    drive that does not notice its load."""
+    load: Number
+    """Inertia of bracket and hanging pendulum about the joint [kg m^2]."""
+    link: Number
+    """Inertia of the arm's last link about the joint [kg m^2]."""
+
+    @property
+    def rotor(self) -> tuple[float, float, float]:
+        """Inertia of motor and gear, and the ends of its 95 % interval [kg m^2].
+
+        The upper end is infinite where the log does not tell the drive from one that does not
+        notice its load.
+        """
+        value, low, high = (self._rotor(getattr(self.share, end)) for end in _ENDS)
+        return value, low, high
+
+    def _rotor(self, share: float) -> float:
+        drive = self.load * share / (1.0 - share) if share < 1.0 else inf
+        return max(drive - self.link, 0.0)
+
+
+_ENDS: Final = ("value", "low", "high")
+
+
+def describe_rotor(rotor: tuple[float, float, float]) -> str:
+    """Return a rotor's inertia and its interval as text, with their unit."""
+    value, low, high = rotor
+    if isinf(high):
+        return f"at least {low:.2g} kg m^2"
+    return f"{value:.2g} kg m^2, 95 %: {low:.2g} to {high:.2g}"
+
+
 class ActuatorFit(Value):
     """Fit of an actuator to a run log.
 
@@ -440,7 +490,7 @@ class Actuator(Artefact):
     """Actuator that was identified from a run log, with its uncertainty."""
 
     FORMAT: ClassVar[str] = "equipoise-actuator"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     kind: Kind
     """`kst`: the server's shaping law; `unshaped`: a drive towards the setpoint; `lag`: a
@@ -455,6 +505,8 @@ class Actuator(Artefact):
     """a of the shaping law [rad]."""
     width: float = Field(default=INTERVAL_WIDTH, ge=1e-6, le=10.0)
     """b of the shaping law [rad]."""
+    drive_inertia: DriveInertia | None = None
+    """Inertia of the drive of the last joint; None for a log without pendulum and its masses."""
     fit: ActuatorFit | None = None
     """Fit to the run log; None for an assumed actuator."""
 
