@@ -21,7 +21,7 @@ from equipoise.identification.closed_loop import compare, regress
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.sim_configs import TwinSettings, World
+from equipoise.model.sim_configs import LIGHT_ROTOR, TwinSettings, World
 from equipoise.settings import GRAVITY, PlantSettings
 from equipoise.studies import refinement
 from equipoise.studies.refinement import (
@@ -210,8 +210,9 @@ def test_what_moved_makes_another_pendulum():
 
 def test_a_pivot_with_more_dry_friction_is_found():
     known = shipped_policy().pendulum
-    # The shipped policy hardly moves the pendulum: a fine encoder shows its friction.
-    log = run(6, duration=60.0, coulomb=1.0, counts_per_rev=1 << 18)
+    # The shipped policy hardly moves the pendulum: a fine encoder shows its friction, and light
+    # rotors keep it moving.
+    log = run(6, duration=60.0, coulomb=1.0, counts_per_rev=1 << 18, rotor_inertia=LIGHT_ROTOR)
     found = inspect(at_once(), {"run": log})
     assert [move.name for move in found.moves] == ["c"]
     assert found.pendulum.w2 == known.w2
