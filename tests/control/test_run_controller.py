@@ -11,7 +11,12 @@ import pytest
 
 from equipoise.control.control_step import horizon, make_controller_params
 from equipoise.control.policy import shipped_policy, tick_policy
-from equipoise.control.run_controller import UNCERTAIN_TORQUE_FACTOR, RunController
+from equipoise.control.run_controller import (
+    UNCERTAIN_TORQUE_FACTOR,
+    Alternative,
+    Excitation,
+    RunController,
+)
 from equipoise.control.safety import (
     ANGLE_RULE_LIMIT,
     MAX_STALL,
@@ -21,6 +26,7 @@ from equipoise.control.safety import (
 from equipoise.control.self_test import ParameterInterval, SelfTest, SelfTestVerdict
 from equipoise.control.states import Phase
 from equipoise.control.ticks import TickInputs, missed_ticks
+from equipoise.errors import InputError, RecordingError
 
 pytestmark = pytest.mark.compiled_only
 
@@ -54,10 +60,17 @@ class Reply(NamedTuple):
     torque: tuple | None
 
 
+def executed(job):
+    try:
+        return job()
+    except Exception as error:  # as an executor returns it
+        return error
+
+
 class Course:
     """A pilot and what it is told, a tick of 10 ms at a time."""
 
-    def __init__(self, q=ARM.home):
+    def __init__(self, q=ARM.home, excitation=None):
         guard = make_safety_params(
             ARM,
             reaction=horizon(ARM, POLICY.actuator, 0.0),
@@ -71,7 +84,10 @@ class Course:
         )  # fmt: skip
         self.guard = guard
         boxes, policy = POLICY.settings.boxes, tick_policy(POLICY)
-        self.pilot = RunController(ARM, controller, boxes, policy, guard, q, duration=60.0)
+        self.alternative = Alternative(POLICY.actuator, controller, guard)
+        self.pilot = RunController(
+            ARM, controller, boxes, policy, guard, q, duration=60.0, excitation=excitation
+        )
         self.tick_number, self.now = 0, 0.0
         self.theta = lambda time: 0.0
         self.samples_lost = frozenset()
@@ -136,7 +152,8 @@ class Course:
             self.sent.append((max(self.now, due + 0.5 * H * place), setpoint))
         self.told += [event.name for event in output.events]
         if output.job is not None:
-            self.result = SOUND
+            tests = self.pilot.phase is Phase.SELF_TEST
+            self.result = SOUND if tests else executed(output.job)
         for event in output.events:
             if event.answers:
                 self.answers = [event.answers[0]]
@@ -202,6 +219,73 @@ def test_it_comes_from_home_to_balance_and_goes_on(course):
     order = ["homing", "home", "hang", "reference", "swing", "self-test", "lift", "armed"]
     assert [name for name in course.told if name in order] == order
     assert "warning" not in course.told
+
+
+SWAYS = np.array(ARM.home) + 0.02 * np.sin(np.linspace(0.0, 8.0 * pi, 401))[:, None] ** 2
+"""Two seconds of motion from home to home."""
+
+
+def exciting(identify, respond=lambda _: None):
+    """A course that excites the arm, its setpoints from `SWAYS`."""
+    course = Course(excitation=Excitation(SWAYS, identify, lambda actuator: respond(actuator)))
+    return course.until(Phase.EXCITING)
+
+
+def test_an_excitation_identifies_the_arm_before_the_lift():
+    found, records = POLICY.actuator, []
+
+    def identify(sent, measured):
+        records.append((sent, measured))
+        return found
+
+    course = exciting(identify, lambda _: (course.alternative, "it fits"))
+    course.until(Phase.LIFTING)
+    order = ["self-test", "excitation", "identified", "lift"]
+    assert [name for name in course.told if name in order] == order
+    assert course.pilot.identified is found
+    # All setpoints were sent, and recorded with the joints that answered.
+    ((sent, measured),) = records
+    free = SWAYS[:, list(ARM.free)]
+    first = next(i for i, row in enumerate(sent[:, 1:]) if np.array_equal(row, free[1]))
+    assert np.array_equal(sent[first : first + 400, 1:], free[1:])
+    assert np.diff(sent[first : first + 400, 0]) == pytest.approx(0.5 * H)
+    assert np.ptp(measured[:, 1:], axis=0) == pytest.approx(0.02, abs=0.002)
+
+
+def refuses(_):
+    raise InputError("it fits none")
+
+
+def fails(*_):
+    raise RecordingError("too short")
+
+
+UNUSED = {
+    "of another arm": (lambda *_: POLICY.actuator, refuses, "not identified: it fits none"),
+    "too short": (fails, refuses, "not identified: too short"),
+}
+
+
+@pytest.mark.parametrize("name", UNUSED)
+def test_an_arm_without_a_usable_actuator_lifts_nothing(name):
+    identify, respond, reason = UNUSED[name]
+    course = exciting(identify, respond).until(Phase.STOPPING)
+    assert course.cause == "identified"
+    assert reason in course.reason
+    assert "lift" not in course.told
+
+
+def test_a_pause_ends_an_excitation_at_rest():
+    course = exciting(fails)
+    for _ in range(50):
+        course.tick()
+    course.tick(0.045)
+    assert course.cause == "identified"
+    assert "stood still during the excitation" in course.reason
+    last = course.sent[-3][1]
+    for _ in range(10):
+        course.tick()
+        assert course.sent[-1][1] == pytest.approx(last, abs=1e-9)
 
 
 @pytest.mark.parametrize("word", ["ok", ""])

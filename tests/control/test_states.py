@@ -34,6 +34,8 @@ WAY = [
 ALLOWED = {
     *zip([Phase.IDLE, *(phase for _, phase in WAY)], *zip(*WAY, strict=True), strict=False),
     (Phase.SELF_TEST, RunEvent.REFUSED, Phase.REFERENCING),
+    (Phase.SELF_TEST, RunEvent.EXCITED, Phase.EXCITING),
+    (Phase.EXCITING, RunEvent.PASSED, Phase.LIFTING),
     (Phase.ARMED, RunEvent.DENIED, Phase.LIFTING),
     (Phase.IDLE, RunEvent.STOP, Phase.STOPPED),
     *(

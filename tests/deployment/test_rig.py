@@ -13,12 +13,14 @@ from equipoise.control.ticks import OperatorMessage
 from equipoise.deployment.rig import (
     OperatorChannel,
     RunRequest,
+    describe_fit,
     exit_code,
     rehearse_t1,
     run_virtually,
 )
 from equipoise.devices.clocks import VirtualClock
 from equipoise.errors import InputError
+from equipoise.identification.motion import identify_motion
 from equipoise.logs import writer as log_writer
 from equipoise.logs.recorder import Recorder, read_events
 from equipoise.logs.run_log import RunLog
@@ -109,6 +111,23 @@ def test_a_run_that_is_told_no_actuator_selects_it_before_the_lift(tmp_path):
     # Told the wrong one, the same run falls.
     told = request(policy=policy, robot="twin:trajectory40")
     assert run_virtually(told, None, Spy()).cause != "lasted"
+
+
+def test_an_excitation_before_the_lift_refuses_a_policy_for_another_arm(tmp_path):
+    out = tmp_path / "run.mcap"
+    wanted = request(robot="twin:pd", identify=identify_motion)
+    end = run_virtually(wanted, out, Spy())
+    assert (end.cause, exit_code(end), end.lasted) == ("identified", 1, 0.0)
+    assert "It fits none of the actuators of policy" in end.reason
+    run = RunLog.load(out, damaged=True)
+    found = run.end.identified
+    assert found.cycle.value == pytest.approx(0.016, rel=0.02)
+    assert run.conditions.identifies
+    replayed = replay(run, wanted.policy)
+    assert (replayed.difference, replayed.ticks) == (None, len(run.tables["tick"]))
+    # A policy that was trained for it, too, fits.
+    both = shipped_policy().model_copy(update={"actuators": (wanted.actuator, found), "tests": ()})
+    assert describe_fit(both, found).endswith("It fits actuator 2 of the policy's 2.")
 
 
 @pytest.mark.parametrize("sign", [1, -1])

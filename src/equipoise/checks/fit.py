@@ -69,6 +69,12 @@ def check_fit(policy: TaskPolicy, actuator: Actuator, rig: RigSettings) -> Itera
     yield from _check_room(policy, rig)
 
 
+def fitting_actuators(policy: TaskPolicy, actuator: Actuator) -> list[int]:
+    """Return the numbers of a policy's actuators that an identified one fits, from zero."""
+    each = enumerate(policy.actuators)
+    return [i for i, one in each if _check_response(policy, one, actuator).verdict == "good"]
+
+
 def _check_response(policy: TaskPolicy, trained: Actuator, actuator: Actuator) -> CheckResult:
     name, plant = "arm's response", policy.settings.plant
     cure = "train with --actuator and the file that identify makes of this rig's excitation"
@@ -90,6 +96,11 @@ def _check_response(policy: TaskPolicy, trained: Actuator, actuator: Actuator) -
     if fits and abs(worst - 1.0) > plant.lag_spread:
         fits = False
         found += f", a lag {worst:.2f} times the trained one"
+    joints = range(len(trained.lags))
+    late = max((actuator.response_time(j) - trained.response_time(j) for j in joints), key=abs)
+    if fits and abs(late) > plant.delay_spread:
+        fits = False
+        found += f", a joint responds in {1e3 * late:+.1f} ms of the trained time"
     return rated(name, "good" if fits else "bad", found, cure)
 
 

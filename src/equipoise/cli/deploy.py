@@ -33,7 +33,18 @@ EXCITATION_DURATION = 10.0
 """Default duration of an excitation [s]."""
 TASK = ("actuator", "pendulum", "arm", "settings_file")
 OPTIONS = {
-    "--robot": ("policy", "robot", "encoder", "rig", *TASK, "dry_run", "t1", "anyway", "video"),
+    "--robot": (
+        "policy",
+        "robot",
+        "encoder",
+        "rig",
+        *TASK,
+        "dry_run",
+        "t1",
+        "identify",
+        "anyway",
+        "video",
+    ),
     "--excite": ("excite", "world", "arm", "pendulum"),
     "a simulated run": ("policy", "world", *TASK, "video"),
 }
@@ -75,9 +86,16 @@ def deploy(
     rig: Path | None = opt.RIG,
     dry_run: bool = opt.flag("--dry-run", "Do everything except move.", panel=opt.RIG_PANEL),
     t1: bool = opt.flag("--t1", "Stop where the flange reaches 0.23 m/s.", panel=opt.RIG_PANEL),
+    identify: bool = opt.flag(
+        "--identify",
+        "Move every joint for ten seconds before the lift, and assume the response identified from "
+        "it.",
+        panel=opt.RIG_PANEL,
+    ),
     anyway: bool = opt.flag(
         "--anyway",
-        "Run also a table that lasted less than 92.5 % of its training's final round.",
+        "Run also a table that lasted less than 92.5 % of its training's final round, or one that "
+        "does not fit the identified arm.",
         panel=opt.RIG_PANEL,
     ),
     excite: bool = opt.flag(
@@ -119,13 +137,22 @@ def deploy(
     what = "Exciting the arm" if excite else f"Running {policy or 'the shipped policy'}"
     output.say(f"{what} on {robot or world}")
     inputs = (policy, pendulum, rig)
-    log = choose_file(output, out, LOG, *inputs, force=force, suffix=".mcap")
+
+    def beside(path: Path) -> tuple[Path, ...]:
+        return (_actuator_file(path),) if identify else ()
+
+    log = choose_file(output, out, LOG, *inputs, force=force, suffix=".mcap", beside=beside)
     film = None if video is None else choose_film(output, video, *inputs, force=force)
     response = opt.read_actuator(actuator)
     task = next_step.given(actuator=actuator, pendulum=pendulum, arm=arm)
     if robot is not None:
+        if identify and t1:
+            raise InputError(
+                "the excitation of --identify exceeds the speed of --t1; leave one out"
+            )
         from equipoise.control.bound_policy import BoundPolicy
         from equipoise.deployment.rig import RunRequest, require_survival
+        from equipoise.identification.motion import identify_motion
         from equipoise.rigs import read_rig
 
         described, length = read_rig(rig), duration or DURATION
@@ -137,6 +164,7 @@ def deploy(
             require_survival(chosen)
         carried = chosen.actuators if response is None else (response,)
         options: Any = {"t1": t1, "dry_run": dry_run, "seed": seed, "alternatives": carried[1:]}
+        options |= {"identify": identify_motion if identify else None, "anyway": anyway}
         request = RunRequest(chosen, carried[0], described, robot, encoder, length, **options)
         out, report = log.path, _run_on_rig(output, request, policy, rig, task, log)
     else:
@@ -215,6 +243,7 @@ def _run_on_rig(
 ) -> _Report:
     """Run on an emulated or a real rig, and write the log."""
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
+    from equipoise.control.run_controller import IDENTIFIED
     from equipoise.deployment.processes import run_in_processes
     from equipoise.deployment.rig import check_request, exit_code, rehearse_t1, run_virtually
     from equipoise.rigs import is_virtual
@@ -246,13 +275,23 @@ def _run_on_rig(
             rows[name] = ", ".join(f"{key} {1e3 * value:.2f} ms" for key, value in times.items())
     if result.missed:
         rows["missed ticks"] = str(result.missed)
-    code = exit_code(result)
+    code, identified = exit_code(result), result.identified
+    if identified is not None:
+        identified.save(_actuator_file(out), command="deploy", inputs={})
+        rows["identified"] = f"{identified.summary}, in {_actuator_file(out)}"
     following = ("log", "explain", out) if code else ("log", "replay", out, policy, *task)
     if request.dry_run and not code:
         place = next_step.given(robot=request.robot, encoder=request.encoder, rig=rig)
         following = ("deploy", policy, *place, *task)
+    if result.cause == IDENTIFIED and identified is not None:
+        following = ("train", "--actuator", _actuator_file(out))
     fields = result.model_dump(include=set(RIG_FIELDS))
     return _Report(rows, following, {"world": request.robot, "lasted_s": lasted, **fields}, code)
+
+
+def _actuator_file(log: Path) -> Path:
+    """Return the path of the actuator that a run identifies."""
+    return log.with_name(f"{log.stem}-actuator.json")
 
 
 def _identity(path: Path) -> int | None:

@@ -32,8 +32,8 @@ REST_AFTER_MOVE: Final = 0.2
 """Record after the move [s]: the slowest servo has come to rest."""
 MIN_MOTION: Final = 0.02
 """Minimum range of the setpoints of any joint [rad]; the whole move has 0.06 rad."""
-RECORD_SIZE: Final = 2048
-"""Maximum number of setpoints, and of replies, in a record."""
+RECORD_SIZE: Final = 4096
+"""Maximum number of setpoints, and of replies, in a record: 20 s."""
 
 
 class ActuatorChoice(NamedTuple):

@@ -100,8 +100,14 @@ HISTORY: Final = 64
 
 ACTUATOR: Final = "actuator"
 """Name of the message with the selected actuator."""
+IDENTIFIED: Final = "identified"
+"""Name of the message with the identified actuator, and cause of a stop without a usable one."""
+UNIDENTIFIED: Final = "the arm is not identified"
+"""First words of the reason of such a stop."""
+REST_AFTER_EXCITATION: Final = 0.3
+"""Record after the excitation [s]."""
 
-MOVING: Final = frozenset({Phase.HOMING, Phase.SELF_TEST, Phase.BALANCING})
+MOVING: Final = frozenset({Phase.HOMING, Phase.SELF_TEST, Phase.EXCITING, Phase.BALANCING})
 """Phases in which Enter stops, too."""
 ON_TRACK: Final = frozenset(
     {Phase.SELF_TEST, Phase.LIFTING, Phase.ARMED, Phase.BALANCING, Phase.REFERENCING, Phase.AT_HOME}
@@ -122,6 +128,19 @@ class Alternative(NamedTuple):
     """Safety limits with it."""
 
 
+class Excitation(NamedTuple):
+    """Motion before the lift that identifies the arm, and the use of its result."""
+
+    setpoints: Array
+    """All joints [rad], h / 2 apart, from home to home, shape (m, joints)."""
+    identify: Callable[[Array, Array], Actuator]
+    """Job that identifies the actuator from setpoints and measurements of the free joints, rows as
+    in `MotionRecord`."""
+    respond: Callable[[Actuator], tuple[Alternative, str]]
+    """Returns what follows from the identified actuator, and a sentence for the operator; raises
+    `EquipoiseError` where the policy cannot run with it."""
+
+
 class RunController:
     """Controller of a run: phases, safety rules, policy."""
 
@@ -137,6 +156,7 @@ class RunController:
         duration: float,
         clock: Callable[[], float] = lambda: 0.0,
         alternatives: Sequence[Alternative] = (),
+        excitation: Excitation | None = None,
     ) -> None:
         """Begin the way home from the posture that the servo holds.
 
@@ -151,10 +171,14 @@ class RunController:
             clock: Clock for the policy's computing time [s]; the default gives zero.
             alternatives: Actuators of which the move of the self-test selects one for the balance;
                 none or two and more. Until then `controller` and `safety_params` hold.
+            excitation: Motion before the lift that identifies the arm; None without one.
         """
         self._params, self._policy, self._safety = controller, policy, safety_params
         self._controller, self._arm, self._boxes = Controller(arm, controller, boxes), arm, boxes
         self._alternatives, self._motion = tuple(alternatives), MotionRecord()
+        self._excitation, self._measured_all = excitation, False
+        self.identified: Actuator | None = None
+        """Actuator that the excitation has identified."""
         self._selects = False
         self._choice: ActuatorChoice | None = None
         self._flange = FlangeKinematics(arm, controller)
@@ -232,7 +256,11 @@ class RunController:
         self._check_rules(now, inputs.lateness)
         self._record = TickRecord(estimated_phi=self._phi())
         before, stalls = self.phase, self._overdue > MAX_UNANSWERED and self.phase in MOVING
-        setpoints = self._wait() if stalls else self._STEPS[before](self, now)
+        if stalls and before is Phase.EXCITING:
+            self._interrupt_excitation()
+            setpoints = self._come_to_rest(now)
+        else:
+            setpoints = self._wait() if stalls else self._STEPS[before](self, now)
         for place, setpoint in enumerate(setpoints):
             sent = now - late + place * 0.5 * self._h
             self._store_setpoint(sent, setpoint)
@@ -269,7 +297,8 @@ class RunController:
         self._setpoints -= unsent
         q = tuple(self._commanded[(self._setpoints - 1) % HISTORY].tolist())
         moved, self._q, self._dq = any(self._dq), q, (0.0,) * len(q)
-        self._motion.clear()  # it goes on from rest
+        if self._records_motion:
+            self._motion.clear()  # the move goes on from rest
         if self.phase is Phase.HOMING:
             self._path, self._ticks = self._path_home(), 0
         elif self.phase is Phase.STOPPING:
@@ -277,12 +306,19 @@ class RunController:
         elif self.phase in (Phase.SELF_TEST, Phase.BALANCING):
             self._lost_speed += self._controller.x_dot
             self._controller.rest(q, missed, unsent > 0)
+        elif self.phase is Phase.EXCITING and not self._measured_all:
+            self._interrupt_excitation()
         if self.phase is Phase.BALANCING:
             self._ticks += missed
         if moved and not self._paused:
             self._paused = True
             stalled = "The computer stood still: `equipoise rig doctor` looks for the cause."
             self._notify("warning", stalled)
+
+    def _interrupt_excitation(self) -> None:
+        """Stop: an excitation with a gap identifies nothing."""
+        reason = f"{UNIDENTIFIED}: the computer or the link stood still during the excitation"
+        self._stop(Cause(IDENTIFIED, f"{reason}; run again"))
 
     def _take_samples(self, samples: Sequence[ticks.Sample]) -> None:
         held = self.phase in (Phase.LIFTING, Phase.ARMED)
@@ -325,7 +361,9 @@ class RunController:
 
     @property
     def _records_motion(self) -> bool:
-        """Whether the first move of the self-test is under way, which selects the actuator."""
+        """Whether the first move of the self-test, or the excitation is under way."""
+        if self.phase is Phase.EXCITING:
+            return not self._measured_all
         if not self._alternatives or self.phase is not Phase.SELF_TEST or self._swing.number > 1:
             return False
         return self._ticks * self._h - self._swing.begin < MOVE_TIME + REST_AFTER_MOVE
@@ -604,9 +642,49 @@ class RunController:
             self.zero = (self.zero or 0.0) + result.zero.value / self._params.resolution
             if self._choice is not None:
                 self._assume(self._alternatives[self._choice.chosen])
-            self._go(states.RunEvent.PASSED)
-            self._release.reset()
-            self._notify("lift", "Lift the pendulum until it stands upright, and hold it there.")
+            if self._excitation is None:
+                self._ask_to_lift()
+            else:
+                self._go(states.RunEvent.EXCITED)
+                self._motion.clear()
+                seconds = 0.5 * self._h * len(self._excitation.setpoints)
+                text = f"Excitation: every joint moves about home for {seconds:.0f} s. Keep away."
+                self._notify("excitation", text)
+        return self._still()
+
+    def _ask_to_lift(self) -> None:
+        self._go(states.RunEvent.PASSED)
+        self._release.reset()
+        self._notify("lift", "Lift the pendulum until it stands upright, and hold it there.")
+
+    def _excite(self, now: float) -> Setpoints:
+        """Move every joint, identify the arm, and assume what was found."""
+        plan = self._excitation
+        if plan is None:  # the phase follows from an excitation
+            return self._still()
+        row, h = 2 * self._ticks, self._h
+        if row < len(plan.setpoints):
+            first, second = (tuple(each) for each in plan.setpoints[row - 1 : row + 1].tolist())
+            speeds = (plan.setpoints[row] - plan.setpoints[row - 1]) / (0.5 * h)
+            self._q, self._dq = second, tuple(speeds.tolist())
+            return first, second
+        over = (row - len(plan.setpoints)) * 0.5 * h
+        if over > REST_AFTER_EXCITATION and not self._measured_all:
+            self._measured_all = True
+            self._job = partial(plan.identify, *self._motion.values())
+            self._notify("notice", "The arm is identified; this takes some seconds.")
+        if self._result is not None:
+            try:
+                if isinstance(self._result, Exception):
+                    raise self._result
+                self.identified = self._result
+                response, text = plan.respond(self._result)
+            except Exception as error:  # the arm comes to rest, whatever failed
+                self._stop(Cause(IDENTIFIED, f"{UNIDENTIFIED}: {printable(str(error))}"))
+                return self._come_to_rest(now)
+            self._notify(IDENTIFIED, text)
+            self._assume(response)
+            self._ask_to_lift()
         return self._still()
 
     def _assume(self, response: Alternative) -> None:
@@ -716,6 +794,7 @@ class RunController:
         Phase.AT_HOME: _confirm,
         Phase.REFERENCING: _reference,
         Phase.SELF_TEST: _test,
+        Phase.EXCITING: _excite,
         Phase.LIFTING: _lift,
         Phase.ARMED: _hold,
         Phase.BALANCING: _balance,

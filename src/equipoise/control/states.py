@@ -3,10 +3,11 @@ r"""States of a run on a rig, and the transitions between them.
 ::
 
     IDLE --start--> HOMING --arrived--> AT_HOME --confirmed--> REFERENCING --referenced--> SELF_TEST
-                                                                    ^                       |     |
-                                                                    +-------- refused ------+     |
-                                                                                           passed |
-    BALANCING <--released-- ARMED --denied--> LIFTING <-------------------------------------------+
+                                                                    ^                       | |   |
+                                                                    +-------- refused ------+ |   |
+                                                            EXCITING <------- excited --------+   |
+                                                                |                          passed |
+    BALANCING <--released-- ARMED --denied--> LIFTING <-passed--+---------------------------------+
                               ^---- armed -------+
 
     any of them but IDLE --stop--> STOPPING --at rest--> STOPPED --re-armed--> IDLE
@@ -39,6 +40,8 @@ class Phase(Enum):
     """Held, the pendulum hanging, until it is still and the button is pressed."""
     SELF_TEST = "self-test"
     """The flange moves by 40 mm, the pendulum answers and swings out."""
+    EXCITING = "exciting"
+    """Every joint moves about home, the pendulum hanging; then the arm is identified."""
     LIFTING = "lifting"
     """Held, the operator lifts the pendulum."""
     ARMED = "armed"
@@ -66,8 +69,10 @@ class RunEvent(Enum):
     """The resting count is known."""
     REFUSED = "refused"
     """The self-test refuses the resting count as the zero."""
+    EXCITED = "excited"
+    """The self-test passed, and the excitation begins."""
     PASSED = "passed"
-    """The self-test passed, and gave the zero."""
+    """The self-test passed, and gave the zero; the arm is known."""
     ARMED = "armed"
     """The pendulum stands still."""
     DENIED = "denied"
@@ -95,6 +100,8 @@ TRANSITIONS: Final[Mapping[tuple[Phase, RunEvent], Phase]] = {
     (Phase.REFERENCING, RunEvent.REFERENCED): Phase.SELF_TEST,
     (Phase.SELF_TEST, RunEvent.REFUSED): Phase.REFERENCING,
     (Phase.SELF_TEST, RunEvent.PASSED): Phase.LIFTING,
+    (Phase.SELF_TEST, RunEvent.EXCITED): Phase.EXCITING,
+    (Phase.EXCITING, RunEvent.PASSED): Phase.LIFTING,
     (Phase.LIFTING, RunEvent.ARMED): Phase.ARMED,
     (Phase.ARMED, RunEvent.DENIED): Phase.LIFTING,
     (Phase.ARMED, RunEvent.RELEASED): Phase.BALANCING,

@@ -14,15 +14,36 @@ from statistics import median
 from time import perf_counter
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
 from equipoise.checks.encoder import check_encoder, listen
-from equipoise.checks.fit import check_fit, check_posture, check_speed, max_flange_speed
+from equipoise.checks.fit import (
+    check_fit,
+    check_posture,
+    check_speed,
+    fitting_actuators,
+    max_flange_speed,
+)
 from equipoise.checks.host import check_realtime
 from equipoise.checks.link import check_link, round_trips
 from equipoise.checks.results import CheckResult, Spread, require
 from equipoise.control.control_step import ControllerParams, horizon, make_controller_params
 from equipoise.control.controller import Controller, FlangeKinematics
-from equipoise.control.policy import Policy, TabularPolicy, TaskPolicy, tick_policy
-from equipoise.control.run_controller import PHASES, POLICY_TIME_SHARE, Alternative, RunController
+from equipoise.control.policy import (
+    Policy,
+    TabularPolicy,
+    TaskPolicy,
+    shipped_policy,
+    tick_policy,
+)
+from equipoise.control.run_controller import (
+    PHASES,
+    POLICY_TIME_SHARE,
+    Alternative,
+    Excitation,
+    RunController,
+)
 from equipoise.control.safety import T1_SPEED, Rule, SafetyParams, make_safety_params
 from equipoise.control.states import Cause
 from equipoise.control.ticks import OperatorMessage, TickHandler
@@ -32,6 +53,7 @@ from equipoise.devices.interfaces import Clock
 from equipoise.devices.loop import Executor, LoopResult, run_loop
 from equipoise.devices.operator import Operator
 from equipoise.devices.realtime import RealtimeSetting
+from equipoise.devices.twin.excitation import excitation
 from equipoise.errors import ArtefactError, EquipoiseError, InputError, LinkError
 from equipoise.logs.conditions import RunConditions, RunEnd, named
 from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
@@ -40,6 +62,8 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.sim_configs import PivotFriction, pivot_friction, read_world
 from equipoise.printable import printable
 from equipoise.rigs import DrainingClock, Rig, RigSettings, check_addresses, connect, world_of
+
+Array = npt.NDArray[np.float64]
 
 LASTED: Final = "lasted"
 OPERATOR: Final = "operator"
@@ -55,6 +79,9 @@ T1_SHARE: Final = 0.9
 """Minimum share of these trials that last [-]."""
 MIN_SURVIVAL: Final = 185 / 200
 """Minimum share of the final round's trials that a policy lasts before it runs on a rig [-]."""
+EXCITATION_SHARE: Final = 0.5
+"""Share of the excitation of `deploy --excite` that a run uses [-]: behind a servo that is 30 ms
+slower than assumed, its joints follow within the limit of the following error."""
 SPEED_LIMIT: Final = "speed limit"
 """Name of the event with the flange's speed limit."""
 PROLOGUE: Final = 600.0
@@ -107,6 +134,11 @@ class RunRequest:
     """Seed of an emulated rig."""
     alternatives: tuple[Actuator, ...] = ()
     """Further actuators: with any, the run selects one of all from the move of the self-test."""
+    identify: Callable[[Array, Array], Actuator] | None = None
+    """Identification of the arm from an excitation before the lift, such as
+    `equipoise.identification.motion.identify_motion`; None without one."""
+    anyway: bool = False
+    """Whether a policy also runs that does not fit the identified arm."""
 
     def controller(self, counts_per_rev: int) -> ControllerParams:
         """Return the constants of the control step on the rig.
@@ -159,6 +191,29 @@ class RunRequest:
             for a, one in requests
         ]
 
+    def excitation(self, counts_per_rev: int, max_speed: float = inf) -> Excitation | None:
+        """Return the excitation before the lift; None without one. Arguments as of `responses`.
+
+        Raises:
+            ArmError: Home is too close to a limit of a joint.
+        """
+        if self.identify is None:
+            return None
+        arm = self.settings.described_arm
+        free = excitation(arm, period=self.policy.h / 2.0)
+        free = arm.home_free + EXCITATION_SHARE * (free - arm.home_free)
+
+        def respond(actuator: Actuator) -> tuple[Alternative, str]:
+            text = describe_fit(self.policy, actuator)
+            if not (fitting_actuators(self.policy, actuator) or self.anyway):
+                raise InputError(text)
+            one = replace(self, actuator=actuator)
+            parts = one.controller(counts_per_rev), one.guard(counts_per_rev, max_speed)
+            return Alternative(actuator, *parts), text
+
+        setpoints = np.array([arm.with_held(q) for q in free])
+        return Excitation(setpoints, self.identify, respond)
+
     def conditions(self) -> RunConditions:
         """Return the run conditions for the log.
 
@@ -180,6 +235,8 @@ class RunRequest:
             seed=self.seed,
             actuator=self.actuator.digest,
             alternatives=tuple(each.digest for each in self.alternatives),
+            identifies=self.identify is not None,
+            anyway=self.anyway,
             counts_per_rev=self.settings.counts_per_rev,
             settings=policy.settings,
             u_max=policy.u_max,
@@ -347,6 +404,7 @@ def run_on_rig(
             duration=request.duration,
             clock=rig.clock.now,
             alternatives=request.responses(counts_per_rev, max_speed),
+            excitation=request.excitation(counts_per_rev, max_speed),
         )
         ending = run_loop(
             robot,
@@ -415,6 +473,22 @@ def check_request(request: RunRequest) -> None:
     """
     check_addresses(request.robot, request.encoder)
     require(list(check_fit(request.policy, request.actuator, request.settings)))
+
+
+def describe_fit(policy: TaskPolicy, actuator: Actuator) -> str:
+    """Return a sentence: an identified actuator, and the policies that fit it.
+
+    Args:
+        policy: The policy of the run.
+        actuator: The identified actuator.
+    """
+    text, fits = f"The arm: {actuator.intervals}.", fitting_actuators(policy, actuator)
+    if fits:
+        return f"{text} It fits actuator {fits[0] + 1} of the policy's {len(policy.actuators)}."
+    cure = "train one with equipoise train --actuator and the actuator of this run"
+    if fitting_actuators(shipped_policy(), actuator):
+        cure = "the shipped policy fits"
+    return f"{text} It fits none of the actuators of {policy.name}; {cure}."
 
 
 def require_survival(policy: TaskPolicy) -> None:
@@ -498,6 +572,7 @@ def run_end(controller: RunController, ending: LoopResult) -> RunEnd:
         lasted=controller.lasted,
         stoppable=ending.stoppable,
         zero=controller.zero,
+        identified=controller.identified,
         missed=timing.missed,
         late=timing.percentiles(timing.late),
         compute=timing.percentiles(timing.compute),

@@ -6,6 +6,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from equipoise.artefacts import Count, Name, Number, Seed, Value
 from equipoise.control.states import Phase
+from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import Settings
@@ -57,6 +58,10 @@ class RunConditions(Value):
     alternatives: Annotated[tuple[Name, ...], Field(max_length=64)] = ()
     """Digests of further actuators, of which the run selects one; empty without a selection, and in
     simulation, where `actuator` is the selected one."""
+    identifies: bool = False
+    """Whether an excitation before the lift identifies the actuator of the controller."""
+    anyway: bool = False
+    """Whether a policy also runs that does not fit the identified actuator."""
     counts_per_rev: int | None = Field(ge=1, le=2**24)
     """Encoder counts per revolution; None without an encoder."""
     world_settings: dict[str, float | int | str | tuple[float, ...] | None] | None = None
@@ -113,6 +118,8 @@ class RunEnd(Value):
     """Whether software stopped the arm."""
     zero: Number | None = None
     """Encoder counts of the hanging pendulum; None in simulation, and before the self-test."""
+    identified: Actuator | None = None
+    """Actuator that an excitation before the lift identified; None without one."""
     missed: Count = 0
     """Number of skipped ticks."""
     late: dict[str, Number] = Field(default_factory=dict)

@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.checks.recoverable import RecoveryParams, diverging_angle
-from equipoise.control.run_controller import POLICY
+from equipoise.control.run_controller import IDENTIFIED, POLICY
 from equipoise.control.safety import (
     MAX_COUNT_JUMP,
     MAX_STALL,
@@ -124,6 +124,8 @@ class CauseName(Enum):
     """The flange exceeded its speed limit, of T1 or of a slow link."""
     SELF_TEST = "self-test"
     """The pendulum did not match its model, before it was lifted."""
+    UNIDENTIFIED = "arm not identified"
+    """The excitation before the lift identified no arm that the policy was trained for."""
     FAULT = "fault"
     """Another fault, named in the log."""
     BUG = "mistake in the program"
@@ -160,6 +162,8 @@ ADVICE: Final = {
     CauseName.POSTURE: "check the mounting of base and flange, and the actuator in use",
     CauseName.SPEED: "train with --max-speed, leave T1, or make the link to the robot faster",
     CauseName.SELF_TEST: "follow the advice of the self-test",
+    CauseName.UNIDENTIFIED: "train with `equipoise train --actuator` and the actuator file of this "
+    "run; without one, run again",
     CauseName.FAULT: "repair what the evidence names, and check the rig with `equipoise rig "
     "doctor` before the next run",
     CauseName.BUG: "keep this log and report it; do not run again before it is understood",
@@ -195,6 +199,7 @@ _LOGGED_NAMES: Final[Mapping[CauseName, tuple[str | Rule, ...]]] = {
     CauseName.BUG: (Rule.NUMBER, Rule.COUNT),
     CauseName.OPERATOR: ("operator", "dry run"),
     CauseName.SELF_TEST: ("self-test",),
+    CauseName.UNIDENTIFIED: (IDENTIFIED,),
     CauseName.LINK: ("link lost", Rule.LINK),
     CauseName.NOT_FOLLOWING: (Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.FIRST),
     CauseName.CONTACT: (Rule.TORQUE,),

@@ -24,11 +24,19 @@ from equipoise.control.bound_policy import BoundPolicy
 from equipoise.control.control_step import make_controller_params
 from equipoise.control.controller import Controller
 from equipoise.control.policy import TaskPolicy, tick_policy
-from equipoise.control.run_controller import ACTUATOR, FAILED, LATE, RunController
+from equipoise.control.run_controller import (
+    ACTUATOR,
+    FAILED,
+    IDENTIFIED,
+    LATE,
+    UNIDENTIFIED,
+    RunController,
+)
 from equipoise.control.ticks import TickInputs, TickOutput
 from equipoise.deployment.rig import RunRequest, logged_speed_limit
 from equipoise.devices.interfaces import Reply, Sample
 from equipoise.errors import ArtefactError
+from equipoise.identification.motion import identify_motion
 from equipoise.logs.conditions import IDEAL
 from equipoise.logs.recorder import FAILED as DEVICE_FAILED
 from equipoise.logs.recorder import WORD_TYPED
@@ -38,10 +46,10 @@ from equipoise.rigs import RigSettings
 
 Array = npt.NDArray[np.float64]
 
-JOBS_FAILED: Final = ("the self-test failed", "the selection of an actuator failed")
+JOBS: Final = {"self-test", ACTUATOR, IDENTIFIED}
+"""Names of events in ticks that receive the result of a job."""
+JOBS_FAILED: Final = ("the self-test failed", "the selection of an actuator failed", UNIDENTIFIED)
 """First words of the reasons of stops by a failed job."""
-SELF_TEST: Final = "self-test"
-"""Name of the event with a verdict of the self-test."""
 COMPARED: Final = (
     *("x", "x_dot", "phi", "phi_dot", "box", "u"),
     *("estimated_phi", "estimated_phi_dot", "bias"),
@@ -145,6 +153,8 @@ def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Row
     known = {name: getattr(conditions, name) for name in ("encoder", "duration", "t1", "seed")}
     settings = _rig_settings(run)
     known |= {"robot": conditions.world, "alternatives": tuple(others)}
+    known |= {"identify": identify_motion if conditions.identifies else None}
+    known["anyway"] = conditions.anyway
     request = RunRequest(policy, actuator, settings, dry_run=False, **known)
     counts_per_rev = settings.counts_per_rev
     tick, reply = tables["tick"], tables["reply"]
@@ -163,6 +173,7 @@ def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Row
         duration=request.duration,
         clock=clock,
         alternatives=request.responses(counts_per_rev, max_speed),
+        excitation=request.excitation(counts_per_rev, max_speed),
     )
     return _run_ticks(run, controller, clock)
 
@@ -204,7 +215,7 @@ def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> R
         texts = {event.name: event.text for event in events}
         stopping = texts.get("stopping", "")
         # The tick of a verdict, or of a selected actuator, receives the result of its job.
-        judged = {SELF_TEST, ACTUATOR} & texts.keys() or stopping.startswith(JOBS_FAILED)
+        judged = JOBS & texts.keys() or stopping.startswith(JOBS_FAILED)
         if working is not None and judged:
             try:
                 result = working()
