@@ -146,10 +146,6 @@ def deploy(
     response = opt.read_actuator(actuator)
     task = next_step.given(actuator=actuator, pendulum=pendulum, arm=arm)
     if robot is not None:
-        if identify and t1:
-            raise InputError(
-                "the excitation of --identify exceeds the speed of --t1; leave one out"
-            )
         from equipoise.control.bound_policy import BoundPolicy
         from equipoise.deployment.rig import RunRequest, require_survival
         from equipoise.identification.motion import identify_motion
