@@ -50,6 +50,7 @@ NEXT = {
     Phase.AT_HOME: RunEvent.CONFIRMED,
     Phase.REFERENCING: RunEvent.REFERENCED,
     Phase.SELF_TEST: RunEvent.PASSED,
+    Phase.EXCITING: RunEvent.PASSED,
     Phase.LIFTING: RunEvent.ARMED,
     Phase.ARMED: RunEvent.RELEASED,
 }
