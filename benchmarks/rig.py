@@ -12,6 +12,7 @@ stood still meanwhile for more than 20 ms, as the emulator saw it.
 
 import argparse
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -80,6 +81,7 @@ def _deploy(given: argparse.Namespace, link: Path, log: Path) -> dict[str, objec
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        env=os.environ | {"COLUMNS": "400"},  # a question that is cut into two lines has no answer
     )
     if process.stdin is None or process.stdout is None or process.stderr is None:
         raise RuntimeError("a process without pipes")

@@ -79,7 +79,10 @@ class Encoder:
 
 
 class Heart:
-    """Moves A7 to and fro, until a word or two seconds have come; then it comes to rest."""
+    """Moves A7 to and fro, until a word or two seconds have come; then it comes to rest.
+
+    Slowly enough to begin anew at full speed after a stall of a busy machine.
+    """
 
     h = H
 
@@ -108,7 +111,7 @@ class Heart:
         if self.rest is not None:
             begun, way = self.rest
             return way.at((n - 2 * (begun - 1)) * H / 2.0)
-        return (*ARM.home[:6], ARM.home[6] + 0.05 * (1.0 - cos(4.0 * n * H / 2.0)))
+        return (*ARM.home[:6], ARM.home[6] + 0.005 * (1.0 - cos(4.0 * n * H / 2.0)))
 
 
 def move(request, rig, operators, recorder, *, measures, executor, supervise):
@@ -241,8 +244,10 @@ def test_a_run_ends_by_itself_and_its_log_is_whole(run, tmp_path):
     log = RunLog.load(tmp_path / "run.mcap", damaged=True)
     assert log.end.cause == "lasted"
     assert log.end.lost_rows == 0
-    assert len(log.tables["stream"]) == 2 * len(log.tables["tick"])
-    assert len(log.tables["tick"]) + outcome.missed == pytest.approx(222, abs=2)
+    # Where the machine stands still, a second setpoint is left out.
+    ticks, rows = len(log.tables["tick"]), len(log.tables["stream"])
+    assert ticks < rows <= 2 * ticks
+    assert ticks == pytest.approx(222, abs=2)
     assert came_to_rest(log)
     assert [event.name for event in log.events] == ["homing", "stopping"]
 
