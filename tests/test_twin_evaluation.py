@@ -45,7 +45,7 @@ def test_results_do_not_depend_on_the_number_of_workers(behind_a_servo, evaluati
 def test_the_evaluation_says_in_which_world_and_behind_what(behind_a_servo, evaluation):
     assert evaluation.world == "twin:nominal-2"
     assert evaluation.world_settings.transport == 0.010
-    assert evaluation.actuator == behind_a_servo.actuator.digest
+    assert evaluation.actuators == (behind_a_servo.actuator.digest,)
 
 
 def test_the_regulator_stands_where_chance_falls_on_the_same_trials(evaluation):

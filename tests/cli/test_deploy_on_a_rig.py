@@ -133,7 +133,8 @@ def test_a_run_on_a_twin_keeps_the_log_of_an_earlier_run(equipoise, tmp_path):
 
 
 def test_a_policy_for_another_arm_is_refused(refused, policy_file):
-    refused("deploy", policy_file, "--robot", "twin:nominal", saying="on iiwa14, the rig has iiwa7")
+    run = "deploy", policy_file, "--robot", "twin:nominal", "--anyway"
+    refused(*run, saying="on iiwa14, the rig has iiwa7")
 
 
 def test_a_policy_that_is_too_fast_for_t1_is_refused_before_anything_is_connected(

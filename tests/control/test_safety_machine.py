@@ -133,12 +133,12 @@ class Run(RuleBasedStateMachine):
     @rule(
         view=st.sampled_from(
             [
-                SafetyInputs(lateness=0.03),
-                SafetyInputs(overdue=0.06),
+                SafetyInputs(lateness=0.08),
+                SafetyInputs(overdue=0.08),
                 SafetyInputs(x=0.23, on_track=True),
                 SafetyInputs(x=nan),
                 SafetyInputs(torque=(0.0, 50.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
-                SafetyInputs(encoder_age=0.03),
+                SafetyInputs(encoder_age=0.08),
                 SafetyInputs(encoder_jump=1.0),
                 SafetyInputs(phi=0.2, balancing=True),
             ]

@@ -159,4 +159,4 @@ def test_an_arm_that_sags_under_its_load_ends_its_motion_all_the_same():
     stage.client.close()
     assert came == [b"done\ndone\n", b"done\n", b"done\n"]
     assert bench.body.measured() == pytest.approx(wanted, abs=5e-3)
-    assert bench.body.measured() != pytest.approx(wanted, abs=1e-3)  # it does sag
+    assert bench.body.measured() != pytest.approx(wanted, abs=3e-4)  # it does sag

@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import ValidationError
 
 from equipoise.devices.twin.physics import pivot
 from equipoise.errors import ArmError
@@ -73,7 +74,10 @@ def wrist_load(conditions: RunConditions) -> WristLoad | None:
     """
     arm, w2 = conditions.arm, conditions.pendulum["w2"]
     if conditions.world_settings is not None:
-        twin = TwinSettings.model_validate(conditions.world_settings)
+        try:
+            twin = TwinSettings.model_validate(conditions.world_settings)
+        except ValidationError:  # a log that was changed by hand
+            return None
         arm = arm.model_copy(update={"pivot": pivot(arm, twin.pivot_outward)})
         return WristLoad(arm, w2, twin.pendulum_mass, twin.bracket_mass)
     masses = [(conditions.rig or {}).get(name) for name in ("pendulum_mass_kg", "bracket_mass_kg")]

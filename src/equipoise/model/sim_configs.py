@@ -19,8 +19,6 @@ from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
 from pydantic import Field, ValidationError
 
 from equipoise.artefacts import Number, Value, first_fault, quoted
@@ -28,6 +26,9 @@ from equipoise.errors import SettingsError
 from equipoise.settings import FINEST_ENCODER, QUARTER_TURN, read_toml
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
     from equipoise.model.pendulum import Pendulum, PendulumParameters
 
 IDEAL: Final = "ideal"
@@ -210,7 +211,7 @@ def pendulum_on(pendulum: "Pendulum", settings: TwinSettings) -> "PendulumParame
     return pivot_friction(pendulum, settings).on(pendulum.parameters())
 
 
-def rotor_inertias(settings: TwinSettings, n: int) -> npt.NDArray[np.float64]:
+def rotor_inertias(settings: TwinSettings, n: int) -> "npt.NDArray[np.float64]":
     """Return the rotor inertia of each joint [kg m^2], shape (n,).
 
     Args:
@@ -221,6 +222,8 @@ def rotor_inertias(settings: TwinSettings, n: int) -> npt.NDArray[np.float64]:
         >>> rotor_inertias(TwinSettings(rotor_inertia=(3.0, 2.0)), 3)
         array([3., 2., 2.])
     """
+    import numpy as np
+
     given = np.atleast_1d(np.asarray(settings.rotor_inertia, np.float64))
     return given[np.minimum(np.arange(n), len(given) - 1)]
 
