@@ -206,7 +206,7 @@ ENCODER: Final = of_kind(
           within=0.03, says="wiring"),
     Fault("board restarts", "the board loses its power for a moment, while balancing",
           "a stop; the zero is void", _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
-          _call("board.reboot"), within=0.05),
+          _call("board.reboot"), within=0.09),
 )
 # fmt: on
 
@@ -465,7 +465,7 @@ NUMBERS: Final = of_kind(
     Fault("NaN from the encoder's line", "lines hold nan, while balancing",
           "they are rejected; a stop once the newest sample is 70 ms old",
           _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
-          _damage("encoder_tap", b"E,nan,nan,nan,0*00\n"), within=0.05),
+          _damage("encoder_tap", b"E,nan,nan,nan,0*00\n"), within=0.09),
     Fault("NaN from the robot's line", "answers hold NaN, while balancing",
           "the link is given up; a warning within 100 ms that software cannot stop the robot",
           _ends("link lost"), _damage("robot_tap", b"_".join(7 * [b"NaN"]) + b"\n"),
