@@ -314,3 +314,9 @@ def test_a_quarter_of_a_million_damaged_lines_are_read_or_refused(seed):
         accepted += 1
         assert isinstance(said, str) or all(map(math.isfinite, said))
     assert accepted > 50_000
+
+
+def test_a_velocity_line_is_a_setpoint_of_the_velocity_servo():
+    line = codec.velocity((0.1, 0.0, -0.25, 0.0, 0.0, 0.0, 1.0))
+    assert line == b"velJDCJP_0.1_0_-0.25_0_0_0_1_\n"
+    assert codec.velocity((0.5,), "external", joints=1) == b"velJDCExT_0.5_\n"
