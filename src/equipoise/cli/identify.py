@@ -98,7 +98,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     destination = choose_file(output, given, "actuator.json", log, force=force)
 
     from equipoise.identification.actuator import identify_run
-    from equipoise.model.actuator import describe_rotor
+    from equipoise.model.actuator import LAWS, describe_rotor
     from equipoise.studies.runs import load_run
 
     run = load_run(log)
@@ -108,7 +108,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     with destination.claimed() as out:
         actuator.save(out, command="identify", inputs={"run": run.digest})
     rows = {"servo law": actuator.kind, "transport delay": in_ms(actuator.delay)}
-    if actuator.kind in ("unshaped", "kst"):
+    if actuator.kind in LAWS:
         rows["servo cycle"] = in_ms(actuator.cycle)
     for place, lag in zip(run.conditions.arm.free, actuator.lags, strict=True):
         rows[f"lag of {run.conditions.joints[place]}"] = in_ms(lag)

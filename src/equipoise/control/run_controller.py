@@ -199,7 +199,6 @@ class RunController:
         """Phase before the stop."""
 
         self._q, self._dq = tuple(q), (0.0,) * len(q)
-        self._arm = arm
         self._path = self._path_home()
         self._ramp: Ramp = at_rest(self._q)
         self._back: Path | None = None

@@ -185,11 +185,13 @@ class RunRequest:
             max_speed: Flange speed limit from the pre-flight [m/s].
         """
         carried = (self.actuator, *self.alternatives) if self.alternatives else ()
-        requests = ((actuator, replace(self, actuator=actuator)) for actuator in carried)
-        return [
-            Alternative(a, one.controller(counts_per_rev), one.guard(counts_per_rev, max_speed))
-            for a, one in requests
-        ]
+        return [self._response(actuator, counts_per_rev, max_speed) for actuator in carried]
+
+    def _response(self, actuator: Actuator, counts_per_rev: int, max_speed: float) -> Alternative:
+        """Return the response of the arm with an actuator; further arguments as of `responses`."""
+        one = replace(self, actuator=actuator)
+        parts = one.controller(counts_per_rev), one.guard(counts_per_rev, max_speed)
+        return Alternative(actuator, *parts)
 
     def excitation(self, counts_per_rev: int, max_speed: float = inf) -> Excitation | None:
         """Return the excitation before the lift; None without one. Arguments as of `responses`.
@@ -207,9 +209,7 @@ class RunRequest:
             text = describe_fit(self.policy, actuator)
             if not (fitting_actuators(self.policy, actuator) or self.anyway):
                 raise InputError(text)
-            one = replace(self, actuator=actuator)
-            parts = one.controller(counts_per_rev), one.guard(counts_per_rev, max_speed)
-            return Alternative(actuator, *parts), text
+            return self._response(actuator, counts_per_rev, max_speed), text
 
         setpoints = np.array([arm.with_held(q) for q in free])
         return Excitation(setpoints, self.identify, respond)

@@ -36,6 +36,7 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import (
     CYCLE,
     KINDS,
+    LAWS,
     Actuator,
     ActuatorFit,
     ActuatorParameters,
@@ -64,8 +65,6 @@ FITTED: Final[dict[Kind, list[int]]] = {
     "kst": [DELAY, T_C, *_LAGS, *_BIASES, SHARE],
 }
 """Indices of the unknowns of each kind; the share only with a known load."""
-SIMPLE: Final[tuple[Kind, ...]] = ("ideal", "lag")
-"""Kinds without the inertia of a servo."""
 
 
 def _unknowns(delay: float, t_c: float, lag: float, bias: float, share: float) -> Array:
@@ -88,8 +87,8 @@ UPPER_BOUNDS: Final = _unknowns(0.1, 0.1, 0.1, np.inf, 1.0)
 """Upper bounds of the unknowns: a robot with more delay or lag cannot balance."""
 DELAY_GRID: Final = 5e-3
 """Grid step of the delay search [s]: a small part of any period."""
-SHARE_GRID: Final = (1.0, 0.1)
-"""Shares of the drive with which fits begin: of a heavy rotor, and of none."""
+ROTORLESS_SHARE: Final = 0.1
+"""Share of a drive without a rotor, with which a fit may begin; `START` has that of a heavy one."""
 T_C_GRID: Final = (CYCLE, 1e-2, 2.5e-2)
 """Grid of t_c in that search [s]: a slow servo looks like more delay."""
 NEAR_BEST: Final = 3.0
@@ -243,7 +242,7 @@ def identify_actuator(
         reply_time: Measurement times of the positions, by the same clock [s], shape (p,).
         reply_q: Measured positions of the free joints [rad], shape (p, 6).
         source: Digest of the run log.
-        kind: Kind of actuator; `auto` selects the simplest one that explains the log.
+        kind: Kind of actuator; `auto` selects the one that leaves least.
         load: Bracket and pendulum; without them the inertia of the last drive is not fitted.
         encoder_time: Times of the pendulum's angles, by the same clock [s], shape (s,).
         theta: Angles of the pendulum from hanging [rad], shape (s,).
@@ -258,8 +257,13 @@ def identify_actuator(
     log = _read(stream_time, stream_q, reply_time, reply_q)
     if load is not None:
         log = log._replace(load=_load_of(log, load, encoder_time, theta))
-    kinds: tuple[Kind, ...] = (kind,) if kind != "auto" else SIMPLE + _likeliest_law(log)
-    fits = {each: _fit(log, each, _fitted(log, each)) for each in kinds}
+    starts = {
+        each: _search(log, each, _fitted(log, each))
+        for each in (KINDS if kind == "auto" else (kind,))
+    }
+    if kind == "auto":  # the fit of a law takes long: that of the less likely one is left out
+        del starts[max(LAWS, key=lambda law: starts[law][0].share)]
+    fits = {each: _fit(log, each, _fitted(log, each), starts[each]) for each in starts}
     first, *others = fits.values()
     better = [fit for fit in others if _explains_more(log, fit, first)]
     best = min(better or [first], key=lambda fit: fit.rms)
@@ -271,7 +275,8 @@ def identify_actuator(
         best.kind == "kst"
         and _half_width(covariance, T_C) > MAX_T_C_UNCERTAINTY * best.unknowns[T_C]
     ):
-        best = _fit(log, best.kind, [place for place in best.fitted if place != T_C])
+        rest = [place for place in best.fitted if place != T_C]
+        best = _fit(log, best.kind, rest, _search(log, best.kind, rest))
         covariance = _covariance(log, best)
     values, drive_inertia = best.unknowns.copy(), None
     if load is not None and log.load is not None and SHARE in best.fitted:
@@ -438,12 +443,6 @@ def speed_ranges(time: Array, q: Array) -> Array:
     return np.ptp(np.quantile(velocity, [0.02, 0.98], axis=0), axis=0)
 
 
-def _likeliest_law(log: Log) -> tuple[Kind]:
-    """Return the law of a servo that a coarse search fits best; the others take long to fit."""
-    laws: tuple[Kind, Kind] = ("unshaped", "kst")
-    return (min(laws, key=lambda law: _search(log, law, _fitted(log, law))[0].share),)
-
-
 class Start(NamedTuple):
     """A start of a fit, from a coarse grid."""
 
@@ -471,22 +470,17 @@ def _search(log: Log, kind: Kind, fitted: list[int]) -> list[Start]:
 
 
 def _with_rotor(log: Log, kind: Kind, start: Start, fitted: list[int]) -> Start:
-    """Return a start with the share of `SHARE_GRID` that fits the last joint best."""
+    """Return a start with the share of a heavy rotor or of none, which fits the last joint best."""
     if SHARE not in fitted:
         return start
-    for share in SHARE_GRID[1:]:
-        unknowns = start.unknowns.copy()
-        unknowns[SHARE] = share
-        left = start.left.copy()
-        left[LAST] = np.std(log.measured[LAST] - log.predict(kind, unknowns, LAST))
-        if left[LAST] < start.left[LAST]:
-            start = start._replace(unknowns=unknowns, left=left)
-    return start
+    unknowns, left = start.unknowns.copy(), start.left.copy()
+    unknowns[SHARE] = ROTORLESS_SHARE
+    left[LAST] = np.std(log.measured[LAST] - log.predict(kind, unknowns, LAST))
+    return min((start, start._replace(unknowns=unknowns, left=left)), key=lambda s: s.left[LAST])
 
 
-def _fit(log: Log, kind: Kind, fitted: list[int]) -> JointFit:
+def _fit(log: Log, kind: Kind, fitted: list[int], starts: list[Start]) -> JointFit:
     """Fit one kind of actuator, weighted by residual first, then by the effective noise."""
-    starts = _search(log, kind, fitted)
     fits = list[JointFit]()
     for start in starts:
         if start.share > NEAR_BEST * starts[0].share:

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from equipoise.devices.twin.physics import pivot
+from equipoise.devices.twin.physics import pivot, rod_centre
 from equipoise.errors import ArmError
 from equipoise.logs.conditions import RunConditions
 from equipoise.model.arms.arm import Arm
@@ -128,7 +128,7 @@ def load_motion(
     grid = np.arange(time[0], time[-1] + SAMPLE_PERIOD, SAMPLE_PERIOD)
     joints = np.stack([np.interp(grid, joint_time, column) for column in q.T], axis=1)
     angle = np.interp(grid, encoder_time, theta)
-    rod = 2.0 * 3.0 * GRAVITY / (4.0 * load.w2)
+    rod = 2.0 * rod_centre(load.w2)
     upright = load.arm.pose(load.arm.home_free).rotation.T
     at = np.array(load.arm.pivot)
     masses = np.array(

@@ -39,6 +39,8 @@ LAG: Final = 1
 UNSHAPED: Final = 2
 KST: Final = 3
 KINDS: Final[tuple[Kind, ...]] = ("ideal", "lag", "unshaped", "kst")
+LAWS: Final[tuple[Kind, ...]] = ("unshaped", "kst")
+"""Kinds with the inertia of a servo, and with its t_c."""
 
 CYCLE: Final = 1e-3
 """Period of the joint servo [s]."""
@@ -546,7 +548,7 @@ class Actuator(Artefact):
     def summary(self) -> str:
         """Kind, delay, t_c and lags in a few words."""
         lags = [1e3 * lag.value for lag in self.lags]
-        law = f"t_c {1e3 * self.cycle.value:.1f} ms, " if self.kind in ("unshaped", "kst") else ""
+        law = f"t_c {1e3 * self.cycle.value:.1f} ms, " if self.kind in LAWS else ""
         delay = 1e3 * self.delay.value
         return f"{self.kind}, delay {delay:.1f} ms, {law}lags {min(lags):.1f} to {max(lags):.1f} ms"
 
@@ -558,7 +560,7 @@ class Actuator(Artefact):
             value, low, high = (1e3 * t for t in (estimate.value, estimate.low, estimate.high))
             return f"{name} {value:.1f} ({low:.1f} to {high:.1f})"
 
-        law = [ms("t_c", self.cycle)] if self.kind in ("unshaped", "kst") else []
+        law = [ms("t_c", self.cycle)] if self.kind in LAWS else []
         lags = [ms(f"lag {joint}", lag) for joint, lag in enumerate(self.lags, start=1)]
         return f"{self.kind}; in ms " + ", ".join([ms("delay", self.delay), *law, *lags])
 

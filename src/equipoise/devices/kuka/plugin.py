@@ -97,7 +97,7 @@ def _emulate(
             if guard is not None:
                 guard.act(now)
         if guard is not None:
-            data = guard.hear(data, now) + guard.due(now) if data else guard.due(now)
+            data = guard.hear(data, now) + guard.due(now)
             if guard.acts:
                 cabinet.close()
         server.feed(data, now)

@@ -57,10 +57,10 @@ class VelocityGuard:
         """Return the driver's bytes for the server; none once the guard acts.
 
         Args:
-            data: Bytes of the driver.
+            data: Bytes of the driver; none are silence.
             now: The time [s].
         """
-        if self.acts:
+        if self.acts or not data:
             return b""
         self._heard = now
         try:

@@ -73,7 +73,7 @@ def set_pendulum(model: Any, data: Any, pendulum: PendulumParameters) -> None:
     """
     body, phi = model.nbody - 1, model.nv - 1
     m = model.body_mass[body]
-    l = 3.0 * GRAVITY / (4.0 * pendulum.w2)
+    l = rod_centre(pendulum.w2)
     I = m * GRAVITY * l / pendulum.w2
     across, along = I - m * l**2, 0.5 * m * SIZES.rod**2
     model.body_ipos[body], model.body_inertia[body] = (0.0, 0.0, l), (across, across, along)
@@ -100,6 +100,15 @@ def _loaded(arm: Arm, outward: float, bracket: float, m: float) -> Any:
     phi.solref_friction = [DRY_TIME, 1.0]
     phi.solimp_friction = [DRY_SHARE, DRY_SHARE, *phi.solimp_friction[2:]]
     return spec.compile()
+
+
+def rod_centre(w2: float) -> float:
+    """Return the distance from the pivot of a uniform rod to its centre of mass [m].
+
+    Args:
+        w2: w2 of the rod as a pendulum [1/s^2].
+    """
+    return 3.0 * GRAVITY / (4.0 * w2)
 
 
 def pivot(arm: Arm, outward: float) -> Triple:

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from equipoise.devices.twin.hand import Hand, HandParams, Side, draw_hand_params
-from equipoise.devices.twin.physics import TICK
+from equipoise.devices.twin.physics import TICK, rod_centre
 from equipoise.devices.twin.simulated_arm import SimulatedArm
 from equipoise.devices.twin.twin import Array, TrueState, Twin, advance
 from equipoise.model.arms.arm import Arm
@@ -67,7 +67,7 @@ class SimulatedRig:
         self.twin.reset(q, phi)
         self.body = SimulatedArm(self.twin, arm, settings)
         """Arm that an emulated cabinet moves and measures."""
-        self._reach = 3.0 * GRAVITY / (4.0 * pendulum.w2)
+        self._reach = rod_centre(pendulum.w2)
         inertia = settings.pendulum_mass * GRAVITY * self._reach / pendulum.w2
         self.hand = Hand(inertia, self._reach)
         """Hand of the operator, at the middle of the rod."""
