@@ -257,9 +257,9 @@ def identify_actuator(
     log = _read(stream_time, stream_q, reply_time, reply_q)
     if load is not None:
         log = log._replace(load=_load_of(log, load, encoder_time, theta))
-    starts = {
-        each: _search(log, each, _fitted(log, each))
-        for each in (KINDS if kind == "auto" else (kind,))
+    kinds: tuple[Kind, ...] = KINDS if kind == "auto" else (kind,)
+    starts: dict[Kind, list[Start]] = {
+        each: _search(log, each, _fitted(log, each)) for each in kinds
     }
     if kind == "auto":  # the fit of a law takes long: that of the less likely one is left out
         del starts[max(LAWS, key=lambda law: starts[law][0].share)]
