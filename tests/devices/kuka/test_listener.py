@@ -41,6 +41,11 @@ class Served:
             self.body.advance(now)
             self.time += TICK
 
+    def close(self):
+        self.stop.set()
+        self.thread.join(5.0)
+        assert not self.thread.is_alive()
+
     def connected(self):
         return socket.create_connection(("127.0.0.1", self.port), timeout=5.0)
 
@@ -49,9 +54,7 @@ class Served:
 def served():
     served = Served()
     yield served
-    served.stop.set()
-    served.thread.join(5.0)
-    assert not served.thread.is_alive()
+    served.close()
 
 
 def ask(client, data):
