@@ -13,6 +13,7 @@ import pytest
 from equipoise.deployment import excite as excite_run
 from equipoise.devices.twin import physics
 from equipoise.devices.twin.excitation import excite
+from equipoise.devices.twin.servo_model import equivalent_actuator
 from equipoise.errors import RecordingError
 from equipoise.identification import actuator as fitting
 from equipoise.identification.actuator import identify_actuator, identify_run
@@ -319,6 +320,7 @@ def test_a_log_of_a_named_world_gives_its_servo_and_its_rotor(world, kind, t_c):
     assert actuator.fit.warnings == ()
     assert holds(actuator.delay, settings.transport)
     assert holds(actuator.cycle, t_c)
+    assert holds(actuator.lags[-1], equivalent_actuator(settings).lags[-1].value)
     _, low, high = actuator.drive_inertia.rotor
     assert low <= rotor_inertias(settings, 7)[-1] <= high
 

@@ -287,7 +287,6 @@ def identify_actuator(
             load=log.load.at_rest,
             link=load.link_inertia,
         )
-        _slow_down(values, covariance)
     estimates = [
         Estimate.around(
             float(value),
@@ -371,15 +370,6 @@ def _explains_more(log: Log, richer: JointFit, simpler: JointFit) -> bool:
     squares -= (richer.weights[:, None] * richer.residual) ** 2
     gains = np.bincount(log.blocks, weights=squares.sum(axis=0))
     return float(np.mean(gains)) > MIN_ADVANTAGE * float(np.std(gains, ddof=1)) / sqrt(BLOCKS)
-
-
-def _slow_down(unknowns: Array, covariance: Array) -> None:
-    """Replace the lag of the last drive by that of the joint under its load, T over the share."""
-    place, share = LAG + LAST, unknowns[SHARE]
-    change = np.eye(len(unknowns))
-    change[place, place], change[place, SHARE] = 1.0 / share, -unknowns[place] / share**2
-    unknowns[place] /= share
-    covariance[:] = change @ covariance @ change.T
 
 
 def _read(stream_time: Array, stream_q: Array, reply_time: Array, reply_q: Array) -> Log:
