@@ -129,7 +129,7 @@ def sound(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", FORMATS)
-@pytest.mark.parametrize("count", [120, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [60, pytest.param(3000, marks=pytest.mark.slow)])
 def test_a_damaged_file_is_a_value_or_a_sentence(tmp_path, name, count):
     path, read = sound(tmp_path, name)
     read(path)
@@ -185,7 +185,7 @@ USES = {
 
 
 @pytest.mark.parametrize("name", USES)
-@pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [30, pytest.param(2000, marks=pytest.mark.slow)])
 def test_extreme_numbers_with_a_fitting_digest_end_in_a_sentence(tmp_path, name, count):
     path, read = sound(tmp_path, name)
 

@@ -91,7 +91,15 @@ FAILURES = {
 }
 
 
-@pytest.mark.parametrize("name", [*KINDS, None])
+@pytest.mark.parametrize(
+    "name",
+    ["lqr", "random", "guest:Counting", None]
+    + [
+        pytest.param(name, marks=pytest.mark.slow)
+        for name in KINDS
+        if name not in ("lqr", "random", "guest:Counting")
+    ],
+)
 def test_a_policy_of_any_kind_runs_on_a_virtual_rig_and_its_run_replays(folder, name):
     policy = load_policy(name)
     _, log = run(policy, folder / "run.mcap")

@@ -85,7 +85,8 @@ def test_after_each_chunk_the_file_is_one_that_every_reader_takes(tmp_path):
     for begin in range(0, 2000, 100):
         push(recorder, 100, begin)
         writer.drain(recorder)
-        count = sum(counted(path)[f"/{name}"] for name in TABLES)
+        found = counted(path)
+        count = sum(found[f"/{name}"] for name in TABLES)
         run = RunLog.load(path, damaged=True)
         # Ticks of which a later message is missing are left out.
         assert count - 1 <= sum(map(len, run.tables.values())) <= count

@@ -102,7 +102,14 @@ STALLS = {
 }
 
 
-@pytest.mark.parametrize("stall", STALLS)
+@pytest.mark.parametrize(
+    "stall",
+    [
+        "loop",
+        "link",
+        *(pytest.param(s, marks=pytest.mark.slow) for s in ("second setpoint", "encoder")),
+    ],
+)
 def test_a_run_with_stalls_replays_to_the_bit(tmp_path, stall):
     scenario = Scenario(duration=1.5, out=tmp_path / "run.mcap")
     harness = FaultHarness(scenario, Trigger("balancing", 0.5), STALLS[stall])
