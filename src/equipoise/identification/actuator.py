@@ -22,6 +22,7 @@ The delay runs from sending a setpoint to its mean effect, independent of the ph
 cycles. It includes the return path if the reply times are times of *arrival*.
 """
 
+from collections.abc import Mapping
 from math import exp, hypot, sqrt
 from typing import Final, Literal, NamedTuple, TypedDict
 
@@ -81,8 +82,9 @@ def _joint(place: int) -> int | None:
 START: Final = _unknowns(0.0, CYCLE, 8e-3, 0.0, 1.0)
 SCALES: Final = _unknowns(1e-2, 1e-3, 1e-2, 1e-1, 1e-1)
 """Scale of each unknown."""
-LOWER_BOUNDS: Final = _unknowns(0.0, 6e-4, 0.0, -np.inf, 0.01)
-"""Lower bounds of the unknowns: with less t_c a servo without shaping law and lag oscillates."""
+LOWER_BOUNDS: Final = _unknowns(0.0, 6e-4, 3e-4, -np.inf, 0.01)
+"""Lower bounds of the unknowns: with less t_c a servo without shaping law and lag oscillates; less
+lag is over within a cycle."""
 UPPER_BOUNDS: Final = _unknowns(0.1, 0.1, 0.1, np.inf, 1.0)
 """Upper bounds of the unknowns: a robot with more delay or lag cannot balance."""
 DELAY_GRID: Final = 5e-3
@@ -116,7 +118,7 @@ MAX_UNEXPLAINED: Final = 0.25
 """Largest accepted residual, as a share of a joint's motion."""
 MIN_ADVANTAGE: Final = 2.5
 """Mean reduction of the squared residual per block of time, in its standard errors, from which
-another kind of actuator replaces `ideal`."""
+a servo replaces `ideal`, and a lag either."""
 LOAD_UNCERTAINTY: Final = 0.05
 """Relative uncertainty of the load of the last joint [-]: of its weighing, and of uniform bars."""
 MAX_T_C_UNCERTAINTY: Final = 0.3
@@ -242,7 +244,7 @@ def identify_actuator(
         reply_time: Measurement times of the positions, by the same clock [s], shape (p,).
         reply_q: Measured positions of the free joints [rad], shape (p, 6).
         source: Digest of the run log.
-        kind: Kind of actuator; `auto` selects the one that leaves least.
+        kind: Kind of actuator; `auto` selects the one that explains the log.
         load: Bracket and pendulum; without them the inertia of the last drive is not fitted.
         encoder_time: Times of the pendulum's angles, by the same clock [s], shape (s,).
         theta: Angles of the pendulum from hanging [rad], shape (s,).
@@ -264,9 +266,7 @@ def identify_actuator(
     if kind == "auto":  # the fit of a law takes long: that of the less likely one is left out
         del starts[max(LAWS, key=lambda law: starts[law][0].share)]
     fits = {each: _fit(log, each, _fitted(log, each), starts[each]) for each in starts}
-    first, *others = fits.values()
-    better = [fit for fit in others if _explains_more(log, fit, first)]
-    best = min(better or [first], key=lambda fit: fit.rms)
+    best = _choose(log, fits)
     _reject_unexplained(log, best)
     covariance = _covariance(log, best)
     # Zero where t_c is fixed. Without the law, slow motions hardly tell delay from t_c, and an
@@ -362,6 +362,19 @@ def _load_of(log: Log, load: WristLoad, encoder_time: Array, theta: Array) -> Lo
 def _fitted(log: Log, kind: Kind) -> list[int]:
     """Return the indices of the unknowns of a kind that the log can show."""
     return [place for place in FITTED[kind] if place != SHARE or log.load is not None]
+
+
+def _choose(log: Log, fits: Mapping[Kind, JointFit]) -> JointFit:
+    """Return the fit of the kind that explains a log.
+
+    Drives have inertia, so a servo is chosen where it leaves less than `ideal`. A lag that leaves
+    as little as the servo is not told from it by the log: only the servo's intervals hold both.
+    """
+    best = next(iter(fits.values()))
+    for kind in (*LAWS, "lag"):
+        if kind in fits and _explains_more(log, fits[kind], best):
+            best = fits[kind]
+    return best
 
 
 def _explains_more(log: Log, richer: JointFit, simpler: JointFit) -> bool:

@@ -15,6 +15,9 @@ Array = npt.NDArray[np.float64]
 def identify_motion(sent: Array, measured: Array) -> Actuator:
     """Identify the actuator of an arm from a motion of all joints.
 
+    The inertia of the last rotor is not fitted: the motion is half as large as that of a log of
+    `deploy --excite`, and the policy's controller does not use it.
+
     Args:
         sent: Time [s] and setpoint of the free joints [rad], shape (m, 7).
         measured: Time [s] and measured free joints [rad], shape (p, 7).

@@ -26,10 +26,11 @@ DURATION: Final = 10.0
 """Duration of a record [s]."""
 TOP_SPEED: Final = np.array([0.45, 0.3, 0.4, 1.0, 1.0, 1.0])
 """Top speed of each free joint, from the base on [rad/s]; the load falls towards the flange."""
-FAST: Final = np.array([16.0, 14.5, 13.0, 12.0, 10.0, 11.0])
-"""Angular frequency of the faster sine of each free joint [rad/s]."""
-SLOW_SHARE: Final = 0.4
-"""Ratio of the slower to the faster frequency [-]; the pendulum's own, 8.4 rad/s, lies between."""
+FAST: Final = np.array([16.0, 14.5, 30.0, 12.0, 10.0, 11.0])
+"""Angular frequency of the faster sine of each free joint [rad/s]. That of A4 tells the delay from
+the time to the setpoint, whose effects differ with its cube."""
+SLOW: Final = np.array([6.4, 5.8, 5.2, 4.8, 4.0, 4.4])
+"""Angular frequency of the slower sine [rad/s]; the pendulum's own, 8.4 rad/s, lies between."""
 MARGIN: Final = 0.8
 """Maximum share of the limits of velocity and acceleration [-]."""
 
@@ -66,8 +67,8 @@ def excitation(arm: Arm, duration: float = DURATION, period: float = PERIOD) -> 
         ArmError: A joint's home is too close to its limits.
     """
     t = np.linspace(0.0, duration, round(duration / period) + 1)[:, None]
-    slow, order = SLOW_SHARE * FAST, np.arange(len(FAST))
-    sines = np.sin(FAST * t + order) / FAST + np.sin(slow * t + 2 * order) / slow
+    order = np.arange(len(FAST))
+    sines = np.sin(FAST * t + order) / FAST + np.sin(SLOW * t + 2 * order) / SLOW
     motion = np.sin(np.pi * t / duration) ** 2 * sines
     velocity = np.gradient(motion, period, axis=0)
     acceleration = np.gradient(velocity, period, axis=0)
