@@ -371,7 +371,8 @@ def _choose(log: Log, fits: Mapping[Kind, JointFit]) -> JointFit:
     as little as the servo is not told from it by the log: only the servo's intervals hold both.
     """
     best = next(iter(fits.values()))
-    for kind in (*LAWS, "lag"):
+    richer: tuple[Kind, ...] = (*LAWS, "lag")
+    for kind in richer:
         if kind in fits and _explains_more(log, fits[kind], best):
             best = fits[kind]
     return best
