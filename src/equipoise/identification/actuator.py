@@ -265,7 +265,9 @@ def identify_actuator(
     }
     if kind == "auto":  # the fit of a law takes long: that of the less likely one is left out
         del starts[max(LAWS, key=lambda law: starts[law][0].share)]
-    fits = {each: _fit(log, each, _fitted(log, each), starts[each]) for each in starts}
+    fits: dict[Kind, JointFit] = {
+        each: _fit(log, each, _fitted(log, each), starts[each]) for each in starts
+    }
     best = _choose(log, fits)
     _reject_unexplained(log, best)
     covariance = _covariance(log, best)
@@ -371,8 +373,7 @@ def _choose(log: Log, fits: Mapping[Kind, JointFit]) -> JointFit:
     as little as the servo is not told from it by the log: only the servo's intervals hold both.
     """
     best = next(iter(fits.values()))
-    richer: tuple[Kind, ...] = (*LAWS, "lag")
-    for kind in richer:
+    for kind in (*LAWS, "lag"):
         if kind in fits and _explains_more(log, fits[kind], best):
             best = fits[kind]
     return best
