@@ -35,7 +35,7 @@ from equipoise.learning.closed_loop import (
     step,
 )
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
-from equipoise.model.arms.compiler import FRAME_SIZE
+from equipoise.model.arms.compiler import FRAME_SIZE, POSITION
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
@@ -78,6 +78,12 @@ def test_the_horizon_is_the_delay_with_its_upper_end_or_the_margin_and_the_lag(h
     # Whichever is more: 10 ms and a margin of 5 ms, or the upper end of the interval.
     assert horizon(ARM, actuator, 0.005) == pytest.approx(delay + 0.008, abs=1e-12)
     assert made(actuator).horizon == pytest.approx(delay + 0.008, abs=1e-12)
+
+
+def test_setpoints_that_lead_make_up_for_the_response():
+    slow = Actuator.assumed("kst", delay=0.010, lag=0.008, cycle=0.04)
+    assert made(slow, "controller.lead=true").horizon == pytest.approx(0.015, abs=1e-12)
+    assert made(slow).horizon > 0.06
 
 
 def test_the_lags_of_the_joints_count_by_what_they_do_to_the_flange():
@@ -426,6 +432,20 @@ def test_what_the_policy_sees_is_the_state_at_the_horizon(kind, horizon, lag):
     assert phi_dot < np.radians(2.0)
     # Until then the pendulum moves much further than the prediction is wrong.
     assert phi < 0.3 * rms(changes, axis=(0, 2))[2]
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize(("lead", "least", "most"), [(False, 5e-3, 0.1), (True, 0.0, 5e-4)])
+def test_a_slow_arm_is_at_the_reference_after_the_delay_if_setpoints_lead(lead, least, most):
+    slow = Actuator.assumed("kst", delay=0.010, lag=0.008, cycle=0.04)
+    places, references = [], []
+    overrides = [*QUIET, f"controller.lead={str(lead).lower()}"]
+    for plant, block in balance(slow, NOMINAL, *overrides, ticks=300):
+        places.append(block.state[:BATCH_SIZE].copy())
+        frame = block.controller.frame[POSITION * BATCH_SIZE : (POSITION + 1) * BATCH_SIZE]
+        references.append(frame - plant.controller.home_reference[POSITION])
+    behind = rms(np.array(places)[41:] - np.array(references)[40:-1])
+    assert least <= behind < most
 
 
 @pytest.mark.compiled_only

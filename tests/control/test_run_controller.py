@@ -21,6 +21,7 @@ from equipoise.control.safety import (
     ANGLE_RULE_LIMIT,
     MAX_STALL,
     Rule,
+    check_setpoint,
     make_safety_params,
 )
 from equipoise.control.self_test import ParameterInterval, SelfTest, SelfTestVerdict
@@ -70,7 +71,7 @@ def executed(job):
 class Course:
     """A pilot and what it is told, a tick of 10 ms at a time."""
 
-    def __init__(self, q=ARM.home, excitation=None):
+    def __init__(self, q=ARM.home, excitation=None, settings=POLICY.settings):
         guard = make_safety_params(
             ARM,
             reaction=horizon(ARM, POLICY.actuator, 0.0),
@@ -79,7 +80,7 @@ class Course:
             counts_per_rev=COUNTS,
         )
         controller = make_controller_params(
-            ARM, POLICY.settings, POLICY.actuator, POLICY.pendulum.parameters(),
+            ARM, settings, POLICY.actuator, POLICY.pendulum.parameters(),
             h=H, counts_per_rev=COUNTS,
         )  # fmt: skip
         self.guard = guard
@@ -93,6 +94,7 @@ class Course:
         self.samples_lost = frozenset()
         self.torques = TORQUES
         self.sent = [(-1.0, tuple(q))]
+        self.leads = [(0.0,) * 7]
         self.told = []
         self.answers, self.result = [], None
         self.link_dead = self.encoder_dead = False
@@ -150,6 +152,7 @@ class Course:
         output = self.pilot.tick(self.now, given._replace(**inputs))
         for place, setpoint in enumerate(output.setpoints):
             self.sent.append((max(self.now, due + 0.5 * H * place), setpoint))
+            self.leads.append(output.leads[place] if output.leads else (0.0,) * 7)
         self.told += [event.name for event in output.events]
         if output.job is not None:
             tests = self.pilot.phase is Phase.SELF_TEST
@@ -393,6 +396,37 @@ def test_a_self_test_that_stood_still_ends_at_rest():
     for _ in range(120):
         course.tick()
     assert course.sent[-1][1] == pytest.approx(course.sent[-3][1], abs=1e-9)
+
+
+@pytest.mark.parametrize("stalled", [False, True])
+def test_a_stop_keeps_the_lead_and_goes_on_from_the_setpoint(stalled):
+    settings = POLICY.settings
+    control = settings.controller.model_copy(update={"lead": True})
+    course = Course(settings=settings.model_copy(update={"controller": control}))
+    moves(course.until(Phase.SELF_TEST))
+    for _ in range(10):
+        course.tick()
+    moving = len(course.sent)
+    if stalled:
+        course.tick(0.04, lines=["stop"])
+        rested = np.array(course.sent[moving - 1][1])
+    else:
+        course.tick(lines=["stop"])
+    for _ in range(100):
+        course.tick()
+    q, leads = np.array([q for _, q in course.sent]), np.array(course.leads)
+    assert 1e-3 < np.abs(leads[:moving]).max() < 0.02
+    references = q - leads
+    for i in range(2, moving if stalled else len(q)):
+        assert check_setpoint(course.guard.limits, references[i], references[i - 1],
+                              references[i - 2], 0.005, i >= moving, leads[i]) is None  # fmt: skip
+    if stalled:  # the arm rests at its last setpoint, which is the reference from now on
+        assert not leads[moving:].any()
+        assert q[moving] == pytest.approx(rested, abs=1e-4)
+    else:
+        assert np.abs(leads[moving - 1]).max() > 5e-4
+        assert (leads[moving:] == leads[moving - 1]).all()
+    assert (q[-1] == q[-9]).all()
 
 
 def test_a_stop_after_a_stall_holds_the_arm_where_it_rests():

@@ -56,6 +56,17 @@ def run(policy, out, duration=1.0, failing=None):
     return result, RunLog.load(out, damaged=True)
 
 
+def test_a_run_with_setpoints_that_lead_balances_and_replays(tmp_path):
+    table = shipped_policy()
+    controller = table.settings.controller.model_copy(update={"lead": True})
+    settings = table.settings.model_copy(update={"controller": controller})
+    policy = table.model_copy(update={"settings": settings})
+    _, log = run(policy, tmp_path / "run.mcap")
+    assert log.end.cause == "lasted"
+    found = replay(log, policy)
+    assert (found.difference, found.whole, found.largest) == (None, True, 0.0)
+
+
 class Failing:
     """The LQR, until it fails after half a second."""
 

@@ -48,6 +48,7 @@ from equipoise.model.actuator import (
     ActuatorParameters,
     follow_setpoint,
     lag_share,
+    leading_setpoint,
     steady_error,
 )
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
@@ -119,6 +120,8 @@ class ControllerParams(NamedTuple):
     """Time constant of each free joint [s], shape (6,)."""
     share: Array
     """`lag_share` of each, a block of 6 rows."""
+    lead: bool
+    """Whether setpoints lead their reference by the inverse of the servo's law."""
     delay: float
     """d, from sending a setpoint to its effect [s]."""
     horizon: float
@@ -154,6 +157,8 @@ class ControllerState(NamedTuple):
     """Acceleration for the next command [m/s^2], 1 row."""
     setpoints: Array
     """Joints to send at the tick and h / 2 later [rad], 12 rows."""
+    leads: Array
+    """Their distances from the reference, the commanded joints then [rad], 12 rows."""
     limit_exceeded: npt.NDArray[np.int64]
     """Whether the last command left the limits of a joint, 1 row."""
     damped: npt.NDArray[np.int64]
@@ -244,8 +249,9 @@ def make_controller_params(
         actuator=actuator.parameters,
         lags=lags,
         share=np.repeat([float(lag_share(lag)) for lag in lags.tolist()], BATCH_SIZE),
+        lead=own.lead,
         delay=actuator.delay.value,
-        horizon=horizon(arm, actuator, own.margin) if own.predict else 0.0,
+        horizon=horizon(arm, actuator, own.margin, lead=own.lead) if own.predict else 0.0,
         pendulum=pendulum,
         gains=observer_gains(pendulum, own, counts_per_rev, h),
         resolution=2.0 * pi / counts_per_rev,
@@ -253,25 +259,30 @@ def make_controller_params(
     )
 
 
-def horizon(arm: Arm, actuator: Actuator, margin: float) -> float:
+def horizon(arm: Arm, actuator: Actuator, margin: float, *, lead: bool = False) -> float:
     """Return the prediction horizon of the policy [s].
 
     The sum of the transport delay, of its uncertainty upwards (`margin` at least: too long a
     horizon costs little, too short a one the balance), and of the response time of the flange along
-    x: that of the joints, weighted by their part in the motion at home.
+    x: that of the joints, weighted by their part in the motion at home. Setpoints that lead make up
+    for the response.
 
     Args:
         arm: The arm with its home posture.
         actuator: Model of the arm's response.
         margin: Minimum margin beyond the delay [s].
+        lead: Whether setpoints lead their reference.
     """
     if actuator.kind == "ideal":
         return 0.0
+    delay = actuator.delay
+    effect = delay.value + max(delay.high - delay.value, margin)
+    if lead:
+        return effect
     J = arm.kinematics(arm.home_free).jacobian
     part = J[0] * np.linalg.solve(J, np.eye(FREE_JOINTS)[0])
     follows = [actuator.response_time(joint) for joint in range(FREE_JOINTS)]
-    delay = actuator.delay
-    return delay.value + max(delay.high - delay.value, margin) + float(part @ follows)
+    return effect + float(part @ follows)
 
 
 def new_controller_state() -> ControllerState:
@@ -281,6 +292,7 @@ def new_controller_state() -> ControllerState:
         "reference": REFERENCE_SIZE,
         "u": 1,
         "setpoints": 6 * SETPOINTS_PER_TICK,
+        "leads": 6 * SETPOINTS_PER_TICK,
         "counts": 1,
         "model_frame": FRAME_SIZE,
         "scratch": 2 * FREE_JOINTS,
@@ -372,7 +384,9 @@ def start_controller(
     h = controller.h
     for i in range(6):
         dq = at(state.dq, i, n)
-        q = at(state.q, i, n) - steady_error(dq, controller.lags[i], controller.actuator)
+        q = at(state.q, i, n)
+        if not controller.lead:
+            q -= steady_error(dq, controller.lags[i], controller.actuator)
         put(state.model_q, i, n, q)
         put(state.model_dq, i, n, dq)
         put(state.offset, i, n, 0.0)
@@ -540,7 +554,7 @@ def command(controller: ControllerParams, state: ControllerState, lanes: int) ->
         beyond[n] = 0 if within else 1
     controller.kinematics(q, dq, frame, lanes)
     if controller.has_sensor:
-        advance_arm_model(controller, state, lanes)
+        advance_arm_model(controller, state, controller.lead, lanes)
 
 
 @inlined
@@ -567,13 +581,39 @@ def _advance_joints(q: Array, dq: Array, ddq: Array, setpoints: Array, h: float,
 
 
 @inlined
-def advance_arm_model(controller: ControllerParams, state: ControllerState, lanes: int) -> None:
-    """Advance the model of the arm to the end of the tick, and record its motion."""
+def advance_arm_model(
+    controller: ControllerParams, state: ControllerState, lead: bool, lanes: int
+) -> None:
+    """Advance the model of the arm to the end of the tick, and record its motion.
+
+    Args:
+        controller: Constants.
+        state: Changed in place.
+        lead: Whether `state.setpoints` holds references, which become setpoints that lead.
+        lanes: Number of lanes.
+    """
     scratch, past, frame = state.scratch, state.history, state.model_frame
     q, dq, share = state.model_q, state.model_dq, controller.share
     cycles = round(controller.h / SETPOINTS_PER_TICK / CYCLE)
     for s in range(SETPOINTS_PER_TICK):
         target = state.setpoints[6 * s * BATCH_SIZE : 6 * (s + 1) * BATCH_SIZE]
+        if lead:
+            left = (SETPOINTS_PER_TICK - 1 - s) * controller.h / SETPOINTS_PER_TICK
+            for i in range(6):
+                for n in range(lanes):
+                    velocity = at(state.dq, i, n) - left * at(state.ddq, i, n)
+                    reference = at(target, i, n)
+                    setpoint = leading_setpoint(
+                        at(q, i, n),
+                        at(dq, i, n),
+                        reference,
+                        velocity,
+                        at(share, i, 0),
+                        controller.actuator,
+                        cycles,
+                    )
+                    put(target, i, n, setpoint)
+                    put(state.leads, 6 * s + i, n, setpoint - reference)
         follow_setpoint(
             q, dq, target, target, share, False, share, controller.actuator, cycles, scratch, lanes
         )

@@ -169,7 +169,7 @@ class Controller:
 
     def hold(self) -> None:
         """Advance the model of the arm by a tick, towards the last setpoints."""
-        advance_arm_model(self._controller, self._state, 1)
+        advance_arm_model(self._controller, self._state, False, 1)
 
     @property
     def observation(self) -> Observation:
@@ -198,6 +198,14 @@ class Controller:
         command(self._controller, state, 1)
         setpoints = state.setpoints.reshape(SETPOINTS_PER_TICK, -1)
         return tuple(self._all_joints(self._arm.home, setpoint) for setpoint in setpoints)
+
+    @property
+    def leads(self) -> tuple[tuple[float, ...], ...]:
+        """Distances of these setpoints from their references [rad]; empty without a lead."""
+        if not self._controller.lead:
+            return ()
+        leads = self._state.leads.reshape(SETPOINTS_PER_TICK, -1)
+        return tuple(self._all_joints((0.0,) * len(self._arm.joints), lead) for lead in leads)
 
     @property
     def limit_exceeded(self) -> bool:

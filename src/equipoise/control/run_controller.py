@@ -205,6 +205,9 @@ class RunController:
         self._back_since, self._rested = 0, False
         self._monitor = safety.MonitorState()
         self._commanded = np.tile(np.array(q, np.float64), (HISTORY, 1))
+        self._references = self._commanded.copy()
+        self._leads: tuple[tuple[float, ...], ...] = ()
+        self._lead = (0.0,) * len(q)  # of the last setpoint
         self._sent_at, self._setpoints = np.full(HISTORY, -inf), 0
         self._answered, self._overdue = -inf, 0.0
         self._torque_sum, self._torques = np.zeros(len(q)), 0
@@ -255,14 +258,19 @@ class RunController:
         self._check_rules(now, inputs.lateness)
         self._record = TickRecord(estimated_phi=self._phi())
         before, stalls = self.phase, self._overdue > MAX_UNANSWERED and self.phase in MOVING
+        self._leads = ()
         if stalls and before is Phase.EXCITING:
             self._interrupt_excitation()
             setpoints = self._come_to_rest(now)
         else:
             setpoints = self._wait() if stalls else self._STEPS[before](self, now)
+        if self._leads:
+            self._lead = self._leads[-1]
+        elif setpoints and self.phase is not Phase.STOPPING:
+            self._lead = (0.0,) * len(self._lead)
         for place, setpoint in enumerate(setpoints):
             sent = now - late + place * 0.5 * self._h
-            self._store_setpoint(sent, setpoint)
+            self._store_setpoint(sent, setpoint, self._leads[place] if self._leads else ())
             if self._records_motion:
                 self._motion.send(sent, self._arm.without_held(setpoint))
         self._ticks = self._ticks + 1 if self.phase is before else 1
@@ -270,7 +278,7 @@ class RunController:
         phase, to_rest = PHASES.index(self.phase), self.phase is Phase.STOPPING
         done = to_rest and self._rested
         output = TickOutput(setpoints, self._q, self._dq, phase, self._record, events, self._job)
-        return output._replace(to_rest=to_rest, done=done)
+        return output._replace(leads=self._leads, to_rest=to_rest, done=done)
 
     @property
     def lasted(self) -> float:
@@ -296,6 +304,7 @@ class RunController:
         self._setpoints -= unsent
         q = tuple(self._commanded[(self._setpoints - 1) % HISTORY].tolist())
         moved, self._q, self._dq = any(self._dq), q, (0.0,) * len(q)
+        self._references[(self._setpoints - 1) % HISTORY], self._lead = q, (0.0,) * len(q)
         if self._records_motion:
             self._motion.clear()  # the move goes on from rest
         if self.phase is Phase.HOMING:
@@ -456,9 +465,10 @@ class RunController:
             return None
         return tuple((np.asarray(self._torque) - at_rest).tolist())
 
-    def _store_setpoint(self, time: float, q: Sequence[float]) -> None:
+    def _store_setpoint(self, time: float, q: Sequence[float], lead: Sequence[float]) -> None:
         place = self._setpoints % HISTORY
         self._sent_at[place], self._commanded[place] = time, q
+        self._references[place] = np.subtract(q, lead) if lead else q
         self._setpoints += 1
 
     def _expected(self, time: float) -> tuple[float, ...]:
@@ -708,6 +718,7 @@ class RunController:
             self._lost_speed -= gained
             u += gained / self._h
         first, second = self._controller.command(u)
+        self._leads = self._controller.leads
         self._q, self._dq = self._controller.q, self._controller.dq
         return first, second
 
@@ -769,9 +780,13 @@ class RunController:
         return self._command(u)
 
     def _come_to_rest(self, now: float) -> Setpoints:
+        """Return the next setpoints on the way to rest, which keep the last lead."""
+        if any(self._lead):
+            self._leads = self._lead, self._lead
         if self._ticks == 0:
             newest = ((self._setpoints - n) % HISTORY for n in (2, 1))
-            before, last = (self._commanded[place].tolist() for place in newest)
+            before, last = (self._references[place].tolist() for place in newest)
+            self._q = tuple(q + ahead for q, ahead in zip(self._q, self._lead, strict=True))
             self._dq = stoppable_speeds(self._dq, last, before, 0.5 * self._h)
             speed = abs(self._controller.x_dot) if self.phase_before in ON_TRACK else 0.0
             self._ramp = ramp(self._q, self._dq, speed, self._safety.limits)

@@ -21,6 +21,11 @@ happen.
 The joints' limits are those of the rig's arm; all other limits stand here with their reasons. These
 rules are no safety functions in the sense of a standard: they run on a PC that may fail, and a KST
 server then moves on to its last target. The rules keep that target near.
+
+A setpoint is a reference plus a lead, which is zero unless the policy's settings ask for it
+(`equipoise.model.actuator.leading_setpoint`). The arm follows the reference, whose jumps, velocity
+and acceleration are judged. The setpoint is where the arm goes if nothing follows: its lead and its
+position of rest are judged.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,6 +38,7 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.compiled import compilable
+from equipoise.model.actuator import MAX_LEAD
 from equipoise.model.arms.arm import Arm
 
 Numbers = tuple[float, ...]
@@ -128,6 +134,8 @@ class Rule(Enum):
     """A setpoint asks for more than the joint's velocity."""
     ACCELERATION = "joint acceleration"
     """A setpoint asks for more than the joint's acceleration."""
+    LEAD = "setpoint lead"
+    """A setpoint is too far from its reference: the arm goes there if nothing follows."""
     SINGULAR = "near singularity"
     """The arm is close to a singular posture."""
     TRACK = "track"
@@ -161,6 +169,7 @@ POSITION_CODE: Final = RULES.index(Rule.POSITION)
 JUMP_CODE: Final = RULES.index(Rule.JUMP)
 VELOCITY_CODE: Final = RULES.index(Rule.VELOCITY)
 ACCELERATION_CODE: Final = RULES.index(Rule.ACCELERATION)
+LEAD_CODE: Final = RULES.index(Rule.LEAD)
 SINGULAR_CODE: Final = RULES.index(Rule.SINGULAR)
 TRACK_CODE: Final = RULES.index(Rule.TRACK)
 SPEED_CODE: Final = RULES.index(Rule.SPEED)
@@ -214,6 +223,8 @@ MESSAGES: Final = {
     "{limit:.3f} rad/s",
     Rule.ACCELERATION: "the setpoint of joint {joint} asks for {value:.2f} rad/s^2, expected at "
     "most {limit:.2f} rad/s^2",
+    Rule.LEAD: "the setpoint of joint {joint} leads its reference by {value:.4f} rad, expected at "
+    "most {limit:.4f} rad",
     Rule.SINGULAR: "the arm is near a singularity: |det J| is {value:.2g} m^3, expected at least "
     "{limit:.2g} m^3",
     Rule.TRACK: "the flange is at {x:.3f} m with {x_dot:.3f} m/s and could be stopped at "
@@ -288,7 +299,7 @@ class SafetyParams(NamedTuple):
     torque: Numbers
     """Maximum change of the external torque from that at rest [N m], per joint."""
     reaction: float
-    """Reaction time T of the track rule: transport delay and lag of the arm [s]."""
+    """Reaction time T of the track rule: transport delay and response time of the arm [s]."""
     u_max: float
     """Largest acceleration that the policy commands [m/s^2]."""
     min_manipulability: float
@@ -317,7 +328,7 @@ def make_safety_params(
 
     Args:
         arm: The rig's arm, with its home posture.
-        reaction: Transport delay and lag of the arm [s].
+        reaction: Transport delay and response time of the arm [s].
         u_max: Largest acceleration that the policy commands [m/s^2].
         h: Time between ticks [s].
         counts_per_rev: Encoder counts per revolution, after x4.
@@ -350,21 +361,25 @@ def check_setpoint(
     before: Sequence[float],
     dt: float,
     to_rest: bool = False,
+    lead: Sequence[float] = (),
 ) -> Violation | None:
     """Return the rule that forbids a setpoint, or None.
 
     Args:
         limits: Limits of setpoints.
-        q: The setpoint [rad], shape (n,).
-        last: The one sent before [rad], shape (n,).
+        q: The setpoint's reference [rad], shape (n,): the setpoint itself without a lead.
+        last: The reference before [rad], shape (n,).
         before: The one before that [rad], shape (n,); the same as `last` where the arm is at rest.
         dt: Time between setpoints in the stream [s].
         to_rest: Whether it belongs to a way to rest that ends inside the limits; the stopping
             position is not checked then.
+        lead: The setpoint less its reference [rad], shape (n,); empty for none.
     """
     if invalid := _invalid_numbers(limits, q, "a setpoint"):
         return invalid
     code, joint, value, limit = broken_setpoint(limits, q, last, before, dt, to_rest)
+    if code == NO_VIOLATION and any(lead):
+        code, joint, value, limit = broken_lead(limits, q, lead, last, dt, to_rest)
     if code == NO_VIOLATION:
         return None
     what = "is" if value == q[joint - 1] else "could only be stopped"
@@ -437,6 +452,37 @@ def broken_setpoint(
         acceleration = abs(q[i] - 2.0 * last[i] + before[i]) / dt**2
         if acceleration > limits.acceleration[i] * (1.0 + ROUNDING):
             return ACCELERATION_CODE, i + 1, acceleration, limits.acceleration[i]
+    return NO_VIOLATION, 0, 0.0, 0.0
+
+
+@compilable
+def broken_lead(
+    limits: Limits, q: Row, lead: Row, last: Row, dt: float, to_rest: bool = False
+) -> tuple[int, int, float, float]:
+    """Return the first rule that a lead breaks: its code, the joint, the value, the limit.
+
+    Args:
+        limits: Limits of setpoints.
+        q: The reference [rad], shape (n,), which breaks no rule.
+        lead: The setpoint less the reference [rad], shape (n,).
+        last: The reference before [rad], shape (n,).
+        dt: Time between setpoints in the stream [s].
+        to_rest: Whether it belongs to a way to rest that ends inside the limits.
+
+    Returns:
+        As `broken_setpoint`.
+    """
+    for i in range(len(q)):
+        velocity = 0.0 if to_rest else (q[i] - last[i]) / dt
+        ahead = copysign(0.5 * velocity * velocity / limits.acceleration[i], velocity)
+        lower, upper = limits.lower[i], limits.upper[i]
+        for end in (q[i] + lead[i], q[i] + lead[i] + ahead):
+            if lead[i] != 0.0 and not lower <= end <= upper:
+                return POSITION_CODE, i + 1, end, lower if end < lower else upper
+    for i in range(len(q)):
+        # Written so that NaN breaks the rule.
+        if not abs(lead[i]) <= MAX_LEAD * (1.0 + ROUNDING):
+            return LEAD_CODE, i + 1, abs(lead[i]), MAX_LEAD
     return NO_VIOLATION, 0, 0.0, 0.0
 
 

@@ -53,6 +53,11 @@ class TrialSafetyMonitor(NamedTuple):
     """Times of the last setpoints [s], each at its number modulo `SETPOINT_HISTORY`."""
     setpoints: Array
     """Their free joints [rad], shape (SETPOINT_HISTORY, 6)."""
+    references: Array
+    """References of the last two and of the next one [rad], each at its number modulo 3, shape
+    (3, 6)."""
+    lead: Array
+    """Lead of the next one [rad], shape (6,); zero without leads."""
     number: npt.NDArray[np.int64]
     """Number of setpoints sent, shape (1,)."""
     error_time: Array
@@ -100,7 +105,10 @@ def new_trial_monitor(arm: Arm, params: SafetyParams | None) -> TrialSafetyMonit
     size, number, error_time = SETPOINT_HISTORY, np.zeros(1, np.int64), np.zeros(1)
     sent, setpoints = np.zeros(size), np.zeros((size, FREE_JOINTS))
     still, frame = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
-    return TrialSafetyMonitor(active, rules, sent, setpoints, number, error_time, still, frame)
+    references, lead = np.zeros((3, FREE_JOINTS)), np.zeros(FREE_JOINTS)
+    return TrialSafetyMonitor(
+        active, rules, sent, setpoints, references, lead, number, error_time, still, frame
+    )
 
 
 @kernel
@@ -111,6 +119,7 @@ def reset_trial_monitor(monitor: TrialSafetyMonitor, q: Array) -> None:
         monitor.sent[row] = -inf
         for i in range(FREE_JOINTS):
             monitor.setpoints[row, i] = q[i]
+            monitor.references[row, i] = q[i]
     monitor.number[0] = AT_REST_SETPOINTS
     monitor.error_time[0] = 0.0
 
@@ -122,14 +131,19 @@ def setpoint_violation(monitor: TrialSafetyMonitor, q: Array, now: float) -> int
     An accepted setpoint is stored.
 
     Args:
-        monitor: Changed in place.
+        monitor: Holds the setpoint's lead; changed in place.
         q: The free joints [rad], shape (6,).
         now: The time [s].
     """
-    params, setpoints, count = monitor.params, monitor.setpoints, monitor.number[0]
-    last = setpoints[(count - 1) % SETPOINT_HISTORY]
-    before, dt = setpoints[(count - 2) % SETPOINT_HISTORY], params.h / SETPOINTS_PER_TICK
-    code, _, _, _ = safety.broken_setpoint(params.limits, q, last, before, dt)
+    params, lead, count = monitor.params, monitor.lead, monitor.number[0]
+    dt = params.h / SETPOINTS_PER_TICK
+    reference, last = monitor.references[count % 3], monitor.references[(count - 1) % 3]
+    before, setpoints = monitor.references[(count - 2) % 3], monitor.setpoints
+    for i in range(FREE_JOINTS):
+        reference[i] = q[i] - lead[i]
+    code, _, _, _ = safety.broken_setpoint(params.limits, reference, last, before, dt)
+    if code == NO_VIOLATION:
+        code, _, _, _ = safety.broken_lead(params.limits, reference, lead, last, dt)
     if code == NO_VIOLATION:
         monitor.sent[count % SETPOINT_HISTORY] = now
         for i in range(FREE_JOINTS):

@@ -2,7 +2,7 @@
 
 The guard checks each setpoint by the rules of `equipoise.control.safety`. It holds back an invalid
 setpoint and all later ones, and sends its own ramp to rest instead, which starts at the last
-setpoint sent. It never clips a setpoint.
+setpoint sent with the velocity of its reference. It never clips a setpoint.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,7 +29,8 @@ class GuardedRobot:
         """Measured joints at the start of the servo [rad], equal to the first setpoint."""
         self.last: tuple[float, ...] | None = None
         """Last setpoint sent [rad]; None before the first."""
-        self._before: tuple[float, ...] = ()
+        self._references: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+        """References of the last two setpoints [rad], the older one first."""
         self._ramp: Ramp | None = None
         self._sent = 0  # setpoints of the ramp
         self.held_back: str | None = None
@@ -74,12 +75,19 @@ class GuardedRobot:
         self._robot.start()
 
     def send(
-        self, q: Sequence[float] | Array, *, to_rest: bool = False, from_rest: bool = False
+        self,
+        q: Sequence[float] | Array,
+        *,
+        lead: Sequence[float] | Array = (),
+        to_rest: bool = False,
+        from_rest: bool = False,
     ) -> None:
         """Send a setpoint, or the next one of a ramp to rest if the setpoint is invalid.
 
         Args:
             q: The joints [rad], shape (joints,).
+            lead: Their distances from the setpoint's reference [rad], shape (joints,); empty for
+                none.
             to_rest: Whether the setpoint belongs to a ramp to rest inside the limits, so that the
                 stopping distance is not checked.
             from_rest: Whether the arm has come to rest at the last setpoint, because the stream
@@ -90,25 +98,28 @@ class GuardedRobot:
                 measured joints.
         """
         if self._ramp is None:
-            setpoint = tuple(map(float, q))
-            last = self.last
-            if from_rest and last is not None:
-                self._before = last
-            if last is None:
-                before = setpoint
+            setpoint, ahead = tuple(map(float, q)), tuple(map(float, lead))
+            reference = setpoint
+            if ahead:
+                reference = tuple(a - b for a, b in zip(setpoint, ahead, strict=True))
+            if from_rest and self.last is not None:
+                self._references = self.last, self.last
+            before, last = self._references
+            if self.last is None:
+                last = reference
                 if broken := check_first(self._limits, setpoint, self.started_at):
                     self.held_back = broken.reason
                     raise LinkError(f"nothing was sent: {broken.reason}")
             else:
-                before, path = last, (setpoint, last, self._before)
-                if broken := check_setpoint(self._limits, *path, self._period, to_rest):
+                path = reference, last, before
+                if broken := check_setpoint(self._limits, *path, self._period, to_rest, ahead):
                     self.held_back = broken.reason
-                    self._begin_ramp(last)
+                    self._begin_ramp(self.last)
             if self._ramp is None:
                 self._robot.send(setpoint)
-                self._before, self.last = before, setpoint
+                self._references, self.last = (last, reference), setpoint
                 return
-        self._before, self.last = self.last or (), self._upcoming
+        self.last = self._upcoming
         self._sent += 1
         self._robot.send(self.last)
 
@@ -144,7 +155,7 @@ class GuardedRobot:
             yield self._upcoming  # repeated, so that the arm no longer moves
 
     def _begin_ramp(self, last: tuple[float, ...]) -> None:
-        dq = [(b - a) / self._period for a, b in zip(self._before, last, strict=True)]
+        dq = [(b - a) / self._period for a, b in zip(*self._references, strict=True)]
         # The flange speed is not known here: the joints alone determine the ramp.
         self._ramp, self._sent = ramp(last, dq, 0.0, self._limits), 0
 

@@ -270,15 +270,19 @@ def reset(
     block.delay[n] = delayed // cycles
     for i in range(FREE_JOINTS):
         dq, lag = at(memory.dq, i, n), controller.lags[i] * variation.lag_factor
+        # The setpoint that takes effect first; one that leads is ahead of the reference.
+        first = at(memory.q, i, n)
+        if controller.lead:
+            first += steady_error(dq, controller.lags[i], controller.actuator)
         behind = dq * delay + steady_error(dq, lag, controller.actuator)
-        put(block.q, i, n, at(memory.q, i, n) - behind)
+        put(block.q, i, n, first - behind)
         put(block.dq, i, n, dq)
         put(block.share, i, n, lag_share(lag))
         for j in range(SETPOINT_HISTORY):
             row = 6 * ((block.newest[0] - j) % SETPOINT_HISTORY)
-            put(block.setpoints, row + i, n, at(memory.q, i, n) - j * apart * dq)
+            put(block.setpoints, row + i, n, first - j * apart * dq)
         put(block.turn, i, n, float(delayed % cycles))
-        put(block.target, i, n, at(memory.q, i, n) - block.delay[n] * apart * dq)
+        put(block.target, i, n, first - block.delay[n] * apart * dq)
     for i in range(FRAME_SIZE):
         put(block.frame, i, n, at(memory.frame, i, n))
 

@@ -428,6 +428,8 @@ ROBOT: Final = of_kind(
           says="nothing was sent"),
     _held_back("unit slip in the setpoints", "setpoints become degrees, while balancing",
                _setpoint(lambda q, since: tuple(map(degrees, q)))),
+    _held_back("setpoint lead", "setpoints lead their references by 4 deg, while balancing",
+               lambda harness: setattr(harness, "lead", radians(4.0)), "leads its reference"),
 )
 # fmt: on
 
