@@ -47,10 +47,14 @@ def test_the_other_observations_pass_as_well(observe):
         check_env(make(world, observe=observe).unwrapped, skip_render_check=True)
 
 
-@pytest.mark.parametrize("world", WORLDS)
-def test_a_table_in_the_environment_gives_the_trial_of_evaluate_bit_for_bit(world):
+@pytest.mark.parametrize(
+    ("world", "lead"),
+    [*((world, False) for world in WORLDS), ("model", True), ("twin:nominal", True)],
+)
+def test_a_table_in_the_environment_gives_the_trial_of_evaluate_bit_for_bit(world, lead):
     policy = shipped_policy()
-    settings = resolve(overrides=["evaluation.trials=3", "evaluation.duration=1.5"])
+    overrides = ["evaluation.trials=3", "evaluation.duration=1.5", f"controller.lead={lead}"]
+    settings = resolve(overrides=overrides)
     results = evaluate(policy, settings, world=world, seed=SEED, with_baselines=False).results
     setup = setup_of(policy, world, settings)
     simulation = simulate(world, setup, seed=SEED, stream=TEST)

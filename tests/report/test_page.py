@@ -3,6 +3,7 @@
 import re
 import sys
 from base64 import b64encode
+from dataclasses import replace
 from functools import partial
 from html.parser import HTMLParser
 
@@ -176,10 +177,16 @@ def test_the_twin_is_described_with_what_it_has_and_has_not(plain):
         assert claim in words, claim
 
 
-def test_what_the_policy_saw_is_ahead_by_the_horizon_of_the_controller(plain):
-    policy = made_up.results().policy
-    ahead = horizon(policy.arm, policy.actuator, policy.settings.controller.margin)
-    assert f"the state {1e3 * ahead:.0f} ms ahead" in Reader(plain).text
+@pytest.mark.parametrize("lead", [False, True])
+def test_what_the_policy_saw_is_ahead_by_the_horizon_of_the_controller(lead):
+    found = made_up.results()
+    conditions, policy = found.run.conditions, found.policy
+    controller = conditions.settings.controller.model_copy(update={"lead": lead})
+    settings = conditions.settings.model_copy(update={"controller": controller})
+    run = replace(found.run, conditions=conditions.model_copy(update={"settings": settings}))
+    text = Reader(page(found._replace(run=run), PICTURES, FILM, made_up.PROVENANCE)).text
+    ahead = horizon(policy.arm, policy.actuator, controller.margin, lead=lead)
+    assert f"the state {1e3 * ahead:.0f} ms ahead" in text
 
 
 def test_an_arm_without_a_twin_runs_on_the_model_and_the_page_says_so():

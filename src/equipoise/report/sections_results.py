@@ -233,7 +233,7 @@ def _observation(results: Results) -> str:
     lines = " The pale line is the true state, the dark line the policy's observation"
     if not controller.predict or policy.actuator.kind == "ideal":
         return f"{lines}, from the encoder."
-    ahead = horizon(policy.arm, policy.actuator, controller.margin)
+    ahead = horizon(policy.arm, policy.actuator, controller.margin, lead=controller.lead)
     return (
         f"{lines}: the state {1e3 * ahead:.0f} ms ahead, when its command takes effect, predicted "
         "from the encoder and the commands in flight. A good prediction leads by exactly that time."
