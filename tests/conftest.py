@@ -13,7 +13,7 @@ from equipoise.settings import resolve
 from equipoise.training import train
 
 # The first call of a kernel compiles it, which takes seconds: no single example has a deadline.
-hypothesis.settings.register_profile("equipoise", deadline=None)
+hypothesis.settings.register_profile("equipoise", deadline=None, max_examples=50)
 hypothesis.settings.load_profile("equipoise")
 
 

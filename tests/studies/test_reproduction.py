@@ -123,7 +123,16 @@ def test_the_stages_are_told_as_they_go(made):
     assert whole["evaluate"] == (40, "trials")  # eight for the policy and each yardstick
 
 
-@pytest.mark.parametrize("at", ["train", "select", "evaluate", "train paper", "gap"])
+@pytest.mark.parametrize(
+    "at",
+    [
+        pytest.param("train", marks=pytest.mark.slow),
+        "select",
+        "evaluate",
+        pytest.param("train paper", marks=pytest.mark.slow),
+        "gap",
+    ],
+)
 @pytest.mark.usefixtures("with_tiny_gap")
 def test_an_interrupted_reproduction_goes_on_to_the_same_files(made, tmp_path, at):
     made, _ = made
