@@ -639,5 +639,5 @@ IDEAL_ACTUATOR: Final = Actuator.assumed("ideal")
 
 @functools.cache
 def shipped_actuator() -> Actuator:
-    """Load the actuator that ships with Equipoise, identified from the twin `nominal`."""
+    """Load the actuator that ships with Equipoise, identified from the twin `nominal-1`."""
     return Actuator.load(PACKAGE / "data" / "actuator.json")
