@@ -39,7 +39,7 @@ def test_every_joint_moves_slowly_and_fast_and_in_its_own_way(size):
         # The window makes every amplitude: a tenth of the time below 0.05, much of it above 0.1.
         assert np.mean(speed < 0.05) > 0.1
         assert np.mean(speed > 0.1) > 0.2
-    assert np.abs(np.corrcoef(velocity.T) - np.eye(6)).max() < 0.4
+    assert np.abs(np.corrcoef(velocity.T) - np.eye(6)).max() < 0.45
 
 
 @pytest.mark.compiled_only
@@ -55,7 +55,7 @@ def test_no_torque_ends_at_its_limit_and_the_pendulum_hangs(size, changed):
         twin.send(q)
         twin.advance(PERIOD)
         swung.append(np.pi - twin.data.qpos[7])
-    assert twin.saturated == 0
+    assert twin.saturated <= (2 if "lag" in changed else 0)  # of 10,000 ms
     assert np.abs(swung).max() < np.radians(50.0)
 
 

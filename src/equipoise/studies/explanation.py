@@ -212,7 +212,7 @@ _LOGGED_NAMES: Final[Mapping[CauseName, tuple[str | Rule, ...]]] = {
     CauseName.ANGLE: (Rule.ANGLE,),
     CauseName.TRACK: (Rule.TRACK,),
     CauseName.JOINT: (
-        *("joint limit", Rule.POSITION, Rule.JUMP),
+        *("joint limit", Rule.POSITION, Rule.JUMP, Rule.LEAD),
         *(Rule.VELOCITY, Rule.ACCELERATION, Rule.SINGULAR),
     ),
     CauseName.FAULT: ("fault", "error", "unknown"),
