@@ -25,6 +25,7 @@ from equipoise.control.safety import (
     unexplained_turn,
     update_monitor,
 )
+from equipoise.model.actuator import MAX_LEAD
 from equipoise.model.arms.iiwa import iiwa
 
 ARM = iiwa(14)
@@ -137,6 +138,28 @@ def test_only_one_number_per_joint_is_sent(q):
         assert violation is not None
         assert violation.rule is Rule.COUNT
         assert (violation.value, violation.limit) == (len(q), 7)
+
+
+@pytest.mark.parametrize("joint", range(1, 8))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_setpoint_is_near_its_reference(joint, sign):
+    def broken(lead, reference=HOME):
+        ahead = moved((0.0,) * 7, joint, sign * lead)
+        return check_setpoint(LIMITS, reference, reference, reference, DT, lead=ahead)
+
+    assert broken(MAX_LEAD) is None
+    violation = broken(1.01 * MAX_LEAD)
+    assert violation.rule is Rule.LEAD
+    assert (violation.value, violation.limit) == pytest.approx((1.01 * MAX_LEAD, MAX_LEAD))
+    assert f"joint {joint}" in violation.reason
+    assert broken(nan) is not None
+    # The reference is inside the limits, and the setpoint is not.
+    limit = (LIMITS.upper if sign > 0.0 else LIMITS.lower)[joint - 1]
+    near = moved(HOME, joint, limit - sign * 0.01 - HOME[joint - 1])
+    assert broken(0.009, near) is None
+    violation = broken(0.011, near)
+    assert violation.rule is Rule.POSITION
+    assert (violation.value, violation.limit) == pytest.approx((limit + sign * 0.001, limit))
 
 
 @pytest.mark.parametrize("joint", range(1, 8))
