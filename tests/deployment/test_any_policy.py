@@ -2,12 +2,13 @@
 
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from equipoise.control.bound_policy import bind_policy, load_policy
-from equipoise.control.policy import shipped_policy
+from equipoise.control.policy import KernelPolicy, shipped_policy
 from equipoise.control.run_controller import PHASES
 from equipoise.control.states import Phase
 from equipoise.deployment.processes import InterruptedPolicy, PolicyTimeout
@@ -161,6 +162,23 @@ def test_a_late_policys_run_replays_though_its_time_is_not_measured_again(tmp_pa
     _, log = run(bind_policy(failing), tmp_path / "run.mcap", 5.0, failing)
     again = Failing(lambda policy: 0.0)
     assert replay(log, bind_policy(again)).difference is None
+
+
+def test_a_computer_that_stands_still_in_a_compiled_policy_does_not_end_the_run(
+    tmp_path, monkeypatch
+):
+    act, calls, computer = KernelPolicy.act, [], SimpleNamespace()
+
+    def stall_once(self, observation):
+        calls.append(observation)
+        if len(calls) == 50:
+            computer.clock.wait_until(computer.clock.now() + 0.03)
+        return act(self, observation)
+
+    monkeypatch.setattr(KernelPolicy, "act", stall_once)
+    result, log = run(BALANCE, tmp_path / "run.mcap", failing=computer)
+    assert result.cause == "lasted"
+    assert log.tables["tick"]["late"].max() > 0.015
 
 
 # Before and beside the run

@@ -356,7 +356,7 @@ def run_on_rig(
         executor: Executor of long jobs (default: inline).
         idle: Called in each tick, e.g. to drain the rings.
         wrap: Wraps the tick handler; a rehearsal injects its faults there.
-        supervise: Wraps the policy with a limit of its computing time [s].
+        supervise: Wraps a policy without a kernel with a limit of its computing time [s].
 
     Raises:
         InputError: The policy does not fit the rig.
@@ -389,7 +389,9 @@ def run_on_rig(
         if operator.ask(OperatorMessage("move", question, ("y", "n"))) != "y":
             return _unmoved(OPERATOR, "the move was not allowed")
         counts_per_rev = rig.sensor.counts_per_rev
-        policy = supervise(tick_policy(request.policy), POLICY_TIME_SHARE * request.policy.h)
+        policy, kernel = tick_policy(request.policy), request.policy.kernel
+        if kernel is None:
+            policy = supervise(policy, POLICY_TIME_SHARE * request.policy.h)
         rig.sensor.samples()
         robot.start()
         began = rig.clock.now()
@@ -402,7 +404,7 @@ def run_on_rig(
             request.guard(counts_per_rev, max_speed),
             robot.started_at,
             duration=request.duration,
-            clock=rig.clock.now,
+            clock=rig.clock.now if kernel is None else lambda: 0.0,  # it takes the computer's time
             alternatives=request.responses(counts_per_rev, max_speed),
             excitation=request.excitation(counts_per_rev, max_speed),
         )
