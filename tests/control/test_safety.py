@@ -143,9 +143,10 @@ def test_only_one_number_per_joint_is_sent(q):
 @pytest.mark.parametrize("joint", range(1, 8))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_setpoint_is_near_its_reference(joint, sign):
-    def broken(lead, reference=HOME):
-        ahead = moved((0.0,) * 7, joint, sign * lead)
-        return check_setpoint(LIMITS, reference, reference, reference, DT, lead=ahead)
+    def broken(lead, reference=HOME, step=0.0):
+        setpoint = moved(reference, joint, sign * lead)
+        sent = setpoint, moved(setpoint, joint, step)
+        return check_setpoint(LIMITS, reference, reference, reference, DT, setpoints=sent)
 
     assert broken(MAX_LEAD) is None
     violation = broken(1.01 * MAX_LEAD)
@@ -160,6 +161,10 @@ def test_a_setpoint_is_near_its_reference(joint, sign):
     violation = broken(0.011, near)
     assert violation.rule is Rule.POSITION
     assert (violation.value, violation.limit) == pytest.approx((limit + sign * 0.001, limit))
+    # The reference rests, and the setpoint jumps.
+    assert broken(0.01, step=0.999 * safety.STEP_LIMIT) is None
+    violation = broken(0.01, step=-1.001 * safety.STEP_LIMIT)
+    assert (violation.rule, violation.limit) == (Rule.JUMP, safety.STEP_LIMIT)
 
 
 @pytest.mark.parametrize("joint", range(1, 8))

@@ -24,8 +24,8 @@ server then moves on to its last target. The rules keep that target near.
 
 A setpoint is a reference plus a lead, which is zero unless the policy's settings ask for it
 (`equipoise.model.actuator.leading_setpoint`). The arm follows the reference, whose jumps, velocity
-and acceleration are judged. The setpoint is where the arm goes if nothing follows: its lead and its
-position of rest are judged.
+and acceleration are judged. The setpoint is where the arm goes if nothing follows: its lead, its
+jumps and its position of rest are judged.
 """
 
 from collections.abc import Iterator, Sequence
@@ -361,25 +361,26 @@ def check_setpoint(
     before: Sequence[float],
     dt: float,
     to_rest: bool = False,
-    lead: Sequence[float] = (),
+    setpoints: tuple[Sequence[float], Sequence[float]] | None = None,
 ) -> Violation | None:
     """Return the rule that forbids a setpoint, or None.
 
     Args:
         limits: Limits of setpoints.
-        q: The setpoint's reference [rad], shape (n,): the setpoint itself without a lead.
+        q: The setpoint's reference [rad], shape (n,).
         last: The reference before [rad], shape (n,).
         before: The one before that [rad], shape (n,); the same as `last` where the arm is at rest.
         dt: Time between setpoints in the stream [s].
         to_rest: Whether it belongs to a way to rest that ends inside the limits; the stopping
             position is not checked then.
-        lead: The setpoint less its reference [rad], shape (n,); empty for none.
+        setpoints: The setpoint and the one sent before [rad], shape (n,) each; None where they
+            equal their references.
     """
     if invalid := _invalid_numbers(limits, q, "a setpoint"):
         return invalid
     code, joint, value, limit = broken_setpoint(limits, q, last, before, dt, to_rest)
-    if code == NO_VIOLATION and any(lead):
-        code, joint, value, limit = broken_lead(limits, q, lead, last, dt, to_rest)
+    if code == NO_VIOLATION and setpoints is not None:
+        code, joint, value, limit = broken_lead(limits, *setpoints, q, last, dt, to_rest)
     if code == NO_VIOLATION:
         return None
     what = "is" if value == q[joint - 1] else "could only be stopped"
@@ -416,6 +417,22 @@ def _invalid_numbers(limits: Limits, q: Sequence[float], name: str) -> Violation
 
 
 @compilable
+def rest_position(limits: Limits, i: int, q: float, velocity: float) -> float:
+    """Return where joint i stops from q [rad] and a velocity [rad/s] at its acceleration limit."""
+    return q + copysign(0.5 * velocity * velocity / limits.acceleration[i], velocity)
+
+
+@compilable
+def broken_jump(q: Row, last: Row) -> tuple[int, int, float, float]:
+    """Return the first joint that jumps from `last` to `q` [rad], as `broken_setpoint`."""
+    for i in range(len(q)):
+        step = abs(q[i] - last[i])
+        if step > STEP_LIMIT:
+            return JUMP_CODE, i + 1, step, STEP_LIMIT
+    return NO_VIOLATION, 0, 0.0, 0.0
+
+
+@compilable
 def broken_setpoint(
     limits: Limits, q: Row, last: Row, before: Row, dt: float, to_rest: bool = False
 ) -> tuple[int, int, float, float]:
@@ -434,16 +451,13 @@ def broken_setpoint(
     """
     for i in range(len(q)):
         lower, upper = limits.lower[i], limits.upper[i]
-        velocity = (q[i] - last[i]) / dt
-        # Position of rest at the joint's maximum deceleration.
-        rest = q[i] + copysign(0.5 * velocity * velocity / limits.acceleration[i], velocity)
+        rest = rest_position(limits, i, q[i], (q[i] - last[i]) / dt)
         for end in (q[i], q[i] if to_rest else rest):
             if not lower <= end <= upper:
                 return POSITION_CODE, i + 1, end, lower if end < lower else upper
-    for i in range(len(q)):
-        step = abs(q[i] - last[i])
-        if step > STEP_LIMIT:
-            return JUMP_CODE, i + 1, step, STEP_LIMIT
+    code, joint, step, limit = broken_jump(q, last)
+    if code != NO_VIOLATION:
+        return code, joint, step, limit
     for i in range(len(q)):
         speed = abs(q[i] - last[i]) / dt
         if speed > limits.velocity[i] * (1.0 + ROUNDING):
@@ -457,33 +471,32 @@ def broken_setpoint(
 
 @compilable
 def broken_lead(
-    limits: Limits, q: Row, lead: Row, last: Row, dt: float, to_rest: bool = False
+    limits: Limits, q: Row, sent: Row, reference: Row, last: Row, dt: float, to_rest: bool = False
 ) -> tuple[int, int, float, float]:
-    """Return the first rule that a lead breaks: its code, the joint, the value, the limit.
+    """Return the first rule that a setpoint ahead of its reference breaks, as `broken_setpoint`.
 
     Args:
         limits: Limits of setpoints.
-        q: The reference [rad], shape (n,), which breaks no rule.
-        lead: The setpoint less the reference [rad], shape (n,).
+        q: The setpoint [rad], shape (n,).
+        sent: The setpoint before [rad], shape (n,).
+        reference: The setpoint's reference [rad], shape (n,), which breaks no rule.
         last: The reference before [rad], shape (n,).
         dt: Time between setpoints in the stream [s].
         to_rest: Whether it belongs to a way to rest that ends inside the limits.
-
-    Returns:
-        As `broken_setpoint`.
     """
     for i in range(len(q)):
-        velocity = 0.0 if to_rest else (q[i] - last[i]) / dt
-        ahead = copysign(0.5 * velocity * velocity / limits.acceleration[i], velocity)
-        lower, upper = limits.lower[i], limits.upper[i]
-        for end in (q[i] + lead[i], q[i] + lead[i] + ahead):
-            if lead[i] != 0.0 and not lower <= end <= upper:
-                return POSITION_CODE, i + 1, end, lower if end < lower else upper
-    for i in range(len(q)):
+        lead = q[i] - reference[i]
+        if lead == 0.0:
+            continue
         # Written so that NaN breaks the rule.
-        if not abs(lead[i]) <= MAX_LEAD * (1.0 + ROUNDING):
-            return LEAD_CODE, i + 1, abs(lead[i]), MAX_LEAD
-    return NO_VIOLATION, 0, 0.0, 0.0
+        if not abs(lead) <= MAX_LEAD * (1.0 + ROUNDING):
+            return LEAD_CODE, i + 1, abs(lead), MAX_LEAD
+        lower, upper = limits.lower[i], limits.upper[i]
+        rest = rest_position(limits, i, q[i], (reference[i] - last[i]) / dt)
+        for end in (q[i], q[i] if to_rest else rest):
+            if not lower <= end <= upper:
+                return POSITION_CODE, i + 1, end, lower if end < lower else upper
+    return broken_jump(q, sent)
 
 
 # The run.

@@ -143,7 +143,8 @@ def setpoint_violation(monitor: TrialSafetyMonitor, q: Array, now: float) -> int
         reference[i] = q[i] - lead[i]
     code, _, _, _ = safety.broken_setpoint(params.limits, reference, last, before, dt)
     if code == NO_VIOLATION:
-        code, _, _, _ = safety.broken_lead(params.limits, reference, lead, last, dt)
+        sent = setpoints[(count - 1) % SETPOINT_HISTORY]
+        code, _, _, _ = safety.broken_lead(params.limits, q, sent, reference, last, dt)
     if code == NO_VIOLATION:
         monitor.sent[count % SETPOINT_HISTORY] = now
         for i in range(FREE_JOINTS):

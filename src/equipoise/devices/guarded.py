@@ -111,8 +111,8 @@ class GuardedRobot:
                     self.held_back = broken.reason
                     raise LinkError(f"nothing was sent: {broken.reason}")
             else:
-                path = reference, last, before
-                if broken := check_setpoint(self._limits, *path, self._period, to_rest, ahead):
+                path, sent = (reference, last, before), (setpoint, self.last)
+                if broken := check_setpoint(self._limits, *path, self._period, to_rest, sent):
                     self.held_back = broken.reason
                     self._begin_ramp(self.last)
             if self._ramp is None:
