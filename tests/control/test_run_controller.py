@@ -96,7 +96,7 @@ class Course:
         self.sent = [(-1.0, tuple(q))]
         self.leads = [(0.0,) * 7]
         self.told = []
-        self.answers, self.result = [], None
+        self.answers, self.result, self.verdicts = [], None, []
         self.link_dead = self.encoder_dead = False
         self.answered = self.seen = 0
 
@@ -157,6 +157,8 @@ class Course:
         if output.job is not None:
             tests = self.pilot.phase is Phase.SELF_TEST
             self.result = SOUND if tests else executed(output.job)
+            if tests and self.verdicts:
+                self.result = SOUND._replace(verdict=self.verdicts.pop())
         for event in output.events:
             if event.answers:
                 self.answers = [event.answers[0]]
@@ -396,6 +398,17 @@ def test_a_self_test_that_stood_still_ends_at_rest():
     for _ in range(120):
         course.tick()
     assert course.sent[-1][1] == pytest.approx(course.sent[-3][1], abs=1e-9)
+
+
+def test_a_self_test_swings_four_times_at_most():
+    course = Course()
+    course.verdicts = 3 * [SelfTestVerdict.REPEAT]
+    course.until(Phase.LIFTING, 60.0)
+    assert course.told.count("self-test") == 4
+    course = Course()
+    course.verdicts = 4 * [SelfTestVerdict.REPEAT]
+    course.until(Phase.STOPPING, 60.0)
+    assert course.cause == "self-test"
 
 
 @pytest.mark.parametrize("stalled", [False, True])

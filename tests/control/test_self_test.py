@@ -207,16 +207,26 @@ def with_nan(values):
         (lambda t, c, s, x, r: (t, c[1:], s, x, r), "samples"),
         (lambda t, c, s, x, r: (t[:100], c[:100], s, x, r), "samples"),
         (lambda t, c, s, x, r: (t[t < 2.5], c[t < 2.5], s, x, r), "observed"),
-        (
-            lambda t, c, s, x, r: (t[(t < 1) | (t > 1.1)], c[(t < 1) | (t > 1.1)], s, x, r),
-            "gap",
-        ),
     ],
 )
 def test_what_cannot_be_judged_is_not_understood(change, word):
     verdict, reason = changed(change)
     assert verdict is SelfTestVerdict.NOT_UNDERSTOOD
     assert word in reason
+
+
+def test_samples_with_a_gap_ask_for_another_swing():
+    def without(begin, end):
+        def change(t, c, s, x, r):
+            kept = (t < begin) | (t > end)
+            return t[kept], c[kept], s, x, r
+
+        return change
+
+    assert changed(without(1.0, 1.04))[0] is SelfTestVerdict.PASSED
+    verdict, reason = changed(without(1.0, 1.1))
+    assert verdict is SelfTestVerdict.REPEAT
+    assert "gap of 10" in reason
 
 
 def test_a_pendulum_moved_by_hand_is_not_understood():

@@ -93,7 +93,7 @@ class SelfTestVerdict(Enum):
     PASSED = "passed"
     """The response is that of the model, and the zero is known."""
     REPEAT = "repeat"
-    """The response is that of the model, but the zero's interval is too wide: repeat the swing."""
+    """The zero's interval is too wide, or samples have a gap: repeat the swing."""
     SIGN = "encoder sign"
     """The sign of the counts is wrong, or the pendulum is mounted the other way round."""
     COUNTS = "counts factor"
@@ -185,6 +185,10 @@ def self_test(
     problem = _unusable(time, counts, pivot_time, pivot_x)
     if problem:
         return _not_understood(problem)
+    gap = max(float(np.max(np.diff(time))), float(np.max(np.diff(pivot_time))))
+    if gap > MAX_SAMPLE_GAP:
+        reason = f"samples have a gap of {1e3 * gap:.0f} ms, expected {1e3 * MAX_SAMPLE_GAP:g} ms"
+        return _not_understood(reason, SelfTestVerdict.REPEAT)
     angle = (counts - resting) * (2.0 * pi / counts_per_rev)
     answer = float(np.std(angle))
     if answer < MIN_RESPONSE:
@@ -208,9 +212,6 @@ def _unusable(time: Array, counts: Array, pivot_time: Array, pivot_x: Array) -> 
             return f"the {name} gave values that are not finite numbers"
         if not np.all(np.diff(times) > 0.0):
             return f"the times of the {name} do not increase"
-    gap = max(float(np.max(np.diff(time))), float(np.max(np.diff(pivot_time))))
-    if gap > MAX_SAMPLE_GAP:
-        return f"there is a gap of {1e3 * gap:.0f} ms, expected at most {1e3 * MAX_SAMPLE_GAP:g} ms"
     moved = float(np.ptp(pivot_x))
     if not MIN_MOVE_SHARE * MOVE_DISTANCE < moved < 2.0 * MOVE_DISTANCE:
         expected = f"expected {1e3 * MOVE_DISTANCE:g} mm"
@@ -395,8 +396,8 @@ def _verdict(result: SelfTest, known_w2: float, delay: float) -> tuple[SelfTestV
     return SelfTestVerdict.PASSED, "the pendulum answers as the model says"
 
 
-def _not_understood(reason: str) -> SelfTest:
+def _not_understood(
+    reason: str, verdict: SelfTestVerdict = SelfTestVerdict.NOT_UNDERSTOOD
+) -> SelfTest:
     unknown = ParameterInterval(float("nan"), float("inf"))
-    return SelfTest(
-        SelfTestVerdict.NOT_UNDERSTOOD, reason, unknown, unknown, unknown, unknown, float("nan")
-    )
+    return SelfTest(verdict, reason, unknown, unknown, unknown, unknown, float("nan"))
