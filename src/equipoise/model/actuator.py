@@ -549,7 +549,8 @@ class Actuator(Artefact):
     delay: Estimate
     """Transport delay from sending a setpoint to its effect [s]."""
     lags: Annotated[tuple[Estimate, ...], Field(min_length=FREE_JOINTS, max_length=FREE_JOINTS)]
-    """Time constant T of the drive of each free joint, without the load that it notices [s]."""
+    """Time constant T of each free joint [s]: with what it carries, but for a last joint with
+    `drive_inertia`, whose drive alone it is."""
     cycle: Estimate
     """t_c of the servo, for `unshaped` and `kst` [s]."""
     amplitude: float = Field(default=AMPLITUDE, ge=1e-6, le=10.0)
