@@ -432,7 +432,8 @@ def test_a_stop_keeps_the_lead_and_goes_on_from_the_setpoint(stalled):
     references = q - leads
     for i in range(2, moving if stalled else len(q)):
         assert check_setpoint(course.guard.limits, references[i], references[i - 1],
-                              references[i - 2], 0.005, i >= moving, (q[i], q[i - 1])) is None  # fmt: skip
+                              references[i - 2], 0.005, i >= moving,
+                              (q[i], q[i - 1])) is None  # fmt: skip
     if stalled:  # the arm rests at its last setpoint, which is the reference from now on
         assert not leads[moving:].any()
         assert q[moving] == pytest.approx(rested, abs=1e-4)

@@ -6,18 +6,19 @@
 
 from collections.abc import Callable, Sequence
 from math import asin, ceil, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import kernel
-from equipoise.control.boxes import box_index, partition
+from equipoise.compiled import handle, kernel
+from equipoise.control.boxes import Boxes, box_index, partition
 from equipoise.control.clik import manipulability
 from equipoise.control.control_step import (
     HISTORY_TICKS,
     SETPOINTS_PER_TICK,
     ControllerParams,
+    ControllerState,
     advance_arm_model,
     command,
     new_controller_state,
@@ -61,14 +62,63 @@ class StateEstimate(NamedTuple):
     """Displacement of the flange from home [m]."""
 
 
+ControllerHandle: Any = handle("ControllerHandle", __name__, ("params", "state", "boxes"))
+
+
+@kernel
+def new_controller_handle(params: ControllerParams, state: ControllerState, boxes: Boxes) -> Any:
+    """Return a controller that kernels take by reference."""
+    return ControllerHandle(params, state, boxes)
+
+
+@kernel
+def observe_tick(controller: Any, encoder_age: float, reply_age: float) -> None:
+    """Compute the observation; see `control_step.observe`."""
+    observe(controller.params, controller.state, encoder_age, reply_age, 1)
+
+
+@kernel
+def command_tick(controller: Any) -> None:
+    """Compute the setpoints from u; see `control_step.command`."""
+    command(controller.params, controller.state, 1)
+
+
+@kernel
+def hold_tick(controller: Any) -> None:
+    """Advance the model of the arm towards the last setpoints."""
+    advance_arm_model(controller.params, controller.state, False, 1)
+
+
+@kernel
+def observed_box(controller: Any) -> int:
+    """Return the box of the observation."""
+    seen = controller.state.observation
+    return box_index(
+        at(seen, 0, 0), at(seen, 1, 0), at(seen, 2, 0), at(seen, 3, 0), controller.boxes
+    )
+
+
 class Controller:
     """A controller with its state."""
 
     def __init__(self, arm: Arm, controller: ControllerParams, boxes: BoxSettings) -> None:
         """Begin at home, at rest."""
         self._arm, self._controller = arm, controller
-        self._boxes = partition(boxes, controller.pendulum.k)
-        self._state = new_controller_state()
+        self._state, edges = new_controller_state(), partition(boxes, controller.pendulum.k)
+        # By whether there are counts and measured joints: without, the model is not corrected.
+        self._handles = {
+            (counts, joints): new_controller_handle(
+                controller._replace(
+                    gains=controller.gains if counts else (0.0, 0.0, 0.0),
+                    correction=controller.correction if joints else 0.0,
+                ),
+                self._state,
+                edges,
+            )
+            for counts in (False, True)
+            for joints in (False, True)
+        }
+        self._handle = self._handles[True, True]
         self._free = list(arm.free)
         self._home_x = float(controller.home_reference[POSITION])
         # A tick in the past needs the motion from its delay, and the age of its sample, before it.
@@ -129,14 +179,11 @@ class Controller:
             sample: Counts and their age [s].
             reply_age: Age of the measured joints [s].
         """
-        params, state, age = self._controller, self._state, 0.0
-        if sample is None:
-            params = params._replace(gains=(0.0, 0.0, 0.0))
-        else:
+        state, age = self._state, 0.0
+        if sample is not None:
             state.counts[0], age = sample
-        if reply_age is None:
-            params = params._replace(correction=0.0)
-        observe(params, state, age, reply_age or 0.0, 1)
+        handle = self._handles[sample is not None, reply_age is not None]
+        observe_tick(handle, age, 0.0 if reply_age is None else reply_age)
         if sample is not None:
             self._confirmed[:], self._blind = state.estimate, back
 
@@ -169,7 +216,7 @@ class Controller:
 
     def hold(self) -> None:
         """Advance the model of the arm by a tick, towards the last setpoints."""
-        advance_arm_model(self._controller, self._state, False, 1)
+        hold_tick(self._handle)
 
     @property
     def observation(self) -> Observation:
@@ -188,14 +235,14 @@ class Controller:
     @property
     def box(self) -> int:
         """Box of the observation."""
-        return int(box_index(*self.observation, self._boxes))
+        return int(observed_box(self._handle))
 
     def command(self, u: float) -> tuple[tuple[float, ...], ...]:
         """Accelerate the flange by u [m/s^2] over a tick, and return its setpoints [rad]."""
         state = self._state
         self._model[0][:], self._model[1][:] = state.model_q, state.model_dq
         state.u[0] = u
-        command(self._controller, state, 1)
+        command_tick(self._handle)
         setpoints = state.setpoints.reshape(SETPOINTS_PER_TICK, -1)
         return tuple(self._all_joints(self._arm.home, setpoint) for setpoint in setpoints)
 
@@ -257,17 +304,33 @@ class FlangeKinematics:
 
     def __init__(self, arm: Arm, controller: ControllerParams) -> None:
         """Allocate the blocks of a pose."""
-        self._controller, self._free = controller, list(arm.free)
-        self._q, self._dq = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FREE_JOINTS * BATCH_SIZE)
-        self._frame = np.zeros(FRAME_SIZE * BATCH_SIZE)
+        self._free, self._q = list(arm.free), np.zeros(FREE_JOINTS * BATCH_SIZE)
+        dq, frame = np.zeros(FREE_JOINTS * BATCH_SIZE), np.zeros(FRAME_SIZE * BATCH_SIZE)
+        self._handle = new_flange_handle(
+            controller.kinematics, self._q, dq, frame, controller.home_reference
+        )
 
     def pose(self, q: Sequence[float]) -> FlangePose:
         """Return the pose of the flange at measured joints, all of them [rad]."""
         self._q[::BATCH_SIZE] = [q[joint] for joint in self._free]
-        kinematics, home = self._controller.kinematics, self._controller.home_reference
-        return FlangePose(
-            *map(float, flange_pose(kinematics, self._q, self._dq, self._frame, home))
-        )
+        return FlangePose(*map(float, pose_by_reference(self._handle)))
+
+
+FlangeHandle: Any = handle("FlangeHandle", __name__, ("kinematics", "q", "dq", "frame", "home"))
+
+
+@kernel
+def new_flange_handle(
+    kinematics: KinematicsFunction, q: Array, dq: Array, frame: Array, home: Array
+) -> Any:
+    """Return the arguments of `flange_pose` as one that kernels take by reference."""
+    return FlangeHandle(kinematics, q, dq, frame, home)
+
+
+@kernel
+def pose_by_reference(flange: Any) -> tuple[float, float, float, float]:
+    """Return the entries of `FlangePose`; see `flange_pose`."""
+    return flange_pose(flange.kinematics, flange.q, flange.dq, flange.frame, flange.home)
 
 
 @kernel

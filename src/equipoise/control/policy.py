@@ -10,7 +10,7 @@ Compiled loops call the kernel `act` with a `PolicyKernel`; a policy without one
 import functools
 from importlib import resources
 from math import floor
-from typing import Annotated, ClassVar, Final, NamedTuple, Protocol, Self
+from typing import Annotated, Any, ClassVar, Final, NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from equipoise import paper
 from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Share, Value, value_digest
-from equipoise.compiled import inlined, kernel
+from equipoise.compiled import handle, inlined, kernel
 from equipoise.control import boxes
 from equipoise.control.boxes import Boxes, box_count, box_index
 from equipoise.model.actuator import Actuator
@@ -174,13 +174,34 @@ def table_kernel(u_of_box: Array, partition: Boxes) -> PolicyKernel:
     return PolicyKernel(TABLE, np.array(u_of_box), boxes=partition)
 
 
+PolicyHandle: Any = handle("PolicyHandle", __name__, ("kernel",))
+
+
+@kernel
+def new_policy_handle(kernel: PolicyKernel) -> Any:
+    """Return a policy that kernels take by reference."""
+    return PolicyHandle(kernel)
+
+
+@kernel
+def act_by_reference(
+    policy: Any, x: float, x_dot: float, phi: float, phi_dot: float, chance: float
+) -> float:
+    """Return the acceleration that a policy commands; see `act`."""
+    return act(policy.kernel, x, x_dot, phi, phi_dot, chance)
+
+
 class KernelPolicy:
     """A policy for compiled loops, called from Python."""
 
     def __init__(self, kernel: PolicyKernel) -> None:
         """Wrap `kernel`."""
-        self.kernel = kernel
+        self.kernel, self._handle = kernel, new_policy_handle(kernel)
         self._tick = 0
+
+    def __reduce__(self) -> tuple[type["KernelPolicy"], tuple[PolicyKernel]]:
+        """Make it anew in another process: a reference cannot go there."""
+        return KernelPolicy, (self.kernel,)
 
     @property
     def digest(self) -> str:
@@ -200,7 +221,7 @@ class KernelPolicy:
             chance = uniform(philox(0, self._tick, 0, 0, DEPLOYMENT)[0], 0.0, 1.0)
             self._tick += 1
         x, x_dot, phi, phi_dot = observation.tolist()
-        return float(act(self.kernel, x, x_dot, phi, phi_dot, chance))
+        return float(act_by_reference(self._handle, x, x_dot, phi, phi_dot, chance))
 
 
 def tick_policy(policy: TaskPolicy) -> Policy:
