@@ -2,7 +2,7 @@
 
 PYTHON ?= python
 # Tests that take seconds, compiled or not: the lower rooms, without the fits of whole recordings.
-QUICK = $(filter-out tests/test_identification.py, $(wildcard tests/test_*.py)) \
+QUICK = $(filter-out tests/test_identification%.py tests/test_bench.py, $(wildcard tests/test_*.py)) \
         tests/model tests/control
 # Tests of the modules in which every branch has to be tested: [tool.coverage.run] names these.
 COVERING = $(patsubst %,tests/control/test_%.py,safety trial_safety dropouts states stop release) \
