@@ -2,7 +2,7 @@
 
 Trials start as after a release by hand and run on plants that vary around the policy's pendulum:
 on the paper's plant (world `ideal`), on the plant of the training with the identified actuator
-(`model`), or on a digital twin (`twin:...`). Any policy runs in any world. Test seeds serve no
+(`model`), on a digital twin (`twin:...`), or in CoppeliaSim (`coppeliasim://...`). Any policy runs in any world. Test seeds serve no
 other purpose, trial i is the same for every policy, and the baselines run the same trials.
 """
 
@@ -116,7 +116,7 @@ class Evaluation(Viewable, Artefact):
     world: Name
     """World of the trials."""
     world_settings: TwinSettings | None
-    """Numbers of the twin; `None` on a plant."""
+    """Numbers of the twin; `None` on a plant or a kinematic arm."""
     arm: Name
     """Name of the arm."""
     arm_digest: Name
@@ -206,6 +206,7 @@ def evaluate(
         key = _CacheKey(
             name=name,
             policy=digest,
+            place=place,
             world=numbers,
             arm=arm,
             actuators=responses,
@@ -256,6 +257,7 @@ class _CacheKey(Value):
 
     name: str
     policy: str
+    place: str
     world: TwinSettings | None
     arm: Arm
     actuators: tuple[str, ...]

@@ -24,9 +24,9 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.random import ENVIRONMENT, TEST
-from equipoise.model.sim_configs import IDEAL, MODEL, World
+from equipoise.model.sim_configs import MODEL, World
 from equipoise.settings import LearningSettings, Settings
-from equipoise.simulation import Setup, Trial, estimated, predicted, simulate
+from equipoise.simulation import Setup, Trial, estimated, has_ideal_arm, predicted, simulate
 
 if TYPE_CHECKING:
     from equipoise.envs.rig import RigEpisode
@@ -103,7 +103,7 @@ class BalanceEnv(gym.Env[Array, Any]):
 
     | argument | default | meaning |
     | --- | --- | --- |
-    | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, or `rig` |
+    | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, `coppeliasim://HOST:PORT`, or `rig` |
     | `observe` | `"predicted"` | see above |
     | `duration` | 60.0 | length of an episode [s] |
     | `reward` | the paper's | see above |
@@ -162,9 +162,9 @@ class BalanceEnv(gym.Env[Array, Any]):
             )
         if not on_a_rig and (robot or encoder or rig or log or operator):
             raise InputError("robot, encoder, rig, log and operator belong to world='rig'")
-        if observe == "raw" and world == IDEAL:
+        if observe == "raw" and has_ideal_arm(world):
             raise InputError(
-                "the world ideal has no encoder: there are no raw measurements; choose model or a "
+                f"the world {world} has no encoder: there are no raw measurements; choose model or a "
                 "twin, or observe='predicted'"
             )
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -173,7 +173,7 @@ class BalanceEnv(gym.Env[Array, Any]):
             pendulum or shipped_pendulum(),
             arm or iiwa(7),
             settings or Settings(),
-            (IDEAL_ACTUATOR if world == IDEAL else actuator or shipped_actuator(),),
+            (IDEAL_ACTUATOR if has_ideal_arm(world) else actuator or shipped_actuator(),),
             paper.STEP,
         )
         self._observe, self._duration, self._reward = observe, duration, reward

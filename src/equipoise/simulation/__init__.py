@@ -5,6 +5,7 @@ from equipoise.learning.closed_loop import make_loop_params
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.sim_configs import IDEAL, MODEL, TwinSettings, World, read_world
 from equipoise.settings import Settings
+from equipoise.simulation.coppeliasim.address import is_address, read_address
 from equipoise.simulation.interface import (
     ClosedLoop,
     Measurement,
@@ -30,6 +31,7 @@ __all__ = [
     "Trials",
     "available_cores",
     "estimated",
+    "has_ideal_arm",
     "find_world",
     "predicted",
     "run_trial",
@@ -39,14 +41,27 @@ __all__ = [
 
 
 def find_world(world: str | World) -> tuple[str, TwinSettings | None]:
-    """Return the name of a world and the parameters of a digital twin; `None` for a plant.
+    """Return the name of a world and its numbers of a digital twin; `None` for an ideal arm or plant.
 
     Raises:
         SettingsError: The world does not exist.
     """
     if isinstance(world, str) and world in (IDEAL, MODEL):
         return world, None
+    if isinstance(world, str) and is_address(world):
+        return world, read_address(world).numbers
     return world if isinstance(world, World) else read_world(world)
+
+
+def has_ideal_arm(world: str | World) -> bool:
+    """Return whether the arm of a world has no delay, and its state is measured exactly.
+
+    Raises:
+        SettingsError: The world is an address of CoppeliaSim with an error.
+    """
+    if isinstance(world, str) and is_address(world):
+        return read_address(world).engine is None
+    return world == IDEAL
 
 
 def setup_of(
@@ -57,10 +72,11 @@ def setup_of(
 ) -> Setup:
     """Return the setup of a policy in a world; settings and actuator replace those of its task.
 
-    In the world `ideal` the arm has no delay, also with a given actuator.
+    In the world `ideal`, and with the kinematic arm of CoppeliaSim, the arm has no delay, also with
+    a given actuator.
     """
     carried = policy.actuators if actuator is None else (actuator,)
-    responses = (IDEAL_ACTUATOR,) if world == IDEAL else carried
+    responses = (IDEAL_ACTUATOR,) if has_ideal_arm(world) else carried
     return Setup(policy.pendulum, policy.arm, settings or policy.settings, responses, policy.h)
 
 
@@ -68,16 +84,22 @@ def simulate(world: str | World, setup: Setup, *, seed: int, stream: int) -> Sim
     """Return the simulation of a world.
 
     Args:
-        world: `ideal`, the paper's plant; `model`, the plant behind the actuator; or a digital
-            twin, by name or with its parameters.
+        world: `ideal`, the paper's plant; `model`, the plant behind the actuator; a digital twin,
+            by name or with its parameters; or `coppeliasim://HOST:PORT`, a running CoppeliaSim.
         setup: Pendulum, arm and controller.
         seed: Master seed.
         stream: Purpose of the trials.
 
     Raises:
         ArmError: The masses of a twin's arm are unknown, or home is a singular posture.
+        LinkError: No CoppeliaSim answers at the address.
+        MissingExtraError: The client of CoppeliaSim is not installed.
         SettingsError: The world does not exist, or the delay exceeds the controller's history.
     """
+    if isinstance(world, str) and is_address(world):
+        from equipoise.simulation.coppeliasim.world import CoppeliaSimulation
+
+        return CoppeliaSimulation(read_address(world), setup, seed=seed, stream=stream)
     _, numbers = find_world(world)
     if numbers is not None:
         from equipoise.simulation.twin import TwinSimulation

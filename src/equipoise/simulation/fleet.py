@@ -18,6 +18,7 @@ from numba.typed import List
 from equipoise.compiled import handle, kernel
 from equipoise.control.boxes import TRUNCATED
 from equipoise.control.control_step import EST_PHI, EST_PHI_DOT, EST_PIVOT_V, EST_X
+from equipoise.errors import InputError
 from equipoise.learning.closed_loop import measure, new_batch_state
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE, at
@@ -100,7 +101,15 @@ def new_fleet(simulation: Simulation, count: int, workers: int) -> Fleet:
         simulation: The world.
         count: Number of loops.
         workers: Largest number of threads; the results do not depend on it.
+
+    Raises:
+        InputError: The world has fewer loops.
     """
+    if count > simulation.MOST_LOOPS:
+        raise InputError(
+            f"{count} environments at once, and this world has {simulation.MOST_LOOPS}; start as "
+            "many of it, or take another world"
+        )
     if isinstance(simulation, PlantSimulation):
         return PlantFleet(simulation, count, workers)
     return LoopFleet([simulation.loop() for _ in range(count)], workers)

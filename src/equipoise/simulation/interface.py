@@ -9,7 +9,7 @@ by (seed, trial, tick): a trial has the same bits either way.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from math import nan
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,8 @@ from equipoise.settings import Settings
 from equipoise.simulation.trials import Trial, Trials, run_over_cores
 
 Array = npt.NDArray[np.float64]
+MANY: Final = 1_000_000
+"""Number of closed loops that a world without a limit may have."""
 Finished = Callable[[Sequence[int]], None]
 """Receives the rows of trials that have just finished; called from any thread."""
 
@@ -118,6 +120,8 @@ class Simulation(ABC):
 
     BATCH: ClassVar[int] = 1
     """Number of trials that advance together."""
+    MOST_LOOPS: ClassVar[int] = MANY
+    """Largest number of closed loops that advance side by side."""
     PIECE: ClassVar[int]
     """Maximum number of trials that a thread takes at a time; a multiple of `BATCH`."""
     seed: int

@@ -39,6 +39,8 @@ DRY_SHARE: Final = 0.999
 TOLERANCE: Final = 1e-14
 """Tolerance of the solver. MuJoCo's 1e-8 is relative to the inertia of the whole arm; the dry
 friction of a pendulum of 0.15 kg can be smaller and would be lost."""
+DIAGONAL: Final = (0, 3, 5)
+"""Numbers of xx, yy and zz among the entries of an inertia."""
 SOLVER_BYTES: Final = 1 << 17
 """Memory of the solver [bytes]; a chain without contacts needs little."""
 
@@ -73,10 +75,9 @@ def set_pendulum(model: Any, data: Any, pendulum: PendulumParameters) -> None:
     """
     body, phi = model.nbody - 1, model.nv - 1
     m = model.body_mass[body]
-    l = rod_centre(pendulum.w2)
-    I = m * GRAVITY * l / pendulum.w2
-    across, along = I - m * l**2, 0.5 * m * SIZES.rod**2
-    model.body_ipos[body], model.body_inertia[body] = (0.0, 0.0, l), (across, across, along)
+    rod = rod_inertial(pendulum.w2, m)
+    I = m * GRAVITY * rod.com[2] / pendulum.w2
+    model.body_ipos[body], model.body_inertia[body] = rod.com, np.take(rod.inertia, DIAGONAL)
     # MuJoCo's torque is -(damping + dampingpoly |rate|) rate.
     model.dof_damping[phi], model.dof_dampingpoly[phi, 0] = pendulum.c * I, pendulum.drag * I
     model.dof_frictionloss[phi] = pendulum.coulomb * I
@@ -91,7 +92,7 @@ def _loaded(arm: Arm, outward: float, bracket: float, m: float) -> Any:
     arm = arm.model_copy(update={"pivot": pivot(arm, outward)})
     spec = _weighed(arm)
     if bracket > 0.0:
-        _weigh(spec.body("flange"), _bar(bracket, np.array(arm.pivot)))
+        _weigh(spec.body("flange"), bar_inertial(bracket, np.array(arm.pivot)))
     l, along = 0.5 * SIZES.rod_length, 0.5 * m * SIZES.rod**2
     inertia = (m * l**2 / 3.0, 0.0, 0.0, m * l**2 / 3.0, 0.0, along)
     rod = Inertial(name="pendulum", mass=m, com=(0.0, 0.0, l), inertia=inertia)
@@ -109,6 +110,32 @@ def rod_centre(w2: float) -> float:
         w2: w2 of the rod as a pendulum [1/s^2].
     """
     return 3.0 * GRAVITY / (4.0 * w2)
+
+
+def rod_inertial(w2: float, mass: float) -> Inertial:
+    """Return the inertial of a uniform rod, from its pivot upwards along z.
+
+    Args:
+        w2: w2 of the rod as a pendulum [1/s^2].
+        mass: Its mass [kg].
+    """
+    l = rod_centre(w2)
+    across, along = mass * GRAVITY * l / w2 - mass * l**2, 0.5 * mass * SIZES.rod**2
+    inertia = (across, 0.0, 0.0, across, 0.0, along)
+    return Inertial(name="pendulum", mass=mass, com=(0.0, 0.0, l), inertia=inertia)
+
+
+def bar_inertial(mass: float, end: Floats) -> Inertial:
+    """Return the inertial of a bar as thick as the bracket.
+
+    Args:
+        mass: Its mass [kg].
+        end: Its end in the frame in which it starts [m], shape (3,).
+    """
+    slender = (end @ end * np.eye(3) - np.outer(end, end)) / 12.0
+    inertia = mass * (slender + SIZES.bracket**2 / 4.0 * np.eye(3))
+    x, y, z = (0.5 * end).tolist()
+    return Inertial(name="bracket", mass=mass, com=(x, y, z), inertia=inertia_entries(inertia))
 
 
 def pivot(arm: Arm, outward: float) -> Triple:
@@ -171,14 +198,6 @@ def _weighed(arm: Arm) -> Any:
         hinge.solref_limit = [END_TIME, 1.0]
         _weigh(body, link)
     return spec
-
-
-def _bar(mass: float, end: Floats) -> Inertial:
-    """Return the inertial of a bar, as thick as the bracket, from a frame's origin to `end` [m]."""
-    slender = (end @ end * np.eye(3) - np.outer(end, end)) / 12.0
-    inertia = mass * (slender + SIZES.bracket**2 / 4.0 * np.eye(3))
-    x, y, z = (0.5 * end).tolist()
-    return Inertial(name="bracket", mass=mass, com=(x, y, z), inertia=inertia_entries(inertia))
 
 
 def _weigh(body: Any, link: Inertial) -> None:

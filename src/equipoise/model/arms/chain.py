@@ -55,7 +55,7 @@ def links(arm: "Arm") -> tuple[Link, ...]:
         if number == arm.held_joint:
             rotation = rotation @ rotation_about(np.array(joint.axis), arm.held_angle)
         else:
-            along_z = _turned_to(np.array(joint.axis))
+            along_z = turned_to(np.array(joint.axis))
             chain.append(Link(_exact(rotation @ along_z), offset))
             rotation, offset = along_z.T, np.zeros(3)
     offset = offset + rotation @ arm.flange_xyz
@@ -93,7 +93,7 @@ def _exact(R: Floats) -> Floats:
     return np.where(np.abs(R - np.round(R)) < ROUNDING, np.round(R) + 0.0, R)
 
 
-def _turned_to(axis: Floats) -> Floats:
+def turned_to(axis: Floats) -> Floats:
     """Return the smallest rotation that takes z to `axis`."""
     x, y, z = axis / np.linalg.norm(axis)
     across = np.array([-y, x, 0.0])  # z cross axis

@@ -1,0 +1,1 @@
+"""Trials in CoppeliaSim, the successor of the paper's V-REP: worlds `coppeliasim://HOST:PORT`."""

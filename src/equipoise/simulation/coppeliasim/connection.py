@@ -1,0 +1,163 @@
+"""Calls to CoppeliaSim through its own client, `coppeliasim-zmqremoteapi-client`.
+
+The client (2.0.4) waits for ever for a server that does not answer, cannot encode an integer of
+NumPy, raises a bare `Exception` for an error of CoppeliaSim, and writes a name into `__main__`.
+`Connection` sets limits of time, converts arguments to numbers of Python, and raises the errors of
+Equipoise.
+"""
+
+import sys
+import time
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, Final
+
+import numpy as np
+
+from equipoise.artefacts import shortened
+from equipoise.errors import InputError, LinkError, MissingExtraError, OutsideError
+from equipoise.printable import printable
+
+PATIENCE: Final = 10.0
+"""Longest wait for an answer [s]; CoppeliaSim answers within a step of its simulation, or within a
+pass of its idle loop, an eighth of a second."""
+IDLE: Final = 86400.0
+"""Time after which CoppeliaSim forgets a client that is silent [s]; its default is ten minutes."""
+MARKS: Final = {"_=NL=_": "\n", "_=TB=_": "\t"}
+"""Marks in an error of CoppeliaSim for line breaks and tabs."""
+LONGEST: Final = 300
+"""Largest number of characters that a message quotes of an error of CoppeliaSim."""
+
+
+class Connection:
+    """Connection to a CoppeliaSim that runs its ZeroMQ remote API."""
+
+    def __init__(self, host: str, port: int, patience: float = PATIENCE) -> None:
+        """Connect.
+
+        Args:
+            host: Name or address of the machine.
+            port: Port of the server.
+            patience: Longest wait for an answer [s].
+
+        Raises:
+            MissingExtraError: The client is not installed.
+            InputError: The host is no name and no address.
+            LinkError: No CoppeliaSim answers there.
+        """
+        self.address = f"{host}:{port}"
+        self.calls, self.seconds = 0, 0.0
+        """Number of calls, and their time [s]."""
+        self._patience = patience
+        zmq, made = _modules()
+        self._error, self._silence = zmq.ZMQError, zmq.Again
+        main = vars(sys.modules["__main__"])
+        before = {name: main[name] for name in ("require",) if name in main}
+        try:
+            self._client: Any = made(host, port, verbose=0)
+        except self._error as error:
+            raise InputError(
+                f"{self.address} is no address ({error}); give a host and a port"
+            ) from None
+        finally:
+            main.pop("require", None)
+            main.update(before)
+        wait = round(1e3 * patience)
+        for option, value in ((zmq.RCVTIMEO, wait), (zmq.SNDTIMEO, wait), (zmq.LINGER, 0)):
+            self._client.socket.setsockopt(option, value)
+        self._client.timeout = IDLE
+        try:
+            self._constants: Any = self._guarded("require", self._client.require, "sim")
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the socket; nothing can be called afterwards."""
+        self._client.socket.close()
+
+    def constant(self, name: str) -> Any:
+        """Return a constant of `sim`.
+
+        Raises:
+            OutsideError: CoppeliaSim does not know it.
+        """
+        if not hasattr(self._constants, name):
+            raise OutsideError(
+                f"the CoppeliaSim at {self.address} has no sim.{name}; install version 4.6 or newer"
+            )
+        return getattr(self._constants, name)
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Call a function of `sim`.
+
+        Args:
+            name: Its name.
+            arguments: Numbers, texts, and sequences or arrays of them.
+
+        Returns:
+            What it returns: None, one value, or a tuple.
+
+        Raises:
+            OutsideError: CoppeliaSim reports an error.
+            LinkError: It does not answer, or not by its protocol.
+        """
+        return self._guarded(name, self._client.call, f"sim.{name}", as_plain(arguments))
+
+    def _guarded(self, name: str, function: Any, *arguments: Any) -> Any:
+        began = time.perf_counter()
+        try:
+            return function(*arguments)
+        except self._silence:
+            self.close()  # a request without an answer blocks the socket
+            raise LinkError(
+                f"no CoppeliaSim answers at {self.address} within {self._patience:g} s; start it, "
+                "with its ZMQ remote API server"
+            ) from None
+        except self._error as error:
+            raise LinkError(f"the connection to {self.address} failed: {error}") from None
+        except Exception as error:
+            if type(error) is not Exception:
+                raise LinkError(
+                    f"what answers at {self.address} does not speak the protocol of CoppeliaSim "
+                    f"4.6 ({type(error).__name__}: {_readable(str(error))}); check host and port"
+                ) from None
+            raise OutsideError(
+                f"CoppeliaSim at {self.address} refuses {name}: {_readable(str(error))}"
+            ) from None
+        finally:
+            self.calls += 1
+            self.seconds += time.perf_counter() - began
+
+
+def _modules() -> tuple[Any, Any]:
+    """Return ZeroMQ and the class of the client."""
+    try:
+        client: Any = import_module("coppeliasim_zmqremoteapi_client")
+        return import_module("zmq"), client.RemoteAPIClient
+    except ImportError:
+        raise MissingExtraError("coppeliasim-zmqremoteapi-client", "coppeliasim") from None
+
+
+def _readable(text: str) -> str:
+    """Return the first line of an error of CoppeliaSim, safe to print."""
+    for mark, sign in MARKS.items():
+        text = text.replace(mark, sign)
+    lines = text.strip().splitlines() or [""]
+    return printable(shortened(lines[0], LONGEST))
+
+
+def as_plain(value: Any) -> Any:
+    """Return numbers, arrays and containers of them as numbers, lists and dictionaries of Python.
+
+    Example:
+        >>> as_plain((np.int64(3), np.array([0.5, 1.0])))
+        [3, [0.5, 1.0]]
+    """
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: as_plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_plain(entry) for entry in value]
+    return value
