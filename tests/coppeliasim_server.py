@@ -16,6 +16,7 @@ scripts, and the time that CoppeliaSim itself takes.
 
 import argparse
 import math
+import sys
 import threading
 from dataclasses import dataclass, field
 from typing import Any
@@ -94,6 +95,13 @@ class Thing:
     dof: int = -1
 
 
+def turned(thing):
+    """Return the turn of a joint, and none of another object, shape (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec([0.0, 0.0, thing.q]).as_matrix()
+    return T
+
+
 class Scene:
     """Objects, the simulation, and the functions of `sim`, each a method `sim_NAME`."""
 
@@ -109,34 +117,20 @@ class Scene:
 
     # Places
 
-    def place(self, handle):
-        """Return the pose of an object in the world, shape (4, 4)."""
+    def inner(self, handle):
+        """Return the frame in which the children of an object are placed, shape (4, 4).
+
+        The children of a joint turn with it.
+        """
         T = np.eye(4)
         while handle >= 0:
             thing = self.things[handle]
-            T = thing.local @ self.turned(thing) @ T if thing.kind == "joint" else thing.local @ T
-            handle = thing.parent
+            T, handle = thing.local @ turned(thing) @ T, thing.parent
         return T
-
-    @staticmethod
-    def turned(thing):
-        T = np.eye(4)
-        T[:3, :3] = Rotation.from_rotvec([0.0, 0.0, thing.q]).as_matrix()
-        return T
-
-    def inner(self, handle):
-        """Return the frame in which children of an object are placed."""
-        if handle < 0:
-            return np.eye(4)
-        thing = self.things[handle]
-        T = self.place(handle)
-        return T  # the rotation of a joint is part of its place below, see `outer`
 
     def outer(self, handle):
-        """Return the pose of the object itself: that of a joint is the one before its turn."""
-        T = self.place(handle)
-        thing = self.things[handle]
-        return T @ np.linalg.inv(self.turned(thing)) if thing.kind == "joint" else T
+        """Return the pose of an object in the world, shape (4, 4)."""
+        return self.inner(self.things[handle].parent) @ self.things[handle].local
 
     def new(self, **values):
         self.count += 1
@@ -157,11 +151,13 @@ class Scene:
         return self.new(kind="dummy")
 
     def sim_createJoint(self, kind, mode, options, sizes):
-        assert kind == CONSTANTS["joint_revolute"] and len(sizes) == 2
+        assert kind == CONSTANTS["joint_revolute"]
+        assert len(sizes) == 2
         return self.new(kind="joint", dynamic=mode == CONSTANTS["jointmode_dynamic"])
 
     def sim_createPrimitiveShape(self, kind, sizes, options):
-        assert kind in (3, 4, 5) and all(size > 0.0 for size in sizes)
+        assert kind in (3, 4, 5)
+        assert all(size > 0.0 for size in sizes)
         static = {"shapeintparam_static": 0}
         return self.new(kind="shape", numbers=static)
 
@@ -189,7 +185,8 @@ class Scene:
             del self.things[handle]
 
     def sim_setObjectPose(self, handle, pose, relative=-1):
-        assert relative == -1 and len(pose) == 7
+        assert relative == -1
+        assert len(pose) == 7
         T = np.eye(4)
         T[:3, 3], T[:3, :3] = pose[:3], Rotation.from_quat(pose[3:]).as_matrix()
         thing = self.thing(handle)
@@ -316,7 +313,7 @@ class Scene:
             above = hinge.parent
             if hinge.kind != "joint" or not hinge.dynamic:
                 raise ValueError("a dynamic shape falls: it has no dynamic joint above it")
-            outside, T = self.place(above), self.place(handle)
+            outside, T = self.inner(above), self.outer(handle)
             own = np.linalg.inv(outside) @ T if above in bodies else T
             quat = np.roll(Rotation.from_matrix(own[:3, :3]).as_quat(), 1)
             body = bodies.get(above, spec.worldbody).add_body(
@@ -385,7 +382,9 @@ class Scene:
         self.steps += 1
 
     def watched(self):
-        return [handle for handle, thing in self.things.items() if thing.alias in ("flange", "pendulum")]
+        """Return the handles of the objects whose velocities are known."""
+        watched = ("flange", "pendulum")
+        return [handle for handle, thing in self.things.items() if thing.alias in watched]
 
 
 class CoppeliaSimServer:
@@ -493,7 +492,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--port", type=int, default=23000)
     with CoppeliaSimServer(parser.parse_args().port) as server:
-        print(server.address, flush=True)
+        sys.stdout.write(f"{server.address}\n")
+        sys.stdout.flush()
         server._thread.join()
 
 

@@ -2,8 +2,9 @@
 
 Trials start as after a release by hand and run on plants that vary around the policy's pendulum:
 on the paper's plant (world `ideal`), on the plant of the training with the identified actuator
-(`model`), on a digital twin (`twin:...`), or in CoppeliaSim (`coppeliasim://...`). Any policy runs in any world. Test seeds serve no
-other purpose, trial i is the same for every policy, and the baselines run the same trials.
+(`model`), on a digital twin (`twin:...`), or in CoppeliaSim (`coppeliasim://...`). Any policy runs
+in any world. Test seeds serve no other purpose, trial i is the same for every policy, and the
+baselines run the same trials.
 """
 
 import threading

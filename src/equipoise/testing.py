@@ -1,4 +1,4 @@
-"""Conformance suites of robots and angle sensors, for the tests of external drivers.
+"""Conformance suites of robots, angle sensors and simulated worlds, for tests of external drivers.
 
 A driver's test implements `make`; pytest collects the tests by name::
 
@@ -20,13 +20,22 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from equipoise import paper
+from equipoise.control.boxes import ANGLE, PHI_LIMIT, TRUNCATED
 from equipoise.devices.interfaces import SETPOINT_PERIOD, AngleSensor, Array, Clock, Reply, Robot
 from equipoise.errors import EquipoiseError, InputError, LinkError
+from equipoise.simulation import ClosedLoop, Setup, Simulation, predicted
 
 MOVE: Final = 0.02
 """Motion of the first joint [rad]."""
 CLOSE: Final = 2e-3
 """Error of position that a servo with a soft dead band leaves after a second [rad]."""
+
+
+PUSH: Final = 1.0
+"""Acceleration that a world is asked for [m/s^2]."""
+PUSH_TIME: Final = 0.2
+"""Duration of that push [s]; the response of an arm is a tenth of it to a half."""
 
 
 def expect(condition: object, otherwise: str) -> None:
@@ -325,3 +334,87 @@ class SensorConformance:
             spindle.unplug()
             expect_error(LinkError, spindle.watch, 1.0)
             expect_error(LinkError, spindle.sensor.samples)
+
+
+class WorldConformance:
+    """Tests of a simulated world: of a `Simulation` and its closed loops."""
+
+    ENCODER = True
+    """Whether the controller observes through an encoder; otherwise it knows the state."""
+
+    def make(self) -> tuple[Simulation, Setup]:
+        """Return a simulation, and pendulum, arm and controller of its trials."""
+        raise NotImplementedError
+
+    def released(self) -> tuple[ClosedLoop, Simulation, Setup]:
+        """Return a closed loop after the release of trial 3."""
+        simulation, setup = self.make()
+        loop = simulation.loop()
+        loop.reset(simulation.draw(1, first=3).trial(0))
+        return loop, simulation, setup
+
+    def test_conditions_depend_on_the_number_of_a_trial_alone(self) -> None:
+        simulation, _ = self.make()
+        many, later = simulation.draw(5), simulation.draw(1, first=3)
+        expect(many.trial(3) == later.trial(0), "trial 3 is another one if it is drawn alone")
+
+    def test_a_release_leaves_the_arm_at_rest_at_home_and_the_pendulum_as_drawn(self) -> None:
+        loop, simulation, setup = self.released()
+        start, state = simulation.draw(1, first=3).start[0], loop.state()
+        _near(state[:2], start[:2], 2e-3)
+        _near(state[2], start[2], 2e-3)
+        _near(state[3], start[3], 0.05)
+        _near(loop.joints(), setup.arm.home, 2e-3)
+        expect(loop.now == 0.0, f"the time is {loop.now} s, expected 0")
+
+    def test_the_controller_observes_what_is_true(self) -> None:
+        loop, _, setup = self.released()
+        for _ in range(5):
+            loop.step(0.0)
+        seen, measured = predicted(loop), loop.measurement()
+        _near(seen, loop.state(), 0.2)
+        expect((measured is not None) == self.ENCODER, f"a measurement is {measured}")
+        if measured is not None:
+            _near(measured.q, np.array(loop.joints())[list(setup.arm.free)], 2e-3)
+            shown = pi - measured.counts * loop.params.resolution - (loop.zero or 0.0)
+            _near(shown, loop.state()[2], 0.02)
+            expect(measured.counted_at <= loop.now + 1e-3, "a count comes from the future")
+            expect(measured.measured_at <= loop.now, "a measurement comes from the future")
+
+    def test_the_flange_accelerates_as_commanded_and_the_pendulum_falls_the_other_way(self) -> None:
+        (free, _, _), ticks = self.released(), round(PUSH_TIME / paper.STEP)
+        for _ in range(ticks // 2):
+            free.step(0.0)
+        alone = free.state()
+        loop, simulation, _ = self.released()
+        loop.reset(simulation.draw(1, first=3).trial(0))
+        for _ in range(ticks // 2):
+            loop.step(PUSH)
+        pushed = loop.state()
+        speed = 0.5 * PUSH * PUSH_TIME
+        expect(abs(alone[0]) < 1e-3, f"without a command the flange is at {alone[0]:.4f} m")
+        expect(
+            0.2 * speed < pushed[1] < 1.05 * speed,
+            f"the flange moves at {pushed[1]:.3f} m/s, commanded are {speed:.3f}",
+        )
+        expect(pushed[2] < alone[2], "the pendulum does not fall against the acceleration")
+
+    def test_a_pendulum_that_nobody_balances_falls_and_the_cause_says_so(self) -> None:
+        loop, _, _ = self.released()
+        cause, steps = TRUNCATED, 0
+        while cause == TRUNCATED and steps < 200:
+            cause, steps = loop.step(0.0), steps + 1
+        expect(cause >= ANGLE and 10 < steps < 200, f"cause {cause} after {steps} steps")
+        expect(abs(loop.state()[2]) > 0.9 * PHI_LIMIT, "the pendulum has not fallen")
+
+    def test_the_same_trial_has_the_same_bits(self) -> None:
+        loop, simulation, _ = self.released()
+        runs: list[bytes] = []
+        for _ in range(2):
+            loop.reset(simulation.draw(1, first=3).trial(0))
+            states = [loop.state()]
+            for tick in range(10):
+                loop.step(0.5 if tick % 2 else -0.5)
+                states.append(loop.state())
+            runs.append(np.array(states).tobytes())
+        expect(runs[0] == runs[1], "the second run differs from the first")

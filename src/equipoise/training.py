@@ -56,6 +56,8 @@ from equipoise.learning.learner import UpdateParams
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
+from equipoise.model.random import TRAINING_NOISE
+from equipoise.model.sim_configs import IDEAL, MODEL
 from equipoise.selection import (
     ERROR,
     Candidate,
@@ -67,6 +69,8 @@ from equipoise.selection import (
     trials_to_meet,
 )
 from equipoise.settings import SelectionSettings, Settings
+from equipoise.simulation import ClosedLoop, Setup, find_world, has_ideal_arm, simulate
+from equipoise.simulation.training import train_in_world
 from equipoise.simulation.trials import run_over_cores
 
 Array = npt.NDArray[np.float64]
@@ -88,6 +92,7 @@ def train(
     settings: Settings,
     *,
     actuator: Actuator | Sequence[Actuator] | None = None,
+    world: str = MODEL,
     seed: int = 0,
     learner: int = 0,
     init_policy: TabularPolicy | None = None,
@@ -107,6 +112,8 @@ def train(
             identified from the twin. With several, the episodes take turns behind them, and the
             selection scores a policy behind the one where it is worst; the first one is the
             controller's default.
+        world: World of the episodes: `model`, the compiled plant; or a twin, or an address of
+            CoppeliaSim, one episode after the other. Selection and test run on the plant.
         seed: Master seed.
         learner: Index of the learner, each with its own random numbers.
         init_policy: Policy with the initial table and visits; by default zeros.
@@ -123,10 +130,11 @@ def train(
 
     Raises:
         ArtefactError: `partial` is the checkpoint of another training, or damaged.
-        OutsideError: The disk rejects a checkpoint.
-        SettingsError: No controller saves any of the releases.
+        InputError: The world takes no such actuators.
+        OutsideError: The disk rejects a checkpoint, or CoppeliaSim fails.
+        SettingsError: No controller saves any of the releases, or the world is unknown.
     """
-    task = _task(pendulum, arm, settings, actuator, seed, init_policy)
+    task = _task(pendulum, arm, settings, actuator, world, seed, init_policy)
     with _Checkpoints(partial, task, {"number of the learner": str(learner)}) as checkpoints:
         return _train(task, learner, workers, checkpoints, report, selecting)
 
@@ -169,6 +177,7 @@ def train_to_target(
     learners: int = LEARNERS,
     population: bool = False,
     actuator: Actuator | Sequence[Actuator] | None = None,
+    world: str = MODEL,
     seed: int = 0,
     workers: int = 1,
     partial: StrPath | None = None,
@@ -190,6 +199,7 @@ def train_to_target(
         learners: Maximum number of learners.
         population: Whether all learners are trained, in parallel, also if one meets the target.
         actuator: Actuator of the arm; as in `train`.
+        world: World of the episodes; as in `train`.
         seed: Master seed.
         workers: Threads; the result does not depend on it.
         partial: File for the checkpoints of all learners; as in `train`.
@@ -209,7 +219,7 @@ def train_to_target(
         )
     if learners < 1:
         raise InputError(f"{learners} learners are given, expected at least one")
-    task = _task(pendulum, arm, settings, actuator, seed, None, target)
+    task = _task(pendulum, arm, settings, actuator, world, seed, None, target)
     shown = progress or TargetProgress()
     wanted = {"target": str(target), "--all": str(population)}
     with _Checkpoints(partial, task, wanted, population) as checkpoints:
@@ -240,7 +250,8 @@ def train_to_target(
 
         if not population:
             run(0, workers)
-        run_over_cores(run, range(learners), workers)
+        # There is one CoppeliaSim, and Python steps the other worlds.
+        run_over_cores(run, range(learners), workers if world == MODEL else 1)
         shown.ended()
         policy = cast(TabularPolicy, checkpoints.best)
         decided = not population and policy.test and policy.test.met
@@ -341,6 +352,37 @@ def check_task(
     return next(filter(None, warnings), None)
 
 
+def actuators_in(
+    world: str, settings: Settings, given: Actuator | Sequence[Actuator] | None
+) -> Actuator | Sequence[Actuator] | None:
+    """Return the actuators of a training in a world: the ideal one for an arm without delay.
+
+    Args:
+        world: World of the episodes.
+        settings: Settings of the training.
+        given: Actuators; None for the default.
+
+    Raises:
+        InputError: The world takes no such actuators.
+        SettingsError: The world is unknown.
+    """
+    if world == MODEL:
+        return given
+    find_world(world)
+    if world == IDEAL:
+        raise InputError(
+            "the world ideal is a setting of the compiled training; leave out the world, and take "
+            "the recipe paper or --set plant.ideal=true"
+        )
+    if not has_ideal_arm(world):
+        if len(_actuators(settings, given)) > 1:
+            raise InputError(f"the world {world} is trained behind one actuator; give one")
+        return given
+    if given is not None and _actuators(settings, given) != (IDEAL_ACTUATOR,):
+        raise InputError(f"the arm of the world {world} has no delay; leave out the actuator")
+    return IDEAL_ACTUATOR
+
+
 def _actuators(
     settings: Settings, given: Actuator | Sequence[Actuator] | None
 ) -> tuple[Actuator, ...]:
@@ -366,6 +408,7 @@ class _Task(NamedTuple):
     arm: Arm
     settings: Settings
     actuators: tuple[Actuator, ...]
+    world: str
     seed: int
     init_policy: TabularPolicy | None
 
@@ -375,10 +418,12 @@ def _task(
     arm: Arm,
     settings: Settings,
     actuator: Actuator | Sequence[Actuator] | None,
+    world: str,
     seed: int,
     init_policy: TabularPolicy | None,
     target: float = 0.0,
 ) -> _Task:
+    actuator = actuators_in(world, settings, actuator)
     check_task(pendulum, arm, settings, actuator, target)
     actuators = _actuators(settings, actuator)
     if init_policy is not None and init_policy.settings.boxes != settings.boxes:
@@ -386,7 +431,7 @@ def _task(
             "the policy to go on from has other boxes than the settings; train with its boxes"
         )
     settings = settings.model_copy(update={"learning": with_digests(settings.learning)})
-    return _Task(pendulum, arm, settings, actuators, seed, init_policy)
+    return _Task(pendulum, arm, settings, actuators, world, seed, init_policy)
 
 
 def _train(
@@ -398,7 +443,7 @@ def _train(
     selecting: Running,
 ) -> TabularPolicy:
     """Train one learner and select its policy; resume from its checkpoint if one exists."""
-    pendulum, arm, settings, actuators, seed, _ = task
+    pendulum, arm, settings, actuators, world, seed, _ = task
     plants = trial_plants(pendulum, arm, settings, actuators, seed)
     config = training_config(settings, pendulum.parameters().k)
     kernel, boxes = compile_learner(settings.learning), settings.boxes.count
@@ -425,10 +470,19 @@ def _train(
         share = config._replace(episodes=(config.episodes + len(plants) - 1 - i) // len(plants))
         given = params, plant.pendulum, share, kernel, trainings[i], key
         loops.append(new_training_loop(*given))
+    elsewhere: ClosedLoop | None = None
+    if world != MODEL:
+        setup = Setup(pendulum, arm, settings, actuators, paper.STEP)
+        simulation = simulate(world, setup, seed=seed, stream=TRAINING_NOISE)
+        elsewhere = simulation.loop()
     totals = _totals(trainings)
     while totals[ENDED] < config.episodes:
         ended, steps = totals[ENDED], totals[ENDED_STEPS]
-        _train_in_turn(loops, trainings, min(ended + every, config.episodes))
+        until = min(ended + every, config.episodes)
+        if elsewhere is None:
+            _train_in_turn(loops, trainings, until)
+        else:
+            train_in_world(loops[0], training, elsewhere, until)
         totals = _totals(trainings)
         if not np.isfinite(tables.Q).all():
             raise InputError(
@@ -581,6 +635,7 @@ class _Checkpoints(PartialFile):
             "reward": task.settings.learning.reward,
             "settings": value_digest(task.settings),
             "seed": str(task.seed),
+            "world": task.world,
             **wanted,
             "policy to go on from": "" if task.init_policy is None else task.init_policy.digest,
             "version of Equipoise or its libraries": software(),

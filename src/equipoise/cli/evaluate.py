@@ -39,7 +39,8 @@ def evaluate(
     duration: float | None = opt.value("SECONDS", "Duration of a trial; by default 60."),
     world: str = opt.value(
         "WORLD",
-        "ideal: the paper's plant; model: behind the actuator; twin:NAME or twin:FILE.",
+        "ideal: the paper's plant; model: behind the actuator; twin:NAME or twin:FILE; "
+        "coppeliasim://HOST:PORT.",
         default="model",
     ),
     max_speed: float | None = opt.MAX_SPEED,

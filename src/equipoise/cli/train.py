@@ -34,6 +34,11 @@ def train(
     ),
     arm: str = opt.ARM,
     actuator: list[str] | None = opt.ACTUATORS,
+    world: str = opt.value(
+        "WORLD",
+        "World of the episodes: model, compiled; or a twin or coppeliasim://HOST:PORT, slowly.",
+        default="model",
+    ),
     recipe: str = opt.RECIPE,
     learner: str | None = opt.value(
         "NAME", "q_learning (the paper's), sarsa, watkins, double_q, or MODULE:NAME."
@@ -97,13 +102,14 @@ def train(
 
     from equipoise.studies.compilation import FUNCTIONS, compile_training, compiling
     from equipoise.studies.progress import TrainingProgress
-    from equipoise.training import LEARNERS, TARGET, check_task, train_to_target
+    from equipoise.training import LEARNERS, TARGET, actuators_in, check_task, train_to_target
 
     begin = time.perf_counter()
     opt.check_range("--target", target, 0.0, 1.0)
     if target is None:
         target = TARGET if resolved.selection.every else 0.0
-    output.warn(check_task(source, machine, resolved, responses, target))
+    behind = actuators_in(world, resolved, responses)
+    output.warn(check_task(source, machine, resolved, behind, target))
     budget = LEARNERS if learners is None else learners
     with unfinished(destination, resume=resume) as partial:
         with output.stages() as show:
@@ -118,6 +124,7 @@ def train(
                 learners=budget,
                 population=population,
                 actuator=responses,
+                world=world,
                 seed=seed,
                 workers=opt.available_workers(workers),
                 partial=partial,
@@ -126,6 +133,7 @@ def train(
         wall, speed, best = time.perf_counter() - begin, progress.speed, trained.policy
         names = ("actuator", *(f"actuator {i}" for i in range(2, 1 + len(best.actuators))))
         inputs = {"pendulum": source.digest}
+        inputs |= {} if world == "model" else {"world": world}
         inputs |= {n: each.digest for n, each in zip(names, best.actuators, strict=True)}
         with destination.claimed() as out:
             best.save(out, command="train", inputs=inputs)
@@ -133,6 +141,7 @@ def train(
     output.wrote(out)
     again = next_step.given(
         arm=arm if arm != "iiwa7" else None,
+        world=world if world != "model" else None,
         recipe=recipe if recipe != "robust" else None,
         held=held,
         base=base,

@@ -103,7 +103,7 @@ class BalanceEnv(gym.Env[Array, Any]):
 
     | argument | default | meaning |
     | --- | --- | --- |
-    | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, `coppeliasim://HOST:PORT`, or `rig` |
+    | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, `coppeliasim://...`, `rig` |
     | `observe` | `"predicted"` | see above |
     | `duration` | 60.0 | length of an episode [s] |
     | `reward` | the paper's | see above |
@@ -164,8 +164,8 @@ class BalanceEnv(gym.Env[Array, Any]):
             raise InputError("robot, encoder, rig, log and operator belong to world='rig'")
         if observe == "raw" and has_ideal_arm(world):
             raise InputError(
-                f"the world {world} has no encoder: there are no raw measurements; choose model or a "
-                "twin, or observe='predicted'"
+                f"the world {world} has no encoder: there are no raw measurements; choose model "
+                "or a twin, or observe='predicted'"
             )
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"render_mode is {render_mode!r}; expected 'human' or 'rgb_array'")

@@ -170,18 +170,11 @@ def new_training_loop(
     return TrainingLoop(plant, pendulum, config, learner, training, key)
 
 
-@kernel
-def begin_episode(
-    plant: LoopParams,
-    pendulum: PendulumParameters,
-    config: TrainingConfig,
-    training: TrainingState,
-    seed: int,
-    number: int,
-    n: int,
-) -> None:
-    """Begin the next episode in lane `n`: draw its pendulum, actuator and start."""
-    episode = training.totals[BEGUN]
+@inlined
+def draw_episode(
+    config: TrainingConfig, seed: int, episode: int, number: int
+) -> tuple[DomainRandomization, tuple[float, float, float, float]]:
+    """Return the variation of the plant of an episode, and its start in SI units."""
     w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_EPISODE)
     inertia_noise, friction_noise = normal_pair(w0, w1)
     w0, w1, w2, w3 = philox(seed, 0, episode, number, TRAINING_ACTUATOR)
@@ -200,6 +193,22 @@ def begin_episode(
         uniform(w2, -phi, phi),
         uniform(w3, -phi_dot, phi_dot),
     )
+    return variation, start
+
+
+@kernel
+def begin_episode(
+    plant: LoopParams,
+    pendulum: PendulumParameters,
+    config: TrainingConfig,
+    training: TrainingState,
+    seed: int,
+    number: int,
+    n: int,
+) -> None:
+    """Begin the next episode in lane `n`: draw its pendulum, actuator and start."""
+    episode = training.totals[BEGUN]
+    variation, start = draw_episode(config, seed, episode, number)
     reset(plant, training.batch, pendulum, variation, start, n)
     training.episode[n], training.tick[n] = episode, 0
     decisions = training.decisions
@@ -287,3 +296,82 @@ def train_episodes(loop: Any, until: int) -> None:
                 box[n], action[n], discount[n] = box[lanes], action[lanes], discount[lanes]
                 gained[n], chance[n], epsilon[n] = gained[lanes], chance[lanes], epsilon[lanes]
     totals[IN_USE] = lanes
+
+
+@kernel
+def begin_in_world(loop: Any) -> tuple[int, DomainRandomization, tuple[float, float, float, float]]:
+    """Begin the next episode of a training whose episodes run in another world, one at a time.
+
+    Args:
+        loop: The training, from `new_training_loop`.
+
+    Returns:
+        Number of the episode, variation of its plant, and its start in SI units.
+    """
+    config, training, seed, number = loop.config, loop.training, loop.key[0], loop.key[1]
+    episode = training.totals[BEGUN]
+    begin_episode(loop.plant, loop.pendulum, config, training, seed, number, 0)
+    variation, start = draw_episode(config, seed, episode, number)
+    return episode, variation, start
+
+
+@kernel
+def decide_in_world(loop: Any, observation: Array) -> float:
+    """Return the acceleration for an observation in the world [m/s^2].
+
+    Args:
+        loop: The training; its first lane keeps the decision.
+        observation: x, x_dot, phi, phi_dot as predicted, shape (4,).
+    """
+    config, training, learner = loop.config, loop.training, loop.learner
+    block, decisions, tick = training.batch, training.decisions, training.tick
+    for i in range(4):
+        block.controller.observation[i * BATCH_SIZE] = observation[i]
+        training.before[i * BATCH_SIZE] = observation[i]
+    if tick[0] == 0:
+        decisions.box[0] = box_of(block.controller.observation, config.boxes, 0)
+    draws = Draws(np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE))
+    draw_decisions(draws, loop.key[0], tick, training.episode, loop.key[1], 1)
+    learner.choose(training.tables, decisions, draws, 1)
+    block.controller.u[0] = config.actions[decisions.action[0]]
+    return block.controller.u[0]
+
+
+@kernel
+def learn_in_world(loop: Any, observation: Array, cause: int) -> bool:
+    """Learn from a step in the world; return whether the episode goes on.
+
+    Args:
+        loop: The training; its first lane has the decision.
+        observation: x, x_dot, phi, phi_dot after the step, as predicted, shape (4,).
+        cause: Cause of the failure in the step, `TRUNCATED` without one.
+    """
+    config, training, learner = loop.config, loop.training, loop.learner
+    block, tables, totals = training.batch, training.tables, training.totals
+    decisions, tick, seen = training.decisions, training.tick, block.controller.observation
+    reward = np.zeros(BATCH_SIZE)
+    box_next, outcome = np.zeros(BATCH_SIZE, np.int64), np.zeros(BATCH_SIZE, np.int64)
+    for i in range(4):
+        seen[i * BATCH_SIZE] = observation[i]
+    block.cause[0] = cause
+    totals[STEPS] += 1
+    u = block.controller.u
+    learner.rewards(training.before, u, seen, block.cause, config.reward_failure, reward, 1)
+    box_next[0] = box_of(seen, config.boxes, 0)
+    decisions.gained[0] += decisions.discount[0] * reward[0]
+    decisions.discount[0] *= config.gamma
+    tick[0] += 1
+    held = config.hold_action & (box_next[0] == decisions.box[0])
+    going = CONTINUES if held else DECIDED
+    going = TIMED_OUT if tick[0] >= config.max_steps else going
+    outcome[0] = FAILED if cause != TRUNCATED else going
+    draws = Draws(np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE), np.zeros(BATCH_SIZE))
+    if learner.chooses_ahead:
+        draw_decisions(draws, loop.key[0], tick, training.episode, loop.key[1], 1)
+    results = Results(reward, box_next, outcome)
+    learner.learn(tables, decisions, results, draws, config.update, 1)
+    if outcome[0] < TIMED_OUT:
+        return True
+    totals[ENDED] += 1
+    totals[ENDED_STEPS] += tick[0]
+    return False

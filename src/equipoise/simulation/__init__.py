@@ -31,8 +31,8 @@ __all__ = [
     "Trials",
     "available_cores",
     "estimated",
-    "has_ideal_arm",
     "find_world",
+    "has_ideal_arm",
     "predicted",
     "run_trial",
     "setup_of",
@@ -41,7 +41,7 @@ __all__ = [
 
 
 def find_world(world: str | World) -> tuple[str, TwinSettings | None]:
-    """Return the name of a world and its numbers of a digital twin; `None` for an ideal arm or plant.
+    """Return the name of a world, and the numbers of its digital twin; `None` without one.
 
     Raises:
         SettingsError: The world does not exist.

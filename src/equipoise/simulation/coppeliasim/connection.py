@@ -105,6 +105,11 @@ class Connection:
         return self._guarded(name, self._client.call, f"sim.{name}", as_plain(arguments))
 
     def _guarded(self, name: str, function: Any, *arguments: Any) -> Any:
+        if self._client.socket.closed:
+            raise LinkError(
+                f"the connection to {self.address} is closed: it failed, or another world of this "
+                "process took the CoppeliaSim; build the world again"
+            )
         began = time.perf_counter()
         try:
             return function(*arguments)

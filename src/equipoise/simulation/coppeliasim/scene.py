@@ -46,6 +46,11 @@ def _at(xyz: Sequence[float] | Floats, R: Floats | None = None) -> Floats:
     return T
 
 
+def _inverse(T: Floats) -> Floats:
+    """Return the inverse of a transform, shape (4, 4)."""
+    return np.asarray(np.linalg.inv(T), np.float64)
+
+
 MIDDLE: Final = _at((0.0, 0.0, 0.5 * SIZES.rod_length))
 """Middle of the drawn pendulum in the frame of its pivot."""
 
@@ -65,9 +70,7 @@ class Scene(NamedTuple):
     """Pendulum; its z axis points away from the pivot."""
 
 
-def build_scene(
-    sim: Connection, arm: Arm, address: Address, pendulum: PendulumParameters
-) -> Scene:
+def build_scene(sim: Connection, arm: Arm, address: Address, pendulum: PendulumParameters) -> Scene:
     """Build arm and pendulum at home, after removal of those of an earlier run.
 
     Args:
@@ -80,37 +83,37 @@ def build_scene(
         ArmError: With an engine: the masses of the arm's links are not known.
         OutsideError: CoppeliaSim reports an error.
     """
-    numbers, engine = address.numbers, address.engine
-    dynamic = numbers is not None and engine is not None
+    numbers = address.numbers
+    dynamic = numbers is not None
     inertials: Sequence[Inertial | None] = [None] * len(arm.joints)
-    if dynamic:
+    if numbers is not None:
         arm = arm.model_copy(update={"pivot": pivot(arm, numbers.pivot_outward)})
         inertials = _with_bracket(arm, numbers.bracket_mass)
     remove_scene(sim)
     sizes = sizes_for(arm)
     low = _at((0.0, 0.0, -0.5 * TILE[2]))
     base = _shape(sim, ALIAS, "cuboid", TILE, low, None)
-    T, steps = np.eye(4), [joint.xyz for joint in arm.joints] + [arm.flange_xyz]
+    frame, steps = np.eye(4), [joint.xyz for joint in arm.joints] + [arm.flange_xyz]
     parent, joints = base, list[int]()
     for number, (joint, inertial) in enumerate(zip(arm.joints, inertials, strict=True), 1):
-        T = T @ _at(joint.xyz, rotation_from_rpy(joint.rpy))
-        hinge = _joint(sim, f"joint{number}", T, joint.axis, parent, dynamic)
+        frame = frame @ _at(joint.xyz, rotation_from_rpy(joint.rpy))
+        hinge = _joint(sim, f"joint{number}", frame, joint.axis, parent, dynamic)
         sim.call("setJointInterval", hinge, False, (joint.lower, joint.upper - joint.lower))
-        parent = _link(sim, number, T, np.array(steps[number]), sizes, inertial)
+        parent = _link(sim, number, frame, np.array(steps[number]), sizes, inertial)
         sim.call("setObjectParent", parent, hinge, True)
         joints.append(hinge)
-    T = T @ _at(arm.flange_xyz, rotation_from_rpy(arm.flange_rpy))
+    frame = frame @ _at(arm.flange_xyz, rotation_from_rpy(arm.flange_rpy))
     flange = sim.call("createDummy", 0.02)
-    _place(sim, flange, "flange", T, parent)
-    T = T @ _at(arm.pivot, arm.pose(arm.home_free).rotation.T)
-    spindle = _joint(sim, "phi", T, (0.0, 1.0, 0.0), parent, dynamic)
+    _place(sim, flange, "flange", frame, parent)
+    frame = frame @ _at(arm.pivot, arm.pose(arm.home_free).rotation.frame)
+    spindle = _joint(sim, "phi", frame, (0.0, 1.0, 0.0), parent, dynamic)
     sim.call("setJointInterval", spindle, True, (-np.pi, 2.0 * np.pi))
     thickness = (2.0 * SIZES.rod, 2.0 * SIZES.rod, SIZES.rod_length)
-    rod = _shape(sim, "pendulum", "cylinder", thickness, T @ MIDDLE, None)
+    rod = _shape(sim, "pendulum", "cylinder", thickness, frame @ MIDDLE, None)
     sim.call("setObjectParent", rod, spindle, True)
     scene = Scene(base, tuple(joints), flange, spindle, rod)
-    if dynamic:
-        _set_drives(sim, scene, arm, engine, numbers)
+    if numbers is not None:
+        _set_drives(sim, scene, arm, address.engine, numbers)
         set_pendulum(sim, scene, address, pendulum)
     for hinge, q in zip(joints, arm.home, strict=True):
         sim.call("setJointPosition", hinge, q)
@@ -145,7 +148,7 @@ def set_pendulum(
     if address.numbers is None:
         return
     inertial = rod_inertial(pendulum.w2, address.numbers.pendulum_mass)
-    _weigh(sim, scene.rod, inertial, np.linalg.inv(MIDDLE))
+    _weigh(sim, scene.rod, inertial, _inverse(MIDDLE))
     if address.engine == MUJOCO:
         I = inertial.mass * GRAVITY * inertial.com[2] / pendulum.w2
         frictions = {"damping": pendulum.c * I, "frictionloss": pendulum.coulomb * I}
@@ -155,7 +158,7 @@ def set_pendulum(
 
 
 def _set_drives(
-    sim: Connection, scene: Scene, arm: Arm, engine: str, numbers: TwinSettings
+    sim: Connection, scene: Scene, arm: Arm, engine: str | None, numbers: TwinSettings
 ) -> None:
     """Set the controllers of the arm's joints, and the hand that leads the pendulum."""
     mode, rotors = sim.constant("jointintparam_dynctrlmode"), rotor_inertias(numbers, len(arm.home))
@@ -188,12 +191,12 @@ def _with_bracket(arm: Arm, mass: float) -> list[Inertial]:
     )
     m = sum(part[0] for part in parts)
     centre = sum((part[0] * part[1] for part in parts), np.zeros(3)) / m
-    I = np.zeros((3, 3))
-    for own, at, inertia in parts:
-        r = at - centre
-        I += inertia + own * (r @ r * np.eye(3) - np.outer(r, r))
+    arms = [(own, inertia, at - centre) for own, at, inertia in parts]
+    moved = [I + own * (r @ r * np.eye(3) - np.outer(r, r)) for own, I, r in arms]
     x, y, z = centre.tolist()
-    both = Inertial(name=last.name, mass=m, com=(x, y, z), inertia=inertia_entries(I))
+    both = Inertial(
+        name=last.name, mass=m, com=(x, y, z), inertia=inertia_entries(moved[0] + moved[1])
+    )
     return [*links, both]
 
 
@@ -217,7 +220,7 @@ def _link(
         own = _at(0.5 * step, turned_to(step))
     else:
         kind, size, own = "spheroid", (2.0 * sizes.hand,) * 3, np.eye(4)
-    return _shape(sim, f"link{number}", kind, size, T @ own, inertial, np.linalg.inv(own))
+    return _shape(sim, f"link{number}", kind, size, T @ own, inertial, _inverse(own))
 
 
 def _shape(

@@ -80,7 +80,14 @@ from equipoise.simulation.coppeliasim.scene import (
     remove_scene,
     set_pendulum,
 )
-from equipoise.simulation.interface import Array, ClosedLoop, Measurement, Setup, Simulation, run_trial
+from equipoise.simulation.interface import (
+    Array,
+    ClosedLoop,
+    Measurement,
+    Setup,
+    Simulation,
+    run_trial,
+)
 from equipoise.simulation.trials import Trial, Trials, draw_trials
 
 LEAD_STEPS: Final = 4
@@ -159,11 +166,15 @@ def observe_joints(loop: Any, counts: float, q: Array, now: float) -> int:
     return trial_violation(loop.monitor, loop.params, state, q, now)
 
 
+_OPEN: dict[tuple[str, int], Any] = {}
+"""End of the last rig of this process at each host and port: a new one ends it first."""
+
+
 class CoppeliaRig:
     """Scene in a connected CoppeliaSim, with control of its simulation.
 
-    When the object is dropped, the simulation is stopped, the scene removed, and the changed
-    parameters are set as before.
+    When the object is dropped, or another one is built there, the simulation is stopped, the scene
+    removed, and the changed parameters are set as before.
     """
 
     def __init__(self, address: Address, setup: Setup, pendulum: PendulumParameters) -> None:
@@ -178,7 +189,10 @@ class CoppeliaRig:
             LinkError: No CoppeliaSim answers.
             OutsideError: It runs a simulation, or reports an error.
         """
-        sim = self.sim = Connection(address.host, address.port)
+        place = address.host, address.port
+        if (before := _OPEN.pop(place, None)) is not None:
+            before()
+        sim = self.sim = Connection(*place)
         self.address = address
         try:
             _check_idle(sim)
@@ -188,6 +202,7 @@ class CoppeliaRig:
         undo: list[tuple[str, int, Any]] = []
         self.close = weakref.finalize(self, _give_back, sim, undo)
         """Ends the simulation, as when the object is dropped."""
+        _OPEN[place] = self.close
         dynamic = address.engine is not None
         period = SETPOINT_PERIOD if dynamic else setup.h
         parameters: dict[str, tuple[str, Any]] = {
@@ -418,13 +433,16 @@ class KinematicLoop:
         command_setpoints(self._handle)
         places = [(self._flange, self._pivot_x)]
         for s in range(SETPOINTS_PER_TICK):
-            rig.place(controller.setpoints[6 * s * BATCH_SIZE : 6 * (s + 1) * BATCH_SIZE : BATCH_SIZE])
+            rig.place(
+                controller.setpoints[6 * s * BATCH_SIZE : 6 * (s + 1) * BATCH_SIZE : BATCH_SIZE]
+            )
             places.append(self._places())
         (x0, p0), (x1, p1), (self._flange, self._pivot_x) = places
         x_dot = (3.0 * self._flange - 4.0 * x1 + x0) / h
         v = (3.0 * self._pivot_x - 4.0 * p1 + p0) / h
         self.tracked, self._velocity = (v - self._velocity) / h, v
-        phi, phi_dot = pendulum_step(*self._state[2:].tolist(), self.tracked, h, self.pendulum)
+        phi, phi_dot = float(self._state[2]), float(self._state[3])
+        phi, phi_dot = pendulum_step(phi, phi_dot, self.tracked, h, self.pendulum)
         rig.sim.call("setJointPosition", rig.scene.spindle, phi)
         rig.step()
         self._tick += 1
