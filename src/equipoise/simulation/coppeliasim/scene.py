@@ -105,7 +105,7 @@ def build_scene(sim: Connection, arm: Arm, address: Address, pendulum: PendulumP
     frame = frame @ _at(arm.flange_xyz, rotation_from_rpy(arm.flange_rpy))
     flange = sim.call("createDummy", 0.02)
     _place(sim, flange, "flange", frame, parent)
-    frame = frame @ _at(arm.pivot, arm.pose(arm.home_free).rotation.frame)
+    frame = frame @ _at(arm.pivot, arm.pose(arm.home_free).rotation.T)
     spindle = _joint(sim, "phi", frame, (0.0, 1.0, 0.0), parent, dynamic)
     sim.call("setJointInterval", spindle, True, (-np.pi, 2.0 * np.pi))
     thickness = (2.0 * SIZES.rod, 2.0 * SIZES.rod, SIZES.rod_length)
