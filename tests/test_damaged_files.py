@@ -21,6 +21,8 @@ from equipoise.model.sim_configs import read_world
 from equipoise.rigs import read_rig
 from equipoise.settings import resolve
 from equipoise.studies.certification import Certificate, certify, make_claim
+from equipoise.studies.compare import compare
+from equipoise.studies.compare_results import Comparison
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.recovery_map import RecoveryMap, map_recovery
 from equipoise.studies.verification import verify
@@ -86,6 +88,11 @@ def studied():
     return measured(policy, lambda *_: 1.0, paper_policy=paper_policy(policy))[0]
 
 
+def compared():
+    options = {"worlds": ("model",), "trials": 2, "duration": 0.1}
+    return compare(rows=("lqr", "random"), **options).comparison
+
+
 class Unfinished:
     """A training that was interrupted; its file is the checkpoint."""
 
@@ -110,6 +117,7 @@ FORMATS = {
     "actuator.json": (shipped_actuator(), Actuator.load),
     "policy.json": (shipped_policy(), TabularPolicy.load),
     "certificate.json": (certified, Certificate.load),
+    "compare.json": (compared, Comparison.load),
     "gap.json": (studied, Gap.load),
     "map.json": (lambda: map_recovery(shipped_policy(), starts=4, duration=0.1), RecoveryMap.load),
     "policy.partial.json": (Unfinished, ResumePoint.load),

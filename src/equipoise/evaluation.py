@@ -106,6 +106,21 @@ class TrialResults(Value):
         return Summary(trials, survived, rate, interval, q50, quantiles, causes)
 
 
+def trial_results(name: str, trials: Trials, h: float) -> TrialResults:
+    """Return the results of finished trials.
+
+    Args:
+        name: Name of the policy.
+        trials: Trials with their results.
+        h: Time step [s].
+    """
+    survival = tuple(round(steps * h, 6) for steps in trials.steps.tolist())
+    codes = trials.cause.tolist()
+    causes, guards = (tuple(map(named, codes)) for named in (cause_named, guard_named))
+    guards = guards if any(guards) else ()
+    return TrialResults(name=name, survival=survival, causes=causes, guards=guards)
+
+
 class Evaluation(Viewable, Artefact):
     """All trials of a policy and of the baselines."""
 
@@ -226,11 +241,7 @@ def evaluate(
         with finished:
             span = settings.evaluation.duration
             simulation.run(policy, trials, todo, duration=span, workers=workers, done=add)
-        survival = tuple(round(steps * h, 6) for steps in trials.steps.tolist())
-        codes = trials.cause.tolist()
-        causes, guards = (tuple(map(named, codes)) for named in (cause_named, guard_named))
-        guards = guards if any(guards) else ()
-        return TrialResults(name=name, survival=survival, causes=causes, guards=guards)
+        return trial_results(name, trials, h)
 
     nominal = pendulum.parameters(linearised=settings.plant.linearised)
     others = baselines(nominal, h) if with_baselines else {}

@@ -163,7 +163,7 @@ def race(
             steps[at], sum_x2[at], cause[at] = trials.steps, trials.sum_x2, trials.cause
         for i in alive:
             each = [
-                _result(
+                scored(
                     plant,
                     candidates[i].episodes,
                     int(np.sum(cause[j, i, :last] == TRUNCATED)),
@@ -203,9 +203,18 @@ def not_worse(steps: Whole, error: float) -> list[bool]:
     return (tail > error).tolist()
 
 
-def _result(
+def scored(
     plant: TrialPlant, episodes: int, lasted: int, steps: Whole, sum_x2: Array
 ) -> Checkpoint:
+    """Return the results and the score of a table from its trials.
+
+    Args:
+        plant: Inputs of the trials.
+        episodes: Number of training episodes before the table.
+        lasted: Number of trials without a failure.
+        steps: Number of steps of each trial, shape (n,).
+        sum_x2: Sum of x^2 over the steps of each trial [m^2], shape (n,).
+    """
     rule, h = plant.settings.selection, plant.params.controller.h
     mean_duration = float(np.mean(steps)) * h
     rms_x = float(np.sqrt(np.sum(sum_x2) / np.sum(steps)))

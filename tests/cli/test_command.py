@@ -12,7 +12,7 @@ import pytest
 from tests.cli.conftest import verbs
 
 VERBS = tuple(verbs())
-PIPELINE = ("reproduce", "identify", "train", "evaluate", "map", "gap", "refine")
+PIPELINE = ("reproduce", "identify", "train", "evaluate", "map", "compare", "gap", "refine")
 RIG = ("doctor", "emulate", "record", "rehearse")
 LOG = ("explain", "replay", "export", "show")
 NEEDS = {

@@ -4,6 +4,7 @@ from functools import partial
 
 import typer
 
+from equipoise.cli.compare import compare
 from equipoise.cli.deploy import deploy
 from equipoise.cli.doctor import doctor
 from equipoise.cli.emulate import emulate
@@ -43,7 +44,7 @@ log = group(help="Read the log of a run, or another file: explain, replay, expor
 for verb in (reproduce, identify, train, evaluate):
     app.command(rich_help_panel=PIPELINE)(verb)
 app.command("map", rich_help_panel=PIPELINE)(map_recoverable)
-for verb in (gap, refine):
+for verb in (compare, gap, refine):
     app.command(rich_help_panel=PIPELINE)(verb)
 app.command(rich_help_panel=ROBOT)(deploy)
 for verb in (doctor, emulate, record, rehearse):

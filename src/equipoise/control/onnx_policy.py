@@ -42,6 +42,8 @@ class OnnxPolicy:
             raise InputError(f"cannot read {path}: {error.strerror or error}") from None
         self.digest = DIGEST_PREFIX + hashlib.sha256(network).hexdigest()
         """SHA-256 of the file."""
+        self.size = len(network)
+        """Size of the file [bytes]."""
         if digest not in (None, self.digest):
             raise InputError(f"{path} has changed since it was read; run it again")
         self._session = _session(network, self._path)

@@ -3,6 +3,7 @@
 Every function returns a matplotlib figure; `equipoise.report.style.save` writes it as SVG and PNG.
 """
 
+from equipoise.report.figures.compare import compare_figure
 from equipoise.report.figures.free_swing import free_swing, predicted_swing
 from equipoise.report.figures.gap import gap_figure
 from equipoise.report.figures.learning_curve import learning_curve
@@ -11,6 +12,6 @@ from equipoise.report.figures.run import commands, encoder_zero, flange, joints,
 from equipoise.report.figures.survival import survival
 from equipoise.report.figures.table import policy_picture
 
-__all__ = ["commands", "encoder_zero", "flange", "joints", "pendulum"]
+__all__ = ["commands", "compare_figure", "encoder_zero", "flange", "joints", "pendulum"]
 __all__ += ["free_swing", "gap_figure", "learning_curve", "policy_picture", "predicted_swing"]
 __all__ += ["recovery_figure", "survival"]
