@@ -30,8 +30,7 @@ def compare(
     ),
     only: str | None = opt.value(
         "ROWS",
-        "Rows to make, separated by commas: paper, robust, sarsa, watkins, double_q, fine, "
-        "best-table, best-fine, lqr, lqr-snapped, pd, random, or none; by default all.",
+        "Rows to make, separated by commas, or none; by default all.",
     ),
     worlds: str = opt.value(
         "WORLDS", "Worlds, separated by commas.", default="ideal,model,twin:nominal,twin:harsh"
@@ -59,10 +58,10 @@ def compare(
 ) -> None:
     """Compare learned tables, baselines and your own policies on the same trials.
 
-    Every learner has the same episodes and one training; nothing is tuned for
-    a row. The best table is searched for by trials: the bound of what a table
-    of these boxes does. Takes about half an hour on two cores, and a minute
-    with --quick.
+    Rows: paper, robust, sarsa, watkins, double_q, fine, best-table, best-fine,
+    lqr, lqr-snapped, pd, random. Every learner has the same episodes and one
+    training; nothing is tuned for a row. The best table is searched for by
+    trials. Takes some minutes on two cores, and one with --quick.
     """
     output = Output(as_json)
     output.say("Comparing policies")
@@ -91,6 +90,7 @@ def compare(
         "actuator": opt.read_actuator(actuator),
     }
     policies = given or []
+    study.load_given(policies, named, **task)
     total = study.trials_of(policies, named, places, told, trials, quick)
     with output.stages() as show:
         _compile(show, named, places, task["arm"], quick)

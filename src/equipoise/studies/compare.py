@@ -199,21 +199,14 @@ def compare(
     """
     shown = progress or Progress()
     task = pendulum or shipped_pendulum(), arm or iiwa(7), actuator or shipped_actuator()
-    _check(rows, given)
     columns = _columns(worlds, told)
     few = {"trials": trials or (QUICK_TRIALS if quick else TRIALS)}
     long = {"duration": duration or (QUICK_DURATION if quick else DURATION)}
     evaluation = EvaluationSettings.model_validate(few | long)
-    made: dict[str, _Made] = {}
-    for path in given:
-        name = _free_name(str(path), made)
-        found = load_policy(path, pendulum=pendulum, arm=arm, actuator=actuator)
-        if (found.pendulum.digest, found.arm.digest) != (task[0].digest, task[1].digest):
-            raise InputError(
-                f"{path} was trained for another pendulum or arm than the rest of the comparison; "
-                "give its --pendulum and --arm"
-            )
-        made[name] = _Made(found, "given")
+    made = {
+        name: _Made(policy, "given")
+        for name, policy in load_given(given, rows, pendulum, arm, actuator).items()
+    }
     own: dict[str, _Made] = {}
     for row in dict.fromkeys(rows):
         own[row] = _make(row, own, task, episodes, quick, seed, workers, shown)
@@ -237,6 +230,47 @@ def compare(
     return Compared(comparison, tables)
 
 
+def load_given(
+    given: Sequence[StrPath],
+    rows: Sequence[str],
+    pendulum: Pendulum | None = None,
+    arm: Arm | None = None,
+    actuator: Actuator | None = None,
+) -> dict[str, TaskPolicy]:
+    """Return the given policies by their names in a comparison, and check the rows beside them.
+
+    Args:
+        given: Further policies, as `equipoise.load_policy` takes them.
+        rows: Names of the rows to make.
+        pendulum: As in `compare`.
+        arm: As in `compare`.
+        actuator: As in `compare`.
+
+    Raises:
+        InputError: A row is unknown, there is none, there are too many, or a policy is no policy
+            or for another task.
+    """
+    if unknown := [row for row in rows if row not in ROWS]:
+        raise InputError(f"there is no row {unknown[0]!r:.60}; choose from {', '.join(ROWS)}")
+    count = len(set(rows)) + len(given)
+    if not 1 <= count <= MAX_ROWS:
+        raise InputError(f"{count} policies are to be compared, expected 1 to {MAX_ROWS}")
+    wanted = (pendulum or shipped_pendulum()).digest, (arm or iiwa(7)).digest
+    found: dict[str, TaskPolicy] = {}
+    for path in given:
+        policy = load_policy(path, pendulum=pendulum, arm=arm, actuator=actuator)
+        if (policy.pendulum.digest, policy.arm.digest) != wanted:
+            raise InputError(
+                f"{path} was trained for another pendulum or arm than the rest of the comparison; "
+                "give its --pendulum and --arm"
+            )
+        name = _free_name(str(path), found)
+        if name in found:
+            raise InputError(f"{path} is given twice; give each policy once")
+        found[name] = policy
+    return found
+
+
 def trials_of(
     given: Sequence[StrPath],
     rows: Sequence[str],
@@ -255,14 +289,6 @@ def settings_of(row: str, *, quick: bool = False, episodes: int | None = None) -
     recipe, *changes = TRAINED.get(row) or (SEARCHED[row],)
     number = () if episodes is None else (f"learning.episodes={episodes}",)
     return resolve(recipe, overrides=(*changes, *(QUICK_SETTINGS if quick else ()), *number))
-
-
-def _check(rows: Sequence[str], given: Sequence[StrPath]) -> None:
-    if unknown := [row for row in rows if row not in ROWS]:
-        raise InputError(f"there is no row {unknown[0]!r:.60}; choose from {', '.join(ROWS)}")
-    count = len(set(rows)) + len(given)
-    if not 1 <= count <= MAX_ROWS:
-        raise InputError(f"{count} policies are to be compared, expected 1 to {MAX_ROWS}")
 
 
 def _columns(worlds: Sequence[str], told: bool) -> tuple[Column, ...]:
