@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from equipoise.artefacts import shortened
 from equipoise.report import style
-from equipoise.studies.compare_results import Cell, Comparison, Kind
+from equipoise.studies.compare_results import Cell, Comparison
 from equipoise.studies.formatting import LASTED
 
 if TYPE_CHECKING:
@@ -16,14 +16,14 @@ MARGIN: Final = 1.15
 """Height of titles and axes [inch]."""
 WIDEST: Final = 18
 """Length limit of a line of a name [characters]."""
-LOOKS: Final[dict[Kind, dict[str, Any]]] = {
+LOOKS: Final[dict[str, dict[str, Any]]] = {
     "trained": {"color": style.BLUE, "marker": "o"},
     "searched": {"color": style.PURPLE, "marker": "D"},
     "built in": {"color": style.GREEN, "marker": "s"},
     "given": {"color": style.VERMILION, "marker": "^"},
 }
 """Colour and mark of each kind of policy."""
-KINDS: Final[dict[Kind, str]] = {
+KINDS: Final[dict[str, str]] = {
     "trained": "table, learned",
     "searched": "table, searched",
     "built in": "baseline",
