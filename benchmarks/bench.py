@@ -50,6 +50,7 @@ from equipoise import paper
 from equipoise.artefacts import Value
 from equipoise.compiled import kernel
 from equipoise.control.policy import shipped_policy
+from equipoise.executors import available_cores
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.elementary import fma
@@ -57,7 +58,6 @@ from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
 from equipoise.settings import Settings
 from equipoise.simulation import setup_of, simulate
-from equipoise.simulation.trials import available_cores
 from equipoise.training import train
 
 if TYPE_CHECKING:

@@ -5,16 +5,15 @@ make it shorter.
 """
 
 import argparse
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from equipoise.evaluation import Summary, evaluate, exact_interval
+from equipoise.executors import ThreadExecutor, available_cores, run_in_order
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import Settings, resolve
-from equipoise.simulation import available_cores
 from equipoise.training import train
 
 LAST = "selection.candidates=1"
@@ -84,8 +83,8 @@ def main() -> None:
             evaluation = evaluate(policy, test, actuator=actuator, seed=seed, with_baselines=False)
             return evaluation.results.summary()
 
-        with ThreadPoolExecutor(available_cores()) as pool:
-            summaries = list(pool.map(result, range(arguments.seeds)))
+        threads = ThreadExecutor(available_cores())
+        summaries = run_in_order(threads, result, range(arguments.seeds))
         survived = sum(s.survived for s in summaries)
         trials = sum(s.trials for s in summaries)
         track = sum(s.causes.get("track", 0) for s in summaries)

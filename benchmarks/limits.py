@@ -20,12 +20,12 @@ from equipoise.checks.recoverable import (
 )
 from equipoise.control.bound_policy import load_policy
 from equipoise.evaluation import evaluate
+from equipoise.executors import available_cores
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import read_world
 from equipoise.settings import resolve
-from equipoise.simulation import available_cores
 
 W2 = (25.0, 70.0, 140.0)
 """Gravity over inertia [1/s^2]: rods of 59, 21 and 11 cm."""

@@ -5,10 +5,10 @@ from scipy.stats import binomtest
 
 from equipoise.control.policy import shipped_policy
 from equipoise.evaluation import evaluate
+from equipoise.executors import available_cores
 from equipoise.identification import identify
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
-from equipoise.simulation import available_cores
 from equipoise.training import LEARNERS, train_to_target
 from equipoise.trajectory import read_swing
 

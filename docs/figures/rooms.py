@@ -25,7 +25,7 @@ CAPTIONS = {
     "artefacts": "files, compiled kernels, log files, objects of plugins",
     "paper": "the published numbers",
     "views": "plots of values, in scripts and notebooks",
-    "errors": "errors, escaping of printed text, private folders",
+    "errors": "errors, parallel tasks, escaping of printed text, private folders",
 }
 """Caption of a layer, by one of its packages."""
 HIDDEN = ("__main__",)

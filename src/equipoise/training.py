@@ -32,6 +32,7 @@ from equipoise.control.policy import (
     greedy_accelerations,
 )
 from equipoise.errors import ArtefactError, InputError
+from equipoise.executors import ThreadExecutor, run_all
 from equipoise.learning.checkpoint import (
     LearnerResult,
     LearnerState,
@@ -71,7 +72,6 @@ from equipoise.selection import (
 from equipoise.settings import SelectionSettings, Settings
 from equipoise.simulation import ClosedLoop, Setup, find_world, has_ideal_arm, simulate
 from equipoise.simulation.training import train_in_world
-from equipoise.simulation.trials import run_over_cores
 
 Array = npt.NDArray[np.float64]
 
@@ -251,7 +251,8 @@ def train_to_target(
         if not population:
             run(0, workers)
         # There is one CoppeliaSim, and Python steps the other worlds.
-        run_over_cores(run, range(learners), workers if world == MODEL else 1)
+        threads = ThreadExecutor(workers if world == MODEL else 1)
+        run_all(threads, run, range(learners))
         shown.ended()
         policy = cast(TabularPolicy, checkpoints.best)
         decided = not population and policy.test and policy.test.met

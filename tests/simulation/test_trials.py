@@ -39,7 +39,7 @@ from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
 from equipoise.settings import BoxSettings, resolve
 from equipoise.simulation.plant import run_trials
-from equipoise.simulation.trials import available_cores, draw_trials, run_over_cores
+from equipoise.simulation.trials import draw_trials
 from tests.simulation.recorded import on_the_plant, record, run_all
 
 ARM = iiwa(14)
@@ -366,19 +366,6 @@ def test_every_trial_is_run_once_and_told_of(plant, kernels, count):
     assert np.all(trials.steps > 0)
 
 
-@pytest.mark.parametrize("workers", [1, 3])
-def test_an_error_ends_the_work_on_all_cores(workers):
-    begun = []
-
-    def fail(item):
-        begun.append(item)
-        raise ValueError(item)
-
-    with pytest.raises(ValueError, match=r"^[0-2]$"):
-        run_over_cores(fail, range(1000), workers)
-    assert len(begun) <= workers
-
-
 def test_a_trial_lasts_so_many_steps_and_no_more(plant, kernels):
     trials = run(plant, kernels["linear"], 20, duration=0.37)
     assert trials.steps.tolist() == [37] * 20
@@ -421,10 +408,6 @@ def test_an_angle_is_told_before_the_track_and_the_track_before_a_joint(plant):
 
 def test_what_is_not_a_number_is_a_failure(plant):
     assert placed(plant, phi=float("nan"))[1] == ANGLE
-
-
-def test_there_is_a_core():
-    assert available_cores() >= 1
 
 
 @pytest.mark.parametrize("sign", [-1, 1])

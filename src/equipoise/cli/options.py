@@ -278,6 +278,6 @@ def read_arm(
 
 def available_workers(workers: int | None) -> int:
     """Return the number of threads."""
-    from equipoise.simulation import available_cores
+    from equipoise.executors import available_cores
 
     return available_cores() if workers is None else workers

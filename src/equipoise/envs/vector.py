@@ -23,9 +23,10 @@ from equipoise.envs.balance import (
     paper_reward,
 )
 from equipoise.errors import InputError
+from equipoise.executors import available_cores
 from equipoise.model.random import ENVIRONMENT
 from equipoise.model.sim_configs import MODEL, World
-from equipoise.simulation import Trials, available_cores
+from equipoise.simulation import Trials
 from equipoise.simulation.fleet import new_fleet
 from equipoise.simulation.trials import Whole
 

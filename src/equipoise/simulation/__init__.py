@@ -18,7 +18,7 @@ from equipoise.simulation.interface import (
     run_trial,
 )
 from equipoise.simulation.plant import PlantSimulation
-from equipoise.simulation.trials import Trial, Trials, available_cores
+from equipoise.simulation.trials import Trial, Trials
 
 __all__ = [
     "ClosedLoop",
@@ -29,7 +29,6 @@ __all__ = [
     "Trial",
     "TrialRecord",
     "Trials",
-    "available_cores",
     "estimated",
     "find_world",
     "has_ideal_arm",

@@ -24,12 +24,13 @@ from equipoise.control.control_step import (
     ControllerState,
 )
 from equipoise.control.policy import Policy, PolicyKernel, TaskPolicy
+from equipoise.executors import ThreadExecutor, run_all
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import Settings
-from equipoise.simulation.trials import Trial, Trials, run_over_cores
+from equipoise.simulation.trials import Trial, Trials
 
 Array = npt.NDArray[np.float64]
 MANY: Final = 1_000_000
@@ -173,7 +174,7 @@ class Simulation(ABC):
             share = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
             size = min(self.PIECE, max(share, 1))
             pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
-            run_over_cores(run_piece, pieces, workers)
+            run_all(ThreadExecutor(workers), run_piece, pieces)
         elif not isinstance(policy, PolicyKernel):
             loop = self.loop()
             for row in rows:

@@ -4,10 +4,8 @@ The conditions of trial i depend on the seed and i alone: not on the number of t
 or on the policy, so that policies are compared on the same trials.
 """
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +16,6 @@ from equipoise.settings import Settings
 
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
-Item = TypeVar("Item")
 
 
 class Trial(NamedTuple):
@@ -114,40 +111,3 @@ def draw_trials(
         cause=np.zeros(count, np.int64),
         sum_x2=np.zeros(count),
     )
-
-
-def run_over_cores(work: Callable[[Item], object], items: Sequence[Item], workers: int) -> None:
-    """Call `work(item)` for each item on threads; the first error ends all of them.
-
-    Args:
-        work: Function, called in any thread.
-        items: Arguments; a free thread takes the next one.
-        workers: Number of threads; a single one is the caller's.
-    """
-    waiting = list(items)
-    taking = iter(waiting)  # threads share the iterator of a list
-
-    def work_on() -> None:
-        try:
-            for item in taking:
-                work(item)
-        except BaseException:
-            waiting.clear()
-            raise
-
-    if workers == 1:
-        return work_on()
-    with ThreadPoolExecutor(workers) as pool:
-        threads = [pool.submit(work_on) for _ in range(workers)]
-        try:
-            for thread in threads:
-                thread.result()
-        finally:
-            waiting.clear()
-
-
-def available_cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -14,11 +14,11 @@ from equipoise.compiled import cache_is_empty, watching_compilation
 from equipoise.control.bound_policy import bind_policy
 from equipoise.control.policy import TaskPolicy, shipped_policy
 from equipoise.evaluation import evaluate
+from equipoise.executors import available_cores
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.sim_configs import MODEL, World
 from equipoise.settings import Settings
-from equipoise.simulation import available_cores
 from equipoise.studies.progress import ProgressReporter, Show
 from equipoise.training import train
 

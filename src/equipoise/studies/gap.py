@@ -21,7 +21,6 @@ Every difference is a result on our twin, not a measurement of the authors' robo
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from math import radians
 from typing import Any, Final, NamedTuple
@@ -31,6 +30,7 @@ from equipoise.control.policy import TabularPolicy, TaskPolicy
 from equipoise.devices.twin.servo_model import equivalent_actuator
 from equipoise.errors import InputError
 from equipoise.evaluation import Done, TrialResults, evaluate
+from equipoise.executors import ThreadExecutor, run_in_order
 from equipoise.model.actuator import Actuator
 from equipoise.model.sim_configs import (
     MODEL,
@@ -188,8 +188,8 @@ def gap(
     # Each thread runs one condition, since there are more conditions than cores. A policy in Python
     # may have a state, and runs one trial at a time.
     cases = tuple(dict.fromkeys(case for _, case in plan))
-    with ThreadPoolExecutor(1 if policy.kernel is None else workers) as pool:
-        found = dict(zip(cases, pool.map(run, cases), strict=True))
+    threads = ThreadExecutor(1 if policy.kernel is None else workers)
+    found = dict(zip(cases, run_in_order(threads, run, cases), strict=True))
     return Gap(
         quick=quick,
         policy=policy.digest,

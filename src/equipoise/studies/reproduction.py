@@ -21,6 +21,7 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.deployment import deploy
 from equipoise.errors import ArmError, ArtefactError
 from equipoise.evaluation import Evaluation, evaluate
+from equipoise.executors import available_cores
 from equipoise.identification import identify
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
@@ -29,7 +30,6 @@ from equipoise.model.arms.inertials import link_inertials
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import MODEL
 from equipoise.settings import Settings
-from equipoise.simulation import available_cores
 from equipoise.studies.compilation import (
     FUNCTIONS,
     TWIN_FUNCTIONS,
