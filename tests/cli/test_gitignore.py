@@ -24,6 +24,7 @@ WRITTEN = {
     "map": ("map.json", "map.svg", "map.png"),
     "compare": ("compare.json", "compare.svg", "compare.png", "compare-robust.json"),
     "gap": ("gap.json", "gap.svg", "gap.png", "gap-paper-policy.json"),
+    "sweep": ("sweep.json", "sweep.svg", "sweep.png", "sweep.sqlite3"),
     "refine": ("refined.json", "refined-pendulum.json"),
     "log export": ("run-csv/tick.csv", "run.mp4"),
 }

@@ -20,6 +20,7 @@ from equipoise.cli.rehearse import rehearse
 from equipoise.cli.replay import replay
 from equipoise.cli.reproduce import reproduce
 from equipoise.cli.show import show
+from equipoise.cli.sweep import sweep
 from equipoise.cli.train import train
 
 PIPELINE = "Pipeline"
@@ -44,7 +45,7 @@ log = group(help="Read the log of a run, or another file: explain, replay, expor
 for verb in (reproduce, identify, train, evaluate):
     app.command(rich_help_panel=PIPELINE)(verb)
 app.command("map", rich_help_panel=PIPELINE)(map_recoverable)
-for verb in (compare, gap, refine):
+for verb in (compare, gap, refine, sweep):
     app.command(rich_help_panel=PIPELINE)(verb)
 app.command(rich_help_panel=ROBOT)(deploy)
 for verb in (doctor, emulate, record, rehearse):
