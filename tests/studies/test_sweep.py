@@ -188,18 +188,18 @@ def test_trials_train_and_test_with_their_settings(tmp_path):
     text = """
         sampler = "grid"
         tests = 8
-        duration = 2.0
+        duration = 20.0
         objective = "duration"
         [settings]
-        learning.episodes = 20
         selection.every = 0
         [parameters]
-        learning.gamma = { choices = [0.9, 0.99] }
+        learning.episodes = { choices = [1, 500] }
         plant.lag_spread = { choices = [0.0, 0.2] }
         """
     found = run(tmp_path / "one.sqlite3", ThreadExecutor(1), text)
     assert found.digest == run(tmp_path / "two.sqlite3", ThreadExecutor(2), text).digest
-    assert len({trial.duration for trial in found.trials}) > 1
+    lasted = {trial.parameters["learning.episodes"]: trial.duration for trial in found.trials}
+    assert lasted[1] < lasted[500]
     assert all(trial.tests == 8 and not trial.error for trial in found.trials)
     assert json.loads(found.model_dump_json())["study"]["tests"] == 8
 

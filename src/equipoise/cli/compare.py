@@ -61,7 +61,7 @@ def compare(
     Rows: paper, robust, sarsa, watkins, double_q, fine, best-table, best-fine,
     lqr, lqr-snapped, pd, random. Every learner has the same episodes and one
     training; nothing is tuned for a row. The best table is searched for by
-    trials. Takes some minutes on two cores, and one with --quick.
+    trials. Takes a quarter of an hour on a core, and a minute with --quick.
     """
     output = Output(as_json)
     output.say("Comparing policies")
