@@ -28,9 +28,9 @@ lint:  ## format, lint, types and imports
 quick:  ## the tests of the lower rooms
 	$(PYTHON) -m pytest -q $(QUICK)
 
-plain:  ## the same without compilation: the kernels as the Python that one reads (but for `cover`)
-	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q -m 'not slow and not compiled_only' $(QUICK) \
-	  $(addprefix --ignore=,$(COVERING))
+plain:  ## tests of model and control without compilation: the kernels as the Python that one reads
+	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q -m 'not slow and not compiled_only' tests/model \
+	  tests/control $(addprefix --ignore=,$(COVERING))
 
 cover:  ## every branch of safety rules, codecs and state machine is tested; half a minute
 	NUMBA_DISABLE_JIT=1 $(PYTHON) -m pytest -q --cov --cov-report=term-missing:skip-covered \
