@@ -86,7 +86,8 @@ class Network(torch.nn.Module):
             best = self.policy.q_net(scaled).argmax(dim=1)
             return self.actions[best].reshape(1, 1)
         if hasattr(self.policy, "actor"):
-            action = self.policy.actor(scaled, deterministic=True)
+            # Without its distribution, which PyTorch cannot export.
+            action = torch.tanh(self.policy.actor.get_action_dist_params(scaled)[0])
         else:
             features = self.policy.mlp_extractor.forward_actor(scaled)
             action = self.policy.action_net(features)
