@@ -411,6 +411,19 @@ def test_a_self_test_swings_four_times_at_most():
     assert course.cause == "self-test"
 
 
+def test_a_stall_on_the_way_back_from_the_self_test_leaves_the_arm_at_home():
+    course = Course().until(Phase.SELF_TEST)
+    while "self-test" not in course.told:
+        course.tick()
+    for _ in range(80):
+        course.tick()
+    away = abs(course.pilot._controller.x)
+    course.tick(0.04)
+    course.until(Phase.LIFTING)
+    assert away > 0.01
+    assert course.sent[-1][1] == pytest.approx(ARM.home, abs=2e-5)
+
+
 @pytest.mark.parametrize("stalled", [False, True])
 def test_a_stop_keeps_the_lead_and_goes_on_from_the_setpoint(stalled):
     settings = POLICY.settings

@@ -70,6 +70,9 @@ REST_BEFORE: Final = 0.3
 """Observation of the pendulum before the move [s]."""
 RETURN_TIME: Final = 1.6
 """Duration of the way back from the self-test [s]: twice that of the way out."""
+HOME_TOLERANCE: Final = 2e-5
+"""Largest distance of the flange from home at which the balance may begin [m]: as an error of the
+first setpoint it is an acceleration of 1 m/s^2."""
 MAX_SWINGS: Final = 4
 """Maximum number of swings of a self-test, repeated until the zero's interval is small."""
 NUDGE_INTERVAL: Final = 5.0
@@ -643,6 +646,10 @@ class RunController:
             self._notify(ACTUATOR, self._result.describe(carried))
         if t < RETURN_TIME + REST_BEFORE or self._selects:
             return self._glide(self._swing.path, t)
+        if abs(self._controller.x) > HOME_TOLERANCE:  # a stall has cost a part of the way
+            self._swing.path = Path((self._controller.x,), (0.0,), RETURN_TIME)
+            self._swing.begin = (self._ticks + 1) * self._h
+            return self._glide(self._swing.path, -self._h)
         if result.verdict is SelfTestVerdict.ZERO:
             self._go(states.RunEvent.REFUSED)
             self.zero, self._rest = None, _Rest()
