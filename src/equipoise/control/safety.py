@@ -485,17 +485,16 @@ def broken_lead(
         to_rest: Whether it belongs to a way to rest that ends inside the limits.
     """
     for i in range(len(q)):
-        lead = q[i] - reference[i]
-        if lead == 0.0:
-            continue
-        # Written so that NaN breaks the rule.
-        if not abs(lead) <= MAX_LEAD * (1.0 + ROUNDING):
-            return LEAD_CODE, i + 1, abs(lead), MAX_LEAD
         lower, upper = limits.lower[i], limits.upper[i]
         rest = rest_position(limits, i, q[i], (reference[i] - last[i]) / dt)
         for end in (q[i], q[i] if to_rest else rest):
-            if not lower <= end <= upper:
+            if q[i] != reference[i] and not lower <= end <= upper:
                 return POSITION_CODE, i + 1, end, lower if end < lower else upper
+    for i in range(len(q)):
+        lead = abs(q[i] - reference[i])
+        # Written so that NaN breaks the rule.
+        if not lead <= MAX_LEAD * (1.0 + ROUNDING):
+            return LEAD_CODE, i + 1, lead, MAX_LEAD
     return broken_jump(q, sent)
 
 
