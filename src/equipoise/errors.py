@@ -15,11 +15,21 @@ The tree, with the exit code of the command line in brackets::
 A message gives the fault with its value, the expected value, and a remedy.
 """
 
+from typing import Any
+
 
 class EquipoiseError(Exception):
     """Base class of all exceptions of Equipoise."""
 
     exit_code = 2
+
+    def __reduce__(self) -> Any:
+        """Return what gives an equal exception in another process, whatever its type was given."""
+        return _equal, (type(self), self.args)
+
+
+def _equal(kind: type[EquipoiseError], args: tuple[Any, ...]) -> EquipoiseError:
+    return kind.__new__(kind, *args)
 
 
 class InputError(EquipoiseError, ValueError):

@@ -31,6 +31,7 @@ from equipoise.control.baselines import baselines
 from equipoise.control.boxes import CAUSES, cause_named
 from equipoise.control.policy import MAX_ACTUATORS, PolicyKernel, TaskPolicy
 from equipoise.control.trial_safety import guard_named
+from equipoise.executors import Workers
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.random import TEST
@@ -179,7 +180,7 @@ def evaluate(
     actuator: Actuator | None = None,
     seed: int = 0,
     with_baselines: bool = True,
-    workers: int = 1,
+    workers: Workers = 1,
     partial: StrPath | None = None,
     done: Done = lambda _: None,
 ) -> Evaluation:
@@ -198,7 +199,7 @@ def evaluate(
             `equipoise.control.actuator_choice`; on a plant its first one holds.
         seed: Master seed of the trials.
         with_baselines: Run the baselines on the same trials.
-        workers: Number of threads for compiled policies; the result does not depend on it.
+        workers: Threads, or an executor, of compiled policies; the result does not depend on it.
         partial: File that keeps the finished trials until all are done: an interrupted evaluation
             continues from it.
         done: Callback; receives the number of trials that have just finished.

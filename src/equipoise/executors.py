@@ -1,12 +1,13 @@
-"""Execution of independent tasks: the one place where work is spread over threads.
+"""Execution of independent tasks: the one place where work is spread over threads or machines.
 
 Populations of learners, pieces of an evaluation, conditions of a gap and trials of a sweep are
 tasks: a function, and a sequence of its arguments. A result does not depend on where its task ran.
-Compiled kernels release the interpreter, so that threads use all cores.
+Compiled kernels release the interpreter, so that threads use all cores. `equipoise.cluster` spreads
+tasks over machines: there, function and tasks are pickled, and results come back the same way.
 """
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from queue import SimpleQueue
 from typing import NamedTuple, Protocol, TypeVar
@@ -18,13 +19,26 @@ Result = TypeVar("Result")
 class Executor(Protocol):
     """Runner of independent tasks."""
 
+    @property
+    def workers(self) -> int:
+        """Number of tasks that run at the same time."""
+        ...
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether tasks run in other processes.
+
+        Functions and tasks are pickled then, and callbacks of the caller are out of reach.
+        """
+        ...
+
     def completed(
         self, function: Callable[[Task], Result], tasks: Sequence[Task]
-    ) -> Iterator[tuple[int, Result]]:
+    ) -> Generator[tuple[int, Result]]:
         """Call a function for each task, and yield the results as they complete.
 
         Args:
-            function: Function of one task, called in any thread.
+            function: Function of one task, called in any thread or process.
             tasks: Arguments; a free thread takes the next one.
 
         Yields:
@@ -39,10 +53,12 @@ class ThreadExecutor(NamedTuple):
 
     workers: int
     """Number of threads; a single one is the caller's."""
+    is_remote: bool = False
+    """Always false; see `Executor.is_remote`."""
 
     def completed(
         self, function: Callable[[Task], Result], tasks: Sequence[Task]
-    ) -> Iterator[tuple[int, Result]]:
+    ) -> Generator[tuple[int, Result]]:
         """Call a function for each task, and yield the results as they complete.
 
         See `Executor.completed`.
@@ -75,6 +91,15 @@ class ThreadExecutor(NamedTuple):
                     thread.result()
             finally:
                 waiting.clear()
+
+
+Workers = int | Executor
+"""Number of threads, or an executor."""
+
+
+def executor_of(workers: Workers) -> Executor:
+    """Return the executor of a number of threads, or the given one."""
+    return ThreadExecutor(workers) if isinstance(workers, int) else workers
 
 
 def run_all(executor: Executor, function: Callable[[Task], object], tasks: Sequence[Task]) -> None:

@@ -17,7 +17,6 @@ so that the test may stop as soon as they answer the question.
 from collections import Counter
 from collections.abc import Callable, Sequence
 from math import log
-from threading import Lock
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -29,18 +28,19 @@ from scipy.stats import binom
 from equipoise import paper
 from equipoise.control.boxes import CAUSES, TRUNCATED, cause_named, partition
 from equipoise.control.policy import Checkpoint, PolicyKernel, TargetTest, table_kernel
-from equipoise.learning.closed_loop import LoopParams, make_loop_params
+from equipoise.executors import Workers
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST
 from equipoise.settings import Settings
+from equipoise.simulation.interface import Setup
 from equipoise.simulation.plant import PlantSimulation
 
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 Running = Callable[[int, int], None]
-"""Callback for finished trials, and the number of trials that are expected; from any thread."""
+"""Callback for finished trials, and the number of trials that are expected."""
 
 FIRST_BLOCK: Final = 4
 """Number of trials of each candidate in the first round; each round doubles them."""
@@ -68,23 +68,24 @@ class Candidate(NamedTuple):
 class TrialPlant(NamedTuple):
     """Inputs of the trials of candidates, which all share."""
 
-    params: LoopParams
-    """Constants of the closed loop."""
-    arm: Arm
-    """The arm."""
-    pendulum: PendulumParameters
-    """Nominal parameters, which the trials vary."""
-    settings: Settings
-    """Ranges of the trials' conditions, and the rules of the selection."""
+    setup: Setup
+    """Pendulum, arm, settings and the actuator."""
     seed: int
     """Master seed."""
 
-    def simulation(self, stream: int, spread: float) -> PlantSimulation:
+    @property
+    def settings(self) -> Settings:
+        """Ranges of the trials' conditions, and the rules of the selection."""
+        return self.setup.settings
+
+    @property
+    def pendulum(self) -> PendulumParameters:
+        """Nominal parameters, which the trials vary."""
+        return self.setup.pendulum.parameters(linearised=self.settings.plant.linearised)
+
+    def simulation(self, stream: int, spread: float = 1.0) -> PlantSimulation:
         """Return the simulation of trials for one purpose."""
-        params, arm, pendulum, settings, seed = self
-        return PlantSimulation(
-            params, arm, pendulum, settings, seed=seed, stream=stream, spread=spread
-        )
+        return PlantSimulation.of(self.setup, seed=self.seed, stream=stream, spread=spread)
 
     def tables(self, u_of_box: Array) -> PolicyKernel:
         """Return the policy of several tables, from their accelerations one after the other."""
@@ -94,23 +95,16 @@ class TrialPlant(NamedTuple):
 def trial_plants(
     pendulum: Pendulum, arm: Arm, settings: Settings, actuators: Sequence[Actuator], seed: int
 ) -> list[TrialPlant]:
-    """Return the inputs of trials on the plants of a training, one for each actuator.
-
-    Raises:
-        ArmError: Home is a singular posture.
-        SettingsError: The delay exceeds the controller's history.
-    """
-    nominal = pendulum.parameters(linearised=settings.plant.linearised)
-    each = (make_loop_params(arm, settings, paper.STEP, nominal, one) for one in actuators)
-    return [TrialPlant(params, arm, nominal, settings, seed) for params in each]
+    """Return the inputs of trials on the plants of a training, one for each actuator."""
+    setups = (Setup(pendulum, arm, settings, (one,), paper.STEP) for one in actuators)
+    return [TrialPlant(setup, seed) for setup in setups]
 
 
 class _Counter:
-    """Count of finished trials, which any thread may add to."""
+    """Count of finished trials."""
 
     def __init__(self, running: Running) -> None:
-        self.finished, self._expected = 0, 0
-        self._running, self._lock = running, Lock()
+        self.finished, self._expected, self._running = 0, 0, running
 
     def expect(self, expected: int) -> None:
         """Report the number of trials that are expected until the end."""
@@ -119,16 +113,15 @@ class _Counter:
 
     def add(self, rows: Sequence[int]) -> None:
         """Add finished trials; the last report is left to the caller."""
-        with self._lock:
-            self.finished += len(rows)
-            self._running(self.finished, max(self._expected, self.finished + 1))
+        self.finished += len(rows)
+        self._running(self.finished, max(self._expected, self.finished + 1))
 
 
 def race(
     plants: Sequence[TrialPlant],
     candidates: Sequence[Candidate],
     *,
-    workers: int = 1,
+    workers: Workers = 1,
     running: Running = lambda _, __: None,
 ) -> list[tuple[int, Checkpoint]]:
     """Race candidates on common trials; return their indices and results, the best first.
@@ -139,7 +132,7 @@ def race(
     Args:
         plants: Inputs of the trials, on each plant.
         candidates: At least one.
-        workers: Threads; the result does not depend on it.
+        workers: Threads, or an executor; the result does not depend on it.
         running: Called as trials finish.
     """
     rule, count = plants[0].settings.selection, len(candidates)
@@ -215,7 +208,7 @@ def scored(
         steps: Number of steps of each trial, shape (n,).
         sum_x2: Sum of x^2 over the steps of each trial [m^2], shape (n,).
     """
-    rule, h = plant.settings.selection, plant.params.controller.h
+    rule, h = plant.settings.selection, plant.setup.h
     mean_duration = float(np.mean(steps)) * h
     rms_x = float(np.sqrt(np.sum(sum_x2) / np.sum(steps)))
     return Checkpoint(
@@ -234,7 +227,7 @@ def measure_share(
     *,
     target: float,
     error: float = ERROR,
-    workers: int = 1,
+    workers: Workers = 1,
     running: Running = lambda _, __: None,
 ) -> TargetTest:
     """Measure the share of trials that a selected policy lasts, until the target is decided.
@@ -248,11 +241,11 @@ def measure_share(
         u_of_box: Acceleration of each box [m/s^2], shape (boxes,).
         target: Required share [-].
         error: Probability that the interval does not contain the share.
-        workers: Threads; the result does not depend on it.
+        workers: Threads, or an executor; the result does not depend on it.
         running: Called as trials finish, with the number after which the target would be met.
     """
     rule = plant.settings.selection
-    simulation, policy = plant.simulation(TARGET_TEST, 1.0), plant.tables(u_of_box)
+    simulation, policy = plant.simulation(TARGET_TEST), plant.tables(u_of_box)
     count, failed, causes = 0, 0, Counter[str]()
     low, high, counter = 0.0, 1.0, _Counter(running)
     while count == 0 or (low < target <= high and count < rule.test_trials):

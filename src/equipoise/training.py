@@ -7,8 +7,10 @@ other until one meets the target. Equal seeds give equal bits, for any number of
 after a resumed interruption.
 """
 
+import functools
 import json
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -32,7 +34,7 @@ from equipoise.control.policy import (
     greedy_accelerations,
 )
 from equipoise.errors import ArtefactError, InputError
-from equipoise.executors import ThreadExecutor, run_all
+from equipoise.executors import ThreadExecutor, Workers, executor_of
 from equipoise.learning.checkpoint import (
     LearnerResult,
     LearnerState,
@@ -96,7 +98,7 @@ def train(
     seed: int = 0,
     learner: int = 0,
     init_policy: TabularPolicy | None = None,
-    workers: int = 1,
+    workers: Workers = 1,
     partial: StrPath | None = None,
     report: Report = lambda _: None,
     selecting: Running = lambda _, __: None,
@@ -117,13 +119,12 @@ def train(
         seed: Master seed.
         learner: Index of the learner, each with its own random numbers.
         init_policy: Policy with the initial table and visits; by default zeros.
-        workers: Threads for the selection trials; the result does not depend on it.
+        workers: Threads, or an executor, of the trials; the result does not depend on it.
         partial: File for checkpoints. The training resumes from an existing one. The file is kept;
             delete it once the policy is saved.
         report: Called with each new point of the learning curve; first with the last one of a
             checkpoint.
-        selecting: Called as trials of the race finish, with their number and the expected one; also
-            from other threads.
+        selecting: Called as trials of the race finish, with their number and the expected one.
 
     Returns:
         The policy, with its learning curve and the results of its race.
@@ -179,7 +180,7 @@ def train_to_target(
     actuator: Actuator | Sequence[Actuator] | None = None,
     world: str = MODEL,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
     partial: StrPath | None = None,
     progress: TargetProgress | None = None,
 ) -> TrainedLearners:
@@ -201,7 +202,7 @@ def train_to_target(
         actuator: Actuator of the arm; as in `train`.
         world: World of the episodes; as in `train`.
         seed: Master seed.
-        workers: Threads; the result does not depend on it.
+        workers: Threads, or an executor; the result does not depend on it.
         partial: File for the checkpoints of all learners; as in `train`.
         progress: Callbacks.
 
@@ -224,7 +225,10 @@ def train_to_target(
     wanted = {"target": str(target), "--all": str(population)}
     with _Checkpoints(partial, task, wanted, population) as checkpoints:
 
-        def run(learner: int, workers: int = 1) -> None:
+        def is_needed(learner: int) -> bool:
+            return not (checkpoints.is_decided(learner) or checkpoints.is_finished(learner))
+
+        def run(learner: int, workers: Workers = 1) -> TabularPolicy | None:
             def report(point: LearningPoint) -> None:
                 if checkpoints.is_decided(learner):
                     raise _DecidedError
@@ -236,23 +240,31 @@ def train_to_target(
             def testing(done: int, of: int) -> None:
                 shown.testing(learner, done, of)
 
-            if checkpoints.is_decided(learner) or checkpoints.is_finished(learner):
-                return
+            if not is_needed(learner):
+                return None
             try:
                 policy = _train(task, learner, workers, checkpoints, report, selecting)
             except _DecidedError:
-                return
-            given: Any = {"error": _error(learner), "workers": workers, "running": testing}
-            tests = measure_policy(policy, target=target, **given)
-            policy = policy.model_copy(update={"tests": tests})
-            checkpoints.finish(policy)
-            shown.finished(_result(policy))
+                return None
+            return _tested(policy, target, workers, testing)
+
+        def finish(policy: TabularPolicy | None) -> None:
+            if policy is not None:
+                checkpoints.finish(policy)
+                shown.finished(_result(policy))
 
         if not population:
-            run(0, workers)
-        # There is one CoppeliaSim, and Python steps the other worlds.
-        threads = ThreadExecutor(workers if world == MODEL else 1)
-        run_all(threads, run, range(learners))
+            finish(run(0, workers))
+        executor = executor_of(workers)
+        if world != MODEL:
+            executor = ThreadExecutor(1)  # there is one CoppeliaSim, and Python steps a twin
+        function = functools.partial(_run_elsewhere, task, target) if executor.is_remote else run
+        needed = [learner for learner in range(learners) if is_needed(learner)]
+        with closing(executor.completed(function, needed)) as completed:
+            for _, policy in completed:
+                finish(policy)
+                if not population and not any(map(is_needed, needed)):
+                    break
         shown.ended()
         policy = cast(TabularPolicy, checkpoints.best)
         decided = not population and policy.test and policy.test.met
@@ -261,12 +273,31 @@ def train_to_target(
     return TrainedLearners(policy, tuple(each for each in results if each.learner <= last))
 
 
+def _run_elsewhere(task: "_Task", target: float, learner: int) -> TabularPolicy:
+    """Train, select and test one learner in another process."""
+    with _Checkpoints(None, task, {}) as checkpoints:
+        policy = _train(task, learner, 1, checkpoints, lambda _: None, lambda _, __: None)
+    return _tested(policy, target, 1)
+
+
+def _tested(
+    policy: TabularPolicy,
+    target: float,
+    workers: Workers,
+    running: Running = lambda _, __: None,
+) -> TabularPolicy:
+    """Return a policy of `train_to_target` with its tests."""
+    error = _error(policy.learner)
+    tests = measure_policy(policy, target=target, error=error, workers=workers, running=running)
+    return policy.model_copy(update={"tests": tests})
+
+
 def measure_policy(
     policy: TabularPolicy,
     *,
     target: float = TARGET,
     error: float = ERROR,
-    workers: int = 1,
+    workers: Workers = 1,
     running: Running = lambda _, __: None,
 ) -> tuple[TargetTest, ...]:
     """Test a policy behind each of its actuators; see `equipoise.selection.measure_share`.
@@ -295,7 +326,7 @@ def compare_policies(
     policies: Sequence[TabularPolicy],
     *,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
     running: Running = lambda _, __: None,
 ) -> list[Checkpoint]:
     """Race policies on the model of the first one; return their results, in the given order.
@@ -303,8 +334,8 @@ def compare_policies(
     Args:
         policies: At least one.
         seed: Master seed of the trials; choose one that trained none of the policies.
-        workers: Threads; the result does not depend on it.
-        running: Called as trials finish, also from other threads.
+        workers: Threads, or an executor; the result does not depend on it.
+        running: Called as trials finish.
     """
     plants = _plants(policies[0], seed)
     candidates = [Candidate(policy.episodes, policy.u_of_box) for policy in policies]
@@ -438,7 +469,7 @@ def _task(
 def _train(
     task: _Task,
     learner: int,
-    workers: int,
+    workers: Workers,
     checkpoints: "_Checkpoints",
     report: Report,
     selecting: Running,
@@ -467,7 +498,7 @@ def _train(
     loops: list[Any] = []
     for i, plant in enumerate(plants):
         # The boxes do not resolve speeds below the limit; selection finds tables that respect it.
-        params = plant.params._replace(speed_limit=inf)
+        params = plant.simulation(TRAINING_NOISE).params._replace(speed_limit=inf)
         share = config._replace(episodes=(config.episodes + len(plants) - 1 - i) // len(plants))
         given = params, plant.pendulum, share, kernel, trainings[i], key
         loops.append(new_training_loop(*given))
@@ -626,6 +657,7 @@ class _Checkpoints(PartialFile):
         self.states: dict[str, LearnerState] = {}
         self.finished: tuple[LearnerResult, ...] = ()
         self.best: TabularPolicy | None = None
+        self._known = set[int]()
         self._lock = Lock()
         # Digests of the inputs that determine the bits, by name.
         self._deciding = {
@@ -651,6 +683,7 @@ class _Checkpoints(PartialFile):
             )
         self.states |= found.learners
         self.finished, self.best = found.finished, found.best
+        self._known |= {result.learner for result in found.finished}
 
     def keep(self, learner: int, state: LearnerState) -> None:
         """Store the state of a learner."""
@@ -661,8 +694,9 @@ class _Checkpoints(PartialFile):
     def finish(self, policy: TabularPolicy) -> None:
         """Store the figures of a tested learner, and its policy if it is the best."""
         with self._lock:
-            del self.states[str(policy.learner)]
+            self.states.pop(str(policy.learner), None)  # absent if trained in another process
             self.finished += (_result(policy),)
+            self._known.add(policy.learner)
             known = self.best
             if known is None or self._key(policy) > self._key(known):
                 self.best = policy
@@ -670,7 +704,7 @@ class _Checkpoints(PartialFile):
 
     def is_finished(self, learner: int) -> bool:
         """Return whether a learner has been tested."""
-        return any(result.learner == learner for result in self.finished)
+        return learner in self._known
 
     def is_decided(self, learner: int) -> bool:
         """Return whether a learner is not needed: one of a lower number meets the target."""

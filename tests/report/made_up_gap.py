@@ -43,7 +43,7 @@ def measured(policy, lasts, **options):
     """Return a study and its calls, where trial i of a call lasts `lasts(call, i)` seconds [s]."""
     calls = []
 
-    def evaluate(table, settings, *, world, actuator, seed, with_baselines, done):
+    def evaluate(table, settings, *, world, actuator, seed, workers, with_baselines, done):
         assert not with_baselines
         twin = world.settings if isinstance(world, World) else None
         call = Call(table, settings, twin, actuator, seed)

@@ -19,7 +19,6 @@ from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TRAINING_NOISE
 from equipoise.selection import trial_plants
 from equipoise.settings import resolve
-from equipoise.simulation.plant import PlantSimulation
 from equipoise.simulation.training import train_in_world
 from equipoise.training import actuators_in, train, training_config
 
@@ -41,18 +40,16 @@ FEW = [
 @pytest.mark.parametrize("actuator", [IDEAL_ACTUATOR, shipped_actuator()])
 def test_an_episode_in_a_world_teaches_what_it_teaches_compiled(learner, actuator):
     settings = resolve(overrides=[f"learning.learner={learner}", "learning.hold_action=true"])
-    plant = trial_plants(PENDULUM, ARM, settings, (actuator,), 0)[0]
     config = training_config(settings, PENDULUM.parameters().k)._replace(episodes=1)
     kernel, boxes = compile_learner(settings.learning), settings.boxes.count
     for seed in range(3):
         states = [new_training_state(boxes, 2), new_training_state(boxes, 2)]
         key = np.array((seed, 0))
-        given = (plant.params, plant.pendulum, config, kernel)
+        plant = trial_plants(PENDULUM, ARM, settings, (actuator,), seed)[0]
+        world = plant.simulation(TRAINING_NOISE)
+        given = (world.params, plant.pendulum, config, kernel)
         compiled, stepped = (new_training_loop(*given, state, key) for state in states)
         train_episodes(compiled, 1)
-        world = PlantSimulation(
-            plant.params, ARM, plant.pendulum, settings, seed=seed, stream=TRAINING_NOISE
-        )
         train_in_world(stepped, states[1], world.loop(), 1)
         one, other = states
         assert one.totals[STEPS] == other.totals[STEPS] > 0

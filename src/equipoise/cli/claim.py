@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from equipoise.cli import next_step
-from equipoise.cli import options as opt
 from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.output import Output
 
 if TYPE_CHECKING:
     from equipoise.control.policy import TaskPolicy
+    from equipoise.executors import Workers
     from equipoise.studies.certification import Certificate, Repetition
 
 
@@ -23,7 +23,7 @@ def certify(
     duration: float,
     world: str,
     trials: int | None,
-    workers: int | None,
+    workers: "Workers",
     out: Path | None,
     force: bool,
 ) -> None:
@@ -44,7 +44,7 @@ def certify(
     output.rows({"claim": claim.text, "test": test})
     with output.trials("evaluate", chosen, world, claim.trials) as done:
         certificate, evaluation = study.certify(
-            chosen, claim, workers=opt.available_workers(workers), partial=partial, done=done
+            chosen, claim, workers=workers, partial=partial, done=done
         )
     with destination.claimed() as out:
         beside = study.evaluation_path(out)
@@ -72,7 +72,7 @@ def certify(
 
 
 def repeat(
-    output: Output, file: Path, policy: Path | None, chosen: "TaskPolicy", workers: int | None
+    output: Output, file: Path, policy: Path | None, chosen: "TaskPolicy", workers: "Workers"
 ) -> None:
     """Repeat the trials of a certificate, and compare the outcome.
 
@@ -88,7 +88,7 @@ def repeat(
     output.rows({"claim": claim.text})
     study.check_policy(certificate, chosen)
     with output.trials("repeat", chosen, claim.world, claim.trials) as done:
-        again = study.repeat(certificate, chosen, workers=opt.available_workers(workers), done=done)
+        again = study.repeat(certificate, chosen, workers=workers, done=done)
     _say_repeated(output, certificate, again)
     output.next("evaluate", policy, "--world", claim.world)
     output.result(

@@ -13,7 +13,10 @@ if TYPE_CHECKING:
     from equipoise.studies.compare_results import Cell, Comparison, PolicyRow
     from equipoise.studies.progress import Show
 
-TABLES = ("paper", "robust", "sarsa", "watkins", "double_q", "fine", "best-table", "best-fine")
+TABLES = (
+    *("paper", "robust", "sarsa", "watkins", "double_q", "fine"),
+    *("value-iteration", "best-table", "best-fine"),
+)
 """Rows whose tables are written beside the comparison."""
 BASELINES = ("lqr", "lqr-snapped", "pd", "random")
 """Rows that are built in."""
@@ -52,14 +55,15 @@ def compare(
     figure: bool = opt.flag("--figure/--no-figure", "Draw the figure too.", default=True),
     seed: int = opt.SEED,
     workers: int | None = opt.WORKERS,
+    ray: str | None = opt.RAY,
     out: Path | None = opt.out("Comparison to write, figure and tables beside it.", "compare.json"),
     force: bool = opt.FORCE,
     as_json: bool = opt.JSON,
 ) -> None:
     """Compare learned tables, baselines and your own policies on the same trials.
 
-    Rows: paper, robust, sarsa, watkins, double_q, fine, best-table, best-fine,
-    lqr, lqr-snapped, pd, random. Every learner has the same episodes and one
+    Rows: paper, robust, sarsa, watkins, double_q, fine, value-iteration,
+    best-table, best-fine, lqr, lqr-snapped, pd, random. Every learner has the same episodes and one
     training; nothing is tuned for a row. The best table is searched for by
     trials. Takes a quarter of an hour on a core, and a minute with --quick.
     """
@@ -105,7 +109,7 @@ def compare(
             duration=duration,
             quick=quick,
             seed=seed,
-            workers=opt.available_workers(workers),
+            workers=opt.executor(workers, ray),
             progress=study.StageProgress(show, total),
         )
     found = compared.comparison

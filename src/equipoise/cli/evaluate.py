@@ -22,7 +22,17 @@ TASK = (
 )
 """Options that choose a policy and its task."""
 CLAIM = "A claim and its certificate"
-CLAIM_OPTIONS = ("claim", "confidence", "duration", "world", "trials", "workers", "out", "force")
+CLAIM_OPTIONS = (
+    "claim",
+    "confidence",
+    "duration",
+    "world",
+    "trials",
+    "workers",
+    "ray",
+    "out",
+    "force",
+)
 """Options that go with `--claim`."""
 BASELINES = 4
 """Number of baselines; it only scales a progress bar."""
@@ -63,6 +73,7 @@ def evaluate(
     settings_file: Path | None = opt.SETTINGS_FILE,
     seed: int = opt.SEED,
     workers: int | None = opt.WORKERS,
+    ray: str | None = opt.RAY,
     held: str | None = opt.HELD,
     base: str | None = opt.BASE,
     tip: str | None = opt.TIP,
@@ -88,17 +99,18 @@ def evaluate(
     policy = policy or named
     of_urdf = opt.read_arm(arm or "iiwa7", held, base, tip) if arm or held or base or tip else None
     given = (policy, pendulum, of_urdf, actuator, settings_file)
+    threads = opt.executor(workers, ray)
     if verify is not None:
-        opt.only(context, "--verify", *TASK, "verify", "workers", "as_json")
+        opt.only(context, "--verify", *TASK, "verify", "workers", "ray", "as_json")
         output.say(f"Repeating the trials of {verify}")
-        repeat(output, verify, policy, _of_claim(opt.read_policy(*given), actuator), workers)
+        repeat(output, verify, policy, _of_claim(opt.read_policy(*given), actuator), threads)
         return
     if claim is not None:
         opt.only(context, "--claim", *TASK, *CLAIM_OPTIONS, "as_json")
         output.say(f"Certifying {policy or 'the shipped policy'}")
         task = _of_claim(opt.read_policy(*given), actuator)
         length = 60.0 if duration is None else duration
-        certify(output, policy, task, claim, confidence, length, world, trials, workers, out, force)
+        certify(output, policy, task, claim, confidence, length, world, trials, threads, out, force)
         return
     output.say(f"Evaluating {policy or 'the shipped policy'}")
     destination = choose_file(output, out, "evaluation.json", policy, pendulum, force=force)
@@ -130,7 +142,7 @@ def evaluate(
             actuator=response,
             seed=seed,
             with_baselines=with_baselines,
-            workers=opt.available_workers(workers),
+            workers=threads,
             partial=partial,
             done=done,
         )

@@ -33,6 +33,7 @@ def gap(
     quick: bool = opt.flag("--quick", "Fewer points and trials."),
     seed: int = opt.SEED,
     workers: int | None = opt.WORKERS,
+    ray: str | None = opt.RAY,
     out: Path | None = opt.out("Study to write, its figure beside it.", "gap.json"),
     force: bool = opt.FORCE,
     as_json: bool = opt.JSON,
@@ -64,7 +65,7 @@ def gap(
     chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
     known = opt.read_actuator(actuator)
     total = study.trials_of(world, quick=quick, trials=trials)
-    settings, threads = study.paper_settings(quick=quick), opt.available_workers(workers)
+    settings, threads = study.paper_settings(quick=quick), opt.executor(workers, ray)
     with output.stages() as show:
         with compilation.compiling(show, compilation.FUNCTIONS + compilation.TWIN_FUNCTIONS):
             compilation.compile_training(chosen.arm, settings)

@@ -28,6 +28,7 @@ def map_recoverable(
     duration: float | None = opt.value("SECONDS", "Duration of a trial; by default 10."),
     seed: int = opt.SEED,
     workers: int | None = opt.WORKERS,
+    ray: str | None = opt.RAY,
     out: Path | None = opt.out("Map to write, its figure beside it.", "map.json"),
     force: bool = opt.FORCE,
     as_json: bool = opt.JSON,
@@ -63,7 +64,7 @@ def map_recoverable(
             starts=starts,
             duration=study.DURATION if duration is None else duration,
             seed=seed,
-            workers=opt.available_workers(workers),
+            workers=opt.executor(workers, ray),
             done=done,
         )
     inputs = {"policy": found.policy, "pendulum": found.pendulum, "actuator": found.actuator}

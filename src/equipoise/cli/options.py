@@ -12,6 +12,7 @@ from equipoise.errors import InputError
 if TYPE_CHECKING:
     from equipoise.artefacts import Value
     from equipoise.control.policy import TaskPolicy
+    from equipoise.executors import Executor
     from equipoise.model.actuator import Actuator
     from equipoise.model.arms.arm import Arm
     from equipoise.model.pendulum import Pendulum
@@ -95,6 +96,9 @@ SWING_OPTIONS = ("start", "end", "counts_per_rev", "from_upright", "columns")
 
 SEED = value("N", "Master seed; equal seeds give equal results.", default=0, callback=_seed)
 WORKERS = value("N", "Threads, by default one per core; results do not depend on them.", min=1)
+RAY = value(
+    "ADDRESS", "Ray cluster instead of threads: HOST:PORT of its head, or auto on this machine."
+)
 ARM = value("ARM", "iiwa7, iiwa14, another registered arm, a URDF or a rig.toml.", default="iiwa7")
 ACTUATORS = value(
     "FILE",
@@ -281,3 +285,21 @@ def available_workers(workers: int | None) -> int:
     from equipoise.executors import available_cores
 
     return available_cores() if workers is None else workers
+
+
+def executor(workers: int | None, ray: str | None) -> "Executor":
+    """Return the executor of the tasks: threads, or a Ray cluster.
+
+    Raises:
+        InputError: Both are given, or no cluster answers.
+        MissingExtraError: Ray is not installed.
+    """
+    if ray is None:
+        from equipoise.executors import ThreadExecutor
+
+        return ThreadExecutor(available_workers(workers))
+    if workers is not None:
+        raise InputError("both --workers and --ray are given; give one of them")
+    from equipoise.cluster import RayExecutor
+
+    return RayExecutor(ray)

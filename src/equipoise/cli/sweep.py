@@ -28,6 +28,7 @@ def sweep(
     arm: str = opt.ARM,
     actuator: list[str] | None = opt.ACTUATORS,
     workers: int | None = opt.WORKERS,
+    ray: str | None = opt.RAY,
     out: Path | None = opt.out("Sweep to write, figure and storage beside it.", "sweep.json"),
     force: bool = opt.FORCE,
     as_json: bool = opt.JSON,
@@ -45,7 +46,6 @@ def sweep(
         output, out, "sweep.json", study_file, pendulum, force=force, beside=pictures
     )
 
-    from equipoise.executors import ThreadExecutor
     from equipoise.report.figures.sweep import sweep_figure
     from equipoise.report.style import save
     from equipoise.studies import sweep as study
@@ -58,6 +58,7 @@ def sweep(
     read = read_study(study_file)
     source, machine = opt.read_pendulum(pendulum), opt.read_arm(arm)
     responses = [one for each in actuator or () if (one := opt.read_actuator(each))]
+    executor = opt.executor(workers, ray)
     with output.stages() as show:
         with compiling(show, FUNCTIONS):
             compile_training(machine, read.resolved())
@@ -67,7 +68,7 @@ def sweep(
             machine,
             actuators=responses,
             storage=storage,
-            executor=ThreadExecutor(opt.available_workers(workers)),
+            executor=executor,
             show=show,
         )
     with destination.claimed() as out:

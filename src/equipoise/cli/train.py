@@ -59,6 +59,7 @@ def train(
     max_speed: float | None = opt.MAX_SPEED,
     seed: int = opt.SEED,
     workers: int | None = opt.WORKERS,
+    ray: str | None = opt.RAY,
     held: str | None = opt.HELD,
     base: str | None = opt.BASE,
     tip: str | None = opt.TIP,
@@ -126,7 +127,7 @@ def train(
                 actuator=responses,
                 world=world,
                 seed=seed,
-                workers=opt.available_workers(workers),
+                workers=opt.executor(workers, ray),
                 partial=partial,
                 progress=progress,
             )

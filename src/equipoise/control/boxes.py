@@ -124,6 +124,23 @@ def box_index(x: float, x_dot: float, phi: float, phi_dot: float, boxes: Boxes) 
     return (i * (len(boxes.x.edges) + 1) + k) * (len(boxes.x_dot.edges) + 1) + m
 
 
+@kernel
+def box_indices(states: npt.NDArray[np.float64], boxes: Boxes) -> npt.NDArray[Any]:
+    """Return the boxes that hold some states.
+
+    Args:
+        states: x, x_dot, phi, phi_dot in SI units, shape (n, 4).
+        boxes: From `partition`.
+
+    Returns:
+        Index of each box, shape (n,).
+    """
+    found = np.empty(len(states), np.int64)
+    for i in range(len(states)):
+        found[i] = box_index(states[i, 0], states[i, 1], states[i, 2], states[i, 3], boxes)
+    return found
+
+
 @inlined
 def mirrored_box(box: int, count: int) -> int:
     """Return the box of the mirror image, of `count` boxes.

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.control.boxes import box_index, cause_named, partition
+from equipoise.control.boxes import box_indices, cause_named, partition
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TaskPolicy
 from equipoise.control.trial_safety import guard_named
@@ -112,9 +112,7 @@ def deploy(
         {
             "time": time,
             **dict(zip(state, rows.observation.T, strict=True)),
-            "box": np.array(
-                [box_index(*row, boxes=boxes) for row in rows.observation.tolist()], np.int64
-            ),
+            "box": box_indices(rows.observation, boxes),
             "u": rows.u,
             "estimated_phi": rows.estimate[:, 0],
             "estimated_phi_dot": rows.estimate[:, 1],

@@ -1,7 +1,6 @@
 """Trials of any policy in a simulated world: conditions, closed loops, and results."""
 
 from equipoise.control.policy import TaskPolicy
-from equipoise.learning.closed_loop import make_loop_params
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.sim_configs import IDEAL, MODEL, TwinSettings, World, read_world
 from equipoise.settings import Settings
@@ -104,7 +103,4 @@ def simulate(world: str | World, setup: Setup, *, seed: int, stream: int) -> Sim
         from equipoise.simulation.twin import TwinSimulation
 
         return TwinSimulation(numbers, setup, seed=seed, stream=stream)
-    pendulum, arm, settings, _, h = setup
-    nominal = pendulum.parameters(linearised=settings.plant.linearised)
-    params = make_loop_params(arm, settings, h, nominal, setup.actuator)
-    return PlantSimulation(params, arm, nominal, settings, seed=seed, stream=stream)
+    return PlantSimulation.of(setup, seed=seed, stream=stream)

@@ -8,8 +8,9 @@ by (seed, trial, tick): a trial has the same bits either way.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from functools import partial
 from math import nan
-from typing import ClassVar, Final, NamedTuple, Protocol
+from typing import Any, ClassVar, Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -24,19 +25,21 @@ from equipoise.control.control_step import (
     ControllerState,
 )
 from equipoise.control.policy import Policy, PolicyKernel, TaskPolicy
-from equipoise.executors import ThreadExecutor, run_all
+from equipoise.executors import ThreadExecutor, Workers, executor_of
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import Settings
-from equipoise.simulation.trials import Trial, Trials
+from equipoise.simulation.trials import Trial, Trials, Whole
 
 Array = npt.NDArray[np.float64]
 MANY: Final = 1_000_000
 """Number of closed loops that a world without a limit may have."""
+REMOTE_PIECES: Final = 32
+"""Number of pieces in a task of another process, which sets the simulation up anew."""
 Finished = Callable[[Sequence[int]], None]
-"""Receives the rows of trials that have just finished; called from any thread."""
+"""Receives the rows of trials that have just finished."""
 
 
 class Measurement(NamedTuple):
@@ -144,6 +147,10 @@ class Simulation(ABC):
     ) -> None:
         """Run trials of a compiled policy in this thread; see `run`."""
 
+    def __reduce__(self) -> Any:
+        """Refuse to be pickled, unless a world says what sets it up in another process."""
+        raise TypeError(f"{type(self).__name__} runs in the process that made it")
+
     def run(
         self,
         policy: TaskPolicy | PolicyKernel,
@@ -151,7 +158,7 @@ class Simulation(ABC):
         rows: Sequence[int],
         *,
         duration: float,
-        workers: int = 1,
+        workers: Workers = 1,
         done: Finished = lambda _: None,
     ) -> None:
         """Run trials of any policy: compiled where it has a kernel, else from Python, one by one.
@@ -161,26 +168,39 @@ class Simulation(ABC):
             trials: Conditions, from `draw`; receives the results.
             rows: Rows of the trials to run.
             duration: Length of a trial [s].
-            workers: Number of threads for a compiled policy; the results do not depend on it.
-            done: Called with the rows of trials that have just finished; from any thread.
+            workers: Number of threads, or executor, for a compiled policy; the results do not
+                depend on it.
+            done: Called with the rows of trials that have just finished.
         """
         kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
         if kernel is not None:
-
-            def run_piece(piece: Sequence[int]) -> None:
-                self.run_piece(kernel, trials, piece, duration)
-                done(piece)
-
-            share = -(-len(rows) // (self.BATCH * workers)) * self.BATCH
-            size = min(self.PIECE, max(share, 1))
+            executor = executor_of(workers)
+            if self.MOST_LOOPS == 1 and executor.is_remote:
+                executor = ThreadExecutor(1)
+            share = -(-len(rows) // (self.BATCH * executor.workers)) * self.BATCH
+            most = self.PIECE * (REMOTE_PIECES if executor.is_remote else 1)
+            size = min(most, max(share, 1))
             pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
-            run_all(ThreadExecutor(workers), run_piece, pieces)
+            run = partial(_run_piece, self, kernel, duration)
+            tasks = [trials.rows(piece) for piece in pieces]
+            for i, results in executor.completed(run, tasks):
+                piece = pieces[i]
+                trials.steps[piece], trials.cause[piece], trials.sum_x2[piece] = results
+                done(piece)
         elif not isinstance(policy, PolicyKernel):
             loop = self.loop()
             for row in rows:
                 ended = run_trial(loop, policy, trials.trial(row), duration)
                 trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
                 done([row])
+
+
+def _run_piece(
+    simulation: Simulation, policy: PolicyKernel, duration: float, trials: Trials
+) -> tuple[Whole, Whole, Array]:
+    """Run some trials of a compiled policy; return their steps, causes and sums of x^2."""
+    simulation.run_piece(policy, trials, range(len(trials.steps)), duration)
+    return trials.steps, trials.cause, trials.sum_x2
 
 
 def predicted(loop: ClosedLoop) -> Array:

@@ -6,6 +6,7 @@ delay, servo and drive, and the controller observes through an encoder.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,6 +23,7 @@ from equipoise.learning.closed_loop import (
     X,
     copy_lane,
     draw_noise,
+    make_loop_params,
     measure,
     new_batch_state,
     reset,
@@ -33,7 +35,7 @@ from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import philox, uniform
 from equipoise.settings import Settings
-from equipoise.simulation.interface import Array, Measurement, Simulation
+from equipoise.simulation.interface import Array, Measurement, Setup, Simulation
 from equipoise.simulation.trials import Trial, Trials, Whole, draw_trials
 
 Lanes: Any = handle("Lanes", __name__, ("plant", "pendulum", "batch", "number", "tick", "key"))
@@ -92,6 +94,35 @@ class PlantSimulation(Simulation):
     """Purpose of the trials."""
     spread: float = 1.0
     """Factor on the variation of the plants."""
+    setup: Setup | None = None
+    """Pendulum, arm and controller that give the constants; without it, the simulation runs in this
+    process only."""
+
+    @classmethod
+    def of(cls, setup: Setup, *, seed: int, stream: int, spread: float = 1.0) -> "PlantSimulation":
+        """Return the simulation of a setup.
+
+        Args:
+            setup: Pendulum, arm and controller.
+            seed: Master seed.
+            stream: Purpose of the trials.
+            spread: Factor on the variation of the plants.
+
+        Raises:
+            ArmError: Home is a singular posture.
+            SettingsError: The delay exceeds the controller's history.
+        """
+        pendulum, arm, settings, _, h = setup
+        nominal = pendulum.parameters(linearised=settings.plant.linearised)
+        params = make_loop_params(arm, settings, h, nominal, setup.actuator)
+        return cls(params, arm, nominal, settings, seed, stream, spread, setup)
+
+    def __reduce__(self) -> Any:
+        """Return what sets the simulation up in another process."""
+        if self.setup is None:
+            return super().__reduce__()
+        given = {"seed": self.seed, "stream": self.stream, "spread": self.spread}
+        return partial(PlantSimulation.of, self.setup, **given), ()
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""

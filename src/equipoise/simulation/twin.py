@@ -1,6 +1,7 @@
 """Trials on the digital twin: worlds `twin:NAME` and `twin:FILE`."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -85,7 +86,7 @@ class TwinSimulation(Simulation):
         self._nominal = pendulum.parameters(linearised=settings.plant.linearised)
         self._friction = pivot_friction(pendulum, world)
         self._arm, self._world, self._settings = arm, world, settings
-        self.seed, self.stream = seed, stream
+        self.setup, self.seed, self.stream = setup, seed, stream
         self._servo = make_servo_params(arm, world)
         given: Any = {"h": h, "counts_per_rev": world.counts_per_rev}
         self.actuators = actuators
@@ -101,6 +102,11 @@ class TwinSimulation(Simulation):
         self.move = move_setpoints(arm, self.params[0]) if len(actuators) > 1 else None
         """Setpoints of the move before a release [rad], shape (m, 6); None without a selection."""
         self._idle: list[TwinLoop] = []
+
+    def __reduce__(self) -> Any:
+        """Return what sets the simulation up in another process."""
+        given = {"seed": self.seed, "stream": self.stream}
+        return partial(TwinSimulation, self._world, self.setup, **given), ()
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on.

@@ -35,6 +35,7 @@ from equipoise.artefacts import (
 from equipoise.control.policy import TaskPolicy
 from equipoise.errors import ArtefactError, InputError
 from equipoise.evaluation import Done, Evaluation, evaluate
+from equipoise.executors import Workers
 from equipoise.model.sim_configs import MODEL, NEWEST, PREFIX, SETS, TwinSettings, World, read_world
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
 from equipoise.studies.formatting import LASTED
@@ -275,7 +276,7 @@ def certify(
     policy: TaskPolicy,
     claim: Claim,
     *,
-    workers: int = 1,
+    workers: Workers = 1,
     partial: StrPath | None = None,
     done: Done = lambda _: None,
 ) -> tuple[Certificate, Evaluation]:
@@ -284,7 +285,7 @@ def certify(
     Args:
         policy: The policy.
         claim: The claim, from `make_claim`.
-        workers: Number of threads; the result does not depend on it.
+        workers: Number of threads, or an executor; the result does not depend on it.
         partial: File for the finished trials until all are done.
         done: Called with the number of trials that have just finished.
 
@@ -309,14 +310,18 @@ def check_policy(certificate: Certificate, policy: TaskPolicy) -> None:
 
 
 def repeat(
-    certificate: Certificate, policy: TaskPolicy, *, workers: int = 1, done: Done = lambda _: None
+    certificate: Certificate,
+    policy: TaskPolicy,
+    *,
+    workers: Workers = 1,
+    done: Done = lambda _: None,
 ) -> Repetition:
     """Repeat all trials of a certificate, with its own settings of the world.
 
     Args:
         certificate: The certificate.
         policy: The policy of the certificate.
-        workers: Number of threads; the result does not depend on it.
+        workers: Number of threads, or an executor; the result does not depend on it.
         done: Called with the number of trials that have just finished.
 
     Raises:

@@ -34,6 +34,7 @@ from equipoise.control.policy import (
 from equipoise.devices.twin.servo_model import equivalent_actuator
 from equipoise.errors import InputError
 from equipoise.evaluation import Done, trial_results
+from equipoise.executors import Workers
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
@@ -43,6 +44,7 @@ from equipoise.model.sim_configs import World
 from equipoise.selection import Running
 from equipoise.settings import EvaluationSettings, Settings, resolve
 from equipoise.simulation import find_world, setup_of, simulate
+from equipoise.studies import value_iteration
 from equipoise.studies.compare_results import (
     MAX_ROWS,
     MAX_WORLDS,
@@ -54,6 +56,7 @@ from equipoise.studies.compare_results import (
 )
 from equipoise.studies.progress import ProgressReporter, Show, TrainingProgress, counted
 from equipoise.studies.table_search import QUICK, SearchSize, search_table
+from equipoise.studies.value_iteration import solve_table
 from equipoise.training import train
 
 TRAINED: Final[Mapping[str, tuple[str, ...]]] = {
@@ -65,9 +68,11 @@ TRAINED: Final[Mapping[str, tuple[str, ...]]] = {
     "fine": ("fine",),
 }
 """Recipe and settings of each row that is trained."""
-SEARCHED: Final[Mapping[str, str]] = {"best-table": "robust", "best-fine": "fine"}
+SOLVED: Final[dict[str, str]] = {"value-iteration": "robust"}
+"""Recipe of each row that value iteration solves."""
+SEARCHED: Final[dict[str, str]] = {"best-table": "robust", "best-fine": "fine"}
 """Recipe of each row that is searched."""
-ROWS: Final = (*TRAINED, *SEARCHED, *BUILT_IN)
+ROWS: Final = (*TRAINED, *SOLVED, *SEARCHED, *BUILT_IN)
 """Names of all rows, in their order."""
 WORLDS: Final = ("ideal", "model", "twin:nominal", "twin:harsh")
 """Worlds by default."""
@@ -171,7 +176,7 @@ def compare(
     duration: float | None = None,
     quick: bool = False,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
     progress: Progress | None = None,
 ) -> Compared:
     """Train what is compared, and run all policies in all worlds.
@@ -189,7 +194,7 @@ def compare(
         duration: Length of a trial [s] (default: that of the form).
         quick: Whether the short form runs.
         seed: Master seed of trainings and trials.
-        workers: Number of threads; the result does not depend on it, except times.
+        workers: Number of threads, or an executor; the result does not depend on it, except times.
         progress: Callbacks.
 
     Raises:
@@ -285,8 +290,8 @@ def trials_of(
 
 
 def settings_of(row: str, *, quick: bool = False, episodes: int | None = None) -> Settings:
-    """Return the settings of a row that is trained or searched."""
-    recipe, *changes = TRAINED.get(row) or (SEARCHED[row],)
+    """Return the settings of a row that is trained, solved or searched."""
+    recipe, *changes = TRAINED.get(row) or ((SOLVED | SEARCHED)[row],)
     number = () if episodes is None else (f"learning.episodes={episodes}",)
     return resolve(recipe, overrides=(*changes, *(QUICK_SETTINGS if quick else ()), *number))
 
@@ -316,7 +321,7 @@ def _make(
     episodes: int | None,
     quick: bool,
     seed: int,
-    workers: int,
+    workers: Workers,
     progress: Progress,
 ) -> _Made:
     """Train, search or load the policy of a row."""
@@ -347,6 +352,18 @@ def _make(
         )
         return _Made(table, "searched", time.perf_counter() - begin)
     report, selecting = progress.training(row, settings)
+    if row in SOLVED:
+        table = solve_table(
+            pendulum,
+            arm,
+            settings,
+            actuator=actuator,
+            size=value_iteration.QUICK if quick else None,
+            seed=seed,
+            workers=workers,
+            selecting=selecting,
+        )
+        return _Made(table, "solved", time.perf_counter() - begin)
     table = train(
         pendulum,
         arm,
@@ -366,7 +383,7 @@ def _row(
     columns: Sequence[Column],
     evaluation: EvaluationSettings,
     seed: int,
-    workers: int,
+    workers: Workers,
     done: Done,
 ) -> PolicyRow:
     """Measure a policy."""
@@ -399,7 +416,7 @@ def _cell(
     column: Column,
     evaluation: EvaluationSettings,
     seed: int,
-    workers: int,
+    workers: Workers,
     done: Done,
 ) -> Cell:
     """Run the trials of a policy in a world."""

@@ -10,7 +10,7 @@ from equipoise.evaluation import TrialResults
 from equipoise.model.sim_configs import TwinSettings
 from equipoise.settings import EvaluationSettings
 
-Kind = Literal["trained", "searched", "built in", "given"]
+Kind = Literal["trained", "solved", "searched", "built in", "given"]
 
 TOLD: Final = ", told"
 """Suffix of the name of a twin on which the controllers assume the twin's own actuator."""
@@ -54,7 +54,7 @@ class PolicyRow(Value):
     name: Name
     """Name of the row."""
     kind: Kind
-    """`trained` and `searched` here, `built in`, or `given` by the caller."""
+    """`trained`, `solved` and `searched` here, `built in`, or `given` by the caller."""
     policy: Name
     """Digest of the policy."""
     recipe: Name

@@ -30,7 +30,7 @@ from equipoise.control.policy import TabularPolicy, TaskPolicy
 from equipoise.devices.twin.servo_model import equivalent_actuator
 from equipoise.errors import InputError
 from equipoise.evaluation import Done, TrialResults, evaluate
-from equipoise.executors import ThreadExecutor, run_in_order
+from equipoise.executors import ThreadExecutor, Workers, executor_of, run_in_order
 from equipoise.model.actuator import Actuator
 from equipoise.model.sim_configs import (
     MODEL,
@@ -125,7 +125,7 @@ def gap(
     duration: float | None = None,
     quick: bool = False,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
     done: Done = lambda _: None,
 ) -> Gap:
     """Measure the gap between training plant and twin.
@@ -140,7 +140,7 @@ def gap(
         duration: Length of a trial [s] (default: that of the form).
         quick: Whether the short form runs.
         seed: Master seed of the trials.
-        workers: Number of threads; the result does not depend on it.
+        workers: Number of threads, or an executor; the result does not depend on it.
         done: Called with the number of trials that have just finished, `trials_of` them in all.
 
     Raises:
@@ -181,14 +181,18 @@ def gap(
             world=MODEL if case.world is None else World(twin.name, case.world),
             actuator=known,
             seed=seed,
+            workers=pieces,
             with_baselines=False,
             done=done,
         ).results
 
-    # Each thread runs one condition, since there are more conditions than cores. A policy in Python
-    # may have a state, and runs one trial at a time.
-    cases = tuple(dict.fromkeys(case for _, case in plan))
-    threads = ThreadExecutor(1 if policy.kernel is None else workers)
+    # Each thread runs one condition, since there are more conditions than cores; on a cluster,
+    # pieces of all conditions run side by side. A policy in Python may have a state, and runs one
+    # trial at a time.
+    cases, pieces = tuple(dict.fromkeys(case for _, case in plan)), executor_of(1)
+    threads = executor_of(1 if policy.kernel is None else workers)
+    if threads.is_remote:
+        threads, pieces = ThreadExecutor(len(cases)), threads
     found = dict(zip(cases, run_in_order(threads, run, cases), strict=True))
     return Gap(
         quick=quick,

@@ -29,6 +29,7 @@ from equipoise.control.boxes import TRUNCATED
 from equipoise.control.policy import TaskPolicy
 from equipoise.errors import InputError
 from equipoise.evaluation import Done, exact_interval
+from equipoise.executors import Workers
 from equipoise.model.actuator import Actuator
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import MAP
@@ -186,7 +187,7 @@ def map_recovery(
     starts: int | None = None,
     duration: float = DURATION,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
     done: Done = lambda _: None,
 ) -> RecoveryMap:
     """Compute the recoverable set of a policy's task, and the part that the policy holds.
@@ -199,7 +200,7 @@ def map_recovery(
             a twin).
         duration: Length of a trial [s].
         seed: Master seed.
-        workers: Number of threads for compiled policies; the result does not depend on it.
+        workers: Threads, or an executor, of compiled policies; the result does not depend on it.
         done: Receives the number of trials that have just finished.
 
     Raises:

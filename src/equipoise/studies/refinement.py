@@ -23,6 +23,7 @@ import numpy.typing as npt
 from equipoise.artefacts import Estimate, Value
 from equipoise.control.policy import Checkpoint, TabularPolicy
 from equipoise.errors import ArtefactError, RecordingError
+from equipoise.executors import Workers
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
 from equipoise.identification.closed_loop import ClosedLoopFit, ParameterChange, compare, regress
 from equipoise.logs.run_log import RunLog
@@ -176,7 +177,7 @@ def retrain(
     *,
     episodes: int = EPISODES,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
     comparing: Running = lambda _, __: None,
     testing: Running = lambda _, __: None,
     **options: Any,
@@ -191,7 +192,7 @@ def retrain(
         actuator: The actuator.
         episodes: Number of episodes.
         seed: Master seed.
-        workers: Threads; the result does not depend on it.
+        workers: Threads, or an executor; the result does not depend on it.
         comparing: Called as trials of the comparison finish.
         testing: Called as trials of the test finish.
         options: `partial`, `report` and `selecting` of `train`.

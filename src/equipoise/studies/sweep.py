@@ -128,7 +128,7 @@ def sweep(
         [inputs, software(), load_optuna().__version__]
     )
     executor, total = executor or ThreadExecutor(1), study.count
-    with _Storage(Path(storage), study, deciding) as stored:
+    with Storage(Path(storage), study, deciding) as stored:
         finished = {trial.index: trial for trial in stored.read() if trial.index < total}
         size = study.batch if study.sampler == "tpe" else total
         for first in range(0, total, size):
@@ -219,7 +219,7 @@ def load_optuna() -> Any:
     return optuna
 
 
-class _Storage:
+class Storage:
     """Finished trials of a sweep in an SQLite file of Optuna."""
 
     def __init__(self, path: Path, study: SweepStudy, deciding: str) -> None:

@@ -30,6 +30,7 @@ from equipoise.control.baselines import lqr_gains
 from equipoise.control.boxes import ACTIONS, TRUNCATED
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
 from equipoise.errors import InputError
+from equipoise.executors import Workers
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
@@ -127,7 +128,7 @@ def search_table(
     starts: Sequence[Array] = (),
     size: SearchSize | None = None,
     seed: int = 0,
-    workers: int = 1,
+    workers: Workers = 1,
     report: Callable[[LearningPoint], None] = lambda _: None,
     selecting: Running = lambda _, __: None,
 ) -> TabularPolicy:
@@ -141,7 +142,7 @@ def search_table(
         starts: Further tables to begin with, accelerations of each box [m/s^2], shape (boxes,).
         size: Effort; by default that of `SearchSize`.
         seed: Master seed.
-        workers: Threads; the result does not depend on it.
+        workers: Threads, or an executor; the result does not depend on it.
         report: Called after each generation with the number of trials in place of episodes.
         selecting: Called as trials of the race finish, with their number and the expected one.
 
@@ -195,7 +196,7 @@ def search_table(
 class _Search:
     """Probabilities of the actions in each box of the lower half, and their course."""
 
-    def __init__(self, plant: TrialPlant, size: SearchSize, start: Array, workers: int) -> None:
+    def __init__(self, plant: TrialPlant, size: SearchSize, start: Array, workers: Workers) -> None:
         self._plant, self._size, self._workers = plant, size, workers
         self._simulation = plant.simulation(SELECTION, plant.settings.selection.spread)
         self._rng = np.random.default_rng([plant.seed, SELECTION])

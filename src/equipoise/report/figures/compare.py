@@ -18,6 +18,7 @@ WIDEST: Final = 18
 """Length limit of a line of a name [characters]."""
 LOOKS: Final[dict[str, dict[str, Any]]] = {
     "trained": {"color": style.BLUE, "marker": "o"},
+    "solved": {"color": style.ORANGE, "marker": "v"},
     "searched": {"color": style.PURPLE, "marker": "D"},
     "built in": {"color": style.GREEN, "marker": "s"},
     "given": {"color": style.VERMILION, "marker": "^"},
@@ -25,6 +26,7 @@ LOOKS: Final[dict[str, dict[str, Any]]] = {
 """Colour and mark of each kind of policy."""
 KINDS: Final[dict[str, str]] = {
     "trained": "table, learned",
+    "solved": "table, value iteration",
     "searched": "table, searched",
     "built in": "baseline",
     "given": "given",
