@@ -655,7 +655,7 @@ class _Checkpoints(PartialFile):
         super().__init__(path, "train", self._checkpoint)
         self._population = population
         self.states: dict[str, LearnerState] = {}
-        self.finished: tuple[LearnerResult, ...] = ()
+        self.finished = list[LearnerResult]()
         self.best: TabularPolicy | None = None
         self._known = set[int]()
         self._lock = Lock()
@@ -682,7 +682,7 @@ class _Checkpoints(PartialFile):
                 "with what it began with, or delete it to begin anew"
             )
         self.states |= found.learners
-        self.finished, self.best = found.finished, found.best
+        self.finished, self.best = list(found.finished), found.best
         self._known |= {result.learner for result in found.finished}
 
     def keep(self, learner: int, state: LearnerState) -> None:
@@ -695,7 +695,7 @@ class _Checkpoints(PartialFile):
         """Store the figures of a tested learner, and its policy if it is the best."""
         with self._lock:
             self.states.pop(str(policy.learner), None)  # absent if trained in another process
-            self.finished += (_result(policy),)
+            self.finished.append(_result(policy))
             self._known.add(policy.learner)
             known = self.best
             if known is None or self._key(policy) > self._key(known):
@@ -725,7 +725,7 @@ class _Checkpoints(PartialFile):
             return ResumePoint(
                 deciding=self._deciding,
                 learners=dict(self.states),
-                finished=self.finished,
+                finished=tuple(self.finished),
                 best=self.best,
             )
 

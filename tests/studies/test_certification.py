@@ -166,7 +166,7 @@ NO_CLAIMS = {
         {"trials": 10**7},
         "trials is 10000000; it should be less than or equal to 1000000",
     ),
-    "too much": ({"probability": 0.999999}, "takes more than 500,000 trials"),
+    "too much": ({"probability": 0.999999}, "takes more than 1,000,000 trials"),
 }
 
 

@@ -105,6 +105,12 @@ def test_the_best_trial_is_first_and_invalid_ones_are_left_out(quick_trials, tmp
     assert len(found.ranking) + len(invalid) == 30
 
 
+def test_a_path_is_no_address(quick_trials, tmp_path):
+    storage = tmp_path / "50 % {of} what?#all.sqlite3"
+    assert run(storage).trials == run(storage).trials
+    assert [path.name for path in tmp_path.iterdir()] == [storage.name]
+
+
 def test_more_trials_continue_a_sweep(quick_trials, tmp_path, monkeypatch):
     storage, ran = tmp_path / "sweep.sqlite3", []
     first = run(storage)

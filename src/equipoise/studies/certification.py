@@ -45,7 +45,10 @@ MARGIN: Final = 10.0
 chosen [-]."""
 GRANTED_SHARE: Final = 0.95
 """Minimum probability that such a policy is granted its claim [-]."""
-ROUND_NUMBERS: Final = tuple(digit * 10**power for power in range(6) for digit in (1, 2, 5))
+ROUND_NUMBERS: Final = (
+    *(digit * 10**power for power in range(6) for digit in (1, 2, 5)),
+    MOST_TRIALS,
+)
 """Possible numbers of trials; round numbers leave little room for tuning."""
 BOUND_TOLERANCE: Final = 1e-9
 """Maximum difference of a bound between two versions of SciPy [-]."""

@@ -11,6 +11,7 @@ finished trials are stored, each in one transaction of an SQLite file in Optuna'
 """
 
 import json
+import sqlite3
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -227,7 +228,9 @@ class Storage:
         self._path, self._study = path, study
         path.parent.mkdir(parents=True, exist_ok=True)
         with _readable(self._path):
-            self._storage = optuna.storages.RDBStorage(f"sqlite:///{path}")
+            # The path is no part of the address, in which Optuna expands braces and more.
+            opened = {"creator": lambda: sqlite3.connect(path)}
+            self._storage = optuna.storages.RDBStorage("sqlite:///storage", engine_kwargs=opened)
             self._stored = optuna.create_study(
                 study_name=STUDY_NAME,
                 storage=self._storage,
