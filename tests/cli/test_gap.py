@@ -3,6 +3,7 @@
 import pytest
 
 from equipoise.control.policy import TabularPolicy
+from equipoise.executors import ThreadExecutor
 from equipoise.model.actuator import Actuator
 from equipoise.studies import gap as study
 from equipoise.studies.gap_results import Gap, sentences
@@ -88,7 +89,7 @@ def test_options_reach_the_study(equipoise, cured_file, paper_file, made_up, tmp
         "trials": 5,
         "seed": 9,
         "duration": 30.0,
-        "workers": 3,
+        "workers": ThreadExecutor(3),
     }
     assert made_up["quick"]
     assert "warning" not in ran.out
