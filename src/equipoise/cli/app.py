@@ -4,6 +4,7 @@ from functools import partial
 
 import typer
 
+from equipoise.cli.card import card
 from equipoise.cli.compare import compare
 from equipoise.cli.deploy import deploy
 from equipoise.cli.doctor import doctor
@@ -45,7 +46,7 @@ log = group(help="Read the log of a run, or another file: explain, replay, expor
 for verb in (reproduce, identify, train, evaluate):
     app.command(rich_help_panel=PIPELINE)(verb)
 app.command("map", rich_help_panel=PIPELINE)(map_recoverable)
-for verb in (compare, gap, refine, sweep):
+for verb in (card, compare, gap, refine, sweep):
     app.command(rich_help_panel=PIPELINE)(verb)
 app.command(rich_help_panel=ROBOT)(deploy)
 for verb in (doctor, emulate, record, rehearse):
