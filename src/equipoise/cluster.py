@@ -102,9 +102,12 @@ class RayExecutor:
                 ray.cancel(each)
 
     def _result(self, ready: Any, i: int) -> Any:
+        exceptions = self._ray.exceptions
         try:
             result, error = pickle.loads(self._ray.get(ready))
-        except (self._ray.exceptions.RayError, pickle.UnpicklingError) as lost:
+        except exceptions.RayTaskError:
+            raise  # a fault of the program, with its traceback
+        except exceptions.RayError as lost:
             raise OutsideError(
                 f"task {i} has no answer from the cluster, after {RETRIES} further attempts where "
                 f"its process was lost: {printable(str(lost))[:500]}; see the log of its node"
@@ -117,18 +120,15 @@ class RayExecutor:
 def _call(work: tuple[str, bytes], task: bytes) -> bytes:
     """Call a pickled function for a pickled task; return the pickled result and error."""
     digest, function = work
-    result, error = None, None
-    if digest != kernel_sources_digest():
-        error = InputError(
-            "a node of the cluster has another version of Equipoise; install the same one on all"
-        )
-        return pickle.dumps((None, error))
     try:
+        if digest != kernel_sources_digest():
+            raise InputError(
+                "a node of the cluster has another version of Equipoise; install the same on all"
+            )
         with _first_of_node():
-            result = pickle.loads(function)(pickle.loads(task))
-    except EquipoiseError as known:
-        error = known
-    return pickle.dumps((result, error))
+            return pickle.dumps((pickle.loads(function)(pickle.loads(task)), None))
+    except EquipoiseError as error:
+        return pickle.dumps((None, error))
 
 
 @contextmanager

@@ -182,8 +182,7 @@ class Simulation(ABC):
             size = min(most, max(share, 1))
             pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
             run = partial(_run_piece, self, kernel, duration)
-            tasks = [trials.rows(piece) for piece in pieces]
-            for i, results in executor.completed(run, tasks):
+            for i, results in executor.completed(run, _Pieces(trials, pieces)):
                 piece = pieces[i]
                 trials.steps[piece], trials.cause[piece], trials.sum_x2[piece] = results
                 done(piece)
@@ -193,6 +192,19 @@ class Simulation(ABC):
                 ended = run_trial(loop, policy, trials.trial(row), duration)
                 trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
                 done([row])
+
+
+class _Pieces(Sequence[Trials]):
+    """Copies of pieces of some trials, each made when it is asked for."""
+
+    def __init__(self, trials: Trials, pieces: Sequence[Sequence[int]]) -> None:
+        self._trials, self._pieces = trials, pieces
+
+    def __len__(self) -> int:
+        return len(self._pieces)
+
+    def __getitem__(self, i: Any) -> Any:
+        return self._trials.rows(self._pieces[i])
 
 
 def _run_piece(

@@ -35,14 +35,13 @@ from equipoise.model.random import TRAINING_NOISE
 from equipoise.selection import Candidate, Running, TrialPlant, race, trial_plants
 from equipoise.settings import Settings
 from equipoise.simulation.fleet import new_fleet
+from equipoise.studies.table_search import LEVELS
 
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
 NAME: Final = "value_iteration"
 """Name of the method in the settings of its policy, in place of a learner's."""
-LEVELS: Final = np.array(paper.ACTIONS)
-"""Accelerations of the actions [m/s^2], shape (8,)."""
 FAILED: Final = -1.0
 """Value after a failure: the paper's reward."""
 TOLERANCE: Final = 1e-10
