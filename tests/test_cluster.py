@@ -178,7 +178,22 @@ def test_without_ray_the_message_names_the_extra(monkeypatch):
 
     monkeypatch.setattr(cluster, "import_module", absent)
     with pytest.raises(MissingExtraError, match="ray"):
-        RayExecutor("auto")
+        RayExecutor("head:6379")
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("auto", "expected HOST:PORT"),
+        ("ray://head:10001", "expected HOST:PORT"),
+        ("head:99999", "expected HOST:PORT"),
+        ("127.0.0.1:1", "no Ray cluster answers at 127.0.0.1:1"),
+    ],
+)
+def test_an_address_without_a_cluster_is_one_error(address, said, monkeypatch):
+    monkeypatch.setattr(cluster, "import_module", lambda _: None)
+    with pytest.raises(EquipoiseError, match=said):
+        RayExecutor(address)
 
 
 def test_threads_are_not_remote():

@@ -12,13 +12,14 @@ rewards.
 import logging
 import os
 import pickle
+import socket
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, Final, TypeVar
 
 from equipoise.compiled import cache_folder, kernel_sources_digest
-from equipoise.errors import EquipoiseError, InputError, MissingExtraError, OutsideError
+from equipoise.errors import EquipoiseError, InputError, LinkError, MissingExtraError, OutsideError
 from equipoise.printable import printable
 
 Task = TypeVar("Task")
@@ -28,6 +29,9 @@ AHEAD: Final = 2
 """Number of submitted tasks for each core of the cluster: one runs, and one waits at hand."""
 RETRIES: Final = 3
 """Number of times that a task runs again after the loss of its process or machine."""
+
+PATIENCE: Final = 5.0
+"""Time in which the head of a cluster has to answer [s]."""
 
 _begun = False
 """Whether this process has finished a task: its kernels are in the cache of the node."""
@@ -42,10 +46,11 @@ class RayExecutor:
         """Join a running cluster.
 
         Args:
-            address: `HOST:PORT` of the head node, or `auto` for the one of this machine.
+            address: `HOST:PORT` of the head node.
 
         Raises:
-            InputError: No cluster answers at the address, or it has another version.
+            InputError: The address is invalid, or its cluster has another version of Python or Ray.
+            LinkError: Nothing answers at the address.
             MissingExtraError: Ray is not installed.
         """
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -55,6 +60,7 @@ class RayExecutor:
         except ImportError:
             raise MissingExtraError("ray", "ray") from None
         self._ray = ray
+        _check_address(address)
         try:
             ray.init(
                 address=address,
@@ -64,9 +70,8 @@ class RayExecutor:
             )
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
             raise InputError(
-                f"no Ray cluster at {printable(address)} takes this program: "
-                f"{printable(str(error))[:500]}; start one with ray start --head, and give its "
-                "HOST:PORT or auto"
+                f"the Ray cluster at {printable(address)} does not take this program: "
+                f"{printable(str(error))[:500]}; install equal versions on all machines"
             ) from None
         self.workers = max(1, int(ray.cluster_resources().get("CPU", 0)))
         """Number of cores of the cluster when it was joined."""
@@ -115,6 +120,23 @@ class RayExecutor:
         if error is not None:
             raise error
         return result
+
+
+def _check_address(address: str) -> None:
+    """Check that something answers at an address: Ray itself tries for minutes."""
+    host, colon, port = address.rpartition(":")
+    if not (host and colon and port.isdecimal() and 0 < int(port) < 2**16) or "/" in host:
+        raise InputError(
+            f"the Ray cluster {printable(address)!r} has no address; expected HOST:PORT of its "
+            "head, as ray start --head prints it"
+        )
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=PATIENCE).close()
+    except OSError as error:
+        raise LinkError(
+            f"no Ray cluster answers at {printable(address)} ({error.strerror or error}); start "
+            "one with ray start --head, and give the address that it prints"
+        ) from None
 
 
 def _call(work: tuple[str, bytes], task: bytes) -> bytes:

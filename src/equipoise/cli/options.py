@@ -96,9 +96,7 @@ SWING_OPTIONS = ("start", "end", "counts_per_rev", "from_upright", "columns")
 
 SEED = value("N", "Master seed; equal seeds give equal results.", default=0, callback=_seed)
 WORKERS = value("N", "Threads, by default one per core; results do not depend on them.", min=1)
-RAY = value(
-    "ADDRESS", "Ray cluster instead of threads: HOST:PORT of its head, or auto on this machine."
-)
+RAY = value("HOST:PORT", "Run on the Ray cluster with this head instead of in threads.")
 ARM = value("ARM", "iiwa7, iiwa14, another registered arm, a URDF or a rig.toml.", default="iiwa7")
 ACTUATORS = value(
     "FILE",
@@ -291,7 +289,8 @@ def executor(workers: int | None, ray: str | None) -> "Executor":
     """Return the executor of the tasks: threads, or a Ray cluster.
 
     Raises:
-        InputError: Both are given, or no cluster answers.
+        InputError: Both are given, or the cluster has other versions.
+        LinkError: No cluster answers.
         MissingExtraError: Ray is not installed.
     """
     if ray is None:
