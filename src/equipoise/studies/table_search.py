@@ -1,8 +1,8 @@
 r"""Search for the best table over a partition: the bound of what a table of these boxes can do.
 
 A box holds many states, so that the next box depends on more than box and action: value iteration
-over the boxes would solve another problem. The search needs no model. It maximises what the
-selection of a training maximises, the score of compiled trials
+over the boxes (`equipoise.studies.value_iteration`) solves another problem. The search needs no
+model. It maximises what the selection of a training maximises, the score of compiled trials
 (`equipoise.settings.SelectionSettings`), on plants that vary more than there, by the cross-entropy
 method (Rubinstein 1999): sample tables, keep the best ones, and move the probability of each action
 in each box towards theirs,
