@@ -173,6 +173,7 @@ def test_each_work_returns_the_steps_that_it_took():
         assert work()() == 320
 
 
+@pytest.mark.slow
 @pytest.mark.compiled_only
 def test_the_whole_benchmark_measures_ours_and_every_peer_that_is_there():
     pytest.importorskip("pinocchio")

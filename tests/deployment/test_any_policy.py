@@ -105,11 +105,11 @@ FAILURES = {
 
 @pytest.mark.parametrize(
     "name",
-    ["lqr", "random", "guest:Counting", None]
+    ["lqr", "guest:Counting", None]
     + [
         pytest.param(name, marks=pytest.mark.slow)
         for name in KINDS
-        if name not in ("lqr", "random", "guest:Counting")
+        if name not in ("lqr", "guest:Counting")
     ],
 )
 def test_a_policy_of_any_kind_runs_on_a_virtual_rig_and_its_run_replays(folder, name):

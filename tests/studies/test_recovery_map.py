@@ -63,6 +63,7 @@ def within(polygon, points):
     return count % 2 == 1
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_maps_for_any_number_of_workers(mapped):
     again = map_recovery(shipped_policy(), workers=2, **SHORT)
     assert again == mapped

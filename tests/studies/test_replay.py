@@ -106,8 +106,7 @@ STALLS = {
     "stall",
     [
         "loop",
-        "link",
-        *(pytest.param(s, marks=pytest.mark.slow) for s in ("second setpoint", "encoder")),
+        *(pytest.param(s, marks=pytest.mark.slow) for s in ("link", "second setpoint", "encoder")),
     ],
 )
 def test_a_run_with_stalls_replays_to_the_bit(tmp_path, stall):
