@@ -10,6 +10,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 CAPTIONS = {
     "cli": "the command: parses, calls, prints; conformance tests for plugins",
+    "console": "live view and operator's console in the browser",
     "report": "figures, animation and HTML page, from saved results",
     "envs": "Gymnasium environments",
     "studies": "certificates, gap, refinement, explanation, rehearsal",
