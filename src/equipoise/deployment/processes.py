@@ -1,7 +1,8 @@
 """Run on a real rig, in three processes.
 
 The *loop* serves the devices and meets the deadlines. The *writer* drains its rings to the disk; a
-run continues without it, with a warning to the operator. The *parent* serves the operator and
+run continues without it, with a warning to the operator. A console (`equipoise.console`) may watch
+the rings, and answer; the run does not depend on it. The *parent* serves the operator and
 monitors the loop's heartbeat: it warns the operator as soon as the heartbeat stops while the servo
 runs. A loop without its parent, or without a reachable operator, brings the arm to rest.
 
@@ -9,7 +10,6 @@ SIGINT, SIGTERM and SIGHUP become the input `stop` of the loop, which then bring
 inside the stream.
 """
 
-import ctypes
 import multiprocessing
 import os
 import pickle
@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager, suppress
 from functools import partial
+from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
@@ -37,7 +38,8 @@ from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
 from equipoise.errors import EquipoiseError, InputError, OutsideError
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.recorder import PULSE, Recorder, push_event, read_events
+from equipoise.logs.recorder import PULSE, Question, Recorder, push_event, read_events
+from equipoise.logs.shared import RunInfo, open_recorder, share
 from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.rigs import restart_instruction
@@ -51,6 +53,10 @@ DRAIN_PERIOD: Final = 0.050
 """Time between two drains of the rings [s]."""
 JOIN_TIMEOUT: Final = 5.0
 """Time for a process to end by itself [s]."""
+ASIDE: Final = ("warning", "nudge")
+"""Names of messages beside an open question."""
+CONSOLE: Final = "console"
+"""Name of the message with a word from a console."""
 SIGNALS: Final = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
@@ -96,9 +102,22 @@ def run_in_processes(
             "MODULE:NAME"
         ) from None
     context = multiprocessing.get_context("spawn")
+    with share(_described(request)) as memory:
+        return _run(context, request, memory, out, person, replace=replace)
+
+
+def _run(
+    context: SpawnContext,
+    request: RunRequest,
+    memory: Path,
+    out: Path,
+    person: LocalOperator,
+    *,
+    replace: bool,
+) -> RunEnd:
+    """Run the processes around shared memory; further arguments as of `run_in_processes`."""
     joints = len(request.settings.described_arm.joints)
-    memory = context.RawArray(ctypes.c_char, Recorder.buffer_size(joints))
-    recorder = Recorder(joints, memoryview(memory).cast("B"))
+    recorder = open_recorder(memory, joints)
     theirs, ours = context.Pipe()
     log_pipe, done = context.Pipe(), context.Event()
     writer = context.Process(
@@ -132,6 +151,17 @@ def run_in_processes(
     if isinstance(result, EquipoiseError):
         raise result
     return result
+
+
+def _described(request: RunRequest) -> RunInfo:
+    """Return the description of a run for a console."""
+    return RunInfo(
+        title=f"{request.policy.name} on {request.robot}"[:1024],
+        pid=os.getpid(),
+        arm=request.settings.described_arm,
+        phases=PHASES,
+        duration=request.duration,
+    )
 
 
 @contextmanager
@@ -250,28 +280,56 @@ def _received(pipe: Any) -> Any:
 
 
 class OperatorProxy:
-    """The operator, for the loop's process: two rings to the parent process."""
+    """The operators, for the loop's process: rings to the parent process, and one from a console.
+
+    The first answer to a question counts. A console names the question that it answers, so that a
+    later answer is not taken for another question, or for a key that stops the run.
+    """
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
+        self._asked = self._open = 0
         self._parent = os.getppid()
         self.signals: list[str] = []
         """Stops that signals to this process request."""
 
     def notify(self, event: OperatorMessage) -> None:
-        """Send a message to the operator in the parent process; never blocks."""
+        """Send a message to the operators; never blocks."""
         now = time.monotonic()
         push_event(self._recorder.notices, now, event.name, event.answers, event.text)
+        if event.answers:
+            self._asked += 1
+            self._open = self._asked
+            question = Question(self._asked, event.name, event.answers, event.text)
+            self._recorder.ask(question)
+        elif event.name not in ASIDE:
+            self._close()
 
     def read_input(self) -> list[str]:
-        """Return the words that the parent process has received, the oldest first."""
+        """Return the words of the operators, the oldest first."""
         words = [word.decode("utf-8", "ignore") for word in self._recorder.typed.take()["word"]]
+        if any(words):  # Enter alone may be no answer
+            self._close()
+        for number, data in self._recorder.console.take().tolist():
+            word = data.decode("utf-8", "ignore")
+            if word == STOP or number == self._open > 0:
+                self._close()
+                words.append(word)
+                push_event(
+                    self._recorder.notices, time.monotonic(), CONSOLE, (), f"Console: {word}"
+                )
         while self.signals:
             words.append(self.signals.pop())
         if os.getppid() != self._parent:
             self._parent = os.getppid()
             words.append(ALONE)
         return words
+
+    def _close(self) -> None:
+        """Withdraw the open question."""
+        if self._open:
+            self._open = 0
+            self._recorder.ask(None)
 
     def attend(self, restart: str) -> None:
         """Check for a stop during the wait for a robot.
@@ -406,9 +464,9 @@ def _ignore_signals() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _loop(request: RunRequest, memory: Any, joints: int, pipe: Any) -> None:
+def _loop(request: RunRequest, memory: Path, joints: int, pipe: Any) -> None:
     """Run the loop's process."""
-    recorder = Recorder(joints, memoryview(memory).cast("B"))
+    recorder = open_recorder(memory, joints)
     operator = OperatorProxy(recorder)
     for number in SIGNALS:
         signal.signal(number, lambda *_: operator.signals.append(STOP))
@@ -441,7 +499,7 @@ def _loop(request: RunRequest, memory: Any, joints: int, pipe: Any) -> None:
 
 
 def _write(
-    memory: Any,
+    memory: Path,
     joints: int,
     out: Path,
     replace: bool,
@@ -452,7 +510,7 @@ def _write(
     """Run the writer's process."""
     _ignore_signals()
     parent = os.getppid()
-    recorder = Recorder(joints, memoryview(memory).cast("B"))
+    recorder = open_recorder(memory, joints)
     try:
         writer = RunWriter(out, conditions, time.monotonic(), replace=replace)
     except OutsideError as error:

@@ -73,7 +73,7 @@ class Emulation:
                 unknown.
             OutsideError: The system has no pseudo-terminals.
         """
-        self._clock, self._say = clock, say
+        self._clock, self._say, self.arm = clock, say, arm
         plugin = robot_plugin(robot)
         serve, settings = plugin.serve, settings.model_copy(update=dict(plugin.servo))
         if serve is None:

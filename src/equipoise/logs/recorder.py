@@ -25,12 +25,16 @@ RATES: Final[Mapping[str, float]] = {
     "event": 50.0,
 }
 """Maximum rate of the rows of each recorded table [1/s]."""
-RINGS: Final = (*RATES, "notices", "typed")
+RINGS: Final = (*RATES, "notices", "typed", "console")
 """Names of all rings, in the order of their counters."""
 EVENT: Final = tables(0)["event"]
 """Type of the rows of the table `event`."""
 WORD: Final = np.dtype([("word", "S64")])
 """Type of the rows with words typed by the operator."""
+ANSWER: Final = np.dtype([("question", np.int64), *WORD.descr])
+"""Type of the rows with words from a console, and the number of the question that they answer."""
+QUESTION: Final = np.dtype([("number", np.int64), *EVENT.descr[1:]])
+"""Type of the row with the open question; its number is 0 without one."""
 PULSE: Final = ("time", "state", "phi", "ticks")
 """Entries of `Recorder.pulse`: time of the last tick [s], its state, phi [rad], number of ticks."""
 CONNECTING: Final = "connecting"
@@ -50,6 +54,19 @@ class LoggedEvent(NamedTuple):
     """Name of the phase that began, or kind of message."""
     answers: tuple[str, ...]
     """Words expected from the operator: one of them."""
+    text: str
+    """Sentence for the operator."""
+
+
+class Question(NamedTuple):
+    """The question that the run asks now."""
+
+    number: int
+    """Number of the question in the run, from 1."""
+    name: str
+    """Name of the question, one word."""
+    answers: tuple[str, ...]
+    """Expected answers."""
     text: str
     """Sentence for the operator."""
 
@@ -83,6 +100,21 @@ class Ring:
         self._counters[1] = written
         return rows
 
+    def peek(self, since: int) -> tuple[npt.NDArray[Any], int]:
+        """Return rows without taking them, for any number of observers.
+
+        Of a ring only the newer half is returned: the writer does not reach it during the copy.
+
+        Args:
+            since: Number of rows seen before.
+
+        Returns:
+            The rows written since then, and the number of all rows written so far.
+        """
+        written = int(self._counters[0])
+        first = max(since, written - self._capacity // 2)
+        return self._rows[np.arange(first, written) % self._capacity], written
+
     @property
     def lost(self) -> int:
         """Number of dropped rows."""
@@ -90,7 +122,7 @@ class Ring:
 
 
 class Recorder:
-    """Shared memory: a ring per recorded table, the loop's pulse, and two rings of the operator."""
+    """Shared memory: a ring per recorded table, the loop's pulse, and rings of the operators."""
 
     def __init__(self, joints: int, buffer: memoryview | bytearray | None = None) -> None:
         """Create the rings.
@@ -114,11 +146,32 @@ class Recorder:
         """Events for the operator, in another process."""
         self.typed = rings["typed"]
         """Words of the operator, from another process."""
+        self.console = rings["console"]
+        """Words from a console, as rows of the type `ANSWER`."""
+        self._question: npt.NDArray[Any] = memory["question"]
 
     @staticmethod
     def buffer_size(joints: int) -> int:
         """Return the size of the memory for an arm with `joints` joints [B]."""
         return _memory_layout(joints).itemsize
+
+    def ask(self, question: Question | None) -> None:
+        """Publish the open question; None without one."""
+        row = self._question
+        row["number"] = 0  # an observer ignores a row that is being written
+        if question is not None:
+            row["name"] = _cut(question.name, QUESTION["name"].itemsize)
+            row["answers"] = _cut("|".join(question.answers), QUESTION["answers"].itemsize)
+            row["text"] = _cut(question.text, QUESTION["text"].itemsize)
+            row["number"] = question.number
+
+    def question(self) -> Question | None:
+        """Return the open question; None without one."""
+        number, name, answers, text = self._question[0].item()
+        if number == 0 or number != int(self._question["number"][0]):
+            return None
+        name, answers, text = (value.decode("utf-8", "replace") for value in (name, answers, text))
+        return Question(number, name, tuple(filter(None, answers.split("|"))), text)
 
     def forget(self) -> None:
         """Empty the rings, in a run without a log."""
@@ -134,10 +187,12 @@ class Recorder:
 def _memory_layout(joints: int) -> np.dtype[Any]:
     """Return the memory of a recorder: counters, pulse, and the rows of each ring."""
     kinds = tables(joints)
-    counters = ("counters", np.int64, (len(RATES) + 2, 3))
+    counters = ("counters", np.int64, (len(RINGS), 3))
     rows = [(name, kinds[name], round(rate * BUFFERED)) for name, rate in RATES.items()]
-    operator = [("notices", EVENT, OPERATOR_BUFFER), ("typed", WORD, OPERATOR_BUFFER)]
-    return np.dtype([counters, ("pulse", np.float64, len(PULSE)), *rows, *operator])
+    words = {"notices": EVENT, "typed": WORD, "console": ANSWER}
+    operator = [(name, kind, OPERATOR_BUFFER) for name, kind in words.items()]
+    pulse, question = ("pulse", np.float64, len(PULSE)), ("question", QUESTION, 1)
+    return np.dtype([counters, pulse, question, *rows, *operator])
 
 
 def push_event(ring: Ring, time: float, name: str, answers: Sequence[str], text: str) -> None:

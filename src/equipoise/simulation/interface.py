@@ -233,7 +233,7 @@ def run_trial(
     policy: Policy,
     trial: Trial,
     duration: float,
-    record: "Recorder | None" = None,
+    record: "TickObserver | None" = None,
 ) -> tuple[int, int, float]:
     """Run one trial of a policy from Python.
 
@@ -242,7 +242,7 @@ def run_trial(
         policy: The policy.
         trial: Conditions.
         duration: Length of the trial [s].
-        record: Recorder of each tick.
+        record: Observer of each tick, such as a `Recorder`.
 
     Returns:
         Number of steps, cause of the end, and the sum of x^2 over the steps [m^2].
@@ -261,6 +261,18 @@ def run_trial(
         steps += 1
         sum_x2 += float(loop.state()[0]) ** 2
     return steps, cause, sum_x2
+
+
+class TickObserver(Protocol):
+    """Observer of the ticks of a trial; an exception from it ends the trial."""
+
+    def before(self, loop: ClosedLoop, tick: int, u: float) -> None:
+        """Observe the state at a tick, and the u that the policy commands [m/s^2]."""
+        ...
+
+    def after(self, loop: ClosedLoop, tick: int) -> None:
+        """Observe the commands of a tick, and the state at its end."""
+        ...
 
 
 class TrialRecord(NamedTuple):
