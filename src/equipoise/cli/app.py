@@ -6,6 +6,7 @@ import typer
 
 from equipoise.cli.card import card
 from equipoise.cli.compare import compare
+from equipoise.cli.console import console
 from equipoise.cli.deploy import deploy
 from equipoise.cli.doctor import doctor
 from equipoise.cli.emulate import emulate
@@ -48,7 +49,8 @@ for verb in (reproduce, identify, train, evaluate):
 app.command("map", rich_help_panel=PIPELINE)(map_recoverable)
 for verb in (card, compare, gap, refine, sweep):
     app.command(rich_help_panel=PIPELINE)(verb)
-app.command(rich_help_panel=ROBOT)(deploy)
+for verb in (deploy, console):
+    app.command(rich_help_panel=ROBOT)(verb)
 for verb in (doctor, emulate, record, rehearse):
     rig.command()(verb)
 for verb in (explain, replay, export, show):

@@ -44,6 +44,7 @@ OPTIONS = {
         "identify",
         "anyway",
         "video",
+        "console",
     ),
     "--excite": ("excite", "world", "arm", "pendulum"),
     "a simulated run": ("policy", "world", *TASK, "video"),
@@ -96,6 +97,11 @@ def deploy(
         "--anyway",
         "Run also a table that lasted less than 92.5 % of its training's final round, or one that "
         "does not fit the identified arm.",
+        panel=opt.RIG_PANEL,
+    ),
+    console: bool = opt.flag(
+        "--console",
+        "Show the run in the browser, with a button for each answer and a STOP.",
         panel=opt.RIG_PANEL,
     ),
     excite: bool = opt.flag(
@@ -162,7 +168,8 @@ def deploy(
         options: Any = {"t1": t1, "dry_run": dry_run, "seed": seed, "alternatives": carried[1:]}
         options |= {"identify": identify_motion if identify else None, "anyway": anyway}
         request = RunRequest(chosen, carried[0], described, robot, encoder, length, **options)
-        out, report = log.path, _run_on_rig(output, request, policy, rig, task, log)
+        out = log.path
+        report = _run_on_rig(output, request, policy, rig, task, log, console=console)
     else:
         from equipoise import deployment
 
@@ -236,8 +243,11 @@ def _run_on_rig(
     rig: Path | None,
     task: tuple[object, ...],
     log: Destination,
+    *,
+    console: bool,
 ) -> _Report:
     """Run on an emulated or a real rig, and write the log."""
+    from equipoise.cli.console import beside
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
     from equipoise.control.run_controller import IDENTIFIED
     from equipoise.deployment.processes import run_in_processes
@@ -245,6 +255,11 @@ def _run_on_rig(
     from equipoise.rigs import is_virtual
 
     check_request(request)
+    if console and is_virtual(request.robot):
+        raise InputError(
+            f"--console shows a run in real time, and {request.robot} runs in virtual time; start "
+            "equipoise rig emulate, and give the --robot and --encoder that it prints"
+        )
     if (friction := request.friction) is not None:
         output.rows({"pendulum": friction.describe(request.robot)})
     if request.t1:
@@ -258,7 +273,7 @@ def _run_on_rig(
                 spectator = _Spectator(person, stopped)
                 result = run_virtually(request, out, spectator, replace=log.force)
         else:
-            with single_keys():
+            with beside(output, console), single_keys():
                 result = run_in_processes(request, out, person, replace=log.force)
     except EquipoiseError:
         if _identity(out) != before:

@@ -1,21 +1,30 @@
 """`equipoise rig emulate`: emulates the hardware of a rig on this machine."""
 
+import os
 import queue
 import sys
 import threading
 import time
+from contextlib import contextmanager
+from math import remainder, tau
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from equipoise.cli import options as opt
+from equipoise.cli.console import show_address
 from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.devices import realtime
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Generator
+
+    from equipoise.devices.emulation import Emulation
     from equipoise.model.pendulum import Pendulum, PendulumParameters
     from equipoise.model.sim_configs import TwinSettings
 
 HOST = "127.0.0.1"
+SHOWN = 0.02
+"""Time between two states of the rig in a console [s]."""
 
 
 @verb
@@ -43,6 +52,9 @@ def emulate(
         default="",
     ),
     seed: int = opt.SEED,
+    console: bool = opt.flag(
+        "--console", "Show the rig in the browser, with a button for each action."
+    ),
     as_json: bool = opt.JSON,
 ) -> None:
     """Emulate robot, pendulum, encoder and operator, until Ctrl-C.
@@ -97,7 +109,7 @@ def emulate(
         sys.stdout.flush()
 
     words = _typed() if no_operator else None
-    with stop_by_signal() as stopped:
+    with _shown(output, console, emulation) as show, stop_by_signal() as stopped:
 
         def stop() -> bool:
             word = "" if words is None or words.empty() else words.get().strip()
@@ -105,10 +117,43 @@ def emulate(
                 emulation.acts[word]()
             elif word:
                 output.warn(f"{word!r} is not an action; type one of {', '.join(emulation.acts)}")
+            show()
             return stopped()
 
         emulation.run(HOST, port, stop, listening=ready)
     output.rows({"stalls of this host": str(emulation.stalls)})
+
+
+@contextmanager
+def _shown(output: Output, wanted: bool, emulation: "Emulation") -> "Generator[Callable[[], None]]":
+    """Show the rig in a console, if wanted; yield a function to call each millisecond."""
+    if not wanted:
+        yield lambda: None
+        return
+    from equipoise.console.publisher import publishing
+    from equipoise.console.server import console_process
+    from equipoise.logs.shared import RunInfo
+
+    bench, arm, due = emulation.bench, emulation.arm, 0.0
+    info = RunInfo(
+        title="emulated rig", pid=os.getpid(), arm=arm, actions=tuple(emulation.acts), stop="estop"
+    )
+
+    with publishing(info) as publisher, console_process() as address:
+
+        def show() -> None:
+            nonlocal due
+            if bench.now < due:
+                return
+            due = bench.now + SHOWN
+            publisher.show(bench.now, bench.q, remainder(bench.phi, tau))
+            for word in publisher.words():
+                output.say(f"console: {word}")
+                publisher.say(bench.now, word)
+                emulation.acts[word]()
+
+        show_address(output, address)
+        yield show
 
 
 def _true_pendulum(

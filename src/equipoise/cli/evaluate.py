@@ -8,13 +8,17 @@ import typer
 from equipoise.cli import next_step
 from equipoise.cli import options as opt
 from equipoise.cli.claim import certify, repeat
+from equipoise.cli.console import trials_beside
 from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.output import Output, trial_fields, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
+    from equipoise.console.trials import ShownTrials
     from equipoise.control.policy import TaskPolicy
     from equipoise.evaluation import Evaluation, TrialResults
+    from equipoise.model.actuator import Actuator
+    from equipoise.settings import Settings
 
 TASK = (
     *("policy", "named", "actuator", "pendulum", "arm"),
@@ -72,6 +76,10 @@ def evaluate(
     arm: str | None = opt.TASK_ARM,
     settings_file: Path | None = opt.SETTINGS_FILE,
     seed: int = opt.SEED,
+    console: bool = opt.flag(
+        "--console",
+        "Show the trials in the browser, one after another in real time, until Ctrl-C or STOP.",
+    ),
     workers: int | None = opt.WORKERS,
     ray: str | None = opt.RAY,
     held: str | None = opt.HELD,
@@ -134,44 +142,65 @@ def evaluate(
         plant=opt.changed(old.plant, max_speed=max_speed),
     )
     total = settings.evaluation.trials * (1 + BASELINES * with_baselines)
-    with output.trials("evaluate", task, world, total) as done:
-        evaluation = evaluate(
+    shown = _shown(task, settings, world, response, seed) if console else None
+    with trials_beside(output, shown):
+        with output.trials("evaluate", task, world, total) as done:
+            evaluation = evaluate(
+                task,
+                settings,
+                world=world,
+                actuator=response,
+                seed=seed,
+                with_baselines=with_baselines,
+                workers=threads,
+                partial=partial,
+                done=done,
+            )
+        inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
+        with destination.claimed() as out:
+            evaluation.save(out, command="evaluate", inputs=inputs)
+        balanced = _say(output, evaluation)
+        output.wrote(out)
+        words = next_step.given(pendulum=pendulum, arm=arm, settings=settings_file)
+        following = next_step.after_evaluation(
+            balanced,
             task,
-            settings,
+            policy,
+            *(() if isinstance(task, TabularPolicy) else words),
             world=world,
-            actuator=response,
-            seed=seed,
-            with_baselines=with_baselines,
-            workers=threads,
-            partial=partial,
-            done=done,
+            pendulum=pendulum,
+            actuator=actuator,
+            max_speed=max_speed,
         )
-    inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
-    with destination.claimed() as out:
-        evaluation.save(out, command="evaluate", inputs=inputs)
-    balanced = _say(output, evaluation)
-    output.wrote(out)
-    words = next_step.given(pendulum=pendulum, arm=arm, settings=settings_file)
-    following = next_step.after_evaluation(
-        balanced,
-        task,
-        policy,
-        *(() if isinstance(task, TabularPolicy) else words),
-        world=world,
-        pendulum=pendulum,
-        actuator=actuator,
-        max_speed=max_speed,
-    )
-    output.next(*following)
-    output.result(
-        **trial_fields(evaluation.results),
-        duration=evaluation.duration,
-        yardsticks={results.name: trial_fields(results) for results in evaluation.baselines},
-        world=evaluation.world,
-        seed=evaluation.seed,
-        evaluation=out,
-        bad=not balanced,
-    )
+        output.next(*following)
+        output.result(
+            **trial_fields(evaluation.results),
+            duration=evaluation.duration,
+            yardsticks={results.name: trial_fields(results) for results in evaluation.baselines},
+            world=evaluation.world,
+            seed=evaluation.seed,
+            evaluation=out,
+            bad=not balanced,
+        )
+
+
+def _shown(
+    task: "TaskPolicy",
+    settings: "Settings",
+    world: str,
+    actuator: "Actuator | None",
+    seed: int,
+) -> "ShownTrials":
+    """Return the trials that the console shows."""
+    from equipoise.console.trials import ShownTrials
+    from equipoise.simulation.coppeliasim.address import is_address
+
+    if is_address(world):
+        raise InputError(
+            f"--console shows trials of the ideal plant, the model and the twins, not of {world}, "
+            "which has its own window"
+        )
+    return ShownTrials(task, settings, world, actuator, seed)
 
 
 def _of_claim(policy: "TaskPolicy", actuator: str | None) -> "TaskPolicy":

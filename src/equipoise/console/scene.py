@@ -7,13 +7,11 @@ those of the base frame [m], z upwards.
 
 from collections import defaultdict
 from collections.abc import Sequence
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.errors import MissingExtraError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.physics_engine import mujoco
 from equipoise.report.pictures.camera import FOV_DEG
@@ -41,18 +39,6 @@ FURTHER: Final = 0.15
 """Additional distance of the camera, as a share of that of the pictures [-]."""
 GRID: Final = 6.0
 """Width of the floor [m]."""
-
-
-def require_viser() -> Any:
-    """Return the module `viser`.
-
-    Raises:
-        MissingExtraError: viser is not installed.
-    """
-    try:
-        return import_module("viser")
-    except ImportError:
-        raise MissingExtraError("viser", "console") from None
 
 
 class RigView:
@@ -107,6 +93,11 @@ class RigView:
         return np.array(self._data.body("pendulum").xpos)
 
     @property
+    def q(self) -> Floats:
+        """All joints of the posture shown last [rad], shape (joints,)."""
+        return self._q.copy()
+
+    @property
     def x(self) -> float:
         """Displacement of the pivot from home along x in the posture shown last [m]."""
         return float(self.pivot[0] - self._home[0])
@@ -125,17 +116,24 @@ class RigView:
             q: Measured joints, all of them [rad], shape (joints,). A posture that is not finite is
                 ignored: the last one stays.
             phi: Angle of the pendulum from upright [rad]; the last one stays for NaN.
-            commanded: Commanded joints of the ghost [rad], shape (joints,); None hides the ghost.
+            commanded: Commanded joints of the ghost [rad], shape (joints,); without them, or in the
+                posture of the arm, the ghost is hidden.
             u: Commanded acceleration of the flange, shown as an arrow [m/s^2].
         """
         if np.all(np.isfinite(q)):
             self._q = np.array(q, np.float64)
         self._phi = float(phi) if np.isfinite(phi) else self._phi
         wanted = commanded is not None and bool(np.all(np.isfinite(commanded)))
+        if wanted and commanded is not None:
+            self._pose(self._q, self._phi)
+            measured = np.array(self._data.xpos)
+            self._pose(np.array(commanded, np.float64), self._phi)
+            # Inside the arm it would only shine through.
+            apart = np.linalg.norm(self._data.xpos - measured, axis=1)
+            wanted = bool(np.max(apart) > GHOST_INSET)
         if wanted and not self._ghost:
             self._ghost = self._add_bodies("ghost", GHOST_COLOUR, GHOST_OPACITY)
-        if wanted and commanded is not None:
-            self._pose(np.array(commanded, np.float64), self._phi)
+        if wanted:
             self._place(self._ghost)
         for body in self._ghost.values():
             if body.visible != wanted:

@@ -1,0 +1,76 @@
+"""What the console's server lets in, without a browser."""
+
+import http.client
+import re
+from urllib.parse import urlsplit
+
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed (extra console)")
+
+
+@pytest.fixture(scope="module")
+def served():
+    from equipoise.console.web import serving
+
+    called = []
+    actions = {"/act": lambda: called.append(True) or "done"}
+    with serving(actions=actions, overlay=b"<i>over</i>") as (_, address):
+        yield urlsplit(address), called
+
+
+def ask(served, path, **headers):
+    address = served[0]
+    connection = http.client.HTTPConnection(address.hostname, address.port, timeout=5.0)
+    connection.request("GET", path, headers={k.replace("_", "-"): v for k, v in headers.items()})
+    answer = connection.getresponse()
+    return answer.status, dict(answer.getheaders()), answer.read()
+
+
+@pytest.fixture(scope="module")
+def cookie(served):
+    status, headers, _ = ask(served, f"/?{served[0].query}")
+    assert (status, headers["Location"]) == (303, "/")
+    assert {"HttpOnly", "SameSite=Strict"} <= set(headers["Set-Cookie"].split("; "))
+    return headers["Set-Cookie"].split(";")[0]
+
+
+WEBSOCKET = {
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec_WebSocket_Key": "dGhlIHNhbXBsZSBub25jZQ==",
+    "Sec_WebSocket_Version": "13",
+    "Sec_WebSocket_Protocol": "viser-v1.1.1",
+}
+
+
+@pytest.mark.parametrize("path", ["/", "/index.html", "/act", "/?token=", "/?token=wrong", "/x"])
+@pytest.mark.parametrize(
+    "headers", [{}, {"Cookie": "equipoise=1"}, {"X_Equipoise": "1"}, WEBSOCKET]
+)
+def test_nothing_is_served_without_the_token(served, path, headers):
+    assert ask(served, path, **headers)[0] == 403
+    assert not served[1]
+
+
+def test_the_page_may_ask_no_other_server(served, cookie):
+    status, headers, page = ask(served, "/", Cookie=cookie)
+    assert status == 200
+    assert b"<i>over</i></body>" in page
+    policy = headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy
+    assert not re.search(r"https?:|\*", policy)
+
+
+def test_an_action_needs_a_script_of_the_page(served, cookie):
+    assert ask(served, "/act", Cookie=cookie)[0] == 403
+    assert not served[1]
+    assert ask(served, "/act", Cookie=cookie, X_Equipoise="1")[2] == b"done"
+    assert served[1] == [True]
+
+
+def test_a_websocket_of_another_page_is_refused(served, cookie):
+    host = served[0].netloc
+    for origin in ("http://elsewhere.org", f"http://{host}.elsewhere.org", "null"):
+        assert ask(served, "/", Cookie=cookie, Origin=origin, **WEBSOCKET)[0] == 403
+    assert ask(served, "/", Cookie=cookie, Origin=f"http://{host}", **WEBSOCKET)[0] == 101
