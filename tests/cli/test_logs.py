@@ -121,10 +121,10 @@ def test_what_is_no_log_is_refused(equipoise, tmp_path, verb):
 
 
 def test_show_reads_the_log_of_a_rig(equipoise, pushed):
-    ran = equipoise("log", "show", pushed)
+    ran = equipoise("log", "verify", pushed)
     assert ran.code == 0
     assert "run on a rig" in ran.out
     assert f"next: equipoise log explain {pushed}" in ran.out
-    found = equipoise("log", "show", pushed, "--json").json
+    found = equipoise("log", "verify", pushed, "--json").json
     assert found["digest"] == RunLog.load(pushed).digest
     assert found["provenance"]["command"] == "deploy"

@@ -1,4 +1,4 @@
-"""`equipoise log show`: shows the content of a file of Equipoise, and checks its integrity."""
+"""`equipoise log verify`: checks that a file of Equipoise is intact, and shows its content."""
 
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,13 @@ FIELDS = ("what", "format", "version", "digest", "content")
 
 
 @verb
-def show(
+def verify(
     file: Path = opt.argument(
         "FILE", "A run log, pendulum, actuator, policy, evaluation, certificate or reproduction."
     ),
     as_json: bool = opt.JSON,
 ) -> None:
-    """Show the content of a file, and check that it is intact.
+    """Check that a file is intact, and show its content.
 
     Reads the whole file by the rules of its kind. Refuses a file that was
     edited, damaged or cut. A certificate is compared with the trials beside it.
@@ -26,9 +26,9 @@ def show(
     output = Output(as_json)
     output.say(f"Reading {file}")
 
-    from equipoise.studies.verification import verify
+    from equipoise.studies.verification import verify as verify_file
 
-    found = verify(file)
+    found = verify_file(file)
     history = found.provenance
     rows = {
         "is": f"an intact {found.what} ({found.format}, version {found.version})",
