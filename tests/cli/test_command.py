@@ -14,10 +14,11 @@ from tests.cli.conftest import verbs
 VERBS = tuple(verbs())
 PIPELINE = ("reproduce", "identify", "train", "evaluate", "map", "compare", "gap", "refine")
 RIG = ("doctor", "emulate", "record", "rehearse")
-LOG = ("explain", "replay", "export", "show")
+LOG = ("show", "explain", "replay", "export", "verify")
 NEEDS = {
     "identify": ["x.csv"],
     "refine": ["policy.json", "run.mcap"],
+    "log show": ["x.mcap"],
     "log verify": ["x.csv"],
     "log explain": ["x.mcap"],
     "log replay": ["x.mcap"],

@@ -115,7 +115,9 @@ def test_a_certificate_with_fewer_failures_than_its_trials_have_is_found(equipoi
 
     rebuilt(files / "certificate.json", granted)
     # ... does not fit the trials beside it,
-    refused("log", "verify", "certificate.json", saying="does not hold the trials of the certificate")
+    refused(
+        "log", "verify", "certificate.json", saying="does not hold the trials of the certificate"
+    )
     # and without them it comes out otherwise.
     (files / "certificate-evaluation.json").unlink()
     assert equipoise("log", "verify", "certificate.json").code == 0

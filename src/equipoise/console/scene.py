@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from equipoise.model.arms.arm import Arm
 from equipoise.model.physics_engine import mujoco
-from equipoise.report.pictures.camera import FOV_DEG
+from equipoise.report.pictures.camera import FOV_DEG, Camera
 from equipoise.report.pictures.rendering import ARROW, ARROW_BELOW, ARROW_PER_U
 from equipoise.report.pictures.scene import stage
 
@@ -37,6 +37,8 @@ VIEW: Final = 480, 480
 """Size of the picture that shows the whole rig; a wider window shows more at its sides."""
 FURTHER: Final = 0.15
 """Additional distance of the camera, as a share of that of the pictures [-]."""
+FIGURE_3, FRONT, TOP = VIEWS = ("figure 3", "front", "top")
+"""Views of the camera: as in the paper's figure 3, along base -y at the pivot, and from above."""
 GRID: Final = 6.0
 """Width of the floor [m]."""
 
@@ -76,15 +78,13 @@ class RigView:
             section_color=(200, 205, 210),
             **tiles,
         )
-        camera, view = picture.camera, server.initial_camera
-        ahead = np.cross(camera.up, camera.right)
+        view = server.initial_camera
         self._q, self._phi = np.array(arm.home), np.pi
         self._pose(self._q, self._phi)
         view.fov = float(np.radians(FOV_DEG))
-        depth = float(ahead @ (self.pivot - camera.position))
-        view.position = camera.position - FURTHER * depth * ahead
-        view.look_at = camera.position + depth * ahead
         self._home = self.pivot
+        self._views = _views(picture.camera, self._home)
+        view.position, view.look_at = self._views[FIGURE_3]
         self.show(self._q, self._phi)
 
     @property
@@ -141,6 +141,21 @@ class RigView:
         self._pose(self._q, self._phi)
         self._place(self._bodies)
         self._show_arrow(u if np.isfinite(u) else 0.0)
+
+    def look_from(self, client: "viser.ClientHandle", name: str) -> None:
+        """Turn the camera of a browser; in a narrow window it stands further away.
+
+        Args:
+            client: The browser.
+            name: One of `VIEWS`.
+        """
+        (position, target), camera = self._views[name], client.camera
+        narrow = max(1.0, 1.0 / max(float(camera.aspect), 0.2))
+        with client.atomic():
+            camera.fov = float(np.radians(FOV_DEG))
+            camera.up_direction = (0.0, 1.0, 0.0) if name == TOP else (0.0, 0.0, 1.0)
+            camera.position = target + narrow * (position - target)
+            camera.look_at = target
 
     def remove(self) -> None:
         """Remove the rig from the scene."""
@@ -228,6 +243,19 @@ class RigView:
         pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), model.geom_pos[number]
         mesh.apply_transform(pose)
         return mesh
+
+
+def _views(camera: Camera, pivot: Floats) -> dict[str, tuple[Floats, Floats]]:
+    """Return position and target of the camera for each view [m]."""
+    ahead = np.cross(camera.up, camera.right)
+    depth = float(ahead @ (pivot - camera.position))
+    target = camera.position + depth * ahead
+    distance = (1.0 + FURTHER) * depth
+    return {
+        FIGURE_3: (target - distance * ahead, target),
+        FRONT: (pivot + np.array([0.0, distance, 0.0]), pivot),
+        TOP: (pivot + np.array([0.0, 0.0, distance]), pivot),
+    }
 
 
 def _rgb(colour: Any) -> tuple[int, ...]:
