@@ -121,9 +121,13 @@ class ReplayPage:
             self._add_events()
         with tabs.add_tab("Film"):
             self._add_film()
-        server.on_client_connect(lambda client: self._view.look_from(client, VIEWS[0]))
+        server.on_client_connect(self._connect)
         self._show_part()
         self._show()
+
+    def _connect(self, client: "viser.ClientHandle") -> None:
+        self._view.look_from(client, VIEWS[0])
+        client.camera.on_update(lambda _: self._view.keep_in_view(client))
 
     def ask(self, name: str) -> None:
         """Do at the next picture what a key asks for: `toggle`, `back` or `forward`."""
@@ -304,8 +308,9 @@ class ReplayPage:
     def _jump_to(self, mark: Mark) -> None:
         self._playback.pause()
         self._jump(mark.time)
-        kind = "a cause of the end, " if mark.cause else ""
-        self._sentence.content = _sentence(f"{kind}{mark.name}: {mark.text or 'no details'}")
+        kind = " (a cause of the end)" if mark.cause else ""
+        text = f": {mark.text}" if mark.text else ""
+        self._sentence.content = _sentence(f"{mark.name}{kind}{text}")
 
     # The film.
 

@@ -39,6 +39,8 @@ FURTHER: Final = 0.15
 """Additional distance of the camera, as a share of that of the pictures [-]."""
 FIGURE_3, FRONT, TOP = VIEWS = ("figure 3", "front", "top")
 """Views of the camera: as in the paper's figure 3, along base -y at the pivot, and from above."""
+TURNED: Final = 0.01
+"""Smallest motion of a camera that counts as one by the user [m]."""
 GRID: Final = 6.0
 """Width of the floor [m]."""
 
@@ -62,6 +64,7 @@ class RigView:
         self._model, self._data = picture.model, mujoco().MjData(picture.model)
         self._scene, self._name = server.scene, name
         self._shown: dict[str, Floats] = {}
+        self._looks: dict[int, tuple[str, float, Floats]] = {}
         self._arrow: Any = None
         self._root = server.scene.add_frame(name, show_axes=False)
         self._bodies = self._add_bodies("real", (), None)
@@ -150,12 +153,21 @@ class RigView:
             name: One of `VIEWS`.
         """
         (position, target), camera = self._views[name], client.camera
-        narrow = max(1.0, 1.0 / max(float(camera.aspect), 0.2))
+        aspect = float(camera.aspect)
+        position = target + max(1.0, 1.0 / max(aspect, 0.2)) * (position - target)
+        self._looks[client.client_id] = name, aspect, position
         with client.atomic():
             camera.fov = float(np.radians(FOV_DEG))
             camera.up_direction = (0.0, 1.0, 0.0) if name == TOP else (0.0, 0.0, 1.0)
-            camera.position = target + narrow * (position - target)
+            camera.position = position
             camera.look_at = target
+
+    def keep_in_view(self, client: "viser.ClientHandle") -> None:
+        """Look from the same view after a change of the window's shape, unless it was turned."""
+        name, aspect, position = self._looks[client.client_id]
+        turned = np.linalg.norm(client.camera.position - position) > TURNED
+        if not turned and abs(float(client.camera.aspect) - aspect) > 1e-3:
+            self.look_from(client, name)
 
     def remove(self) -> None:
         """Remove the rig from the scene."""
