@@ -146,7 +146,10 @@ def _between(time: float, times: Floats, rows: Floats) -> Floats:
 def _marks(run: RunLog, time: Floats, phases: tuple[str, ...], began: float) -> tuple[Mark, ...]:
     """Return the causes of the end, the changes of the phase, and warnings and faults."""
     first, last = whole_span(run)
-    found, said = explain(run), [(e.time - began, e.name, e.text) for e in run.events]
+    found, said = (
+        explain(run),
+        [(e.time - began, e.name, e.text.replace("\a", "")) for e in run.events],
+    )
     marks = [
         Mark(last if found.log is None else one.time, one.name.value, one.evidence, cause=True)
         for one in found.causes
