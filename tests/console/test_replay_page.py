@@ -3,6 +3,7 @@
 import io
 import threading
 import time
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ from PIL import Image
 from equipoise.console.film_export import FilmExport
 from equipoise.console.replayed_run import ReplayedRun
 from equipoise.report.pictures import video
+from equipoise.report.pictures.scene import stage
 from tests.logs.made_up import balanced_on_a_rig, changed_table, conditions
 from tests.report.conftest import canvas
 
@@ -128,6 +130,38 @@ def test_a_drag_pauses_there(page, browser):
     browser.press(page._button)
     browser.press(page._slider, 1.25)
     wait_until(lambda: page._button.label == "Play" and page._playback.time == 1.25)
+
+
+def client(aspect):
+    """A browser with a camera."""
+    camera = SimpleNamespace(aspect=aspect, position=np.zeros(3))
+    return SimpleNamespace(client_id=1, camera=camera, atomic=nullcontext)
+
+
+def test_the_view_of_figure_3_is_that_of_the_pictures_and_fits_into_a_narrow_window(page, run):
+    camera = stage(run.conditions.arm, (480, 480)).camera
+    ahead, found = np.cross(camera.up, camera.right), {}
+    for aspect in (2.0, 1.0, 0.5):
+        browser = client(aspect)
+        page._view.look_from(browser, "figure 3")
+        offset = browser.camera.look_at - browser.camera.position
+        found[aspect] = np.linalg.norm(offset)
+        np.testing.assert_allclose(offset / found[aspect], ahead, atol=1e-9)
+    assert found[2.0] == found[1.0] == pytest.approx(0.5 * found[0.5])
+
+
+def test_a_window_that_changes_keeps_the_view_unless_it_was_turned(page):
+    browser = client(1.0)
+    page._view.look_from(browser, "front")
+    near = browser.camera.position
+    browser.camera.aspect = 0.5
+    page._view.keep_in_view(browser)
+    far = browser.camera.position
+    assert np.linalg.norm(far - near) > 1.0
+    browser.camera.position = far + np.array([0.1, 0.0, 0.0])
+    browser.camera.aspect = 1.0
+    page._view.keep_in_view(browser)
+    assert browser.camera.position[0] == far[0] + 0.1
 
 
 @pytest.mark.usefixtures("canvas")

@@ -20,7 +20,7 @@ from equipoise.console.playback import SPEEDS, Playback
 from equipoise.console.plots import Curve, cursor, plots
 from equipoise.console.replayed_run import Mark, ReplayedRun, RunPose
 from equipoise.console.scene import VIEWS, RigView
-from equipoise.console.web import LOOPBACK, serving
+from equipoise.console.web import serving
 from equipoise.control.states import Phase
 from equipoise.errors import InputError
 from equipoise.logs.run_log import RunLog
@@ -72,18 +72,17 @@ def show_run(
         RecordingError: The log has nothing to show.
     """
     replayed = ReplayedRun.of(run)
-    pages: list[ReplayPage] = []
+    page: ReplayPage | None = None
 
     def ask(name: str) -> str:
-        for page in pages:
+        if page is not None:
             page.ask(name)
         return ""
 
     actions = {f"/{name}": partial(ask, name) for name in ("toggle", "back", "forward")}
     overlay = resources.files("equipoise.console").joinpath("replay.html").read_bytes()
-    with serving(address or LOOPBACK, port, actions=actions, overlay=overlay) as (server, url):
+    with serving(address, port, actions=actions, overlay=overlay) as (server, url):
         page = ReplayPage(server, run, replayed, title)
-        pages.append(page)
         ready(url)
         page.play(stopped)
 

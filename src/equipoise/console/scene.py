@@ -158,7 +158,7 @@ class RigView:
         self._looks[client.client_id] = name, aspect, position
         with client.atomic():
             camera.fov = float(np.radians(FOV_DEG))
-            camera.up_direction = (0.0, 1.0, 0.0) if name == TOP else (0.0, 0.0, 1.0)
+            camera.up_direction = 0.0, 0.0, 1.0
             camera.position = position
             camera.look_at = target
 
@@ -266,7 +266,7 @@ def _views(camera: Camera, pivot: Floats) -> dict[str, tuple[Floats, Floats]]:
     return {
         FIGURE_3: (target - distance * ahead, target),
         FRONT: (pivot + np.array([0.0, distance, 0.0]), pivot),
-        TOP: (pivot + np.array([0.0, 0.0, distance]), pivot),
+        TOP: (pivot + distance * np.array([0.0, -0.02, 1.0]), pivot),  # up stays defined
     }
 
 
