@@ -16,6 +16,7 @@ from equipoise.cli.export import export
 from equipoise.cli.gap import gap
 from equipoise.cli.identify import identify
 from equipoise.cli.map import map_recoverable
+from equipoise.cli.play import play
 from equipoise.cli.record import record
 from equipoise.cli.refine import refine
 from equipoise.cli.rehearse import rehearse
@@ -48,7 +49,7 @@ log = group(help="Read the log of a run, or another file: show, explain, replay,
 for verb in (reproduce, identify, train, evaluate):
     app.command(rich_help_panel=PIPELINE)(verb)
 app.command("map", rich_help_panel=PIPELINE)(map_recoverable)
-for verb in (card, compare, gap, refine, sweep):
+for verb in (card, compare, gap, refine, sweep, play):
     app.command(rich_help_panel=PIPELINE)(verb)
 for verb in (deploy, console):
     app.command(rich_help_panel=ROBOT)(verb)

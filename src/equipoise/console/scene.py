@@ -67,6 +67,8 @@ class RigView:
         self._looks: dict[int, tuple[str, float, Floats]] = {}
         self._arrow: Any = None
         self._root = server.scene.add_frame(name, show_axes=False)
+        self.pendulum: list[Any] = []
+        """Meshes of the pendulum, which a mouse may drag."""
         self._bodies = self._add_bodies("real", (), None)
         self._ghost: dict[int, Any] = {}
         for post in picture.posts:
@@ -225,7 +227,7 @@ class RigView:
             for number, (own, meshes) in enumerate(colours.items()):
                 mesh: Any = trimesh.util.concatenate(meshes)
                 rgb: Any = own
-                self._scene.add_mesh_simple(
+                added = self._scene.add_mesh_simple(
                     f"{base}/{number}",
                     *(mesh.vertices, mesh.faces),
                     color=rgb,
@@ -233,6 +235,8 @@ class RigView:
                     cast_shadow=opacity is None,
                     receive_shadow=opacity is None,
                 )
+                if opacity is None and body == self._model.body("pendulum").id:
+                    self.pendulum.append(added)
         return frames
 
     def _mesh(self, number: int, inset: float) -> Any:

@@ -217,6 +217,11 @@ class TwinLoop:
         self.tracked, self.now = float(self._state[1] - x_dot) / self.params.h, self._twin.now
         return cause
 
+    def push(self, rate: float) -> None:
+        """Push the pendulum, which changes its rate [rad/s]."""
+        bodies = self._twin.kernel.bodies
+        bodies.qvel[len(self._twin.kernel.home)] += rate
+
     def state(self) -> Array:
         """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
         return self._state.copy()
