@@ -1,7 +1,8 @@
 """Draw the pictures of README and documents with the shipped policy: `make pictures`.
 
-balancing.webp shows one run on the digital twin, survival.png the policy and the baselines on the
-training plant, map.png the starts that the policy holds there. gap.png is drawn from the file of a
+balancing.webp shows one run on the digital twin, as `equipoise log export RUN --video
+balancing.webp --from 0 --to 8` films it; survival.png the policy and the baselines on the
+training plant; map.png the starts that the policy holds there. gap.png is drawn from the file of a
 full gap study, which takes long to compute:
 
     equipoise gap POLICY --out gap.json
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import equipoise as eq
 from equipoise.report.figures import gap_figure, recovery_figure, survival
-from equipoise.report.pictures import animation
+from equipoise.report.pictures import write_video
 from equipoise.report.style import render
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.recovery_map import map_recovery
@@ -28,7 +29,7 @@ def main() -> None:
     options = parser.parse_args()
     policy = eq.shipped_policy()
     run = eq.deploy(policy, world="twin:nominal", duration=10.0)
-    (HERE / "balancing.webp").write_bytes(animation(run, policy.arm).webp)
+    write_video(run, policy.arm, HERE / "balancing.webp", begin=0.0, end=8.0)
     (HERE / "survival.png").write_bytes(render(survival(eq.evaluate(policy)), "png"))
     (HERE / "map.png").write_bytes(render(recovery_figure(map_recovery(policy)), "png"))
     if options.gap:

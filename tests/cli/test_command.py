@@ -14,11 +14,12 @@ from tests.cli.conftest import verbs
 VERBS = tuple(verbs())
 PIPELINE = ("reproduce", "identify", "train", "evaluate", "map", "compare", "gap", "refine")
 RIG = ("doctor", "emulate", "record", "rehearse")
-LOG = ("explain", "replay", "export", "show")
+LOG = ("show", "explain", "replay", "export", "verify")
 NEEDS = {
     "identify": ["x.csv"],
     "refine": ["policy.json", "run.mcap"],
-    "log show": ["x.csv"],
+    "log show": ["x.mcap"],
+    "log verify": ["x.csv"],
     "log explain": ["x.mcap"],
     "log replay": ["x.mcap"],
     "log export": ["x.mcap"],
@@ -108,7 +109,7 @@ main([*{verb.split()}, *{NEEDS.get(verb, [])}])
 
 
 def test_python_m_and_exit_codes_reach_the_shell(tmp_path):
-    command = [sys.executable, "-m", "equipoise", "log", "show", "nowhere.json"]
+    command = [sys.executable, "-m", "equipoise", "log", "verify", "nowhere.json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr == "error: there is no file nowhere.json; check the path\n"

@@ -192,7 +192,7 @@ READING = (
     ("refine", f"{LONG}.json", "run.mcap"),
     ("log", "explain", f"{LONG}.mcap"),
     ("log", "export", f"{LONG}.mcap"),
-    ("log", "show", f"{LONG}.json"),
+    ("log", "verify", f"{LONG}.json"),
     ("reproduce", "--swing", f"{LONG}.csv"),
 )
 

@@ -27,7 +27,7 @@ WRITTEN = {
     "gap": ("gap.json", "gap.svg", "gap.png", "gap-paper-policy.json"),
     "sweep": ("sweep.json", "sweep.svg", "sweep.png", "sweep.sqlite3"),
     "refine": ("refined.json", "refined-pendulum.json"),
-    "log export": ("run-csv/tick.csv", "run.mp4"),
+    "log export": ("run-csv/tick.csv", "run.mp4", "fall.mp4", "fall.webp", "release.webp"),
 }
 """Files by verb, under default names and those of the documents."""
 OTHERS = ("swing.csv.gz", ".policy.json.12.34.tmp", "equipoise-report-2/report.html")

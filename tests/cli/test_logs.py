@@ -1,11 +1,15 @@
-"""`equipoise log explain`, `replay` and `export`: what is asked of the log of a run."""
+"""`equipoise log explain`, `replay`, `export` and `show`: what is asked of the log of a run."""
+
+import sys
 
 import pytest
+from PIL import Image
 
 from equipoise.control.policy import shipped_policy
 from equipoise.deployment import deploy
+from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
-from tests.logs.made_up import changed_table
+from tests.logs.made_up import changed_table, conditions
 from tests.studies.faulted import draw_fault, run_with
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
@@ -106,11 +110,40 @@ def test_export_films_the_log_of_a_rig_and_of_a_twin(equipoise, request, log, tm
     assert b"ftyp" in (tmp_path / "run.mp4").read_bytes()[:16]
 
 
+@pytest.mark.parametrize("log", ["pushed", "on_a_twin"])
+def test_export_films_a_part_as_a_webp(equipoise, request, log, tmp_path):
+    run = request.getfixturevalue(log)
+    words = ("log", "export", run, "--video", "part.webp", "--from", 0.08, "--to", 0.32)
+    ran = equipoise(*words)
+    if "cannot draw pictures" in ran.err:
+        pytest.skip(ran.err)
+    assert ran.code == 0, ran
+    with Image.open(tmp_path / "part.webp") as film:
+        assert (film.format, film.n_frames, film.size) == ("WEBP", 3, (480, 480))
+        film.load()
+        assert film.info["duration"] == 80
+    made = (tmp_path / "part.webp").read_bytes()
+    again = equipoise(*words)
+    assert again.code == 2
+    assert "part.webp exists; give another --video, or --force" in again.err
+    assert (tmp_path / "part.webp").read_bytes() == made
+    assert equipoise(*words, "--force").code == 0
+
+
 def test_a_film_of_another_kind_is_refused_before_a_table_is_written(refused, on_a_twin):
-    refused("log", "export", on_a_twin, "--video", "run.gif", "--out", "t", saying="ends in .mp4")
+    saying = "give a name that ends in .mp4 or .webp"
+    refused("log", "export", on_a_twin, "--video", "run.gif", "--out", "t", saying=saying)
 
 
-@pytest.mark.parametrize("verb", ["log explain", "log replay", "log export"])
+def test_a_part_that_is_not_one_of_the_run_is_refused_before_a_table_is_written(refused, on_a_twin):
+    film = ("log", "export", on_a_twin, "--video", "run.webp", "--out", "t")
+    saying = "known from 0.00 to 0.40 s; give a start and a later end in it"
+    for part in (("--from", "0.3", "--to", "0.2"), ("--to", "9"), ("--from", "nan")):
+        refused(*film, *part, saying=saying)
+    refused("log", "export", on_a_twin, "--from", "0.1", saying="give --video FILE as well")
+
+
+@pytest.mark.parametrize("verb", ["log explain", "log replay", "log export", "log show"])
 def test_what_is_no_log_is_refused(equipoise, tmp_path, verb):
     (tmp_path / "x.mcap").write_bytes(b"hello")
     for name in ("x.mcap", "nowhere.mcap"):
@@ -120,11 +153,42 @@ def test_what_is_no_log_is_refused(equipoise, tmp_path, verb):
         assert "Traceback" not in ran.err
 
 
-def test_show_reads_the_log_of_a_rig(equipoise, pushed):
-    ran = equipoise("log", "show", pushed)
+def test_verify_reads_the_log_of_a_rig(equipoise, pushed):
+    ran = equipoise("log", "verify", pushed)
     assert ran.code == 0
     assert "run on a rig" in ran.out
     assert f"next: equipoise log explain {pushed}" in ran.out
-    found = equipoise("log", "show", pushed, "--json").json
+    found = equipoise("log", "verify", pushed, "--json").json
     assert found["digest"] == RunLog.load(pushed).digest
     assert found["provenance"]["command"] == "deploy"
+
+
+def test_show_refuses_a_log_of_which_nothing_is_readable(equipoise, pushed, tmp_path):
+    pytest.importorskip("viser", reason="viser is not installed (extra console)")
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    (tmp_path / "cut.mcap").write_bytes(pushed.read_bytes()[:900])
+    excited = RunLog.simulated(conditions(), RunEnd(cause="excited"), {})
+    excited.save(tmp_path / "excited.mcap", command="test")
+    for name, saying in (
+        ("empty.mcap", "empty.mcap"),
+        ("cut.mcap", "cut.mcap"),
+        ("excited.mcap", "no policy ran"),
+    ):
+        ran = equipoise("log", "show", name)
+        assert ran.code == 2, ran
+        assert saying in ran.err
+        assert ran.err.count("\n") == 1
+        assert "http" not in ran.out
+
+
+def test_show_refuses_an_address_that_is_none_and_says_what_it_needs(
+    equipoise, on_a_twin, monkeypatch
+):
+    pytest.importorskip("viser", reason="viser is not installed (extra console)")
+    ran = equipoise("log", "show", on_a_twin, "--listen", "nowhere")
+    assert ran.code == 2
+    assert "'nowhere' is not an IP address of this computer" in ran.err
+    monkeypatch.setitem(sys.modules, "viser", None)
+    ran = equipoise("log", "show", on_a_twin)
+    assert ran.code == 2
+    assert "needs the package viser" in ran.err

@@ -48,7 +48,7 @@ def test_it_leaves_every_file_and_says_what_came_out(equipoise, tmp_path):
     assert "wrote paper/report.html" in ran.out
     assert ran.out.splitlines()[-1].startswith("next: equipoise ")
     for name in FILES[1:-1]:
-        assert equipoise("log", "show", tmp_path / "paper" / name).code == 0
+        assert equipoise("log", "verify", tmp_path / "paper" / name).code == 0
 
 
 def test_a_recorded_swing_json_and_the_exit_code(equipoise, swing):

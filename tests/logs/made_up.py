@@ -5,9 +5,12 @@ import dataclasses
 import numpy as np
 
 from equipoise.control.run_controller import PHASES
+from equipoise.control.states import Phase
 from equipoise.logs.conditions import RunConditions, RunEnd
+from equipoise.logs.layout import tables
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.posture import along_x
 from equipoise.settings import resolve
 
 JOINTS = 7
@@ -100,3 +103,43 @@ def changed_table(run, table, **new):
     for name, values in new.items():
         rows[name] = values
     return dataclasses.replace(run, tables=dict(run.tables) | {table: rows})
+
+
+RELEASE, END = 7.0, 10.0
+"""Release and end of the run below, on its clock [s]."""
+RESTING = 123.0
+"""Counts of the pendulum at rest."""
+
+
+def x_on_a_rig(time):
+    return 0.05 * np.sin(2.0 * np.maximum(time - RELEASE, 0.0))
+
+
+def phi_on_a_rig(time):
+    return np.radians(3.0) * np.cos(5.0 * time)
+
+
+def balanced_on_a_rig():
+    """Ticks of 10 ms from 1 s on, lifted until 7 s, balancing until 9 s, at rest at 10 s."""
+    arm, kinds = iiwa(7), tables(7)
+    tick = np.zeros(901, kinds["tick"])
+    tick["time"] = np.arange(1.0, END + 0.005, 0.01)
+    state = np.where(tick["time"] < RELEASE - 0.001, Phase.LIFTING, Phase.BALANCING)
+    state[tick["time"] > 9.0 + 0.001] = Phase.STOPPING
+    tick["state"] = [PHASES.index(Phase(one)) for one in state]
+    tick["u"] = np.where(tick["state"] == PHASES.index(Phase.BALANCING), 1.5, np.nan)
+    reply = np.zeros(901, kinds["reply"])
+    reply["sent"], reply["time"] = tick["time"], tick["time"] + 0.004
+    reply["q"] = [arm.with_held(q) for q in along_x(arm, x_on_a_rig(tick["time"] + 0.002))]
+    reply["q"][7::20] = np.nan  # replies that tell torques
+    reply["sent"][0] = np.nan  # the posture at the start
+    encoder = np.zeros(9001, kinds["encoder"])
+    encoder["time"] = np.linspace(1.0, END, 9001)
+    theta = np.pi - phi_on_a_rig(encoder["time"])
+    counts = RESTING + (theta + 4.0 * np.pi) * 8192 / (2.0 * np.pi)
+    encoder["counts"] = np.round(counts)
+    return RunLog(
+        rig_conditions(),
+        {"tick": tick, "reply": reply, "encoder": encoder},
+        RunEnd(cause="lasted", zero=RESTING),
+    )

@@ -360,7 +360,7 @@ def test_the_page_is_built_from_the_folder_alone(folder, monkeypatch):
     # Every figure has its own tests; here they are drawn, but not rendered.
     monkeypatch.setattr("equipoise.report.page.save", sketched)
     monkeypatch.setattr(sys.modules[strip.__module__], "FRAME", (64, 64))
-    small = partial(animation, size=(96, 96), seconds=0.3)
+    small = partial(animation, size=(96, 96), end=0.3)
     monkeypatch.setattr("equipoise.report.page.animation", small)
     told = []
     path = build(folder, lambda name, share: told.append((name, share)))

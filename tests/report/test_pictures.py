@@ -266,7 +266,7 @@ def test_the_strip_cuts_nothing_off_and_covers_nothing(canvas, run):
 
 def test_an_animation_is_the_run_at_its_speed_with_its_numbers(canvas, run):
     size, told = (96, 96), []
-    made = animation(run, ARM, size=size, seconds=0.4, report=told.append)
+    made = animation(run, ARM, size=size, end=0.4, report=told.append)
     assert told == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
     shown = moments(run, ARM, np.arange(5) / FPS)
     drawn = np.array(list(frames(ARM, shown.q, shown.phi, shown.u, size=(96, 86))), np.int16)
@@ -284,7 +284,7 @@ def test_an_animation_is_the_run_at_its_speed_with_its_numbers(canvas, run):
         assert moving.info["loop"] == 0
     with Image.open(io.BytesIO(made.still)) as still:
         assert (still.format, still.size, getattr(still, "n_frames", 1)) == ("WEBP", size, 1)
-    assert animation(run, ARM, size=size, seconds=0.4) == made
+    assert animation(run, ARM, size=size, end=0.4) == made
 
 
 @pytest.fixture

@@ -44,7 +44,7 @@ def card(
         write_whole(out, text)
     output.wrote(out)
     if found:
-        output.next("log", "show", policy)
+        output.next("log", "verify", policy)
     else:
         output.next("evaluate", policy, "--claim", 0.99)
     output.result(card=out, policy=table.digest, evidence=[str(path) for path in given])

@@ -18,15 +18,8 @@ HINT = "STOP and the space bar stop the arm; the terminal goes on working beside
 
 @verb
 def console(
-    listen: str = opt.value(
-        "ADDRESS",
-        "Listen on this address of the computer, for browsers on others; by default only browsers "
-        "on this computer reach the console.",
-        default="127.0.0.1",
-    ),
-    port: int = opt.value(
-        "N", "Port of the page; 0 selects a free one.", min=0, max=65535, default=0
-    ),
+    listen: str = opt.LISTEN,
+    port: int = opt.PORT,
     as_json: bool = opt.JSON,
 ) -> None:
     """Show the runs on this computer in the browser, with all buttons, until Ctrl-C.

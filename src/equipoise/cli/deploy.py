@@ -111,7 +111,7 @@ def deploy(
     arm: str | None = opt.TASK_ARM,
     settings_file: Path | None = opt.SETTINGS_FILE,
     out: Path | None = opt.out("Run log to write, MCAP.", LOG),
-    video: Path | None = opt.value("FILE", "Film of the run, MP4.", panel=opt.IN_AND_OUT),
+    video: Path | None = opt.value("FILE", "Film of the run, .mp4 or .webp.", panel=opt.IN_AND_OUT),
     force: bool = opt.FORCE,
     as_json: bool = opt.JSON,
 ) -> None:

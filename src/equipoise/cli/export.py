@@ -1,10 +1,15 @@
 """`equipoise log export`: writes a run log as tables for other programs, or as a film."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import Destination, choose_file
 from equipoise.cli.output import Output, verb
+from equipoise.errors import InputError
+
+if TYPE_CHECKING:
+    from equipoise.logs.run_log import RunLog
 
 
 @verb
@@ -12,7 +17,15 @@ def export(
     run: Path = opt.RUN,
     out: Path | None = opt.out("Folder for the tables; by default named as the log.", False, "DIR"),
     video: Path | None = opt.value(
-        "FILE", "Write a film instead, MP4; with --out as well.", panel=opt.IN_AND_OUT
+        "FILE",
+        "Write a film instead, .mp4 or .webp; with --out as well.",
+        panel=opt.IN_AND_OUT,
+    ),
+    begin: float | None = opt.value(
+        "SECONDS", "Begin the film here, from the release on.", "--from", panel=opt.IN_AND_OUT
+    ),
+    end: float | None = opt.value(
+        "SECONDS", "End the film here, from the release on.", "--to", panel=opt.IN_AND_OUT
     ),
     force: bool = opt.FORCE,
     as_json: bool = opt.JSON,
@@ -21,7 +34,7 @@ def export(
 
     Headers end in the unit: time_s, phi_rad. A truncated log is written as far
     as it is readable. The film of a run on a rig begins shortly before the
-    release.
+    release; --from and --to choose another part.
     """
     output = Output(as_json)
     tables = out is not None or video is None
@@ -33,7 +46,12 @@ def export(
 
     log = RunLog.load(run, damaged=True)
     output.warn(log.missing_part)
-    film = None if video is None else choose_film(output, video, run, force=force)
+    if video is None and (begin is not None or end is not None):
+        raise InputError("--from and --to choose the part of a film; give --video FILE as well")
+    film = None
+    if video is not None:
+        film = choose_film(output, video, run, force=force)
+        check_film(log, video, begin, end)
     folder = None
     if tables:
         folder = choose_file(output, out, run.with_name(f"{run.stem}-csv"), force=force, suffix="")
@@ -42,7 +60,7 @@ def export(
         with folder.claimed() as path:
             made += write(log, path)
     if film is not None:
-        video = write_film(output, run, film)
+        video = write_film(output, run, film, begin, end)
     output.wrote(*made, *([video] if video else []))
     output.next("log", "explain", run)
     output.result(
@@ -60,25 +78,54 @@ def choose_film(output: Output, video: Path, *inputs: Path | None, force: bool) 
         InputError: The name cannot be used.
         MissingExtraError: imageio-ffmpeg is not installed.
     """
-    from equipoise.report.pictures import find_encoder
+    from equipoise.report.pictures import MP4, SUFFIXES, find_encoder
 
-    film = choose_file(output, video, video, *inputs, force=force, suffix=".mp4", option="--video")
-    find_encoder()
+    kind = video.suffix.lower()
+    if kind not in SUFFIXES:
+        raise InputError(f"--video is {video}; give a name that ends in {' or '.join(SUFFIXES)}")
+    film = choose_file(output, video, video, *inputs, force=force, suffix=kind, option="--video")
+    if kind == MP4:
+        find_encoder()
     return film
 
 
-def write_film(output: Output, run: Path, film: Destination) -> Path:
+def check_film(run: "RunLog", video: Path, begin: float | None, end: float | None) -> None:
+    """Check that a part of a run can be filmed.
+
+    Raises:
+        InputError: It cannot.
+    """
+    from equipoise.report.pictures import WEBP, check_length, check_span
+
+    begin, end = check_span(run, begin, end)
+    if video.suffix.lower() == WEBP:
+        check_length(end - begin)
+
+
+def write_film(
+    output: Output,
+    run: Path,
+    film: Destination,
+    begin: float | None = None,
+    end: float | None = None,
+) -> Path:
     """Film the run of a log, and return the name of the film.
 
     Args:
         output: Shows that the film is drawn.
         run: The log.
         film: Name that was chosen for the film.
+        begin: Start since the release [s]; by default as `write_video` has it.
+        end: End since the release [s].
     """
     from equipoise.logs.run_log import RunLog
     from equipoise.report.pictures import write_video
 
     log = RunLog.load(run, damaged=True)
-    with film.claimed() as path, output.busy("drawing the film"):
-        write_video(log, log.conditions.arm, path)
+    with film.claimed() as path, output.busy("drawing the film") as rename:
+
+        def show(share: float) -> None:
+            rename(f"drawing the film, {share:.0%}")
+
+        write_video(log, log.conditions.arm, path, begin=begin, end=end, report=show)
     return path

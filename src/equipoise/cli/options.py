@@ -123,6 +123,13 @@ RIG = value("TOML", "Description of the rig.", panel=RIG_PANEL)
 HELD = value("JOINT", "Held joint, by name or number.", panel=URDF)
 BASE = value("LINK", "Fixed link.", panel=URDF)
 TIP = value("LINK", "Flange link.", panel=URDF)
+LISTEN = value(
+    "ADDRESS",
+    "Listen on this address of the computer, for browsers on others; by default only browsers on "
+    "this computer reach the page.",
+    default="127.0.0.1",
+)
+PORT = value("N", "Port of the page; 0 selects a free one.", min=0, max=65535, default=0)
 
 
 def check_range(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:

@@ -1,59 +1,39 @@
-"""`equipoise log show`: shows the content of a file of Equipoise, and checks its integrity."""
+"""`equipoise log show`: replays a run in the browser."""
 
+import sys
 from pathlib import Path
-from typing import Any
 
 from equipoise.cli import options as opt
-from equipoise.cli.next_step import file_with
-from equipoise.cli.output import Output, verb
-
-FIELDS = ("what", "format", "version", "digest", "content")
-"""Fields of the JSON object that are those of the file."""
+from equipoise.cli.output import Output, stop_by_signal, verb
 
 
 @verb
 def show(
-    file: Path = opt.argument(
-        "FILE", "A run log, pendulum, actuator, policy, evaluation, certificate or reproduction."
-    ),
+    run: Path = opt.RUN,
+    listen: str = opt.LISTEN,
+    port: int = opt.PORT,
     as_json: bool = opt.JSON,
 ) -> None:
-    """Show the content of a file, and check that it is intact.
+    """Replay a run in the browser: the arm in 3-D, plots, events, until Ctrl-C.
 
-    Reads the whole file by the rules of its kind. Refuses a file that was
-    edited, damaged or cut. A certificate is compared with the trials beside it.
+    Open the printed address, token included. The page plays the run at 0.1 to 4
+    times its speed, steps by a tick, jumps to the events that log explain
+    names, and makes films of any part. A truncated log is shown as far as it
+    is readable.
     """
     output = Output(as_json)
-    output.say(f"Reading {file}")
+    output.say(f"Showing {run}")
 
-    from equipoise.studies.verification import verify
+    from equipoise.console.replay_page import show_run
+    from equipoise.logs.run_log import RunLog
 
-    found = verify(file)
-    history = found.provenance
-    rows = {
-        "is": f"an intact {found.what} ({found.format}, version {found.version})",
-        "holds": found.content,
-        **dict(found.lines),
-    }
-    if history is not None:
-        software = history.software.get("equipoise", "unknown")
-        rows["made"] = f"by {history.command} of Equipoise {software}, {history.created}"
-    if found.digest is not None:
-        rows["digest"] = f"matches, {found.digest[:19]}..."
-    output.rows(rows)
-    output.next(*_next(found.what, file))
-    fields: dict[str, Any] = {name: getattr(found, name) for name in FIELDS}
-    output.result(**fields, provenance=history and history.model_dump(mode="json"))
+    log = RunLog.load(run, damaged=True)
+    output.warn(log.missing_part)
 
+    def ready(address: str) -> None:
+        output.rows({"replay": address, "": "Ctrl-C ends it"})
+        output.result(run=run, replay=address)
+        sys.stdout.flush()
 
-def _next(what: str, file: Path) -> tuple[object, ...]:
-    """Return the command that takes a file of this kind."""
-    if what == "certificate":
-        from equipoise.studies.certification import Certificate
-
-        policy = file_with(Certificate.load(file).policy, file)
-        return ("evaluate", policy or "POLICY", "--verify", file)
-    verbs = {"pendulum": ("train",), "actuator": ("train", "--actuator"), "policy": ("evaluate",)}
-    if "log" in what:
-        return ("log", "explain", file)
-    return (*verbs[what], file) if what in verbs else ("reproduce",)
+    with stop_by_signal() as stopped:
+        show_run(log, run.stem, listen, port, ready, stopped)

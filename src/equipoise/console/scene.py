@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from equipoise.model.arms.arm import Arm
 from equipoise.model.physics_engine import mujoco
-from equipoise.report.pictures.camera import FOV_DEG
+from equipoise.report.pictures.camera import FOV_DEG, Camera
 from equipoise.report.pictures.rendering import ARROW, ARROW_BELOW, ARROW_PER_U
 from equipoise.report.pictures.scene import stage
 
@@ -37,6 +37,10 @@ VIEW: Final = 480, 480
 """Size of the picture that shows the whole rig; a wider window shows more at its sides."""
 FURTHER: Final = 0.15
 """Additional distance of the camera, as a share of that of the pictures [-]."""
+FIGURE_3, FRONT, TOP = VIEWS = ("figure 3", "front", "top")
+"""Views of the camera: as in the paper's figure 3, along base -y at the pivot, and from above."""
+TURNED: Final = 0.01
+"""Smallest motion of a camera that counts as one by the user [m]."""
 GRID: Final = 6.0
 """Width of the floor [m]."""
 
@@ -60,6 +64,7 @@ class RigView:
         self._model, self._data = picture.model, mujoco().MjData(picture.model)
         self._scene, self._name = server.scene, name
         self._shown: dict[str, Floats] = {}
+        self._looks: dict[int, tuple[str, float, Floats]] = {}
         self._arrow: Any = None
         self._root = server.scene.add_frame(name, show_axes=False)
         self.pendulum: list[Any] = []
@@ -78,15 +83,13 @@ class RigView:
             section_color=(200, 205, 210),
             **tiles,
         )
-        camera, view = picture.camera, server.initial_camera
-        ahead = np.cross(camera.up, camera.right)
+        view = server.initial_camera
         self._q, self._phi = np.array(arm.home), np.pi
         self._pose(self._q, self._phi)
         view.fov = float(np.radians(FOV_DEG))
-        depth = float(ahead @ (self.pivot - camera.position))
-        view.position = camera.position - FURTHER * depth * ahead
-        view.look_at = camera.position + depth * ahead
         self._home = self.pivot
+        self._views = _views(picture.camera, self._home)
+        view.position, view.look_at = self._views[FIGURE_3]
         self.show(self._q, self._phi)
 
     @property
@@ -143,6 +146,30 @@ class RigView:
         self._pose(self._q, self._phi)
         self._place(self._bodies)
         self._show_arrow(u if np.isfinite(u) else 0.0)
+
+    def look_from(self, client: "viser.ClientHandle", name: str) -> None:
+        """Turn the camera of a browser; in a narrow window it stands further away.
+
+        Args:
+            client: The browser.
+            name: One of `VIEWS`.
+        """
+        (position, target), camera = self._views[name], client.camera
+        aspect = float(camera.aspect)
+        position = target + max(1.0, 1.0 / max(aspect, 0.2)) * (position - target)
+        self._looks[client.client_id] = name, aspect, position
+        with client.atomic():
+            camera.fov = float(np.radians(FOV_DEG))
+            camera.up_direction = 0.0, 0.0, 1.0
+            camera.position = position
+            camera.look_at = target
+
+    def keep_in_view(self, client: "viser.ClientHandle") -> None:
+        """Look from the same view after a change of the window's shape, unless it was turned."""
+        name, aspect, position = self._looks[client.client_id]
+        turned = np.linalg.norm(client.camera.position - position) > TURNED
+        if not turned and abs(float(client.camera.aspect) - aspect) > 1e-3:
+            self.look_from(client, name)
 
     def remove(self) -> None:
         """Remove the rig from the scene."""
@@ -232,6 +259,19 @@ class RigView:
         pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), model.geom_pos[number]
         mesh.apply_transform(pose)
         return mesh
+
+
+def _views(camera: Camera, pivot: Floats) -> dict[str, tuple[Floats, Floats]]:
+    """Return position and target of the camera for each view [m]."""
+    ahead = np.cross(camera.up, camera.right)
+    depth = float(ahead @ (pivot - camera.position))
+    target = camera.position + depth * ahead
+    distance = (1.0 + FURTHER) * depth
+    return {
+        FIGURE_3: (target - distance * ahead, target),
+        FRONT: (pivot + np.array([0.0, distance, 0.0]), pivot),
+        TOP: (pivot + distance * np.array([0.0, -0.02, 1.0]), pivot),  # up stays defined
+    }
 
 
 def _rgb(colour: Any) -> tuple[int, ...]:

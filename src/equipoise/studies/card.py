@@ -256,7 +256,7 @@ def _use(policy: TabularPolicy, file: str) -> str:
     words = f"'{shown}'" if re.search(r"[^\w./-]", shown) else shown
     return (
         "With Equipoise installed:\n\n```sh\n"
-        f"equipoise log show {words}\n"
+        f"equipoise log verify {words}\n"
         f"equipoise evaluate {words} --world twin:nominal\n"
         f"equipoise deploy {words} --robot twin:nominal\n"
         "```"

@@ -69,7 +69,7 @@ def pendulum_of(run: RunLog) -> PendulumParameters:
 
 
 def summarise(run: RunLog) -> dict[str, str]:
-    """Return the lines of `log show`, by name."""
+    """Return the lines of `log verify`, by name."""
     conditions, end, made = run.conditions, run.end, run.provenance
     where = f"world {conditions.world}" if conditions.simulated else f"robot {conditions.world}"
     encoder = f", encoder {conditions.encoder}" if conditions.encoder else ""

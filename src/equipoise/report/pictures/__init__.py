@@ -3,8 +3,25 @@
 MuJoCo draws the rig off-screen from recorded joint positions and angles.
 """
 
-from equipoise.report.pictures.film import Animation, animation
+from equipoise.report.pictures.film import Animation, animation, check_length
+from equipoise.report.pictures.moments import Moments, check_span, moments, origin, span, whole_span
 from equipoise.report.pictures.strip import strip
-from equipoise.report.pictures.video import find_encoder, write_video
+from equipoise.report.pictures.video import MP4, SUFFIXES, WEBP, find_encoder, write_video
 
-__all__ = ["Animation", "animation", "find_encoder", "strip", "write_video"]
+__all__ = [
+    "MP4",
+    "SUFFIXES",
+    "WEBP",
+    "Animation",
+    "Moments",
+    "animation",
+    "check_length",
+    "check_span",
+    "find_encoder",
+    "moments",
+    "origin",
+    "span",
+    "strip",
+    "whole_span",
+    "write_video",
+]

@@ -11,10 +11,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from equipoise.errors import InputError
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.report.pictures.camera import Size
-from equipoise.report.pictures.moments import Floats, moments, span
+from equipoise.report.pictures.moments import Floats, check_span, moments, span
 from equipoise.report.pictures.rendering import Picture, draw
 from equipoise.report.pictures.scene import stage
 from equipoise.report.style import GREY, INK
@@ -22,7 +23,9 @@ from equipoise.report.style import GREY, INK
 FRAME: Final[Size] = (480, 480)
 """Size of an animation."""
 SECONDS: Final = 8.0
-"""Maximum length of an animation [s]; the paper's run took 5 s."""
+"""Usual length of an animation [s]; the paper's run took 5 s."""
+MAX_SECONDS: Final = 30.0
+"""Maximum length of an animation [s]; the encoder holds all frames in memory, 0.7 MB each."""
 FPS: Final = 12.5
 """Frames per second of an animation."""
 HOLD: Final = 1.0
@@ -49,29 +52,33 @@ def animation(
     arm: Arm,
     *,
     size: Size = FRAME,
-    seconds: float = SECONDS,
+    begin: float = 0.0,
+    end: float | None = None,
     report: Callable[[float], None] = lambda _: None,
 ) -> Animation:
-    """Draw the first seconds after the release as an animation in real time.
+    """Draw a part of a run as an animation in real time.
 
     Args:
         run: The run.
         arm: The arm of the run.
         size: Size of the frames.
-        seconds: Maximum length [s].
+        begin: Start since the release [s].
+        end: End [s]; by default that of the run, or eight seconds after the start.
         report: Progress callback; receives the fraction of the frames that are done.
 
     Raises:
         ArmError: The run is of another arm.
-        ArtefactError: No policy ran.
-        RecordingError: A run on a rig ended before balancing.
+        InputError: The part is not one of the run, or longer than 30 s.
+        RecordingError: No policy ran, or a run on a rig ended before its first tick.
         OutsideError: OpenGL is not available.
     """
     from PIL import Image
 
-    count = max(1, round(min(span(run)[1], seconds) * FPS))
+    begin, end = check_span(run, begin, min(span(run)[1], begin + SECONDS) if end is None else end)
+    check_length(end - begin)
+    count = max(1, round((end - begin) * FPS))
     images: list[Image.Image] = []
-    for picture in film(run, arm, np.arange(count) / FPS, size):
+    for picture in film(run, arm, begin + np.arange(count) / FPS, size):
         images.append(Image.fromarray(picture))
         report(len(images) / count)
     durations = [round(1e3 / FPS)] * (count - 1) + [round(1e3 * HOLD)]
@@ -80,6 +87,19 @@ def animation(
     images[0].save(moving, "webp", quality=QUALITY, method=2, **loop)
     images[0].save(still, "webp", quality=QUALITY)
     return Animation(moving.getvalue(), still.getvalue())
+
+
+def check_length(seconds: float) -> None:
+    """Check that an animation can be as long [s].
+
+    Raises:
+        InputError: It is longer than 30 s.
+    """
+    if seconds > MAX_SECONDS:
+        raise InputError(
+            f"an animated WebP of {seconds:g} s is too large, expected {MAX_SECONDS:g} s or less; "
+            "choose a shorter part, or an MP4"
+        )
 
 
 def film(run: RunLog, arm: Arm, times: Floats, size: Size) -> Iterator[Picture]:
@@ -96,7 +116,7 @@ def film(run: RunLog, arm: Arm, times: Floats, size: Size) -> Iterator[Picture]:
         for name, share in (("DejaVuSans-Bold.ttf", 0.3), ("DejaVuSans.ttf", 0.27))
     )
     phases = shown.phase or ("",) * len(times)
-    pictures = draw(scene, shown.q, shown.phi, shown.u)
+    pictures = draw(scene, shown.q, np.nan_to_num(shown.phi, nan=np.pi), shown.u)
     for picture, lines, phase in zip(pictures, shown.captions(), phases, strict=True):
         image = Image.new("RGB", size, "white")
         image.paste(Image.fromarray(picture))

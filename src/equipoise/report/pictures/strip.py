@@ -72,6 +72,7 @@ def strip(run: RunLog, arm: Arm) -> "Figure":
 
 def key_moments(run: RunLog, arm: Arm) -> dict[float, str]:
     """Return the times of the extreme moments since the release [s], sorted, with their titles."""
+    run.require_balancing()
     end = span(run)[1]
     all_moments = moments(run, arm, np.arange(0.0, end, STEP))
     # On a rig the arm comes to rest after balancing.

@@ -1,4 +1,4 @@
-"""Video of a run in real time."""
+"""Video of a run in real time: an MP4, or an animated WebP."""
 
 import tempfile
 from collections.abc import Callable
@@ -15,8 +15,8 @@ from equipoise.errors import MissingExtraError, OutsideError
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.report.pictures.camera import Size
-from equipoise.report.pictures.film import film
-from equipoise.report.pictures.moments import span
+from equipoise.report.pictures.film import animation, film
+from equipoise.report.pictures.moments import check_span
 
 FRAME: Final[Size] = (960, 720)
 """Size of each frame; H.264 encoders need multiples of 16."""
@@ -24,6 +24,9 @@ FPS: Final = 30
 """Frames per second."""
 QUALITY: Final = 7
 """Quality of the video, 1 to 10."""
+MP4, WEBP = ".mp4", ".webp"
+SUFFIXES: Final = (MP4, WEBP)
+"""Suffixes of videos."""
 
 
 def find_encoder() -> Any:  # the package has no types
@@ -43,27 +46,37 @@ def write_video(
     arm: Arm,
     path: Path,
     *,
+    begin: float | None = None,
+    end: float | None = None,
     fps: int = FPS,
     report: Callable[[float], None] = lambda _: None,
 ) -> None:
-    """Write a run as an MP4 (H.264) with time, displacement, angle and command.
+    """Write a part of a run as a video with time, displacement, angle and command.
+
+    The suffix of the file chooses between an MP4 (H.264) of 960 x 720, and an animated WebP of
+    480 x 480 and 12.5 frames per second, which web pages play.
 
     Args:
-        run: The run; on a rig from shortly before the release until the arm is at rest.
+        run: The run.
         arm: The arm of the run.
         path: The file, written atomically.
-        fps: Frames per second.
+        begin: Start since the release [s]; by default the release, on a rig shortly before it.
+        end: End since the release [s]; by default the end of the run.
+        fps: Frames per second of an MP4.
         report: Progress callback; receives the fraction of the frames that are done.
 
     Raises:
-        MissingExtraError: imageio-ffmpeg is not installed.
+        MissingExtraError: An MP4 needs imageio-ffmpeg, which is not installed.
         ArmError: The run is of another arm.
-        ArtefactError: No policy ran.
-        RecordingError: A run on a rig ended before balancing.
+        InputError: The part is not one of the run, or too long for a WebP.
+        RecordingError: No policy ran, or a run on a rig ended before its first tick.
         OutsideError: OpenGL is not available, or encoding or writing fails.
     """
+    begin, end = check_span(run, begin, end)
+    if path.suffix.lower() == WEBP:
+        write_whole(path, animation(run, arm, begin=begin, end=end, report=report).webp)
+        return
     ffmpeg = find_encoder()
-    begin, end = span(run)
     count = max(1, round((end - begin) * fps))
     pictures = film(run, arm, begin + np.arange(count) / fps, FRAME)
     pictures = chain([next(pictures)], pictures)  # drawing errors appear before encoding starts

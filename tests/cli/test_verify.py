@@ -1,4 +1,4 @@
-"""`equipoise log show` and `evaluate --verify`: every kind of file, intact and damaged."""
+"""`equipoise log verify` and `evaluate --verify`: every kind of file, intact and damaged."""
 
 import re
 
@@ -39,12 +39,12 @@ HOLDS = {
 @pytest.mark.parametrize("name", HOLDS)
 def test_it_says_what_a_file_is_and_holds(equipoise, files, name):
     what, content = HOLDS[name]
-    ran = equipoise("log", "show", name)
+    ran = equipoise("log", "verify", name)
     assert ran.code == 0
     assert f"an intact {what} " in ran.out
     assert content in ran.out
     assert re.search("digest +matches", ran.out)
-    found = equipoise("log", "show", name, "--json").json
+    found = equipoise("log", "verify", name, "--json").json
     assert found["what"] == what
     assert found["digest"].startswith("sha256:")
     assert found["provenance"]["command"] == "test"
@@ -56,30 +56,30 @@ def test_it_says_what_a_file_is_and_holds(equipoise, files, name):
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_file_is_refused(refused, files, name, damage):
     damage(files / name)
-    refused("log", "show", name, saying=DAMAGE[damage])
+    refused("log", "verify", name, saying=DAMAGE[damage])
 
 
 def test_a_damaged_run_log_is_refused(refused, files):
     whole = (files / "run.mcap").read_bytes()
     for damaged in (whole[: len(whole) // 3], whole[:5], whole[:900] + whole[950:]):
         (files / "run.mcap").write_bytes(damaged)
-        refused("log", "show", "run.mcap", saying="run.mcap")
+        refused("log", "verify", "run.mcap", saying="run.mcap")
 
 
 def test_what_is_no_file_of_ours_is_refused(refused, swing, tmp_path):
-    refused("log", "show", "nowhere.json", saying="there is no file nowhere.json")
-    refused("log", "show", swing, saying="is not a file of Equipoise")
-    refused("log", "show", tmp_path, saying="cannot read")
-    refused("log", "show", saying="Missing argument")
+    refused("log", "verify", "nowhere.json", saying="there is no file nowhere.json")
+    refused("log", "verify", swing, saying="is not a file of Equipoise")
+    refused("log", "verify", tmp_path, saying="cannot read")
+    refused("log", "verify", saying="Missing argument")
 
 
 # A certificate
 
 
 def test_a_certificate_says_how_to_repeat_it(equipoise, files):
-    ran = equipoise("log", "show", "certificate.json")
+    ran = equipoise("log", "verify", "certificate.json")
     assert "next: equipoise evaluate policy.json --verify certificate.json" in ran.out
-    found = equipoise("log", "show", "certificate.json", "--json").json
+    found = equipoise("log", "verify", "certificate.json", "--json").json
     assert "at least 90 %, at 90 % confidence, world model; 22 trials, " in found["content"]
     assert found["content"].endswith(", 0 failures allowed")
     assert "repeated" not in found
@@ -115,10 +115,12 @@ def test_a_certificate_with_fewer_failures_than_its_trials_have_is_found(equipoi
 
     rebuilt(files / "certificate.json", granted)
     # ... does not fit the trials beside it,
-    refused("log", "show", "certificate.json", saying="does not hold the trials of the certificate")
+    refused(
+        "log", "verify", "certificate.json", saying="does not hold the trials of the certificate"
+    )
     # and without them it comes out otherwise.
     (files / "certificate-evaluation.json").unlink()
-    assert equipoise("log", "show", "certificate.json").code == 0
+    assert equipoise("log", "verify", "certificate.json").code == 0
     ran = equipoise("evaluate", "policy.json", "--verify", "certificate.json")
     assert ran.code == 1
     assert "Not repeated: 22 trials again: " in ran.out
