@@ -9,7 +9,7 @@ COVERING = $(patsubst %,tests/control/test_%.py,safety trial_safety dropouts sta
            tests/devices/kuka/test_codec.py tests/devices/encoder/test_codec.py
 
 .DEFAULT_GOAL := help
-.PHONY: help install check lint quick plain cover test slow generated pictures demo bench
+.PHONY: help install check lint quick plain cover test slow docs generated pictures demo bench
 
 help:  ## list these words
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -41,6 +41,11 @@ test:  ## every test but the full statistics
 
 slow:  ## the full statistics
 	$(PYTHON) -m pytest -m slow
+
+docs:  ## the documentation site, in build/site; a warning or a broken link is an error
+	rm -rf build/site
+	sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/site
+	$(PYTHON) docs/check_site.py build/site
 
 generated:  ## write the kinematics of the iiwas again; git must see no difference
 	$(PYTHON) -m equipoise.model.arms.iiwa

@@ -1,0 +1,322 @@
+"""Commands and Python of every page: all are valid, all that need no other machine are run."""
+
+import ast
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import equipoise
+from equipoise.cli import main
+from equipoise.control.policy import TabularPolicy, shipped_policy
+from equipoise.studies.sweep_results import read_study
+from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
+from equipoise.trajectory import write_swing
+from tests.cli.conftest import parse
+from tests.reference.onnx_network import FLOAT, linear_network
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted(
+    path.relative_to(ROOT).as_posix()
+    for pattern in ("*.md", "docs/**/*.md", "benchmarks/*.md", "course/*.md", "firmware/*.md")
+    for path in ROOT.glob(pattern)
+)
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+SHELL = re.compile(r"\s*(?:&&|\|\||;|\||\n)\s*(?:do\s)?")
+OTHERS = {
+    *("python", "pip", "make", "pre-commit", "jupyter", "jupytext", "docker", "podman"),
+    *("sudo", "printf", "echo", "mkdir", "cd", "true", "for", "done", "."),
+    *("ray", "arduino-cli"),
+}
+"""Commands of other programs, whose options nothing here checks."""
+PYTHON_HOMES = {
+    "docs/how-to/bring-a-policy.md": "tests/test_bring_a_policy.py",
+    "docs/how-to/bring-an-arm.md": "tests/test_bring_an_arm.py",
+    "docs/how-to/bring-a-robot.md": "tests/test_guest.py",
+}
+"""Tests that run the Python of a page."""
+
+
+def blocks(page, *languages):
+    found = BLOCK.findall((ROOT / page).read_text())
+    return [(language, text) for language, text in found if language in languages]
+
+
+def commands(text):
+    """The commands of a block, without comments, redirections and variables before them."""
+    text = re.sub(r"\\\n\s*", " ", text)
+    text = re.sub(r"(^|\s)#.*$", "", text, flags=re.MULTILINE)
+    for line in SHELL.split(text):
+        words = [word for word in shlex.split(line) if not re.fullmatch(r"[A-Z_]+=.*", word)]
+        if words[:3] == ["python", "-m", "equipoise"]:
+            words[:3] = ["equipoise"]
+        if words:
+            yield words
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_each_command_of_a_page_exists_with_its_options(page):
+    for _, text in blocks(page, "sh"):
+        for name, *words in commands(text):
+            if name == "equipoise":
+                parse(words)
+            else:
+                assert name.removesuffix("3") in OTHERS, name
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_each_python_block_of_a_page_is_run_somewhere(page):
+    # A block with prompts is a doctest; one that names its file is written and used on its page.
+    for _, text in blocks(page, "python"):
+        if not text.startswith((">>> ", "# ")):
+            assert (ROOT / PYTHON_HOMES[page]).exists(), text
+
+
+WRITES = {
+    "docs/how-to/change-the-reward.md": {"alive.json": "alive", "gentle.json": "own_reward:gentle"},
+    "docs/how-to/bring-a-learner.md": {"sarsa.json": "sarsa", "own.json": "own_learner:learner"},
+}
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("page", WRITES)
+def test_a_page_runs_as_it_is_printed(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for language, text in blocks(page, "python", "sh"):
+        if language == "python":
+            write(text, tmp_path)
+        else:
+            for _, *words in commands(text):
+                assert main(words) == 0
+    for file, said in WRITES[page].items():
+        learning = TabularPolicy.load(tmp_path / file).settings.learning
+        assert said in learning.learner + learning.reward
+
+
+def write(text, folder):
+    """Write a block that names its file in its first line."""
+    file = re.match(r"# (\S+\.(?:py|toml))\n", text)
+    (folder / file[1]).write_text(text)
+
+
+def test_the_study_of_the_page_on_sweeps_can_be_run(tmp_path):
+    ((_, text),) = blocks("docs/how-to/sweep.md", "toml")
+    (tmp_path / "study.toml").write_text(text)
+    study = read_study(tmp_path / "study.toml")
+    assert study.count == 40
+    drawn = {name: found.low for name, found in study.ranges.items() if found.choices is None}
+    study.resolved(drawn | {"plant.lag_spread": 0.3, "boxes.x": [-0.14, -0.07, 0.07, 0.14]})
+
+
+LINK = re.compile(r"\[`(\w+)`\]\((\S+?\.py)\)")
+
+
+def test_the_map_of_the_paper_names_what_exists():
+    page = ROOT / "docs" / "reference" / "paper.md"
+    found = LINK.findall(page.read_text())
+    assert len(found) > 35
+    for name, link in found:
+        path = (page.parent / link).resolve()
+        module = path.relative_to(ROOT / "src").with_suffix("").as_posix().replace("/", ".")
+        assert hasattr(import_module(module.removesuffix(".__init__")), name), (name, link)
+        # The site jumps to the line where it is defined.
+        assert re.search(rf"^(?:(?:def|class) )?{name}\b", path.read_text(), re.M), (name, link)
+
+
+@pytest.mark.skipif("EQUIPOISE_DATA" not in os.environ, reason="EQUIPOISE_DATA is not set")
+def test_the_map_of_the_paper_has_each_section_equation_and_figure():
+    paper = Path(os.environ["EQUIPOISE_DATA"]).parent / "paper"
+    sources = list(paper.glob("*.tex"))
+    if not sources:
+        pytest.skip("the text of the paper is not there")
+    text, page = sources[0].read_text(), (ROOT / "docs/reference/paper.md").read_text()
+    results = text.split(r"\section{Introduction}")[1].split(r"\section{Conclusion}")[0]
+    assert page.count("\n| (") == text.count(r"\begin{equation}")
+    figures = page.split("## Figures")[1].split("## Numbers")[0]
+    assert len(re.findall(r"^\| \d ", figures, re.M)) == text.count(r"\begin{figure")
+    for title in re.findall(r"\\subsection\{([^\\}]+)", results):
+        assert title.strip().lower() in page.lower(), title
+
+
+def test_the_page_on_the_python_interface_has_every_public_name():
+    page = (ROOT / "docs" / "reference" / "api.md").read_text()
+    names = set(equipoise.__all__) - {"__version__"}
+    assert names == set(re.findall(r"auto(?:class|function):: equipoise\.(\w+)$", page, re.M))
+
+
+def test_each_page_is_in_the_contents_of_the_site():
+    body = ast.parse((ROOT / "docs" / "conf.py").read_text()).body
+    (contents,) = [
+        node.value
+        for node in body
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "CONTENTS"
+    ]
+    listed = set(re.findall(r"[/<'](\w[\w/-]*)(?=>|')", ast.unparse(contents)))
+    listed = {f"{page}.md" for page in listed} | {"docs/index.md", "docs/decisions/README.md"}
+    assert {page for page in PAGES if not page.startswith("docs/decisions/")} <= listed
+
+
+# The commands themselves.
+
+ELSEWHERE = {
+    r"pip install|pytest|pre-commit|make install|venv": "the environment that runs this",
+    r"jupyter|jupytext": "tests/test_course.py opens the notebooks",
+    r"sudo|printf|arduino-cli|list_ports": "changes or asks this computer's hardware",
+    r"^ray |--ray": "several computers: tests/test_cluster.py",
+    r"coppeliasim": "needs CoppeliaSim: tests/simulation/test_coppeliasim.py",
+    r"kst://|serial://|doctor": "needs a rig: tests/console/test_run.py, tests/devices, tests/cli",
+    r"benchmarks/": "tests/test_benchmarks.py, tests/test_bench.py",
+    r"rl/|docker|podman": "needs what another page makes",
+    r"^make docs": "a step of the checks",
+    r"--real-time": "in real time, alone on the machine: tests/rehearsal",
+}
+"""Commands that are not run here, and why."""
+SERVERS = re.compile(r"equipoise (?:play|console|log show|rig emulate)|--console")
+"""Commands that serve until Ctrl-C: tests/console and tests/cli/test_emulate.py run them."""
+RUN = (
+    "README.md",
+    "docs/index.md",
+    "docs/tutorial.md",
+    "docs/explanation/lqr.md",
+    "docs/explanation/sim-to-real-gap.md",
+    "docs/explanation/comparison.md",
+    "docs/how-to/digital-twin.md",
+    "docs/how-to/encoder.md",
+    "docs/how-to/first-run.md",
+    "docs/how-to/learn-from-the-robot.md",
+    "docs/how-to/replay.md",
+    "docs/how-to/sweep.md",
+    "docs/how-to/your-own-pendulum.md",
+    "docs/reference/command-line.md",
+)
+
+
+def test_every_page_with_commands_is_run():
+    with_commands = {
+        page
+        for page in PAGES
+        if any(runnable(line) for _, text in blocks(page, "sh") for line in lines(text))
+    }
+    assert with_commands - set(RUN) - set(WRITES) - set(PYTHON_HOMES) == set()
+
+
+def lines(text):
+    """The lines of a block; a loop or a continued line is one of them."""
+    text = re.sub(r"\\\n\s*", " ", text)
+    text = re.sub(r"(?m)^(for .*; do)\n((?:  .*\n)+)done", lambda m: _joined(m), text)
+    return [line for line in text.splitlines() if line.strip()]
+
+
+def _joined(loop):
+    return loop[1] + " " + "; ".join(line.strip() for line in loop[2].splitlines()) + "; done"
+
+
+def runnable(line):
+    return not SERVERS.search(line) and not any(re.search(e, line) for e in ELSEWHERE)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """What a reader of a page has: a swing, a policy, a log, files of other pages."""
+    swing = synthetic_swing(SyntheticSwing(), seed=3)
+    for name in ("swing.csv", "my_swing.csv"):
+        write_swing(tmp_path / name, swing)
+    shipped_policy().save(tmp_path / "policy.json", command="test")
+    equipoise.shipped_pendulum().save(tmp_path / "pendulum.json", command="test")
+    (tmp_path / "network.onnx").write_bytes(
+        linear_network([[1.2], [1.8], [24.0], [3.0]], element=FLOAT)
+    )
+    (tmp_path / "my_module.py").write_text(
+        "def my_function(observation):\n    return 24.0 * observation[2] + 3.0 * observation[3]\n"
+    )
+    for page, file in (("sweep.md", "study.toml"), ("digital-twin.md", "mine.toml")):
+        ((_, text),) = blocks(f"docs/how-to/{page}", "toml")
+        (tmp_path / file).write_text(text)
+    ((_, text),) = blocks("docs/how-to/first-run.md", "toml")
+    (tmp_path / "rig.toml").write_text(text)
+    return tmp_path
+
+
+@pytest.mark.slow
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("page", RUN)
+def test_the_commands_of_a_page_run(page, folder):
+    """Each as it is printed, one after the other, in one folder. A bad result is code 1."""
+    bin_folder = Path(sys.executable).parent
+    environment = os.environ | {"PATH": f"{bin_folder}{os.pathsep}{os.environ['PATH']}"}
+
+    def shell(line):
+        return subprocess.run(
+            ["bash", "-c", line],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    for log in ("run.mcap", "other-run.mcap"):
+        line = f"equipoise deploy policy.json --duration 10 --world twin:nominal --out {log}"
+        assert shell(line).returncode == 0
+    done = 0
+    for language, text in blocks(page, "python", "sh"):
+        if language == "python":
+            if text.startswith("# "):
+                write(text, folder)
+            continue
+        for line in lines(text):
+            if not runnable(line):
+                continue
+            ran = shell(line if re.match("for|cd|mkdir|echo|python", line) else forced(line))
+            assert ran.returncode in (0, 1), (line, ran.stdout[-2000:], ran.stderr[-2000:])
+            assert "Traceback" not in ran.stderr
+            done += 1
+    assert done
+
+
+def forced(line):
+    """Let a command replace the files of an earlier block of its page, if it can."""
+    first = line.split("#")[0].rstrip()
+    words = shlex.split(first.split("&&")[0].split("||")[0])[1:]
+    if words[:1] == ["-m"]:
+        words = words[2:]
+    known = "force" in parse(words) and "--resume" not in words
+    return re.sub(r"( &&| \|\||$)", r" --force\1", first, count=1) if known else first
+
+
+@pytest.mark.slow
+@pytest.mark.compiled_only
+def test_the_tutorial_ends_with_a_balanced_twin_on_an_empty_machine(tmp_path):
+    """All its commands in one shell, from a clone, with nothing but Python installed."""
+    clone = tmp_path / "clone"
+    ignored = shutil.ignore_patterns(".git", "build", ".venv", "__pycache__", ".*_cache")
+    shutil.copytree(ROOT, clone, ignore=ignored)
+    script = ["set -e", "export EQUIPOISE_CACHE_DIR=$PWD/cache"]
+    for language, text in blocks("docs/tutorial.md", "python", "sh"):
+        if language == "python":
+            name = re.match(r"# (\S+)\n", text)[1]
+            script += [f"cat > {name} <<'END_OF_FILE'", text.rstrip(), "END_OF_FILE"]
+        else:
+            script += [line for line in text.splitlines() if not SERVERS.search(line)]
+    bare = {name: os.environ[name] for name in ("HOME", "LANG") if name in os.environ}
+    path = {"PATH": f"{Path(sys.base_exec_prefix) / 'bin'}:/usr/local/bin:/usr/bin:/bin"}
+    pip = {name: value for name, value in os.environ.items() if name.startswith("PIP_")}
+    ran = subprocess.run(
+        ["bash", "-c", "\n".join(script)],
+        cwd=clone,
+        env=bare | path | pip,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, (ran.stdout[-3000:], ran.stderr[-3000:])
+    run = equipoise.RunLog.load(clone / "lesson" / "run.mcap")
+    assert run.cause == "lasted"
+    assert equipoise.Certificate.load(clone / "lesson" / "certificate.json").granted
