@@ -48,6 +48,7 @@ CONTENTS = {
         "Overview and results </README>",
         "/docs/tutorial",
         "/docs/how-to/play",
+        "/course/README",
     ],
     "How-to": [
         "/docs/how-to/your-own-pendulum",

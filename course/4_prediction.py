@@ -1,0 +1,164 @@
+# %% [markdown]
+# # 4. Prediction, and what may be claimed
+#
+# A delay cannot be removed, but it can be known. Ten seconds of motion tell how the arm responds. Then the
+# controller computes the state in which its next command will take effect, and the same kind of table
+# stands again. How sure can one be?
+
+# %%
+import matplotlib.pyplot as plt
+import numpy as np
+from checks import check
+
+import equipoise as eq
+
+# %% [markdown]
+# ## How the arm responds
+#
+# `excite` moves the joints of the twin for ten seconds; `identify_run` finds the transport delay and the
+# lag of each drive in the log.
+
+# %%
+excitation = eq.excite(eq.iiwa(7), "twin:nominal", eq.shipped_pendulum(), seed=3)
+actuator = eq.identify_run(excitation)
+actuator
+
+# %%
+low, high = actuator.delay.interval
+print(f"delay {1e3 * actuator.delay.value:.2f} ms (95 %: {1e3 * low:.2f} to {1e3 * high:.2f})")
+print("true: 10 ms of transport, with a jitter of 1 ms")
+
+# %% [markdown]
+# ## With and without prediction
+#
+# The shipped table was trained behind such an actuator, with prediction. Here it runs with and without it, on
+# twins with more and more delay. The controller always knows the true delay.
+
+# %%
+policy = eq.shipped_policy()
+nominal = eq.read_world("twin:nominal")
+
+
+def settings_with(predict):
+    """Return the settings of the policy for 20 trials of 30 s, with or without prediction."""
+    given = policy.settings
+    return given.model_copy(
+        update={
+            "controller": given.controller.model_copy(update={"predict": predict}),
+            "evaluation": given.evaluation.model_copy(update={"trials": 20, "duration": 30.0}),
+        }
+    )
+
+
+def survival(delay, predict):
+    """Return the mean survival [s] on a twin with a delay [s]."""
+    world = nominal._replace(
+        name=f"twin:{1e3 * delay:g}ms",
+        settings=nominal.settings.model_copy(update={"transport": delay}),
+    )
+    shift = delay - 0.010
+    known = policy.actuator.model_copy(
+        update={
+            "delay": policy.actuator.delay.model_copy(
+                update={
+                    name: getattr(policy.actuator.delay, name) + shift
+                    for name in ("value", "low", "high")
+                    if getattr(policy.actuator.delay, name) is not None
+                }
+            )
+        }
+    )
+    results = eq.evaluate(
+        policy, settings_with(predict), world=world, actuator=known, with_baselines=False, workers=2
+    ).results
+    return float(np.mean(results.survival))
+
+
+delays = (0.010, 0.020, 0.030)
+with_it = [survival(delay, predict=True) for delay in delays]
+without = [survival(delay, predict=False) for delay in delays]
+figure, axes = plt.subplots(figsize=(6, 3))
+axes.plot(np.multiply(1e3, delays), with_it, marker="o", label="with prediction")
+axes.plot(np.multiply(1e3, delays), without, marker="s", label="without")
+axes.set(xlabel="transport delay [ms]", ylabel="mean survival [s]")
+axes.legend()
+
+
+# %% [markdown]
+# **Exercise 1.** The heart of a prediction: where will the pendulum be after the time $T$? While nothing
+# pushes it, near upright, $\varphi(T) = \varphi \cosh w T + (\dot\varphi / w) \sinh w T$. Write it, with its rate.
+
+
+# %% tags=["exercise"]
+def predicted(phi, phi_dot, w, T):
+    """Return phi and phi_dot after the time T, without a push."""
+    return ...
+
+
+# %%
+check(
+    1,
+    predicted(0.02, -0.1, 8.38, 0.03),
+    lambda p: np.allclose(
+        p,
+        (
+            0.02 * np.cosh(0.2514) - 0.1 / 8.38 * np.sinh(0.2514),
+            0.02 * 8.38 * np.sinh(0.2514) - 0.1 * np.cosh(0.2514),
+        ),
+        atol=1e-9,
+    ),
+    "The rate is the derivative: phi w sinh(w T) + phi_dot cosh(w T). Return both.",
+)
+
+# %% [markdown]
+# ## How many trials?
+#
+# Ten trials, ten successes. What may be claimed? If the true probability to last were $p$, ten successes
+# in a row would happen with the probability $p^{10}$. Where this is below 5 %, $p$ may be ruled out.
+
+# %%
+p = np.linspace(0.5, 1.0, 200)
+figure, axes = plt.subplots(figsize=(6, 3))
+for n in (10, 50, 299):
+    axes.plot(p, p**n, label=f"{n} of {n} lasted")
+axes.axhline(0.05, color="0.6", linestyle="--")
+axes.set(xlabel="true probability to last", ylabel="chance of what was seen")
+axes.legend()
+# %% [markdown]
+# **Exercise 2.** Ten of ten lasted. What is the largest probability that is still ruled out, with 95 % confidence?
+
+# %% tags=["exercise"]
+bound = ...
+
+# %%
+check(2, bound, lambda b: abs(b - 0.05**0.1) < 1e-3, "Solve p**10 = 0.05 for p.")
+
+# %% [markdown]
+# **Exercise 3.** How many trials without a failure does a claim of 99 % need?
+
+# %% tags=["exercise"]
+trials = ...
+
+# %%
+check(3, trials, lambda n: n == 299, "The smallest whole number n with 0.99**n <= 0.05.")
+
+# %% [markdown]
+# ## A certificate
+#
+# `certify` fixes the number of trials in advance, takes the seed from the policy and the claim, and grants the
+# claim if the exact bound reaches it. A second attempt gives the same answer.
+
+# %%
+claim = eq.make_claim(0.97, duration=10.0, world="twin:nominal")
+certificate, evaluation = eq.certify(policy, claim, workers=2)
+print("claim:  ", claim.text)
+print("granted:", certificate.granted, f"(bound {certificate.bound:.4f}, {claim.trials} trials)")
+
+# %% [markdown]
+# **Exercise 4.** One failure is no refusal yet: how many failures may these trials have?
+
+# %% tags=["exercise"]
+allowed = ...
+
+# %%
+check(4, allowed, lambda n: n == claim.allowed, "Ask the claim: it has a property for this.")

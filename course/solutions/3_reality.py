@@ -1,0 +1,10 @@
+"""Solutions of the third notebook, one after another."""
+
+# %%
+growth = np.exp(np.sqrt(70.2) * 0.03)
+
+# %%
+at_the_end = np.sqrt(2 * 0.22 / (9.81 * np.tan(np.radians(0.75))))
+
+# %%
+worst = min(alone, key=alone.get)

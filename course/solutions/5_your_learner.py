@@ -1,0 +1,28 @@
+"""Solutions of the fifth notebook, one after another."""
+
+# %%
+RULE = '''
+"""Expected SARSA."""
+
+from equipoise.learning.learner import Learner, best_value, move_towards
+
+
+def update(tables, transition, params):
+    """Move Q(s, a) towards r + gamma E[Q(s', a')]."""
+    target = transition.reward
+    if not transition.failed:
+        values, epsilon = tables.Q[transition.box_next], transition.epsilon
+        greedy = best_value(tables.Q, transition.box_next)
+        target += transition.discount * (epsilon * values.mean() + (1.0 - epsilon) * greedy)
+    move_towards(tables, transition.box, transition.action, target, params)
+
+
+learner = Learner(update)
+'''
+
+# %%
+only_mine = int(np.sum(lasted[mine] & ~lasted["q_learning"]))
+only_q = int(np.sum(lasted["q_learning"] & ~lasted[mine]))
+
+# %%
+trainings = 6
