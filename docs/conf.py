@@ -33,6 +33,7 @@ include_patterns = [
     "CHANGELOG.md",
     "CONTRIBUTING.md",
     "benchmarks/README.md",
+    "course/README.md",
     "firmware/README.md",
     "docs/**",
 ]

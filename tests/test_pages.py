@@ -211,6 +211,7 @@ def lines(text):
     """The lines of a block; a loop or a continued line is one of them."""
     text = re.sub(r"\\\n\s*", " ", text)
     text = re.sub(r"(?m)^(for .*; do)\n((?:  .*\n)+)done", lambda m: _joined(m), text)
+    text = re.sub(r"(?m)^python -m pip install [^&\n]+ && ", "", text)  # done before
     return [line for line in text.splitlines() if line.strip()]
 
 
@@ -287,7 +288,7 @@ def forced(line):
     words = shlex.split(first.split("&&")[0].split("||")[0])[1:]
     if words[:1] == ["-m"]:
         words = words[2:]
-    known = "force" in parse(words) and "--resume" not in words
+    known = "force" in parse(words) and not {"--resume", "--verify"} & set(words)
     return re.sub(r"( &&| \|\||$)", r" --force\1", first, count=1) if known else first
 
 
