@@ -92,7 +92,7 @@ CONTENTS = {
         "/docs/reference/e-line",
         "/benchmarks/README",
     ],
-    "Project": ["/CONTRIBUTING", "/CHANGELOG", f"/{DECISIONS}"],
+    "Project": ["/CONTRIBUTING", "/docs/release-notes", "/CHANGELOG", f"/{DECISIONS}"],
 }
 """Pages by part, in the order of the side bar."""
 
