@@ -155,18 +155,18 @@ def link_code(app: Sphinx, tree: nodes.document, docname: str) -> None:
     """Let links to Python files lead to pages that show them, at the object that the link names."""
     shown: set[str] = app.env.__dict__.setdefault("equipoise_shown", set())
     for link in list(tree.findall(addnodes.download_reference)):
-        path = (ROOT / Path(docname).parent / link["reftarget"].removeprefix("/")).resolve()
-        if link["reftarget"].startswith("/"):
-            path = ROOT / link["reftarget"].removeprefix("/")
+        target = link["reftarget"]
+        folder = ROOT if target.startswith("/") else ROOT / Path(docname).parent
+        path = (folder / target.lstrip("/")).resolve()
         if path.suffix != ".py" or not path.is_relative_to(ROOT):
             continue
         name = path.relative_to(ROOT).as_posix()
         shown.add(name)
         line = line_of(path, link.astext())
         page = app.builder.get_relative_uri(docname, CODE.format(name))
-        target = nodes.reference("", "", refuri=page + (f"#line-{line}" if line else ""))
-        target += link.children
-        link.replace_self(target)
+        reference = nodes.reference("", "", refuri=page + (f"#line-{line}" if line else ""))
+        reference += link.children
+        link.replace_self(reference)
 
 
 def line_of(path: Path, name: str) -> int:

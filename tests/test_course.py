@@ -71,6 +71,12 @@ def forms(book):
     return {form for output in outputs for form in output.get("data", {})}
 
 
+@pytest.fixture(autouse=True)
+def figures_in_the_notebook(monkeypatch):
+    """Let the kernel choose its own place for figures."""
+    monkeypatch.delenv("MPLBACKEND", raising=False)
+
+
 @pytest.mark.compiled_only
 def test_the_first_notebook_runs(tmp_path):
     book, said = run(NOTEBOOKS[0], tmp_path)

@@ -24,7 +24,7 @@ def test_a_run_on_a_twin_is_filmed(equipoise, tmp_path, monkeypatch):
     filmed = []
     monkeypatch.setattr("equipoise.report.pictures.find_encoder", lambda: None)
     monkeypatch.setattr(
-        "equipoise.report.pictures.write_video", lambda *asked: filmed.append(asked)
+        "equipoise.report.pictures.write_video", lambda *asked, **_: filmed.append(asked)
     )
     options = ("--robot", "twin:nominal", "--duration", 1, "--video", "run.mp4")
     assert equipoise("deploy", *options, "--json").json["video"] == "run.mp4"
