@@ -5,10 +5,11 @@ in another, once for each run; this script types the answers of an operator::
 
     python benchmarks/rig.py --runs 20 --duration 60 --out runs
     python benchmarks/rig.py --runs 1 --duration 600 --out runs
-    python benchmarks/rig.py --runs 10 --duration 30 --console --out runs
+    python benchmarks/rig.py --runs 10 --duration 30 --console client --out runs
 
-With `--console` each run is made twice, without and with the console open in a browser (Chromium),
-in alternating order.
+With `--console` each run is made twice, without and with the console, in alternating order. A
+`client` receives all that the console sends to a browser on another computer; a `browser` is
+Chromium on this one, which draws the scene.
 
 A line of JSON for each run, and one for all. Every run counts; `stalls` says how often the machine
 stood still meanwhile for more than 20 ms, as the emulator saw it.
@@ -45,7 +46,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--world", default="twin:nominal")
     parser.add_argument("--port", type=int, default=30001)
-    parser.add_argument("--console", action="store_true", help="compare runs without and with it")
+    parser.add_argument("--console", choices=("client", "browser"), help="who watches")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -57,7 +58,7 @@ def main() -> None:
             outcome = _run(given, number, console)
             lasted += outcome.get("cause") == "lasted"
             print(json.dumps({"number": number, "console": console, **outcome}), flush=True)
-    total = {"world": given.world, "runs": given.runs * (1 + given.console), "lasted": lasted}
+    total = {"world": given.world, "runs": given.runs * len(both), "lasted": lasted}
     if given.console:
         without, beside = ([1e3 * _p999(late) for late in given.lateness[k]] for k in (False, True))
         pooled = [1e3 * _p999(np.concatenate(given.lateness[k])) for k in (False, True)]
@@ -128,6 +129,40 @@ def _open_in_a_browser(address: str, folder: str) -> "subprocess.Popen[bytes]":
     )
 
 
+def _receive(address: str, _: str) -> "subprocess.Popen[bytes]":
+    """Connect to a console as a page does, in a process of its own, and receive what it sends."""
+    return subprocess.Popen([sys.executable, "-c", CLIENT, address])
+
+
+CLIENT = """
+import http.client, os, signal, sys, urllib.parse
+import viser
+from websockets.sync.client import connect
+
+os.nice(15)
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+parts = urllib.parse.urlsplit(sys.argv[1])
+server = http.client.HTTPConnection(parts.netloc)
+server.request("GET", "/?" + parts.query)
+cookie = server.getresponse().getheader("Set-Cookie").partition(";")[0]
+page = connect(
+    "ws://" + parts.netloc,
+    origin="http://" + parts.netloc,
+    additional_headers={"Cookie": cookie},
+    subprotocols=["viser-v" + viser.__version__],
+    max_size=None,
+)
+received = 0
+try:
+    for message in page:
+        received += len(message)
+finally:
+    print(f"received {received / 1e6:.1f} MB", file=sys.stderr)
+"""
+WATCHERS = {"client": _receive, "browser": _open_in_a_browser}
+
+
 def _deploy(given: argparse.Namespace, link: Path, log: Path, console: bool) -> dict[str, object]:
     """Run once, typing the answers; return what came of it."""
     process = subprocess.Popen(
@@ -152,7 +187,7 @@ def _deploy(given: argparse.Namespace, link: Path, log: Path, console: bool) -> 
     for line in process.stderr:
         last = line.strip() or last
         if browser is None and (page := CONSOLE.search(line)):
-            browser = _open_in_a_browser(page[0], profile)
+            browser = WATCHERS[given.console](page[0], profile)
         for pattern, answer in ANSWERS:
             if asked := pattern.search(line):
                 process.stdin.write((answer or asked.group(1)) + "\n")
