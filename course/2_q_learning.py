@@ -2,7 +2,7 @@
 # # 2. Q-learning on 270 boxes
 #
 # The paper's policy is a table. It cuts the state of pendulum and flange into 270 boxes, and knows one of
-# eight accelerations for each. Nobody writes the table: it is learned from trials.
+# eight accelerations for each. The table is learned from trials.
 
 # %%
 import matplotlib.pyplot as plt
@@ -132,6 +132,8 @@ axes.set(
     ylabel="mean length of an episode [s]",
     title="It stands longer while it learns",
 )
+plt.show()
+
 # %% [markdown]
 # **Exercise 3.** After how many episodes did they last five seconds in the mean for the first time, as long as the
 # paper's run on the robot? (`points` holds the points of the curve in order.)
@@ -151,16 +153,20 @@ check(
 # ## What it learned
 #
 # In the middle of the track, with the flange at rest, the table reads as a small picture: lean down,
-# rate across. Blue pushes one way, red the other. Everything on one side of the diagonal is to be caught in
-# the same direction.
+# rate across. Blue accelerates towards +x, red towards -x. A pendulum that leans to +x or turns there fast
+# enough is caught by an acceleration towards +x; lean and rate of opposite signs divide the picture between them.
 
 # %%
 shape = trained.settings.boxes.shape
 middle = trained.u_of_box.reshape(shape)[:, :, shape[2] // 2, shape[3] // 2]
 figure, axes = plt.subplots(figsize=(5, 3.6))
 picture = axes.imshow(middle, cmap="RdBu", vmin=-2, vmax=2, aspect="auto")
-axes.set(xlabel="interval of phi_dot", ylabel="interval of phi", title="Acceleration [m/s²]")
+axes.set(xlabel="phi_dot [deg/s]", ylabel="phi [deg]", title="Acceleration [m/s²]")
+axes.set_xticks(range(shape[1]), map(str, paper.PHI_DOT_INTERVALS_DEG), rotation=25)
+axes.set_yticks(range(shape[0]), map(str, paper.PHI_INTERVALS_DEG))
 figure.colorbar(picture)
+plt.show()
+
 # %% [markdown]
 # **Exercise 4.** The task is the same in a mirror: with the opposite state, the opposite acceleration.
 # So box $i$ and box $269 - i$ should have opposite actions. For what share of the boxes is that so?
@@ -175,6 +181,11 @@ check(
     lambda s: abs(s - np.mean(trained.u_of_box == -trained.u_of_box[::-1])) < 1e-9,
     "Compare trained.u_of_box with its negative in reverse order, u[::-1].",
 )
+
+# %% [markdown]
+# ## How long it lasts
+#
+# An evaluation runs new trials, which start as after a release by hand, and the baselines on the same trials.
 
 # %%
 evaluation = eq.evaluate(trained, seed=1, workers=2)

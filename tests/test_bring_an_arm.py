@@ -58,6 +58,7 @@ def test_a_registered_arm_is_found_by_its_name(folder, monkeypatch):
     assert np.isnan(arm.compiled().wrist).all()
 
 
+@pytest.mark.slow
 @pytest.mark.compiled_only
 def test_the_story_runs_as_it_is_printed(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)

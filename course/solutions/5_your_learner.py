@@ -21,8 +21,7 @@ learner = Learner(update)
 '''
 
 # %%
-only_mine = int(np.sum(lasted[mine] & ~lasted["q_learning"]))
-only_q = int(np.sum(lasted["q_learning"] & ~lasted[mine]))
+gains = survival[mine] - survival["q_learning"]
 
 # %%
 trainings = 6

@@ -56,6 +56,7 @@ def close_note(tab):
     )
 
 
+@pytest.mark.slow
 def test_push_slider_and_the_refusal_to_hang(played):
     page, address = played
     with browser() as tab:
