@@ -101,7 +101,7 @@ def _run(given: argparse.Namespace, number: int, console: bool) -> dict[str, obj
         finally:
             rig.send_signal(signal.SIGINT)
             rig.wait()
-    if log.exists():
+    if log.exists() and len(RunLog.load(log, damaged=True).tables["tick"]["late"]):
         tick = RunLog.load(log, damaged=True).tables["tick"]
         late = np.maximum(tick["late"], 0.0)
         given.lateness[console].append(late)
