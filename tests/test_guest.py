@@ -100,6 +100,7 @@ def test_the_page_shows_this_package_whose_robot_balances_over_its_own_wires(run
     assert equipoise(run, *replay)["same"]
 
 
+@pytest.mark.slow
 def test_its_addresses_are_checked_and_its_robot_is_missed(run, tmp_path):
     ran = run("-m", "equipoise", "deploy", "--robot", "guest://nowhere", code=2)
     assert "expected guest://HOST:4000" in ran.stderr

@@ -129,7 +129,9 @@ def test_delay_lags_and_shaping_law_are_found_together(delay):
 
 
 @pytest.mark.parametrize(
-    ("law", "cycle"), [("kst", 0.016), ("kst", 0.04), ("unshaped", 0.006), ("unshaped", 0.03)]
+    ("law", "cycle"),
+    [("kst", 0.016), ("unshaped", 0.03)]
+    + [pytest.param(*one, marks=pytest.mark.slow) for one in (("kst", 0.04), ("unshaped", 0.006))],
 )
 def test_a_slow_servo_is_found_with_or_without_the_shaping_law(law, cycle):
     actuator = identified(recorded(law=law, cycle=cycle))
@@ -305,8 +307,8 @@ def test_the_load_on_the_last_joint_is_that_of_mujoco():
     ("world", "kind", "t_c"),
     [
         ("twin:nominal", "kst", 1e-3),
-        ("twin:bare", "kst", 1e-3),
-        ("twin:light-rotors", "kst", 1e-3),
+        pytest.param("twin:bare", "kst", 1e-3, marks=pytest.mark.slow),
+        pytest.param("twin:light-rotors", "kst", 1e-3, marks=pytest.mark.slow),
         pytest.param("twin:pd", "kst", 16e-3, marks=pytest.mark.slow),
         pytest.param("twin:trajectory40", "kst", 40e-3, marks=pytest.mark.slow),
         pytest.param("twin:smart60", "unshaped", 16e-3, marks=pytest.mark.slow),

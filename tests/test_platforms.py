@@ -82,7 +82,7 @@ def test_every_module_imports_without_what_only_unix_has():
             HIDE_LIBRARIES,
             "mujoco.osmesa needs the library OSMesa",
         ),
-        ("glfw", "", "mujoco.glfw says: "),
+        pytest.param("glfw", "", "mujoco.glfw says: ", marks=pytest.mark.slow),
         ("nonsense", "", "MUJOCO_GL is 'nonsense'"),
     ],
 )

@@ -94,7 +94,13 @@ def test_help_waits_for_nothing_that_is_slow_to_import():
     assert loaded_after("from equipoise.cli import main; main(['train', '--help'])") == []
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize(
+    "verb",
+    [
+        verb if verb in ("train", "deploy", "play") else pytest.param(verb, marks=pytest.mark.slow)
+        for verb in VERBS
+    ],
+)
 def test_the_first_words_come_before_what_is_slow_to_import(verb):
     # The word stops the verb: all that it imported so far is what its user waited for.
     program = f"""

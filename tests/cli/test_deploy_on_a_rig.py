@@ -101,7 +101,9 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_opened(refused, tmp_
     refused("deploy", *options, saying=saying)
 
 
-@pytest.mark.parametrize("options", [("--force",), ("--out", "mine.mcap")])
+@pytest.mark.parametrize(
+    "options", [pytest.param(("--force",), marks=pytest.mark.slow), ("--out", "mine.mcap")]
+)
 def test_a_connection_that_fails_is_told_in_one_sentence_and_leaves_no_file(
     equipoise, tmp_path, monkeypatch, options
 ):

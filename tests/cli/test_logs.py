@@ -98,7 +98,7 @@ def test_export_writes_the_tables_beside_the_log(equipoise, on_a_twin, tmp_path)
     assert equipoise("log", "export", "run.mcap", "--out", "run.mcap").code == 2
 
 
-@pytest.mark.parametrize("log", ["pushed", "on_a_twin"])
+@pytest.mark.parametrize("log", [pytest.param("pushed", marks=pytest.mark.slow), "on_a_twin"])
 def test_export_films_the_log_of_a_rig_and_of_a_twin(equipoise, request, log, tmp_path):
     pytest.importorskip("imageio_ffmpeg")
     run = request.getfixturevalue(log)

@@ -26,6 +26,7 @@ def test_a_map_is_left_with_its_figure(equipoise, tmp_path):
     assert "an intact map" in shown.out
 
 
+@pytest.mark.slow
 def test_json_is_one_object(equipoise):
     found = equipoise("map", "lqr", *FEW, "--out", "mine.json", "--json").json
     assert found["files"] == ["mine.json", "mine.svg", "mine.png"]

@@ -51,6 +51,7 @@ def test_it_leaves_every_file_and_says_what_came_out(equipoise, tmp_path):
         assert equipoise("log", "verify", tmp_path / "paper" / name).code == 0
 
 
+@pytest.mark.slow
 def test_a_recorded_swing_json_and_the_exit_code(equipoise, swing):
     ran = equipoise("reproduce", "--swing", swing, *SHORT, "--json")
     found = ran.json

@@ -159,6 +159,7 @@ def test_lqr_with_the_eight_actions_lasts():
     assert np.all(survived(baselines(PENDULUM, H)["LQR, snapped"])[1] == TRUNCATED)
 
 
+@pytest.mark.compiled_only
 def test_pd_keeps_the_pendulum_up_and_ends_on_the_track():
     steps, causes = survived(baselines(PENDULUM, H)["PD"])
     assert np.all(causes == TRACK)

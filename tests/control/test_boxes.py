@@ -64,6 +64,7 @@ def test_each_side_of_each_edge_is_in_the_interval_that_the_paper_prints(axis, e
     assert unpacked(box_of(**{axis: value})) == printed.place(**expected)
 
 
+@pytest.mark.compiled_only
 def test_all_combinations_of_edges_are_in_the_box_that_the_paper_prints():
     names = tuple(VALUES)
     for values in itertools.product(*VALUES.values()):

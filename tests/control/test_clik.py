@@ -172,6 +172,7 @@ def test_clik_tracks_the_commanded_acceleration(size):
     assert deviation < 1e-4  # m
 
 
+@pytest.mark.compiled_only
 @ARMS
 def test_the_tracking_error_falls_with_the_step(size):
     errors = [run_actions(size, h)[0] for h in (0.01, 0.005, 0.0025)]

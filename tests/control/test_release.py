@@ -378,18 +378,21 @@ def clean_release(rng):
         # It stands.
 
 
+@pytest.mark.compiled_only
 @pytest.mark.parametrize("holds", [8, pytest.param(2000, marks=pytest.mark.slow)])
 def test_no_hold_is_taken_for_a_release(holds):
     rng = np.random.default_rng(41)
     assert not any(starts(hold(rng)) for _ in range(holds))
 
 
+@pytest.mark.compiled_only
 @pytest.mark.parametrize("holds", [8, pytest.param(1000, marks=pytest.mark.slow)])
 def test_a_hand_that_drifts_half_as_far_again_seldom_is(holds):
     rng = np.random.default_rng(42)
     assert sum(starts(hold(rng, drift=1.5)) for _ in range(holds)) <= 0.02 * holds
 
 
+@pytest.mark.compiled_only
 @pytest.mark.parametrize("releases", [6, pytest.param(200, marks=pytest.mark.slow)])
 def test_clean_releases_start_where_they_can_be_caught(releases):
     rng = np.random.default_rng(43)

@@ -105,12 +105,8 @@ FAILURES = {
 
 @pytest.mark.parametrize(
     "name",
-    ["lqr", "guest:Counting", None]
-    + [
-        pytest.param(name, marks=pytest.mark.slow)
-        for name in KINDS
-        if name not in ("lqr", "guest:Counting")
-    ],
+    ["guest:Counting", None]
+    + [pytest.param(name, marks=pytest.mark.slow) for name in KINDS if name != "guest:Counting"],
 )
 def test_a_policy_of_any_kind_runs_on_a_virtual_rig_and_its_run_replays(folder, name):
     policy = load_policy(name)
@@ -125,6 +121,7 @@ def test_a_policy_of_any_kind_runs_on_a_virtual_rig_and_its_run_replays(folder, 
         replay(log, load_policy(other))
 
 
+@pytest.mark.slow
 def test_the_built_in_lqr_and_the_same_law_in_python_run_bit_for_bit_alike(folder):
     results, logs = zip(
         *(run(load_policy(name), folder / f"{i}.mcap", 3.0) for i, name in enumerate(
@@ -137,7 +134,13 @@ def test_the_built_in_lqr_and_the_same_law_in_python_run_bit_for_bit_alike(folde
     assert np.array_equal(logs[0].tables["stream"]["q"], logs[1].tables["stream"]["q"])
 
 
-@pytest.mark.parametrize("fail", FAILURES)
+@pytest.mark.parametrize(
+    "fail",
+    [
+        fail if fail in (raises, is_late) else pytest.param(fail, marks=pytest.mark.slow)
+        for fail in FAILURES
+    ],
+)
 def test_a_policy_that_fails_ends_in_the_latched_stop_with_the_arm_at_rest(tmp_path, fail):
     failing = Failing(fail)
     policy = bind_policy(failing, name="Failing")

@@ -235,6 +235,7 @@ def came_to_rest(log):
     return steps[:20].max() > 1e-6 and (steps[-4:] < 1e-12).all()
 
 
+@pytest.mark.slow
 def test_a_run_ends_by_itself_and_its_log_is_whole(run, tmp_path):
     person = Person()
     outcome = run(person)

@@ -113,6 +113,7 @@ def test_a_run_that_is_told_no_actuator_selects_it_before_the_lift(tmp_path):
     assert run_virtually(told, None, Spy()).cause != "lasted"
 
 
+@pytest.mark.slow
 def test_an_excitation_before_the_lift_refuses_a_policy_for_another_arm(tmp_path):
     out = tmp_path / "run.mcap"
     wanted = request(robot="twin:pd", identify=identify_motion)
@@ -130,7 +131,7 @@ def test_an_excitation_before_the_lift_refuses_a_policy_for_another_arm(tmp_path
     assert describe_fit(both, found).endswith("It fits actuator 2 of the policy's 2.")
 
 
-@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sign", [pytest.param(1, marks=pytest.mark.slow), -1])
 def test_it_stands_behind_the_protocols_of_the_hardware(sign):
     wanted = request(settings=RigSettings(encoder_sign=sign))
     pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
@@ -367,7 +368,7 @@ class Pusher(Spy):
             self._bench.push(self._rate)
 
 
-@pytest.mark.parametrize("t1", [True, False])
+@pytest.mark.parametrize("t1", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_in_t1_a_run_stops_softly_where_the_flange_is_too_fast(tmp_path, t1):
     wanted, out = request(1.5, t1=t1), tmp_path / "run.mcap"
     emulated = emulated_rig(

@@ -291,6 +291,7 @@ def session(tmp_path):
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not JIT, reason="nothing is compiled")
 def test_the_second_process_finds_the_machine_code_and_uses_its_own_engine(session):
     first_hits, first = session()

@@ -120,6 +120,7 @@ def test_each_bit_of_counter_and_key_turns_half_of_the_words_bits():
     assert min(turned) > 64 - 6 * sqrt(32)
 
 
+@pytest.mark.compiled_only
 @pytest.mark.parametrize("by_index", [False, True])
 @pytest.mark.parametrize("column", range(4))
 def test_words_are_uniform(column, by_index):
@@ -133,6 +134,7 @@ def test_words_are_uniform(column, by_index):
         assert abs(np.mean(numbers**power) - mean) < Z_SCORE * sigma
 
 
+@pytest.mark.compiled_only
 @pytest.mark.parametrize("bit", [0, 1, 15, 30, 31])
 def test_single_bits_are_fair_coins(bit):
     ones = np.sum(block() >> bit & 1)
@@ -145,6 +147,7 @@ def correlation_z(a, b):
     return np.corrcoef(a, b)[0, 1] * sqrt(len(a))
 
 
+@pytest.mark.compiled_only
 def test_words_of_one_call_are_independent():
     numbers = block().T / WORD
     for i in range(4):
@@ -154,6 +157,7 @@ def test_words_of_one_call_are_independent():
             assert abs(correlation_z(*squares)) < Z_SCORE
 
 
+@pytest.mark.compiled_only
 @pytest.mark.parametrize("lag", [1, 2, 16])
 def test_a_word_does_not_tell_of_the_steps_after_it(lag):
     numbers = block()[:, 0] / WORD
@@ -172,6 +176,7 @@ def test_a_word_does_not_tell_of_the_steps_after_it(lag):
     ],
     ids=str,
 )
+@pytest.mark.compiled_only
 def test_seeds_learners_streams_and_episodes_are_independent(other):
     here, there = block()[1:] / WORD, block(**other)[1:] / WORD
     for column in range(4):
@@ -230,6 +235,7 @@ def normals(numbers, out):
         out[i, 2], out[i, 3] = normal_pair(numbers[i, 2], numbers[i, 3])
 
 
+@pytest.mark.compiled_only
 def test_pairs_are_standard_normal_and_independent():
     out = np.zeros((COUNT, 4))
     normals(block(seed=2), out)

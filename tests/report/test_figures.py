@@ -132,6 +132,7 @@ CASES = [
     ("name", "changes"),
     [pytest.param(name, changes, id=f"{name} {case}".strip()) for name, case, changes in CASES],
 )
+@pytest.mark.slow
 def test_nothing_is_cut_off_and_legends_cover_nothing(name, changes):
     results = made_up.results(**changes)
     figure = DRAW[name](results)

@@ -194,9 +194,14 @@ def test_the_causes_of_a_rig_are_all_that_the_sources_name():
     assert written <= RIG_CAUSES
 
 
+@pytest.fixture(scope="module")
+def whole(rig_log):
+    """What `rig_log` holds."""
+    return RunLog.load(rig_log, damaged=True)
+
+
 @pytest.mark.parametrize("cause", sorted(RIG_CAUSES))
-def test_every_cause_of_a_log_of_a_rig_is_explained(cause, tmp_path, rig_log):
-    whole = RunLog.load(rig_log, damaged=True)
+def test_every_cause_of_a_log_of_a_rig_is_explained(cause, whole):
     end = None if cause == BROKEN_OFF else RunEnd(cause=cause, reason=f"because of {cause}")
     found = explain(dataclasses.replace(whole, end=end))
     assert found.causes[0].name is not CauseName.UNKNOWN

@@ -27,6 +27,7 @@ def mapped():
     return map_recovery(shipped_policy(), **SHORT)
 
 
+@pytest.mark.slow
 def test_no_policy_holds_a_start_outside_the_necessary_set(mapped):
     lqr = map_recovery(load_policy("lqr"), **SHORT)
     for found in (mapped, lqr):

@@ -128,9 +128,9 @@ def test_the_stages_are_told_as_they_go(made):
     [
         pytest.param("train", marks=pytest.mark.slow),
         "select",
-        "evaluate",
+        pytest.param("evaluate", marks=pytest.mark.slow),
         pytest.param("train paper", marks=pytest.mark.slow),
-        "gap",
+        pytest.param("gap", marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.usefixtures("with_tiny_gap")

@@ -121,6 +121,7 @@ def test_more_trials_continue_a_sweep(quick_trials, tmp_path, monkeypatch):
     assert more.trials == run(tmp_path / "whole.sqlite3", text=STUDY.replace("14", "20")).trials
 
 
+@pytest.mark.slow
 def test_a_sweep_that_was_killed_twice_resumes_and_runs_no_finished_trial_again(
     quick_trials, tmp_path
 ):

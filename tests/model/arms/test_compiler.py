@@ -43,6 +43,7 @@ def expressions(tape, leaves):
     )
 
 
+@pytest.mark.compiled_only
 @settings(deadline=None, max_examples=300)
 @given(data=st.data())
 def test_what_is_printed_computes_what_was_written(data):
