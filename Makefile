@@ -1,4 +1,4 @@
-# One word each. `make check` before a commit, `make test` before a push; `.ci/run` runs all of it.
+# One word each. `make check` before a commit, `make test` before a push; `.ci/run` runs test, lint, cover, docs.
 
 PYTHON ?= python
 # Tests that take seconds, compiled or not: the lower rooms, without the fits of whole recordings.
