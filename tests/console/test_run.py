@@ -1,7 +1,9 @@
 """The console through runs on the emulated rig in real time, in a real browser."""
 
 import contextlib
+import functools
 import os
+import re
 import signal
 import sys
 import time
@@ -28,6 +30,8 @@ from tests.console.browser import (
 pytestmark = [needs_browser, pytest.mark.compiled_only, pytest.mark.slow]
 
 STOP_LIMIT = 0.100  # from the press to the stop in the run's log [s]
+ATTEMPTS = 4  # of a run, where the host withholds its processors
+STALLED = re.compile(r"the host stalled|the loop was \S+ ms late|link to the robot.*\bbad\b")
 RESPONSES = ("Yes", "OK")
 NOTE_THE_PRESS = """
 const send = window.fetch;
@@ -38,24 +42,49 @@ window.fetch = (path, options) => {
 """
 
 
-@contextlib.contextmanager
-def run_with_console(folder, duration, *options):
-    """An emulated rig, a run on it, and the address of its console."""
-    log = folder / "run.mcap"
-    with program("rig", "emulate", "--port", "0", "--seed", "3") as rig:
-        robot, encoder = (rig.find(rf"{name} +(\S+://\S+)")[1] for name in ("robot", "encoder"))
-        words = ("--robot", robot, "--encoder", encoder, "--duration", str(duration))
-        with program("deploy", *words, "--out", str(log), *options) as run:
-            yield run, log
+class HostStallError(Exception):
+    """The emulator, or the run, saw that the host withheld its processors."""
+
+
+def repeated_after_a_stall(test):
+    """Run a test again if the host stalled: the run ends then as it should."""
+
+    @functools.wraps(test)
+    def repeated(tmp_path, **given):
+        for attempt in range(ATTEMPTS):
+            folder = tmp_path / str(attempt)
+            folder.mkdir()
+            try:
+                return test(folder, **given)
+            except HostStallError as stalled:
+                sys.stdout.write(f"the host stalled: {stalled.__cause__}\n")
+                if attempt == ATTEMPTS - 1:
+                    raise
+        return None
+
+    return repeated
 
 
 @contextlib.contextmanager
 def console_of(folder, duration):
-    with run_with_console(folder, duration, "--console") as (run, log), browser() as page:
-        address = run.find(r"(http://127\.0\.0\.1:\d+/\?token=\S+)")[1]
-        page.get(address)
-        page.execute_script(NOTE_THE_PRESS)
-        yield run, log, page, address
+    """An emulated rig, a run on it, and a browser with its console."""
+    log = folder / "run.mcap"
+    with program("rig", "emulate", "--port", "0", "--seed", "3") as rig:
+        robot, encoder = (rig.find(rf"{name} +(\S+://\S+)")[1] for name in ("robot", "encoder"))
+        words = ("--robot", robot, "--encoder", encoder, "--duration", str(duration))
+        with (
+            program("deploy", *words, "--out", str(log), "--console") as run,
+            browser() as page,
+        ):
+            address = run.find(r"(http://127\.0\.0\.1:\d+/\?token=\S+)")[1]
+            page.get(address)
+            page.execute_script(NOTE_THE_PRESS)
+            try:
+                yield run, log, page, address
+            except AssertionError as failed:
+                if any(map(STALLED.search, rig.lines + run.lines)):
+                    raise HostStallError from failed
+                raise
 
 
 def question(page):
@@ -66,12 +95,13 @@ def state(page):
     return (shown(page, "#equipoise-state") or [""])[0].split("\n")[0]
 
 
-def answer_until(page, ended, seen=None):
+def answer_until(run, page, ended, seen=None):
     """Answer each question by its button until a condition holds; return the questions."""
     asked = []
     end = time.monotonic() + 120.0
     while not ended():
         assert time.monotonic() < end, asked
+        assert run.process.poll() is None, "\n".join(run.lines)
         if seen is not None:
             seen.add(state(page))
         text = question(page)
@@ -97,6 +127,7 @@ def stop_delay(page, log):
 STOPS = (Phase.STOPPING.value, Phase.STOPPED.value)
 
 
+@repeated_after_a_stall
 def test_a_whole_run_by_the_buttons_and_its_stop(tmp_path):
     with console_of(tmp_path, 30.0) as (run, log, page, address):
         origin = address.partition("?")[0]
@@ -119,7 +150,7 @@ def test_a_whole_run_by_the_buttons_and_its_stop(tmp_path):
         wait_until(lambda: question(page), "question after a reload")
 
         seen = set()
-        asked = answer_until(page, lambda: state(page) == Phase.BALANCING.value, seen)
+        asked = answer_until(run, page, lambda: state(page) == Phase.BALANCING.value, seen)
         assert len(asked) >= 7, asked
         assert {"before the motion", Phase.REFERENCING.value, Phase.ARMED.value} <= seen
         time.sleep(1.5)
@@ -128,10 +159,11 @@ def test_a_whole_run_by_the_buttons_and_its_stop(tmp_path):
         run.process.wait(30.0)
         assert all(url.startswith((origin, "data:", "blob:")) for url in requests(page))
         assert stop_delay(page, log) < STOP_LIMIT
-    end = RunLog.load(log).end
-    assert end.cause == "stopped", end
+        end = RunLog.load(log).end
+        assert end.cause == "operator", end
 
 
+@repeated_after_a_stall
 @pytest.mark.parametrize("by", ["button", "space bar"])
 @pytest.mark.parametrize(
     "phase",
@@ -142,7 +174,7 @@ def test_a_whole_run_by_the_buttons_and_its_stop(tmp_path):
 )
 def test_a_stop_in_each_phase_reaches_the_loop_within_100_ms(tmp_path, phase, by):
     with console_of(tmp_path, 20.0) as (run, log, page, _):
-        answer_until(page, lambda: state(page) == phase.value)
+        answer_until(run, page, lambda: state(page) == phase.value)
         if by == "button":
             page.find_element("id", "equipoise-stop").click()
         else:
@@ -151,22 +183,24 @@ def test_a_stop_in_each_phase_reaches_the_loop_within_100_ms(tmp_path, phase, by
         delay = stop_delay(page, log)
         sys.stdout.write(f"{phase.value}, {by}: {1e3 * delay:.1f} ms\n")
         assert delay < STOP_LIMIT
-    assert RunLog.load(log, damaged=True).end.cause == "stopped"
+        assert RunLog.load(log, damaged=True).end.cause == "operator"
 
 
+@repeated_after_a_stall
 def test_a_console_that_is_killed_does_not_disturb_the_run(tmp_path):
     with console_of(tmp_path, 8.0) as (run, log, page, _):
-        answer_until(page, lambda: state(page) == Phase.BALANCING.value)
+        answer_until(run, page, lambda: state(page) == Phase.BALANCING.value)
         time.sleep(3.0)
         killed = time.monotonic()
         os.kill(console_process(run.process.pid), signal.SIGKILL)
         run.process.wait(40.0)
-    run = RunLog.load(log)
-    assert run.end.cause == "lasted"
-    ticks = run.tables["tick"]
-    around = np.abs(ticks["time"] - killed) < 0.5
-    sys.stdout.write(f"largest lateness at the kill: {1e3 * ticks['late'][around].max():.2f} ms\n")
-    assert (ticks["late"][around] > 0.01).sum() <= (ticks["late"][~around] > 0.01).sum()
+        logged = RunLog.load(log)
+        assert logged.end.cause == "lasted"
+        ticks = logged.tables["tick"]
+        around = np.abs(ticks["time"] - killed) < 0.5
+        largest = 1e3 * ticks["late"][around].max()
+        sys.stdout.write(f"largest lateness at the kill: {largest:.2f} ms\n")
+        assert (ticks["late"][around] > 0.01).sum() == 0
 
 
 def console_process(run):
