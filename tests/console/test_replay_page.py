@@ -132,18 +132,18 @@ def test_a_drag_pauses_there(page, browser):
     wait_until(lambda: page._button.label == "Play" and page._playback.time == 1.25)
 
 
-def client(aspect):
+def client(aspect, number=1):
     """A browser with a camera."""
     camera = SimpleNamespace(aspect=aspect, position=np.zeros(3))
-    return SimpleNamespace(client_id=1, camera=camera, atomic=nullcontext)
+    return SimpleNamespace(client_id=number, camera=camera, atomic=nullcontext)
 
 
-def test_the_view_of_figure_3_is_that_of_the_pictures_and_fits_into_a_narrow_window(page, run):
+def test_a_new_browser_has_the_view_of_the_pictures_and_it_fits_into_a_narrow_window(page, run):
     camera = stage(run.conditions.arm, (480, 480)).camera
     ahead, found = np.cross(camera.up, camera.right), {}
-    for aspect in (2.0, 1.0, 0.5):
-        browser = client(aspect)
-        page._view.look_from(browser, "figure 3")
+    for number, aspect in enumerate((2.0, 1.0, 0.5)):
+        browser = client(aspect, number)
+        page._view.keep_in_view(browser)
         offset = browser.camera.look_at - browser.camera.position
         found[aspect] = np.linalg.norm(offset)
         np.testing.assert_allclose(offset / found[aspect], ahead, atol=1e-9)

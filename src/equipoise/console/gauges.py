@@ -30,6 +30,7 @@ PHASE_COLOURS: Final = {
 """Colours of the phases; the others are blue."""
 VERDICT_COLOURS: Final = {"good": GREEN, "warning": "#8a5a00", "bad": VERMILION}
 EVENT_COLOURS: Final = {"fault": VERMILION, "stopping": VERMILION, "warning": "#8a5a00"}
+SIZE: Final = "width:100%;max-width:260px;display:block;margin:4px auto"
 FONT: Final = "font:14px/1.4 system-ui,sans-serif"
 
 
@@ -49,7 +50,7 @@ def gauges(phi: float, x: float) -> str:
     place = f"x = {1e3 * x:+.1f} mm" if isfinite(x) else "x unknown"
     return (
         f'<svg viewBox="0 0 320 178" role="img" aria-label="{typeset(angle)}, {typeset(place)}" '
-        f'style="width:100%;display:block" font-family="system-ui,sans-serif" fill="{INK}">'
+        f'style="{SIZE}" font-family="system-ui,sans-serif" fill="{INK}">'
         f"{_dial(phi)}{_track(x)}"
         f'<text x="160" y="112" text-anchor="middle" font-size="17">{typeset(angle)}</text>'
         f'<text x="160" y="172" text-anchor="middle" font-size="17">{typeset(place)}</text></svg>'
@@ -131,7 +132,7 @@ def state_card(phase: str, colour: str, lines: Iterable[str]) -> str:
     """
     below = "".join(f'<div style="overflow-wrap:anywhere">{shown(line)}</div>' for line in lines)
     return (
-        f'<div id="equipoise-state" style="{FONT};padding:0 9px">'
+        f'<div id="equipoise-state" style="{FONT};padding:0 9px 4px">'
         f'<div style="background:{colour};color:#fff;'
         'font-weight:700;font-size:20px;padding:6px 12px;border-radius:8px;margin-bottom:6px">'
         f"{shown(phase)}</div>{below}</div>"

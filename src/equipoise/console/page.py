@@ -35,8 +35,10 @@ if TYPE_CHECKING:
 
 SPAN: Final = 10.0
 """Time shown in the plots [s]."""
-PLOT_HEIGHT: Final = 118
-"""Height of a plot [px]."""
+PLOT_HEIGHT: Final = 84
+"""Height of a plot without the axis of time [px]."""
+TIME_AXIS: Final = 24
+"""Height of the axis of time below the last plot [px]."""
 PANEL_WIDTH: Final = 380.0
 """Width of the panel beside the scene [px]."""
 MESSAGES: Final = 40
@@ -106,6 +108,8 @@ class ConsolePage:
             if self._view is not None:
                 self._view.remove()
             self._watch, self._view = watch, RigView(self._server, watch.info.arm)
+            for client in self._server.get_clients().values():
+                self._keep_in_view(client)
             self.ended = False
             self._view.show(watch.info.arm.home, HANG)
             self._history.clear()
@@ -177,7 +181,8 @@ class ConsolePage:
             lines.append(f"no tick for {now.silence:.2f} s; press the E-stop if the arm moves")
         if now.ended:
             name, colour = "ended", INK
-            lines += [each.text for each in list(self._messages)[-1:]]
+        if self._messages and now.question is None:
+            lines.append(self._messages[-1].text or self._messages[-1].name)
         self._say_state(name, colour, tuple(lines))
 
     def _say_state(self, name: str, colour: str, lines: tuple[str, ...]) -> None:
@@ -205,7 +210,9 @@ class ConsolePage:
     # The plots.
 
     def _add_plot(self, order: float, title: str, colour: str, low: float, high: float) -> Any:
-        axis: Any = {"size": 44, "stroke": INK}
+        is_last = title == list(PLOTS.values())[-1][0]
+        times: Any = {"size": TIME_AXIS, "stroke": INK, "show": is_last}
+        axis: Any = {"size": 44, "space": 18, "stroke": INK}
         series: Any = ({}, {"stroke": colour, "width": 1.5, "points": {"show": False}})
         soft: Any = {"pad": 0.1, "mode": 1}
         return self._server.gui.add_uplot(
@@ -216,11 +223,11 @@ class ConsolePage:
                 "x": {"time": False, "auto": False, "min": -SPAN, "max": 0.0},
                 "y": {"range": {"min": soft | {"soft": low}, "max": soft | {"soft": high}}},
             },
-            axes=({"size": 24, "stroke": INK}, axis),
+            axes=(times, axis),
             legend={"show": False},
             cursor={"show": False},
-            height=PLOT_HEIGHT,
-            padding=(10, 16, 0, 0),
+            height=PLOT_HEIGHT + TIME_AXIS * is_last,
+            padding=(6, 16, 6, 0),
             order=order,
         )
 
@@ -244,7 +251,14 @@ class ConsolePage:
             self._clients[client.client_id] = _ClientControls(client, self)
             if self._holder not in self._clients:
                 self._holder = client.client_id
+            self._keep_in_view(client)
+            client.camera.on_update(lambda _: self._keep_in_view(client))
             self._refresh()
+
+    def _keep_in_view(self, client: "viser.ClientHandle") -> None:
+        """Keep the rig inside the window of a browser."""
+        if self._view is not None:
+            self._view.keep_in_view(client)
 
     def _disconnect(self, client: "viser.ClientHandle") -> None:
         with self._lock:

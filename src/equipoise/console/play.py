@@ -78,8 +78,13 @@ class PlayPage:
         self._add_controls(server, scene, yours is not None)
         for mesh in self._view.pendulum:
             mesh.on_drag("left")(self._dragged)
+        server.on_client_connect(self._connect)
         if scene.policy in RECIPES:
             self._train(scene.policy)
+
+    def _connect(self, client: "viser.ClientHandle") -> None:
+        self._view.keep_in_view(client)
+        client.camera.on_update(lambda _: self._view.keep_in_view(client))
 
     def _add_controls(self, server: "viser.ViserServer", scene: Scene, has_yours: bool) -> None:
         gui = server.gui
@@ -90,7 +95,7 @@ class PlayPage:
         self._state = gui.add_html("")
         pushes = gui.add_button_group("Push", ("◀ push left", "push right ▶"))
         pushes.on_click(lambda event: self._push_by(event.target.value))
-        gui.add_button("Again").on_click(lambda _: self._again())
+        gui.add_button("Release again").on_click(lambda _: self._again())
         self._gauges = gui.add_html(gauges(0.0, 0.0))
         with gui.add_folder("The rig"):
             chosen = next((name for name, each in SCENES.items() if each == scene), "balance")

@@ -40,7 +40,6 @@ TO_START, BACK, FORWARD, TO_END = STEPS = ("start", "−1 tick", "+1 tick", "end
 """Buttons that step."""
 MAKE, CANCEL = "Make a film of the shown part", "Cancel"
 FONT: Final = "font:13px/1.4 system-ui,sans-serif;padding:2px 9px;overflow-wrap:anywhere"
-GAUGES: Final = "max-width:250px;margin:0 auto"
 SIMULATED: Final = "simulation"
 """Name of the state of a simulated run, which has no phases."""
 RESOLUTION: Final = 0.01
@@ -125,7 +124,7 @@ class ReplayPage:
         self._show()
 
     def _connect(self, client: "viser.ClientHandle") -> None:
-        self._view.look_from(client, VIEWS[0])
+        self._view.keep_in_view(client)
         client.camera.on_update(lambda _: self._view.keep_in_view(client))
 
     def ask(self, name: str) -> None:
@@ -257,7 +256,7 @@ class ReplayPage:
         with self._server.atomic():
             phi = now.phi if isfinite(now.phi) else pi
             self._view.show(now.q, phi, commanded=now.commanded, u=now.u)
-            self._gauges.content = f'<div style="{GAUGES}">{gauges(now.phi, now.x)}</div>'
+            self._gauges.content = gauges(now.phi, now.x)
             self._cursor.content = cursor(playback.time, (playback.begin, playback.end))
             self._slider.value = _round(playback.time)
             self._state.content = self._card(now)

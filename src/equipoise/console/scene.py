@@ -83,13 +83,14 @@ class RigView:
             section_color=(200, 205, 210),
             **tiles,
         )
-        view = server.initial_camera
         self._q, self._phi = np.array(arm.home), np.pi
         self._pose(self._q, self._phi)
-        view.fov = float(np.radians(FOV_DEG))
         self._home = self.pivot
         self._views = _views(picture.camera, self._home)
-        view.position, view.look_at = self._views[FIGURE_3]
+        if not server.get_clients():  # it would move the cameras of those, after `keep_in_view`
+            view = server.initial_camera
+            view.fov = float(np.radians(FOV_DEG))
+            view.position, view.look_at = self._views[FIGURE_3]
         self.show(self._q, self._phi)
 
     @property
@@ -165,7 +166,12 @@ class RigView:
             camera.look_at = target
 
     def keep_in_view(self, client: "viser.ClientHandle") -> None:
-        """Look from the same view after a change of the window's shape, unless it was turned."""
+        """Look from the same view after a change of the window's shape, unless it was turned.
+
+        A browser that is new to this rig looks as in figure 3.
+        """
+        if client.client_id not in self._looks:
+            self.look_from(client, FIGURE_3)
         name, aspect, position = self._looks[client.client_id]
         turned = np.linalg.norm(client.camera.position - position) > TURNED
         if not turned and abs(float(client.camera.aspect) - aspect) > 1e-3:
