@@ -6,8 +6,10 @@ site and in a viewer of the repository. Links to files of code lead to pages tha
 
 import ast
 import re
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from importlib.metadata import version as version_of
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +121,7 @@ BACKTICKS = re.compile(r"(?<![:`])`([^`]+)`(?!`)(\w*)")
 NAME = re.compile(r"[A-Za-z_][\w.]*")
 BARS = re.compile(r"\|(\w+)\|")
 CODE = "code/{}"
+ARRAY = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]")
 
 
 def add_contents(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -169,6 +172,20 @@ def link_code(app: Sphinx, tree: nodes.document, docname: str) -> None:
         link.replace_self(reference)
 
 
+def shorten_arrays(_app: Sphinx, tree: nodes.document, _docname: str) -> None:
+    """Show types of arrays as the code has them, such as NDArray[float64]."""
+    for signature in tree.findall(addnodes.desc_signature):
+        for element in list(signature.findall(nodes.Element)):
+            texts = [child.astext() for child in element.children]
+            if any(map(ARRAY.search, texts)):
+                continue  # inside a child
+            while found := ARRAY.search("".join(texts)):
+                ends = list(accumulate(map(len, texts)))
+                span = slice(bisect_right(ends, found.start()), bisect_left(ends, found.end()) + 1)
+                name = f"NDArray[{found[1]}]"
+                element[span], texts[span] = [addnodes.desc_sig_name(name, name)], [name]
+
+
 def line_of(path: Path, name: str) -> int:
     """Return the line of an object of a file, such as `Pendulum.save`; 0 if it has none."""
     body, line = ast.parse(path.read_text()).body, 0
@@ -205,5 +222,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("source-read", add_contents)
     app.connect("autodoc-process-docstring", read_backticks, priority=100)  # before napoleon
     app.connect("doctree-resolved", link_code)
+    app.connect("doctree-resolved", shorten_arrays)
     app.connect("html-collect-pages", show_code)
     return {"parallel_read_safe": False}
