@@ -39,6 +39,7 @@ CELL: Final = 14
 GAP: Final = 8
 """Distance between groups of boxes [px]."""
 HANG_DEG: Final = 180.0
+"""Angle of a hanging pendulum from upright [deg]."""
 POLICIES: Final[dict[PolicyChoice, str]] = {
     "robust": "the shipped table",
     "paper": "the paper's table",
@@ -122,7 +123,7 @@ class PlayPage:
             self._curve = gui.add_uplot(
                 (np.array([0.0, 1.0]), np.zeros(2)),
                 ({}, {"stroke": GREEN, "width": 2, "points": {"show": False}}),
-                title="how long it stands while it learns [s], over episodes",
+                title="mean duration of the episodes [s] over their number",
                 scales={"x": {"time": False}},
                 axes=({"size": 24, "stroke": INK}, {"size": 44, "stroke": INK}),
                 legend={"show": False},
@@ -281,6 +282,12 @@ class PlayPage:
             policy = training.policy
             minutes = policy.steps * policy.h / 60.0
             what = f"Trained in {policy.episodes:,} episodes, {minutes:,.0f} simulated minutes."
+            if policy.checkpoints:
+                best = policy.checkpoints[0]
+                what += (
+                    f" The best of {len(policy.checkpoints)} tables from its course lasted "
+                    f"{best.survived:,} of {best.trials:,} trials."
+                )
         style = "font:13px system-ui,sans-serif;padding:0 12px"
         self._trained.content = f'<div id="equipoise-training" style="{style}">{shown(what)}</div>'
         if not training.running:
