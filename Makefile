@@ -9,10 +9,10 @@ COVERING = $(patsubst %,tests/control/test_%.py,safety trial_safety dropouts sta
            tests/devices/kuka/test_codec.py tests/devices/encoder/test_codec.py
 
 .DEFAULT_GOAL := help
-.PHONY: help install check lint quick plain cover test slow docs generated pictures demo bench
+.PHONY: help install check lint quick plain cover test slow docs generated pictures screenshots demo bench
 
 help:  ## list these words
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 install:  ## install for development, in the active virtual environment
 	$(PYTHON) -m pip install --editable '.[dev]'
@@ -53,6 +53,9 @@ generated:  ## write the kinematics of the iiwas again; git must see no differen
 pictures:  ## make the pictures of README and documents again, in a minute
 	$(PYTHON) docs/figures/make.py
 	$(PYTHON) docs/figures/rooms.py
+
+screenshots:  ## take the pictures of playground, console and replay; needs Chromium
+	$(PYTHON) docs/figures/screenshots.py
 
 demo:  ## a first look at the whole paper, in a minute
 	$(PYTHON) -m equipoise reproduce --quick
