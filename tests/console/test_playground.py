@@ -41,7 +41,7 @@ def test_a_delay_without_prediction_falls_and_with_it_stands():
         frame = playground.advance()
     said = " ".join(playground.sentences(frame))
     assert f"It fell after {playground.stood:.1f} s" in said
-    assert "the lean of before" in said
+    assert "an angle that is out of date" in said
     assert abs(degrees(played(playground, 1.0).phi)) > 30.0  # the fall is shown
     played(playground, FALL)
     assert playground.stood < 2.0  # and it begins again

@@ -230,8 +230,11 @@ class Playground:
     def sentences(self, frame: Frame) -> list[str]:
         """Return what one sees now, and why."""
         scene, found = self.scene, list[str]()
-        growth = exp(sqrt(self.w2) * self.latency)
-        late = 1e3 * self.latency
+        growth = 100.0 * (exp(sqrt(self.w2) * self.latency) - 1.0)
+        takes = (
+            f"A command takes {1e3 * self.latency:.0f} ms to act, "
+            f"{1e3 * scene.delay:.0f} ms of them in transport."
+        )
         if frame.fallen:
             why = {
                 "angle": f"the angle passed {PHI_LIMIT_DEG:g}°",
@@ -242,18 +245,18 @@ class Playground:
         elif len(self.recent) > 1:
             x, phi = np.abs(np.array(self.recent)).max(axis=0)
             found.append(
-                f"It has stood for {self.stood:.0f} s, lately within {degrees(phi):.1f}° and "
-                f"{1e3 * x:.0f} mm."
+                f"It has stood for {self.stood:.0f} s, in the last {RECENT:g} s within "
+                f"±{degrees(phi):.1f}° and ±{1e3 * x:.0f} mm."
             )
         if not scene.predict:
             found.append(
-                f"A command takes {late:.0f} ms to act. Meanwhile a lean grows by "
-                f"{100.0 * (growth - 1.0):.0f} %, and the policy answers the lean of before."
+                f"{takes} Meanwhile a lean grows by {growth:.0f} %: the policy acts on an angle "
+                "that is out of date."
             )
         else:
             found.append(
-                f"A command takes {late:.0f} ms to act. The controller computes where the pendulum "
-                "will be by then, and shows the policy that."
+                f"{takes} The controller predicts the state at that time, and the policy acts on "
+                "that."
             )
         if abs(scene.zero) > 0.0:
             found.append(
