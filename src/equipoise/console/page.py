@@ -87,7 +87,6 @@ class ConsolePage:
         gui.main_panel.set_width(PANEL_WIDTH)
         server.scene.configure_environment_map("studio", environment_intensity=0.5)
         self._state = gui.add_html("", order=0)
-        self._asked = gui.add_html("", order=10, visible=False)
         self._gauges = gui.add_html(gauges(nan, nan), order=40)
         self._plots = {
             name: self._add_plot(place, *kind)
@@ -286,11 +285,8 @@ class ConsolePage:
                 self._watch.say(word, number)
 
     def _refresh(self) -> None:
-        """Show the open question, and the buttons of each browser."""
+        """Show the open question and the buttons of each browser."""
         question = self._question
-        if question is not None:
-            self._asked.content = question_card(INSTRUCTION.sub("", question.text))
-        self._asked.visible = question is not None
         actions = self._watch.info.actions if self._watch is not None else ()
         for number, controls in self._clients.items():
             with suppress(RuntimeError):  # this browser has just gone
@@ -298,12 +294,13 @@ class ConsolePage:
 
 
 class _ClientControls:
-    """Buttons of one browser."""
+    """Question and buttons of one browser."""
 
     def __init__(self, client: "viser.ClientHandle", page: ConsolePage) -> None:
         self._client, self._page = client, page
         self._number = client.client_id
         self._buttons: list[Any] = []
+        self._asked = client.gui.add_html("", order=10, visible=False)
         self._note = client.gui.add_html("", order=30)
         self._take = client.gui.add_button("Take the controls", color="orange", order=31)
         self._take.on_click(lambda _: page.take_controls(self._number))
@@ -316,7 +313,21 @@ class _ClientControls:
         *,
         mine: bool,
     ) -> None:
-        """Show the buttons of a question or of actions; of a browser without controls disabled."""
+        """Show a question with its buttons, or actions; without the controls they are disabled."""
+        with self._client.atomic():  # no question with the buttons of the one before
+            self._show(question, actions, holder, mine=mine)
+
+    def _show(
+        self,
+        question: Question | None,
+        actions: tuple[str, ...],
+        holder: int | None,
+        *,
+        mine: bool,
+    ) -> None:
+        if question is not None:
+            self._asked.content = question_card(INSTRUCTION.sub("", question.text))
+        self._asked.visible = question is not None
         text = "You have the controls." if mine else "Another browser has the controls."
         text = "Nobody has the controls." if holder is None else text
         self._note.content = (
