@@ -315,34 +315,24 @@ class _ClientControls:
     ) -> None:
         """Show a question with its buttons, or actions; without the controls they are disabled."""
         with self._client.atomic():  # no question with the buttons of the one before
-            self._show(question, actions, holder, mine=mine)
-
-    def _show(
-        self,
-        question: Question | None,
-        actions: tuple[str, ...],
-        holder: int | None,
-        *,
-        mine: bool,
-    ) -> None:
-        if question is not None:
-            self._asked.content = question_card(INSTRUCTION.sub("", question.text))
-        self._asked.visible = question is not None
-        text = "You have the controls." if mine else "Another browser has the controls."
-        text = "Nobody has the controls." if holder is None else text
-        self._note.content = (
-            f'<div id="equipoise-controls" style="font:13px system-ui,sans-serif;color:{GREY};'
-            f'padding:2px 12px">{text} STOP works in every browser.</div>'
-        )
-        self._take.visible = not mine
-        for button in self._buttons:
-            button.remove()
-        self._buttons = []
-        if question is not None:
-            for word, label in answers(question).items():
-                self._add(word, label, question.number, mine=mine, deny=word == DENIAL)
-        for word in actions:
-            self._add(word, word, 0, mine=mine, deny=False)
+            if question is not None:
+                self._asked.content = question_card(INSTRUCTION.sub("", question.text))
+            self._asked.visible = question is not None
+            text = "You have the controls." if mine else "Another browser has the controls."
+            text = "Nobody has the controls." if holder is None else text
+            self._note.content = (
+                f'<div id="equipoise-controls" style="font:13px system-ui,sans-serif;color:{GREY};'
+                f'padding:2px 12px">{text} STOP works in every browser.</div>'
+            )
+            self._take.visible = not mine
+            for button in self._buttons:
+                button.remove()
+            self._buttons = []
+            if question is not None:
+                for word, label in answers(question).items():
+                    self._add(word, label, question.number, mine=mine, deny=word == DENIAL)
+            for word in actions:
+                self._add(word, word, 0, mine=mine, deny=False)
 
     def _add(self, word: str, label: str, number: int, *, mine: bool, deny: bool) -> None:
         button = self._client.gui.add_button(
