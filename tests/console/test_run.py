@@ -14,6 +14,7 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 
+from equipoise.control.safety import Rule
 from equipoise.control.states import Phase
 from equipoise.logs.run_log import RunLog
 from tests.console.browser import (
@@ -31,7 +32,10 @@ pytestmark = [needs_browser, pytest.mark.compiled_only, pytest.mark.slow]
 
 STOP_LIMIT = 0.100  # from the press to the stop in the run's log [s]
 ATTEMPTS = 4  # of a run, where the host withholds its processors
-STALLED = re.compile(r"the loop was \S+ ms late|link to the robot|no reply|older than")
+STALLS = {
+    each.value for each in (Rule.TICK, Rule.LINK, Rule.ENCODER_STALE)
+}  # causes of an end by the host
+REFUSED = re.compile("^error: .*link to the robot")  # before anything moves
 RESPONSES = ("Yes", "OK")
 NOTE_THE_PRESS = """
 const send = window.fetch;
@@ -82,9 +86,15 @@ def console_of(folder, duration):
             try:
                 yield run, log, page, address
             except AssertionError as failed:
-                if run.process.poll() is not None and any(map(STALLED.search, run.lines)):
+                ended = run.process.poll() is not None
+                if ended and (any(map(REFUSED.search, run.lines)) or was_stalled(log)):
                     raise HostStallError from failed
                 raise
+
+
+def was_stalled(log):
+    """Whether a rule on lateness ended the run; a stop by the operator is no such end."""
+    return log.exists() and RunLog.load(log, damaged=True).cause in STALLS
 
 
 def question(page):
