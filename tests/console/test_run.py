@@ -130,11 +130,8 @@ def pressed_at(page):
 
 def stop_delay(page, log):
     """The time from the press to the phase `stopping` in the run's log [s]."""
-    begun = [event.time for event in RunLog.load(log, damaged=True).events if event.name in STOPS]
-    return begun[0] - pressed_at(page)
-
-
-STOPS = (Phase.STOPPING.value, Phase.STOPPED.value)
+    events, name = RunLog.load(log, damaged=True).events, Phase.STOPPING.value
+    return next(event.time for event in events if event.name == name) - pressed_at(page)
 
 
 @repeated_after_a_stall

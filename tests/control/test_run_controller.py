@@ -19,6 +19,7 @@ from equipoise.control.run_controller import (
 )
 from equipoise.control.safety import (
     ANGLE_RULE_LIMIT,
+    MAX_MEASUREMENT_AGE,
     MAX_STALL,
     Rule,
     check_setpoint,
@@ -95,9 +96,10 @@ class Course:
         self.torques = TORQUES
         self.sent = [(-1.0, tuple(q))]
         self.leads = [(0.0,) * 7]
-        self.told = []
+        self.told, self.texts = [], []
         self.answers, self.result, self.verdicts = [], None, []
         self.link_dead = self.encoder_dead = False
+        self.measured, self.trip = lambda time, q: q, 0.004
         self.answered = self.seen = 0
 
     def where(self, time):
@@ -127,14 +129,16 @@ class Course:
         came = []
         while not self.link_dead and self.answered + 1 < len(self.sent):
             when, _ = self.sent[self.answered + 1]
-            if when + 0.004 > self.now:
+            if when + self.trip > self.now:
                 break
             self.answered += 1
-            q = tuple(np.asarray(self.where(when + 0.002)) + 1e-3 * (self.answered % 2))
+            there = when + 0.5 * self.trip
+            q = self.measured(there, np.asarray(self.where(there)) + 1e-3 * (self.answered % 2))
+            q = None if q is None else tuple(q)
             came.append(
                 Reply(
                     when,
-                    when + 0.004,
+                    when + self.trip,
                     *((None, tuple(self.torques)) if self.answered % 10 == 9 else (q, None)),
                 )
             )
@@ -154,6 +158,7 @@ class Course:
             self.sent.append((max(self.now, due + 0.5 * H * place), setpoint))
             self.leads.append(output.leads[place] if output.leads else (0.0,) * 7)
         self.told += [event.name for event in output.events]
+        self.texts += [event.text for event in output.events]
         if output.job is not None:
             tests = self.pilot.phase is Phase.SELF_TEST
             self.result = SOUND if tests else executed(output.job)
@@ -483,6 +488,126 @@ def test_a_link_that_stands_still_is_sent_nothing_until_it_answers_again():
     assert len(course.sent) == number + len(sent) + 12
     q = np.array([sent[-1][1], *(setpoint for _, setpoint in course.sent[-13:])])
     assert np.abs(np.diff(q, n=2, axis=0)).max() <= 10.0 * 0.005**2
+
+
+# Measured joints.
+
+
+@pytest.mark.parametrize("stream", STREAMS)
+@pytest.mark.parametrize("trip", [0.021, 0.030, 0.044, 0.060])
+def test_a_link_with_a_long_round_trip_stops_it_and_is_named(stream, trip):
+    course = STREAMS[stream]()
+    course.trip, began, phase = trip, course.now, course.pilot.phase
+    while course.pilot.phase is phase:
+        course.tick()
+    assert course.cause == Rule.MEASUREMENT_STALE.value
+    assert "link is too slow" in course.reason
+    assert course.now - began <= MAX_MEASUREMENT_AGE + H
+    course.tick()
+    assert "computer" not in " ".join(course.texts)
+
+
+@pytest.mark.parametrize("stream", STREAMS)
+def test_a_robot_that_answers_without_joints_stops_it(stream):
+    course = STREAMS[stream]()
+    began, phase = course.now, course.pilot.phase
+    course.measured = lambda time, q: None
+    while course.pilot.phase is phase:
+        course.tick()
+    assert course.cause == Rule.MEASUREMENT_STALE.value
+    assert course.now - began <= MAX_MEASUREMENT_AGE + H
+
+
+def test_a_late_loop_at_rest_is_no_slow_link():
+    course = Course().until(Phase.REFERENCING)
+    course.tick(0.4)
+    for _ in range(20):
+        course.tick()
+    assert course.cause is None
+
+
+def run_off(course, joint, rate, most=1.5):
+    """Report a joint as running off from now on."""
+    began = course.now
+    course.measured = lambda time, q: (
+        q + np.eye(7)[joint] * np.clip(rate * max(time - began, 0.0), -most, most)
+    )
+
+
+def after_stop(course):
+    """Let a course stop and come to rest; return the setpoints since the last one before."""
+    while not course.pilot.state.latched:
+        number = len(course.sent) - 1
+        course.tick()
+    for _ in range(1000):
+        if course.tick().done:
+            return np.array([q for _, q in course.sent[number:]])
+    raise AssertionError("it does not come to rest")
+
+
+def beyond_the_ramp(sent):
+    """Return how much further than the ramp setpoints go from the last one before a stop [rad]."""
+    away = np.abs(sent - sent[0])
+    rest = int(np.argmax(np.abs(np.diff(sent, axis=0)).max(axis=1) < 1e-9))
+    return float((away.max(axis=0) - away[rest]).max())
+
+
+@pytest.mark.parametrize("stream", STREAMS)
+@pytest.mark.parametrize(("joint", "rate"), [(0, 10.0), (0, -3.5), (3, 3.5), (5, 1.0), (6, -0.4)])
+def test_joints_that_run_off_move_nothing_after_the_stop(stream, joint, rate):
+    course = STREAMS[stream]()
+    run_off(course, joint, rate)
+    assert beyond_the_ramp(after_stop(course)) < 1e-9
+    assert "which holds: the measurement is not plausible" in " ".join(course.texts)
+
+
+def blocked(course):
+    """Let the arm stand where it is, as after an emergency stop."""
+    place = np.array(course.where(course.now))
+    course.measured = lambda time, q: place
+
+
+@pytest.mark.parametrize("stream", STREAMS)
+def test_the_target_goes_back_towards_a_blocked_arm_within_the_reach_of_the_ramp(stream):
+    course = STREAMS[stream]()
+    for _ in range(20 if stream == "homing" else 10):
+        course.tick()
+    blocked(course)
+    sent = after_stop(course)
+    assert "which goes back by" in " ".join(course.texts)
+    assert beyond_the_ramp(sent) < 1e-9
+    arm, rest = course.measured(0.0, None), sent[np.abs(sent - sent[0]).max(axis=1).argmax()]
+    assert np.abs(sent[-1] - arm).max() < np.abs(rest - arm).max() - 1e-4
+
+
+@pytest.mark.parametrize("word", ["stop", "", "y"])
+def test_any_key_ends_a_way_back(word):
+    course = STREAMS["balancing"]()
+    for _ in range(10):
+        course.tick()
+    blocked(course)
+    while not any("goes back" in text for text in course.texts):
+        course.tick()
+    course.tick()
+    course.tick(lines=[word])
+    held = course.sent[-1][1]
+    assert "The target holds: a key was pressed." in course.texts
+    while not course.tick().done:
+        assert course.sent[-1][1] == pytest.approx(held, abs=1e-4)
+
+
+def test_a_flange_that_leaves_its_line_ends_a_way_back():
+    course = STREAMS["balancing"]()
+    for _ in range(10):
+        course.tick()
+    blocked(course)
+    while not any("goes back" in text for text in course.texts):
+        course.tick()
+    place = course.measured(0.0, None)
+    course.measured = lambda time, q: place + 0.1 * np.eye(7)[1]
+    course.tick()
+    course.tick()
+    assert any(text.startswith("The target holds: the flange is") for text in course.texts)
 
 
 # The encoder.

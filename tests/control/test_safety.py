@@ -343,6 +343,7 @@ BOUNDS = [
     (Rule.TILT, {"tilt": radians(1.99)}, {"tilt": radians(2.01)}),
     (Rule.TILT, {"tilt": -radians(1.99)}, {"tilt": -radians(2.01)}),
     (Rule.TICK, {"lateness": 0.070}, {"lateness": 0.0701}),
+    (Rule.MEASUREMENT_STALE, {"measured_age": 0.120}, {"measured_age": 0.1201}),
     (Rule.ENCODER_STALE, {"encoder_age": 0.070}, {"encoder_age": 0.0701}),
     (Rule.ENCODER_ILLEGAL, {"encoder_illegal": False}, {"encoder_illegal": True}),
     (Rule.ENCODER_GAP, {"encoder_missing": 0}, {"encoder_missing": 1}),
@@ -461,7 +462,7 @@ def test_what_is_no_number_stops_the_run_whatever_else_is_wrong(name, number):
 
 
 def test_all_numbers_of_a_view_are_looked_at():
-    assert len(NUMBERS) == 10
+    assert len(NUMBERS) == 11
 
 
 def test_of_several_the_first_in_the_order_of_the_rules_is_named():
@@ -475,6 +476,7 @@ def test_of_several_the_first_in_the_order_of_the_rules_is_named():
         Rule.DRIFT: {"drift": 1.0},
         Rule.TILT: {"tilt": 1.0},
         Rule.TICK: {"lateness": 1.0},
+        Rule.MEASUREMENT_STALE: {"measured_age": 1.0},
         Rule.ENCODER_STALE: {"encoder_age": 1.0},
         Rule.ENCODER_ILLEGAL: {"encoder_illegal": True},
         Rule.ENCODER_GAP: {"encoder_missing": 3},
@@ -581,7 +583,7 @@ def test_ticks_without_measured_joints_change_nothing_of_that():
         seen(*views)[0],
         seen(*views, SafetyInputs(), SafetyInputs(measured=HOME), SafetyInputs(expected=HOME))[0],
     )
-    assert other == one
+    assert other == one._replace(unmeasured=3)
 
 
 def off(n, by, joint=3):
@@ -606,6 +608,16 @@ def test_an_arm_that_is_elsewhere_for_long_is_not_following(side):
     assert violation.from_measured
     # Near in between, it begins anew.
     assert seen(*far[:5], near[5], *far[6:11])[1] is None
+
+
+def test_a_following_error_lasts_through_ticks_without_measured_joints():
+    far, blind = off(8, 0.031), SafetyInputs()
+    assert seen(far[0], *(blind,) * 9)[1] is None
+    # An error before and after them has lasted; one measurement is not enough.
+    assert seen(far[0], *(blind,) * 4, far[5])[1].rule is Rule.FOLLOWING
+    assert seen(far[0], *(blind,) * 3, far[4])[1] is None
+    assert seen(*(blind,) * 9, far[0])[1] is None
+    assert seen(far[0], *(blind,) * 4, off(6, 0.029)[5], far[6])[1] is None
 
 
 def test_a_following_error_needs_measured_joints_to_be_named():

@@ -1,4 +1,4 @@
-"""The ramp to rest: its promises, over random states of an arm, and the path back."""
+"""The motion after a stop: the ramp over random states of an arm, and the way back in its reach."""
 
 from math import inf, nan
 
@@ -8,7 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise.control.safety import STOP_DECELERATION, check_setpoint, limits_of
-from equipoise.control.stop import RETURN_SHARE, ROUNDING_RESERVE, ramp, stoppable_speeds, way_back
+from equipoise.control.stop import (
+    RETURN_SHARE,
+    ROUNDING_RESERVE,
+    StopMotion,
+    ramp,
+    stoppable_speeds,
+)
 from equipoise.errors import InputError
 from equipoise.model.arms.iiwa import iiwa
 
@@ -196,31 +202,117 @@ def test_it_starts_from_numbers(q, dq, speed, name):
         ramp(q, dq, speed, LIMITS)
 
 
+# The way back.
+
+H = 2.0 * DT
+SLIDING = tuple(0.2 * limit for limit in LIMITS.velocity)
+"""Velocities of a stop that covers 0.02 to 0.05 rad in each joint [rad/s]."""
+
+
+def stopped(dq=SLIDING, speed=0.5, q=HOME):
+    """Return a stop at the end of its ramp, and the setpoints of the ramp."""
+    motion, sent = StopMotion(q, dq, speed, LIMITS), [q]
+    while not motion.at_rest:
+        sent += motion.advance(H)
+    return motion, np.array(sent)
+
+
+def sent_until_rest(motion, ticks=1000):
+    """Return the setpoints from now until rest."""
+    sent = [motion.q]
+    for _ in range(ticks):
+        sent += motion.advance(H)
+        if motion.at_rest:
+            return np.array(sent)
+    raise AssertionError("it does not come to rest")
+
+
+def test_a_stop_is_its_ramp_and_then_rests():
+    motion, sent = stopped()
+    way = ramp(HOME, SLIDING, 0.5, LIMITS)
+    assert sent == pytest.approx(stream(way, len(sent)))
+    assert motion.q == way.at(inf)
+    assert motion.advance(H) == (way.at(inf),) * 2
+    assert motion.dq == (0.0,) * 7
+    assert 0.0 < motion.rested < 2.0 * H
+    assert not motion.goes_back
+
+
 def test_the_way_back_ends_where_the_arm_is():
-    q = [place + 0.03 for place in HOME]
-    path = way_back(q, HOME, LIMITS)
-    assert path.start == tuple(q)
-    assert path.end == HOME
-    time = np.linspace(0.0, path.duration, 2001)
-    dq = np.array([path.at(t).dq for t in time])
-    ddq = np.array([path.at(t).ddq for t in time])
-    used = np.abs(dq) / LIMITS.velocity, np.abs(ddq) / LIMITS.acceleration
-    assert max(used[0].max(), used[1].max()) == pytest.approx(RETURN_SHARE, rel=1e-3)
-    assert path.duration < 1.0
+    motion, ramped = stopped()
+    end = tuple(0.4 * a + 0.6 * b for a, b in zip(HOME, motion.q, strict=True))
+    moved = motion.go_back(end)
+    assert moved == pytest.approx(0.4 * np.abs(ramped[-1] - HOME).max())
+    assert motion.goes_back
+    assert motion.rested < 0.0
+    sent = sent_until_rest(motion)
+    assert sent[-1] == pytest.approx(end)
+    assert not motion.goes_back
+    dq, ddq = np.diff(sent, axis=0) / DT, np.diff(sent, n=2, axis=0) / DT**2
+    used = np.abs(dq / LIMITS.velocity).max(), np.abs(ddq / LIMITS.acceleration).max()
+    assert max(used) == pytest.approx(RETURN_SHARE, rel=0.05)
+
+
+@given(
+    shares,
+    st.lists(st.floats(-10.0, 10.0), min_size=7, max_size=7),
+    st.integers(1, 200),
+    st.sampled_from(["hold", "rest", ""]),
+)
+def test_no_setpoint_leaves_the_reach_of_the_ramp_whatever_is_measured(share, away, ticks, then):
+    dq = [0.3 * s * limit for s, limit in zip(share, LIMITS.velocity, strict=True)]
+    motion, sent = stopped(dq)
+    reach = np.abs(sent[-1] - HOME)
+    motion.go_back(tuple(np.add(HOME, away)))
+    back = [motion.q]
+    for _ in range(ticks):
+        back += motion.advance(H)
+    if then == "hold":
+        motion.hold()
+    elif then == "rest":
+        motion.rest(back[-1])
+    back += sent_until_rest(motion)[1:].tolist()
+    assert (np.abs(np.array(back) - HOME) <= reach + 1e-12).all()
+    limits = LIMITS._replace(acceleration=tuple(1.001 * a for a in LIMITS.acceleration))
+    for before, last, q in zip([back[0], *back], back, back[1:], strict=False):
+        assert check_setpoint(limits, q, last, before, DT, to_rest=True) is None or then == "rest"
+
+
+def test_a_way_back_that_is_held_ends_at_once():
+    motion, _ = stopped()
+    motion.go_back(HOME)
+    for _ in range(20):
+        motion.advance(H)
+    assert max(map(abs, motion.dq)) > 0.01
+    motion.hold()
+    assert not motion.goes_back
+    assert len(sent_until_rest(motion)) < 8
+
+
+def test_where_the_stream_stood_still_the_arm_rests_at_its_last_setpoint():
+    motion = StopMotion(HOME, SLIDING, 0.5, LIMITS)
+    _, last = motion.advance(H)
+    motion.rest(last)
+    assert motion.at_rest
+    assert motion.advance(H) == (last, last)
 
 
 def test_the_way_back_needs_a_measured_angle_for_each_joint():
     for measured in (HOME[:6], (*HOME, 0.0)):
-        with pytest.raises(ValueError, match="zip"):
-            way_back(HOME, measured, LIMITS)
+        motion, _ = stopped()
+        with pytest.raises((ValueError, IndexError)):
+            motion.go_back(measured)
 
 
 def test_the_way_back_is_as_slow_as_the_way_home():
     assert RETURN_SHARE == 0.1
 
 
-def test_the_way_back_stays_inside_the_limits():
-    measured = [limit + 0.01 for limit in LIMITS.upper]
-    assert way_back(HOME, measured, LIMITS).end == LIMITS.upper
-    measured = [limit - 0.01 for limit in LIMITS.lower]
-    assert way_back(HOME, measured, LIMITS).end == LIMITS.lower
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_way_back_stays_inside_the_limits(side):
+    ends = np.array(LIMITS.upper if side > 0 else LIMITS.lower)
+    q = tuple((ends - side * 0.01).tolist())
+    motion, sent = stopped(tuple(-side * v for v in SLIDING), q=q)
+    assert (np.abs(sent[-1] - q) > 0.011).all()
+    motion.go_back(tuple((ends + side * 0.01).tolist()))
+    assert sent_until_rest(motion)[-1] == pytest.approx(ends, abs=1e-12)

@@ -11,7 +11,6 @@ from equipoise.control import run_controller, states
 from equipoise.control.boxes import CAUSES, SAFETY_STOP
 from equipoise.control.policy import shipped_policy
 from equipoise.control.safety import Rule
-from equipoise.control.states import UNKNOWN as UNTOLD
 from equipoise.control.trial_safety import guard_named
 from equipoise.deployment import deploy, excite, rig
 from equipoise.logs.conditions import RunEnd
@@ -173,7 +172,7 @@ def test_every_cause_says_what_to_do(rig_log):
 
 RIG_CAUSES = {rule.value for rule in Rule} | {
     *("lasted", "operator", "dry run", "self-test", "joint limit", "fault", "link lost"),
-    *(UNTOLD.name, BROKEN_OFF, "error", run_controller.POLICY),
+    *(BROKEN_OFF, "error", run_controller.POLICY),
 }
 """Every cause of a log of a rig: the rules, and those of run controller, deployment and reader."""
 OF_A_BENCH = {

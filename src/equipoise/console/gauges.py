@@ -24,8 +24,6 @@ PHASE_COLOURS: Final = {
     Phase.BALANCING: GREEN,
     Phase.ARMED: GREEN,
     Phase.STOPPING: VERMILION,
-    Phase.STOPPED: VERMILION,
-    Phase.LOST: VERMILION,
 }
 """Colours of the phases; the others are blue."""
 VERDICT_COLOURS: Final = {"good": GREEN, "warning": "#8a5a00", "bad": VERMILION}

@@ -32,12 +32,13 @@ from equipoise.control.control_step import ControllerParams
 from equipoise.control.controller import Controller, FlangeKinematics, FlangePose
 from equipoise.control.dropouts import DropoutMonitor
 from equipoise.control.minimum_jerk import Path, path_within
+from equipoise.control.plausibility import JointPlausibility
 from equipoise.control.policy import Policy
 from equipoise.control.release import ReleaseDetector, ReleaseState
 from equipoise.control.safety import STOP_DECELERATION, SafetyInputs, SafetyParams
 from equipoise.control.self_test import MOVE_TIME, SWING_TIME, SelfTest, SelfTestVerdict
 from equipoise.control.states import Cause, Phase, RunState
-from equipoise.control.stop import Ramp, at_rest, ramp, stoppable_speeds, way_back
+from equipoise.control.stop import StopMotion, stoppable_speeds
 from equipoise.control.ticks import (
     OK,
     OperatorMessage,
@@ -96,8 +97,11 @@ last one at its highest speed. A round trip takes 1 to 4 ms."""
 SENDING_TIME: Final = 0.001
 """Tolerance of the time at which a setpoint is sent [s]."""
 MAX_TIMED_REPLY: Final = 0.020
-"""Maximum round trip of a reply whose joints count as measured [s]: nobody knows when in a longer
-one they were read. A link to a robot takes 9 ms at most."""
+"""Maximum round trip of a reply whose joints count as measured [s]: in a longer one the time at which
+they were read is too uncertain. A link to a robot takes 9 ms at most. With longer round trips only,
+the age of the measurement stops the run (`Rule.MEASUREMENT_STALE`)."""
+LOOP_STALLED: Final = "The computer stood still: `equipoise rig doctor` looks for the cause."
+LINK_STALLED: Final = "The robot's link stood still: `equipoise rig doctor` looks for the cause."
 HISTORY: Final = 64
 """Number of samples and of setpoints in memory: 64 ms at 1 kHz, for the fit at the release."""
 
@@ -190,7 +194,7 @@ class RunController:
         self._events: list[OperatorMessage] = []
         self._answers: tuple[str, ...] = ()
         self._answer: str | None = None
-        self.state = states.step(RunState(), states.RunEvent.START)
+        self.state = RunState()
         """State of the run, with the cause of a stop."""
         self.began: float | None = None
         """Time at which the policy began to act [s]."""
@@ -198,14 +202,15 @@ class RunController:
         """Time at which it ended [s]."""
         self.zero: float | None = None
         """Count of the hanging pendulum."""
-        self.phase_before = Phase.IDLE
+        self.phase_before = Phase.HOMING
         """Phase before the stop."""
 
         self._q, self._dq = tuple(q), (0.0,) * len(q)
         self._path = self._path_home()
-        self._ramp: Ramp = at_rest(self._q)
-        self._back: Path | None = None
-        self._back_since, self._rested = 0, False
+        self._stopping: StopMotion | None = None
+        self._plausibility = JointPlausibility(safety_params.limits)
+        self._before_stop = np.zeros((0, len(q)))
+        self._returned, self._forbidden, self._key_after_stop = False, "", False
         self._monitor = safety.MonitorState()
         self._commanded = np.tile(np.array(q, np.float64), (HISTORY, 1))
         self._references = self._commanded.copy()
@@ -222,11 +227,13 @@ class RunController:
         self._pose: FlangePose | None = None
         self._missing, self._illegal, self._jump = 0, False, 0.0
         self._dropouts, self._warned = DropoutMonitor(), False
-        self._paused, self._lost_speed = False, 0.0
+        self._stalled = set[str]()
+        self._lost_speed = 0.0
         self._fresh_q = self._fresh_torque = False
         self._ticks = 0  # of this phase
         self._samples = deque[ticks.Sample](maxlen=HISTORY)
         self._measured, self._measured_at = tuple(q), -inf
+        self._known_since = inf  # the age of the measurement counts from then
         self._torque: Sequence[float] | None = None
         self._rest, self._pressed = _Rest(), False
         self._record = TickRecord()
@@ -251,7 +258,7 @@ class RunController:
         missed = missed_ticks(inputs.lateness, self._h)
         late = max(inputs.lateness - missed * self._h, 0.0)
         if inputs.paused(self._h):
-            self._begin_anew(missed, inputs.unsent)
+            self._begin_anew(missed, inputs.unsent, LOOP_STALLED)
         self._take_samples(inputs.samples)
         self._take_replies(inputs.replies)
         self._take_input(inputs.lines)
@@ -279,7 +286,7 @@ class RunController:
         self._ticks = self._ticks + 1 if self.phase is before else 1
         events, self._events = self._events, []
         phase, to_rest = PHASES.index(self.phase), self.phase is Phase.STOPPING
-        done = to_rest and self._rested
+        done = self._stopping is not None and self._stopping.rested > SETTLING_TIME
         output = TickOutput(setpoints, self._q, self._dq, phase, self._record, events, self._job)
         return output._replace(leads=self._leads, to_rest=to_rest, done=done)
 
@@ -297,12 +304,13 @@ class RunController:
 
     # Inputs.
 
-    def _begin_anew(self, missed: int, unsent: int) -> None:
+    def _begin_anew(self, missed: int, unsent: int, warning: str) -> None:
         """Begin the motion of the phase anew from the last setpoint sent, where the arm rests.
 
         Args:
             missed: Number of missed ticks.
             unsent: Number of setpoints of the last tick that were not sent.
+            warning: Message on what stood still, sent once.
         """
         self._setpoints -= unsent
         q = tuple(self._commanded[(self._setpoints - 1) % HISTORY].tolist())
@@ -312,8 +320,8 @@ class RunController:
             self._motion.clear()  # the move goes on from rest
         if self.phase is Phase.HOMING:
             self._path, self._ticks = self._path_home(), 0
-        elif self.phase is Phase.STOPPING:
-            self._ramp, self._back, self._back_since = at_rest(q), None, self._ticks
+        elif self._stopping is not None:
+            self._stopping.rest(q)
         elif self.phase in (Phase.SELF_TEST, Phase.BALANCING):
             self._lost_speed += self._controller.x_dot
             self._controller.rest(q, missed, unsent > 0)
@@ -321,10 +329,9 @@ class RunController:
             self._interrupt_excitation()
         if self.phase is Phase.BALANCING:
             self._ticks += missed
-        if moved and not self._paused:
-            self._paused = True
-            stalled = "The computer stood still: `equipoise rig doctor` looks for the cause."
-            self._notify("warning", stalled)
+        if moved and warning not in self._stalled:
+            self._stalled.add(warning)
+            self._notify("warning", warning)
 
     def _interrupt_excitation(self) -> None:
         """Stop: an excitation with a gap identifies nothing."""
@@ -357,7 +364,8 @@ class RunController:
             self._answered = reply.sent
             if reply.q is not None and reply.received - reply.sent <= MAX_TIMED_REPLY:
                 self._measured, self._fresh_q = tuple(reply.q), True
-                self._measured_at = 0.5 * (reply.sent + reply.received)
+                self._measured_at = self._known_since = 0.5 * (reply.sent + reply.received)
+                self._plausibility.add(reply.sent, reply.received, reply.q)
                 if self.phase is Phase.SELF_TEST and not self._swing.asked:
                     self._swing.pivot.add(self._measured_at, self._flange.pose(self._measured).x)
                 if self._records_motion:
@@ -394,10 +402,11 @@ class RunController:
             self._observe(now)
             estimate = self._controller.estimate
             inputs = inputs._replace(x_dot=estimate.v, phi=estimate.phi)
-        broken = safety.check(params, self._monitor, inputs)
-        if broken is not None:
-            self._stop(Cause(broken.rule.value, broken.reason, broken.from_measured))
-        elif bridged and not warned:
+        broken = list(safety.violations(params, self._monitor, inputs))
+        for violation in broken:
+            self._stop(Cause(violation.rule.value, violation.reason, violation.from_measured))
+        self._forbidden = next((each.reason for each in broken if not each.from_measured), "")
+        if not broken and bridged and not warned:
             self._warned = True
             lost = "An encoder sample was lost on its way. Look at its cable later."
             self._notify("warning", lost)
@@ -406,12 +415,15 @@ class RunController:
         """Return the inputs of the safety rules, with the estimate of the tick before."""
         phase, balancing = self.phase, self.phase is Phase.BALANCING
         moves = phase in MOVING or phase in (Phase.ARMED, Phase.STOPPING)
+        if self._known_since == inf or (not moves and missed_ticks(lateness, self._h)):
+            self._known_since = now  # a late loop reads late; nothing moves meanwhile
         # The lateness of the loop itself is not the robot's delay.
         self._overdue = self._unanswered_time(now - lateness)
         inputs = SafetyInputs(
             # A late tick is no danger while nothing moves; the fit of a swing causes some.
             lateness=lateness if moves else 0.0,
             overdue=self._overdue,
+            measured_age=now - self._known_since,
             torque=self._external_torque() if self._fresh_torque else None,
             balancing=balancing,
             phi=self._controller.estimate.phi if balancing else 0.0,
@@ -427,10 +439,22 @@ class RunController:
                 encoder_missing=self._missing,
                 encoder_jump=self._jump,
             )
-        if phase in ON_TRACK and self._pose is not None:
+        if self._on_track and self._pose is not None:
             x_dot = self._controller.estimate.v if balancing else self._controller.x_dot
+            if self._stopping is not None:
+                x_dot = self._flange_speed(self._stopping)
             inputs = inputs._replace(on_track=True, x_dot=x_dot, **self._pose._asdict())
         return inputs
+
+    @property
+    def _on_track(self) -> bool:
+        """Whether the rules of the flange apply; after a stop those of the phase before."""
+        return (self.phase_before if self.state.latched else self.phase) in ON_TRACK
+
+    def _flange_speed(self, motion: StopMotion) -> float:
+        """Return the commanded velocity of the flange along x after a stop [m/s]."""
+        before = [q - self._h * dq for q, dq in zip(motion.q, motion.dq, strict=True)]
+        return (self._flange.pose(motion.q).x - self._flange.pose(before).x) / self._h
 
     def _unanswered_time(self, now: float) -> float:
         """Return the time since the oldest setpoint without a reply was sent [s]; or 0."""
@@ -483,6 +507,7 @@ class RunController:
     def _take_input(self, lines: Sequence[str]) -> None:
         """Accept an expected answer; other input stops, except Enter while nothing moves."""
         self._answer = None
+        self._key_after_stop = self._key_after_stop or (self.state.latched and bool(lines))
         for line in lines:
             answer = line.strip().lower() or OK
             if answer in self._answers:
@@ -510,20 +535,24 @@ class RunController:
         self._answers, self._answer = answers, None
         self._events.append(OperatorMessage(name, text, answers))
 
-    def _go(self, event: states.RunEvent, cause: Cause | None = None) -> None:
-        self.state = states.step(self.state, event, cause)
+    def _go(self, event: states.RunEvent) -> None:
+        self.state = states.step(self.state, event)
+        self._begin_phase()
+
+    def _begin_phase(self) -> None:
         self._ticks = 0
         self._answers, self._pressed = (), False
 
     def _stop(self, cause: Cause) -> None:
         """Latch a stop; the ramp begins with this tick's setpoints."""
-        if self.state.latched:
-            self.state = states.step(self.state, states.RunEvent.STOP, cause)
+        latched, before = self.state.latched, self.phase
+        self.state = states.stop(self.state, cause)
+        if latched:
             return
-        if self.phase is Phase.BALANCING and self.began is not None:
+        if before is Phase.BALANCING and self.began is not None:
             self.ended = self.began + self._ticks * self._h
-        self.phase_before = self.phase
-        self._go(states.RunEvent.STOP, cause)
+        self.phase_before = before
+        self._begin_phase()
         self._notify("stopping", cause.reason)
 
     def _still(self) -> Setpoints:
@@ -538,7 +567,7 @@ class RunController:
 
     def _wait(self) -> tuple[()]:
         """Send nothing while the link stands still: the arm comes to rest at its last target."""
-        self._begin_anew(0, 0)
+        self._begin_anew(0, 0, LINK_STALLED)
         if self.phase is not Phase.HOMING:
             self._controller.hold()
         if self.phase is not Phase.BALANCING:
@@ -790,25 +819,42 @@ class RunController:
         """Return the next setpoints on the way to rest, which keep the last lead."""
         if any(self._lead):
             self._leads = self._lead, self._lead
-        if self._ticks == 0:
+        motion = self._stopping
+        if motion is None:
             newest = ((self._setpoints - n) % HISTORY for n in (2, 1))
             before, last = (self._references[place].tolist() for place in newest)
-            self._q = tuple(q + ahead for q, ahead in zip(self._q, self._lead, strict=True))
-            self._dq = stoppable_speeds(self._dq, last, before, 0.5 * self._h)
+            q = tuple(q + ahead for q, ahead in zip(self._q, self._lead, strict=True))
+            dq = stoppable_speeds(self._dq, last, before, 0.5 * self._h)
             speed = abs(self._controller.x_dot) if self.phase_before in ON_TRACK else 0.0
-            self._ramp = ramp(self._q, self._dq, speed, self._safety.limits)
-        h, begin = self._h, self._ticks * self._h
-        if begin < self._ramp.duration:
-            self._q, self._dq = self._ramp.at(begin + h), self._ramp.speed_at(begin + h)
-            self._back_since = self._ticks + 1
-            return self._ramp.at(begin + 0.5 * h), self._q
-        if self.state.from_measured and self._back is None:
-            self._back = way_back(self._q, self._measured, self._safety.limits)
-        since = (self._ticks - self._back_since) * h
-        if self._back is not None and since < self._back.duration:
-            return self._along(self._back, since)
-        self._rested = since > SETTLING_TIME + (self._back.duration if self._back else 0.0)
-        return self._still()
+            motion = self._stopping = StopMotion(q, dq, speed, self._safety.limits)
+            self._before_stop = self._commanded.copy()
+        elif motion.goes_back and (reason := self._hold_reason()):
+            motion.hold()
+            self._notify("warning", f"The target holds: {reason}.")
+        elif motion.at_rest and self.state.from_measured and not self._returned:
+            self._returned = True
+            self._go_back(motion)
+        setpoints = motion.advance(self._h)
+        self._q, self._dq = motion.q, motion.dq
+        return setpoints
+
+    def _hold_reason(self) -> str:
+        """Return why the target holds after a stop, though the arm is elsewhere; empty for none."""
+        return "a key was pressed" if self._key_after_stop else self._forbidden
+
+    def _go_back(self, motion: StopMotion) -> None:
+        """Begin the way back towards the measured posture, or say why the target holds."""
+        away, joint = safety.largest_difference(self._measured, motion.q)
+        place = f"Joint {joint} is measured {away:.3f} rad from its target"
+        reason = self._hold_reason()
+        if doubt := self._plausibility.doubt(self._measured, self._before_stop):
+            reason = f"the measurement is not plausible ({doubt})"
+        if reason:
+            text = f"{place}, which holds: {reason}. Look at the arm."
+        else:
+            moved = motion.go_back(self._measured)
+            text = f"{place}, which goes back by {moved:.3f} rad. Any key ends this."
+        self._notify("warning", text)
 
     _STEPS: Final[dict[Phase, Callable[["RunController", float], Setpoints]]] = {
         Phase.HOMING: _home,

@@ -30,6 +30,7 @@ jumps and its position of rest are judged.
 
 from collections.abc import Iterator, Sequence
 from enum import Enum
+from itertools import pairwise
 from math import copysign, inf, isfinite, nan, pi, radians
 from typing import Final, NamedTuple
 
@@ -70,6 +71,10 @@ MAX_STALL: Final = 0.070
 """Maximum duration of a stall of the loop, of the encoder or of the link that is bridged [s]. On
 the twin a balance outlasts 80 ms of each; the operator has to know within 100 ms that software can
 no longer stop the robot."""
+MAX_MEASUREMENT_AGE: Final = 0.120
+"""Maximum age of the newest measured joints [s]: a bridged stall of 70 ms, up to 15 ms from the last
+measurement to its begin, and 25 ms until a setpoint after it is answered with joints. Older ones
+cannot show that the arm does not follow, or where its flange is."""
 MAX_PENDULUM_RATE: Final = 20.0
 """Maximum plausible rate of a pendulum [rad/s]; a fall from upright reaches 2 sqrt(w2) = 17
 rad/s."""
@@ -148,6 +153,8 @@ class Rule(Enum):
     """The flange has left its orientation."""
     TICK = "late tick"
     """The loop does not keep its time."""
+    MEASUREMENT_STALE = "stale joints"
+    """No measured joints came for too long: the robot answers too late, or without them."""
     ENCODER_STALE = "stale encoder"
     """No encoder sample came for too long."""
     ENCODER_ILLEGAL = "illegal transition"
@@ -178,8 +185,8 @@ TILT_CODE: Final = RULES.index(Rule.TILT)
 ANGLE_CODE: Final = RULES.index(Rule.ANGLE)
 
 FROM_MEASURED: Final = frozenset({Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.TORQUE, Rule.FIRST})
-"""Rules whose violation shows that the arm is not at its setpoint: targets restart from the
-measured joints."""
+"""Rules whose violation shows that the arm is not at its setpoint: after the ramp the targets go back
+towards the measured joints."""
 
 
 class Violation(NamedTuple):
@@ -198,7 +205,7 @@ class Violation(NamedTuple):
 
     @property
     def from_measured(self) -> bool:
-        """Whether the targets have to restart from the measured posture."""
+        """Whether the targets go back towards the measured posture after the ramp."""
         return self.rule in FROM_MEASURED
 
 
@@ -233,6 +240,8 @@ MESSAGES: Final = {
     Rule.DRIFT: "the flange is {milli:.1f} mm off its line, expected at most {max_milli:g} mm",
     Rule.TILT: "the flange is tilted by {degrees:.2f} deg, expected at most {max_degrees:g} deg",
     Rule.TICK: "the loop {what}; `equipoise rig doctor` looks for the cause",
+    Rule.MEASUREMENT_STALE: "the joints were last measured {milli:.0f} ms ago, expected at most "
+    "{max_milli:g} ms: the robot's link is too slow; look at its cable and its network",
     Rule.ENCODER_STALE: "the newest encoder sample is {milli:.1f} ms old, expected at most "
     "{max_milli:g} ms; look at its cable",
     Rule.ENCODER_ILLEGAL: "the encoder's lines changed both at once: counts are lost; look at its "
@@ -508,6 +517,8 @@ class SafetyInputs(NamedTuple):
     """Lateness of the tick [s]."""
     overdue: float = 0.0
     """Time since the oldest setpoint without a reply [s]."""
+    measured_age: float = 0.0
+    """Age of the newest measured joints [s]."""
     measured: Numbers | None = None
     """Measured joints [rad], all of them; None without a new measurement."""
     expected: Numbers | None = None
@@ -545,6 +556,8 @@ class MonitorState(NamedTuple):
 
     missed: int = 0
     """Number of successive ticks late by a tick or more."""
+    unmeasured: int = 0
+    """Number of ticks since the last one with measured joints."""
     error_time: float = 0.0
     """Duration of a following error beyond its limit [s]."""
     rest: Numbers | None = None
@@ -568,14 +581,16 @@ def update_monitor(
     missed = before.missed + 1 if inputs.lateness >= params.h else 0
     measured, expected = inputs.measured, inputs.expected
     if measured is None or expected is None:
-        return before._replace(missed=missed)
+        return before._replace(missed=missed, unmeasured=before.unmeasured + 1)
     error, _ = largest_difference(measured, expected)
-    error_time = next_error_time(before.error_time, error, params.h)
+    # An error before and after ticks without a measurement lasts during them, too.
+    elapsed = (before.unmeasured + 1) * params.h if before.error_time > 0.0 else params.h
+    error_time = next_error_time(before.error_time, error, elapsed)
     rest, then = before.rest, before.expected
     if rest is None or then is None or largest_difference(measured, rest)[0] > STILL_ANGLE:
-        return MonitorState(missed, error_time, measured, expected)
+        return MonitorState(missed, 0, error_time, measured, expected)
     expected_motion = max(before.expected_motion, largest_difference(expected, then)[0])
-    return MonitorState(missed, error_time, rest, then, expected_motion)
+    return MonitorState(missed, 0, error_time, rest, then, expected_motion)
 
 
 def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> Violation | None:
@@ -586,13 +601,13 @@ def check(params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs) -> 
         monitor: State of the checks that span several ticks, this one included.
         inputs: State of the run now.
     """
-    return next(_violations(params, monitor, inputs), None)
+    return next(violations(params, monitor, inputs), None)
 
 
-def _violations(
+def violations(
     params: SafetyParams, monitor: MonitorState, inputs: SafetyInputs
 ) -> Iterator[Violation]:
-    """Yield the broken rules in the order of `Rule`."""
+    """Yield the broken rules in the order of `Rule`; arguments as of `check`."""
     for name, value in zip(inputs._fields, inputs, strict=True):
         if value is None or (name == "manipulability" and value == inf):
             continue
@@ -624,6 +639,8 @@ def _violations(
     if monitor.missed >= MAX_MISSED_TICKS:
         what = f"missed {monitor.missed} ticks in a row, expected fewer than {MAX_MISSED_TICKS}"
         yield _violation(Rule.TICK, float(monitor.missed), float(MAX_MISSED_TICKS), what=what)
+    if inputs.measured_age > MAX_MEASUREMENT_AGE:
+        yield _violation(Rule.MEASUREMENT_STALE, inputs.measured_age, MAX_MEASUREMENT_AGE)
     if inputs.encoder_age > MAX_STALL:
         yield _violation(Rule.ENCODER_STALE, inputs.encoder_age, MAX_STALL)
     if inputs.encoder_illegal:
@@ -638,12 +655,12 @@ def _violations(
 
 @compilable
 def next_error_time(before: float, error: float, h: float) -> float:
-    """Return the duration of a following error beyond its limit [s], a tick later.
+    """Return the duration of a following error beyond its limit [s], at a measurement.
 
     Args:
-        before: The same at the tick before [s].
+        before: The same at the measurement before [s].
         error: Maximum following error now [rad].
-        h: Time between ticks [s].
+        h: Time since then [s].
     """
     return before + h if error > FOLLOWING_LIMIT else 0.0
 
@@ -763,14 +780,34 @@ def unexplained_turn(times: Sequence[float], counts: Sequence[int], resolution: 
     Returns:
         Zero for a plausible count; inf where time does not increase.
     """
+    steps = [(b - a) * resolution for a, b in pairwise(counts)]
+    return unexplained_step(times, steps, resolution, MAX_PENDULUM_RATE, MAX_PENDULUM_ACCELERATION)
+
+
+def unexplained_step(
+    times: Sequence[float], steps: Sequence[float], noise: float, rate: float, acceleration: float
+) -> float:
+    """Return the part of the newest of two steps of an angle that no motion explains [rad].
+
+    An angle continues the straight line of the step before, but for noise and acceleration.
+
+    Args:
+        times: Times of the three angles [s], the oldest first.
+        steps: The two steps between them [rad].
+        noise: Noise of an angle [rad].
+        rate: Maximum rate [rad/s].
+        acceleration: Maximum acceleration [rad/s^2].
+
+    Returns:
+        Zero for a plausible step; inf where time does not increase.
+    """
     first, dt = times[1] - times[0], times[2] - times[1]
     if not (first > 0.0 and dt > 0.0):
         return inf
-    turned = (counts[2] - counts[1]) * resolution
-    straight = (counts[1] - counts[0]) * resolution * dt / first
-    allowed = resolution * (1.0 + dt / first) + 0.5 * MAX_PENDULUM_ACCELERATION * dt * (dt + first)
-    kink = abs(turned - straight) - allowed
-    return max(kink, abs(turned) - resolution - MAX_PENDULUM_RATE * dt, 0.0)
+    straight = steps[0] * dt / first
+    allowed = noise * (1.0 + dt / first) + 0.5 * acceleration * dt * (dt + first)
+    kink = abs(steps[1] - straight) - allowed
+    return max(kink, abs(steps[1]) - noise - rate * dt, 0.0)
 
 
 @compilable

@@ -1,23 +1,18 @@
-r"""States of a run on a rig, and the transitions between them.
+r"""Phases of a run on a rig, and the transitions between them.
 
 ::
 
-    IDLE --start--> HOMING --arrived--> AT_HOME --confirmed--> REFERENCING --referenced--> SELF_TEST
-                                                                    ^                       | |   |
-                                                                    +-------- refused ------+ |   |
-                                                            EXCITING <------- excited --------+   |
-                                                                |                          passed |
-    BALANCING <--released-- ARMED --denied--> LIFTING <-passed--+---------------------------------+
-                              ^---- armed -------+
+    HOMING --arrived--> AT_HOME --confirmed--> REFERENCING --referenced--> SELF_TEST
+                                                   ^                        | |   |
+                                                   +-------- refused -------+ |   |
+                                          EXCITING <-------- excited ---------+   |
+                                              |                            passed |
+    BALANCING <--released-- ARMED <--armed-- LIFTING <-passed--+------------------+
+                              +----denied----> ^
 
-    any of them but IDLE --stop--> STOPPING --at rest--> STOPPED --re-armed--> IDLE
-    IDLE --stop--> STOPPED                    any state --lost--> LOST
-
-Setpoints are sent in the streaming states, HOMING to STOPPING, and in no other.
-
-A stop is latched. Only the operator leads out of STOPPED, by re-arming; the run then begins anew,
-and its first setpoint is the measured posture. The first cause is kept. LOST is final: software
-commands nothing without a link, and nothing reconnects.
+The servo runs in all phases. `stop` leads from each of them to STOPPING. A stop is latched: no event
+leads out of STOPPING, and the first cause is kept; only the operator begins anew, with a new run.
+After a lost link the loop returns, so that no event follows (`equipoise.devices.loop`).
 
 An event without an entry in the table changes nothing: a late event must not move an arm.
 """
@@ -30,8 +25,6 @@ from typing import Final, NamedTuple
 class Phase(Enum):
     """Phase of a run."""
 
-    IDLE = "idle"
-    """Connected, the servo not running."""
     HOMING = "homing"
     """On the way home, inside the servo stream."""
     AT_HOME = "at home"
@@ -50,17 +43,11 @@ class Phase(Enum):
     """The policy commands."""
     STOPPING = "stopping"
     """On the way to rest, inside the servo stream. Latched."""
-    STOPPED = "stopped"
-    """At rest, the servo not running. Latched."""
-    LOST = "lost"
-    """The link is lost: the arm holds or approaches the last target. Latched, final."""
 
 
 class RunEvent(Enum):
     """Event that moves a run from one phase to the next."""
 
-    START = "start"
-    """The servo runs, holding the measured posture."""
     ARRIVED = "arrived"
     """The path home has ended."""
     CONFIRMED = "confirmed"
@@ -79,22 +66,9 @@ class RunEvent(Enum):
     """The hand is still on."""
     RELEASED = "released"
     """The pendulum falls freely."""
-    STOP = "stop"
-    """A safety rule, a key, a signal, an error or the end of the run."""
-    AT_REST = "at rest"
-    """The ramp and the servo have ended, and the arm is measured at rest."""
-    LOST = "lost"
-    """The robot or its link has stopped answering."""
-    REARMED = "re-armed"
-    """The operator acknowledges the cause and starts the run anew."""
 
 
-STREAMING: Final = frozenset(Phase) - {Phase.IDLE, Phase.STOPPED, Phase.LOST}
-"""Phases in which setpoints are sent."""
-LATCHED: Final = frozenset({Phase.STOPPING, Phase.STOPPED, Phase.LOST})
-"""Phases in which a stop is latched."""
 TRANSITIONS: Final[Mapping[tuple[Phase, RunEvent], Phase]] = {
-    (Phase.IDLE, RunEvent.START): Phase.HOMING,
     (Phase.HOMING, RunEvent.ARRIVED): Phase.AT_HOME,
     (Phase.AT_HOME, RunEvent.CONFIRMED): Phase.REFERENCING,
     (Phase.REFERENCING, RunEvent.REFERENCED): Phase.SELF_TEST,
@@ -105,13 +79,8 @@ TRANSITIONS: Final[Mapping[tuple[Phase, RunEvent], Phase]] = {
     (Phase.LIFTING, RunEvent.ARMED): Phase.ARMED,
     (Phase.ARMED, RunEvent.DENIED): Phase.LIFTING,
     (Phase.ARMED, RunEvent.RELEASED): Phase.BALANCING,
-    (Phase.STOPPING, RunEvent.AT_REST): Phase.STOPPED,
-    (Phase.STOPPED, RunEvent.REARMED): Phase.IDLE,
-    (Phase.IDLE, RunEvent.STOP): Phase.STOPPED,
-    **{(phase, RunEvent.STOP): Phase.STOPPING for phase in STREAMING},
-    **{(phase, RunEvent.LOST): Phase.LOST for phase in Phase},
 }
-"""All transitions."""
+"""All transitions but stops."""
 
 
 class Cause(NamedTuple):
@@ -122,14 +91,14 @@ class Cause(NamedTuple):
     reason: str
     """Message for the operator."""
     from_measured: bool = False
-    """Whether the arm is not at its setpoint; the targets then go to the measured posture after the
-    ramp."""
+    """Whether the arm is not at its setpoint; after the ramp the targets then go back towards the
+    measured posture."""
 
 
 class RunState(NamedTuple):
     """The state of a run."""
 
-    phase: Phase = Phase.IDLE
+    phase: Phase = Phase.HOMING
     """Phase."""
     cause: Cause | None = None
     """Cause of the latched stop, if any."""
@@ -139,27 +108,15 @@ class RunState(NamedTuple):
     @property
     def latched(self) -> bool:
         """Whether a stop is latched."""
-        return self.phase in LATCHED
+        return self.phase is Phase.STOPPING
 
 
-UNKNOWN: Final = Cause("unknown", "the run was stopped without a cause", from_measured=True)
-"""Cause of a stop without a given one."""
+def step(state: RunState, event: RunEvent) -> RunState:
+    """Return the state after an event."""
+    return state._replace(phase=TRANSITIONS.get((state.phase, event), state.phase))
 
 
-def step(state: RunState, event: RunEvent, cause: Cause | None = None) -> RunState:
-    """Return the state after an event.
-
-    Args:
-        state: The state before it.
-        event: The event.
-        cause: Cause of STOP and LOST.
-    """
-    phase = TRANSITIONS.get((state.phase, event))
-    if phase is None:
-        return state
-    if event in (RunEvent.STOP, RunEvent.LOST):
-        cause = cause or UNKNOWN
-        return RunState(phase, state.cause or cause, state.from_measured or cause.from_measured)
-    if event is RunEvent.REARMED:
-        return RunState()
-    return state._replace(phase=phase)
+def stop(state: RunState, cause: Cause) -> RunState:
+    """Return the state after a stop: by a safety rule, the operator, an error or the run's end."""
+    away = state.from_measured or cause.from_measured
+    return RunState(Phase.STOPPING, state.cause or cause, away)

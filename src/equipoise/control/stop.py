@@ -1,4 +1,4 @@
-r"""Stop of a moving arm: a ramp inside the servo stream, and a path back to the measured posture.
+r"""Stop of a moving arm: a ramp inside the servo stream, and a way back within the ramp's reach.
 
 From the commanded joints q0, with their velocities dq0, every joint slows down in proportion:
 
@@ -10,8 +10,11 @@ decelerate at 4 m/s^2, or faster near a position limit, but no joint exceeds its
 With the flange at rest, the joints alone determine r. A joint that would still reach its position
 limit, because another one cannot stop in time, stops before the others.
 
-Where the arm was not at its setpoint (`from_measured`), a minimum-jerk path follows the ramp, from
-its end to the measured joints: then no target pulls at the arm, or moves it when its brakes open.
+Where the arm is not at its setpoint, a minimum-jerk path may follow the ramp, from its end towards
+the measured joints, so that the targets pull less at an arm that touches something or has been
+braked. Measured joints may be wrong, and the drives may follow: on its way back no joint goes further
+from its setpoint at the stop than the ramp went. The arm comes to rest in this box, whatever is
+measured.
 """
 
 from collections.abc import Sequence
@@ -126,22 +129,81 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
     return Ramp(tuple(q), tuple(dq), tuple(rates))
 
 
-def way_back(q: Sequence[float], measured: Sequence[float], limits: Limits) -> Path:
-    """Return the path from the end of a ramp to the measured posture.
+class StopMotion:
+    """Motion after a latched stop: the ramp, rest, and at most one way back, which may be cut short."""
 
-    Args:
-        q: The last commanded joints, at rest [rad], shape (n,).
-        measured: The measured joints [rad], shape (n,).
-        limits: Limits of the joints.
-    """
-    # A measured joint may be beyond a limit by its noise; a setpoint may not.
-    end = [
-        min(max(place, lower), upper)
-        for place, lower, upper in zip(measured, limits.lower, limits.upper, strict=True)
-    ]
-    return path_within(
-        q,
-        end,
-        [RETURN_SHARE * limit for limit in limits.velocity],
-        [RETURN_SHARE * limit for limit in limits.acceleration],
-    )
+    def __init__(
+        self, q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: Limits
+    ) -> None:
+        """Begin the ramp; arguments as of `ramp`."""
+        self._limits, self._ramp = limits, ramp(q, dq, flange_speed, limits)
+        self._begin, self._end = tuple(q), self._ramp.at(inf)
+        self._back: Path | None = None
+        self._time = 0.0  # since the begin of the present motion
+        self.q: Numbers = tuple(q)
+        """Commanded joints [rad]."""
+        self.dq: Numbers = tuple(dq)
+        """Their velocities [rad/s]."""
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the present motion has ended."""
+        return self._time >= self._duration
+
+    @property
+    def rested(self) -> float:
+        """Time at rest [s]; negative while the arm moves."""
+        return self._time - self._duration
+
+    @property
+    def goes_back(self) -> bool:
+        """Whether the arm is on its way back."""
+        return self._back is not None and not self.at_rest
+
+    @property
+    def _duration(self) -> float:
+        return self._ramp.duration if self._back is None else self._back.duration
+
+    def advance(self, h: float) -> tuple[Numbers, Numbers]:
+        """Return the setpoints in the middle and at the end of the next tick [rad].
+
+        Args:
+            h: Time between ticks [s].
+        """
+        half, self._time = self._time + 0.5 * h, self._time + h
+        if self._back is not None:
+            first, second = self._back.at(half), self._back.at(self._time)
+            self.q, self.dq = second.q, second.dq
+            return first.q, second.q
+        self.q, self.dq = self._ramp.at(self._time), self._ramp.speed_at(self._time)
+        return self._ramp.at(half), self.q
+
+    def go_back(self, measured: Sequence[float]) -> float:
+        """Begin the way back from rest; return the largest motion of a joint on it [rad].
+
+        Args:
+            measured: The measured joints [rad], shape (n,).
+        """
+        limits, end = self._limits, list[float]()
+        for i, place in enumerate(measured):
+            reach = abs(self._end[i] - self._begin[i])
+            # A measured joint may be beyond a limit by its noise; a setpoint may not.
+            low = max(self._begin[i] - reach, limits.lower[i])
+            end.append(min(max(place, low), self._begin[i] + reach, limits.upper[i]))
+        self._back = path_within(
+            self.q,
+            end,
+            [RETURN_SHARE * limit for limit in limits.velocity],
+            [RETURN_SHARE * limit for limit in limits.acceleration],
+        )
+        self._time = 0.0
+        return max(abs(b - a) for a, b in zip(self.q, end, strict=True))
+
+    def hold(self) -> None:
+        """End the way back: brake the joints at their acceleration limits."""
+        self._ramp, self._back, self._time = ramp(self.q, self.dq, 0.0, self._limits), None, 0.0
+
+    def rest(self, q: Sequence[float]) -> None:
+        """Go on from an arm that has come to rest at a setpoint [rad], since the stream stood still."""
+        self._ramp, self._back, self._time = at_rest(q), None, 0.0
+        self.q, self.dq = self._ramp.q0, self._ramp.dq0

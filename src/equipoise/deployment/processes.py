@@ -30,7 +30,6 @@ import numpy.typing as npt
 from equipoise.control.policy import Policy
 from equipoise.control.run_controller import LATE, PHASES
 from equipoise.control.self_test import SelfTest, self_test
-from equipoise.control.states import STREAMING
 from equipoise.control.ticks import Job, OperatorMessage
 from equipoise.deployment.rig import ALONE, STOP, RunRequest, run_on_rig, warm_up
 from equipoise.devices import realtime
@@ -257,9 +256,7 @@ def _attend(
         for word in said:
             recorder.typed.push(word.encode()[:64])
         if streams and alive:
-            phase = PHASES[int(pulse[_STATE])]
-            if phase in STREAMING:
-                person.live(phase.value, float(pulse[_PHI]))
+            person.live(PHASES[int(pulse[_STATE])].value, float(pulse[_PHI]))
         if not alive:
             break
         time.sleep(POLL_PERIOD)

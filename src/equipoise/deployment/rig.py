@@ -674,7 +674,7 @@ def rehearse_t1(
 
 
 EXIT_CODES: Final = {LASTED: 0, "dry run": 0, OPERATOR: 130} | dict.fromkeys(
-    ("fault", "link lost", Rule.LINK.value), 3
+    ("fault", "link lost", Rule.LINK.value, Rule.MEASUREMENT_STALE.value), 3
 )
 """Exit codes of the causes other than a fall or a violated rule."""
 

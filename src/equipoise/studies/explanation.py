@@ -200,7 +200,7 @@ _LOGGED_NAMES: Final[Mapping[CauseName, tuple[str | Rule, ...]]] = {
     CauseName.OPERATOR: ("operator", "dry run"),
     CauseName.SELF_TEST: ("self-test",),
     CauseName.UNIDENTIFIED: (IDENTIFIED,),
-    CauseName.LINK: ("link lost", Rule.LINK),
+    CauseName.LINK: ("link lost", Rule.LINK, Rule.MEASUREMENT_STALE),
     CauseName.NOT_FOLLOWING: (Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.FIRST),
     CauseName.CONTACT: (Rule.TORQUE,),
     CauseName.SPEED: (Rule.SPEED,),
