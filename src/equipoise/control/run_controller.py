@@ -97,9 +97,9 @@ last one at its highest speed. A round trip takes 1 to 4 ms."""
 SENDING_TIME: Final = 0.001
 """Tolerance of the time at which a setpoint is sent [s]."""
 MAX_TIMED_REPLY: Final = 0.020
-"""Maximum round trip of a reply whose joints count as measured [s]: in a longer one the time at which
-they were read is too uncertain. A link to a robot takes 9 ms at most. With longer round trips only,
-the age of the measurement stops the run (`Rule.MEASUREMENT_STALE`)."""
+"""Maximum round trip of a reply whose joints count as measured [s]: in a longer one the time of their
+measurement is too uncertain. A link to a robot takes 9 ms at most. With longer round trips only, the
+age of the measurement stops the run (`Rule.MEASUREMENT_STALE`)."""
 LOOP_STALLED: Final = "The computer stood still: `equipoise rig doctor` looks for the cause."
 LINK_STALLED: Final = "The robot's link stood still: `equipoise rig doctor` looks for the cause."
 HISTORY: Final = 64

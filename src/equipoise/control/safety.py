@@ -73,8 +73,8 @@ the twin a balance outlasts 80 ms of each; the operator has to know within 100 m
 no longer stop the robot."""
 MAX_MEASUREMENT_AGE: Final = 0.120
 """Maximum age of the newest measured joints [s]: a bridged stall of 70 ms, up to 15 ms from the last
-measurement to its begin, and 25 ms until a setpoint after it is answered with joints. Older ones
-cannot show that the arm does not follow, or where its flange is."""
+measurement to its start, up to 35 ms until a setpoint after it is answered with joints. Older ones
+do not show whether the arm follows, or where its flange is."""
 MAX_PENDULUM_RATE: Final = 20.0
 """Maximum plausible rate of a pendulum [rad/s]; a fall from upright reaches 2 sqrt(w2) = 17
 rad/s."""
@@ -185,8 +185,8 @@ TILT_CODE: Final = RULES.index(Rule.TILT)
 ANGLE_CODE: Final = RULES.index(Rule.ANGLE)
 
 FROM_MEASURED: Final = frozenset({Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.TORQUE, Rule.FIRST})
-"""Rules whose violation shows that the arm is not at its setpoint: after the ramp the targets go back
-towards the measured joints."""
+"""Rules whose violation shows that the arm is not at its setpoint: after the ramp the targets go
+back towards the measured joints."""
 
 
 class Violation(NamedTuple):

@@ -10,9 +10,9 @@ r"""Phases of a run on a rig, and the transitions between them.
     BALANCING <--released-- ARMED <--armed-- LIFTING <-passed--+------------------+
                               +----denied----> ^
 
-The servo runs in all phases. `stop` leads from each of them to STOPPING. A stop is latched: no event
-leads out of STOPPING, and the first cause is kept; only the operator begins anew, with a new run.
-After a lost link the loop returns, so that no event follows (`equipoise.devices.loop`).
+The servo runs in all phases. `stop` leads from each of them to STOPPING. A stop is latched: no
+event leads out of STOPPING, and the first cause is kept; only the operator begins anew, with a new
+run. After a lost link the loop returns, so that no event follows (`equipoise.devices.loop`).
 
 An event without an entry in the table changes nothing: a late event must not move an arm.
 """

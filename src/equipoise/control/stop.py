@@ -12,9 +12,8 @@ limit, because another one cannot stop in time, stops before the others.
 
 Where the arm is not at its setpoint, a minimum-jerk path may follow the ramp, from its end towards
 the measured joints, so that the targets pull less at an arm that touches something or has been
-braked. Measured joints may be wrong, and the drives may follow: on its way back no joint goes further
-from its setpoint at the stop than the ramp went. The arm comes to rest in this box, whatever is
-measured.
+braked. Measured joints may be wrong, and the drives may follow them: therefore no joint's target
+goes further from the setpoint at the stop than the ramp did, whatever is measured.
 """
 
 from collections.abc import Sequence
@@ -130,7 +129,7 @@ def ramp(q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: L
 
 
 class StopMotion:
-    """Motion after a latched stop: the ramp, rest, and at most one way back, which may be cut short."""
+    """Motion after a latched stop: the ramp, rest, and at most one way back."""
 
     def __init__(
         self, q: Sequence[float], dq: Sequence[float], flange_speed: float, limits: Limits
@@ -204,6 +203,6 @@ class StopMotion:
         self._ramp, self._back, self._time = ramp(self.q, self.dq, 0.0, self._limits), None, 0.0
 
     def rest(self, q: Sequence[float]) -> None:
-        """Go on from an arm that has come to rest at a setpoint [rad], since the stream stood still."""
+        """Go on from rest at a setpoint [rad], where the arm is after a stall of the stream."""
         self._ramp, self._back, self._time = at_rest(q), None, 0.0
         self.q, self.dq = self._ramp.q0, self._ramp.dq0
