@@ -139,12 +139,17 @@ def test_a_ramp_that_begins_at_once_is_rest():
         ((0.4, 0.4, 0.4, 0.41, 0.2, 0.1, 0.0, 0.0), "no slower"),
         ((0.4, 0.4, 0.4, 0.3, 0.2, 0.25, 0.0, 0.0), "no slower"),
         ((0.4, 0.4, 0.4, 0.3, 0.2, 0.1, 0.0, 1.0), "sent away"),
+        ((*SLOWING, *(-0.1,) * 20, 0.0), "left the reach"),
         ((0.4, 0.4, 0.4, 0.3, 0.2, 0.1), "still moves"),
         ((0.4, 0.4, 0.4), "no setpoint was sent"),
     ],
 )
 def test_a_stop_that_is_none_is_found(speeds, saying):
     assert any(saying in problem for problem in check_stop(ARM, course(*speeds), 0.020))
+
+
+def test_a_way_back_in_the_reach_of_the_ramp_is_rest():
+    assert check_stop(ARM, course(*SLOWING, *(-0.1,) * 6, 0.0), 0.020) == []
 
 
 def test_a_stop_that_begins_late_is_found():
@@ -190,7 +195,7 @@ class Seen:
     """What a stage shows to the judge, written by hand: a stop as it should be."""
 
     def __init__(self):
-        self.scenario = SimpleNamespace(settings=RigSettings())
+        self.scenario = SimpleNamespace(settings=RigSettings(), out=None)
         text = "_".join
         sent = [
             (one.time, f"jpJP_{text(f'{angle:.9g}' for angle in one.q)}_\n".encode())
@@ -205,7 +210,7 @@ class Seen:
         self.observations = [ArmObservation(0.002 * i, 0.1, tuple(HOME)) for i in range(500)]
 
 
-ENDED = RunEnd(cause="stale encoder")
+ENDED = RunEnd(cause="stale encoder", reason="the newest sample is old")
 
 
 def judged(seen, outcome=ENDED, **changes):
@@ -223,7 +228,10 @@ def test_a_stop_as_it_should_be_has_no_problems():
 
 
 def test_the_judge_finds_each_thing_that_is_wrong():
-    assert any("ended with" in one for one in judged(Seen(), RunEnd(cause="track")))
+    assert any(
+        "ended with" in one for one in judged(Seen(), ENDED.model_copy(update={"cause": "x"}))
+    )
+    assert any("without a cause" in one for one in judged(Seen(), RunEnd(cause="stale encoder")))
     assert any("no message contains" in one for one in judged(Seen(), says="coupling"))
     assert any("after the fault" in one for one in judged(Seen(), within=0.005))
 
@@ -253,19 +261,26 @@ def test_the_judge_finds_each_thing_that_is_wrong():
     assert any("ended before the fault" in one for one in judged(seen))
 
     seen = Seen()
+    seen.observations[400:] = [ArmObservation(0.8, 0.1, tuple(HOME + 0.1))] * 100
+    assert any("moved by 0.100 rad after the stop" in one for one in judged(seen))
+
+    assert any("software can stop" in one for one in judged(Seen(), stoppable=False))
+
+    seen = Seen()
     del seen.messages[1:]
     assert any("received no message" in one for one in judged(seen, says=""))
 
 
 def test_a_lost_robot_has_to_be_told_within_100_ms():
     words = "software cannot stop the robot: press the E-stop"
+    lost = RunEnd(cause="stale encoder", reason="no answer", stoppable=False)
     for late, good in ((0.099, True), (0.101, False)):
         seen = Seen()
         seen.messages[1] = ReceivedMessage(seen.injected_at + late, "fault", words)
-        assert (judged(seen, stoppable=False, says="", within=1.0) == []) is good
+        assert (judged(seen, lost, stoppable=False, says="", within=1.0) == []) is good
     seen = Seen()
     seen.messages[1] = ReceivedMessage(0.02, "fault", "the link is gone")
-    assert any("no message says" in one for one in judged(seen, stoppable=False, says=""))
+    assert any("no message says" in one for one in judged(seen, lost, stoppable=False, says=""))
 
 
 def test_a_refused_run_sends_nothing():

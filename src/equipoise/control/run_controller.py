@@ -97,11 +97,13 @@ last one at its highest speed. A round trip takes 1 to 4 ms."""
 SENDING_TIME: Final = 0.001
 """Tolerance of the time at which a setpoint is sent [s]."""
 MAX_TIMED_REPLY: Final = 0.020
-"""Maximum round trip of a reply whose joints count as measured [s]: in a longer one the time of their
-measurement is too uncertain. A link to a robot takes 9 ms at most. With longer round trips only, the
-age of the measurement stops the run (`Rule.MEASUREMENT_STALE`)."""
+"""Maximum round trip of a reply whose joints count as measured [s]: in a longer one the time of
+their measurement is too uncertain. A link to a robot takes 9 ms at most. With longer round trips
+only, the age of the measurement stops the run (`Rule.MEASUREMENT_STALE`)."""
 LOOP_STALLED: Final = "The computer stood still: `equipoise rig doctor` looks for the cause."
+"""Warning of a stall of the loop."""
 LINK_STALLED: Final = "The robot's link stood still: `equipoise rig doctor` looks for the cause."
+"""Warning of a stall of the link."""
 HISTORY: Final = 64
 """Number of samples and of setpoints in memory: 64 ms at 1 kHz, for the fit at the release."""
 
@@ -270,7 +272,7 @@ class RunController:
         before, stalls = self.phase, self._overdue > MAX_UNANSWERED and self.phase in MOVING
         self._leads = ()
         if stalls and before is Phase.EXCITING:
-            self._interrupt_excitation()
+            self._interrupt_excitation("the robot's link")
             setpoints = self._come_to_rest(now)
         else:
             setpoints = self._wait() if stalls else self._STEPS[before](self, now)
@@ -326,17 +328,17 @@ class RunController:
             self._lost_speed += self._controller.x_dot
             self._controller.rest(q, missed, unsent > 0)
         elif self.phase is Phase.EXCITING and not self._measured_all:
-            self._interrupt_excitation()
+            self._interrupt_excitation("the computer")
         if self.phase is Phase.BALANCING:
             self._ticks += missed
         if moved and warning not in self._stalled:
             self._stalled.add(warning)
             self._notify("warning", warning)
 
-    def _interrupt_excitation(self) -> None:
+    def _interrupt_excitation(self, what: str) -> None:
         """Stop: an excitation with a gap identifies nothing."""
-        reason = f"{UNIDENTIFIED}: the computer or the link stood still during the excitation"
-        self._stop(Cause(IDENTIFIED, f"{reason}; run again"))
+        reason = f"{UNIDENTIFIED}: {what} stood still during the excitation; run again"
+        self._stop(Cause(IDENTIFIED, reason))
 
     def _take_samples(self, samples: Sequence[ticks.Sample]) -> None:
         held = self.phase in (Phase.LIFTING, Phase.ARMED)

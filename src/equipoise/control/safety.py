@@ -72,9 +72,9 @@ MAX_STALL: Final = 0.070
 the twin a balance outlasts 80 ms of each; the operator has to know within 100 ms that software can
 no longer stop the robot."""
 MAX_MEASUREMENT_AGE: Final = 0.120
-"""Maximum age of the newest measured joints [s]: a bridged stall of 70 ms, up to 15 ms from the last
-measurement to its start, up to 35 ms until a setpoint after it is answered with joints. Older ones
-do not show whether the arm follows, or where its flange is."""
+"""Maximum age of the newest measured joints [s]: a bridged stall of 70 ms, up to 15 ms from the
+last measurement to its start, up to 35 ms until a setpoint after it is answered with joints. Older
+ones do not show whether the arm follows, or where its flange is."""
 MAX_PENDULUM_RATE: Final = 20.0
 """Maximum plausible rate of a pendulum [rad/s]; a fall from upright reaches 2 sqrt(w2) = 17
 rad/s."""

@@ -68,7 +68,11 @@ def _result(fault: Fault, did: str) -> Result:
 
 def _run(fault: Fault, scenario: Scenario) -> tuple[str, list[str]]:
     """Run a fault in virtual time; return a description of the end, and its problems."""
-    harness = FaultHarness(fault.scenario(scenario), fault.trigger, fault.inject)
+    harness = FaultHarness(
+        fault.scenario(scenario),
+        (fault.trigger, fault.inject),
+        words_after_stop=fault.words_after_stop,
+    )
     outcome = harness.run()
     did = f"{outcome.cause}: {outcome.reason}"
     stops = [one.time for one in harness.messages if one.name in ("stopping", "fault")]

@@ -21,6 +21,7 @@ from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.interfaces import Clock, Transport
 from equipoise.devices.twin.emulated_operator import EmulatedOperator
 from equipoise.errors import EquipoiseError, InputError
+from equipoise.identification.motion import identify_motion
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import DrainingClock, EmulatedRig, RigSettings, emulated_rig
@@ -90,6 +91,8 @@ class Scenario:
     """Time to balance [s]."""
     t1: bool = False
     """Whether the speed limit of T1 holds."""
+    identify: bool = False
+    """Whether the arm is excited and identified before the lift."""
     out: Path | None = None
     """The log."""
     missed_messages: frozenset[str] = frozenset()
@@ -152,20 +155,27 @@ class FaultHarness:
     """Emulated rig, a run on it, and the record of both."""
 
     def __init__(
-        self, scenario: Scenario, trigger: Trigger, inject: Callable[["FaultHarness"], object]
+        self,
+        scenario: Scenario,
+        *faults: tuple[Trigger, Callable[["FaultHarness"], object]],
+        words_after_stop: bool = True,
+        seed: int = 0,
     ) -> None:
         """Set up the rig.
 
         Args:
             scenario: Conditions of the run.
-            trigger: Time of the injection.
-            inject: Injects the fault.
+            faults: Time and injection of each fault.
+            words_after_stop: Whether answers and stops are typed after a stop.
+            seed: Seed of the rig.
         """
         self.scenario = scenario
         """Conditions of the run."""
         world = read_world(WORLD)
         pendulum = pendulum_on(scenario.policy.pendulum, world.settings)
-        self.parts: EmulatedRig = emulated_rig(world, scenario.settings, pendulum, robot=ROBOT)
+        self.parts: EmulatedRig = emulated_rig(
+            world, scenario.settings, pendulum, robot=ROBOT, seed=seed
+        )
         """Drivers, simulated rig, server, board and links."""
         self.bench, self.board = self.parts.bench, self.parts.sensor.board
         """Simulated rig, and emulator of the encoder's board."""
@@ -183,7 +193,7 @@ class FaultHarness:
         self.held_at_start = False
         """Whether the hand held the pendulum when the policy began."""
         self.injected_at: float | None = None
-        """Time of the injection [s]; None before it."""
+        """Time of the first injection [s]; None before it."""
         self.stopped_at = inf
         """Time of the message that the arm stops [s]."""
         self.change_inputs: Callable[[TickInputs], TickInputs] = lambda inputs: inputs
@@ -196,7 +206,7 @@ class FaultHarness:
         """Actions that restore the process after the run."""
         self.typed: list[str] = []
         """Lines that are typed next."""
-        self._trigger, self._inject = trigger, inject
+        self._faults, self._words_after_stop = list(faults), words_after_stop
         self._due: list[tuple[float, Callable[[], Any]]] = []
         self._each: list[Callable[[], Any]] = []
         self._ms = 0
@@ -220,6 +230,7 @@ class FaultHarness:
             rig.operator.ignored = scenario.missed_messages
         known = {name: getattr(scenario, name) for name in ("policy", "settings", "duration", "t1")}
         known |= {"robot": f"{ROBOT}://emulated", "encoder": "serial://emulated"}
+        known["identify"] = identify_motion if scenario.identify else None
         actuator = scenario.policy.actuator
         request = RunRequest(**known, actuator=actuator)
         try:
@@ -257,7 +268,7 @@ class FaultHarness:
             self.held_at_start = self.bench.hand.holds
         self.messages.append(ReceivedMessage(self.clock.now(), event.name, event.text))
         self._notice(event.name)
-        if event.name == "stopping":
+        if event.name == "stopping" and self._words_after_stop:
             # No input may move anything after a stop.
             for delay, word in ((0.05, "y"), (0.1, ""), (0.2, "ok"), (0.3, "stop")):
                 self.after(delay, lambda word=word: self.typed.append(word))
@@ -268,13 +279,15 @@ class FaultHarness:
         return typed
 
     def _notice(self, name: str) -> None:
-        if name == self._trigger.event and self.injected_at is None:
-            self._trigger = self._trigger._replace(event="")
-            self.after(self._trigger.after, self._inject_now)
+        for fault in [each for each in self._faults if each[0].event == name]:
+            self._faults.remove(fault)
+            trigger, inject = fault
+            self.after(trigger.after, partial(self._inject, inject))
 
-    def _inject_now(self) -> None:
-        self.injected_at = self.clock.now()
-        self._inject(self)
+    def _inject(self, inject: Callable[["FaultHarness"], object]) -> None:
+        if self.injected_at is None:
+            self.injected_at = self.clock.now()
+        inject(self)
 
     def _work(self, now: float) -> None:
         due = [act for time, act in self._due if time <= now + 1e-9]

@@ -67,6 +67,8 @@ class Fault(NamedTuple):
     """Further check; returns its problems."""
     held_at_start: bool = False
     """Whether the policy may begin while the hand still holds the pendulum."""
+    words_after_stop: bool = True
+    """Whether answers and stops are typed after the stop; the first one ends a way back."""
     kind: str = ""
     """Subject of the fault."""
     play: Callable[[], tuple[str, list[str]]] | None = None
@@ -353,6 +355,55 @@ def _held_back(
 MOVED_AWAY: Final = _ends("fault", Rule.FOLLOWING, Rule.DRIFT, Rule.TILT, Rule.TRACK)
 """Ends of a run whose setpoints leave the planned motion."""
 
+MOVES: Final = {
+    "homing": (Trigger("homing", 0.5), False),
+    "self-test": (Trigger("swing", 0.6), False),
+    "excitation": (Trigger("excitation", 1.0), True),
+    "balancing": (BALANCING, False),
+}
+"""Phases in which the arm moves: a time in each, and whether the run identifies the arm."""
+
+
+def run_off(joint: int, rate: float, most: float) -> Inject:
+    """Let replies report a joint as running off, while the arm does as it is told.
+
+    Args:
+        joint: Index of the joint.
+        rate: Its reported rate [rad/s], beyond that of the arm.
+        most: Largest distance from where it is [rad].
+    """
+
+    def inject(harness: FaultHarness) -> None:
+        begin = harness.clock.now()
+
+        def run_away(reply: Any) -> Any:
+            if reply.q is None:
+                return reply
+            since = max(0.5 * (reply.sent + reply.received) - begin, 0.0)
+            away = np.zeros(len(reply.q))
+            away[joint] = np.clip(rate * since, -most, most)
+            return reply._replace(q=tuple((np.array(reply.q) + away).tolist()))
+
+        change_replies(run_away)(harness)
+
+    return inject
+
+
+def slow_link(round_trip: float) -> Inject:
+    """Let every later round trip to the robot take a duration [s]."""
+
+    def inject(harness: FaultHarness) -> None:
+        link = harness.parts.robot.link
+        link.delay = link.other.delay = max(0.5 * round_trip, link.delay)
+
+    return inject
+
+
+def _stop_behind_slow_link(harness: FaultHarness) -> None:
+    slow_link(0.030)(harness)
+    harness.bench.body.stop("emergency stop")
+
+
 # fmt: off
 ROBOT: Final = of_kind(
     "robot",
@@ -428,6 +479,16 @@ ROBOT: Final = of_kind(
           says="nothing was sent"),
     _held_back("unit slip in the setpoints", "setpoints become degrees, while balancing",
                _setpoint(lambda q, since: tuple(map(degrees, q)))),
+    *(Fault(f"joints run off: {phase}", "replies report joint 1 at 10 rad/s up to 1.5 rad away",
+            "a latched stop; the target holds, for no joint moves so", MOVED_AWAY,
+            run_off(0, 10.0, 1.5), trigger, _with(identify=identify), within=0.08,
+            says="not plausible", words_after_stop=False)
+      for phase, (trigger, identify) in MOVES.items()),
+    *(Fault(f"slow link: {phase}", "round trips become 30 ms, and the E-stop is pressed",
+            "a stop once the measured joints are 120 ms old, or the excitation has a gap",
+            _ends(Rule.MEASUREMENT_STALE, "identified"), _stop_behind_slow_link, trigger,
+            _with(identify=identify), within=0.135, says="link")
+      for phase, (trigger, identify) in MOVES.items()),
     _held_back("setpoint lead", "setpoints lead their references by 4 deg, while balancing",
                lambda harness: setattr(harness, "lead", radians(4.0)), "leads its reference"),
 )
@@ -438,12 +499,21 @@ ROBOT: Final = of_kind(
 
 
 def _inputs(change: Callable[[TickInputs], TickInputs]) -> Inject:
-    return lambda harness: setattr(harness, "change_inputs", change)
+    def inject(harness: FaultHarness) -> None:
+        before = harness.change_inputs
+        harness.change_inputs = lambda inputs: change(before(inputs))
+
+    return inject
 
 
 def _nan_times(inputs: TickInputs) -> TickInputs:
     samples: Sequence[Any] = inputs.samples
     return inputs._replace(samples=[sample._replace(time=nan) for sample in samples])
+
+
+def change_replies(change: Callable[[Any], Any]) -> Inject:
+    """Change each reply of the robot."""
+    return _inputs(lambda inputs: inputs._replace(replies=list(map(change, inputs.replies))))
 
 
 def _nan_replies(column: str) -> Inject:
@@ -453,7 +523,7 @@ def _nan_replies(column: str) -> Inject:
         values = getattr(reply, column)
         return reply if values is None else reply._replace(**{column: (nan,) * len(values)})
 
-    return _inputs(lambda inputs: inputs._replace(replies=list(map(spoiled, inputs.replies))))
+    return change_replies(spoiled)
 
 
 def _damage(wire: str, line: bytes) -> Inject:

@@ -1,21 +1,34 @@
 """Verdict on the end of a fault's run, from the bytes sent and from the motion of the twin.
 
+`check_run` holds for every run, whatever fails in it; `judge` adds the required end of one fault.
+
 Of the run itself only the cause that it names is used: setpoints are read from the bytes on the
 link, limits come from the arm, and rest is judged by the twin's joints.
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from math import inf, isfinite
 from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.control.safety import POSITION_MARGIN, STOP_DECELERATION
+from equipoise.errors import EquipoiseError
 from equipoise.logs.conditions import RunEnd
+from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
-from equipoise.studies.rehearsal.fault_harness import BROKEN, REFUSED, FaultHarness
+from equipoise.studies.rehearsal.fault_harness import (
+    BROKEN,
+    REFUSED,
+    FaultHarness,
+    ReceivedMessage,
+)
 from equipoise.studies.rehearsal.faults import Fault
+
+Array = npt.NDArray[np.float64]
 
 MAX_NOTICE: Final = 0.100
 """Maximum time from the fault to the warning that software cannot stop the robot [s]."""
@@ -28,6 +41,12 @@ ROUNDING: Final = 1e-6
 """Tolerance of setpoints, for their rounding on the link [rad]."""
 MAX_HOLD_STEP: Final = 5e-5
 """Maximum step of a setpoint that holds the arm [rad]: 0.01 rad/s."""
+REST_DISTANCE: Final = 2e-4
+"""Distance that a ramp still covers once its steps are those of a held arm [rad]."""
+SERVO_LAG: Final = 0.06
+"""Time by which the twin's arm may lag its setpoints [s]."""
+PUSHED: Final = 0.02
+"""Maximum motion of a joint behind its servo, by a push or by the pendulum [rad]."""
 CONTINUING: Final = {"homing", "home", "hang", "reference", "swing", "lift", "armed", "balancing"}
 """Names of messages that must not follow a stop."""
 RETURN_SHARE: Final = 0.1 + ROUNDING
@@ -73,7 +92,10 @@ def check_limits(arm: Arm, sent: Sequence[Sent]) -> list[str]:
 
 
 def check_stop(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
-    """Return the problems of the setpoints after a stop [s]: each must be slower than the last."""
+    """Return the problems of the setpoints after a stop [s].
+
+    Each is slower than the one before, down to rest; after that none leaves the reach of the ramp.
+    """
     q = np.array([one.q for one in sent])
     steps = np.abs(np.diff(q, axis=0)).max(axis=1)
     times = np.array([one.time for one in sent[1:]])
@@ -86,16 +108,22 @@ def check_stop(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
         problems.append(f"the first setpoint of the stop came {times[first] - stop:.3f} s after it")
     before = steps[first - 1] if first else 0.0
     slow = RETURN_SHARE * paper.STEP / 2.0 * np.array([joint.velocity for joint in arm.joints])
+    reach = ramp_reach(arm, q[first], q[max(first - 1, 0)])
     resting = False
     for k in after:
         if resting:
             if np.any(np.abs(q[k + 1] - q[k]) > slow):
                 problems.append(f"at {times[k]:.3f} s the resting arm was sent away, too fast")
                 break
+            if np.any(np.abs(q[k + 1] - q[first]) > reach):
+                problems.append(f"at {times[k]:.3f} s a setpoint left the reach of the ramp")
+                break
         elif steps[k] > max(before - ROUNDING, MAX_HOLD_STEP):
             problems.append(f"at {times[k]:.3f} s a setpoint was no slower than the one before")
             break
-        resting, before = resting or steps[k] <= MAX_HOLD_STEP, steps[k]
+        if not resting and steps[k] <= MAX_HOLD_STEP:
+            resting, reach = True, np.maximum(reach, np.abs(q[k + 1] - q[first]) + REST_DISTANCE)
+        before = steps[k]
     if steps[-1] > MAX_HOLD_STEP:
         problems.append("the last setpoint still moves the arm")
     # 4 m/s^2 bring the fastest flange to rest in v / 4.
@@ -103,6 +131,63 @@ def check_stop(arm: Arm, sent: Sequence[Sent], stop: float) -> list[str]:
     if lasted > paper.X_LIMIT * 10.0 / STOP_DECELERATION:
         problems.append(f"the stop took {lasted:.2f} s")
     return problems
+
+
+def ramp_reach(arm: Arm, q: Array, before: Array) -> Array:
+    """Return the distance that a ramp to rest covers in each joint [rad], shape (joints,).
+
+    Args:
+        arm: The arm.
+        q: The last setpoint before the stop [rad], shape (joints,).
+        before: The setpoint before that [rad], shape (joints,).
+    """
+    dq = (q - before) / (paper.STEP / 2.0)
+    twist = arm.kinematics(arm.without_held(q.tolist()), arm.without_held(dq.tolist())).twist
+    # The flange takes v / 4 m/s^2, a joint its speed over its acceleration; the slowest decides.
+    lasts = float(np.linalg.norm(twist[:3])) / STOP_DECELERATION
+    for joint, speed in zip(arm.joints, np.abs(dq).tolist(), strict=True):
+        lasts = max(lasts, speed / joint.acceleration)
+    return 0.5 * lasts * np.abs(dq) + REST_DISTANCE
+
+
+def check_run(harness: FaultHarness, outcome: RunEnd) -> list[str]:
+    """Return the problems that no run may have, whatever fails in it.
+
+    Args:
+        harness: Record of the run.
+        outcome: Result that the run returns.
+    """
+    arm, messages = harness.scenario.settings.described_arm, harness.messages
+    sent = setpoints_of(harness.robot_tap.sent)
+    problems = check_limits(arm, sent)
+    if outcome.cause == BROKEN:
+        return [*problems, outcome.reason]
+    if not (outcome.cause and outcome.reason):
+        problems.append(f"it ended without a cause or a reason: {outcome.cause} {outcome.reason}")
+    if outcome.cause == REFUSED:
+        moved = [f"{len(sent)} setpoints were sent"] if len(sent) > 1 else []
+        return [*problems, *moved, *_at_rest(harness)]
+    problems += _on_track(harness) + _log_problems(harness)
+    stop = stop_time(harness)
+    if stop == inf:
+        return [*problems, "the operator received no message of the stop"]
+    if outcome.stoppable:
+        # The first setpoint, which starts the servo, holds the arm where it is.
+        problems += check_stop(arm, sent, stop) if len(sent) > 1 else []
+    elif not any(map(_warns, messages)):
+        problems.append("no message says that software cannot stop the robot")
+    if any(one.name in CONTINUING for one in messages if one.time > stop + 1e-9):
+        problems.append("the run went on after its stop")
+    ended = [time for time, line in harness.robot_tap.sent if line.startswith(b"stopDirectServo")]
+    if ended and sent and sent[-1].time > ended[0]:
+        problems.append("a setpoint was sent after the servo had ended")
+    return problems + _moved_on(harness, sent, stop) + _at_rest(harness)
+
+
+def stop_time(harness: FaultHarness) -> float:
+    """Return the time of the first message of a run's end [s]; inf without one."""
+    ends = ("stopping", "fault", "error")
+    return next((one.time for one in harness.messages if one.name in ends and one.text), inf)
 
 
 def judge(harness: FaultHarness, outcome: RunEnd, fault: Fault) -> list[str]:
@@ -113,49 +198,61 @@ def judge(harness: FaultHarness, outcome: RunEnd, fault: Fault) -> list[str]:
         outcome: Result that the run returns.
         fault: The fault, with the required end.
     """
-    arm, messages = harness.scenario.settings.described_arm, harness.messages
-    sent = setpoints_of(harness.robot_tap.sent)
-    problems = check_limits(arm, sent)
+    messages, problems = harness.messages, check_run(harness, outcome)
     if outcome.cause == BROKEN:
-        return [*problems, outcome.reason]
+        return problems
     if outcome.cause not in fault.ends:
         problems.append(f"it ended with {outcome.cause} ({outcome.reason})")
     if harness.injected_at is None:
         return [*problems, "the run ended before the fault was injected"]
     if fault.says and not any(fault.says in one.text for one in messages):
         problems.append(f"no message contains {fault.says!r}")
-    if outcome.cause == REFUSED and REFUSED in fault.ends:
-        moved = [f"{len(sent)} setpoints were sent"] if len(sent) > 1 else _at_rest(harness)
-        return [*problems, *moved]
+    if outcome.cause == REFUSED:
+        return problems
     if harness.held_at_start and not fault.held_at_start:
         problems.append("the policy began while the hand held the pendulum")
-    problems += _on_track(harness)
-    stops = [one for one in messages if one.name in ("stopping", "fault", "error")]
-    if not stops:
-        return [*problems, "the operator received no message of the stop"]
-    stop, within = stops[0].time, inf if fault.within is None else fault.within
+    stop, within = stop_time(harness), inf if fault.within is None else fault.within
     if stop - harness.injected_at > within + 1e-9:
         problems.append(f"it stopped {stop - harness.injected_at:.3f} s after the fault")
-    if fault.stoppable:
-        # The first setpoint, which starts the servo, holds the arm where it is.
-        problems += check_stop(arm, sent, stop) if len(sent) > 1 else []
-    else:
-        warned = [one for one in stops if "software" in one.text and _names_estop(one.text)]
-        late = warned[0].time - harness.injected_at if warned else 0.0
-        if not warned:
-            problems.append("no message says that software cannot stop the robot")
-        elif fault.within is not None and late > MAX_NOTICE + 1e-9:
+    if outcome.stoppable is not fault.stoppable:
+        problems.append(f"software can{'' if outcome.stoppable else 'not'} stop the robot")
+    if not fault.stoppable and fault.within is not None:
+        late = next((one.time for one in messages if _warns(one)), stop) - harness.injected_at
+        if late > MAX_NOTICE + 1e-9:
             problems.append(f"the operator was warned after {1e3 * late:.0f} ms")
-    if any(one.name in CONTINUING for one in messages if one.time > stop + 1e-9):
-        problems.append("the run went on after its stop")
-    ended = [time for time, line in harness.robot_tap.sent if line.startswith(b"stopDirectServo")]
-    if ended and sent and sent[-1].time > ended[0]:
-        problems.append("a setpoint was sent after the servo had ended")
-    return problems + _at_rest(harness)
+    return problems
 
 
-def _names_estop(text: str) -> bool:
-    return "E-stop" in text or "emergency stop" in text
+def _warns(message: ReceivedMessage) -> bool:
+    """Return whether a message says that software cannot stop the robot."""
+    text = message.text
+    return "software" in text and ("E-stop" in text or "emergency stop" in text)
+
+
+def _moved_on(harness: FaultHarness, sent: Sequence[Sent], stop: float) -> list[str]:
+    """Return the problem of a joint that moves further after a stop [s] than the ramp."""
+    k = bisect_left([one.time for one in sent], stop - 1e-9)
+    later = [one.q for one in harness.observations if one.time >= stop]
+    if k < 2 or not later:
+        return []
+    arm, (before, last) = harness.scenario.settings.described_arm, (sent[k - 2].q, sent[k - 1].q)
+    q, speed = np.array(last), np.abs(np.subtract(last, before)) / (paper.STEP / 2.0)
+    most = ramp_reach(arm, q, np.array(before)) + SERVO_LAG * speed + PUSHED
+    moved = np.abs(np.array(later) - later[0]).max(axis=0)
+    i = int(np.argmax(moved - most))
+    far = f"{arm.joints[i].name} moved by {moved[i]:.3f} rad after the stop, its ramp {most[i]:.3f}"
+    return [far] if moved[i] > most[i] else []
+
+
+def _log_problems(harness: FaultHarness) -> list[str]:
+    """Return the problem of a log that cannot be read."""
+    if harness.scenario.out is None:
+        return []
+    try:
+        end = RunLog.load(harness.scenario.out).end
+    except EquipoiseError as error:
+        return [f"the log cannot be read: {error}"]
+    return [] if end and end.cause else ["the log has no end"]
 
 
 def _on_track(harness: FaultHarness) -> list[str]:

@@ -1,0 +1,103 @@
+"""Runs on the emulated rig with two to four faults at random times: what holds whatever fails."""
+
+from dataclasses import replace
+from math import radians
+
+import numpy as np
+import pytest
+
+from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario, Trigger
+from equipoise.studies.rehearsal.faults import FAULTS, change_replies, run_off, slow_link
+from equipoise.studies.rehearsal.verdicts import check_run
+
+pytestmark = pytest.mark.compiled_only
+
+QUICK, ALL = range(30), range(30, 1000)
+"""Seeds of the default run, and of the slow one."""
+PHASES = {
+    "homing": 1.0, "home": 0.3, "hang": 2.0, "reference": 0.5, "swing": 6.0, "excitation": 9.0,
+    "lift": 3.0, "armed": 0.5, "balancing": 2.5,
+}  # fmt: skip
+"""Messages that a phase begins with, and the time after them within which it fails [s]."""
+
+
+def frozen(harness):
+    """Every later reply repeats the first joints."""
+    first = []
+
+    def repeat(reply):
+        first.extend([reply.q] if reply.q and not first else [])
+        return reply._replace(q=first[0]) if reply.q else reply
+
+    change_replies(repeat)(harness)
+
+
+def drawn(random):
+    """Return a fault whose numbers are drawn."""
+    sign, part = random.choice((-1.0, 1.0)), int(random.integers(7))
+    rate, most = sign * 10.0 ** random.uniform(-1.0, 1.2), 10.0 ** random.uniform(-2.0, 0.3)
+    trip, held, force = (
+        random.uniform(0.005, 0.09),
+        random.uniform(0.005, 0.1),
+        random.uniform(20, 150),
+    )
+    turn, counts = radians(random.uniform(5.0, 250.0)), int(random.integers(2, 300))
+    kinds = {
+        "run off": run_off(part, rate, most),
+        "frozen": frozen,
+        "slow link": slow_link(trip),
+        "stall": lambda harness: harness.clock.stalls.append(held),
+        "stops": lambda harness: harness.bench.body.stop("emergency stop"),
+        "push": lambda harness: harness.bench.push(sign * turn),
+        "touch": lambda harness: harness.bench.touch((sign * force, 0.0, 0.0)),
+        "jump": lambda harness: harness.board.jump(counts),
+        "key": lambda harness: harness.typed.append(str(random.choice(("stop", "", "y", "n")))),
+    }
+    name = str(random.choice(list(kinds)))
+    return name, kinds[name]
+
+
+LISTED = [each for each in FAULTS if each.trigger.event != "start" and not each.play]
+"""Faults of the rehearsal that strike in a run."""
+
+
+def scene(seed):
+    """Return the faults of a seed by name and time, and the run with them."""
+    random = np.random.default_rng([seed, 29])
+    faults, names = [], []
+    identify = bool(random.random() < 0.15)
+    last = str(random.choice([name for name in PHASES if identify or name != "excitation"]))
+    for _ in range(int(random.integers(2, 5))):
+        name, inject = drawn(random)
+        if random.random() < 0.4:
+            listed = LISTED[int(random.integers(len(LISTED)))]
+            name, inject = listed.name, listed.inject
+        # Most strike at about the same time; some long before.
+        phase = last if random.random() < 0.7 else str(random.choice(list(PHASES)))
+        trigger = Trigger(phase, float(random.uniform(0.0, PHASES[phase])))
+        faults.append((trigger, inject))
+        names.append(f"{name} at {phase} + {trigger.after:.2f} s")
+    words = bool(random.random() < 0.3)
+    make = lambda scenario: FaultHarness(scenario, *faults, words_after_stop=words, seed=seed)  # noqa: E731
+    return names, make, replace(Scenario(), identify=identify)
+
+
+def problems_of(seed, folder):
+    """Run the faults of a seed; return its names, its end and its problems."""
+    names, make, scenario = scene(seed)
+    harness = make(replace(scenario, out=folder / "run.mcap"))
+    end = harness.run()
+    return names, end, check_run(harness, end)
+
+
+@pytest.mark.parametrize("seed", QUICK)
+def test_whatever_fails_the_arm_stops_in_the_reach_of_its_ramp_and_says_why(seed, tmp_path):
+    names, end, problems = problems_of(seed, tmp_path)
+    assert problems == [], (names, end.cause, end.reason)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", ALL)
+def test_whatever_fails_in_a_thousand_runs(seed, tmp_path):
+    names, end, problems = problems_of(seed, tmp_path)
+    assert problems == [], (names, end.cause, end.reason)
