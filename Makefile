@@ -5,7 +5,7 @@ PYTHON ?= python
 QUICK = $(filter-out tests/test_identification%.py tests/test_bench.py, $(wildcard tests/test_*.py)) \
         tests/model tests/control
 # Tests of the modules in which every branch has to be tested: [tool.coverage.run] names these.
-COVERING = $(patsubst %,tests/control/test_%.py,safety trial_safety dropouts states stop release) \
+COVERING = $(patsubst %,tests/control/test_%.py,safety trial_safety dropouts plausibility states stop release) \
            tests/devices/kuka/test_codec.py tests/devices/encoder/test_codec.py
 
 .DEFAULT_GOAL := help

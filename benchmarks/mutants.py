@@ -45,6 +45,7 @@ ROOMS = {
     "safety": "control",
     "trial_safety": "control",
     "dropouts": "control",
+    "plausibility": "control",
     "states": "control",
     "stop": "control",
     "release": "control",

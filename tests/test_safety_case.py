@@ -58,7 +58,7 @@ def test_no_fault_is_named_that_is_not_rehearsed():
 
 
 def test_each_number_of_the_page_is_that_of_the_code():
-    from equipoise.control import dropouts, run_controller, safety
+    from equipoise.control import dropouts, plausibility, run_controller, safety, stop
     from equipoise.studies.rehearsal.verdicts import MAX_NOTICE
 
     assert f"within {1e3 * MAX_NOTICE:.0f} ms" in PAGE
@@ -73,3 +73,12 @@ def test_each_number_of_the_page_is_that_of_the_code():
     assert "a third gap within a second" in PAGE
     assert run_controller.HOMING_SHARE == 0.1
     assert "a tenth of the joints' speed" in PAGE
+    assert stop.RETURN_SHARE == run_controller.HOMING_SHARE
+    assert plausibility.MIN_REPLIES == 5
+    assert "five replies in order" in PAGE
+    assert f"within {safety.FOLLOWING_LIMIT:g} rad of the setpoints of the last 0.3 s" in PAGE
+    assert run_controller.HISTORY == 64
+    assert f"above {1e3 * run_controller.MAX_TIMED_REPLY:g} ms do not count" in PAGE.replace(
+        "\n", " "
+    )
+    assert f"are {1e3 * safety.MAX_MEASUREMENT_AGE:g} ms\nold" in PAGE

@@ -263,7 +263,7 @@ def test_no_setpoint_leaves_the_reach_of_the_ramp_whatever_is_measured(share, aw
     dq = [0.3 * s * limit for s, limit in zip(share, LIMITS.velocity, strict=True)]
     motion, sent = stopped(dq)
     reach = np.abs(sent[-1] - HOME)
-    motion.go_back(tuple(np.add(HOME, away)))
+    motion.go_back(tuple(np.add(HOME, away).tolist()))
     back = [motion.q]
     for _ in range(ticks):
         back += motion.advance(H)

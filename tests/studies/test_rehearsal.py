@@ -139,7 +139,7 @@ def test_a_ramp_that_begins_at_once_is_rest():
         ((0.4, 0.4, 0.4, 0.41, 0.2, 0.1, 0.0, 0.0), "no slower"),
         ((0.4, 0.4, 0.4, 0.3, 0.2, 0.25, 0.0, 0.0), "no slower"),
         ((0.4, 0.4, 0.4, 0.3, 0.2, 0.1, 0.0, 1.0), "sent away"),
-        ((*SLOWING, *(-0.1,) * 20, 0.0), "left the reach"),
+        ((*SLOWING, *(-0.1,) * 40, 0.0), "left the reach"),
         ((0.4, 0.4, 0.4, 0.3, 0.2, 0.1), "still moves"),
         ((0.4, 0.4, 0.4), "no setpoint was sent"),
     ],
