@@ -46,6 +46,21 @@ def test_joints_that_run_off_are_not_plausible(joint, rate):
         assert doubt(lambda t, at=begin: only(joint, np.clip(rate * max(t - at, 0.0), -1.5, 1.5)))
 
 
+@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("trip", [0.0, 0.004, 0.012])
+def test_a_step_is_as_large_as_acceleration_noise_and_uncertain_times_allow(joint, trip):
+    # From rest: five times the acceleration of setpoints; ten times the noise, and half a round
+    # trip at the joint's velocity, at either end of either step.
+    v, a = LIMITS.velocity[joint], LIMITS.acceleration[joint]
+    most = 4.0 * (5e-4 + 0.5 * trip * v) + 5.0 * a * PERIOD**2
+    most = min(most, 2.0 * (5e-4 + 0.5 * trip * v) + v * PERIOD)
+    there = COMMANDED + np.linspace(0.0, 1.0, 64)[:, None] * only(joint, 0.1)
+    for share, plausible in ((0.995, True), (1.005, False)):
+        step = only(joint, share * most)
+        course = lambda t, step=step: step * (t > 0.5 * trip + 3.5 * PERIOD)  # noqa: E731
+        assert (doubt(course, 5, trip, there) == "") is plausible
+
+
 def test_the_doubt_stays_when_the_joints_come_back():
     assert "joint 3" in doubt(lambda t: only(2, 0.2 if 0.1 < t < 0.15 else 0.0))
 
@@ -77,7 +92,7 @@ def test_noise_and_uncertain_times_are_plausible():
 
 
 def test_a_posture_that_was_not_commanded_is_not_plausible():
-    assert doubt(lambda t: only(4, 0.029)) == ""
+    assert doubt(lambda t: only(4, 0.03 * 0.999)) == ""
     assert "joint 5 is 0.031 rad from all of its last setpoints" in doubt(lambda t: only(4, 0.031))
     assert doubt(lambda t: only(4, -0.031))
     commanded = COMMANDED + np.linspace(0.0, 1.0, 64)[:, None] * only(4, 0.1)

@@ -281,12 +281,16 @@ def test_no_setpoint_leaves_the_reach_of_the_ramp_whatever_is_measured(share, aw
 def test_a_way_back_that_is_held_ends_at_once():
     motion, _ = stopped()
     motion.go_back(HOME)
+    sent = [motion.q]
     for _ in range(20):
-        motion.advance(H)
+        sent += motion.advance(H)
     assert max(map(abs, motion.dq)) > 0.01
     motion.hold()
     assert not motion.goes_back
-    assert len(sent_until_rest(motion)) < 8
+    held = sent_until_rest(motion)
+    assert len(held) < 8
+    hardest = np.abs(np.diff([*sent, *held[1:]], n=2, axis=0)).max(axis=0) / DT**2
+    assert (hardest <= np.array(LIMITS.acceleration) * (1.0 + 1e-6)).all()
 
 
 def test_where_the_stream_stood_still_the_arm_rests_at_its_last_setpoint():
@@ -294,6 +298,7 @@ def test_where_the_stream_stood_still_the_arm_rests_at_its_last_setpoint():
     _, last = motion.advance(H)
     motion.rest(last)
     assert motion.at_rest
+    assert motion.rested == 0.0
     assert motion.advance(H) == (last, last)
 
 
