@@ -166,7 +166,7 @@ def _set_drives(
     for hinge, joint, rotor in zip(scene.joints, arm.joints, rotors, strict=True):
         sim.call("setObjectInt32Param", hinge, mode, sim.constant("jointdynctrl_position"))
         sim.call("setObjectFloatParam", hinge, fastest, joint.velocity)
-        sim.call("setJointTargetForce", hinge, joint.torque)
+        sim.call("setJointTargetForce", hinge, joint.torque, False)
         P = GAIN_PERIOD / numbers.lag
         sim.call("setEngineFloatParam", sim.constant(gain), hinge, P)
         if engine == MUJOCO:
