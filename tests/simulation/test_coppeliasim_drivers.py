@@ -17,9 +17,9 @@ import pytest
 
 pytest.importorskip("coppeliasim_zmqremoteapi_client", reason="the extra coppeliasim is missing")
 
-from equipoise.control.policy import shipped_policy
+from equipoise.control.policy import KernelPolicy, shipped_policy
 from equipoise.errors import OutsideError
-from equipoise.simulation import setup_of, simulate
+from equipoise.simulation import predicted, setup_of, simulate
 from equipoise.simulation.coppeliasim.address import ENGINES, read_address
 from equipoise.simulation.coppeliasim.connection import Connection
 from equipoise.simulation.coppeliasim.rig import MARKER, Marker, _parameter, _set
@@ -199,9 +199,11 @@ def change_the_idle_rate(sim):
     ],
 )
 def test_a_change_by_another_program_is_an_error(address, other, option, change, message):
+    policy = KernelPolicy(POLICY.kernel)
+
     def go_on():
-        for _ in range(300):  # the longest time between two checks
-            loop.step(0.0)
+        for _ in range(250):  # longer than the time between two checks
+            loop.step(policy.act(predicted(loop)))
 
     with running_loop(address + option) as (loop, _):
         change(other)
@@ -211,14 +213,17 @@ def test_a_change_by_another_program_is_an_error(address, other, option, change,
 
 def test_a_stop_between_the_last_step_and_its_measurements_is_no_fall(address, other):
     with running_loop(f"{address}?engine=mujoco") as (loop, simulation):
-        step = simulation.rig.step
+        rig = simulation.rig
+        joints = rig.joints
 
-        def stop_after_step():
-            step()
+        def joints_after_a_stop():
             stop_it(other)
-            other.call("setJointPosition", simulation.rig.scene.spindle, 1.0)
+            other.call("setJointPosition", rig.scene.joints[1], 1.5)
+            other.call("setJointPosition", rig.scene.spindle, 1.5)
+            rig.joints = joints
+            return joints()
 
-        simulation.rig.step = stop_after_step
+        rig.joints = joints_after_a_stop
         with pytest.raises(OutsideError, match="stopped the simulation"):
             loop.step(0.0)
 

@@ -152,16 +152,17 @@ class CoppeliaRig:
         """Start the simulation, which then advances in `step` alone.
 
         `stopSimulation` ends the stepping of all clients, and each `setStepping` counts.
-
-        Raises:
-            OutsideError: Another program drives CoppeliaSim, or changed its parameters.
         """
-        self.check()
         self.sim.call("setStepping", True)
         self.sim.call("startSimulation")
 
     def stop(self) -> None:
-        """Stop the simulation, if it runs; CoppeliaSim then restores its initial state."""
+        """Stop the simulation, if it runs; CoppeliaSim then restores its initial state.
+
+        Raises:
+            OutsideError: Another program changed the simulation.
+        """
+        self.check()
         self._steps = 0
         stop(self.sim)
 
@@ -184,7 +185,7 @@ class CoppeliaRig:
             self.check()
 
     def check(self) -> None:
-        """Check that nobody else changed the simulation; done before a trial gets a result.
+        """Check that nobody else changed the simulation: before a failure counts, and at a reset.
 
         Raises:
             OutsideError: They are not.
@@ -195,7 +196,7 @@ class CoppeliaRig:
             raise self._disturbed("took it over" if found else f"removed the parameter {MARKER}")
         for name, wanted in self._parameters.items():
             value = _parameter(self.sim, name)
-            if not np.allclose(value, wanted, rtol=1e-6, atol=0.0):
+            if not np.allclose(value, wanted, rtol=1e-6, atol=1e-9):
                 raise self._disturbed(f"set sim.{name} to {value}, expected {wanted}")
 
     def _check_state(self) -> None:
