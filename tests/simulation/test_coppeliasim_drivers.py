@@ -23,6 +23,7 @@ from equipoise.simulation import predicted, setup_of, simulate
 from equipoise.simulation.coppeliasim.address import ENGINES, read_address
 from equipoise.simulation.coppeliasim.connection import Connection
 from equipoise.simulation.coppeliasim.rig import MARKER, Marker, _parameter, _set
+from equipoise.simulation.coppeliasim.scene import build_scene
 from tests.coppeliasim_server import INSTALLED, CoppeliaSimServer
 
 pytestmark = pytest.mark.compiled_only
@@ -280,6 +281,22 @@ def test_ctrl_c_ends_a_run_at_once_and_a_second_one_harms_nothing(address, other
     assert process.returncode in (130, -signal.SIGINT)  # the interpreter ended, or was ended
     assert stderr.endswith("\ninterrupted\n")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_while_the_scene_is_built_comes_after_it_and_leaves_nothing(
+    address, other, monkeypatch
+):
+    built = []
+
+    def build(*given):
+        signal.raise_signal(signal.SIGINT)  # in a call it would leave an object without a name
+        built.append(build_scene(*given))
+        return built[0]
+
+    monkeypatch.setattr("equipoise.simulation.coppeliasim.rig.build_scene", build)
+    with pytest.raises(KeyboardInterrupt):
+        world_of(address)
+    assert built
 
 
 def test_one_driver_at_a_time_and_a_killed_one_is_replaced(address, other, tmp_path):

@@ -79,11 +79,6 @@ class Connection:
         """Close the socket; nothing can be called afterwards."""
         self._client.socket.close()
 
-    @property
-    def closed(self) -> bool:
-        """Whether the socket is closed: by `close`, or after a call that got no answer."""
-        return self._client.socket.closed
-
     def constant(self, name: str) -> Any:
         """Return a constant of `sim`.
 
@@ -113,7 +108,7 @@ class Connection:
         return self._guarded(name, self._client.call, f"sim.{name}", as_plain(arguments))
 
     def _guarded(self, name: str, function: Any, *arguments: Any) -> Any:
-        if self.closed:
+        if self._client.socket.closed:
             raise LinkError(
                 f"the connection to {self.address} is closed: it failed, or another world of this "
                 "process took the CoppeliaSim; build the world again"

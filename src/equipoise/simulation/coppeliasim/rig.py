@@ -55,7 +55,7 @@ STOP_TIME: Final = 10.0
 POLL: Final = 0.005
 """Period of the questions whether it has stopped [s]."""
 RESTORE_PATIENCE: Final = 2.0
-"""Longest wait for an answer after a call was interrupted or failed [s]: Ctrl-C ends soon."""
+"""Longest wait for an answer at the end [s]: Ctrl-C ends a run soon, also without an answer."""
 CHECK_STEPS: Final = 200
 """Number of steps between two checks of marker and parameters: one or two seconds of a trial."""
 FALL_ANGLE: Final = 0.5
@@ -123,7 +123,8 @@ class CoppeliaRig:
         try:
             sim.call("setNamedStringParam", MARKER, marker.model_dump_json())
             _set(sim, self._parameters)
-            self.scene: Scene = build_scene(sim, setup.arm, address, pendulum)
+            with _uninterrupted(deliver=True):  # a call cut off leaves an object without a name
+                self.scene: Scene = build_scene(sim, setup.arm, address, pendulum)
             self.free = [self.scene.joints[i] for i in setup.arm.free]
             """Handles of the free joints."""
             self.check()
@@ -342,9 +343,9 @@ def _restore(sim: Connection, marker: Marker) -> None:
 def _give_back(sim: Connection, marker: Marker) -> None:
     """Restore the CoppeliaSim of a driver and disconnect; without success the marker stays."""
     _OPEN.pop(marker.key, None)
-    with _uninterrupted(), suppress(OutsideError, InputError):
-        if sim.closed:  # an interrupted or unanswered request blocks its socket
-            sim = Connection(sim.host, sim.port, RESTORE_PATIENCE)
+    with _uninterrupted(deliver=False), suppress(OutsideError, InputError):
+        sim.close()  # an interrupted or unanswered request blocks its socket
+        sim = Connection(sim.host, sim.port, RESTORE_PATIENCE)
         try:
             found = _marker(sim)
             if found is not None and found.key == marker.key:
@@ -354,13 +355,18 @@ def _give_back(sim: Connection, marker: Marker) -> None:
 
 
 @contextmanager
-def _uninterrupted() -> Generator[None]:
-    """Ignore Ctrl-C, which reaches the main thread alone."""
+def _uninterrupted(*, deliver: bool) -> Generator[None]:
+    """Hold Ctrl-C and SIGTERM back, which reach the main thread alone; deliver one at the end."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    heard = list[int]()
+    numbers = signal.SIGINT, signal.SIGTERM
+    before = [(each, signal.signal(each, lambda n, _: heard.append(n))) for each in numbers]
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
+        for number, old in before:
+            signal.signal(number, signal.SIG_DFL if old is None else old)
+    if deliver and heard:
+        signal.raise_signal(heard[0])
