@@ -98,9 +98,13 @@ def wait_for(condition, seconds=60.0):
 
 @contextmanager
 def evaluating(address, out, option=""):
-    """Yield a process that evaluates trials of a minute, once its simulation runs."""
+    """Yield a process that evaluates trials of a minute, in the middle of the first one."""
     place = read_address(address)
     watcher = Connection(place.host, place.port)
+
+    def is_in_a_trial():  # the fall of the pendulum before it takes 0.1 s
+        return is_running(watcher) and watcher.call("getSimulationTime") > 0.2
+
     verb = ["evaluate", "--world", address + option, "--trials", "50", "--no-baselines"]
     process = subprocess.Popen(
         [sys.executable, "-m", "equipoise", *verb, "--out", str(out)],
@@ -110,9 +114,8 @@ def evaluating(address, out, option=""):
         cwd=out.parent,
     )
     try:
-        wait_for(lambda: is_running(watcher) or process.poll() is not None)
+        wait_for(lambda: is_in_a_trial() or process.poll() is not None)
         assert process.poll() is None, process.stderr.read()
-        time.sleep(0.5)  # into the trial
         yield process
     finally:
         process.kill()
