@@ -280,7 +280,7 @@ def test_ctrl_c_ends_a_run_at_once_and_a_second_one_harms_nothing(address, other
         process.send_signal(signal.SIGINT)
         began = time.monotonic()
         _, stderr = process.communicate(timeout=30)
-        assert time.monotonic() - began < 4.0
+        assert time.monotonic() - began < 8.0  # a trial goes on for minutes
     assert process.returncode in (130, -signal.SIGINT)  # the interpreter ended, or was ended
     assert stderr.endswith("\ninterrupted\n")
     assert list(tmp_path.iterdir()) == []
