@@ -8,8 +8,18 @@ become a model of MuJoCo, in the way of CoppeliaSim's engine of that name: joint
 references, and the drives apply the torques of the inverse dynamics for the velocity that the
 controller commands, up to their limits.
 
+As CoppeliaSim 4.10.0 it
+
+- gives force and target velocity of a joint one sign: a new velocity turns the force, a signed
+  force (the default) turns the velocity;
+- accepts the number of an engine that is not installed (`newton`, `vortex`): nothing moves;
+- returns the step of the engine as a whole part of the step of the simulation;
+- returns named parameters as bytes, and keeps them, as all parameters, when a client is gone;
+- begins the text of an error with the line of its Lua code.
+
 Not modelled: contacts, other engines (they all are MuJoCo without rotors and friction), rendering,
-scripts, and the time that CoppeliaSim itself takes.
+scripts, buttons (a pause is a call), the time that CoppeliaSim itself takes, and `step` while a
+simulation is stopped in its first step, which CoppeliaSim does not answer.
 
     python -m tests.coppeliasim_server --port 23000
 """
@@ -27,9 +37,10 @@ import numpy as np
 import zmq
 from scipy.spatial.transform import Rotation
 
-STOPPED, RUNNING, STOPPING = 0, 17, 22
+STOPPED, PAUSED, RUNNING, STOPPING = 0, 8, 17, 22
 CONSTANTS = {
     "simulation_stopped": STOPPED,
+    "simulation_paused": PAUSED,
     "joint_revolute": 10,
     "jointmode_kinematic": 0,
     "jointmode_dynamic": 5,
@@ -64,6 +75,7 @@ CONSTANTS = {
     "mujoco_joint_frictionloss": 5108,
 }
 NAMED = {number: name for name, number in CONSTANTS.items() if number > 100}
+NAMED_ENGINES = {n: name for name, n in CONSTANTS.items() if name.startswith("physics_")}
 PARAMETERS = {
     "Int32": {8: 8, 9: 0},
     "Bool": {25: True},
@@ -71,6 +83,8 @@ PARAMETERS = {
     "Array": {2: [0.0, 0.0, -9.81]},
 }
 """Global parameters, with the values of a new scene."""
+INSTALLED = ("physics_bullet", "physics_ode", "physics_mujoco")
+"""Engines with a plug-in."""
 GAIN_PERIOD = 0.005
 """Time that divides the gain of a position controller [s]."""
 
@@ -108,6 +122,7 @@ class Scene:
     def __init__(self):
         self.things: dict[int, Thing] = {}
         self.parameters = {kind: dict(values) for kind, values in PARAMETERS.items()}
+        self.named: dict[str, bytes] = {}
         self.state, self.time, self.steps = STOPPED, 0.0, 0
         self.levels: dict[str, int] = {}
         self.client = ""
@@ -220,10 +235,18 @@ class Scene:
         self.thing(handle, "joint").target = q
 
     def sim_setJointTargetVelocity(self, handle, velocity):
-        self.thing(handle, "joint").target_velocity = velocity
+        thing = self.thing(handle, "joint")
+        thing.target_velocity = velocity
+        if thing.force * velocity < 0.0:
+            thing.force = -thing.force
 
-    def sim_setJointTargetForce(self, handle, force):
-        self.thing(handle, "joint").force = abs(force)
+    def sim_setJointTargetForce(self, handle, force, signed=True):
+        thing = self.thing(handle, "joint")
+        if not signed:
+            force = math.copysign(max(force, 0.0), thing.target_velocity)
+        thing.force = force
+        if force * thing.target_velocity < 0.0:
+            thing.target_velocity = -thing.target_velocity
 
     def sim_setObjectInt32Param(self, handle, parameter, value):
         assert type(value) is int
@@ -257,6 +280,19 @@ class Scene:
             self.finish()
         return state
 
+    def sim_getSimulationTime(self):
+        return self.time
+
+    def sim_setNamedStringParam(self, name, value):
+        self.named[name] = value.encode()
+
+    def sim_getNamedStringParam(self, name):
+        return self.named.get(name)
+
+    def sim_pauseSimulation(self):
+        assert self.state == RUNNING
+        self.state = PAUSED
+
     def sim_startSimulation(self):
         assert self.state == STOPPED
         self.kept = {handle: (thing.q, thing.local) for handle, thing in self.things.items()}
@@ -265,12 +301,12 @@ class Scene:
 
     def sim_stopSimulation(self, wait=False):
         self.levels.clear()
-        if self.state == RUNNING:
+        if self.state in (RUNNING, PAUSED):
             self.state = STOPPING
 
     def finish(self):
         """Restore the initial state."""
-        self.state, self.model = STOPPED, None
+        self.state, self.model, self.time = STOPPED, None, 0.0
         for handle, (q, local) in self.kept.items():
             if handle in self.things:
                 self.things[handle].q, self.things[handle].local = q, local
@@ -284,7 +320,11 @@ class Scene:
         values = self.parameters[kind]
 
         def get(parameter):
-            return values[parameter]
+            value = values[parameter]
+            if (kind, parameter) == ("Float", CONSTANTS["floatparam_physicstimestep"]):
+                whole = values[CONSTANTS["floatparam_simulation_time_step"]]
+                return whole / max(1, int(whole / value + 0.5))
+            return value
 
         def put(parameter, value):
             assert parameter in values
@@ -301,13 +341,14 @@ class Scene:
             for handle, thing in self.things.items()
             if thing.kind == "shape" and not thing.numbers.get("shapeintparam_static", 1)
         }
-        if not shapes:
+        engine = self.parameters["Int32"][CONSTANTS["intparam_dynamic_engine"]]
+        if not shapes or NAMED_ENGINES[engine] not in INSTALLED:
             return
         spec, bodies = mujoco.MjSpec(), {}
         spec.compiler.degree = False
         spec.option.timestep = self.parameters["Float"][12]
         spec.option.gravity = self.parameters["Array"][2]
-        rich = self.parameters["Int32"][9] == CONSTANTS["physics_mujoco"]
+        rich = engine == CONSTANTS["physics_mujoco"]
         for handle, thing in shapes.items():  # parents have smaller handles
             hinge = self.things[thing.parent]
             above = hinge.parent
@@ -366,7 +407,8 @@ class Scene:
         mujoco.mj_inverse(self.model, copy)
         for thing in self.driven:
             torque = copy.qfrc_inverse[thing.dof]
-            data.qfrc_applied[thing.dof] = min(max(torque, -thing.force), thing.force)
+            most = abs(thing.force)
+            data.qfrc_applied[thing.dof] = min(max(torque, -most), most)
 
     def advance(self):
         """Advance by one step of the simulation."""
@@ -437,8 +479,8 @@ class CoppeliaSimServer:
         self._repeated = self.requests % self.busy_every == 0 and not self._repeated
         if self._repeated:
             return {"func": "_*repeat*_", "args": []}
-        if scene.state == RUNNING and not scene.levels.get(client):
-            for _ in range(3):  # a client without stepping does not hold the simulation
+        if scene.state == RUNNING and not any(scene.levels.values()):
+            for _ in range(3):  # no client holds the simulation
                 scene.advance()
         if name == "sim.step":
             self._stepping.add(client)
@@ -447,7 +489,7 @@ class CoppeliaSimServer:
             return {"ret": self.call(name, request["args"])}
         except Exception as error:
             self.errors.append(f"{name}: {error!r}")
-            return {"err": f"[string]:1: {name}: {error}_=NL=_stack traceback:_=NL=__=TB=_[C]"}
+            return {"err": f"354: in {name}: {error}_=NL=_stack traceback:_=NL=__=TB=_[C]"}
 
     def call(self, name, arguments):
         if name == "zmqRemoteApi.require":

@@ -39,6 +39,7 @@ def server():
         yield server
     assert not server.scene.things, "a scene was left behind"
     assert server.scene.parameters == PARAMETERS
+    assert not any(server.scene.named.values()), "a marker was left behind"
     assert server.scene.state == STOPPED
 
 
@@ -178,7 +179,8 @@ def test_the_drives_follow_with_the_lag_of_the_twin(server):
 
 
 def test_without_a_server_a_message_comes_instead_of_a_wait_for_ever():
-    with pytest.raises(LinkError, match=r"no CoppeliaSim answers at 127\.0\.0\.1:9 within 0\.2 s"):
+    silent = r"no CoppeliaSim answers at 127\.0\.0\.1:9 within 0\.2 s.*try port 10: after a crash"
+    with pytest.raises(LinkError, match=silent):
         Connection("127.0.0.1", 9, patience=0.2)
 
 
@@ -191,11 +193,9 @@ def test_an_error_of_coppeliasim_is_one_readable_line(server):
     sim = Connection("127.0.0.1", server.port)
     with pytest.raises(OutsideError) as caught:
         sim.call("getJointPosition", 12345)
-    assert "refuses getJointPosition: [string]:1: sim.getJointPosition: object does not exist" in (
-        str(caught.value)
+    assert str(caught.value) == (
+        f"CoppeliaSim at 127.0.0.1:{server.port} refuses getJointPosition: object does not exist."
     )
-    assert "_=" not in str(caught.value)
-    assert "traceback" not in str(caught.value)
     with pytest.raises(OutsideError, match=r"has no sim\.warp_drive; install version 4\.6"):
         sim.constant("warp_drive")
     sim.close()
@@ -231,22 +231,12 @@ def test_without_the_client_the_extra_is_named(monkeypatch):
         Connection("127.0.0.1", 9)
 
 
-def test_a_simulation_of_somebody_else_goes_on_and_an_own_one_is_replaced():
+def test_a_simulation_of_the_user_goes_on():
     with CoppeliaSimServer() as server:
         server.scene.sim_startSimulation()
         with pytest.raises(OutsideError, match="runs a simulation; stop it"):
             world_of(server.address)
         assert server.scene.state == RUNNING
-        server.scene.sim_stopSimulation()
-        server.scene.finish()
-        base = server.scene.sim_createDummy(0.1)
-        server.scene.sim_setObjectAlias(base, "equipoise")  # of a run that was killed
-        server.scene.sim_startSimulation()
-        simulation, _ = world_of(server.address)
-        assert server.scene.state == STOPPED
-        assert base not in server.scene.things
-        simulation.rig.close()
-        assert not server.scene.things
 
 
 def test_a_simulation_advances_with_each_step_alone_also_after_a_stop(server):

@@ -175,7 +175,7 @@ class Simulation(ABC):
         kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
         if kernel is not None:
             executor = executor_of(workers)
-            if self.MOST_LOOPS == 1 and executor.is_remote:
+            if self.MOST_LOOPS == 1:  # Ctrl-C reaches the caller's thread alone
                 executor = ThreadExecutor(1)
             share = -(-len(rows) // (self.BATCH * executor.workers)) * self.BATCH
             most = self.PIECE * (REMOTE_PIECES if executor.is_remote else 1)

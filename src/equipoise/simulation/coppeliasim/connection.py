@@ -6,6 +6,7 @@ NumPy, raises a bare `Exception` for an error of CoppeliaSim, and writes a name 
 Equipoise.
 """
 
+import re
 import sys
 import time
 from collections.abc import Mapping
@@ -25,6 +26,8 @@ IDLE: Final = 86400.0
 """Time after which CoppeliaSim forgets a client that is silent [s]; its default is ten minutes."""
 MARKS: Final = {"_=NL=_": "\n", "_=TB=_": "\t"}
 """Marks in an error of CoppeliaSim for line breaks and tabs."""
+LUA_PLACE: Final = r"^(\S+:)?\d+: (in )?(sim\.\w+: )?"
+"""Place in Lua code with which an error of CoppeliaSim begins: file, line and function."""
 LONGEST: Final = 300
 """Largest number of characters that a message quotes of an error of CoppeliaSim."""
 
@@ -45,7 +48,7 @@ class Connection:
             InputError: The host is no name and no address.
             LinkError: No CoppeliaSim answers there.
         """
-        self.address = f"{host}:{port}"
+        self.host, self.port, self.address = host, port, f"{host}:{port}"
         self.calls, self.seconds = 0, 0.0
         """Number of calls, and their time [s]."""
         self._patience = patience
@@ -117,7 +120,8 @@ class Connection:
             self.close()  # a request without an answer blocks the socket
             raise LinkError(
                 f"no CoppeliaSim answers at {self.address} within {self._patience:g} s; start it, "
-                "with its ZMQ remote API server"
+                f"with its ZMQ remote API server, or try port {self.port + 1}: after a crash the "
+                "server may listen on the next port, which its first lines of output name"
             ) from None
         except self._error as error:
             raise LinkError(f"the connection to {self.address} failed: {error}") from None
@@ -130,6 +134,9 @@ class Connection:
             raise OutsideError(
                 f"CoppeliaSim at {self.address} refuses {name}: {_readable(str(error))}"
             ) from None
+        except BaseException:
+            self.close()  # Ctrl-C: the answer is still to come
+            raise
         finally:
             self.calls += 1
             self.seconds += time.perf_counter() - began
@@ -145,11 +152,16 @@ def _modules() -> tuple[Any, Any]:
 
 
 def _readable(text: str) -> str:
-    """Return the first line of an error of CoppeliaSim, safe to print."""
+    """Return the first line of an error of CoppeliaSim, without its place in Lua, safe to print.
+
+    Example:
+        >>> _readable("354: in sim.getJointPosition: object does not exist._=NL=_stack traceback:")
+        'object does not exist.'
+    """
     for mark, sign in MARKS.items():
         text = text.replace(mark, sign)
     lines = text.strip().splitlines() or [""]
-    return printable(shortened(lines[0], LONGEST))
+    return printable(shortened(re.sub(LUA_PLACE, "", lines[0]), LONGEST))
 
 
 def as_plain(value: Any) -> Any:

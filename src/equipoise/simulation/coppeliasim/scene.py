@@ -92,15 +92,14 @@ def build_scene(sim: Connection, arm: Arm, address: Address, pendulum: PendulumP
     remove_scene(sim)
     sizes = sizes_for(arm)
     low = _at((0.0, 0.0, -0.5 * TILE[2]))
-    base = _shape(sim, ALIAS, "cuboid", TILE, low, None)
+    base = _shape(sim, ALIAS, "cuboid", TILE, low, -1, None)
     frame, steps = np.eye(4), [joint.xyz for joint in arm.joints] + [arm.flange_xyz]
     parent, joints = base, list[int]()
     for number, (joint, inertial) in enumerate(zip(arm.joints, inertials, strict=True), 1):
         frame = frame @ _at(joint.xyz, rotation_from_rpy(joint.rpy))
         hinge = _joint(sim, f"joint{number}", frame, joint.axis, parent, dynamic)
         sim.call("setJointInterval", hinge, False, (joint.lower, joint.upper - joint.lower))
-        parent = _link(sim, number, frame, np.array(steps[number]), sizes, inertial)
-        sim.call("setObjectParent", parent, hinge, True)
+        parent = _link(sim, number, frame, np.array(steps[number]), sizes, hinge, inertial)
         joints.append(hinge)
     frame = frame @ _at(arm.flange_xyz, rotation_from_rpy(arm.flange_rpy))
     flange = sim.call("createDummy", 0.02)
@@ -109,8 +108,7 @@ def build_scene(sim: Connection, arm: Arm, address: Address, pendulum: PendulumP
     spindle = _joint(sim, "phi", frame, (0.0, 1.0, 0.0), parent, dynamic)
     sim.call("setJointInterval", spindle, True, (-np.pi, 2.0 * np.pi))
     thickness = (2.0 * SIZES.rod, 2.0 * SIZES.rod, SIZES.rod_length)
-    rod = _shape(sim, "pendulum", "cylinder", thickness, frame @ MIDDLE, None)
-    sim.call("setObjectParent", rod, spindle, True)
+    rod = _shape(sim, "pendulum", "cylinder", thickness, frame @ MIDDLE, spindle, None)
     scene = Scene(base, tuple(joints), flange, spindle, rod)
     if numbers is not None:
         _set_drives(sim, scene, arm, address.engine, numbers)
@@ -166,7 +164,7 @@ def _set_drives(
     for hinge, joint, rotor in zip(scene.joints, arm.joints, rotors, strict=True):
         sim.call("setObjectInt32Param", hinge, mode, sim.constant("jointdynctrl_position"))
         sim.call("setObjectFloatParam", hinge, fastest, joint.velocity)
-        sim.call("setJointTargetForce", hinge, joint.torque)
+        sim.call("setJointTargetForce", hinge, joint.torque, False)
         P = GAIN_PERIOD / numbers.lag
         sim.call("setEngineFloatParam", sim.constant(gain), hinge, P)
         if engine == MUJOCO:
@@ -211,7 +209,13 @@ def _joint(
 
 
 def _link(
-    sim: Connection, number: int, T: Floats, step: Floats, sizes: Sizes, inertial: Inertial | None
+    sim: Connection,
+    number: int,
+    T: Floats,
+    step: Floats,
+    sizes: Sizes,
+    parent: int,
+    inertial: Inertial | None,
 ) -> int:
     """Create the link from frame T along a step; return its handle."""
     length = float(np.linalg.norm(step))
@@ -220,7 +224,7 @@ def _link(
         own = _at(0.5 * step, turned_to(step))
     else:
         kind, size, own = "spheroid", (2.0 * sizes.hand,) * 3, np.eye(4)
-    return _shape(sim, f"link{number}", kind, size, T @ own, inertial, _inverse(own))
+    return _shape(sim, f"link{number}", kind, size, T @ own, parent, inertial, _inverse(own))
 
 
 def _shape(
@@ -229,13 +233,14 @@ def _shape(
     kind: str,
     size: Sequence[float],
     T: Floats,
+    parent: int,
     inertial: Inertial | None,
     from_frame: Floats | None = None,
 ) -> int:
     """Create a primitive shape at T; return its handle. One without an inertial is static."""
     shape = sim.constant(f"primitiveshape_{kind}")
     handle = sim.call("createPrimitiveShape", shape, size, 0)
-    _place(sim, handle, alias, T, -1)
+    _place(sim, handle, alias, T, parent)
     sim.call("setObjectInt32Param", handle, sim.constant("shapeintparam_respondable"), 0)
     sim.call("setObjectInt32Param", handle, sim.constant("shapeintparam_static"), 1)
     if inertial is not None and from_frame is not None:
@@ -252,10 +257,10 @@ def _weigh(sim: Connection, handle: int, inertial: Inertial, from_frame: Floats)
 
 
 def _place(sim: Connection, handle: int, alias: str, T: Floats, parent: int) -> None:
-    """Name an object, place it in the world, and attach it to its parent."""
+    """Attach a new object to its parent, with which it is removed; name it, and place it."""
+    if parent >= 0:
+        sim.call("setObjectParent", handle, parent, True)
     sim.call("setObjectAlias", handle, alias)
     x, y, z = T[:3, 3]
     pose = (x, y, z, *Rotation.from_matrix(T[:3, :3]).as_quat())
     sim.call("setObjectPose", handle, pose)
-    if parent >= 0:
-        sim.call("setObjectParent", handle, parent, True)

@@ -18,16 +18,12 @@ trials run one after the other.
 """
 
 import threading
-import time
-import weakref
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
 from math import atan2, pi
 from typing import Any, ClassVar, Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from equipoise import paper
 from equipoise.compiled import handle, kernel
@@ -59,9 +55,7 @@ from equipoise.control.trial_safety import (
     trial_safety,
     trial_violation,
 )
-from equipoise.devices.twin.physics import TICK
 from equipoise.devices.twin.sensors import encoder_zero
-from equipoise.errors import OutsideError
 from equipoise.learning.closed_loop import SPEED_LIMIT_CAUSE, draw_noise, scaled
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE, at, put
@@ -69,17 +63,9 @@ from equipoise.model.encoder import counts_from_theta
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
 from equipoise.model.sim_configs import TwinSettings, pivot_friction
-from equipoise.settings import GRAVITY
 from equipoise.simulation.coppeliasim.address import SETPOINT_PERIOD, Address
-from equipoise.simulation.coppeliasim.connection import Connection
-from equipoise.simulation.coppeliasim.scene import (
-    HAND_TORQUE,
-    Scene,
-    build_scene,
-    find_scene,
-    remove_scene,
-    set_pendulum,
-)
+from equipoise.simulation.coppeliasim.rig import CoppeliaRig
+from equipoise.simulation.coppeliasim.scene import HAND_TORQUE, set_pendulum
 from equipoise.simulation.interface import (
     Array,
     ClosedLoop,
@@ -92,10 +78,6 @@ from equipoise.simulation.trials import Trial, Trials, draw_trials
 
 LEAD_STEPS: Final = 4
 """Number of steps for which the pendulum is led to its release."""
-STOP_TIME: Final = 10.0
-"""Longest time for CoppeliaSim to stop a simulation [s]."""
-POLL: Final = 0.005
-"""Period of the questions whether it has stopped [s]."""
 
 ControllerHandle: Any = handle("ControllerHandle", __name__, ("params", "state", "monitor", "q"))
 
@@ -164,142 +146,6 @@ def observe_joints(loop: Any, counts: float, q: Array, now: float) -> int:
     if not loop.monitor.active:
         return NO_VIOLATION
     return trial_violation(loop.monitor, loop.params, state, q, now)
-
-
-_OPEN: dict[tuple[str, int], Any] = {}
-"""End of the last rig of this process at each host and port: a new one ends it first."""
-
-
-class CoppeliaRig:
-    """Scene in a connected CoppeliaSim, with control of its simulation.
-
-    When the object is dropped, or another one is built there, the simulation is stopped, the scene
-    removed, and the changed parameters are set as before.
-    """
-
-    def __init__(self, address: Address, setup: Setup, pendulum: PendulumParameters) -> None:
-        """Connect, and build the scene.
-
-        Args:
-            address: Machine, engine and numbers.
-            setup: Arm and time between ticks.
-            pendulum: Nominal parameters.
-
-        Raises:
-            LinkError: No CoppeliaSim answers.
-            OutsideError: It runs a simulation, or reports an error.
-        """
-        place = address.host, address.port
-        if (before := _OPEN.pop(place, None)) is not None:
-            before()
-        sim = self.sim = Connection(*place)
-        self.address = address
-        try:
-            _check_idle(sim)
-        except BaseException:
-            sim.close()
-            raise
-        undo: list[tuple[str, int, Any]] = []
-        self.close = weakref.finalize(self, _give_back, sim, undo)
-        """Ends the simulation, as when the object is dropped."""
-        _OPEN[place] = self.close
-        dynamic = address.engine is not None
-        period = SETPOINT_PERIOD if dynamic else setup.h
-        parameters: dict[str, tuple[str, Any]] = {
-            "intparam_idle_fps": ("Int32", 0),
-            "boolparam_realtime_simulation": ("Bool", False),
-            "floatparam_simulation_time_step": ("Float", period),
-        }
-        if dynamic:
-            engine = sim.constant(f"physics_{address.engine}")
-            parameters |= {
-                "intparam_dynamic_engine": ("Int32", engine),
-                "floatparam_physicstimestep": ("Float", TICK),
-                "arrayparam_gravity": ("Array", (0.0, 0.0, -GRAVITY)),
-            }
-        for name, (kind, value) in parameters.items():
-            number = sim.constant(name)
-            undo.append((f"set{kind}Param", number, sim.call(f"get{kind}Param", number)))
-            sim.call(f"set{kind}Param", number, value)
-        self.scene: Scene = build_scene(sim, setup.arm, address, pendulum)
-        self.free = [self.scene.joints[i] for i in setup.arm.free]
-        """Handles of the free joints."""
-
-    def start(self) -> None:
-        """Start the simulation, which then advances in `step` alone.
-
-        `stopSimulation` ends the stepping of all clients, and each `setStepping` counts.
-        """
-        self.sim.call("setStepping", True)
-        self.sim.call("startSimulation")
-
-    def stop(self) -> None:
-        """Stop the simulation, if it runs; CoppeliaSim then restores its initial state."""
-        stop(self.sim)
-
-    def step(self) -> None:
-        """Advance by one step of the simulation."""
-        self.sim.call("step", True)
-
-    def place(self, q: Sequence[float] | Array) -> None:
-        """Set the positions of the free joints [rad], shape (6,)."""
-        for hinge, angle in zip(self.free, q, strict=True):
-            self.sim.call("setJointPosition", hinge, angle)
-
-    def aim(self, q: Sequence[float] | Array) -> None:
-        """Set the targets of their controllers [rad], shape (6,)."""
-        for hinge, angle in zip(self.free, q, strict=True):
-            self.sim.call("setJointTargetPosition", hinge, angle)
-
-    def joints(self) -> Array:
-        """Return the positions of all joints [rad], shape (n,)."""
-        return np.array([self.sim.call("getJointPosition", hinge) for hinge in self.scene.joints])
-
-    def pose(self, object_handle: int) -> tuple[Array, Array]:
-        """Return position [m], shape (3,), and rotation, shape (3, 3), of an object."""
-        pose = np.array(self.sim.call("getObjectPose", object_handle))
-        return pose[:3], Rotation.from_quat(pose[3:]).as_matrix()
-
-    def velocity(self, object_handle: int) -> tuple[Array, Array]:
-        """Return linear [m/s] and angular velocity [rad/s] of an object, shape (3,) each."""
-        linear, angular = self.sim.call("getObjectVelocity", object_handle)
-        return np.array(linear), np.array(angular)
-
-
-def stop(sim: Connection) -> None:
-    """Stop the simulation, and wait until it has stopped."""
-    stopped, until = sim.constant("simulation_stopped"), time.monotonic() + STOP_TIME
-    if sim.call("getSimulationState") == stopped:
-        return
-    sim.call("stopSimulation")
-    while sim.call("getSimulationState") != stopped:
-        if time.monotonic() > until:
-            raise OutsideError(
-                f"the CoppeliaSim at {sim.address} did not stop within {STOP_TIME:g} s; stop it"
-            )
-        time.sleep(POLL)
-
-
-def _check_idle(sim: Connection) -> None:
-    """Stop a simulation that Equipoise began; reject another one."""
-    if sim.call("getSimulationState") == sim.constant("simulation_stopped"):
-        return
-    if find_scene(sim) < 0:
-        raise OutsideError(
-            f"the CoppeliaSim at {sim.address} runs a simulation; stop it, or give the address of "
-            "another one"
-        )
-    stop(sim)
-
-
-def _give_back(sim: Connection, undo: list[tuple[str, int, Any]]) -> None:
-    """Stop, remove the scene, and set the parameters as they were."""
-    with suppress(OutsideError):  # it may be gone
-        stop(sim)
-        remove_scene(sim)
-        for function, number, value in reversed(undo):
-            sim.call(function, number, value)
-    sim.close()
 
 
 class CoppeliaSimulation(Simulation):
@@ -423,7 +269,16 @@ class KinematicLoop:
         self.controller.observation[::BATCH_SIZE] = self._state
 
     def step(self, u: float) -> int:
-        """Advance by one tick with u [m/s^2], and return the cause of the failure."""
+        """Advance by one tick with u [m/s^2], and return the cause of the failure.
+
+        Raises:
+            OutsideError: Another program stopped or changed the simulation.
+        """
+        if (cause := self._advance(u)) != TRUNCATED:
+            self._rig.check()
+        return cause
+
+    def _advance(self, u: float) -> int:
         rig, controller, h = self._rig, self.controller, self.params.h
         seed, stream = self._simulation.seed, self._simulation.stream
         tick, number = np.array([self._tick]), np.array([self._trial.number])
@@ -501,11 +356,12 @@ class DynamicLoop:
         rig.aim(self.params.home)
         sim.call("setJointPosition", scene.spindle, phi - LEAD_STEPS * SETPOINT_PERIOD * phi_dot)
         sim.call("setJointTargetVelocity", scene.spindle, phi_dot)
-        sim.call("setJointTargetForce", scene.spindle, HAND_TORQUE)
+        # A signed torque would turn a negative velocity.
+        sim.call("setJointTargetForce", scene.spindle, HAND_TORQUE, False)
         rig.start()
         for _ in range(LEAD_STEPS):
             rig.step()
-        sim.call("setJointTargetForce", scene.spindle, 0.0)
+        sim.call("setJointTargetForce", scene.spindle, 0.0, False)
         self._sent = deque([self.params.home] * self._delay)
         self._tick, self.now, self.tracked = 0, 0.0, 0.0
         self._read()
@@ -527,7 +383,16 @@ class DynamicLoop:
         self._counts = float(counts_from_theta(theta, float(self._numbers.counts_per_rev), 1.0))
 
     def step(self, u: float) -> int:
-        """Advance by one tick with u [m/s^2], and return the cause of the failure."""
+        """Advance by one tick with u [m/s^2], and return the cause of the failure.
+
+        Raises:
+            OutsideError: Another program stopped or changed the simulation.
+        """
+        if (cause := self._advance(u)) != TRUNCATED:
+            self._rig.check()
+        return cause
+
+    def _advance(self, u: float) -> int:
         rig, controller, before = self._rig, self.controller, self._state
         controller.u[0] = u
         command_setpoints(self._handle)
