@@ -36,7 +36,8 @@ ENDED = 2.1
 """Longest time from a fault to the end of a run [s]: a driver waits 1 s for a reply, and 1 s for
 the end of the connection."""
 PATIENCE = 10.0
-"""Time after a fault at which a run that still waits has failed the test [s]."""
+"""Time after a fault at which a run that still waits has failed the test [s]; the processes of a
+busy host end within 7 s."""
 
 
 # In virtual time.
@@ -205,11 +206,11 @@ def wait_for(process, text):
         seen += came
 
 
-def rest(process, began, limit):
-    """Return the exit code and the last lines of a process that ends within a limit [s]."""
+def rest(process, began):
+    """Return the exit code and the last lines of a process that ends in time."""
     code = process.wait(20.0)
     took, said = time.monotonic() - began, process.stdout.read()
-    assert took < limit, said
+    assert took < PATIENCE, said
     return code, said
 
 
@@ -229,7 +230,7 @@ def test_a_rig_that_dies_while_the_checklist_is_asked_ends_deploy(tmp_path, numb
         wait_for(run, QUESTION)
         began = time.monotonic()
         rig.process.send_signal(number)
-        code, said = rest(run, began, 6.0)
+        code, said = rest(run, began)
     assert code == 3
     assert re.search(saying, said), said
     fault = RunLog.load(tmp_path / "run.mcap", damaged=True).end.fault
@@ -242,7 +243,7 @@ def test_sigterm_while_the_checklist_is_asked_ends_deploy(tmp_path):
         wait_for(run, QUESTION)
         began = time.monotonic()
         run.terminate()
-        code, said = rest(run, began, 6.0)
+        code, said = rest(run, began)
     assert code == 130
     assert "estop was not acknowledged; nothing has moved" in said
 
@@ -255,6 +256,6 @@ def test_an_encoder_that_dies_while_deploy_waits_for_the_robots_server_ends_depl
         wait_for(run, "start the application")
         began = time.monotonic()
         rig.process.kill()
-        code, said = rest(run, began, 6.0)
+        code, said = rest(run, began)
     assert code == 3
     assert re.search(f"error: {rig.ready['encoder']} is gone", said), said
