@@ -37,7 +37,7 @@ ENDED = 2.1
 the end of the connection."""
 PATIENCE = 10.0
 """Time after a fault at which a run that still waits has failed the test [s]; the processes of a
-busy host end within 7 s."""
+busy host end within 8 s."""
 
 
 # In virtual time.
