@@ -72,15 +72,22 @@ def test_ctrl_c_keeps_nothing_and_says_so(equipoise, bench, tmp_path):
     assert not bench.host._open
 
 
-def test_a_board_that_dies_is_the_outside_world(equipoise, bench, tmp_path):
-    def unplug(now):
-        if now > RELEASE + 2.0 and bench.device is not None:
+@pytest.mark.parametrize("moment", [1.0, RELEASE - 1.0, RELEASE + 2.0])
+@pytest.mark.parametrize(
+    ("fault", "saying"), [("unplugged", "is gone"), ("silent", "sent no line that is valid for")]
+)
+def test_a_board_that_dies_is_the_outside_world(equipoise, bench, tmp_path, fault, saying, moment):
+    def fail(now):
+        if now > moment and fault == "silent":
+            bench.device.cut = True
+        elif now > moment and bench.device is not None:
             bench.unplug()
+        assert now < moment + 2.0, "the recording goes on with a dead link"
 
-    bench.clock.attach(unplug)
+    bench.clock.attach(fail)
     ran = equipoise("rig", "record", "--encoder", URI)
     assert ran.code == 3
-    assert ran.err.startswith(f"error: {URI} is gone")
+    assert ran.err.startswith(f"error: {URI} {saying}")
     assert contents(tmp_path) == {}
 
 

@@ -157,6 +157,21 @@ def breaking(request, memory, joints, pipe):
     moving(request, memory, joints, pipe, fail)
 
 
+def waiting(request, memory, joints, pipe):
+    """Wait for a robot's server with an encoder that has died."""
+
+    def samples():
+        raise LinkError("the encoder is gone")
+
+    def connect(_, tell, attend):
+        processes.run_on_rig = lambda *_, **__: attend()
+        return SimpleNamespace(sensor=SimpleNamespace(samples=samples))
+
+    RunRequest.connect = connect
+    processes.WorkerProcess = lambda: None
+    processes._loop(request, memory, joints, pipe)
+
+
 # Who stands at the screen.
 
 
@@ -400,6 +415,7 @@ def lives(pid):
     ("loop", "kind", "saying"),
     [
         pytest.param(refusing, LinkError, "the robot says nothing", marks=pytest.mark.slow),
+        (waiting, LinkError, "the encoder is gone"),
         (breaking, OutsideError, r"the run failed \(ZeroDivisionError: by zero\); please report"),
     ],
 )

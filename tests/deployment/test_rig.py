@@ -19,6 +19,7 @@ from equipoise.deployment.rig import (
     run_virtually,
 )
 from equipoise.devices.clocks import VirtualClock
+from equipoise.devices.plugins import ignore
 from equipoise.errors import InputError
 from equipoise.identification.motion import identify_motion
 from equipoise.logs import writer as log_writer
@@ -201,7 +202,7 @@ class Script:
 
 def test_words_that_come_together_answer_one_question_after_the_other():
     clock, recorder = VirtualClock(), Recorder(7)
-    channel = OperatorChannel([Script("estop", " Fence \n", "stop")], recorder, clock)
+    channel = OperatorChannel([Script("estop", " Fence \n", "stop")], recorder, clock, ignore)
     assert [channel.ask(OperatorMessage("checklist", text, ())) for text in "ab"] == [
         "estop",
         "fence",
@@ -250,7 +251,7 @@ def test_a_mistyped_answer_to_the_move_is_asked_again():
 def test_whoever_asks_waits_for_a_word():
     clock, script = VirtualClock(), Script()
     clock.attach(lambda now: script._words.extend(["y"] if now == 1.0 else []))
-    channel = OperatorChannel([script], Recorder(7), clock)
+    channel = OperatorChannel([script], Recorder(7), clock, ignore)
     assert channel.ask(OperatorMessage("move")) == "y"
     assert clock.now() == pytest.approx(1.0, abs=0.02)
 

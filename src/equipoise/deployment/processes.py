@@ -470,12 +470,18 @@ def _loop(request: RunRequest, memory: Path, joints: int, pipe: Any) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     worker: WorkerProcess | None = None
     result: RunEnd | EquipoiseError
+
+    def attend() -> None:
+        """Check for a stop and the encoder, which is connected before the robot."""
+        operator.attend(restart_instruction(request.robot))
+        rig.sensor.samples()
+
     try:
         worker = WorkerProcess()
         warm_up(request)  # before the connection, which needs attention once it is open
         rig = request.connect(
             tell=lambda text: operator.notify(OperatorMessage("waiting", text)),
-            attend=lambda: operator.attend(restart_instruction(request.robot)),
+            attend=attend,
         )
         result = run_on_rig(
             request,

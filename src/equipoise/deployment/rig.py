@@ -86,8 +86,9 @@ SPEED_LIMIT: Final = "speed limit"
 """Name of the event with the flange's speed limit."""
 PROLOGUE: Final = 600.0
 """Recorded duration of the phases before the balancing [s]."""
-INPUT_POLL_PERIOD: Final = 0.02
-"""Polling period of typed input while nothing moves [s]."""
+QUESTION_POLL_PERIOD: Final = 0.02
+"""Polling period of typed input, robot and encoder while a question is open [s]: a quarter of a
+stream's requests, and a lost link is noticed within this time plus the driver's timeout."""
 WARM_UP_CALLS: Final = 20
 """Number of calls of the policy before the run; their median is compared with the limit."""
 DRAIN_PERIOD: Final = 25
@@ -283,15 +284,23 @@ class RunRequest:
 class OperatorChannel:
     """Channel to the operators of a run: messages to all of them, and their typed lines."""
 
-    def __init__(self, operators: Sequence[Operator], recorder: Recorder, clock: Clock) -> None:
+    def __init__(
+        self,
+        operators: Sequence[Operator],
+        recorder: Recorder,
+        clock: Clock,
+        check_links: Callable[[], None],
+    ) -> None:
         """Connect operators to a run.
 
         Args:
             operators: The operators; each may type.
             recorder: Rings for the log.
             clock: Time of the run before it moves.
+            check_links: Raises `LinkError` if a device has failed; called while a question is open.
         """
         self._operators, self._recorder, self._clock = operators, recorder, clock
+        self._check_links = check_links
         self._pending: list[str] = []
 
     def notify(self, event: OperatorMessage) -> None:
@@ -315,6 +324,9 @@ class OperatorChannel:
         Returns:
             An expected answer, a denial, or the last of three other words; later lines stay
             pending.
+
+        Raises:
+            LinkError: A device has failed.
         """
         self.tell(event)
         for _ in range(ATTEMPTS - 1):
@@ -327,7 +339,9 @@ class OperatorChannel:
 
     def _read_word(self) -> str:
         while not (lines := self.read_input()):
-            self._clock.wait_until(self._clock.now() + INPUT_POLL_PERIOD)
+            until = self._clock.now() + QUESTION_POLL_PERIOD
+            self._check_links()
+            self._clock.wait_until(until)
         word, *self._pending = lines
         push_event(self._recorder.event, self._clock.now(), WORD_TYPED, (), word)
         return word.strip().lower()
@@ -362,10 +376,17 @@ def run_on_rig(
         InputError: The policy does not fit the rig.
         OutsideError: A device fails.
     """
-    operator = OperatorChannel(operators, recorder, DrainingClock(rig.clock, rig.sensor))
-    tell = operator.tell
     period = request.policy.h / 2.0
     robot = GuardedRobot(rig.robot, request.guard(request.settings.counts_per_rev).limits, period)
+
+    def check_links() -> None:
+        """Request the joints, and drop the encoder's samples; each raises where its link failed."""
+        robot.measured()
+        rig.sensor.samples()
+
+    waiting = DrainingClock(rig.clock, rig.sensor)
+    operator = OperatorChannel(operators, recorder, waiting, check_links)
+    tell = operator.tell
     try:
         tell(OperatorMessage(CONNECTING, f"Connecting to {request.robot}."))
         rig.sensor.connect()
@@ -384,6 +405,7 @@ def run_on_rig(
             if said != word:
                 return _unmoved(OPERATOR, f"{word} was not acknowledged")
         if request.dry_run:
+            check_links()  # the answers may have been typed ahead
             return _unmoved("dry run", "all steps before the motion passed")
         question = "The arm will move to home at a tenth of its speed. Stand clear. Move? y or n"
         if operator.ask(OperatorMessage("move", question, ("y", "n"))) != "y":

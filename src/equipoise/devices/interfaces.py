@@ -61,6 +61,8 @@ class ServoedArm(Protocol):
     def measured(self) -> Array:
         """Return the measured joints [rad], shape (joints,), while the servo is off. Blocks.
 
+        It is called 50 times a second while the operator is asked, so that a lost link is noticed.
+
         Raises:
             LinkError: The reply is late or invalid.
         """
@@ -169,7 +171,7 @@ class AngleSensor(Protocol):
         """Return the samples since the last call, the oldest first.
 
         Raises:
-            LinkError: The link is down.
+            LinkError: The link is down, or silent.
         """
         ...
 

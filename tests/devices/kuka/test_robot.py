@@ -73,7 +73,7 @@ def latched(rig):
         rig.robot.connect,
         lambda: rig.robot.send(HOME),
     ):
-        with pytest.raises(LinkError, match="E-stop|was closed|once"):
+        with pytest.raises(LinkError, match="E-stop|No servo runs|was closed|once"):
             call()
     rig.wait(2.0)
     return rig.heard == heard and rig.opened == 1
@@ -427,6 +427,13 @@ def test_closed_connection_ends_the_link_and_says_what_that_means(streaming):
     assert latched(streaming)
     assert streaming.body.running
     assert streaming.body.measured()[0] == pytest.approx(0.01, abs=1e-6)
+
+
+def test_closed_connection_without_a_servo_says_that_nothing_moves(rig):
+    rig.fault(close=True)
+    rig.wait(0.1)
+    with pytest.raises(LinkError, match="^robot: [^;]*; the link is given up. No servo runs;"):
+        rig.robot.measured()
 
 
 def test_half_open_link_ends_in_time(streaming):

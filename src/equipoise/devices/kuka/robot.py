@@ -132,6 +132,7 @@ class KstRobot:
         self._transport: Transport | None = None
         self._failure = ""
         self._streams, self._sent = False, 0
+        self._may_move = True  # until the first reply, a servo of a lost client may run
         self.torque_every = TORQUE_EVERY
         """Number of setpoints of which one requests external torques."""
         self._lines = codec.KstLineSplitter()
@@ -154,6 +155,7 @@ class KstRobot:
         self._transport = self._reach()
         self._wait(AFTER_CONNECT)
         self.measured()
+        self._may_move = False
 
     def measured(self) -> Array:
         """Request the measured joints [rad], shape (7,), while no servo runs.
@@ -171,6 +173,7 @@ class KstRobot:
             LinkError: A reply is late or invalid.
         """
         self._at_rest("start a servo")
+        self._may_move = True
         held = self._start_servo()
         self._streams, self._sent = True, 0
         self._last = (self._clock.now(), held)
@@ -237,6 +240,7 @@ class KstRobot:
         self._done(codec.STOP_SERVO)
         self._streams = False
         self._wait(AFTER_STOP)
+        self._may_move = False
 
     def close(self) -> None:
         """End the server and its servo, and close; an operator has to start the server again.
@@ -357,14 +361,17 @@ class KstRobot:
         try:
             yield
         except LinkError as error:
-            self._fail(str(error))
+            self._fail(str(error).removesuffix("; connect again"))
 
     def _fail(self, why: str) -> NoReturn:
         """Give up the link for good."""
-        self._failure = (
-            f"robot: {why}; the link is given up. A servo that runs goes on to the last setpoint, "
-            "and software cannot stop it: be ready at the E-stop, and start the server again"
+        consequence = (
+            "A servo that runs goes on to the last setpoint, and software cannot stop it: be ready "
+            "at the E-stop, and"
+            if self._may_move
+            else "No servo runs;"
         )
+        self._failure = f"robot: {why}; the link is given up. {consequence} start the server again"
         raise LinkError(self._failure)
 
     def _wait(self, duration: float) -> None:
