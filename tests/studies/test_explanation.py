@@ -177,7 +177,8 @@ RIG_CAUSES = {rule.value for rule in Rule} | {
 """Every cause of a log of a rig: the rules, and those of run controller, deployment and reader."""
 OF_A_BENCH = {
     *(Rule.LINK, Rule.NOT_FOLLOWING, Rule.TORQUE, Rule.FIRST, Rule.TICK, Rule.NUMBER, Rule.COUNT),
-    *(Rule.ENCODER_STALE, Rule.ENCODER_ILLEGAL, Rule.ENCODER_GAP, Rule.ENCODER_JUMP),
+    *(Rule.MEASUREMENT_STALE, Rule.ENCODER_STALE),
+    *(Rule.ENCODER_ILLEGAL, Rule.ENCODER_GAP, Rule.ENCODER_JUMP),
 }
 """Rules that trials do not ask: about clocks, links, cables and hands."""
 

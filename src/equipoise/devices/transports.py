@@ -28,7 +28,7 @@ class MemoryPipe:
     def write(self, data: bytes) -> None:
         """Send bytes to the other end."""
         if not (self._open and self.other._open):
-            raise LinkError("the other end has closed the link; connect again")
+            raise LinkError("the other end has closed the link")
         if data and not self.cut:
             arrival = self._clock.now() + self.delay
             if self.other._coming:
@@ -41,7 +41,7 @@ class MemoryPipe:
         while self._coming and self._coming[0][0] <= self._clock.now() + 1e-9:
             came += self._coming.popleft()[1]
         if not came and not self._coming and not self.other._open:
-            raise LinkError("the other end has closed the link; connect again")
+            raise LinkError("the other end has closed the link")
         return bytes(came)
 
     def close(self) -> None:
@@ -78,7 +78,7 @@ class SocketTransport:
         try:
             sent = self._socket.send(data)
         except OSError as error:
-            raise LinkError(f"the link is down ({error}); connect again") from None
+            raise LinkError(f"the link is down ({error})") from None
         if sent != len(data):
             raise LinkError("the link takes no more bytes; the other end does not read")
 
@@ -89,9 +89,9 @@ class SocketTransport:
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise LinkError(f"the link is down ({error}); connect again") from None
+            raise LinkError(f"the link is down ({error})") from None
         if not data:
-            raise LinkError("the other end has closed the link; connect again")
+            raise LinkError("the other end has closed the link")
         if self._quick is not None:  # Linux resets the option with each segment
             self._socket.setsockopt(socket.IPPROTO_TCP, self._quick, 1)
         return data

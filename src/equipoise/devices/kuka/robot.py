@@ -361,7 +361,7 @@ class KstRobot:
         try:
             yield
         except LinkError as error:
-            self._fail(str(error).removesuffix("; connect again"))
+            self._fail(str(error))
 
     def _fail(self, why: str) -> NoReturn:
         """Give up the link for good."""
