@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file
 from equipoise.cli.output import Output, gauge, verb
+from equipoise.guests import guest_code
 
 if TYPE_CHECKING:
     pass
@@ -60,7 +61,7 @@ def record(
     clock = SystemClock()
     sensor = encoder_at(encoder, clock, counts_per_rev=counts_per_rev)
     try:
-        with output.busy("connecting") as rename:
+        with output.busy("connecting") as rename, guest_code(f"the driver of {encoder}"):
             sensor.connect()
             output.say(sensor.description)
             swing, recorder = record_swing(sensor, clock, duration, prompt)

@@ -36,7 +36,8 @@ from equipoise.deployment.rig import ALONE, STOP, RunRequest, run_on_rig, warm_u
 from equipoise.devices import realtime
 from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
-from equipoise.errors import EquipoiseError, InputError, OutsideError
+from equipoise.errors import EquipoiseError, OutsideError
+from equipoise.guests import format_error, guest_code
 from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.recorder import PULSE, Question, Recorder, push_event, read_events
 from equipoise.logs.shared import RunInfo, open_recorder, share
@@ -94,28 +95,27 @@ def run_in_processes(
         InputError: The policy cannot be sent to the loop's process.
         EquipoiseError: Error of the loop's process, or its end without a result.
     """
-    try:
-        pickle.dumps(request)
-    except Exception as error:  # any error of the policy's own classes
-        raise InputError(
-            f"{request.policy.name} cannot be sent to the process of the run ({error}); give it as "
-            "MODULE:NAME"
-        ) from None
+    with guest_code(f"sending {request.policy.name} to another process", "give it as MODULE:NAME"):
+        data = pickle.dumps(request)
     context = multiprocessing.get_context("spawn")
     with share(_described(request)) as memory:
-        return _run(context, request, memory, out, person, replace=replace)
+        return _run(context, request, data, memory, out, person, replace=replace)
 
 
 def _run(
     context: SpawnContext,
     request: RunRequest,
+    data: bytes,
     memory: Path,
     out: Path,
     person: LocalOperator,
     *,
     replace: bool,
 ) -> RunEnd:
-    """Run the processes around shared memory; further arguments as of `run_in_processes`."""
+    """Run the processes around shared memory, for a request and its pickled data.
+
+    Further arguments as of `run_in_processes`.
+    """
     joints = len(request.settings.described_arm.joints)
     recorder = open_recorder(memory, joints)
     theirs, ours = context.Pipe()
@@ -125,7 +125,7 @@ def _run(
         args=(memory, joints, out, replace, request.conditions(), done, log_pipe[0]),
         daemon=True,
     )
-    loop = context.Process(target=_loop, args=(request, memory, joints, theirs), daemon=False)
+    loop = context.Process(target=_loop, args=(data, memory, joints, theirs), daemon=False)
     words: list[str] = []
     log = LogProcess(writer, log_pipe[1])
     with handled_signals(SIGNALS, lambda *_: words.append(STOP)):
@@ -464,8 +464,8 @@ def _ignore_signals() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _loop(request: RunRequest, memory: Path, joints: int, pipe: Any) -> None:
-    """Run the loop's process."""
+def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
+    """Run the loop's process for a pickled request, whose policy is imported here anew."""
     recorder = open_recorder(memory, joints)
     operator = OperatorProxy(recorder)
     for number in SIGNALS:
@@ -474,6 +474,7 @@ def _loop(request: RunRequest, memory: Path, joints: int, pipe: Any) -> None:
     worker: WorkerProcess | None = None
     result: RunEnd | EquipoiseError
     try:
+        request: RunRequest = pickle.loads(data)
         worker = WorkerProcess()
         warm_up(request)  # before the connection, which needs attention once it is open
         rig = request.connect(
@@ -491,8 +492,8 @@ def _loop(request: RunRequest, memory: Path, joints: int, pipe: Any) -> None:
         )
     except EquipoiseError as error:
         result = type(error)(str(error))
-    except Exception as error:  # one sentence for the parent, without a traceback
-        result = OutsideError(f"the run failed ({type(error).__name__}: {error}); please report it")
+    except BaseException as error:  # one sentence for the parent, without a traceback
+        result = OutsideError(f"the run failed ({format_error(error)}); please report it")
     _send(pipe, result)
     if worker is not None:
         worker.close()
