@@ -155,6 +155,14 @@ def test_little_address_space_is_refused_in_one_sentence(swing):
     assert "Traceback" not in ran.stderr
 
 
+@pytest.mark.parametrize("epoch", ["x", "", "-1", "1e9", "9" * 12, "١"])
+def test_an_epoch_that_libraries_cannot_read_is_refused(equipoise, monkeypatch, epoch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", epoch)
+    ran = equipoise("log", "verify", "nowhere.json")
+    assert ran.code == 2
+    assert f"SOURCE_DATE_EPOCH is {epoch!r}, expected whole seconds" in ran.err
+
+
 def test_a_backend_that_does_not_exist_does_not_keep_figures_from_being_drawn():
     code = "import equipoise.report.style, matplotlib.figure, os; print(os.environ['MPLBACKEND'])"
     ran = subprocess.run(
