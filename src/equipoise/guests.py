@@ -38,13 +38,15 @@ def guest_code(
 
     Raises:
         InputError: The code raised an exception of any type, `SystemExit` among them.
-        EquipoiseError: The code raised this error itself.
+        EquipoiseError: The code raised this error itself, with a message.
     """
     try:
         yield
-    except (EquipoiseError, KeyboardInterrupt):
+    except KeyboardInterrupt:
         raise
     except BaseException as error:
+        if isinstance(error, EquipoiseError) and str(error):
+            raise
         raise InputError(f"{what} raised {format_error(error)}{where()}; {cure}") from error
 
 

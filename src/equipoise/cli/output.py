@@ -60,7 +60,7 @@ class _EscapingConsole(Console):
         """End the verb silently."""
         with suppress(SystemExit):
             super().on_broken_pipe()  # discards all further output
-        raise ClosedPipeError
+        raise ClosedPipeError("the reader of the output has gone")
 
     def render_str(self, text: str, **kwargs: Any) -> Text:
         """Return a string as rich text."""

@@ -14,7 +14,7 @@ in the same way. `equipoise.rigs` is the only module that opens devices.
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import cache, wraps
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
@@ -28,6 +28,8 @@ ROBOTS: Final = "equipoise.robots"
 """Entry-point group of robots."""
 SENSORS: Final = "equipoise.sensors"
 """Entry-point group of angle sensors."""
+HOOKS: Final = ("open", "emulate", "serve", "flange_speed")
+"""Optional functions of a plugin."""
 
 
 def ignore(*_: object) -> None:
@@ -217,19 +219,19 @@ def _plugin(group: str, type_: type[T], address: str, kind: str) -> T:
 def _loaded(entry: EntryPoint, type_: type[T]) -> T:
     """Return the plugin of an entry point; errors in its functions name it."""
     what, cure = f"the plugin {entry.name} ({entry.value})", "repair or remove its package"
-    with guest_code(what, cure):
-        plugin = entry.load()
-        if not isinstance(plugin, type_):
-            found = type(plugin).__name__
-            raise InputError(f"{what} is of type {found}, expected {type_.__name__}; {cure}")
 
     def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
-        @wraps(function)
         def call(*arguments: Any) -> Any:
             with guest_code(what, cure):
                 return function(*arguments)
 
         return call
 
-    fields = plugin._asdict().items()
-    return plugin._replace(**{name: guarded(value) for name, value in fields if callable(value)})
+    with guest_code(what, cure):
+        plugin = entry.load()
+        if not isinstance(plugin, type_):
+            found = type(plugin).__name__
+            raise InputError(f"{what} is of type {found}, expected {type_.__name__}; {cure}")
+        given = plugin._asdict()
+        hooks = {name: guarded(given[name]) for name in HOOKS if given.get(name) is not None}
+        return plugin._replace(check=guarded(plugin.check), **hooks)
