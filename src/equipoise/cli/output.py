@@ -8,6 +8,7 @@ import functools
 import json
 import math
 import os
+import re
 import shlex
 import signal
 import sys
@@ -39,8 +40,11 @@ BAD_RESULT = 1
 INTERRUPTED = 130
 VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red", "unknown": "dim"}
 """Styles of the verdicts of checks."""
-EPOCH_DIGITS = 11
-"""Maximum number of digits of SOURCE_DATE_EPOCH [-], up to the year 5138."""
+VARIABLES = {
+    "SOURCE_DATE_EPOCH": ("[0-9]{1,11}", "whole seconds since 1970"),
+    "NUMBA_NUM_THREADS": ("[1-9][0-9]{0,3}", "a number of threads"),
+}
+"""Form of environment variables on which NumPy, Matplotlib and Numba fail, and its name."""
 LEAST_ADDRESS_SPACE = 2**30
 """Minimum limit on the address space for loading the libraries [bytes]; 600 MB are too few."""
 QUANTILES = ("0.05", "0.25", "0.75", "0.95")
@@ -306,18 +310,16 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _check_environment() -> None:
-    """Check what the libraries would fail on: an environment variable, and the address space.
+    """Check what the libraries would fail on: environment variables, and the address space.
 
     Raises:
-        InputError: The environment variable SOURCE_DATE_EPOCH is invalid.
+        InputError: An environment variable is invalid.
         OutsideError: The libraries do not fit into the address space.
     """
-    epoch = os.environ.get("SOURCE_DATE_EPOCH", "0")
-    if not (epoch.isascii() and epoch.isdecimal() and len(epoch) <= EPOCH_DIGITS):
-        raise InputError(
-            f"SOURCE_DATE_EPOCH is {epoch[:40]!r}, expected whole seconds since 1970; correct or "
-            "unset it"
-        )
+    for name, (form, expected) in VARIABLES.items():
+        text = os.environ.get(name)
+        if text is not None and not re.fullmatch(form, text):
+            raise InputError(f"{name} is {text[:40]!r}, expected {expected}; correct or unset it")
     if sys.platform == "win32":
         return
     import resource

@@ -21,6 +21,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
@@ -96,26 +97,22 @@ def run_in_processes(
         EquipoiseError: Error of the loop's process, or its end without a result.
     """
     with guest_code(f"sending {request.policy.name} to another process", "give it as MODULE:NAME"):
-        data = pickle.dumps(request)
+        pickle.dumps(request)
     context = multiprocessing.get_context("spawn")
     with share(_described(request)) as memory:
-        return _run(context, request, data, memory, out, person, replace=replace)
+        return _run(context, request, memory, out, person, replace=replace)
 
 
 def _run(
     context: SpawnContext,
     request: RunRequest,
-    data: bytes,
     memory: Path,
     out: Path,
     person: LocalOperator,
     *,
     replace: bool,
 ) -> RunEnd:
-    """Run the processes around shared memory, for a request and its pickled data.
-
-    Further arguments as of `run_in_processes`.
-    """
+    """Run the processes around shared memory; further arguments as of `run_in_processes`."""
     joints = len(request.settings.described_arm.joints)
     recorder = open_recorder(memory, joints)
     theirs, ours = context.Pipe()
@@ -125,7 +122,9 @@ def _run(
         args=(memory, joints, out, replace, request.conditions(), done, log_pipe[0]),
         daemon=True,
     )
-    loop = context.Process(target=_loop, args=(data, memory, joints, theirs), daemon=False)
+    loop = context.Process(
+        target=_loop, args=(_Pickled(request), memory, joints, theirs), daemon=False
+    )
     words: list[str] = []
     log = LogProcess(writer, log_pipe[1])
     with handled_signals(SIGNALS, lambda *_: words.append(STOP)):
@@ -151,6 +150,16 @@ def _run(
     if isinstance(result, EquipoiseError):
         raise result
     return result
+
+
+class _Pickled:
+    """Object that arrives in a new process as bytes, to be unpickled where errors are handled."""
+
+    def __init__(self, value: object) -> None:
+        self._value = value
+
+    def __reduce__(self) -> Any:
+        return bytes, (bytes(ForkingPickler.dumps(self._value)),)
 
 
 def _described(request: RunRequest) -> RunInfo:
@@ -388,8 +397,11 @@ class WorkerProcess:
             self._process.kill()
 
 
-class PolicyTimeout(BaseException):
-    """Time limit of a policy exceeded; no handler of `Exception` in the policy catches this."""
+class PolicyTimeout(KeyboardInterrupt):
+    """Time limit of a policy exceeded: an interruption from outside, which `guest_code` passes on.
+
+    No handler of `Exception` in the policy catches it.
+    """
 
 
 class InterruptedPolicy:

@@ -210,7 +210,7 @@ def _plugin(group: str, type_: type[T], address: str, kind: str) -> T:
         forms = set[str]()
         for one in registered.values():
             with suppress(InputError):  # a defective plugin does not hide the others
-                forms.add(_loaded(one, type_).form)
+                forms.add(str(_loaded(one, type_).form))
         expected = " or ".join(sorted(forms))
         raise InputError(f"{address!r} is no address of {kind}; expected {expected}")
     return _loaded(entry, type_)
