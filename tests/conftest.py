@@ -17,6 +17,12 @@ hypothesis.settings.register_profile("equipoise", deadline=None, max_examples=50
 hypothesis.settings.load_profile("equipoise")
 
 
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    """Run each test in an empty folder: the one of the checkout may hold files of the user."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture(scope="session")
 def pendulum():
     """The paper's pendulum: a period of 0.75 s; nobody published its friction."""

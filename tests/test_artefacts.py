@@ -174,6 +174,12 @@ def test_values_refuse_unknown_fields_changes_nan_and_infinity():
         GAUGE.count = 4  # pyright: ignore[reportAttributeAccessIssue]
 
 
+@pytest.mark.parametrize(("low", "high"), [(1.5, 2.0), (-1.0, 0.5), (2.0, 0.0)])
+def test_an_estimate_outside_its_interval_is_refused(low, high):
+    with pytest.raises(ValueError, match="the value 1 is outside its interval"):
+        Estimate(value=1.0, low=low, high=high, source="given")
+
+
 def test_the_interval_of_a_normal_error_holds_95_percent_of_it():
     estimate = Estimate.normal(10.0, 2.0, "given")
     # The 97.5 % quantile of the normal distribution is 1.95996.

@@ -282,6 +282,8 @@ def test_a_trajectory_whose_time_stands_still_is_refused():
         ("time_s,theta_rad\n1.7e12,1\n1.7001e12,2\n", "time_s reaches 1.7e\\+12, .* another unit"),
         ("time_s,rate_rad_s\n0,1\n1,1e12\n", "rate_rad_s reaches 1e\\+12"),
         ("time_s,rate_rad_s\n0,1\n1,1e300\n", "line 3: rate_rad_s is '1e300'"),
+        ("time_s,theta_rad\n0,1\n1_000,1\n", "line 3: time_s is '1_000'.* such as -1.25"),
+        ("time_s,theta_rad\n0,1\n1,٣\n", "line 3: theta_rad is '٣'"),
     ],
 )
 def test_numbers_that_no_recorder_gives_are_refused(tmp_path, text, reason):

@@ -16,6 +16,7 @@ from equipoise.model.pendulum import Pendulum
 from equipoise.model.sim_configs import TwinSettings, World
 from equipoise.training import train
 from tests.arms import without_masses
+from tests.model.arms.witnesses import ELBOW
 
 pytestmark = pytest.mark.compiled_only
 WORLD = "twin:nominal"
@@ -165,7 +166,7 @@ def test_model_and_twin_agree_about_a_regulator_on_a_pivot_with_dry_friction(beh
 
 
 def test_an_arm_without_known_masses_has_no_twin(pendulum):
-    elbow = without_masses(read_urdf("tests/data/elbow6.urdf"))
+    elbow = without_masses(read_urdf(ELBOW))
     with pytest.raises(ArmError, match="mass"):
         excite(elbow, WORLD, pendulum)
 

@@ -22,7 +22,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from equipoise.errors import ArtefactError, InputError, OutsideError
 
@@ -81,6 +81,14 @@ class Estimate(Value):
     """Upper end of the 95 % interval."""
     source: EstimateSource
     """Origin of the number."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.low <= self.value <= self.high:
+            raise ValueError(
+                f"the value {self.value:g} is outside its interval, {self.low:g} to {self.high:g}"
+            )
+        return self
 
     @classmethod
     def around(cls, value: float, half_width: float, source: EstimateSource) -> Self:

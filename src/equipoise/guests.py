@@ -1,18 +1,53 @@
-"""Import of plug-in objects from outside the package, named as MODULE:NAME.
+"""Import of plug-in objects from outside the package, named as MODULE:NAME, and calls of them.
 
 A custom policy, reward or learner is an object in a Python module of the current folder or of an
-installed package. Results identify it by the digest of its source file.
+installed package. Results identify it by the digest of its source file. All code from outside the
+package runs inside `guest_code`: whatever it raises, even a request to exit, becomes one message.
 """
 
 import hashlib
 import importlib
 import inspect
+import os
 import sys
 import traceback
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from equipoise.errors import InputError
+from equipoise.errors import EquipoiseError, InputError
+from equipoise.printable import printable
+
+OTHERS: Final = (f"{Path(__file__).parent}{os.sep}", "<frozen ")
+"""Begin of the files that are no guest's: this package, and Python's import."""
+MAX_ERROR_LENGTH: Final = 500
+"""Length limit of a guest's error in a message [characters]."""
+
+
+@contextmanager
+def guest_code(
+    what: str, cure: str = "correct it", where: Callable[[], str] = lambda: ""
+) -> Generator[None]:
+    """Run code from outside the package; convert what it raises, except Ctrl-C.
+
+    Args:
+        what: Name of the code in messages.
+        cure: Remedy in the message.
+        where: Returns the situation of the call for the message, with a leading space.
+
+    Raises:
+        InputError: The code raised an exception of any type, `SystemExit` among them.
+        EquipoiseError: The code raised this error itself, with a message.
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        if isinstance(error, EquipoiseError) and str(error):
+            raise
+        raise InputError(f"{what} raised {format_error(error)}{where()}; {cure}") from error
 
 
 def load_object(name: str, option: str) -> Any:
@@ -37,19 +72,18 @@ def load_object(name: str, option: str) -> Any:
     if here not in sys.path:
         sys.path.insert(0, here)
     check = f"check {option} MODULE:NAME"
-    try:
-        module = importlib.import_module(module_name)
-    except Exception as error:
-        missing = error.name if isinstance(error, ModuleNotFoundError) else None
-        if missing is None or not f"{module_name}.".startswith(f"{missing}."):
-            message = f"importing {module_name!r} raised {format_error(error)}; correct it"
-            raise InputError(message) from error
-        message = f"there is no module {module_name!r} in {here} or installed; {check}"
-        raise InputError(message) from None
-    if not hasattr(module, attribute):
-        where = f"{module_name!r} ({module.__file__})"
-        raise InputError(f"the module {where} has no {attribute!r}; {check}")
-    return getattr(module, attribute)
+    with guest_code(f"importing {module_name!r}"):
+        try:
+            module = importlib.import_module(module_name)
+        except ModuleNotFoundError as error:
+            if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
+                raise
+            message = f"there is no module {module_name!r} in {here} or installed; {check}"
+            raise InputError(message) from None
+        if not hasattr(module, attribute):
+            where = f"{module_name!r} ({getattr(module, '__file__', 'built in')})"
+            raise InputError(f"the module {where} has no {attribute!r}; {check}")
+        return getattr(module, attribute)
 
 
 def source_digest(function: Any) -> str:
@@ -58,22 +92,25 @@ def source_digest(function: Any) -> str:
     Raises:
         InputError: The object has no source file.
     """
-    try:
-        source = Path(inspect.getsourcefile(inspect.unwrap(function)) or "").read_bytes()
-    except (TypeError, OSError):
-        message = f"{function!r:.60} has no source file, expected a function of a .py file"
-        raise InputError(message) from None
+    with guest_code(f"finding the source of a {type(function).__name__}"):
+        try:
+            source = Path(inspect.getsourcefile(inspect.unwrap(function)) or "").read_bytes()
+        except (TypeError, OSError):
+            message = f"{function!r:.60} has no source file, expected a function of a .py file"
+            raise InputError(message) from None
     return hashlib.sha256(source).hexdigest()
 
 
-def format_error(error: BaseException, hidden: str = __file__) -> str:
-    """Return the type of an error, its text, and the line of code that raised it.
-
-    Args:
-        error: The error.
-        hidden: Path of the caller's file, whose lines are skipped.
-    """
+def format_error(error: BaseException) -> str:
+    """Return type, text and origin of a guest's error, escaped for display on one line."""
     frames = traceback.extract_tb(error.__traceback__)
-    lines = [(f.filename, f.lineno) for f in frames if f.filename not in (hidden, __file__)]
+    lines = [(f.filename, f.lineno) for f in frames if not f.filename.startswith(OTHERS)]
     where = " ({}, line {})".format(*lines[-1]) if lines else ""
-    return f"{type(error).__name__}: {error}{where}"
+    try:
+        text = str(error)
+    except BaseException:  # a guest's own `__str__`
+        text = "without a text"
+    text = " ".join(text.splitlines())
+    if len(text) > MAX_ERROR_LENGTH:
+        text = f"{text[:MAX_ERROR_LENGTH]}..."
+    return printable(f"{type(error).__name__}: {text}{where}")

@@ -44,7 +44,12 @@ from equipoise.learning.checkpoint import (
     table,
     unpack,
 )
-from equipoise.learning.choice import compile_learner, load_learner, with_digests
+from equipoise.learning.choice import (
+    compile_learner,
+    load_learner,
+    raise_guest_error,
+    with_digests,
+)
 from equipoise.learning.episodes import (
     ENDED,
     ENDED_STEPS,
@@ -515,6 +520,7 @@ def _train(
             _train_in_turn(loops, trainings, until)
         else:
             train_in_world(loops[0], training, elsewhere, until)
+        raise_guest_error(settings.learning)
         totals = _totals(trainings)
         if not np.isfinite(tables.Q).all():
             raise InputError(

@@ -316,7 +316,7 @@ def _is_number(cell: str) -> bool:
         float(cell)
     except ValueError:
         return False
-    return True
+    return cell.isascii() and "_" not in cell  # `float` accepts 1_000 and the digits of all scripts
 
 
 def _samples(path: Path, table: _Table) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -367,8 +367,8 @@ def _number(path: Path, line: int, name: str, at: int, row: list[str]) -> float:
     value = float(cell) if _is_number(cell) else math.nan
     if not abs(value) <= MAX_NUMBER:
         raise RecordingError(
-            f"{path}, line {line}: {name} is {shortened(cell, 40)!r}, expected a finite number; "
-            "correct or remove the line"
+            f"{path}, line {line}: {name} is {shortened(cell, 40)!r}, expected a finite number "
+            "such as -1.25 or 3e-4; correct or remove the line"
         )
     return value
 

@@ -155,6 +155,18 @@ def test_little_address_space_is_refused_in_one_sentence(swing):
     assert "Traceback" not in ran.stderr
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("SOURCE_DATE_EPOCH", text) for text in ("x", "", "-1", "1e9", "9" * 12, "١")]
+    + [("NUMBA_NUM_THREADS", text) for text in ("x", "0", "-1")],
+)
+def test_a_variable_that_libraries_cannot_read_is_refused(equipoise, monkeypatch, name, text):
+    monkeypatch.setenv(name, text)
+    ran = equipoise("log", "verify", "nowhere.json")
+    assert ran.code == 2
+    assert f"error: {name} is {text!r}, expected" in ran.err
+
+
 def test_a_backend_that_does_not_exist_does_not_keep_figures_from_being_drawn():
     code = "import equipoise.report.style, matplotlib.figure, os; print(os.environ['MPLBACKEND'])"
     ran = subprocess.run(

@@ -146,6 +146,8 @@ def test_folders_follow_the_same_rule(tmp_path, monkeypatch):
     with choose(force=True).claimed() as folder:
         assert str(folder) == "report"
     assert (folder / "page.html").exists()
+    with pytest.raises(InputError, match="File name too long"):
+        choose(tmp_path / LONG)
     with pytest.raises(InputError, match="is a file"):
         choose(folder / "page.html")
 

@@ -1,4 +1,4 @@
-"""A disk, a pipe or a terminal that takes no more: one sentence and exit code 3."""
+"""A disk or a terminal that takes no more: one sentence and exit code 3. A closed pipe: silence."""
 
 import os
 import subprocess
@@ -33,3 +33,13 @@ def test_a_full_standard_error_leaves_the_exit_code():
         ran = run("log", "verify", "nowhere.json", stdout=subprocess.PIPE, stderr=full)
     assert ran.returncode == 2
     assert ran.stdout == "Reading nowhere.json\n"
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("log", "verify", "nowhere.json")])
+def test_a_closed_pipe_ends_a_verb_silently(arguments):
+    # As a program that SIGPIPE ended: 1 would be a bad result.
+    read, write = os.pipe()
+    os.close(read)
+    ran = run(*arguments, stdout=write, stderr=subprocess.PIPE)
+    os.close(write)
+    assert (ran.returncode, ran.stderr) == (141, "")

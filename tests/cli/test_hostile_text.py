@@ -5,6 +5,8 @@ import json
 import socketserver
 import threading
 import unicodedata
+from importlib.metadata import EntryPoint
+from itertools import count
 
 import pytest
 from rich.table import Table
@@ -14,6 +16,7 @@ from equipoise.artefacts import read_document
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator, key_names
 from equipoise.control.ticks import OperatorMessage
+from equipoise.devices import plugins
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.writer import RunWriter
@@ -168,6 +171,59 @@ def test_a_robot_server(equipoise):
         threading.Thread(target=server.handle_request, daemon=True).start()
         robot = f"kst://127.0.0.1:{server.server_address[1]}"
         check(equipoise("rig", "doctor", "--robot", robot, "--seconds", "0.05"), shown=r"evil")
+
+
+ENDS = ("sys.exit(0)", f"raise BaseException({ESCAPES!r})", "raise GeneratorExit", "1 / 0")
+numbers = count()
+
+
+@pytest.fixture
+def guest(tmp_path):
+    """Write a module of code that ends the program; return its name."""
+
+    def write(text, end):
+        name = f"hostile_guest_{next(numbers)}"  # a module is imported once
+        (tmp_path / f"{name}.py").write_text(f"import sys\ndef end(*_):\n    {end}\n{text}\n")
+        return name
+
+    return write
+
+
+@pytest.mark.parametrize("end", ENDS, ids=("exit", "base", "generator", "error"))
+@pytest.mark.parametrize(
+    ("text", "command"),
+    [
+        ("end()", "evaluate {}:end"),
+        ("__getattr__ = end", "evaluate {}:missing"),
+        ("class P:\n    act, __init__ = end, end", "evaluate {}:P"),
+        ("end()", "train --reward {}:end"),
+        ("def r(state, u, after, failed):\n    return end()", "train --reward {}:r"),
+        ("def l(tables, transition, params):\n    end()", "train --learner {}:l"),
+    ],
+)
+def test_code_of_a_guest(equipoise, guest, tmp_path, text, command, end):
+    ran = equipoise(*command.format(guest(text, end)).split())
+    check(ran, shown=" raised ")
+    assert ran.code == 2
+    assert not list(tmp_path.glob("*.json"))
+
+
+@pytest.mark.parametrize("end", ENDS, ids=("exit", "base", "generator", "error"))
+@pytest.mark.parametrize(
+    "command",
+    [
+        "deploy --robot own://x --encoder serial://x",
+        "rig emulate --robot own",
+        "rig doctor --robot own://x --seconds 0.05",
+    ],
+)
+def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command, end):
+    for text in ("end()", "from equipoise.devices.plugins import *\nPLUGIN = RobotPlugin('', end)"):
+        entry = EntryPoint("own", f"{guest(text, end)}:PLUGIN", plugins.ROBOTS)
+        monkeypatch.setattr(plugins, "_registered", lambda _, entry=entry: {"own": entry})
+        ran = equipoise(*command.split())
+        check(ran, shown="own")
+        assert ran.code == 2
 
 
 def test_the_page():

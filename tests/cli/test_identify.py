@@ -158,6 +158,7 @@ OPTIONS = {
     "counts per revolution of zero": (("--counts-per-rev", "0"), "--counts-per-rev"),
     "mass alone": (("--mass", "0.2"), "both --mass and --length"),
     "mass of zero": (("--mass", "0", "--length", "1"), "--mass is 0"),
+    "mass of a ship": (("--mass", "1e7", "--length", "1e7"), "--mass is 10000000.0 kg"),
     "mass that is no number": (("--mass", "nan", "--length", "1"), "--mass is nan"),
     "uncertainty alone": (("--length-uncertainty", "0.1"), "without --length"),
     "uncertainty too large": (
@@ -215,6 +216,7 @@ def test_the_amplitudes_of_the_numbers_and_a_release_that_was_found_are_printed(
     assert "the hand lets go" not in started.out
 
 
-def test_milliseconds_taken_for_seconds_are_asked_about_and_nothing_is_trained(refused, csv):
-    path = csv("time_s,theta_rad", 1e3 * TIME, COSINE)
+@pytest.mark.parametrize("scale", [1e3, 1e-300])
+def test_milliseconds_taken_for_seconds_are_asked_about_and_nothing_is_trained(refused, csv, scale):
+    path = csv("time_s,theta_rad", scale * TIME, COSINE)
     assert "next:" not in refused("identify", path, saying="is the time in seconds?").out

@@ -98,6 +98,13 @@ def test_export_writes_the_tables_beside_the_log(equipoise, on_a_twin, tmp_path)
     assert equipoise("log", "export", "run.mcap", "--out", "run.mcap").code == 2
 
 
+def test_export_refuses_a_log_without_rows(equipoise, tmp_path):
+    RunLog.simulated(conditions(), RunEnd(cause="excited"), {}).save("none.mcap", command="test")
+    ran = equipoise("log", "export", "none.mcap")
+    assert (ran.code, list(tmp_path.glob("*-csv"))) == (2, [])
+    assert "ends before its first row" in ran.err
+
+
 @pytest.mark.parametrize("log", [pytest.param("pushed", marks=pytest.mark.slow), "on_a_twin"])
 def test_export_films_the_log_of_a_rig_and_of_a_twin(equipoise, request, log, tmp_path):
     pytest.importorskip("imageio_ffmpeg")

@@ -21,6 +21,7 @@ from tests.reference.onnx_network import DOUBLE, FLOAT, linear_network
 GAINS = lqr_gains(shipped_pendulum().parameters(), 0.01)
 OBSERVATION = np.array([0.05, -0.1, 0.02, -0.15])
 SOURCE = f"""
+import numbers
 G = {GAINS}
 
 def lqr(observation):
@@ -51,6 +52,18 @@ class Needy(Counting):
 
 def raises(observation):
     return 1.0 / 0.0
+
+def exits(observation):
+    raise SystemExit
+
+class Hidden:
+    def __float__(self):
+        raise GeneratorExit("\x1b[2J")
+
+numbers.Real.register(Hidden)
+
+def hides(observation):
+    return Hidden()
 
 def mutates(observation):
     observation[:] = 7.0
@@ -167,6 +180,8 @@ def test_u_is_clipped_to_the_largest_acceleration_and_may_be_an_array_of_one(fol
     ("name", "says"),
     [
         ("raises", "guest:raises raised ZeroDivisionError.*guest.py, line .* x = 0.05"),
+        ("exits", "raised SystemExit.*guest.py, line .* x = 0.05"),
+        ("hides", r"raised GeneratorExit: \\x1b\[2J .* x = 0.05"),
         ("mutates", "returned nan in the state x = 0.05"),
         ("text", "returned '1.0'"),
         ("huge", "finite number"),

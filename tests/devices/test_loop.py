@@ -276,10 +276,11 @@ def test_a_first_setpoint_that_is_refused_moves_nothing_and_software_still_comma
     assert "software" not in course.person.told[0][1]
 
 
-def test_a_heart_that_fails_leaves_the_arm_to_come_to_rest():
-    course = Course(Heart(20, {9: raising(ZeroDivisionError("by zero"))}))
+@pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit, GeneratorExit])
+def test_a_heart_that_fails_leaves_the_arm_to_come_to_rest(error):
+    course = Course(Heart(20, {9: raising(error("by zero"))}))
     ending = course.run()
-    assert ending.fault == "the controller failed (ZeroDivisionError: by zero)"
+    assert ending.fault == f"the controller failed ({error.__name__}: by zero)"
     assert ending.stoppable
     assert course.person.told == [("fault", ending.fault)]
     assert len(course.arm.sent) > 18

@@ -165,6 +165,11 @@ def short(state, failed):
 def wild(tables, transition, params):
     tables.Q[270, 0] = 1.0
 
+def late(tables, transition, params):
+    if tables.visits[transition.box, transition.action] > 3:
+        raise ValueError("\\x1b[2J")
+    tables.visits[transition.box, transition.action] += 1
+
 endless = Learner(lambda tables, transition, params: None, select=lambda *_: 8)
 number = 3
 """
@@ -236,6 +241,13 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(guest, name):
     with pytest.raises((InputError, SettingsError), match=saying) as refusal:
         compile_learner(with_digests(LearningSettings(**{setting: name})))
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.compiled_only
+def test_an_error_of_compiled_code_ends_the_training(guest, small_policy, quick_settings, capfd):
+    with pytest.raises(InputError, match=r"late@.* raised ValueError: \\x1b\[2J .*line \d+"):
+        trained(small_policy, quick_settings, learner="guest_of_tests:late")
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.compiled_only

@@ -29,6 +29,7 @@ from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.training import LEARNERS
 from equipoise.trajectory import Trajectory
 from tests.arms import without_masses
+from tests.model.arms.witnesses import ELBOW
 
 pytestmark = pytest.mark.compiled_only
 SHORT = resolve(
@@ -204,9 +205,7 @@ def test_the_gap_is_the_short_one_of_the_same_twin(made):
 
 
 def test_an_arm_whose_masses_are_not_known_runs_on_the_model(tmp_path):
-    made = reproduce(
-        tmp_path, arm=without_masses(read_urdf("tests/data/elbow6.urdf")), settings=SHORT, workers=1
-    )
+    made = reproduce(tmp_path, arm=without_masses(read_urdf(ELBOW)), settings=SHORT, workers=1)
     results = load(tmp_path)
     assert results.run.conditions.world == MODEL
     assert results.gap is None

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TextIO
 
-from equipoise.errors import OutsideError
+from equipoise.errors import ClosedPipeError, OutsideError
 from equipoise.printable import printable
 
 
@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit code: 0 done, 1 the result is bad, 2 wrong use or bad input, 3 the outside world
-        failed, 130 interrupted.
+        failed, 130 interrupted, 141 the reader of the output has gone.
     """
     try:
         code = _run(arguments)
@@ -33,6 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         if not _cut_off(sys.stdout):
             raise
+        if isinstance(error, BrokenPipeError):
+            return ClosedPipeError.exit_code
         with suppress(OSError):
             print(
                 f"error: cannot write to standard output: {error.strerror}; make room, or send it "
@@ -57,6 +59,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except KeyboardInterrupt:
         return 130
     except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):
+            return ClosedPipeError.exit_code
         if end.code is None or isinstance(end.code, int):
             return end.code or 0
         print(printable(str(end.code)), file=sys.stderr)

@@ -18,6 +18,7 @@ from equipoise.cli.destinations import Destination, choose_file
 from equipoise.cli.export import choose_film, write_film
 from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.errors import EquipoiseError, InputError
+from equipoise.guests import guest_code
 
 if TYPE_CHECKING:
     from equipoise.cli.terminal_operator import TerminalOperator
@@ -269,7 +270,7 @@ def _run_on_rig(
     before = _identity(out)
     try:
         if is_virtual(request.robot):
-            with stop_by_signal() as stopped:
+            with stop_by_signal() as stopped, guest_code(f"the driver of {request.robot}"):
                 spectator = _Spectator(person, stopped)
                 result = run_virtually(request, out, spectator, replace=log.force)
         else:

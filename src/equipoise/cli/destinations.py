@@ -139,6 +139,7 @@ def choose_file(
             written there.
     """
     name, folder = Path(default) if given is None else given, not suffix
+    _check_name(name, option)
     if not folder:
         _check_suffix(name, suffix, option)  # names beside a folder's cannot be made
     chosen = Destination(name, folder=folder, force=force, beside=beside)

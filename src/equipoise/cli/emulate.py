@@ -14,6 +14,7 @@ from equipoise.cli import options as opt
 from equipoise.cli.console import show_address
 from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.devices import realtime
+from equipoise.guests import guest_code
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -120,7 +121,8 @@ def emulate(
             show()
             return stopped()
 
-        emulation.run(HOST, port, stop, listening=ready)
+        with guest_code(f"the emulator of {robot}"):
+            emulation.run(HOST, port, stop, listening=ready)
     output.rows({"stalls of this host": str(emulation.stalls)})
 
 

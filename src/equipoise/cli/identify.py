@@ -78,8 +78,8 @@ def identify(
     if friction is not None:
         chosen.append(f"identification.friction={friction}")
     resolved = resolve(file=settings_file, overrides=chosen).identification
-    m = _given_estimate("mass", mass, mass_uncertainty)
-    l = _given_estimate("length", length, length_uncertainty)
+    m = _given_estimate("mass", mass, mass_uncertainty, "kg")
+    l = _given_estimate("length", length, length_uncertainty, "m")
     if (m is None) != (l is None):
         raise InputError("I and b need both --mass and --length; give the other one too")
     swing = read_swing(recording, **opt.swing_options(context))
@@ -146,15 +146,16 @@ def _draw(stem: Path, swing: "Trajectory", pendulum: "Pendulum") -> tuple[Path, 
     return save(free_swing(swing, pendulum), stem)
 
 
-def _given_estimate(name: str, value: float | None, uncertainty: float | None) -> "Estimate | None":
+def _given_estimate(
+    name: str, value: float | None, uncertainty: float | None, unit: str
+) -> "Estimate | None":
     from equipoise.artefacts import Estimate
 
     if value is None:
         if uncertainty is not None:
             raise InputError(f"--{name}-uncertainty is given without --{name}; give both")
         return None
-    if not 0.0 < value < math.inf:
-        raise InputError(f"--{name} is {value:g}; give a positive number")
+    opt.check_range(f"--{name}", value, 1e-6, 1e3, f" {unit}")
     if uncertainty is not None and not 0.0 <= uncertainty < value:
         raise InputError(
             f"--{name}-uncertainty is {uncertainty:g}; give a number from 0 to --{name}"

@@ -53,7 +53,7 @@ def file_with(digest: str, *beside: Path | None) -> Path | None:
     for folder in folders:
         for path in islice(sorted(folder.glob("*.json")), LOOKED_AT):
             with suppress(OSError), path.open("rb") as file:
-                if digest.encode() in file.read(HEAD):
+                if f'"digest": "{digest}"'.encode() in file.read(HEAD):  # not that of an input
                     return path
     return None
 

@@ -8,6 +8,7 @@ import functools
 import json
 import math
 import os
+import re
 import shlex
 import signal
 import sys
@@ -22,7 +23,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
-from equipoise.errors import EquipoiseError, OutsideError
+from equipoise.errors import ClosedPipeError, EquipoiseError, InputError, OutsideError
 from equipoise.printable import printable
 
 if TYPE_CHECKING:
@@ -39,6 +40,11 @@ BAD_RESULT = 1
 INTERRUPTED = 130
 VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red", "unknown": "dim"}
 """Styles of the verdicts of checks."""
+VARIABLES = {
+    "SOURCE_DATE_EPOCH": ("[0-9]{1,11}", "whole seconds since 1970"),
+    "NUMBA_NUM_THREADS": ("[1-9][0-9]{0,3}", "a number of threads"),
+}
+"""Form of environment variables on which NumPy, Matplotlib and Numba fail, and its name."""
 LEAST_ADDRESS_SPACE = 2**30
 """Minimum limit on the address space for loading the libraries [bytes]; 600 MB are too few."""
 QUANTILES = ("0.05", "0.25", "0.75", "0.95")
@@ -53,6 +59,12 @@ class _EscapingConsole(Console):
     Text as a string is escaped before it is measured and wrapped; all else when it is rendered, and
     may then be longer than its place in a table.
     """
+
+    def on_broken_pipe(self) -> None:
+        """End the verb silently."""
+        with suppress(SystemExit):
+            super().on_broken_pipe()  # discards all further output
+        raise ClosedPipeError("the reader of the output has gone")
 
     def render_str(self, text: str, **kwargs: Any) -> Text:
         """Return a string as rich text."""
@@ -280,10 +292,11 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(function)
     def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
-            _check_address_space()
+            _check_environment()
             return function(*args, **kwargs)
         except EquipoiseError as error:
-            _complain("error: ", str(error))
+            if not isinstance(error, ClosedPipeError):
+                _complain("error: ", str(error))
             raise typer.Exit(error.exit_code) from None
         except MemoryError:
             _complain("error: ", "there is not enough memory; ask for less, or free some")
@@ -296,12 +309,17 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
     return guarded
 
 
-def _check_address_space() -> None:
-    """Check that the libraries fit into the address space, if it is limited.
+def _check_environment() -> None:
+    """Check what the libraries would fail on: environment variables, and the address space.
 
     Raises:
-        OutsideError: They do not.
+        InputError: An environment variable is invalid.
+        OutsideError: The libraries do not fit into the address space.
     """
+    for name, (form, expected) in VARIABLES.items():
+        text = os.environ.get(name)
+        if text is not None and not re.fullmatch(form, text):
+            raise InputError(f"{name} is {text[:40]!r}, expected {expected}; correct or unset it")
     if sys.platform == "win32":
         return
     import resource

@@ -1,5 +1,6 @@
 """`equipoise rig record`: records a free swing from the encoder."""
 
+from contextlib import closing
 from math import degrees, pi
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file
 from equipoise.cli.output import Output, gauge, verb
+from equipoise.guests import guest_code
 
 if TYPE_CHECKING:
     pass
@@ -60,7 +62,8 @@ def record(
     clock = SystemClock()
     sensor = encoder_at(encoder, clock, counts_per_rev=counts_per_rev)
     try:
-        with output.busy("connecting") as rename:
+        driver = guest_code(f"the driver of {encoder}")
+        with output.busy("connecting") as rename, driver, closing(sensor):
             sensor.connect()
             output.say(sensor.description)
             swing, recorder = record_swing(sensor, clock, duration, prompt)
@@ -69,8 +72,6 @@ def record(
     except KeyboardInterrupt:
         output.warn(f"interrupted: nothing was recorded, {destination.path} was not written")
         raise
-    finally:
-        sensor.close()
     lasts = float(swing.time[-1])
     output.rows(
         {

@@ -3,6 +3,8 @@
 viser serves page and websocket on one port, through `websockets.asyncio.server.serve`. The gate
 wraps the function that this server calls with each request, before it accepts a websocket:
 
+* The header `Host` names this server: a page of another server whose name leads here, by DNS
+  rebinding, is refused.
 * The address with the token, `/?token=...`, gives a cookie and leads to the page.
 * Each other request needs the cookie, and a websocket also the origin of this server.
 * The address of an action, such as `/stop`, calls a function at once, past viser's queues and
@@ -11,6 +13,8 @@ wraps the function that this server calls with each request, before it accepts a
 """
 
 import hmac
+import ipaddress
+import re
 import secrets
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -38,6 +42,8 @@ HEADERS: Final = {
     "Cache-Control": "no-store",
 }
 """Headers of all responses."""
+HOST: Final = re.compile(r"(?:\[([\da-f:.]+)\]|([\w.-]+))(?::\d+)?", re.ASCII | re.IGNORECASE)
+"""Form of a header `Host`: an IPv6 address in brackets or a name, and a port."""
 REFUSED: Final = "Open this page with its whole address, token included, as the terminal shows it."
 
 
@@ -45,15 +51,23 @@ class Gate:
     """Check of all requests to one server."""
 
     def __init__(
-        self, actions: Mapping[str, Callable[[], str]] | None = None, overlay: bytes = b""
+        self,
+        host: str,
+        actions: Mapping[str, Callable[[], str]] | None = None,
+        overlay: bytes = b"",
+        *,
+        any_address: bool = False,
     ) -> None:
         """Create a gate with a new token.
 
         Args:
+            host: Name or address of the server, as in the address of the page.
             actions: Functions by their addresses, such as `/stop`, for scripts of the page. They
                 are called in the server's thread, do not block, and return a text for the script.
             overlay: HTML at the end of the page.
+            any_address: Whether the server listens on all addresses of this computer.
         """
+        self._hosts, self._any_address = {"localhost", _host_name(host)}, any_address
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
         """Token of the address."""
         self._cookie = f"equipoise-{secrets.token_hex(4)}"  # cookies ignore the port
@@ -67,6 +81,14 @@ class Gate:
             request: Request of the package websockets.
             serve: Returns viser's own response.
         """
+        try:
+            return self._response(request, serve)
+        except (ValueError, LookupError):  # an invalid address, or a header given twice
+            return _respond(HTTPStatus.BAD_REQUEST, "This is not a valid request.")
+
+    def _response(self, request: Any, serve: Callable[[Any], Any]) -> Any:
+        if not self._is_own(request.headers["Host"]):
+            return _respond(HTTPStatus.FORBIDDEN, REFUSED)
         address = urlsplit(request.path)
         given = parse_qs(address.query).get("token", [])
         if given and not _is_websocket(request):
@@ -89,6 +111,13 @@ class Gate:
             return self._serve_page(request, serve)
         return _with_headers(serve(request))
 
+    def _is_own(self, host: str) -> bool:
+        """Return whether a header `Host` names this server; tunnels may change the port."""
+        name = _host_name(host)
+        with suppress(ValueError):
+            return name in self._hosts or (self._any_address and bool(ipaddress.ip_address(name)))
+        return False
+
     def _is_token(self, text: str) -> bool:
         return hmac.compare_digest(text.encode(), self.token.encode())
 
@@ -109,6 +138,12 @@ class Gate:
         del response.headers["Content-Length"]
         response.headers["Content-Length"] = str(len(response.body))
         return _with_headers(response)
+
+
+def _host_name(host: str) -> str:
+    """Return the name or address in a header `Host`, without its port; empty if it is invalid."""
+    found = HOST.fullmatch(host)
+    return (found[1] or found[2]).lower() if found else ""
 
 
 def _is_websocket(request: Any) -> bool:

@@ -10,7 +10,7 @@ import pickle
 import signal
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.process import BaseProcess
 from typing import Final, NamedTuple
 
@@ -20,7 +20,8 @@ from equipoise.control.boxes import TRUNCATED, cause_named
 from equipoise.control.policy import TaskPolicy
 from equipoise.control.states import Phase
 from equipoise.deployment.rig import STOP
-from equipoise.errors import InputError
+from equipoise.errors import EquipoiseError
+from equipoise.guests import guest_code
 from equipoise.logs.shared import RunInfo
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
@@ -95,15 +96,10 @@ def trials_process(shown: ShownTrials) -> Generator[BaseProcess]:
     Raises:
         InputError: The policy cannot be sent to the process.
     """
-    try:
-        pickle.dumps(shown)
-    except Exception as error:  # any error of the policy's own classes
-        raise InputError(
-            f"{shown.policy.name} cannot be sent to the process of --console ({error}); leave the "
-            "option out"
-        ) from None
+    with guest_code(f"sending {shown.policy.name} to another process", "leave --console out"):
+        data = pickle.dumps(shown)
     context = multiprocessing.get_context("spawn")
-    process = context.Process(target=_show_trials, args=(shown, os.getpid()), daemon=True)
+    process = context.Process(target=_show_pickled, args=(data, os.getpid()), daemon=True)
     process.start()
     try:
         yield process
@@ -112,9 +108,15 @@ def trials_process(shown: ShownTrials) -> Generator[BaseProcess]:
         process.join()
 
 
+def _show_pickled(data: bytes, owner: int) -> None:
+    """Run pickled trials until their end; the evaluation itself reports errors of the policy."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with suppress(_EndError, EquipoiseError):
+        _show_trials(pickle.loads(data), owner)
+
+
 def _show_trials(shown: ShownTrials, owner: int) -> None:
     """Run the trials in real time, one after another."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     stay_aside()
     setup = setup_of(shown.policy, shown.world, shown.settings, shown.actuator)
     simulation = simulate(shown.world, setup, seed=shown.seed, stream=TEST)
@@ -129,14 +131,11 @@ def _show_trials(shown: ShownTrials, owner: int) -> None:
     )
     with publishing(info) as publisher:
         pacer = _Pacer(publisher, setup.arm, owner)
-        try:
-            for number in range(count):
-                trial = simulation.draw(1, number).trial(0)
-                publisher.say(0.0, f"Trial {number} of {count}.")
-                steps, cause, _ = run_trial(loop, shown.policy, trial, span, pacer)
-                lasted = steps * loop.params.h
-                how = "lasted" if cause == TRUNCATED else f"ended by {cause_named(cause)} after"
-                publisher.say(lasted, f"Trial {number} {how} {lasted:.2f} s.")
-                pacer.wait(PAUSE)
-        except _EndError:
-            return
+        for number in range(count):
+            trial = simulation.draw(1, number).trial(0)
+            publisher.say(0.0, f"Trial {number} of {count}.")
+            steps, cause, _ = run_trial(loop, shown.policy, trial, span, pacer)
+            lasted = steps * loop.params.h
+            how = "lasted" if cause == TRUNCATED else f"ended by {cause_named(cause)} after"
+            publisher.say(lasted, f"Trial {number} {how} {lasted:.2f} s.")
+            pacer.wait(PAUSE)

@@ -1,10 +1,12 @@
 """Web server of a page with a 3-D scene: viser behind a gate, for browsers of this computer.
 
-viser's own sharing is off, and nothing is printed: the terminal belongs to the operator.
+viser's own sharing is off, and nothing is printed or logged: the terminal belongs to the operator,
+and whoever reaches the port chooses the words of a request.
 """
 
 import atexit
 import ipaddress
+import logging
 import os
 import socket
 from collections.abc import Callable, Generator, Mapping
@@ -62,7 +64,9 @@ def serving(
     """
     viser = require_viser()
     port = _check(address, port)
-    gate = Gate(actions, overlay)
+    shown = f"[{address}]" if ":" in address else address
+    shown = socket.gethostname() if address in EVERYWHERE else shown
+    gate = Gate(shown, actions, overlay, any_address=address in EVERYWHERE)
 
     class Server(viser.ViserServer):
         def request_share_url(self, verbose: bool = True) -> str | None:
@@ -72,8 +76,6 @@ def serving(
     with _guarding(gate), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
         server: Any = Server(address, port, verbose=False)
     atexit.unregister(server._websock_server.stop)  # it prints; `finally` stops the server
-    shown = f"[{address}]" if ":" in address else address
-    shown = socket.gethostname() if address in EVERYWHERE else shown
     try:
         yield server, f"http://{shown}:{server.get_port()}/?token={gate.token}"
     finally:
@@ -90,13 +92,15 @@ def _guarding(gate: Gate) -> Generator[None]:
     """
     server: Any = import_module("websockets.asyncio.server")
     original, guarded = server.serve, list[bool]()
+    silent = logging.getLogger(f"{__name__}.requests")
+    silent.disabled = True
 
     def serve(*arguments: Any, process_request: Any, **options: Any) -> Any:
         def check(connection: Any, request: Any) -> Any:
             return gate.check(request, lambda passed: process_request(connection, passed))
 
         guarded.append(True)
-        return original(*arguments, process_request=check, **options)
+        return original(*arguments, process_request=check, logger=silent, **options)
 
     server.serve = serve
     try:

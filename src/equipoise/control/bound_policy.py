@@ -30,7 +30,7 @@ from equipoise.control.policy import (
 )
 from equipoise.control.python_policy import PythonPolicy
 from equipoise.errors import ArtefactError, InputError
-from equipoise.guests import format_error
+from equipoise.guests import guest_code
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
@@ -78,12 +78,8 @@ class BoundPolicy:
         Raises:
             InputError: The policy raised an exception.
         """
-        try:
+        with guest_code(self.name, where=lambda: " in its reset"):
             self.policy.reset()
-        except Exception as error:
-            raise InputError(
-                f"{self.name} raised {format_error(error, __file__)} in its reset; correct it"
-            ) from error
 
     def act(self, observation: Array) -> float:
         """Return u [m/s^2], within `u_max`, for the observation (x, x_dot, phi, phi_dot).
@@ -92,19 +88,14 @@ class BoundPolicy:
             InputError: The policy raised an exception, or returned no finite number.
         """
         state = observation.copy()  # the policy may write into its argument
-        try:
+        with guest_code(self.name, where=lambda: f" in the state {_format_state(state)}"):
             u: Any = self.policy.act(observation)
-        except Exception as error:
-            raise InputError(
-                f"{self.name} raised {format_error(error, __file__)} in the state "
-                f"{_format_state(state)}; correct it"
-            ) from error
-        value = _number(u)
-        if not math.isfinite(value):
-            raise InputError(
-                f"{self.name} returned {u!r:.60} in the state {_format_state(state)}, expected a "
-                "finite number: the acceleration u in m/s^2; correct it"
-            )
+            value = _number(u)
+            if not math.isfinite(value):
+                raise InputError(
+                    f"{self.name} returned {u!r:.60} in the state {_format_state(state)}, expected "
+                    "a finite number: the acceleration u in m/s^2; correct it"
+                )
         return min(max(value, -self.u_max), self.u_max)
 
 

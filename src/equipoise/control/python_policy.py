@@ -15,7 +15,7 @@ from typing import Any, Self
 from equipoise.artefacts import DIGEST_PREFIX
 from equipoise.control.policy import Array, Policy
 from equipoise.errors import InputError
-from equipoise.guests import format_error, load_object, source_digest
+from equipoise.guests import guest_code, load_object, source_digest
 
 
 class PythonPolicy:
@@ -39,18 +39,19 @@ class PythonPolicy:
         Raises:
             InputError: `source` is no policy, its class cannot be made, or its source is unknown.
         """
-        own = str(getattr(source, "__name__", type(source).__name__))
-        self.name, self._source, self._module = name or own, source, module
-        self._is_class = isinstance(source, type)
-        self._decide: Any = self._made() if self._is_class else source
-        if not callable(getattr(self._decide, "act", self._decide)):
-            raise InputError(
-                f"{self.name} is of type {type(source).__name__}, expected a function "
-                "observation -> u or an object with act(observation); give one of those"
-            )
-        attribute = own if module is None else self.name.rpartition(":")[2]
-        self.digest = _digest(source, attribute, module)
-        """SHA-256 of the source files and the name."""
+        with guest_code(name or f"a {type(source).__name__}"):
+            own = str(getattr(source, "__name__", type(source).__name__))
+            self.name, self._source, self._module = name or own, source, module
+            self._is_class = isinstance(source, type)
+            self._decide: Any = self._made() if self._is_class else source
+            if not callable(getattr(self._decide, "act", self._decide)):
+                raise InputError(
+                    f"{self.name} is of type {type(source).__name__}, expected a function "
+                    "observation -> u or an object with act(observation); give one of those"
+                )
+            attribute = own if module is None else self.name.rpartition(":")[2]
+            self.digest = _digest(source, attribute, module)
+            """SHA-256 of the source files and the name."""
 
     @classmethod
     def load(cls, name: str, digest: str | None = None) -> Self:
@@ -91,13 +92,9 @@ class PythonPolicy:
             raise InputError(
                 f"the class {self.name} has no act(observation); add it, or give a function"
             )
-        try:
+        cure = "give a class that needs no arguments, or an object of it"
+        with guest_code(f"calling {self.name}()", cure):
             return self._source()  # type: ignore[reportCallIssue]  # a class, by `_is_class`
-        except Exception as error:
-            raise InputError(
-                f"calling {self.name}() raised {format_error(error, __file__)}; give a class that "
-                "needs no arguments, or an object of it"
-            ) from error
 
 
 def _digest(source: Any, name: str, module: ModuleType | None) -> str:

@@ -21,6 +21,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
@@ -35,7 +36,8 @@ from equipoise.deployment.rig import ALONE, STOP, RunRequest, run_on_rig, warm_u
 from equipoise.devices import realtime
 from equipoise.devices.loop import CANNOT_STOP
 from equipoise.devices.operator import Operator
-from equipoise.errors import EquipoiseError, InputError, OutsideError
+from equipoise.errors import EquipoiseError, OutsideError
+from equipoise.guests import format_error, guest_code
 from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.recorder import PULSE, Question, Recorder, push_event, read_events
 from equipoise.logs.shared import RunInfo, open_recorder, share
@@ -93,13 +95,8 @@ def run_in_processes(
         InputError: The policy cannot be sent to the loop's process.
         EquipoiseError: Error of the loop's process, or its end without a result.
     """
-    try:
+    with guest_code(f"sending {request.policy.name} to another process", "give it as MODULE:NAME"):
         pickle.dumps(request)
-    except Exception as error:  # any error of the policy's own classes
-        raise InputError(
-            f"{request.policy.name} cannot be sent to the process of the run ({error}); give it as "
-            "MODULE:NAME"
-        ) from None
     context = multiprocessing.get_context("spawn")
     with share(_described(request)) as memory:
         return _run(context, request, memory, out, person, replace=replace)
@@ -124,7 +121,9 @@ def _run(
         args=(memory, joints, out, replace, request.conditions(), done, log_pipe[0]),
         daemon=True,
     )
-    loop = context.Process(target=_loop, args=(request, memory, joints, theirs), daemon=False)
+    loop = context.Process(
+        target=_loop, args=(_Pickled(request), memory, joints, theirs), daemon=False
+    )
     words: list[str] = []
     log = LogProcess(writer, log_pipe[1])
     with handled_signals(SIGNALS, lambda *_: words.append(STOP)):
@@ -150,6 +149,16 @@ def _run(
     if isinstance(result, EquipoiseError):
         raise result
     return result
+
+
+class _Pickled:
+    """Object that arrives in a new process as bytes, to be unpickled where errors are handled."""
+
+    def __init__(self, value: object) -> None:
+        self._value = value
+
+    def __reduce__(self) -> Any:
+        return bytes, (bytes(ForkingPickler.dumps(self._value)),)
 
 
 def _described(request: RunRequest) -> RunInfo:
@@ -385,8 +394,11 @@ class WorkerProcess:
             self._process.kill()
 
 
-class PolicyTimeout(BaseException):
-    """Time limit of a policy exceeded; no handler of `Exception` in the policy catches this."""
+class PolicyTimeout(KeyboardInterrupt):
+    """Time limit of a policy exceeded: an interruption from outside, which `guest_code` passes on.
+
+    No handler of `Exception` in the policy catches it.
+    """
 
 
 class InterruptedPolicy:
@@ -461,8 +473,8 @@ def _ignore_signals() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _loop(request: RunRequest, memory: Path, joints: int, pipe: Any) -> None:
-    """Run the loop's process."""
+def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
+    """Run the loop's process for a pickled request, whose policy is imported here anew."""
     recorder = open_recorder(memory, joints)
     operator = OperatorProxy(recorder)
     for number in SIGNALS:
@@ -477,6 +489,7 @@ def _loop(request: RunRequest, memory: Path, joints: int, pipe: Any) -> None:
         rig.sensor.samples()
 
     try:
+        request: RunRequest = pickle.loads(data)
         worker = WorkerProcess()
         warm_up(request)  # before the connection, which needs attention once it is open
         rig = request.connect(
@@ -494,8 +507,8 @@ def _loop(request: RunRequest, memory: Path, joints: int, pipe: Any) -> None:
         )
     except EquipoiseError as error:
         result = type(error)(str(error))
-    except Exception as error:  # one sentence for the parent, without a traceback
-        result = OutsideError(f"the run failed ({type(error).__name__}: {error}); please report it")
+    except BaseException as error:  # one sentence for the parent, without a traceback
+        result = OutsideError(f"the run failed ({format_error(error)}); please report it")
     _send(pipe, result)
     if worker is not None:
         worker.close()

@@ -22,6 +22,7 @@ from equipoise.devices.plugins import ServerOptions, ignore, robot_plugin
 from equipoise.devices.twin.emulated_operator import EmulatedOperator
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.errors import InputError
+from equipoise.guests import guest_code
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.sim_configs import TwinSettings
@@ -85,7 +86,9 @@ class Emulation:
         """Simulated rig behind robot and board."""
         _warm_up(bench)
         options = ServerOptions(bench, arm, clock, self._work, say, operator, faults, seed)
-        self._server = serve(options)
+        with guest_code(f"the emulator of {robot}"):
+            self._server = serve(options)
+            acts = dict(self._server.acts)
         counts = settings.counts_per_rev
         self._board = Board(lambda: bench.theta, counts, start=clock.now(), seed=seed)
         self._terminal = Terminal(self._board, link)
@@ -105,7 +108,7 @@ class Emulation:
             "push": lambda: bench.push(PUSH),
             "estop": lambda: bench.body.stop("emergency stop"),
             "free": bench.body.set_free,
-            **self._server.acts,
+            **acts,
         }
         """Actions at the rig, by the word that triggers them."""
 

@@ -191,7 +191,10 @@ def run_loop(
     except LinkError as error:
         # The arm rests if the guard refused the first setpoint, since no other was sent.
         fault, stoppable = str(error), robot.held_back is not None and robot.last is None
-    except Exception as error:  # after any failure the arm has to come to rest
+    except KeyboardInterrupt:  # Ctrl-C in virtual time, or from a driver
+        _rest(robot, clock, recorder, h / 2.0)
+        raise
+    except BaseException as error:  # after any failure the arm has to come to rest
         fault = f"the controller failed ({type(error).__name__}: {error})"
     if fault is not None:
         text = fault if stoppable else f"{fault}; {CANNOT_STOP}"
@@ -223,7 +226,7 @@ def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) 
             robot.send(setpoint)
             recorder.stream.push(now, robot.last)
             recorder.pulse[_TIME] = now  # the loop still commands the arm
-    except Exception:  # the link is lost, or a part that has failed fails again
+    except BaseException:  # the link is lost, or a part that has failed fails again
         return False
     return True
 

@@ -13,19 +13,23 @@ in the same way. `equipoise.rigs` is the only module that opens devices.
 """
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cache
-from importlib.metadata import entry_points
-from typing import Any, Final, NamedTuple, Protocol
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
 from equipoise.devices.interfaces import AngleSensor, Clock, PacedRobot, Robot, Transport
 from equipoise.devices.twin.simulated_rig import SimulatedRig
 from equipoise.errors import InputError
+from equipoise.guests import guest_code
 from equipoise.model.arms.arm import Arm
 
 ROBOTS: Final = "equipoise.robots"
 """Entry-point group of robots."""
 SENSORS: Final = "equipoise.sensors"
 """Entry-point group of angle sensors."""
+HOOKS: Final = ("open", "emulate", "serve", "flange_speed")
+"""Optional functions of a plugin."""
 
 
 def ignore(*_: object) -> None:
@@ -168,8 +172,11 @@ class SensorPlugin(NamedTuple):
     expected counts per revolution, the sign, and a seed. None without an emulator."""
 
 
+T = TypeVar("T", RobotPlugin, SensorPlugin)
+
+
 @cache
-def _registered(group: str) -> dict[str, Any]:
+def _registered(group: str) -> dict[str, EntryPoint]:
     return {entry.name: entry for entry in entry_points(group=group)}
 
 
@@ -182,24 +189,49 @@ def robot_plugin(address: str) -> RobotPlugin:
     """Return the plugin for the address, or the scheme, of a robot.
 
     Raises:
-        InputError: No installed package registers that scheme.
+        InputError: No installed package registers that scheme, or its plugin is defective.
     """
-    return _plugin(ROBOTS, address, "a robot")
+    return _plugin(ROBOTS, RobotPlugin, address, "a robot")
 
 
 def sensor_plugin(address: str) -> SensorPlugin:
     """Return the plugin for the address, or the scheme, of an angle sensor.
 
     Raises:
-        InputError: No installed package registers that scheme.
+        InputError: No installed package registers that scheme, or its plugin is defective.
     """
-    return _plugin(SENSORS, address, "an encoder")
+    return _plugin(SENSORS, SensorPlugin, address, "an encoder")
 
 
-def _plugin(group: str, address: str, kind: str) -> Any:
+def _plugin(group: str, type_: type[T], address: str, kind: str) -> T:
     registered = _registered(group)
     entry = registered.get(scheme_of(address))
     if entry is None:
-        forms = sorted({registered[name].load().form for name in registered})
-        raise InputError(f"{address!r} is no address of {kind}; expected {' or '.join(forms)}")
-    return entry.load()
+        forms = set[str]()
+        for one in registered.values():
+            with suppress(InputError):  # a defective plugin does not hide the others
+                forms.add(str(_loaded(one, type_).form))
+        expected = " or ".join(sorted(forms))
+        raise InputError(f"{address!r} is no address of {kind}; expected {expected}")
+    return _loaded(entry, type_)
+
+
+def _loaded(entry: EntryPoint, type_: type[T]) -> T:
+    """Return the plugin of an entry point; errors in its functions name it."""
+    what, cure = f"the plugin {entry.name} ({entry.value})", "repair or remove its package"
+
+    def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            with guest_code(what, cure):
+                return function(*arguments)
+
+        return call
+
+    with guest_code(what, cure):
+        plugin = entry.load()
+        if not isinstance(plugin, type_):
+            found = type(plugin).__name__
+            raise InputError(f"{what} is of type {found}, expected {type_.__name__}; {cure}")
+        given = plugin._asdict()
+        hooks = {name: guarded(given[name]) for name in HOOKS if given.get(name) is not None}
+        return plugin._replace(check=guarded(plugin.check), **hooks)

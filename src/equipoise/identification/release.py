@@ -585,7 +585,8 @@ def _w2_from_period(period: float, amplitude: float, is_rate: bool) -> float:
     # A rate has the amplitude 2 sqrt(m w2).
     known = np.sqrt(m) * K if is_rate else np.sqrt(m)
     observed = amplitude * period / 8.0 if is_rate else np.sin(0.5 * min(amplitude, pi))
-    return (4.0 * float(np.interp(observed, known, K)) / period) ** 2
+    root = 4.0 * float(np.interp(observed, known, K)) / period
+    return root * root  # unlike a power, infinite instead of an error for a period of 1e-200 s
 
 
 def _unexplained_share(

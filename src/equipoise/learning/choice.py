@@ -12,6 +12,7 @@ plain Python a training would take hours.
 import functools
 import inspect
 import math
+import sys
 from collections.abc import Callable
 from difflib import get_close_matches
 from typing import Any, Final
@@ -22,7 +23,7 @@ from numba.core.errors import NumbaError
 from equipoise.compiled import compilable, disabled, function_pointer
 from equipoise.control.controller import Observation
 from equipoise.errors import InputError, SettingsError
-from equipoise.guests import format_error, load_object, source_digest
+from equipoise.guests import format_error, guest_code, load_object, source_digest
 from equipoise.learning import rewards
 from equipoise.learning.learner import (
     Learner,
@@ -81,14 +82,15 @@ def load_learner(settings: LearningSettings) -> Learner:
         _check_known(name, LEARNER, learner_names())
         return named_learner(name)
     learner = _guest(name, LEARNER)
-    if inspect.isfunction(function := getattr(learner, "py_func", learner)):
-        learner = Learner(function)
-    if not isinstance(learner, Learner):
-        raise InputError(
-            f"{name} is of type {type(learner).__name__}, expected a function "
-            "update(tables, transition, params) or an equipoise.learning.learner.Learner; give one"
-        )
-    return learner
+    with guest_code(name):
+        if inspect.isfunction(function := getattr(learner, "py_func", learner)):
+            learner = Learner(function)
+        if not isinstance(learner, Learner):
+            raise InputError(
+                f"{name} is of type {type(learner).__name__}, expected a function update(tables, "
+                "transition, params) or an equipoise.learning.learner.Learner; give one"
+            )
+        return learner
 
 
 def compile_learner(settings: LearningSettings) -> LearnerKernel:
@@ -99,24 +101,53 @@ def compile_learner(settings: LearningSettings) -> LearnerKernel:
         SettingsError: The name is unknown.
     """
     learner = load_learner(settings)
-    guest = ":" in settings.learner
-    if guest:
-        _try_learner(learner, settings.learner)
-    guest_reward = ":" in settings.reward
-    if guest_reward:
-        reward = _guest_reward(_guest(settings.reward, REWARD), settings.reward)
-    else:
-        _check_known(settings.reward, REWARD, reward_names())
-        reward = _callable(getattr(rewards, settings.reward))
-    ahead = learner.chooses_ahead
-    select, update = _callable(learner.select), _callable(learner.update)
-    learn = learn_with(update, select, ahead)
-    return LearnerKernel(
-        choose=_compiled(choose_with(select), choose_signature(), guest, settings.learner),
-        learn=_compiled(learn, learn_signature(), guest, settings.learner),
-        rewards=_compiled(rewards_of(reward), rewards_signature(), guest_reward, settings.reward),
-        chooses_ahead=ahead,
-    )
+    guest, guest_reward = ":" in settings.learner, ":" in settings.reward
+    if guest or guest_reward:
+        _raised.clear()
+        sys.unraisablehook = _keep
+    with guest_code(settings.learner):
+        if guest:
+            _try_learner(learner, settings.learner)
+        ahead = learner.chooses_ahead
+        select, update = _callable(learner.select), _callable(learner.update)
+        learn = learn_with(update, select, ahead)
+        choose = _compiled(choose_with(select), choose_signature(), guest, settings.learner)
+        learn = _compiled(learn, learn_signature(), guest, settings.learner)
+    with guest_code(settings.reward):
+        if guest_reward:
+            reward = _guest_reward(_guest(settings.reward, REWARD), settings.reward)
+        else:
+            _check_known(settings.reward, REWARD, reward_names())
+            reward = _callable(getattr(rewards, settings.reward))
+        paid = _compiled(rewards_of(reward), rewards_signature(), guest_reward, settings.reward)
+    return LearnerKernel(choose=choose, learn=learn, rewards=paid, chooses_ahead=ahead)
+
+
+def raise_guest_error(settings: LearningSettings) -> None:
+    """Raise the first error of a guest's compiled functions, if there was one.
+
+    A function that Numba compiled as a pointer cannot raise it: Numba passes it to Python's hook
+    for such errors, which would print it.
+
+    Raises:
+        InputError: A function raised an error.
+    """
+    if _raised:
+        raise InputError(
+            f"the learner {settings.learner} or the reward {settings.reward} raised "
+            f"{_raised.pop()}; correct it"
+        )
+
+
+_raised: list[str] = []
+_print_unraisable: Final = sys.unraisablehook
+
+
+def _keep(unraisable: "sys.UnraisableHookArgs") -> None:
+    if "numba" not in str(unraisable.object):
+        _print_unraisable(unraisable)
+    elif not _raised and unraisable.exc_value is not None:
+        _raised.append(format_error(unraisable.exc_value))
 
 
 @functools.cache
@@ -148,21 +179,15 @@ def _reason(error: NumbaError) -> str:
 def _guest_reward(function: Any, name: str) -> Callable[..., float]:
     """Return a guest's reward as a function of five parameters, tried once in Python."""
     function = getattr(function, "py_func", function)
-    try:
-        count = len(inspect.signature(function).parameters)
-    except (TypeError, ValueError):
-        count = 0
-    if not inspect.isfunction(function) or count not in (4, 5):
+    count = len(inspect.signature(function).parameters) if inspect.isfunction(function) else 0
+    if count not in (4, 5):
         raise InputError(
             f"{name} is {function!r:.60}, expected a function "
             "reward(state, u, next_state, failed); give one"
         )
     for failed in (False, True):
         given = (STATE, 1.0, STATE, failed, -1.0)
-        try:
-            value = function(*given[:count])
-        except Exception as error:
-            raise InputError(f"{name} raised {format_error(error)}; correct it") from error
+        value = function(*given[:count])
         if not isinstance(value, (int, float)) or not math.isfinite(value):
             raise InputError(
                 f"{name} returned {value!r:.60} for failed = {failed}, expected a finite number; "
@@ -186,12 +211,9 @@ def _try_learner(learner: Learner, name: str) -> None:
     tables = new_tables(boxes, learner.tables)
     params = UpdateParams(0.5, 0.0, 0.1, 0.5, True)
     after = Transition(0, 0, -0.1, 0.9, boxes - 1, 7, False, False, 0.1, 0.5, 0)
-    try:
-        action = learner.select(tables, 0, 0.1, 0.5, 0.5)
-        for transition in (after, after._replace(failed=True, ended=True)):
-            learner.update(tables, transition, params)
-    except Exception as error:
-        raise InputError(f"{name} raised {format_error(error)}; correct it") from error
+    action = learner.select(tables, 0, 0.1, 0.5, 0.5)
+    for transition in (after, after._replace(failed=True, ended=True)):
+        learner.update(tables, transition, params)
     if action not in range(tables.Q.shape[1]):
         raise InputError(
             f"{name} selected {action!r:.60}, expected the index of an action, 0 to 7; correct it"
@@ -204,7 +226,8 @@ def _with_digest(name: str, setting: str, known: list[str]) -> str:
         return name
     bare, _, recorded = name.partition("@")
     item = load_object(bare, setting)
-    digest = source_digest(item.update if isinstance(item, Learner) else item)[:DIGEST_LENGTH]
+    with guest_code(bare):
+        digest = source_digest(item.update if isinstance(item, Learner) else item)[:DIGEST_LENGTH]
     if recorded and recorded != digest:
         raise InputError(
             f"the source of {bare} has changed: its digest is {digest}, expected {recorded}; "

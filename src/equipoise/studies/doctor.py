@@ -22,6 +22,7 @@ from equipoise.devices.clocks import SystemClock
 from equipoise.devices.interfaces import AngleSensor, Clock, Robot
 from equipoise.devices.realtime import RealtimeSetting, run_with_realtime_priority
 from equipoise.errors import LinkError
+from equipoise.guests import guest_code
 from equipoise.rigs import RigSettings, encoder_at, robot_at
 
 D = TypeVar("D", Robot, AngleSensor)
@@ -96,7 +97,7 @@ def examine(
         if device is None:
             return None
         try:
-            with busy(what), connected(device):
+            with busy(what), guest_code(f"the driver of the {name}"), connected(device):
                 return run_with_realtime_priority(lambda: work(device, clock, seconds))[0]
         except LinkError as error:
             errors[name] = str(error)

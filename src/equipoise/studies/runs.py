@@ -114,7 +114,10 @@ def export(run: RunLog, folder: Path) -> list[Path]:
 
     Raises:
         OutsideError: A file cannot be written.
+        RecordingError: The log holds no rows.
     """
+    if not any(map(len, run.tables.values())):
+        raise RecordingError("the log ends before its first row; there is nothing to export")
     made: list[Path] = []
     for name, rows in run.tables.items():
         if not len(rows) and (run.conditions.simulated or name == "truth"):

@@ -4,7 +4,7 @@ from importlib.metadata import EntryPoint, EntryPoints
 
 import pytest
 
-from equipoise.errors import ArmError
+from equipoise.errors import ArmError, InputError
 from equipoise.model.arms import resolve
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.resolve import resolve_arm
@@ -57,14 +57,15 @@ def test_an_arm_of_a_guest_is_found_by_its_name(registered):
 @pytest.mark.parametrize(
     ("value", "says"),
     [
-        ("no_such_module:arm", "cannot be loaded: ModuleNotFoundError"),
-        ("equipoise.model.arms.iiwa:iiwa", "cannot be loaded: TypeError"),
+        ("no_such_module:arm", "raised ModuleNotFoundError"),
+        ("equipoise.model.arms.iiwa:iiwa", "raised TypeError"),
+        ("sys:exit", "raised SystemExit"),
         ("equipoise.paper:__name__.upper", "is a str, expected an equipoise.Arm"),
     ],
 )
 def test_a_guest_that_is_broken_is_named(registered, value, says):
     registered(guest=value)
-    with pytest.raises(ArmError, match=f"the arm guest of {value}.* {says}"):
+    with pytest.raises(InputError, match=f"the arm guest of {value}.* {says}"):
         resolve_arm("guest")
 
 

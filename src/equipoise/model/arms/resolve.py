@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from equipoise.artefacts import quoted
 from equipoise.errors import ArmError
+from equipoise.guests import guest_code
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import Triple
 from equipoise.model.arms.urdf import read_urdf
@@ -46,6 +47,7 @@ def resolve_arm(
 
     Raises:
         ArmError: The arm is unknown, or an argument does not fit it.
+        InputError: The package that registers the arm is defective.
     """
     options = {"held": held, "base": base, "tip": tip, "acceleration": acceleration}
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
@@ -62,18 +64,12 @@ def resolve_arm(
             f"{' and '.join(given)} belong to an arm from a URDF, and {name} is a registered arm; "
             "leave them out"
         )
-    try:
+    what, cure = f"the arm {name} of {registered[name].value}", "repair or remove its package"
+    with guest_code(what, cure):
         arm = registered[name].load()()
-    except Exception as error:
-        raise ArmError(
-            f"the arm {name} of {registered[name].value} cannot be loaded: "
-            f"{type(error).__name__}: {error}; repair or remove the package that registers it"
-        ) from error
-    if not isinstance(arm, Arm):
-        raise ArmError(
-            f"the arm {name} of {registered[name].value} is a {type(arm).__name__}, expected an "
-            "equipoise.Arm; correct the package that registers it"
-        )
+        if not isinstance(arm, Arm):
+            found = type(arm).__name__
+            raise ArmError(f"{what} is a {found}, expected an equipoise.Arm; {cure}")
     return placed(arm, home=home, pivot=pivot)
 
 
