@@ -306,6 +306,13 @@ def test_the_heart_beats_while_the_arm_comes_to_rest_without_it():
     assert course.recorder.pulse[TICKS] == 0.0
 
 
+def test_an_interruption_goes_on_once_the_arm_rests():
+    course = Course(Heart(20, {9: raising(KeyboardInterrupt())}))
+    with pytest.raises(KeyboardInterrupt):
+        course.run()
+    assert came_to_rest(course.arm.sent, 18)
+
+
 def test_a_link_that_breaks_on_the_way_to_rest_is_told_as_well():
     course = Course(Heart(20, {9: raising(RuntimeError("no"))}), breaks={"send": 20})
     ending = course.run()
