@@ -210,7 +210,7 @@ def _plugin(group: str, type_: type[T], address: str, kind: str) -> T:
         forms = set[str]()
         for one in registered.values():
             with suppress(InputError):  # a defective plugin does not hide the others
-                forms.add(str(_loaded(one, type_).form))
+                forms.add(_loaded(one, type_).form)
         expected = " or ".join(sorted(forms))
         raise InputError(f"{address!r} is no address of {kind}; expected {expected}")
     return _loaded(entry, type_)
@@ -234,4 +234,4 @@ def _loaded(entry: EntryPoint, type_: type[T]) -> T:
             raise InputError(f"{what} is of type {found}, expected {type_.__name__}; {cure}")
         given = plugin._asdict()
         hooks = {name: guarded(given[name]) for name in HOOKS if given.get(name) is not None}
-        return plugin._replace(check=guarded(plugin.check), **hooks)
+        return plugin._replace(form=str(plugin.form), check=guarded(plugin.check), **hooks)
