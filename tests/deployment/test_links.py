@@ -86,7 +86,8 @@ class Absent:
 @pytest.fixture
 def rig_of(monkeypatch):
     """Make a request for a kind of robot, and its emulated rig."""
-    known, guest = plugins._registered, SimpleNamespace(load=lambda: GUEST)
+    known = plugins._registered
+    guest = SimpleNamespace(name="guest", value="guest:GUEST", load=lambda: GUEST)
     monkeypatch.setattr(plugins, "_registered", lambda group: {**known(group), "guest": guest})
 
     def make(robot):

@@ -65,6 +65,14 @@ def other(address):
     sim.close()
 
 
+@pytest.fixture(autouse=True)
+def interruptible():
+    """Ctrl-C interrupts this process and its children, also where a shell has it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def watched(sim):
     return {name: _parameter(sim, name) for name in WATCHED}
 

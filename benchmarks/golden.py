@@ -1,0 +1,135 @@
+"""Digests of what a change of the structure must leave as it is: trainings, trials, bytes, logs.
+
+    python benchmarks/golden.py > before.json
+    python benchmarks/golden.py --against before.json
+
+The bits depend on the processor and on the versions of Numba and MuJoCo: compare two trees on one
+machine. Takes two minutes on two cores, after compilation.
+"""
+
+import argparse
+import hashlib
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+SEEDS = (0, 1, 2)
+TRIALS = 20
+EPISODES = {"paper": 600, "robust": 300}
+MEASURED = ("late", "compute")
+"""Columns with times of this computer."""
+
+
+def digest(*values: object) -> str:
+    """Return a digest of arrays and texts."""
+    hashed = hashlib.sha256()
+    for value in values:
+        is_text = isinstance(value, (str, bytes))
+        hashed.update(str(value).encode() if is_text else np.ascontiguousarray(value).tobytes())
+    return hashed.hexdigest()[:16]
+
+
+def trainings() -> dict[str, str]:
+    """Short trainings of both recipes."""
+    from equipoise.control.policy import shipped_policy
+    from equipoise.settings import resolve
+    from equipoise.training import train
+
+    policy, found = shipped_policy(), {}
+    for recipe, episodes in EPISODES.items():
+        changes = [f"learning.episodes={episodes}", "selection.candidates=4"]
+        settings = resolve(recipe, overrides=changes)
+        for seed in SEEDS:
+            trained = train(policy.pendulum, policy.arm, settings, seed=seed)
+            found[f"training {recipe} {seed}"] = digest(
+                trained.actions, trained.visits, trained.steps
+            )
+    return found
+
+
+def evaluations() -> dict[str, str]:
+    """Trials of the shipped policy on plant and twins."""
+    from equipoise.control.policy import shipped_policy
+    from equipoise.evaluation import evaluate
+
+    policy, found = shipped_policy(), {}
+    parts = {"trials": TRIALS, "duration": 10.0}
+    evaluation = policy.settings.evaluation.model_copy(update=parts)
+    settings = policy.settings.model_copy(update={"evaluation": evaluation})
+    for world in ("ideal", "model", "twin:nominal", "twin:harsh"):
+        for seed in SEEDS:
+            done = evaluate(policy, settings, world=world, seed=seed)
+            found[f"evaluation {world} {seed}"] = digest(
+                *(
+                    each
+                    for one in (done.results, *done.baselines)
+                    for each in (one.survival, *one.causes)
+                )
+            )
+    return found
+
+
+def runs() -> dict[str, str]:
+    """Columns of single simulated runs."""
+    from equipoise.control.policy import shipped_policy
+    from equipoise.deployment import deploy
+
+    found = {}
+    for world in ("model", "twin:nominal", "twin:harsh"):
+        run = deploy(shipped_policy(), world=world, seed=3, duration=5.0)
+        found[f"run {world}"] = digest(run.x, run.x_dot, run.phi, run.phi_dot, run.u, run.stream.q)
+    return found
+
+
+def virtual_runs() -> dict[str, str]:
+    """Bytes to robot and encoder of a whole run in virtual time, and the rows of its log."""
+    from equipoise.logs.run_log import RunLog
+    from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario
+
+    found = {}
+    for seed in SEEDS:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "run.mcap"
+            harness = FaultHarness(Scenario(out=path), seed=seed)
+            harness.run()
+            log = RunLog.load(path)
+        for name, tap in (("robot", harness.robot_tap), ("encoder", harness.encoder_tap)):
+            found[f"bytes to the {name} {seed}"] = digest(*(line for _, line in tap.sent))
+        for name, table in sorted(log.tables.items()):
+            if name != "event":  # its texts may be reworded
+                columns = (
+                    table[column]
+                    for column in table.dtype.names
+                    if column not in ("late", "compute")
+                )
+                found[f"log {name} {seed}"] = digest(*columns)
+    return found
+
+
+PARTS: tuple[Callable[[], dict[str, str]], ...] = (trainings, evaluations, runs, virtual_runs)
+
+
+def main() -> int:
+    """Print all digests, or those that differ from a file."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--against", type=Path, help="digests of another tree")
+    against = parser.parse_args().against
+    found: dict[str, str] = {}
+    for part in PARTS:
+        found |= part()
+        print(f"{part.__name__}: done", file=sys.stderr)
+    if against is None:
+        print(json.dumps(found, indent=1))
+        return 0
+    before = json.loads(against.read_text())
+    changed = [name for name in {**before, **found} if before.get(name) != found.get(name)]
+    print("\n".join(changed) or f"all {len(found)} digests are equal")
+    return int(bool(changed))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
