@@ -22,7 +22,6 @@ WRITTEN = {
     "deploy": ("run.mcap", "log.mcap", "run.mp4"),
     "rig record": ("swing.csv",),
     "map": ("map.json", "map.svg", "map.png"),
-    "card": ("policy-card.md",),
     "compare": ("compare.json", "compare.svg", "compare.png", "compare-robust.json"),
     "gap": ("gap.json", "gap.svg", "gap.png", "gap-paper-policy.json"),
     "sweep": ("sweep.json", "sweep.svg", "sweep.png", "sweep.sqlite3"),

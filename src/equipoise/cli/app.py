@@ -4,7 +4,6 @@ from functools import partial
 
 import typer
 
-from equipoise.cli.card import card
 from equipoise.cli.compare import compare
 from equipoise.cli.console import console
 from equipoise.cli.deploy import deploy
@@ -49,7 +48,7 @@ log = group(help="Read the log of a run, or another file: show, explain, replay,
 for verb in (reproduce, identify, train, evaluate):
     app.command(rich_help_panel=PIPELINE)(verb)
 app.command("map", rich_help_panel=PIPELINE)(map_recoverable)
-for verb in (card, compare, gap, refine, sweep, play):
+for verb in (compare, gap, refine, sweep, play):
     app.command(rich_help_panel=PIPELINE)(verb)
 for verb in (deploy, console):
     app.command(rich_help_panel=ROBOT)(verb)
