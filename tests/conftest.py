@@ -1,6 +1,7 @@
 """Values that tests of several rooms share."""
 
 import os
+import signal
 from pathlib import Path
 
 import hypothesis
@@ -21,6 +22,14 @@ hypothesis.settings.load_profile("equipoise")
 def _elsewhere(tmp_path, monkeypatch):
     """Run each test in an empty folder: the one of the checkout may hold files of the user."""
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(autouse=True)
+def _interruptible():
+    """Let Ctrl-C interrupt each test and its processes, also where a shell has it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")

@@ -7,13 +7,18 @@ words of the verb that needs them.
 
 import io
 import os
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import TextIO
 
 from equipoise.errors import ClosedPipeError, OutsideError
 from equipoise.printable import printable
+
+INTERRUPTED = 130
+"""Exit code of an interrupted command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,6 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         code = _run(arguments)
+        if code == INTERRUPTED and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # the interpreter is about to end
         if sys.stdout is not None and not sys.stdout.closed:
             sys.stdout.flush()
     except OSError as error:
@@ -57,7 +64,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         command_line[:] = sys.argv[1:] if arguments is None else arguments
         app(args=list(command_line), prog_name="equipoise")
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
     except SystemExit as end:
         if isinstance(end.__context__, BrokenPipeError):
             return ClosedPipeError.exit_code

@@ -23,6 +23,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
+from equipoise.cli import INTERRUPTED
 from equipoise.errors import ClosedPipeError, EquipoiseError, InputError, OutsideError
 from equipoise.printable import printable
 
@@ -37,7 +38,6 @@ R = TypeVar("R")
 
 BAD_RESULT = 1
 """Exit code of a finished verb with a bad result."""
-INTERRUPTED = 130
 VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red", "unknown": "dim"}
 """Styles of the verdicts of checks."""
 VARIABLES = {
