@@ -108,7 +108,7 @@ def unattended(emulated):
     ("robot", "answered"),
     [
         *(("kst", answered) for answered in range(len(ANSWERS))),
-        *((robot, answered) for robot in ("kst-velocity", "guest") for answered in (0, 4)),
+        *(("guest", answered) for answered in (0, 4)),
     ],
 )
 def test_a_link_that_fails_at_a_question_ends_the_run(rig_of, tmp_path, robot, answered, fault):
@@ -151,7 +151,7 @@ def test_a_link_that_fails_in_the_preflight_ends_a_run_whose_answers_were_typed_
     assert re.search(f"{person.saying}|newest 25.0 ms old", reason)  # a check of the pre-flight
 
 
-@pytest.mark.parametrize("robot", ["kst", "kst-velocity", "guest"])
+@pytest.mark.parametrize("robot", ["kst", "guest"])
 def test_a_run_after_long_questions_is_like_any_other(rig_of, robot):
     request, emulated = rig_of(robot)
 

@@ -8,7 +8,6 @@ import pytest
 
 from equipoise.devices.interfaces import PacedRobot
 from equipoise.devices.kuka.robot import KstRobot
-from equipoise.devices.kuka.velocity_robot import KstVelocityRobot
 from equipoise.devices.paced import PacedStream
 from equipoise.testing import RobotConformance
 from tests.devices import in_process
@@ -25,12 +24,6 @@ class TestKst(RobotConformance):
 class TestKstOverASlowLink(TestKst):
     def make(self):
         return super().make(delay=0.008)
-
-
-class TestKstVelocity(RobotConformance):
-    def make(self):
-        bench = Bench()
-        return KstVelocityRobot(lambda: bench.client, bench.clock), bench.clock
 
 
 class TestTwin(RobotConformance):

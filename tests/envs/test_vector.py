@@ -147,7 +147,6 @@ def test_the_discrete_one_takes_the_papers_accelerations():
         ({"num_envs": 0}, "num_envs is 0"),
         ({"autoreset_mode": "Sometimes"}, "expected one of NextStep"),
         ({"render_mode": "rgb_array"}, "draws no pictures"),
-        ({"world": "rig"}, "there is one rig"),
         ({"world": "twin:nowhere"}, "no world"),
     ],
 )

@@ -14,7 +14,6 @@ import multiprocessing
 import os
 import pickle
 import signal
-import threading
 import time
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager, suppress
@@ -82,8 +81,6 @@ def run_in_processes(
     request: RunRequest, out: Path, person: LocalOperator, *, replace: bool = False
 ) -> RunEnd:
     """Run a policy on a rig in real time, and write the log.
-
-    Outside the main thread only the loop's process handles signals.
 
     Args:
         request: The run.
@@ -176,9 +173,8 @@ def _described(request: RunRequest) -> RunInfo:
 def handled_signals(
     signals: Iterable[signal.Signals], handler: Callable[..., object]
 ) -> Generator[None]:
-    """Handle signals in this context, in the main thread; other threads cannot."""
-    main = threading.current_thread() is threading.main_thread()
-    before = [(number, signal.signal(number, handler)) for number in signals if main]
+    """Handle signals in this context; for the main thread only."""
+    before = [(number, signal.signal(number, handler)) for number in signals]
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""Gymnasium environments: the balancing task in any world, simulated or on a rig.
+"""Gymnasium environments: the balancing task in any simulated world.
 
 `import equipoise.envs` registers them for `gymnasium.make("equipoise/Balance-v0")`.
 """

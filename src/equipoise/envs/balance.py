@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 from math import inf, isfinite
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -11,11 +10,9 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from equipoise import paper
-from equipoise.artefacts import StrPath
 from equipoise.control.boxes import TRUNCATED, box_index, cause_named, partition
 from equipoise.control.controller import Observation
 from equipoise.control.trial_safety import guard_named
-from equipoise.devices.operator import Operator
 from equipoise.envs.pictures import Screen
 from equipoise.errors import InputError
 from equipoise.learning import rewards
@@ -28,16 +25,11 @@ from equipoise.model.sim_configs import MODEL, World
 from equipoise.settings import LearningSettings, Settings
 from equipoise.simulation import Setup, Trial, estimated, has_ideal_arm, predicted, simulate
 
-if TYPE_CHECKING:
-    from equipoise.envs.rig import RigEpisode
-
 Array = npt.NDArray[np.float64]
 Observe = Literal["predicted", "estimated", "raw"]
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
 
-RIG: Final = "rig"
-"""World of an episode on a rig."""
 REWARD_FAILURE: Final = LearningSettings().reward_failure
 """Reward of a failure in the paper's reward."""
 WINDOW: Final = 256
@@ -97,28 +89,18 @@ class BalanceEnv(gym.Env[Array, Any]):
     2. Truncation: the episode is `duration` seconds long.
 
     `info` has `time` since the release [s], `cause` and `guard` of the end (empty before it), and
-    in simulation the true `state`.
+    the true `state`.
 
     ## Arguments
 
     | argument | default | meaning |
     | --- | --- | --- |
-    | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, `coppeliasim://...`, `rig` |
+    | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, `coppeliasim://...` |
     | `observe` | `"predicted"` | see above |
     | `duration` | 60.0 | length of an episode [s] |
     | `reward` | the paper's | see above |
     | `pendulum`, `arm`, `actuator`, `settings` | those that ship | the task |
     | `render_mode` | `None` | `rgb_array` or `human` |
-    | `robot`, `encoder`, `rig`, `log` | `None` | for `rig`: addresses, `rig.toml`, log file |
-    | `operator` | `None` | for `rig`: an `equipoise.devices.operator.Operator` |
-
-    With `world="rig"` `reset` performs a run from the pre-flight to the release, `step` is one tick
-    under safety rules and state machine, and `close` brings the arm to rest. A stop of any
-    kind is termination, and `info` has its `cause` and `reason`; the last observation is then that
-    of the tick before. `robot="twin:nominal"` is an emulated rig in virtual time. On a robot, such
-    as `robot="kst://172.31.1.147:30001", encoder="serial:///dev/ttyACM0"`, time is real: an action
-    more than 5 ms after its observation stops the run, and the operator answers at the terminal
-    unless `operator=` is given.
 
     ## Version History
 
@@ -139,11 +121,6 @@ class BalanceEnv(gym.Env[Array, Any]):
         actuator: Actuator | None = None,
         settings: Settings | None = None,
         render_mode: str | None = None,
-        robot: str | None = None,
-        encoder: str | None = None,
-        rig: StrPath | None = None,
-        log: StrPath | None = None,
-        operator: Operator | None = None,
     ) -> None:
         """Set up the task; the arguments are in the description of the class.
 
@@ -154,14 +131,6 @@ class BalanceEnv(gym.Env[Array, Any]):
         """
         if observe not in ("predicted", "estimated", "raw"):
             raise InputError(f"observe is {observe!r}; expected 'predicted', 'estimated' or 'raw'")
-        on_a_rig = world == RIG
-        if on_a_rig and (robot is None or observe != "predicted" or render_mode is not None):
-            raise InputError(
-                "world='rig' needs robot=, such as 'twin:nominal', and observes 'predicted', "
-                "without pictures; leave out observe and render_mode"
-            )
-        if not on_a_rig and (robot or encoder or rig or log or operator):
-            raise InputError("robot, encoder, rig, log and operator belong to world='rig'")
         if observe == "raw" and has_ideal_arm(world):
             raise InputError(
                 f"the world {world} has no encoder: there are no raw measurements; choose model "
@@ -184,16 +153,6 @@ class BalanceEnv(gym.Env[Array, Any]):
         self.action_space = spaces.Box(-paper.U_MAX, paper.U_MAX, (1,), np.float64)
         self._seed, self._number, self._steps, self._u = -1, 0, 0, 0.0
         self._state: Observation | None = None
-        self._rig: RigEpisode | None = None
-        if on_a_rig:
-            from equipoise.envs.rig import RigEpisode as Episode
-            from equipoise.rigs import read_rig
-
-            described = read_rig(None if rig is None else Path(rig))
-            self.task = self.task._replace(arm=described.described_arm)
-            log, robot = None if log is None else Path(log), robot or ""
-            self._rig = Episode(self.task, described, robot, encoder, duration, log, operator)
-            return
         self._simulation = simulate(world, self.task, seed=0, stream=ENVIRONMENT)
         self._loop, self._window = self._simulation.loop(), None
 
@@ -211,8 +170,6 @@ class BalanceEnv(gym.Env[Array, Any]):
             self._seed = seed if seed is not None else int(self.np_random.integers(2**31))
             self._number, self._window = -1, None
         self._number += 1
-        if self._rig is not None:
-            return self._reset_rig(self._rig, options or {})
         self._loop.reset(self._trial(options or {}))
         self._steps, self._u, self._state = 0, 0.0, Observation(*predicted(self._loop).tolist())
         if self.render_mode == "human":
@@ -230,8 +187,6 @@ class BalanceEnv(gym.Env[Array, Any]):
         u = float(self._acceleration(action))
         if not isfinite(u):
             raise InputError(f"the action is {action!r}; expected an acceleration [m/s^2]")
-        if self._rig is not None:
-            return self._step_rig(self._rig, self._state, u)
         cause = self._loop.step(u)
         self._steps, self._u = self._steps + 1, u
         before, self._state = self._state, Observation(*predicted(self._loop).tolist())
@@ -258,10 +213,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         return self._screen.show(self._loop.joints(), phi, self._u, self._loop.now)
 
     def close(self) -> None:
-        """Close the window; on a rig, bring the arm to rest."""
-        if self._rig is not None:
-            self._rig.end()
-            self._state = None
+        """Close the window."""
         if self._screen is not None:
             self._screen.close()
 
@@ -282,30 +234,6 @@ class BalanceEnv(gym.Env[Array, Any]):
         if self._window is None or self._window.number[0] != first:
             self._window = simulation.draw(WINDOW, first=first)
         return self._window.trial(number - first)
-
-    def _reset_rig(
-        self, rig: "RigEpisode", options: dict[str, Any]
-    ) -> tuple[Array, dict[str, Any]]:
-        if options:
-            raise InputError(f"a rig has no options, got {sorted(options)}; leave them out")
-        first = rig.begin(self._seed + self._number)
-        self._steps, self._state = 0, Observation(*first.tolist())
-        return first, {"time": 0.0, "cause": "", "reason": ""}
-
-    def _step_rig(
-        self, rig: "RigEpisode", before: Observation, u: float
-    ) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        got, self._steps = rig.step(u), self._steps + 1
-        info = {"time": self._steps * self.task.h, "cause": "", "reason": ""}
-        failed = truncated = False
-        if isinstance(got, np.ndarray):
-            after = Observation(*got.tolist())
-        else:  # a run that ends observes no further state
-            after, failed, truncated = before, got.failed, not got.failed
-            info["cause"], info["reason"] = got.cause, got.reason
-        self._state = None if failed or truncated else after
-        reward = float(self._reward(before, u, after, failed))
-        return np.array(after), reward, failed, truncated, info
 
     def _observation(self) -> Array:
         if self._observe == "estimated":

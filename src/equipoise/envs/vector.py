@@ -15,7 +15,6 @@ from equipoise.control.trial_safety import guard_named
 from equipoise.envs.balance import (
     ONCE,
     REWARD_FAILURE,
-    RIG,
     WINDOW,
     Array,
     BalanceDiscreteEnv,
@@ -68,7 +67,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
     | `num_envs` | 1 | number of environments |
     | `autoreset_mode` | `NextStep` | see above |
     | `workers` | one per core | largest number of threads; results do not depend on it |
-    | others | | those of `BalanceEnv`, but for `render_mode` and a rig |
+    | others | | those of `BalanceEnv`, but for `render_mode` |
 
     A `reward` other than the default runs in Python, once for each environment and step.
 
@@ -100,8 +99,6 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
             SettingsError: The world does not exist.
             ArmError: The twin does not know the masses of the arm.
         """
-        if world == RIG:
-            raise InputError("there is one rig; expected a simulated world, or make()")
         if num_envs < 1:
             raise InputError(f"num_envs is {num_envs}; expected 1 or more")
         if arguments.get("render_mode") is not None:

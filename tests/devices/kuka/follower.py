@@ -31,7 +31,7 @@ class Follower:
     def flange(self):
         return (400.5, 0.0, 600.25, 3.0, 0.0, -3.0)
 
-    def servo(self, running, *, shaped=True):
+    def servo(self, running):
         self.running = running
         self.goal = list(self.q)
 

@@ -15,7 +15,6 @@ from equipoise.devices.kuka.codec import (
     MAX_LINE,
     PORT,
     SETPOINTS,
-    VELOCITIES,
     KstLineSplitter,
     expect_done,
     expect_numbers,
@@ -67,10 +66,6 @@ def test_setpoint_is_the_line_of_the_captured_session():
     assert {asked: setpoint(Q, asked).split(b"_")[0].decode() for asked in SETPOINTS} == {
         "done": "jp", "joints": "jpJP", "external": "jpExT", "measured": "jpMT", "pose": "jpEEfP",
         "force": "jpEEfFrelEEF", "nothing": "jf",
-    }  # fmt: skip
-    assert VELOCITIES == {
-        "done": "velJDC", "joints": "velJDCJP", "external": "velJDCExT", "measured": "velJDCMT",
-        "pose": "velJDCEEfP",
     }  # fmt: skip
     assert PORT == 30001
 
@@ -314,9 +309,3 @@ def test_a_quarter_of_a_million_damaged_lines_are_read_or_refused(seed):
         accepted += 1
         assert isinstance(said, str) or all(map(math.isfinite, said))
     assert accepted > 50_000
-
-
-def test_a_velocity_line_is_a_setpoint_of_the_velocity_servo():
-    line = codec.velocity((0.1, 0.0, -0.25, 0.0, 0.0, 0.0, 1.0))
-    assert line == b"velJDCJP_0.1_0_-0.25_0_0_0_1_\n"
-    assert codec.velocity((0.5,), "external", joints=1) == b"velJDCExT_0.5_\n"

@@ -88,6 +88,8 @@ def test_there_is_no_banner(bench):
         (STOP, b"done\n"),
         ("hello", b""),
         ("DcSeCarW_1_2_3_0_0_0_", b""),
+        ("stVelDcJoint_", b""),
+        ("velJDC_0.1_0_0_0_0_0_0_", b""),
         ("startSmartImpedanceJoints_1_0_0_0_1_1_1_", b""),
         ("doPTP!inJS_1_0_1_", b""),
         ("jpXX_0_", b""),
@@ -245,51 +247,6 @@ def test_end_has_no_reply_ends_the_servo_and_closes(servo):
         servo.client.read()
 
 
-# Velocities.
-
-
-def test_velocity_servo_integrates_the_mean_of_old_and_new(bench):
-    assert bench.say("stVelDcJoint_", wait=0.3) == b"done\n"
-    assert bench.say(line("velJDC", [0.1] + [0.0] * 6), wait=1.0) == b"done\n"
-    # The first millisecond counts half: the velocity was zero before.
-    assert bench.body.targets[-1][0] == pytest.approx(0.1 * (1.0 - 0.0005), abs=1e-9)
-    reply = bench.say(line("velJDCJP", [0.0] * 7), wait=0.001)
-    assert len(reply.split(b"_")) == 8
-    assert bench.say(line("velJDCExT", [0.0] * 7)).startswith(b"0.5_")
-    assert bench.say(line("velJDCMT", [0.0] * 7)).startswith(b"0.0_-12.5_")
-    assert bench.say(line("velJDCEEfP", [0.0] * 7)).startswith(b"400.5_")
-    assert bench.say(STOP) == b"done\n"
-    assert not bench.body.running
-
-
-def test_velocity_servo_runs_away_when_its_client_vanishes(bench):
-    bench.say("stVelDcJoint_", wait=0.3)
-    bench.say(line("velJDC", [0.1] + [0.0] * 6), wait=0.1)
-    before = bench.body.measured()[0]
-    bench.server.vanished(bench.clock.now())
-    bench.wait(3.0)
-    assert bench.body.measured()[0] - before == pytest.approx(0.3, abs=0.01)
-
-
-def test_joint_targets_mean_nothing_to_a_velocity_servo(bench):
-    bench.say("stVelDcJoint_", wait=0.3)
-    assert bench.say(line("jp", moved(q1=1.0)), wait=0.5) == b"done\n"
-    assert bench.body.measured() == pytest.approx(HOME)
-
-
-def test_velocity_that_cannot_be_read_ends_the_servo(bench):
-    bench.say("stVelDcJoint_", wait=0.3)
-    assert bench.say("velJDC_0.1_nan_") == b"done\n"
-    assert not bench.body.running
-
-
-def test_eighth_velocity_hangs_the_reader(bench):
-    bench.say("stVelDcJoint_", wait=0.3)
-    assert bench.say(line("velJDC", [0.0] * 8)) == b""
-    assert bench.say("getJointsPositions") == b""
-    assert bench.body.running
-
-
 # Motions.
 
 
@@ -382,6 +339,19 @@ def test_cartesian_servo_answers_and_holds(bench):
     assert not bench.body.running
 
 
+def test_cartesian_target_that_cannot_be_read_ends_the_servo(bench):
+    bench.say("stDcEEf_", wait=0.3)
+    assert bench.say("DcSeCarJP_400_nan_") == HOME_LINE
+    assert not bench.body.running
+
+
+def test_seventh_number_of_a_cartesian_target_hangs_the_reader(bench):
+    bench.say("stDcEEf_", wait=0.3)
+    assert bench.say(line("DcSeCarJP", [0.0] * 7)) == b""
+    assert bench.say("getJointsPositions") == b""
+    assert bench.body.running
+
+
 def test_impedance_servo_is_acknowledged_again_when_it_ends(bench):
     start = "startSmartImpedneceJoints_1_0_0_0_1000_100_10_"
     assert bench.say(start, wait=0.3) == b"done\n"
@@ -450,8 +420,8 @@ def test_connection_that_is_cut_leaves_the_servo_on(servo):
 
 
 COMMANDS = st.sampled_from(
-    [START, STOP, "stVelDcJoint_", "stDcEEf_", "jRelVel_0.5_", "doPTPinJS", "getJointsPositions",
-     "jp_0.1_", "jpJP_NaN_", "jp_nan_", "velJDC_1_", "Eef_pos", "TFtrans_1_", "end", ""]
+    [START, STOP, "stDcEEf_", "jRelVel_0.5_", "doPTPinJS", "getJointsPositions",
+     "jp_0.1_", "jpJP_NaN_", "jp_nan_", "DcSeCarJP_1_", "Eef_pos", "TFtrans_1_", "end", ""]
 )  # fmt: skip
 
 

@@ -46,29 +46,21 @@ SUFFIXES: Final[dict[ReplyKind, str]] = {
     "external": "ExT",
     "measured": "MT",
     "pose": "EEfP",
+    "force": "EEfFrelEEF",
 }
 """End of the name of a command that sets a target, by requested reply."""
-FORCE_SUFFIX: Final = "EEfFrelEEF"
-"""The same for the end effector's force, which no velocity command requests."""
 SETPOINTS: Final[dict[ReplyKind, str]] = {
     **{kind: f"jp{suffix}" for kind, suffix in SUFFIXES.items()},
-    **{"force": f"jp{FORCE_SUFFIX}", "nothing": "jf"},
+    "nothing": "jf",
 }
 """Commands that set the target of the joint servo, by requested reply."""
-VELOCITIES: Final[dict[ReplyKind, str]] = {
-    kind: f"velJDC{suffix}" for kind, suffix in SUFFIXES.items()
-}
-"""Commands that set the velocity of the velocity servo, by requested reply. The servo integrates
-the last velocity for ever, so that a lost client leaves the arm moving."""
 
 GET_JOINTS: Final = b"getJointsPositions\n"
 """Request for the measured joints, at any time."""
 START_SERVO: Final = b"startDirectServoJoints\n"
 """Start of the joint servo; acknowledged before it runs."""
-START_VELOCITY_SERVO: Final = b"stVelDcJoint_\n"
-"""Start of the velocity servo; acknowledged before it runs."""
 STOP_SERVO: Final = b"stopDirectServoJoints\n"
-"""Stop of any servo; acknowledged at once, obeyed a few milliseconds later."""
+"""Stop of the servo; acknowledged at once, obeyed a few milliseconds later."""
 END: Final = b"end\n"
 """End of servo, connection and server, which an operator has to start again; not answered."""
 
@@ -119,28 +111,8 @@ def setpoint(
     Raises:
         InputError: `q` is not one finite number for each joint.
     """
-    return _line(SETPOINTS[reply], q, joints)
-
-
-def velocity(
-    dq: Sequence[float] | Array, reply: ReplyKind = "joints", *, joints: int = JOINTS
-) -> bytes:
-    """Return the line that sets the velocity of the velocity servo.
-
-    Args:
-        dq: Velocities of all joints [rad/s], shape (joints,).
-        reply: Requested reply; not the force.
-        joints: Number of joints.
-
-    Raises:
-        InputError: `dq` is not one finite number for each joint.
-    """
-    return _line(VELOCITIES[reply], dq, joints)
-
-
-def _line(command: str, values: Sequence[float] | Array, joints: int) -> bytes:
-    fields = "".join(f"{value:.{DIGITS}g}_" for value in checked(values, joints).tolist())
-    return f"{command}_{fields}\n".encode()
+    fields = "".join(f"{value:.{DIGITS}g}_" for value in checked(q, joints).tolist())
+    return f"{SETPOINTS[reply]}_{fields}\n".encode()
 
 
 def parse_reply(line: bytes) -> Word | tuple[float, ...]:

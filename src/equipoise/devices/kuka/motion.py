@@ -48,8 +48,6 @@ class Targets:
         """Start with zeros and no servo, as the server does."""
         self.q = [0.0] * joints
         """Target of the joint servo and of the next motion [rad]."""
-        self.dq = [0.0] * joints
-        """Velocity of the velocity servo [rad/s]."""
         self.servo = False
         """Whether a servo is requested."""
 
@@ -68,8 +66,8 @@ class ServerTask:
         raise NotImplementedError
 
 
-Mode = Literal["joints", "velocity", "held"]
-"""Input of a servo: the joint target, the integral of the velocities, or nothing."""
+Mode = Literal["joints", "held"]
+"""Input of a servo: the joint target, or nothing."""
 
 
 class ServoTask(ServerTask):
@@ -92,9 +90,7 @@ class ServoTask(ServerTask):
         self._body, self._targets, self._mode, self._first = body, targets, mode, first
         self._begins = now + SERVO_START
         self._ends: float | None = None
-        self._runs, self._time = False, 0.0
-        self._q: list[float] = []
-        self._dq = [0.0] * len(targets.q)
+        self._runs = False
 
     def taken(self) -> None:
         """Pass a new joint target to the arm; before the servo exists it is dropped."""
@@ -102,14 +98,12 @@ class ServoTask(ServerTask):
             self._body.target(tuple(self._targets.q))
 
     def step(self, now: float) -> bool:
-        """Start, integrate velocities, and stop when due."""
+        """Start and stop when due."""
         if not self._runs:
             if now < self._begins - EPSILON:
                 return False
-            self._runs, self._time = True, now
+            self._runs = True
             self._begin()
-        if self._mode == "velocity":
-            self._integrate(now)
         if self._targets.servo:
             return False
         if self._ends is None:
@@ -120,21 +114,11 @@ class ServoTask(ServerTask):
         return True
 
     def _begin(self) -> None:
-        self._body.servo(True, shaped=self._mode != "velocity")
-        self._q = [float(q) for q in self._body.measured()]
-        if self._mode == "velocity":
-            self._targets.dq[:] = self._dq
-        elif self._mode == "joints":
-            self._targets.q[self._first :] = self._q[self._first :]
+        self._body.servo(True)
+        if self._mode == "joints":
+            measured = [float(q) for q in self._body.measured()]
+            self._targets.q[self._first :] = measured[self._first :]
             self.taken()
-
-    def _integrate(self, now: float) -> None:
-        """Move the target by the mean of old and new velocity."""
-        half, self._time = 0.5 * (now - self._time), now
-        dq = list(self._targets.dq)
-        self._q = [q + half * (a + b) for q, a, b in zip(self._q, self._dq, dq, strict=True)]
-        self._dq = dq
-        self._body.target(tuple(self._q))
 
 
 class PtpTask(ServerTask):

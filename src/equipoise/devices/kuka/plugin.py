@@ -1,7 +1,4 @@
-"""The plugins of KUKA arms behind a KST server: `kst://HOST:30001` and `kst-velocity://HOST:30001`.
-
-The second one streams velocities, behind a guard.
-"""
+"""The plugin of KUKA arms behind a KST server: `kst://HOST:30001`."""
 
 from contextlib import suppress
 from functools import partial
@@ -13,8 +10,6 @@ from equipoise.devices.kuka.listener import KstListener
 from equipoise.devices.kuka.robot import KstRobot, dial
 from equipoise.devices.kuka.server_emulator import KstServer
 from equipoise.devices.kuka.slow_link import flange_speed
-from equipoise.devices.kuka.velocity_guard import MAX_SILENCE, VelocityGuard, guarded
-from equipoise.devices.kuka.velocity_robot import KstVelocityRobot
 from equipoise.devices.plugins import EmulatedRobot, RobotPlugin, Session
 from equipoise.devices.transports import memory_pipe
 from equipoise.devices.twin.simulated_rig import SimulatedRig
@@ -56,56 +51,23 @@ def open_robot(address: str, session: Session) -> KstRobot:
     return KstRobot(dial(*host_and_port(address)), clock, notify=notify, attend=attend)
 
 
-def open_velocity_robot(address: str, session: Session) -> KstVelocityRobot:
-    """Return the driver of the velocity servo behind its guard, likewise."""
-    clock, notify, attend = session
-    opened = dial(*host_and_port(address), wrap=guarded)
-    return KstVelocityRobot(opened, clock, notify=notify, attend=attend)
-
-
 def emulate(
     rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int
 ) -> EmulatedRobot:
     """Return the driver in front of an emulated server that drives a simulated arm."""
-    return _emulate(KstRobot, None, rig, arm, session, delay, seed)
-
-
-def emulate_velocity(
-    rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int
-) -> EmulatedRobot:
-    """Return the driver of the velocity servo behind its guard, likewise."""
-    return _emulate(KstVelocityRobot, VelocityGuard(), rig, arm, session, delay, seed)
-
-
-def _emulate(
-    kind: type[KstRobot],
-    guard: VelocityGuard | None,
-    rig: SimulatedRig,
-    arm: Arm,
-    session: Session,
-    delay: float,
-    seed: int,
-) -> EmulatedRobot:
     server = KstServer(rig.body, [joint.velocity for joint in arm.joints], seed=seed)
     host, cabinet = memory_pipe(session.clock, delay)
 
     def advance(now: float) -> None:
         data = b""
-        try:
+        with suppress(LinkError):  # a closed link gets no reply; the servo continues
             data = cabinet.read()
-        except LinkError:  # a closed link gets no reply; the servo continues
-            if guard is not None:
-                guard.act(now)
-        if guard is not None:
-            data = guard.hear(data, now) + guard.due(now)
-            if guard.acts:
-                cabinet.close()
         server.feed(data, now)
         for segment in server.advance(now):
             with suppress(LinkError):
                 cabinet.write(segment)
 
-    driver = partial(kind, joints=rig.joints)
+    driver = partial(KstRobot, joints=rig.joints)
     return EmulatedRobot(driver(lambda: host, session.clock), advance, server, cabinet, driver)
 
 
@@ -123,17 +85,3 @@ PLUGIN: Final = RobotPlugin(
     restart="start the server's application on the smartPAD",
 )
 """Registered as `kst`."""
-
-VELOCITY_PLUGIN: Final = PLUGIN._replace(
-    form="kst-velocity://HOST",
-    open=open_velocity_robot,
-    emulate=emulate_velocity,
-    flange_speed=None,
-    failure=(
-        "The velocity servo has no watchdog: if this computer or the cable fails, the arm MOVES ON "
-        "at its last velocity until a limit of the cabinet stops it, and software cannot stop it. "
-        "Keep a hand at the E-stop. A guard on this computer stops the arm only if this program "
-        f"dies or is silent for {1e3 * MAX_SILENCE:.0f} ms."
-    ),
-)
-"""Registered as `kst-velocity`."""

@@ -14,9 +14,6 @@ The server has no watchdog. If this program dies or the link breaks, the servo c
 target, and only the operator can stop it, with the E-stop. The last target must therefore always be
 near and slow to reach. A layer above (`equipoise.devices.guarded`) ensures this, and checks
 position, velocity and acceleration. This module sends finite numbers only.
-
-`KstVelocityRobot` uses the server's velocity servo instead, which has no shaping law, and goes on
-with the last velocity for ever. It belongs behind `equipoise.devices.kuka.velocity_guard`.
 """
 
 import socket
@@ -30,7 +27,6 @@ import numpy as np
 from equipoise.devices.interfaces import Array, Clock, Reply, Transport
 from equipoise.devices.kuka import codec
 from equipoise.devices.plugins import ignore
-from equipoise.devices.setpoints import checked
 from equipoise.devices.transports import SocketTransport
 from equipoise.errors import LinkError, OutsideError
 
@@ -76,20 +72,17 @@ INSTRUCTIONS: Final = (
 )
 
 
-def dial(
-    host: str, port: int, wrap: Callable[[socket.socket], Transport] = SocketTransport
-) -> Callable[[], Transport]:
+def dial(host: str, port: int) -> Callable[[], Transport]:
     """Return a function that opens a TCP connection to a KST server, for `KstRobot`.
 
     Args:
         host: Name or number of the cabinet.
         port: Port of the server.
-        wrap: Makes a transport of the connected socket.
     """
 
     def opened() -> Transport:
         try:
-            return wrap(socket.create_connection((host, port), timeout=TCP_TIMEOUT))
+            return SocketTransport(socket.create_connection((host, port), timeout=TCP_TIMEOUT))
         except socket.gaierror as error:  # starting the application does not help: do not wait
             raise OutsideError(
                 f"there is no host {host} ({error.strerror}); check the name, or give its number, "
@@ -174,23 +167,12 @@ class KstRobot:
         """
         self._at_rest("start a servo")
         self._may_move = True
-        held = self._start_servo()
-        self._streams, self._sent = True, 0
-        self._last = (self._clock.now(), held)
-
-    def _start_servo(self) -> tuple[float, ...]:
-        """Start the servo, and return the joints that it holds."""
         self._done(codec.START_SERVO)
         self._wait(AFTER_START)
         measured = self._numbers(codec.GET_JOINTS)
-        return self._numbers(codec.setpoint(measured, joints=self.joints))
-
-    def _command(self, q: Sequence[float] | Array, reply: codec.ReplyKind) -> bytes:
-        """Return the line of a setpoint."""
-        return codec.setpoint(q, reply, joints=self.joints)
-
-    def _take_up(self, q: tuple[float, ...] | None) -> None:
-        """Take up the joints in the reply to the oldest setpoint; None in one with torques."""
+        held = self._numbers(codec.setpoint(measured, joints=self.joints))
+        self._streams, self._sent = True, 0
+        self._last = (self._clock.now(), held)
 
     def send(self, q: Sequence[float] | Array) -> None:
         """Send a setpoint of all joints; each `torque_every`th requests torques instead of joints.
@@ -203,14 +185,14 @@ class KstRobot:
             InputError: The setpoint is not seven finite numbers; nothing was sent.
         """
         torque = (self._sent + 1) % self.torque_every == 0
-        checked(q, self.joints)
+        line = codec.setpoint(q, "external" if torque else "joints", joints=self.joints)
         if not self._streams:
             self._link()
             raise LinkError("the servo does not run, so that no setpoint is obeyed; start it first")
         self._collect()
         if len(self._pending) >= MAX_PENDING:
             self._fail(f"{len(self._pending)} setpoints wait for their answer, expected fewer")
-        self._write(self._command(q, "external" if torque else "joints"))
+        self._write(line)
         self._sent += 1
         self._pending.append((self._clock.now(), torque))
 
@@ -321,7 +303,6 @@ class KstRobot:
             if not torque:
                 self._check_step(sent, values)
             q, torques = (None, values) if torque else (values, None)
-            self._take_up(q)
             self._ready.append(Reply(sent, now, q, torques))
         if self._pending and now - self._pending[0][0] > TIMEOUT:
             self._fail(f"expected the answer to a setpoint within {TIMEOUT:g} s")

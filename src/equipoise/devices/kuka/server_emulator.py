@@ -11,15 +11,15 @@ the *main* thread, which ignores it while a servo or a motion runs. Hence:
 - A command for the main thread that arrives while a servo runs is not answered, and the next line
   erases it. An unknown command is never answered.
 - A number that Java cannot parse (`nan`; but `NaN` becomes the target) kills the reader: all later
-  lines are ignored, stop and end included, and the servo continues. In velocities it ends the servo
-  instead. An eighth velocity hangs the reader, as does a seventh number of a Cartesian target.
+  lines are ignored, stop and end included, and the servo continues. In a Cartesian target it ends
+  the servo instead, and a seventh number of such a target hangs the reader.
 - Fewer than seven joints change the first ones only; further ones are ignored.
-- The client is not supervised: if it vanishes, servo and velocities continue, and no other client
-  is ever served.
+- The client is not supervised: if it vanishes, the servo continues, and no other client is ever
+  served.
 
-Not modelled: a Cartesian servo answers, but the arm holds; Cartesian motions are acknowledged and
-then refused; conditional motions (`doPTP!`) are not answered; forces are zero; the server does not
-end when no client connects for 60 s.
+Not modelled: the velocity servo is not answered; a Cartesian servo answers, but the arm holds;
+Cartesian motions are acknowledged and then refused; conditional motions (`doPTP!`) are not
+answered; forces are zero; the server does not end when no client connects for 60 s.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from typing import Final
 import numpy as np
 
 from equipoise.devices.kuka import codec, motion
-from equipoise.devices.kuka.codec import SETPOINTS, VELOCITIES, ReplyKind, java_double, tokens
+from equipoise.devices.kuka.codec import SETPOINTS, ReplyKind, java_double, tokens
 from equipoise.devices.kuka.motion import DONE, EPSILON, NAK
 from equipoise.devices.twin.simulated_arm import SimulatedArm
 from equipoise.errors import InputError, LinkError
@@ -155,7 +155,7 @@ class KstServer:
     def vanished(self, now: float) -> None:
         """Record, unlike the real server, that the client left without an `end`.
 
-        The servo continues to its last target, or with its last velocity. No line is read again.
+        The servo continues to its last target. No line is read again.
         """
         self._now, self.deserted, self._reads = now, True, False
 
@@ -182,20 +182,19 @@ class KstServer:
             finally:  # the servo follows the numbers read before the reader died
                 if self._task is not None:
                     self._task.taken()
-        elif commands is VELOCITIES:
-            self._take_velocity(fields, self._targets.dq)
-        else:  # no servo follows a Cartesian target
-            self._take_velocity(fields, [0.0] * 6)
+        else:
+            self._take_cartesian(fields)
         self._answer(reply)
         return True
 
-    def _take_velocity(self, fields: list[str], into: list[float]) -> None:
+    def _take_cartesian(self, fields: list[str]) -> None:
+        """Check a Cartesian target; no servo follows it."""
         try:
-            _put(into, fields)
+            _put([0.0] * 6, fields)
         except InputError:
             self._targets.servo = False
             return
-        if len(fields) > len(into):
+        if len(fields) > 6:
             raise InputError("the reader never comes out of its loop over the fields")
 
     def _answers(self, line: bytes, text: str) -> bool:
@@ -258,8 +257,6 @@ class KstServer:
                 self._take_tool(fields)
             elif text.startswith("startDirectServoJoints"):
                 self._begin("joints")
-            elif text.startswith("stVelDcJoint_"):
-                self._begin("velocity")
             elif text.startswith("stDcEEf_"):
                 self._begin("held")
             elif text.startswith("startSmartImpedneceJoints"):
@@ -318,11 +315,11 @@ def _put(into: list[float], fields: list[str]) -> None:
 
 _CARTESIAN: Final[dict[ReplyKind, str]] = {
     **{kind: f"DcSeCar{suffix}" for kind, suffix in codec.SUFFIXES.items() if suffix},
-    **{"nothing": "DcSeCar", "force": f"DcSeCar{codec.FORCE_SUFFIX}"},
+    "nothing": "DcSeCar",
 }
 _TARGETS: Final[dict[str, tuple[dict[ReplyKind, str], ReplyKind]]] = {
     command: (commands, kind)
-    for commands in (SETPOINTS, VELOCITIES, _CARTESIAN)
+    for commands in (SETPOINTS, _CARTESIAN)
     for kind, command in commands.items()
 }
 """Table and reply of each command that sets a target, by its name."""

@@ -54,7 +54,7 @@ class SimulatedArm:
         """
         mj = mujoco()
         self._twin, self._n = twin, len(arm.joints)
-        self._joint_noise, self._shaped = settings.joint_noise, settings.shaped
+        self._joint_noise = settings.joint_noise
         self._inverse = mj.mj_inverse
         self._bare = build_bare(arm)
         self._bare_data = mj.MjData(self._bare)
@@ -102,17 +102,14 @@ class SimulatedArm:
         x, y, z = (1e3 * bodies.xpos[bodies.flange]).tolist()
         return x, y, z, a, b, c
 
-    def servo(self, running: bool, *, shaped: bool = True) -> None:
+    def servo(self, running: bool) -> None:
         """Start a servo, which holds the arm at its position, or stop it, which brakes the arm.
 
         Args:
             running: Whether the servo runs.
-            shaped: Whether it shapes its steps, in a world whose servo does so at all.
         """
         if self.stopped:
             return
-        twin = self._twin.kernel
-        self._twin.kernel = twin._replace(servo=twin.servo._replace(shaped=shaped and self._shaped))
         self.running = running
         self._brake()
         if running:  # hold a braking arm at its present position
