@@ -20,13 +20,13 @@ from equipoise.errors import EquipoiseError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
-from equipoise.studies.rehearsal.fault_harness import (
+from tests.faults.harness import (
     BROKEN,
     REFUSED,
     FaultHarness,
     ReceivedMessage,
 )
-from equipoise.studies.rehearsal.faults import Fault
+from tests.faults.table import Fault
 
 Array = npt.NDArray[np.float64]
 
