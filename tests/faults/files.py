@@ -44,6 +44,7 @@ def _fill_the_disk(harness: FaultHarness) -> None:
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     harness.undo.append(lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limits))
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    harness.disk_is_full = True
 
 
 def _cut_the_power(harness: FaultHarness) -> None:

@@ -202,6 +202,8 @@ class FaultHarness:
         """Changes a setpoint, given the time since the fault [s], which ends at the stop."""
         self.undo: list[Callable[[], Any]] = []
         """Actions that restore the process after the run."""
+        self.disk_is_full = False
+        """Whether a fault keeps the log from its end; the check of that fault reads the log."""
         self.typed: list[str] = []
         """Lines that are typed next."""
         self._faults, self._words_after_stop = list(faults), words_after_stop

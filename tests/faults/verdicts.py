@@ -247,7 +247,7 @@ def _moved_on(harness: FaultHarness, sent: Sequence[Sent], stop: float) -> list[
 
 def _log_problems(harness: FaultHarness) -> list[str]:
     """Return the problem of a log that cannot be read."""
-    if harness.scenario.out is None:
+    if harness.scenario.out is None or harness.disk_is_full:
         return []
     try:
         end = RunLog.load(harness.scenario.out).end
