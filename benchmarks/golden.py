@@ -17,6 +17,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for the harness of tests/faults
+
 SEEDS = (0, 1, 2)
 TRIALS = 20
 EPISODES = {"paper": 600, "robust": 300}
@@ -88,7 +90,7 @@ def runs() -> dict[str, str]:
 def virtual_runs() -> dict[str, str]:
     """Bytes to robot and encoder of a whole run in virtual time, and the rows of its log."""
     from equipoise.logs.run_log import RunLog
-    from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario
+    from tests.faults.harness import FaultHarness, Scenario
 
     found = {}
     for seed in SEEDS:

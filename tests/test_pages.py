@@ -175,7 +175,6 @@ ELSEWHERE = {
     r"benchmarks/": "tests/test_benchmarks.py, tests/test_bench.py",
     r"rl/|docker|podman": "needs what another page makes",
     r"^make docs": "a step of the checks",
-    r"--real-time": "in real time, alone on the machine: tests/rehearsal",
 }
 """Commands that are not run here, and why."""
 SERVERS = re.compile(r"equipoise (?:play|console|log show|rig emulate)|--console")

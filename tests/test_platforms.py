@@ -15,7 +15,6 @@ from equipoise.cli.terminal_operator import single_keys
 from equipoise.devices.encoder.board import Board
 from equipoise.devices.encoder.terminal import Terminal
 from equipoise.errors import OutsideError
-from equipoise.studies.rehearsal.files import _fill_the_disk
 
 pytestmark = pytest.mark.compiled_only  # imports are the same without compilation
 
@@ -98,7 +97,6 @@ def test_opengl_that_is_not_there_stops_only_drawing_with_one_sentence(value, hi
     [
         ("termios", lambda: single_keys().__enter__(), "drive a robot from Linux"),
         ("pty", lambda: Terminal(Board(lambda: 0.0)), "use Linux or macOS"),
-        ("resource", lambda: _fill_the_disk(None), "rehearse on Linux"),
     ],
 )
 def test_what_only_unix_has_is_asked_for_by_one_sentence(monkeypatch, module, use, expected):

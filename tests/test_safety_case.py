@@ -1,4 +1,4 @@
-"""The safety case names tests that exist, and leaves out no guard and no rehearsed fault."""
+"""The safety case names tests that exist, and leaves out no guard and no injected fault."""
 
 import ast
 import re
@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from equipoise.control.safety import Rule
-from equipoise.studies.rehearsal import FAULTS, REAL_TIME
+from tests.faults.injection import FAULTS
+from tests.faults.real_time import REAL_TIME
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "safety-case.md").read_text(encoding="utf-8")
@@ -46,11 +47,11 @@ def test_each_guard_stands_in_a_table(rule):
 
 
 @pytest.mark.parametrize("fault", [*FAULTS, *REAL_TIME], ids=lambda fault: fault.name)
-def test_each_rehearsed_fault_stands_in_a_table(fault):
+def test_each_injected_fault_stands_in_a_table(fault):
     assert f"`{fault.name}`" in TABLES
 
 
-def test_no_fault_is_named_that_is_not_rehearsed():
+def test_no_fault_is_named_that_is_not_injected():
     known = {fault.name for fault in (*FAULTS, *REAL_TIME)}
     cells = [line.split("|")[3] for line in TABLES.splitlines() if line.count("|") == 4]
     named = {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
@@ -59,7 +60,7 @@ def test_no_fault_is_named_that_is_not_rehearsed():
 
 def test_each_number_of_the_page_is_that_of_the_code():
     from equipoise.control import dropouts, plausibility, run_controller, safety, stop
-    from equipoise.studies.rehearsal.verdicts import MAX_NOTICE
+    from tests.faults.verdicts import MAX_NOTICE
 
     assert f"within {1e3 * MAX_NOTICE:.0f} ms" in PAGE
     assert f"up to {1e3 * safety.MAX_STALL:g} ms is bridged" in PAGE

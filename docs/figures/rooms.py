@@ -13,7 +13,7 @@ CAPTIONS = {
     "console": "live view and operator's console in the browser",
     "report": "figures, animation and HTML page, from saved results",
     "envs": "Gymnasium environments",
-    "studies": "certificates, gap, refinement, explanation, rehearsal",
+    "studies": "certificates, gap, refinement, explanation, replay",
     "training": "the pipeline: one stage each, connected only by values",
     "simulation": "trials in any simulated world; fitness of machine, rig and policy",
     "rigs": "addresses become devices",

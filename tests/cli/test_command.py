@@ -13,7 +13,7 @@ from tests.cli.conftest import verbs
 
 VERBS = tuple(verbs())
 PIPELINE = ("reproduce", "identify", "train", "evaluate", "map", "compare", "gap", "refine")
-RIG = ("doctor", "emulate", "record", "rehearse")
+RIG = ("doctor", "emulate", "record")
 LOG = ("show", "explain", "replay", "export", "verify")
 NEEDS = {
     "identify": ["x.csv"],

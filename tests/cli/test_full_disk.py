@@ -3,10 +3,13 @@
 import os
 import subprocess
 import sys
+from importlib import resources
 
 import pytest
 
 pytestmark = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no full device")
+
+POLICY = str(resources.files("equipoise") / "data" / "policy.json")
 
 
 def run(*arguments, **streams):
@@ -16,7 +19,7 @@ def run(*arguments, **streams):
 
 @pytest.mark.parametrize(
     "arguments",
-    [("--help",), ("log", "verify", "nowhere.json"), ("rig", "rehearse", "--list", "--json")],
+    [("--help",), ("log", "verify", "nowhere.json"), ("log", "verify", POLICY, "--json")],
 )
 def test_a_full_standard_output_is_told_in_one_sentence(arguments):
     with open("/dev/full", "w") as full:

@@ -2,7 +2,7 @@
 
 The loop's process runs the real loop, guard and signals; in place of the course stands a heart that
 moves one joint to and fro until a word comes. The whole course over ports and a terminal is in
-`equipoise rig rehearse --real-time`.
+`tests/faults/real_time.py`.
 """
 
 import contextlib

@@ -9,9 +9,9 @@ from equipoise.control.policy import shipped_policy
 from equipoise.deployment import deploy
 from equipoise.errors import ArtefactError
 from equipoise.logs.run_log import RunLog
-from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario, Trigger
-from equipoise.studies.rehearsal.faults import hold_back
 from equipoise.studies.replay import replay
+from tests.faults.harness import FaultHarness, Scenario, Trigger
+from tests.faults.table import hold_back
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
 

@@ -18,7 +18,6 @@ from equipoise.cli.map import map_recoverable
 from equipoise.cli.play import play
 from equipoise.cli.record import record
 from equipoise.cli.refine import refine
-from equipoise.cli.rehearse import rehearse
 from equipoise.cli.replay import replay
 from equipoise.cli.reproduce import reproduce
 from equipoise.cli.show import show
@@ -42,7 +41,7 @@ app = group(
     help="Teach a robot arm to balance an inverted pendulum: identify, train, evaluate, deploy.",
     epilog="Begin with: equipoise reproduce --quick",
 )
-rig = group(help="Check, emulate, use and test a rig: doctor, emulate, record, rehearse.")
+rig = group(help="Check, emulate and use a rig: doctor, emulate, record.")
 log = group(help="Read the log of a run, or another file: show, explain, replay, export, verify.")
 
 for verb in (reproduce, identify, train, evaluate):
@@ -52,7 +51,7 @@ for verb in (compare, gap, refine, sweep, play):
     app.command(rich_help_panel=PIPELINE)(verb)
 for verb in (deploy, console):
     app.command(rich_help_panel=ROBOT)(verb)
-for verb in (doctor, emulate, record, rehearse):
+for verb in (doctor, emulate, record):
     rig.command()(verb)
 for verb in (show, explain, replay, export, verify):
     log.command()(verb)

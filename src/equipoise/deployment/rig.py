@@ -369,7 +369,7 @@ def run_on_rig(
         measures: Applies the real-time settings of this process, and returns their results.
         executor: Executor of long jobs (default: inline).
         idle: Called in each tick, e.g. to drain the rings.
-        wrap: Wraps the tick handler; a rehearsal injects its faults there.
+        wrap: Wraps the tick handler; tests inject faults there.
         supervise: Wraps a policy without a kernel with a limit of its computing time [s].
 
     Raises:

@@ -10,8 +10,8 @@ from equipoise.control.safety import MAX_STALL, Rule
 from equipoise.deployment.rig import RunRequest, run_virtually
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import DrainingClock, RigSettings, emulated_rig
-from equipoise.studies.rehearsal.fault_harness import StallingClock, TransportTap
-from equipoise.studies.rehearsal.verdicts import check_limits, setpoints_of
+from tests.faults.harness import StallingClock, TransportTap
+from tests.faults.verdicts import check_limits, setpoints_of
 
 pytestmark = [pytest.mark.compiled_only, pytest.mark.slow]
 

@@ -1,4 +1,4 @@
-"""Faults of processes, ports and the machine's load, rehearsed in real time.
+"""Faults of processes, ports and the machine's load, in real time.
 
 An emulated rig serves a port and a pseudo-terminal in this process. `equipoise deploy` runs in
 another process, as on a real rig. Its messages are read from its output, and the motion of the arm
@@ -26,9 +26,9 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings
-from equipoise.studies.rehearsal import verdicts
-from equipoise.studies.rehearsal.fault_harness import WORLD
-from equipoise.studies.rehearsal.faults import Fault, of_kind
+from tests.faults import verdicts
+from tests.faults.harness import WORLD
+from tests.faults.table import Fault
 
 HOST: Final = "127.0.0.1"
 BALANCE_TIME: Final = 6.0
@@ -132,8 +132,6 @@ ANSWERS: Final = ((re.compile(r"Type (\w+)\."), None), (re.compile(r"y or n"), "
 def _answer_prompts(process: subprocess.Popen[str], lines: list[tuple[float, str]]) -> None:
     """Record the output of the run, and answer its prompts."""
     _raise_priority()
-    if process.stdout is None or process.stdin is None:
-        return
     for line in process.stdout:
         lines.append((time.monotonic(), line.rstrip()))
         for pattern, answer in ANSWERS:
@@ -278,8 +276,7 @@ SIGNALS: Final = (
     (signal.SIGTERM, "Balancing", 1.5),
 )
 """Signals that end a run, each with a line of its output and the time after it [s]."""
-_FAULTS: Final = of_kind(
-    "process",
+REAL_TIME: Final = (
     Fault(
         "CPU load",
         f"twice as many busy processes as cores for {LOAD_TIME:g} s, while balancing",
@@ -300,5 +297,4 @@ _FAULTS: Final = of_kind(
     ),
     *(_signal_fault(*each) for each in SIGNALS),
 )
-REAL_TIME: Final = tuple(fault._replace(real_time=True) for fault in _FAULTS)
 """Faults that need real processes and ports."""

@@ -1,4 +1,4 @@
-"""The rehearsal: its list is whole, its judge finds what is wrong, and the faults end well."""
+"""Each fault ends as required; the list is complete, and the judge finds each wrong end."""
 
 from math import inf, nan
 from types import SimpleNamespace
@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from equipoise.control.safety import POSITION_MARGIN
-from equipoise.errors import InputError
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.rigs import RigSettings
-from equipoise.studies.rehearsal import FAULTS, REAL_TIME, Fault, choose, rehearse, rehearse_all
-from equipoise.studies.rehearsal.fault_harness import ArmObservation, ReceivedMessage
-from equipoise.studies.rehearsal.verdicts import (
+from tests.faults.harness import ArmObservation, ReceivedMessage
+from tests.faults.injection import FAULTS, run_fault
+from tests.faults.real_time import REAL_TIME
+from tests.faults.table import Fault
+from tests.faults.verdicts import (
     Sent,
     check_limits,
     check_stop,
@@ -72,44 +73,29 @@ def test_each_fault_has_a_name_of_its_own_and_says_what_should_happen():
 
 @pytest.mark.parametrize("name", QUICK)
 def test_a_fault_ends_as_it_should(name):
-    result = rehearse(fault(name))
-    assert result.problems == ()
+    did, problems = run_fault(fault(name))
+    assert problems == [], did
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [one.name for one in FAULTS if one.name not in QUICK])
 def test_each_other_fault_ends_as_it_should(name):
-    result = rehearse(fault(name))
-    assert result.problems == ()
+    did, problems = run_fault(fault(name))
+    assert problems == [], did
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("live", REAL_TIME, ids=lambda live: live.name)
 def test_each_fault_in_real_time_ends_as_it_should(live):
-    result = rehearse(live)
-    assert result.problems == (), result.did
-
-
-def test_what_needs_real_time_is_not_passed_over_as_good():
-    results = list(rehearse_all(["second client"]))
-    assert [(one.ran, one.did) for one in results] == [(False, "needs --real-time")]
+    did, problems = run_fault(live)
+    assert problems == [], did
 
 
 def test_a_fault_that_ends_otherwise_is_found():
     # What is injected is a key; what is expected is that the run lasts.
     wrong = fault("key: homing")._replace(ends=frozenset({"lasted"}))
-    assert any("it ended with operator" in problem for problem in rehearse(wrong).problems)
-
-
-def test_an_unknown_name_is_refused():
-    with pytest.raises(InputError, match="no fault 'encoder unplugd'"):
-        choose(["encoder unplugd"])
-
-
-def test_a_kind_chooses_all_of_it():
-    chosen = choose(["numbers"])
-    assert {one.kind for one in chosen} == {"numbers"}
-    assert not any(one.real_time for one in chosen)
+    _, problems = run_fault(wrong)
+    assert any("it ended with operator" in problem for problem in problems)
 
 
 # The judge, on courses written by hand: 5 ms apart, joint 1 moves.
@@ -294,5 +280,5 @@ def test_a_refused_run_sends_nothing():
     assert judged(seen, RunEnd(cause="refused", reason="no"), **refused) == []
 
 
-def test_the_arm_of_the_rehearsal_is_the_one_that_the_policy_knows():
+def test_the_arm_of_the_faults_is_the_one_that_the_policy_knows():
     assert ARM.digest == iiwa(7).digest

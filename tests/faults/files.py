@@ -3,7 +3,6 @@
 import io
 import re
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -13,11 +12,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.errors import EquipoiseError, OutsideError
+from equipoise.errors import EquipoiseError
 from equipoise.logs.run_log import RunLog
 from equipoise.rigs import read_rig
-from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario, Trigger
-from equipoise.studies.rehearsal.faults import Fault, Inject, of_kind
+from tests.faults.harness import FaultHarness, Scenario, Trigger
+from tests.faults.table import Fault, Inject
 
 MAX_LOG_LOSS: Final = 2.0
 """Maximum time missing at the end of a log [s]: an open chunk, and rows not yet drained."""
@@ -39,16 +38,13 @@ def _log(harness: FaultHarness) -> Path:
 
 def _fill_the_disk(harness: FaultHarness) -> None:
     """Forbid all files of this process to grow, as a full disk does."""
-    try:
-        import resource
-    except ImportError:
-        raise OutsideError(
-            f"{sys.platform} cannot limit the size of files as a full disk does; rehearse on Linux"
-        ) from None
+    import resource  # Unix only
+
     size = _log(harness).stat().st_size
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     harness.undo.append(lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limits))
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    harness.disk_is_full = True
 
 
 def _cut_the_power(harness: FaultHarness) -> None:
@@ -131,7 +127,7 @@ def _damaged_policy(
     def read() -> list[str]:
         with tempfile.TemporaryDirectory(prefix="equipoise-") as folder:
             path = Path(folder) / "policy.json"
-            shipped_policy().save(path, command="rehearse", inputs={})
+            shipped_policy().save(path, command="test", inputs={})
             text = path.read_text()
         return _refused(TabularPolicy.load, "policy.json", damage(text), says)
 
@@ -161,44 +157,36 @@ def _with_log(name: str, injected: str, should: str, inject: Inject, suffix: str
 
 
 FILES: Final = (
-    *of_kind(
-        "machine",
-        _with_log(
-            "disk full",
-            "the disk takes no more, while balancing",
-            "the run goes on; the log is sound to its last chunk",
-            _fill_the_disk,
-            ".mcap",
-        ),
-        _with_log(
-            "power cut in the log",
-            "the log on the disk is copied while balancing",
-            "every reader reads the copy, to its last chunk",
-            _cut_the_power,
-            ".cut",
-        ),
-        Fault(
-            "wall clock stepped",
-            "the date goes back by an hour, while balancing",
-            "nothing happens",
-            LASTED,
-            _step_the_date,
-        ),
+    _with_log(
+        "disk full",
+        "the disk takes no more, while balancing",
+        "the run goes on; the log is sound to its last chunk",
+        _fill_the_disk,
+        ".mcap",
     ),
-    *of_kind(
-        "input",
-        _damaged_policy(
-            "corrupt policy", "a digit of its table has changed", _change_digit, "digest"
-        ),
-        _damaged_policy(
-            "policy cut short", "half of its file is missing", lambda text: text[: len(text) // 2]
-        ),
-        _damaged_policy("NaN in the policy", "one of its accelerations is NaN", _nan_action),
-        _damaged(
-            "bad settings",
-            "rig.toml with an unknown name, with NaN, with a home out of reach",
-            _read_bad_settings,
-        ),
+    _with_log(
+        "power cut in the log",
+        "the log on the disk is copied while balancing",
+        "every reader reads the copy, to its last chunk",
+        _cut_the_power,
+        ".cut",
+    ),
+    Fault(
+        "wall clock stepped",
+        "the date goes back by an hour, while balancing",
+        "nothing happens",
+        LASTED,
+        _step_the_date,
+    ),
+    _damaged_policy("corrupt policy", "a digit of its table has changed", _change_digit, "digest"),
+    _damaged_policy(
+        "policy cut short", "half of its file is missing", lambda text: text[: len(text) // 2]
+    ),
+    _damaged_policy("NaN in the policy", "one of its accelerations is NaN", _nan_action),
+    _damaged(
+        "bad settings",
+        "rig.toml with an unknown name, with NaN, with a home out of reach",
+        _read_bad_settings,
     ),
 )
 """Faults of files and of the date."""

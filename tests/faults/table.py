@@ -1,7 +1,6 @@
-"""Table of the rehearsed faults: injection, trigger, and the required end of the run.
+"""Table of the faults: injection, trigger, and the required end of the run.
 
-Faults of sockets, ports, processes and the machine's clock need real time: see
-`equipoise.studies.rehearsal.real_time`.
+Faults of files and of the date are in `files`, those of ports and processes in `real_time`.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +20,7 @@ from equipoise.devices.twin.hand import draw_hand_params
 from equipoise.model.arms.arm import Joint
 from equipoise.model.arms.posture import condition
 from equipoise.rigs import RigSettings
-from equipoise.studies.rehearsal.fault_harness import (
+from tests.faults.harness import (
     START,
     FaultHarness,
     Scenario,
@@ -69,17 +68,8 @@ class Fault(NamedTuple):
     """Whether the policy may begin while the hand still holds the pendulum."""
     words_after_stop: bool = True
     """Whether answers and stops are typed after the stop; the first one ends a way back."""
-    kind: str = ""
-    """Subject of the fault."""
     play: Callable[[], tuple[str, list[str]]] | None = None
-    """Rehearses a fault without the harness; returns a description of the end, and its problems."""
-    real_time: bool = False
-    """Whether the rehearsal needs real time."""
-
-
-def of_kind(kind: str, *faults: Fault) -> tuple[Fault, ...]:
-    """Return faults with their kind."""
-    return tuple(fault._replace(kind=kind) for fault in faults)
+    """Runs a fault without the harness; returns a description of the end, and its problems."""
 
 
 def _ends(*causes: str | Rule) -> frozenset[str]:
@@ -145,8 +135,7 @@ def _slip_slowly(harness: FaultHarness) -> None:
 
 
 # fmt: off
-ENCODER: Final = of_kind(
-    "encoder",
+ENCODER: Final = (
     Fault("encoder unplugged", "its port is gone, while balancing",
           "a stop within a tick, with a message that names the encoder", _ends("fault"),
           _call("parts.sensor.link.close"), within=0.02, says="encoder"),
@@ -223,8 +212,7 @@ def _stall(*times: float) -> Inject:
 
 
 # fmt: off
-TIME: Final = of_kind(
-    "time",
+TIME: Final = (
     Fault("late tick", "the loop is held up for 90 ms, while balancing", "a stop in the next tick",
           _ends(Rule.TICK), _stall(0.09), within=0.11),
     Fault("stall of the loop", "the loop is held up for 60 ms, while balancing",
@@ -405,8 +393,7 @@ def _stop_behind_slow_link(harness: FaultHarness) -> None:
 
 
 # fmt: off
-ROBOT: Final = of_kind(
-    "robot",
+ROBOT: Final = (
     Fault("TCP drop", "the server closes the connection, while balancing",
           "a warning within 100 ms that software cannot stop it; it rests at its last target",
           _ends("link lost"), _drop, stoppable=False, within=0.02),
@@ -532,8 +519,7 @@ def _damage(wire: str, line: bytes) -> Inject:
 
 
 # fmt: off
-NUMBERS: Final = of_kind(
-    "numbers",
+NUMBERS: Final = (
     Fault("NaN from the encoder's line", "lines hold nan, while balancing",
           "they are rejected; a stop once the newest sample is 70 ms old",
           _ends(Rule.ENCODER_STALE, Rule.ENCODER_GAP, "fault"),
@@ -600,8 +586,7 @@ ARMING_MISSED: Final = _with(missed_messages=frozenset({"armed", "disarmed", "nu
 """Scenario in which the emulated operator misses that the controller is armed."""
 
 # fmt: off
-RELEASE: Final = of_kind(
-    "release",
+RELEASE: Final = (
     Fault("release too early", "the pendulum is let go 40 deg from upright",
           "the policy does not begin; the arm holds still until a key is pressed",
           _ends("operator"), _let_go_in_mid_lift, Trigger("lift"), check=_never_began),
@@ -636,15 +621,13 @@ def _other_arm(scenario: Scenario) -> Scenario:
 KEYS: Final = {"homing": 0.5, "hang": 1.0, "swing": 0.6,
                "lift": 1.5, "armed": 0.1, "balancing": 1.0}
 """Time of a key press in each phase, after its start [s]."""
-OPERATOR: Final = of_kind(
-    "operator",
+OPERATOR: Final = (
     *(Fault(f"key: {phase}", f"a key, {after:g} s after `{phase}`", "a stop within a tick",
           _ends("operator"), _call("typed.append", "stop"), Trigger(phase, after), within=0.02,
           says="operator")
       for phase, after in KEYS.items()),
 )
-INPUTS: Final = of_kind(
-    "input",
+INPUTS: Final = (
     Fault("policy of another rig", "the policy was trained on one arm, the rig has another",
           "the run is refused", _ends("refused"), trigger=AT_START, scenario=_other_arm,
           says="trained on"),

@@ -1,4 +1,4 @@
-"""Harness of a rehearsal: an emulated rig in virtual time, into which faults are injected.
+"""Harness of the faults: an emulated rig in virtual time, into which they are injected.
 
 The run is that of `equipoise.deployment.rig`, with its loop, controller, safety rules and drivers;
 cabinet, board, arm and operator are emulated. The harness records the bytes on the link and the
@@ -17,21 +17,19 @@ from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
 from equipoise.deployment.rig import RunRequest, run_virtually
-from equipoise.devices.clocks import VirtualClock
 from equipoise.devices.interfaces import Clock, Transport
-from equipoise.devices.twin.emulated_operator import EmulatedOperator
-from equipoise.errors import EquipoiseError, InputError
+from equipoise.errors import EquipoiseError
 from equipoise.identification.motion import identify_motion
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import DrainingClock, EmulatedRig, RigSettings, emulated_rig
 
 WORLD: Final = "twin:nominal"
-"""World of all rehearsals."""
+"""World of all faults."""
 ROBOT: Final = "kst"
 """Scheme of the emulated robot; the faults are those of its server and its bytes."""
 BALANCE_TIME: Final = 3.0
-"""Duration of the balancing in a rehearsed run [s]."""
+"""Duration of the balancing in a run in virtual time [s]."""
 SETTLING_TIME: Final = 0.5
 """Duration of the observation after a run [s]."""
 OBSERVATION_TICKS: Final = 2
@@ -204,30 +202,27 @@ class FaultHarness:
         """Changes a setpoint, given the time since the fault [s], which ends at the stop."""
         self.undo: list[Callable[[], Any]] = []
         """Actions that restore the process after the run."""
+        self.disk_is_full = False
+        """Whether a fault keeps the log from its end; the check of that fault reads the log."""
         self.typed: list[str] = []
         """Lines that are typed next."""
         self._faults, self._words_after_stop = list(faults), words_after_stop
         self._due: list[tuple[float, Callable[[], Any]]] = []
         self._each: list[Callable[[], Any]] = []
         self._ms = 0
-        if isinstance(clock, VirtualClock):
-            clock.attach(self._work)
+        clock.attach(self._work)
         self._notice(START)
 
     def run(self) -> RunEnd:
         """Run the policy, and return the result; its cause may be `REFUSED` or `BROKEN`."""
         scenario, parts = self.scenario, self.parts
-        sensor_on, robot_on = parts.sensor.driver, parts.robot.driver
-        if sensor_on is None or robot_on is None:
-            raise InputError(f"the robot {ROBOT!r} has no bytes to damage; choose another")
-        sensor = sensor_on(self.encoder_tap.open, self.clock)
+        sensor = parts.sensor.driver(self.encoder_tap.open, self.clock)
         rig = parts.rig._replace(
-            robot=robot_on(self.robot_tap.open, DrainingClock(self.clock, sensor)),
+            robot=parts.robot.driver(self.robot_tap.open, DrainingClock(self.clock, sensor)),
             sensor=sensor,
             clock=self.clock,
         )
-        if isinstance(rig.operator, EmulatedOperator):
-            rig.operator.ignored = scenario.missed_messages
+        rig.operator.ignored = scenario.missed_messages
         known = {name: getattr(scenario, name) for name in ("policy", "settings", "duration", "t1")}
         known |= {"robot": f"{ROBOT}://emulated", "encoder": "serial://emulated"}
         known["identify"] = identify_motion if scenario.identify else None
@@ -239,7 +234,7 @@ class FaultHarness:
         except EquipoiseError as error:
             self.messages.append(ReceivedMessage(self.clock.now(), "error", str(error)))
             outcome = RunEnd(cause=REFUSED, reason=str(error))
-        except Exception as error:  # a defect of the run; a rehearsal looks for these
+        except Exception as error:  # a defect of the run, which the verdict reports
             outcome = RunEnd(
                 cause=BROKEN, reason=f"the run broke with {type(error).__name__}: {error}"
             )

@@ -6,9 +6,9 @@ from math import radians
 import numpy as np
 import pytest
 
-from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario, Trigger
-from equipoise.studies.rehearsal.faults import FAULTS, change_replies, run_off, slow_link
-from equipoise.studies.rehearsal.verdicts import check_run
+from tests.faults.harness import FaultHarness, Scenario, Trigger
+from tests.faults.table import FAULTS, change_replies, run_off, slow_link
+from tests.faults.verdicts import check_run
 
 pytestmark = pytest.mark.compiled_only
 
@@ -58,7 +58,7 @@ def drawn(random):
 
 
 LISTED = [each for each in FAULTS if each.trigger.event != "start" and not each.play]
-"""Faults of the rehearsal that strike in a run."""
+"""Faults of the table that strike in a run."""
 
 
 def scene(seed):

@@ -20,13 +20,13 @@ from equipoise.errors import EquipoiseError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
-from equipoise.studies.rehearsal.fault_harness import (
+from tests.faults.harness import (
     BROKEN,
     REFUSED,
     FaultHarness,
     ReceivedMessage,
 )
-from equipoise.studies.rehearsal.faults import Fault
+from tests.faults.table import Fault
 
 Array = npt.NDArray[np.float64]
 
@@ -247,7 +247,7 @@ def _moved_on(harness: FaultHarness, sent: Sequence[Sent], stop: float) -> list[
 
 def _log_problems(harness: FaultHarness) -> list[str]:
     """Return the problem of a log that cannot be read."""
-    if harness.scenario.out is None:
+    if harness.scenario.out is None or harness.disk_is_full:
         return []
     try:
         end = RunLog.load(harness.scenario.out).end
