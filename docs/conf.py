@@ -94,7 +94,7 @@ CONTENTS = {
         "/docs/reference/e-line",
         "/benchmarks/README",
     ],
-    "Project": ["/CONTRIBUTING", "/docs/release-notes", "/CHANGELOG", f"/{DECISIONS}"],
+    "Project": ["/CONTRIBUTING", "/CHANGELOG", f"/{DECISIONS}"],
 }
 """Pages by part, in the order of the side bar."""
 

@@ -16,7 +16,7 @@ SAY = {
     "train_and_evaluate.py": "LQR, snapped lasted 200 of 200 trials",
     "own_policy.py": "5 of 5 trials lasted 10 s",
     "policy_table.py": "    -10     10     50    inf",
-    "deploy_on_the_twin.py": "twin:nominal-2: stood 20 of 20 s",
+    "deploy_on_the_twin.py": "twin:nominal: stood 20 of 20 s",
 }
 
 
@@ -61,7 +61,7 @@ def test_examples_take_files(example, small_policy, tmp_path):
 def test_a_run_on_the_twin_is_kept(example, tmp_path):
     example("deploy_on_the_twin.py")
     run = RunLog.load(tmp_path / "run.mcap")
-    assert run.conditions.world == "twin:nominal-2"
+    assert run.conditions.world == "twin:nominal"
     assert run.conditions.policy == shipped_policy().digest
 
 

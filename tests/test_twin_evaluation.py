@@ -44,7 +44,7 @@ def test_results_do_not_depend_on_the_number_of_workers(behind_a_servo, evaluati
 
 
 def test_the_evaluation_says_in_which_world_and_behind_what(behind_a_servo, evaluation):
-    assert evaluation.world == "twin:nominal-2"
+    assert evaluation.world == "twin:nominal"
     assert evaluation.world_settings.transport == 0.010
     assert evaluation.actuators == (behind_a_servo.actuator.digest,)
 

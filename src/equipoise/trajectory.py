@@ -7,19 +7,17 @@ line::
     time_s,theta_rad        or time_ms, time_us; theta_deg, counts, rate_rad_s
     0.000,-1.618429
 
-Semicolons and tabs are accepted separators, also with decimal commas. Text is UTF-8, Latin-1 or
-UTF-16, optionally compressed by gzip. Other columns are ignored. Angles are unwrapped: a jump by
-more than half a turn between two samples comes from a recorder that wraps the angle.
+Semicolons and tabs are accepted separators, also with decimal commas. Text is UTF-8. Other columns
+are ignored. Angles are unwrapped: a jump by more than half a turn between two samples comes from a
+recorder that wraps the angle.
 """
 
 import codecs
 import csv
-import gzip
 import hashlib
 import io
 import math
 import warnings
-import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -42,7 +40,7 @@ QUANTITIES: Final = ("theta_rad", "theta_deg", "counts", "rate_rad_s")
 """Accepted columns of the motion; a file has one."""
 
 MAX_RECORDING_SIZE: Final = 128 * MEBIBYTE
-"""Size limit of a recording, after decompression [bytes]: an hour at 1 kHz with six columns."""
+"""Size limit of a recording [bytes]: an hour at 1 kHz with six columns."""
 MAX_SAMPLES: Final = 5_000_000
 """Limit on the number of samples: more than an hour at 1 kHz; a swing lasts minutes."""
 MAX_NUMBER: Final = 1e18
@@ -53,6 +51,13 @@ MAX_VALUE: Final = 1e9
 """Limit on an angle [rad] or a rate [rad/s], beyond the range of any encoder."""
 SEPARATORS: Final = (",", ";", "\t")
 """Separators between columns."""
+FOREIGN: Final = {
+    b"PK\3\4": "a ZIP file or a spreadsheet",
+    b"\x1f\x8b": "a gzip file",
+    codecs.BOM_UTF16_LE: "UTF-16",
+    codecs.BOM_UTF16_BE: "UTF-16",
+}
+"""Kinds of files that are no UTF-8 text, by their first bytes; named in the refusal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +226,7 @@ class _Table(NamedTuple):
     """Text of a recording, and its two columns."""
 
     text: bytes
-    """Text in UTF-8 with decimal points; other columns may hold invalid UTF-8."""
+    """Text in UTF-8 with decimal points."""
     separator: str
     """One of `SEPARATORS`."""
     skip: int
@@ -236,13 +241,13 @@ class _Table(NamedTuple):
 
 def _table(path: Path, data: bytes, columns: str | None) -> _Table:
     """Detect separator, header and columns of a recording."""
-    text = _as_utf8(path, _decompressed(path, data))
+    text = _utf8(path, data)
     if (count := text.count(b"\n")) > MAX_SAMPLES:
         raise RecordingError(
             f"{path} has {count:,} lines, expected at most {MAX_SAMPLES:,}; cut it, or keep every "
             "tenth sample"
         )
-    first = text.split(b"\n", 1)[0].decode("utf-8", "replace").strip()
+    first = text.split(b"\n", 1)[0].decode().strip()
     if b"\0" in text[:4096] or any(ord(letter) < 32 and letter != "\t" for letter in first):
         raise RecordingError(
             f"{path} is not text; expected a CSV file with the columns {TIME} and one of "
@@ -281,32 +286,18 @@ def _table(path: Path, data: bytes, columns: str | None) -> _Table:
     return table
 
 
-def _decompressed(path: Path, data: bytes) -> bytes:
-    if data.startswith(b"PK\3\4"):
-        raise RecordingError(f"{path} is a ZIP file or a spreadsheet; save the recording as CSV")
-    if not data.startswith(b"\x1f\x8b"):
-        return data
-    try:
-        text = gzip.GzipFile(fileobj=io.BytesIO(data)).read(MAX_RECORDING_SIZE + 1)
-    except (OSError, EOFError, zlib.error):
-        message = f"{path} is damaged: gzip cannot decompress it; copy it again"
-        raise RecordingError(message) from None
-    if len(text) > MAX_RECORDING_SIZE:
-        raise RecordingError(
-            f"{path} holds more than {MAX_RECORDING_SIZE // MEBIBYTE} MiB, the limit for a "
-            "recording; cut it, or keep every tenth sample"
-        )
-    return text
-
-
-def _as_utf8(path: Path, data: bytes) -> bytes:
-    if b"\0" in data[:2] or data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        big = data.startswith((b"\0", codecs.BOM_UTF16_BE))
+def _utf8(path: Path, data: bytes) -> bytes:
+    """Return the text in UTF-8, without a byte order mark and with line feeds alone."""
+    found = next((kind for start, kind in FOREIGN.items() if data.startswith(start)), "")
+    if not found and b"\0" in data[:2]:
+        found = "UTF-16"
+    if not found:
         try:
-            data = data.decode("utf-16-be" if big else "utf-16-le").removeprefix("\ufeff").encode()
-        except UnicodeError:
-            message = f"{path} is not text in UTF-8, nor in UTF-16; save it as CSV in UTF-8"
-            raise RecordingError(message) from None
+            data.decode()
+        except UnicodeDecodeError:
+            found = "not UTF-8"
+    if found:
+        raise RecordingError(f"{path} is {found}; save the recording as CSV in UTF-8")
     data = data.removeprefix(codecs.BOM_UTF8)
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
 
@@ -332,7 +323,7 @@ def _samples(path: Path, table: _Table) -> tuple[npt.NDArray[np.float64], npt.ND
             usecols=at,
             comments=None,
             quotechar='"',
-            encoding="latin-1",
+            encoding="utf-8",
             ndmin=2,
         )
     if not np.all(np.abs(columns) <= MAX_NUMBER):
@@ -351,7 +342,7 @@ def _samples(path: Path, table: _Table) -> tuple[npt.NDArray[np.float64], npt.ND
 
 def _rows(path: Path, table: _Table) -> Iterator[tuple[int, list[str]]]:
     """Yield the number of each line with samples, and its cells."""
-    lines = io.TextIOWrapper(io.BytesIO(table.text), encoding="utf-8", errors="replace", newline="")
+    lines = io.TextIOWrapper(io.BytesIO(table.text), encoding="utf-8", newline="")
     reader = csv.reader(lines, delimiter=table.separator)
     try:
         for row in reader:

@@ -31,7 +31,7 @@ def test_an_excitation_becomes_an_actuator_which_the_twin_has(equipoise, log, tm
 def test_a_run_is_written_and_told_and_a_fall_is_exit_code_1(equipoise, policy_file, tmp_path):
     ran = equipoise("deploy", policy_file, "--duration", 5, "--seed", 2)
     run = RunLog.load(tmp_path / "run.mcap")
-    assert run.conditions.world == "twin:nominal-2"
+    assert run.conditions.world == "twin:nominal"
     assert ran.code == (0 if run.cause == "lasted" else 1)
     assert "encoder's zero" in ran.out
     assert f"ended: {run.cause}" in ran.out

@@ -69,7 +69,7 @@ def test_it_says_the_tables_and_the_words(equipoise, cured_file, paper_file, mad
     assert "3.7 (50)" in ran.out
     for row in ("no prediction", "paper, clean twin", "transport delay", "dry friction"):
         assert row in ran.out
-    assert "40 trials of 60 s at each point, on the iiwa14, world twin:nominal-2, seed 0" in ran.out
+    assert "40 trials of 60 s at each point, on the iiwa14, world twin:nominal, seed 0" in ran.out
     assert "wrote mine.json, mine.svg and mine.png" in ran.out
     assert not (tmp_path / "mine-paper-policy.json").exists()
     assert "--claim 0.99" in ran.out
@@ -97,7 +97,7 @@ def test_options_reach_the_study(equipoise, cured_file, paper_file, made_up, tmp
 
 def test_an_actuator_of_another_twin_is_warned_of(equipoise, cured_file, paper_file, made_up):
     ran = equipoise("gap", cured_file, "--world", "twin:harsh", "--paper-policy", paper_file)
-    assert "warning: the cures assume a delay of 10.0 ms, and twin:harsh-2 has 30.0 ms" in ran.out
+    assert "warning: the cures assume a delay of 10.0 ms, and twin:harsh has 30.0 ms" in ran.out
 
 
 def test_json_is_one_object_with_a_point_for_each_condition(

@@ -147,7 +147,7 @@ def test_what_is_no_recording_is_refused(refused, tmp_path):
     refused("identify", "nowhere.csv", saying="there is no file nowhere.csv")
     refused("identify", tmp_path, saying="cannot read")
     refused("identify", "empty.csv", saying="has the columns (none)")
-    refused("identify", "picture.csv", saying="is not text")
+    refused("identify", "picture.csv", saying="is not UTF-8")
     refused("identify", saying="Missing argument")
 
 

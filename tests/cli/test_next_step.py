@@ -91,9 +91,9 @@ def evaluated(balanced, policy=OTHER, path=MINE, **given):
         ),
         (
             lambda: next_step.after_refinement(
-                True, Path("r.json"), MINE, [Path("1.mcap")], ["twin:harsh-2"]
+                True, Path("r.json"), MINE, [Path("1.mcap")], ["twin:harsh"]
             ),
-            "evaluate|r.json|--world|twin:harsh-2",
+            "evaluate|r.json|--world|twin:harsh",
         ),
         (
             lambda: next_step.after_refinement(

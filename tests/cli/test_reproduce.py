@@ -60,7 +60,7 @@ def test_a_recorded_swing_json_and_the_exit_code(equipoise, swing):
     assert "recorded" in " ".join(found["verdict"])
     assert ran.code == (0 if found["median_s"] >= found["duration"] else 1)
     assert ran.err == ""
-    assert found["world"] == "twin:nominal-2"
+    assert found["world"] == "twin:nominal"
     assert 0.0 < found["lasted_s"] <= 1.0
     assert found["cause"] in ("lasted", "angle", "track", "joint limit", "guard")
 

@@ -27,7 +27,7 @@ def conditions(**changes):
     """Conditions of a run on a twin."""
     given = {
         "policy": "sha256:0123",
-        "world": "twin:nominal-2",
+        "world": "twin:nominal",
         "arm": iiwa(7),
         "pendulum": {"w2": 70.2, "k": 7.15, "c": 0.15, "coulomb": 0.0, "drag": 0.0},
         "start": (0.0, 0.0, 0.03, 0.2),

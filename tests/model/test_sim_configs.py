@@ -9,7 +9,6 @@ from equipoise.artefacts import Estimate
 from equipoise.errors import SettingsError
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.sim_configs import (
-    NEWEST,
     SETS,
     TwinSettings,
     pendulum_on,
@@ -44,19 +43,13 @@ def test_the_named_sets_have_the_numbers_that_the_documents_state(
     assert (world.lag, world.cycle, world.inner, world.pivot_outward) == (8e-3, 1, "velocity", 0.13)
 
 
-@pytest.mark.parametrize("short", NEWEST)
-def test_a_name_stands_for_its_newest_version_which_has_a_name_of_its_own(short):
-    assert read_world(f"twin:{short}") == read_world(f"twin:{NEWEST[short]}")
-    assert read_world(f"twin:{short}").name == f"twin:{NEWEST[short]}"
-
-
 @pytest.mark.parametrize(
     ("pendulum", "world", "coulomb", "drag", "saying"),
     [
         (DRY, "twin:nominal", 1.957, 0.02, "dry friction 1.96 1/s^2 (as identified), drag 0.02"),
         (DRY, "twin:harsh", 1.957, 0.02, "(as identified)"),
-        (VISCOUS, "twin:nominal", 0.1, 0.0, "assumed by twin:nominal-2; not identified"),
-        (VISCOUS, "twin:harsh", 0.3, 0.0, "assumed by twin:harsh-2; not identified"),
+        (VISCOUS, "twin:nominal", 0.1, 0.0, "assumed by twin:nominal; not identified"),
+        (VISCOUS, "twin:harsh", 0.3, 0.0, "assumed by twin:harsh; not identified"),
     ],
 )
 def test_a_twin_has_the_friction_of_its_pendulum_unless_its_set_says_otherwise(
@@ -100,10 +93,10 @@ def test_the_other_sets_differ_from_nominal_in_what_the_documents_state(name, ch
 
 def test_the_documents_say_of_each_set_what_is_known_and_what_is_guessed():
     page = (Path(__file__).parents[2] / "docs/how-to/digital-twin.md").read_text(encoding="utf-8")
-    for name, full in NEWEST.items():
+    for name, named in SETS.items():
         assert f"| `{name}` |" in page
-        assert SETS[full].known.endswith(".")
-        assert SETS[full].guessed.endswith(".")
+        assert named.known.endswith(".")
+        assert named.guessed.endswith(".")
 
 
 def test_each_set_can_be_told_from_the_others():
@@ -118,7 +111,7 @@ def test_every_number_says_what_it_is():
 
 
 def test_a_file_holds_differences_to_nominal_and_keeps_its_own_name(tmp_path):
-    file = tmp_path / "nominal-2.toml"
+    file = tmp_path / "nominal.toml"
     file.write_text("transport = 0.02\nzero_offset = 0.0087\n")
     world = read_world(f"twin:{file}")
     nominal = read_world("twin:nominal").settings

@@ -9,7 +9,7 @@ from equipoise.settings import EvaluationSettings
 from equipoise.studies.compare import ROWS
 from equipoise.studies.compare_results import Cell, Column, Comparison, PolicyRow
 
-WORLDS = ("ideal", "model", "twin:nominal-2", "twin:nominal-2", "twin:harsh-2", "twin:harsh-2")
+WORLDS = ("ideal", "model", "twin:nominal", "twin:nominal", "twin:harsh", "twin:harsh")
 
 
 def made_up(names, worlds, trials=40):
@@ -67,7 +67,7 @@ def test_nothing_is_cut_off_or_covered(names, worlds):
 
 def test_it_shows_each_share_with_its_interval():
     names = ("one", "two", "three $x$")
-    figure = compare_figure(made_up(names, ("model", "twin:harsh-2")))
+    figure = compare_figure(made_up(names, ("model", "twin:harsh")))
     for axes in figure.axes:
         assert axes.get_xlabel() == "lasted [%]"
         for i, bars in enumerate(axes.containers):

@@ -64,7 +64,7 @@ def test_it_says_what_it_shows_in_which_unit(gap):
         "error of the encoder's zero [°]",
         "track limit [%]",
         f"{gap.trials} trials of {gap.duration:g} s at each point, 95 % intervals",
-        "twin:nominal-2",
+        "twin:nominal",
         "switched on alone; clean twin: ",
         "removed alone; full twin: ",
         *LABELS.values(),

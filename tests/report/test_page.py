@@ -149,7 +149,7 @@ def test_the_verdict_has_five_lines_and_says_that_it_is_simulation(plain):
     words = Reader(plain).text
     first = plain.split('class="tile"><b>')[1]
     # All eight trials of the short study of the gap, at the twin's own delay, by its rule.
-    assert first.startswith("8 of 8</b><span>trials stood 20 s on the digital twin twin:nominal-2;")
+    assert first.startswith("8 of 8</b><span>trials stood 20 s on the digital twin twin:nominal;")
     assert "18 of 20" in words
     # Clopper-Pearson for 18 of 20, from any table: 68.3 to 98.8 %.
     assert "68.3 % to 98.8 %" in words
@@ -160,7 +160,7 @@ def test_the_verdict_has_five_lines_and_says_that_it_is_simulation(plain):
 def test_the_twin_is_described_with_what_it_has_and_has_not(plain):
     words = Reader(plain).text
     for claim in (
-        "replaces the robot, twin:nominal-2",
+        "replaces the robot, twin:nominal",
         "a setpoint takes effect 10 ms after it was sent",
         "servo law of the KUKA Sunrise Toolbox's server",
         "drives with a lag of 8 ms",
@@ -172,7 +172,7 @@ def test_the_twin_is_described_with_what_it_has_and_has_not(plain):
         "not the authors' robot",
         "error of the encoder's zero unknown −0.11°",
         "Mass of the pendulum, unknown to the drive",  # from the docstrings of its numbers
-        "World of the recorded run: twin:nominal-2",
+        "World of the recorded run: twin:nominal",
     ):
         assert claim in words, claim
 
@@ -208,7 +208,7 @@ def test_the_gap_is_told_as_a_short_form_in_its_own_words(plain):
     words = Reader(plain).text
     assert "the short form of that study, 8 trials of 20 s at each point" in words
     conclusion, *_ = lines = gap_words(made_up.results().gap)
-    assert conclusion.startswith("In short: on twin:nominal-2")
+    assert conclusion.startswith("In short: on twin:nominal")
     assert plain.count(f'<p class="conclusion">{conclusion}</p>') == 1
     for line in lines:
         assert Reader(paragraph(line)).text in words

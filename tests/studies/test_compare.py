@@ -130,7 +130,7 @@ def test_the_same_law_gives_the_same_trials_in_any_form(tmp_path, monkeypatch):
 def test_told_adds_a_column_in_which_controllers_know_the_twin():
     rows, worlds = ("paper", "lqr"), ("model", "twin:harsh")
     found = small(rows=rows, worlds=worlds, told=True, duration=0.1).comparison
-    names = ["model", "twin:harsh-2", "twin:harsh-2, told"]
+    names = ["model", "twin:harsh", "twin:harsh, told"]
     assert [column.name for column in found.columns] == names
     own, knows = shipped_actuator(), equivalent_actuator(read_world("twin:harsh").settings)
     paper, lqr = found.rows

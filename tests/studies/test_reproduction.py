@@ -187,7 +187,7 @@ def test_the_run_is_on_the_twin_and_as_long_as_the_trials(made):
     made, _ = made
     run = made.results.run
     assert run.conditions.duration == SHORT.evaluation.duration
-    assert run.conditions.world == "twin:nominal-2"
+    assert run.conditions.world == "twin:nominal"
     assert run.conditions.actuator == shipped_actuator().digest
     assert len(run.stream.time) == 2 * len(run.time)
     assert made.results.evaluation.world == MODEL
@@ -197,7 +197,7 @@ def test_the_gap_is_the_short_one_of_the_same_twin(made):
     made, told = made
     gap = made.results.gap
     assert gap.quick
-    assert gap.world == "twin:nominal-2"
+    assert gap.world == "twin:nominal"
     with tiny_gap():
         trials = study.trials_of(quick=True)
     assert any((p.completed, p.unit) == (trials, "trials") for p in told if p.stage == "gap")
@@ -218,7 +218,7 @@ def test_a_policy_of_the_paper_runs_on_the_twin_without_a_study_of_its_cures(tmp
     bare = resolve("paper", overrides=["learning.episodes=40", "evaluation.trials=4"])
     results = reproduce(tmp_path, settings=bare, workers=1).results
     assert results.policy.actuator.kind == "ideal"
-    assert results.run.conditions.world == "twin:nominal-2"
+    assert results.run.conditions.world == "twin:nominal"
     assert results.gap is None
 
 

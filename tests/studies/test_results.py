@@ -37,7 +37,7 @@ def test_the_yardsticks_are_named_with_what_they_did():
 
 def test_the_run_says_where_it_was_and_stands_beside_the_papers():
     line = verdict(made_up.results())[1]
-    assert line.startswith("On the digital twin twin:nominal-2")
+    assert line.startswith("On the digital twin twin:nominal")
     assert "the paper's run on the real arm stood 5 s" in line
     assert "plant of its training once more" in verdict(made_up.results(world=MODEL))[1]
 

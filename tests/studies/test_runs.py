@@ -93,7 +93,7 @@ def test_both_logs_are_summarised_on_a_screen(rig_log, twin_log, broken_off):
         assert len(said) < 14
     assert rig["run"] == "run on a rig, robot kst://emulated, encoder serial:///emulated"
     assert rig["lateness"].endswith("0 ticks left out, 0 rows lost")
-    assert twin["run"] == "simulation, world twin:nominal-2"
+    assert twin["run"] == "simulation, world twin:nominal"
     assert twin["rows"] == "tick 50, truth 50, stream 100, reply 50, encoder 50"
     cut = summarise(RunLog.load(broken_off, damaged=True))
     assert "cut short" in cut["damage"]

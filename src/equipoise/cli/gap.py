@@ -119,8 +119,7 @@ def _say(output: Output, found: "Gap") -> None:
         f"{found.trials} trials of {found.duration:g} s at each point, on the {found.arm}, world "
         f"{found.world}, seed {found.seed}"
     )
-    if found.friction is not None:
-        output.say(f"pendulum: {found.friction.describe(found.world)}")
+    output.say(f"pendulum: {found.friction.describe(found.world)}")
     output.say("\nMean survival [s], in brackets the share of the falls on the track limit [%]")
     _say_curves(output, found, "delay")
     _say_curves(output, found, "zero")

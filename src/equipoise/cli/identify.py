@@ -26,7 +26,7 @@ def identify(
     recording: Path = opt.argument(
         "FILE",
         "A swing: CSV with time_s (or time_ms, time_us) and one of theta_rad, theta_deg, "
-        "counts, rate_rad_s; also gzipped. Or a run log, MCAP.",
+        "counts, rate_rad_s. Or a run log, MCAP.",
     ),
     friction: str | None = opt.value(
         "MODEL", "viscous (the paper's, and the default), coulomb or quadratic."

@@ -640,5 +640,5 @@ IDEAL_ACTUATOR: Final = Actuator.assumed("ideal")
 
 @functools.cache
 def shipped_actuator() -> Actuator:
-    """Load the actuator that ships with Equipoise, identified from the twin `nominal-1`."""
+    """Load the actuator that ships with Equipoise, identified on the digital twin."""
     return Actuator.load(PACKAGE / "data" / "actuator.json")

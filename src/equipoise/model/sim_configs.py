@@ -3,8 +3,7 @@
 `ideal` is the paper's plant, whose arm has no delay; `model` is the training plant, with the
 identified actuator. `twin:nominal` and the others of `SETS` are named, frozen parameter sets of the
 digital twin, each with what is known and what is guessed about it; `twin:FILE` is a TOML file of
-differences to nominal. Sets carry a version (`nominal-2`), which a changed number increments, so
-that published results stay comparable.
+differences to nominal.
 
 A twin's pendulum has the identified friction: viscous, dry and drag. A world may override dry
 friction and drag; `pivot_friction` returns the effective friction and its origin.
@@ -54,7 +53,7 @@ LIGHT_ROTOR: Final = 0.02
 
 
 class TwinSettings(Value):
-    """Parameters of the digital twin; the defaults are `nominal-2`."""
+    """Parameters of the digital twin; the defaults are `nominal`."""
 
     transport: float = Field(default=0.010, ge=0.0, le=0.2)
     """Delay from sending a setpoint to its use by the servo [s]. Assumed: a request and its reply
@@ -232,7 +231,7 @@ class World(NamedTuple):
     """Digital twin with the name of its parameter set."""
 
     name: str
-    """Name with version, e.g. `twin:nominal-2`."""
+    """Name as given to `--world`, e.g. `twin:nominal`."""
     settings: TwinSettings
     """Parameters of the twin."""
 
@@ -249,14 +248,14 @@ class NamedSet(NamedTuple):
 
 
 SETS: Final[Mapping[str, NamedSet]] = {
-    "nominal-2": NamedSet(
+    "nominal": NamedSet(
         {},
         known="The server's shaping law and cycle, from its source; the masses of the links. The "
         "rotor inertias are those of the predecessor of the iiwa, the KUKA LWR.",
         guessed="10 ms of transport. The drives reach a destination within a cycle, through a "
         "first-order lag of 8 ms.",
     ),
-    "harsh-2": NamedSet(
+    "harsh": NamedSet(
         {
             "transport": 0.030,
             "counts_per_rev": 4096,
@@ -269,55 +268,52 @@ SETS: Final[Mapping[str, NamedSet]] = {
         guessed="As nominal, with 30 ms of transport, half the encoder's counts, three times the "
         "dry friction, and twice the errors of zero, inertia and friction.",
     ),
-    "light-rotors-1": NamedSet(
+    "light-rotors": NamedSet(
         {"rotor_inertia": LIGHT_ROTOR},
         known="As nominal; published rotor inertias are 20 to 160 times as large.",
         guessed="Rotor inertias of 0.02 kg m^2, so that the load disturbs the drives of the wrist.",
     ),
-    "bare-1": NamedSet(
+    "bare": NamedSet(
         {"rotor_inertia": 0.0},
         known="As nominal; a joint without a rotor does not exist.",
         guessed="No rotor inertia: the drive of A7 knows the 0.0003 kg m^2 of its link alone, a "
         "tenth of bracket and pendulum.",
     ),
-    "pd-1": NamedSet(
+    "pd": NamedSet(
         {"inner": "pd"},
         known="As nominal.",
         guessed="The drives control the position, critically damped at 125 rad/s. Behind the law "
         "they reach a destination in 16 ms instead of 1 ms.",
     ),
-    "trajectory40-1": NamedSet(
+    "trajectory40": NamedSet(
         {"inner": "trajectory40"},
         known="As nominal; the server's source requests a minimum trajectory execution time of "
         "40 ms.",
         guessed="The drives take these 40 ms to each destination.",
     ),
-    "smart60-1": NamedSet(
+    "smart60": NamedSet(
         {"shaped": False, "transport": 0.044, "inner": "pd"},
         known="A program with KUKA's SmartServo sets destinations without the shaping law of KST. "
         "A total delay of about 60 ms is reported, without a published measurement.",
         guessed="Its split: 44 ms of transport, and drives that control the position, critically "
         "damped at 125 rad/s, 16 ms behind a ramp. SmartServo plans its own trajectories.",
     ),
-    "fri-1": NamedSet(
+    "fri": NamedSet(
         {"shaped": False, "transport": 0.003, "inner": "pd"},
         known="KUKA's FRI takes a position every 1 to 5 ms, without a shaping law.",
         guessed="A setpoint takes effect after 2 to 4 ms. The drives control the position, "
         "critically damped at 125 rad/s, 16 ms behind a ramp.",
     ),
 }
-"""Frozen parameter sets by name and version."""
-
-NEWEST: Final[Mapping[str, str]] = {name.rpartition("-")[0]: name for name in SETS}
-"""Newest version of each set, by its name without version."""
+"""Frozen parameter sets by name."""
 
 
 def read_world(name: str) -> World:
     """Return the twin of a name.
 
     Args:
-        name: `twin:` and a key of `NEWEST` or of `SETS` (`twin:harsh`, `twin:harsh-2`), or
-            `twin:FILE`, where the file is TOML with differences to nominal.
+        name: `twin:` and a key of `SETS` (`twin:harsh`), or `twin:FILE`, where the file is TOML
+            with differences to nominal.
 
     Raises:
         SettingsError: The world does not exist, or its file is invalid.
@@ -325,15 +321,14 @@ def read_world(name: str) -> World:
     Example:
         >>> world = read_world("twin:harsh")
         >>> world.name, world.settings.transport
-        ('twin:harsh-2', 0.03)
+        ('twin:harsh', 0.03)
     """
-    twins = f"{', '.join(PREFIX + short for short in NEWEST)} or {PREFIX}FILE.toml"
+    twins = f"{', '.join(PREFIX + short for short in SETS)} or {PREFIX}FILE.toml"
     if name == MODEL:
         raise SettingsError(f"the plant of the training is no digital twin; choose {twins}")
     if not name.startswith(PREFIX):
         raise SettingsError(f"there is no world {quoted(name)}; choose {IDEAL}, {MODEL}, {twins}")
     which = name.removeprefix(PREFIX)
-    which = NEWEST.get(which, which)
     if which in SETS:
         return World(PREFIX + which, TwinSettings.model_validate(SETS[which].changes))
     file = Path(which)
@@ -346,12 +341,9 @@ def read_world(name: str) -> World:
     if not which or not os.path.lexists(file):
         raise SettingsError(
             f"there is no world {quoted(name)}: no set of that name, and no such file; choose one "
-            f"of {', '.join(NEWEST)}, or give a TOML file"
+            f"of {', '.join(SETS)}, or give a TOML file"
         )
-    differences = {
-        **SETS[NEWEST["nominal"]].changes,
-        **read_toml(file, "the numbers of a world"),
-    }
+    differences = {**SETS["nominal"].changes, **read_toml(file, "the numbers of a world")}
     try:
         return World(name, TwinSettings.model_validate(differences))
     except ValidationError as error:

@@ -36,7 +36,7 @@ from equipoise.control.policy import TaskPolicy
 from equipoise.errors import ArtefactError, InputError
 from equipoise.evaluation import Done, Evaluation, evaluate
 from equipoise.executors import Workers
-from equipoise.model.sim_configs import MODEL, NEWEST, PREFIX, SETS, TwinSettings, World, read_world
+from equipoise.model.sim_configs import MODEL, PREFIX, SETS, TwinSettings, World, read_world
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
 from equipoise.studies.formatting import LASTED
 
@@ -64,7 +64,7 @@ class Claim(Value):
     duration: float = Field(ge=paper.STEP, le=LONGEST_TRIAL)
     """Length of a trial [s]."""
     world: Name
-    """World of the trials, as `--world` names it; a named set with its version."""
+    """World of the trials, as `--world` names it."""
     trials: int = Field(ge=1, le=MOST_TRIALS)
     """Number of trials, fixed in advance."""
 
@@ -235,8 +235,6 @@ def make_claim(
     """
     if world != MODEL:
         read_world(world)
-        name = world.removeprefix(PREFIX)
-        world = PREFIX + NEWEST.get(name, name)
     given = {"probability": probability, "confidence": confidence, "duration": duration}
     try:
         claim = Claim(**given, world=world, trials=1 if trials is None else trials)

@@ -34,8 +34,8 @@ from equipoise.executors import ThreadExecutor, Workers, executor_of, run_in_ord
 from equipoise.model.actuator import Actuator
 from equipoise.model.sim_configs import (
     MODEL,
-    NEWEST,
     PREFIX,
+    SETS,
     TwinSettings,
     World,
     pivot_friction,
@@ -105,7 +105,7 @@ class Form(NamedTuple):
     """Constant errors of the encoder's zero [rad]."""
     by_effect: tuple[Controller, ...] = (PAPER, CURED)
     """Controllers that run effect by effect."""
-    worlds: tuple[str, ...] = tuple(NEWEST.values())
+    worlds: tuple[str, ...] = tuple(SETS)
     """Other named worlds."""
 
 

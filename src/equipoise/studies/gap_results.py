@@ -123,8 +123,8 @@ class Gap(Artefact):
     """Name of the twin."""
     world_settings: TwinSettings
     """Settings of the twin."""
-    friction: PivotFriction | None = None
-    """Dry friction and drag of the pendulum on the twin; None in older studies."""
+    friction: PivotFriction
+    """Dry friction and drag of the pendulum on the twin."""
     clean_settings: TwinSettings
     """Settings of the clean twin."""
     settings: Settings

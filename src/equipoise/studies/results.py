@@ -124,7 +124,7 @@ def load(out: Path) -> Results:
 
 
 def _stated_digest(path: Path, results: Results) -> str:
-    """Return the digest that a file states, which an upgrade on reading does not change."""
+    """Return the digest that a file states."""
     if path.suffix == ".json":
         return read_document(path)["digest"]
     return results.run.digest if path.suffix == ".mcap" else results.swing.sha256
