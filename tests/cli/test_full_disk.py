@@ -16,7 +16,7 @@ def run(*arguments, **streams):
 
 @pytest.mark.parametrize(
     "arguments",
-    [("--help",), ("log", "verify", "nowhere.json"), ("rig", "rehearse", "--list", "--json")],
+    [("--help",), ("log", "explain", "nowhere.mcap"), ("rig", "rehearse", "--list", "--json")],
 )
 def test_a_full_standard_output_is_told_in_one_sentence(arguments):
     with open("/dev/full", "w") as full:
@@ -30,12 +30,12 @@ def test_a_full_standard_output_is_told_in_one_sentence(arguments):
 
 def test_a_full_standard_error_leaves_the_exit_code():
     with open("/dev/full", "w") as full:
-        ran = run("log", "verify", "nowhere.json", stdout=subprocess.PIPE, stderr=full)
+        ran = run("log", "explain", "nowhere.mcap", stdout=subprocess.PIPE, stderr=full)
     assert ran.returncode == 2
-    assert ran.stdout == "Reading nowhere.json\n"
+    assert ran.stdout == "Explaining nowhere.mcap\n"
 
 
-@pytest.mark.parametrize("arguments", [("--help",), ("log", "verify", "nowhere.json")])
+@pytest.mark.parametrize("arguments", [("--help",), ("log", "explain", "nowhere.mcap")])
 def test_a_closed_pipe_ends_a_verb_silently(arguments):
     # As a program that SIGPIPE ended: 1 would be a bad result.
     read, write = os.pipe()

@@ -160,16 +160,6 @@ def test_what_is_no_log_is_refused(equipoise, tmp_path, verb):
         assert "Traceback" not in ran.err
 
 
-def test_verify_reads_the_log_of_a_rig(equipoise, pushed):
-    ran = equipoise("log", "verify", pushed)
-    assert ran.code == 0
-    assert "run on a rig" in ran.out
-    assert f"next: equipoise log explain {pushed}" in ran.out
-    found = equipoise("log", "verify", pushed, "--json").json
-    assert found["digest"] == RunLog.load(pushed).digest
-    assert found["provenance"]["command"] == "deploy"
-
-
 def test_show_refuses_a_log_of_which_nothing_is_readable(equipoise, pushed, tmp_path):
     pytest.importorskip("viser", reason="viser is not installed (extra console)")
     (tmp_path / "empty.mcap").write_bytes(b"")

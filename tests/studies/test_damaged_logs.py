@@ -26,7 +26,6 @@ from equipoise.logs.writer import RunWriter
 from equipoise.studies.explanation import explain
 from equipoise.studies.replay import replay
 from equipoise.studies.runs import export, load_run
-from equipoise.studies.verification import verify
 from tests.cli.damage import mutations, outcomes
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
@@ -69,7 +68,7 @@ def log(request):
 def verbs(path, out):
     """Do what the five verbs do with a log; a refusal by one is no refusal by the others."""
     steps = (
-        lambda: verify(path),
+        lambda: RunLog.load(path),
         lambda: explain(read_any(path)),
         lambda: export(read_any(path), out),
         lambda: identify_run(load_run(path)),
@@ -148,7 +147,7 @@ def test_the_sound_part_of_a_twins_log_is_replayed(twin_log, tmp_path):
     with pytest.raises(
         ArtefactError, match=r"is cut short.* at byte .*sound before that: .* ticks"
     ):
-        verify(tmp_path / "cut.mcap")
+        RunLog.load(tmp_path / "cut.mcap")
 
 
 def test_a_damaged_log_has_two_outcomes(log, tmp_path):

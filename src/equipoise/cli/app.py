@@ -24,7 +24,6 @@ from equipoise.cli.reproduce import reproduce
 from equipoise.cli.show import show
 from equipoise.cli.sweep import sweep
 from equipoise.cli.train import train
-from equipoise.cli.verify import verify
 
 PIPELINE = "Pipeline"
 ROBOT = "The robot"
@@ -43,7 +42,7 @@ app = group(
     epilog="Begin with: equipoise reproduce --quick",
 )
 rig = group(help="Check, emulate, use and test a rig: doctor, emulate, record, rehearse.")
-log = group(help="Read the log of a run, or another file: show, explain, replay, export, verify.")
+log = group(help="Read the log of a run: show, explain, replay, export.")
 
 for verb in (reproduce, identify, train, evaluate):
     app.command(rich_help_panel=PIPELINE)(verb)
@@ -54,7 +53,7 @@ for verb in (deploy, console):
     app.command(rich_help_panel=ROBOT)(verb)
 for verb in (doctor, emulate, record, rehearse):
     rig.command()(verb)
-for verb in (show, explain, replay, export, verify):
+for verb in (show, explain, replay, export):
     log.command()(verb)
 app.add_typer(rig, name="rig", rich_help_panel=ROBOT)
 app.add_typer(log, name="log", rich_help_panel=LOGS)

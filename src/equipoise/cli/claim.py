@@ -77,13 +77,14 @@ def repeat(
     """Repeat the trials of a certificate, and compare the outcome.
 
     Raises:
-        ArtefactError: The file is no certificate, or one of another policy.
+        ArtefactError: The file is no certificate, is one of another policy, or does not match the
+            trials beside it.
     """
     from equipoise.studies import certification as study
-    from equipoise.studies.verification import verify
 
-    verify(file)
     certificate = study.Certificate.load(file)
+    if (trials := study.evaluation_path(file)).exists():
+        study.check_evaluation(certificate, trials)
     claim = certificate.claim
     output.rows({"claim": claim.text})
     study.check_policy(certificate, chosen)
