@@ -38,7 +38,7 @@ def test_explain_names_the_cause_with_evidence_and_advice(equipoise, pushed):
     assert "keep hands, cables and draughts away" in ran.out
     picture = [line for line in ran.out.splitlines() if line.endswith("]") or "[ " in line]
     assert len(picture) > 8
-    assert f"next: equipoise log replay {pushed}" in ran.out
+    assert f"next: equipoise log export {pushed}" in ran.out
 
 
 def test_explain_in_json(equipoise, pushed, on_a_twin):
