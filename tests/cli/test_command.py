@@ -14,13 +14,12 @@ from tests.cli.conftest import verbs
 VERBS = tuple(verbs())
 PIPELINE = ("reproduce", "identify", "train", "evaluate", "map", "compare", "gap", "refine")
 RIG = ("doctor", "emulate", "record", "rehearse")
-LOG = ("show", "explain", "replay", "export")
+LOG = ("show", "explain", "export")
 NEEDS = {
     "identify": ["x.csv"],
     "refine": ["policy.json", "run.mcap"],
     "log show": ["x.mcap"],
     "log explain": ["x.mcap"],
-    "log replay": ["x.mcap"],
     "log export": ["x.mcap"],
     "rig record": ["--encoder", "serial:///dev/ttyACM0"],
 }

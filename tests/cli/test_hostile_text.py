@@ -109,7 +109,7 @@ def rig_log(tmp_path):
     return path
 
 
-@pytest.mark.parametrize("verb", ["log explain", "log replay", "identify", "log export"])
+@pytest.mark.parametrize("verb", ["log explain", "identify", "log export"])
 def test_a_log(equipoise, twin_log, rig_log, verb):
     for path in (twin_log, rig_log):
         ran = equipoise(*verb.split(), path)

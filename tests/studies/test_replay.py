@@ -11,7 +11,7 @@ from equipoise.errors import ArtefactError
 from equipoise.logs.run_log import RunLog
 from equipoise.studies.rehearsal.fault_harness import FaultHarness, Scenario, Trigger
 from equipoise.studies.rehearsal.faults import hold_back
-from equipoise.studies.replay import replay
+from tests.studies.replayed import replay
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
 

@@ -19,7 +19,6 @@ from equipoise.cli.play import play
 from equipoise.cli.record import record
 from equipoise.cli.refine import refine
 from equipoise.cli.rehearse import rehearse
-from equipoise.cli.replay import replay
 from equipoise.cli.reproduce import reproduce
 from equipoise.cli.show import show
 from equipoise.cli.sweep import sweep
@@ -42,7 +41,7 @@ app = group(
     epilog="Begin with: equipoise reproduce --quick",
 )
 rig = group(help="Check, emulate, use and test a rig: doctor, emulate, record, rehearse.")
-log = group(help="Read the log of a run: show, explain, replay, export.")
+log = group(help="Read the log of a run: show, explain, export.")
 
 for verb in (reproduce, identify, train, evaluate):
     app.command(rich_help_panel=PIPELINE)(verb)
@@ -53,7 +52,7 @@ for verb in (deploy, console):
     app.command(rich_help_panel=ROBOT)(verb)
 for verb in (doctor, emulate, record, rehearse):
     rig.command()(verb)
-for verb in (show, explain, replay, export):
+for verb in (show, explain, export):
     log.command()(verb)
 app.add_typer(rig, name="rig", rich_help_panel=ROBOT)
 app.add_typer(log, name="log", rich_help_panel=LOGS)
