@@ -11,9 +11,9 @@ from equipoise.logs.run_log import RunLog
 from equipoise.settings import resolve
 from equipoise.studies.certification import certify, check_policy, make_claim, repeat
 from equipoise.studies.gap import gap, trials_of
-from equipoise.studies.replay import replay
 from equipoise.training import train
 from tests.control.test_bound_policy import KINDS, folder
+from tests.studies.replayed import replay
 
 __all__ = ["folder"]
 

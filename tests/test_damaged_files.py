@@ -10,7 +10,7 @@ import pytest
 
 from equipoise.control.baselines import baselines
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.errors import InputError
+from equipoise.errors import ArtefactError, InputError
 from equipoise.evaluation import Evaluation, evaluate
 from equipoise.learning.checkpoint import ResumePoint
 from equipoise.model.actuator import Actuator, shipped_actuator
@@ -25,10 +25,9 @@ from equipoise.studies.compare import compare
 from equipoise.studies.compare_results import Comparison
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.recovery_map import RecoveryMap, map_recovery
-from equipoise.studies.verification import verify
 from equipoise.training import train
 from equipoise.trajectory import read_swing
-from tests.cli.damage import digest, mutations, outcomes
+from tests.cli.damage import DAMAGE, digest, mutations, outcomes
 from tests.report.made_up_gap import measured, paper_policy
 
 pytestmark = pytest.mark.compiled_only  # files are read by the same code without compilation
@@ -145,6 +144,21 @@ def test_a_damaged_file_is_a_value_or_a_sentence(tmp_path, name, count):
     assert found["refused"] > 0
 
 
+@pytest.mark.parametrize(
+    "name", ["pendulum.json", "policy.json", "evaluation.json", "certificate.json"]
+)
+def test_each_kind_of_damage_is_refused_with_its_sentence(tmp_path, name):
+    path, read = sound(tmp_path, name)
+    whole = path.read_bytes()
+    for damage, saying in DAMAGE.items():
+        path.write_bytes(whole)
+        damage(path)
+        with pytest.raises(ArtefactError) as refusal:
+            read(path)
+        assert saying in str(refusal.value)
+        assert "\n" not in str(refusal.value)
+
+
 EXTREMES = (0, 1, -1, 5e-324, 1e-9, 1e15, -1e15, 1e308, -1e308, 2**63, 10**30, "", "a" * 10_000, [])
 """Numbers, and others in their place, that a digest cannot refuse."""
 
@@ -196,11 +210,7 @@ USES = {
 @pytest.mark.parametrize("count", [30, pytest.param(2000, marks=pytest.mark.slow)])
 def test_extreme_numbers_with_a_fitting_digest_end_in_a_sentence(tmp_path, name, count):
     path, read = sound(tmp_path, name)
-
-    def use(value):
-        verify(path)
-        USES[name](value)
-
+    use = USES[name]
     if name != "evaluation.json":
         use(read(path))  # compiles
     found = outcomes(read, path, changed(json.loads(path.read_text()), count), use)

@@ -59,9 +59,7 @@ def test_a_rig_describes_an_arm_from_a_urdf_beside_it(tmp_path):
         )
 
 
-def test_a_rig_of_a_log_and_a_changed_rig_have_their_own_arm():
-    gone = RigSettings(arm="gone.urdf")
-    assert gone.with_arm(iiwa(14)).described_arm == iiwa(14)
+def test_a_changed_rig_has_its_own_arm():
     rig = RigSettings()
     assert rig.described_arm == iiwa(7)
     assert rig.changed(arm="iiwa14").described_arm == iiwa(14)

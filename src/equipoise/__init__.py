@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from equipoise.settings import Settings, resolve
     from equipoise.studies.certification import Certificate, certify, make_claim
     from equipoise.studies.reproduction import reproduce
-    from equipoise.studies.verification import verify
     from equipoise.training import train, train_to_target
     from equipoise.trajectory import Trajectory, read_swing, write_swing
 
@@ -44,7 +43,7 @@ __all__ += ["Trajectory", "read_swing", "simulate_swing", "write_swing"]
 __all__ += ["Actuator", "Pendulum", "identify", "identify_run"]
 __all__ += ["shipped_actuator", "shipped_pendulum", "shipped_policy"]
 __all__ += ["Policy", "TabularPolicy", "bind_policy", "load_policy", "train", "train_to_target"]
-__all__ += ["Certificate", "Evaluation", "certify", "evaluate", "make_claim", "reproduce", "verify"]
+__all__ += ["Certificate", "Evaluation", "certify", "evaluate", "make_claim", "reproduce"]
 __all__ += ["RunLog", "deploy", "excite"]
 
 _HOMES = {
@@ -67,7 +66,6 @@ _HOMES = {
     "settings": ("Settings", "resolve"),
     "studies.certification": ("Certificate", "certify", "make_claim"),
     "studies.reproduction": ("reproduce",),
-    "studies.verification": ("verify",),
     "training": ("train", "train_to_target"),
     "trajectory": ("Trajectory", "read_swing", "write_swing"),
 }

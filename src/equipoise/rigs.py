@@ -115,12 +115,6 @@ class RigSettings(Value):
         """Return a rig with some fields changed; unlike `model_copy`, it rebuilds the arm."""
         return self.model_validate(self.model_dump() | fields)
 
-    def with_arm(self, arm: Arm) -> Self:
-        """Return the rig with the arm of its log, even if the URDF that it names has changed."""
-        rig = self.model_copy()
-        vars(rig)["described_arm"] = arm
-        return rig
-
     @cached_property
     def described_arm(self) -> Arm:
         """Arm of the rig, with its home posture and the pendulum's pivot on its flange.

@@ -1,11 +1,11 @@
-"""`equipoise evaluate --claim`: output, files, exit codes, and what it refuses."""
+"""`equipoise evaluate --claim` and `--verify`: output, files, exit codes, and refusals."""
 
 import pytest
 
 from equipoise.control.policy import TabularPolicy
 from equipoise.evaluation import Evaluation
-from equipoise.studies.certification import Certificate
-from tests.cli.damage import DAMAGE
+from equipoise.studies.certification import Certificate, certify, make_claim
+from tests.cli.damage import DAMAGE, rebuilt
 
 STABLE = {"granted", "claim", "bound", "trials", "failures"}
 GRANTED = ("--claim", 0.9, "--confidence", 0.9, "--duration", 0.05)
@@ -115,3 +115,77 @@ def test_another_kind_of_file_is_refused(refused, pendulum_file):
     saying = "holds 'equipoise-pendulum', expected 'equipoise-policy'"
     refused("evaluate", pendulum_file, *GRANTED, saying=saying)
     refused("evaluate", "nowhere.json", *GRANTED, saying="there is no file nowhere.json")
+
+
+# A certificate is repeated.
+
+
+@pytest.fixture(scope="session")
+def small_certificate(small_policy):
+    """A claim that one failure undoes, and its trials: the table was hardly trained."""
+    return certify(small_policy, make_claim(0.9, 0.9, 2.0, trials=22))
+
+
+@pytest.fixture
+def files(tmp_path, pendulum_file, policy_file, small_certificate):
+    """A policy, its pendulum, a certificate, and the trials of the certificate."""
+    certificate, evaluation = small_certificate
+    certificate.save(tmp_path / "certificate.json", command="test")
+    evaluation.save(tmp_path / "certificate-evaluation.json", command="test")
+    return tmp_path
+
+
+@pytest.mark.compiled_only
+def test_with_its_policy_all_trials_come_out_the_same(equipoise, files):
+    asked = ("evaluate", "policy.json", "--verify", "certificate.json")
+    ran = equipoise(*asked)
+    assert ran.code == 0, ran
+    assert "Repeated: 22 trials again: " in ran.out
+    assert "each lasted as long as before, refused." in ran.out
+    repeated = equipoise(*asked, "--workers", 2, "--json").json
+    certificate = Certificate.load(files / "certificate.json")
+    assert repeated == {
+        "granted": False,
+        "claim": certificate.claim.model_dump(mode="json"),
+        "bound": certificate.bound,
+        "trials": 22,
+        "failures": certificate.failed,
+        "causes": certificate.failures,
+        "same_outcome": True,
+        "same_trials": True,
+        "certificate": "certificate.json",
+    }
+
+
+@pytest.mark.compiled_only
+def test_a_certificate_with_fewer_failures_than_its_trials_have_is_found(equipoise, refused, files):
+    # A forgery that contradicts nothing in its own file ...
+    def granted(body):
+        body.update(granted=True, failures={}, bound=0.1 ** (1 / 22))
+
+    rebuilt(files / "certificate.json", granted)
+    # ... does not fit the trials beside it,
+    asked = ("evaluate", "policy.json", "--verify", "certificate.json")
+    refused(*asked, saying="does not hold the trials of the certificate")
+    # and without them it comes out otherwise.
+    (files / "certificate-evaluation.json").unlink()
+    ran = equipoise(*asked)
+    assert ran.code == 1
+    assert "Not repeated: 22 trials again: " in ran.out
+    assert "refused; the certificate says none failed, granted." in ran.out
+
+
+def test_only_a_certificate_is_repeated_and_only_with_its_own_policy(refused, files, small_policy):
+    saying = "holds 'equipoise-policy', expected 'equipoise-certificate'"
+    refused("evaluate", "policy.json", "--verify", "policy.json", saying=saying)
+    other = small_policy.model_copy(update={"seed": small_policy.seed + 1})
+    other.save(files / "other.json", command="test")
+    for policy, saying in (
+        ("other.json", "about another policy"),
+        ("pendulum.json", "holds 'equipoise-pendulum'"),
+        ("nowhere.json", "there is no file nowhere.json"),
+    ):
+        refused("evaluate", policy, "--verify", "certificate.json", saying=saying)
+    saying = "--trials and --duration do not go with --verify"
+    options = ("--trials", 5, "--duration", 3)
+    refused("evaluate", "policy.json", "--verify", "certificate.json", *options, saying=saying)

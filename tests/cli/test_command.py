@@ -14,14 +14,12 @@ from tests.cli.conftest import verbs
 VERBS = tuple(verbs())
 PIPELINE = ("reproduce", "identify", "train", "evaluate", "map", "compare", "gap", "refine")
 RIG = ("doctor", "emulate", "record")
-LOG = ("show", "explain", "replay", "export", "verify")
+LOG = ("show", "explain", "export")
 NEEDS = {
     "identify": ["x.csv"],
     "refine": ["policy.json", "run.mcap"],
     "log show": ["x.mcap"],
-    "log verify": ["x.csv"],
     "log explain": ["x.mcap"],
-    "log replay": ["x.mcap"],
     "log export": ["x.mcap"],
     "rig record": ["--encoder", "serial:///dev/ttyACM0"],
 }
@@ -115,11 +113,11 @@ main([*{verb.split()}, *{NEEDS.get(verb, [])}])
 
 
 def test_python_m_and_exit_codes_reach_the_shell(tmp_path):
-    command = [sys.executable, "-m", "equipoise", "log", "verify", "nowhere.json"]
+    command = [sys.executable, "-m", "equipoise", "log", "explain", "nowhere.mcap"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == "error: there is no file nowhere.json; check the path\n"
-    assert done.stdout == "Reading nowhere.json\n"
+    assert done.stderr == "error: there is no file nowhere.mcap; check the path\n"
+    assert done.stdout == "Explaining nowhere.mcap\n"
 
 
 def test_the_reference_page_has_every_option():
@@ -162,7 +160,7 @@ def test_little_address_space_is_refused_in_one_sentence(swing):
 )
 def test_a_variable_that_libraries_cannot_read_is_refused(equipoise, monkeypatch, name, text):
     monkeypatch.setenv(name, text)
-    ran = equipoise("log", "verify", "nowhere.json")
+    ran = equipoise("log", "explain", "nowhere.mcap")
     assert ran.code == 2
     assert f"error: {name} is {text!r}, expected" in ran.err
 

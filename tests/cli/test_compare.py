@@ -35,7 +35,7 @@ def test_a_comparison_is_left_with_its_figure_and_its_tables(equipoise, tmp_path
         assert text in ran.out
     assert "wrote compare.json, compare.svg, compare.png, compare-sarsa.json and" in ran.out
     assert "search best-table" in ran.err
-    assert "next: equipoise evaluate compare-sarsa.json --world model" in ran.out
+    assert "next: equipoise evaluate POLICY --claim 0.99" in ran.out
 
 
 def test_json_has_a_row_for_each_policy_and_an_entry_for_each_world(equipoise, tmp_path):

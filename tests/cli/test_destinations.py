@@ -194,7 +194,6 @@ READING = (
     ("refine", f"{LONG}.json", "run.mcap"),
     ("log", "explain", f"{LONG}.mcap"),
     ("log", "export", f"{LONG}.mcap"),
-    ("log", "verify", f"{LONG}.json"),
     ("reproduce", "--swing", f"{LONG}.csv"),
 )
 

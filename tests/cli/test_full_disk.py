@@ -3,13 +3,10 @@
 import os
 import subprocess
 import sys
-from importlib import resources
 
 import pytest
 
 pytestmark = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no full device")
-
-POLICY = str(resources.files("equipoise") / "data" / "policy.json")
 
 
 def run(*arguments, **streams):
@@ -19,7 +16,7 @@ def run(*arguments, **streams):
 
 @pytest.mark.parametrize(
     "arguments",
-    [("--help",), ("log", "verify", "nowhere.json"), ("log", "verify", POLICY, "--json")],
+    [("--help",), ("log", "explain", "nowhere.mcap"), ("rig", "doctor", "--json")],
 )
 def test_a_full_standard_output_is_told_in_one_sentence(arguments):
     with open("/dev/full", "w") as full:
@@ -33,12 +30,12 @@ def test_a_full_standard_output_is_told_in_one_sentence(arguments):
 
 def test_a_full_standard_error_leaves_the_exit_code():
     with open("/dev/full", "w") as full:
-        ran = run("log", "verify", "nowhere.json", stdout=subprocess.PIPE, stderr=full)
+        ran = run("log", "explain", "nowhere.mcap", stdout=subprocess.PIPE, stderr=full)
     assert ran.returncode == 2
-    assert ran.stdout == "Reading nowhere.json\n"
+    assert ran.stdout == "Explaining nowhere.mcap\n"
 
 
-@pytest.mark.parametrize("arguments", [("--help",), ("log", "verify", "nowhere.json")])
+@pytest.mark.parametrize("arguments", [("--help",), ("log", "explain", "nowhere.mcap")])
 def test_a_closed_pipe_ends_a_verb_silently(arguments):
     # As a program that SIGPIPE ended: 1 would be a bad result.
     read, write = os.pipe()

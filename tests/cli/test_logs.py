@@ -1,4 +1,4 @@
-"""`equipoise log explain`, `replay`, `export` and `show`: what is asked of the log of a run."""
+"""`equipoise log explain`, `export` and `show`: what is asked of the log of a run."""
 
 import sys
 
@@ -9,7 +9,7 @@ from equipoise.control.policy import shipped_policy
 from equipoise.deployment import deploy
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
-from tests.logs.made_up import changed_table, conditions
+from tests.logs.made_up import conditions
 from tests.studies.faulted import draw_fault, run_with
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
@@ -38,7 +38,7 @@ def test_explain_names_the_cause_with_evidence_and_advice(equipoise, pushed):
     assert "keep hands, cables and draughts away" in ran.out
     picture = [line for line in ran.out.splitlines() if line.endswith("]") or "[ " in line]
     assert len(picture) > 8
-    assert f"next: equipoise log replay {pushed}" in ran.out
+    assert f"next: equipoise log export {pushed}" in ran.out
 
 
 def test_explain_in_json(equipoise, pushed, on_a_twin):
@@ -56,37 +56,6 @@ def test_a_log_that_breaks_off_is_explained_with_a_warning(equipoise, pushed, tm
     assert ran.code == 0
     assert "warning: the log is cut short" in ran.out
     assert "what came after is not known" in ran.out
-
-
-def test_replay_says_that_it_is_the_same(equipoise, on_a_twin):
-    ran = equipoise("log", "replay", on_a_twin)
-    assert ran.code == 0
-    assert "The same: 40 ticks, bit for bit." in ran.out
-    found = equipoise("log", "replay", on_a_twin, "--json").json
-    assert (found["same"], found["ticks"], found["difference"]) == (True, 40, None)
-
-
-def test_replay_says_where_it_differs(equipoise, tmp_path):
-    # The seed of the log says nothing of it: one command was written down otherwise.
-    log = deploy(shipped_policy(), world="twin:nominal", duration=0.3)
-    u = log.u.copy()
-    u[12] = 0.125
-    changed_table(log, "tick", u=u).save(tmp_path / "run.mcap", command="test")
-    ran = equipoise("log", "replay", "run.mcap")
-    assert ran.code == 1
-    assert "12 ticks are the same; in the next, at 0.120 s, u is" in ran.out
-    assert "the log has 0.125" in ran.out
-    found = equipoise("log", "replay", "run.mcap", "--json")
-    assert found.code == 1
-    assert found.json["difference"]["what"] == "u"
-    assert equipoise("log", "replay", "run.mcap", "--tolerance", "3").code == 0
-
-
-@pytest.mark.parametrize("tolerance", ["-1", "nan"])
-def test_an_invalid_tolerance_is_refused(equipoise, on_a_twin, tolerance):
-    ran = equipoise("log", "replay", on_a_twin, f"--tolerance={tolerance}")
-    assert ran.code == 2
-    assert "give a number of at least 0" in ran.err
 
 
 def test_export_writes_the_tables_beside_the_log(equipoise, on_a_twin, tmp_path):
@@ -150,7 +119,7 @@ def test_a_part_that_is_not_one_of_the_run_is_refused_before_a_table_is_written(
     refused("log", "export", on_a_twin, "--from", "0.1", saying="give --video FILE as well")
 
 
-@pytest.mark.parametrize("verb", ["log explain", "log replay", "log export", "log show"])
+@pytest.mark.parametrize("verb", ["log explain", "log export", "log show"])
 def test_what_is_no_log_is_refused(equipoise, tmp_path, verb):
     (tmp_path / "x.mcap").write_bytes(b"hello")
     for name in ("x.mcap", "nowhere.mcap"):
@@ -158,16 +127,6 @@ def test_what_is_no_log_is_refused(equipoise, tmp_path, verb):
         assert ran.code == 2
         assert name in ran.err
         assert "Traceback" not in ran.err
-
-
-def test_verify_reads_the_log_of_a_rig(equipoise, pushed):
-    ran = equipoise("log", "verify", pushed)
-    assert ran.code == 0
-    assert "run on a rig" in ran.out
-    assert f"next: equipoise log explain {pushed}" in ran.out
-    found = equipoise("log", "verify", pushed, "--json").json
-    assert found["digest"] == RunLog.load(pushed).digest
-    assert found["provenance"]["command"] == "deploy"
 
 
 def test_show_refuses_a_log_of_which_nothing_is_readable(equipoise, pushed, tmp_path):

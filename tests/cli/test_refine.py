@@ -87,7 +87,7 @@ def test_a_model_that_still_holds_is_left_alone(equipoise, policy_file, run_file
     assert "The model still holds" in ran.out
     assert "lag of A1" in ran.out
     assert "wrote" not in ran.out
-    assert ran.out.endswith(f"next: equipoise deploy {policy_file} --world twin:nominal\n")
+    assert ran.out.endswith(f"next: equipoise deploy {policy_file}\n")
     assert contents(tmp_path) == before
 
 
@@ -101,7 +101,7 @@ def test_what_moved_is_said_and_written_with_the_better_policy(
     assert "w2 moved by +" in ran.out
     assert "table is kept" in ran.out
     assert "wrote refined-pendulum.json and refined.json" in ran.out
-    assert ran.out.endswith("next: equipoise evaluate refined.json --world twin:nominal\n")
+    assert ran.out.endswith("next: equipoise evaluate refined.json\n")
     pendulum = Pendulum.load(tmp_path / "refined-pendulum.json")
     truth = RunLog.load(run_file).conditions.pendulum["w2"]
     assert pendulum.w2.value == pytest.approx(truth, rel=0.01)

@@ -18,8 +18,8 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig
 from equipoise.studies.explanation import CauseName, explain
-from equipoise.studies.replay import replay
 from tests.control.test_bound_policy import KINDS, folder
+from tests.studies.replayed import replay
 
 __all__ = ["folder"]
 

@@ -28,7 +28,7 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.sim_configs import pendulum_on, read_world
 from equipoise.rigs import RigSettings, emulated_rig
-from equipoise.studies.replay import replay
+from tests.studies.replayed import replay
 
 pytestmark = pytest.mark.compiled_only
 

@@ -9,9 +9,9 @@ from equipoise.control.policy import shipped_policy
 from equipoise.deployment import deploy
 from equipoise.errors import ArtefactError
 from equipoise.logs.run_log import RunLog
-from equipoise.studies.replay import replay
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.table import hold_back
+from tests.studies.replayed import replay
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
 

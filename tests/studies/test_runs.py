@@ -16,8 +16,7 @@ from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.rigs import RigSettings
 from equipoise.studies.refinement import read_motion, thinned
-from equipoise.studies.runs import ending, export, load_run, pendulum_of, summarise
-from equipoise.studies.verification import verify
+from equipoise.studies.runs import ending, export, load_run, pendulum_of
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
 
@@ -81,25 +80,6 @@ def test_samples_closer_than_a_tick_are_averaged_before_a_fit(rig_log):
     assert thinned(few).x.tolist() == few.x.tolist()
 
 
-def test_both_logs_are_summarised_on_a_screen(rig_log, twin_log, broken_off):
-    policy = shipped_policy()
-    rig, twin = (summarise(RunLog.load(path)) for path in (rig_log, twin_log))
-    for said in (rig, twin):
-        assert said["policy"].startswith(policy.digest[:19])
-        assert said["pendulum"].startswith(policy.pendulum.digest[:19])
-        assert said["actuator"].startswith(policy.actuator.digest[:19])
-        assert said["ended"].startswith("lasted")
-        assert said["damage"] == "none"
-        assert len(said) < 14
-    assert rig["run"] == "run on a rig, robot kst://emulated, encoder serial:///emulated"
-    assert rig["lateness"].endswith("0 ticks left out, 0 rows lost")
-    assert twin["run"] == "simulation, world twin:nominal"
-    assert twin["rows"] == "tick 50, truth 50, stream 100, reply 50, encoder 50"
-    cut = summarise(RunLog.load(broken_off, damaged=True))
-    assert "cut short" in cut["damage"]
-    assert cut["ended"].startswith("log broken off")
-
-
 def test_a_run_that_did_not_balance_is_refused_with_its_reason(tmp_path, rig_log):
     path, conditions = tmp_path / "run.mcap", RunLog.load(rig_log, damaged=True).conditions
     writer = RunWriter(path, conditions, 0.0)
@@ -149,13 +129,9 @@ def test_a_log_of_a_twin_is_exported(twin_log, tmp_path):
     assert [float(row[1]) for row in rows] == run.truth.x.tolist()
 
 
-def test_verify_knows_the_log_of_a_rig(rig_log, broken_off):
-    found = verify(rig_log)
-    assert (found.what, found.format) == ("run log", "equipoise-run")
-    assert "1.5 s of 1.5 s on the iiwa7, robot kst://emulated" in found.content
-    assert found.content.endswith("ended: lasted")
+def test_a_log_that_breaks_off_is_refused_where_all_of_it_is_needed(broken_off):
     with pytest.raises(ArtefactError, match="is cut short.* sound before that: .* ticks"):
-        verify(broken_off)
+        RunLog.load(broken_off)
 
 
 @pytest.mark.parametrize("end", [RunEnd(), RunEnd(lost_rows=2), RunEnd(fault="no device")])

@@ -18,12 +18,10 @@ from equipoise.cli.map import map_recoverable
 from equipoise.cli.play import play
 from equipoise.cli.record import record
 from equipoise.cli.refine import refine
-from equipoise.cli.replay import replay
 from equipoise.cli.reproduce import reproduce
 from equipoise.cli.show import show
 from equipoise.cli.sweep import sweep
 from equipoise.cli.train import train
-from equipoise.cli.verify import verify
 
 PIPELINE = "Pipeline"
 ROBOT = "The robot"
@@ -42,7 +40,7 @@ app = group(
     epilog="Begin with: equipoise reproduce --quick",
 )
 rig = group(help="Check, emulate and use a rig: doctor, emulate, record.")
-log = group(help="Read the log of a run, or another file: show, explain, replay, export, verify.")
+log = group(help="Read the log of a run: show, explain, export.")
 
 for verb in (reproduce, identify, train, evaluate):
     app.command(rich_help_panel=PIPELINE)(verb)
@@ -53,7 +51,7 @@ for verb in (deploy, console):
     app.command(rich_help_panel=ROBOT)(verb)
 for verb in (doctor, emulate, record):
     rig.command()(verb)
-for verb in (show, explain, replay, export, verify):
+for verb in (show, explain, export):
     log.command()(verb)
 app.add_typer(rig, name="rig", rich_help_panel=ROBOT)
 app.add_typer(log, name="log", rich_help_panel=LOGS)

@@ -4,7 +4,6 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from equipoise.cli import next_step
 from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.output import Output
 
@@ -12,6 +11,9 @@ if TYPE_CHECKING:
     from equipoise.control.policy import TaskPolicy
     from equipoise.executors import Workers
     from equipoise.studies.certification import Certificate, Repetition
+
+TRAIN_MORE = ("train", "PENDULUM", "--learners", "12")
+"""Next command after a policy has failed: twice the default number of learners."""
 
 
 def certify(
@@ -54,10 +56,8 @@ def certify(
         certificate.save(out, command="evaluate", inputs=inputs)
     _say(output, certificate)
     output.wrote(out, beside)
-    if certificate.granted:
-        output.next("evaluate", policy, "--verify", out)
-    else:
-        output.next(*next_step.after_evaluation(False, chosen, policy, world=world))
+    again = ("evaluate", policy, "--verify", out)
+    output.next(*(again if certificate.granted else TRAIN_MORE))
     output.result(
         granted=certificate.granted,
         **_claimed(certificate),
@@ -77,13 +77,14 @@ def repeat(
     """Repeat the trials of a certificate, and compare the outcome.
 
     Raises:
-        ArtefactError: The file is no certificate, or one of another policy.
+        ArtefactError: The file is no certificate, is one of another policy, or does not match the
+            trials beside it.
     """
     from equipoise.studies import certification as study
-    from equipoise.studies.verification import verify
 
-    verify(file)
     certificate = study.Certificate.load(file)
+    if (trials := study.evaluation_path(file)).exists():
+        study.check_evaluation(certificate, trials)
     claim = certificate.claim
     output.rows({"claim": claim.text})
     study.check_policy(certificate, chosen)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
-from equipoise.cli import next_step
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import Destination, choose_file
 from equipoise.cli.export import choose_film, write_film
@@ -61,8 +60,6 @@ class _Report(NamedTuple):
 
     rows: dict[str, str]
     """Lines of the result."""
-    next: tuple[object, ...]
-    """Words of the next command."""
     fields: dict[str, Any]
     """Fields of the JSON object, besides the names of the files."""
     code: int
@@ -151,7 +148,6 @@ def deploy(
     log = choose_file(output, out, LOG, *inputs, force=force, suffix=".mcap", beside=beside)
     film = None if video is None else choose_film(output, video, *inputs, force=force)
     response = opt.read_actuator(actuator)
-    task = next_step.given(actuator=actuator, pendulum=pendulum, arm=arm)
     if robot is not None:
         from equipoise.control.bound_policy import BoundPolicy
         from equipoise.deployment.rig import RunRequest, require_survival
@@ -170,7 +166,7 @@ def deploy(
         options |= {"identify": identify_motion if identify else None, "anyway": anyway}
         request = RunRequest(chosen, carried[0], described, robot, encoder, length, **options)
         out = log.path
-        report = _run_on_rig(output, request, policy, rig, task, log, console=console)
+        report = _run_on_rig(output, request, log, console=console)
     else:
         from equipoise import deployment
 
@@ -190,21 +186,19 @@ def deploy(
         with log.claimed() as out:
             made_from = {} if excite else {"policy": run.conditions.policy}
             run.save(out, command="deploy", inputs=made_from)
-        report = _report(run, out, policy, world, task)
+        report = _report(run)
     output.rows(report.rows)
     output.wrote(out)
     if film is not None and report.code in (0, 1):
         video = write_film(output, out, film)
         output.wrote(video)
-    output.next(*report.next)
+    output.next(*(("identify", out) if excite else ("log", "explain", out)))
     output.result(run=out, **report.fields, video=video)
     if report.code:
         raise typer.Exit(report.code)
 
 
-def _report(
-    run: "RunLog", out: Path, policy: Path | None, world: str, task: tuple[object, ...]
-) -> _Report:
+def _report(run: "RunLog") -> _Report:
     """Return the report of a simulated run or an excitation."""
     from equipoise.model.sim_configs import PivotFriction
 
@@ -231,18 +225,13 @@ def _report(
         "ticks": len(run.time),
         "setpoints": len(run.stream.time),
     }
-    if not conditions.policy:
-        return _Report(rows, ("identify", out), fields, 0)
-    following = next_step.after_run(run, out, policy, *task, world=world)
-    return _Report(rows, following, fields, 0 if run.cause == "lasted" else 1)
+    good = run.cause == "lasted" or not conditions.policy
+    return _Report(rows, fields, 0 if good else 1)
 
 
 def _run_on_rig(
     output: Output,
     request: "RunRequest",
-    policy: Path | None,
-    rig: Path | None,
-    task: tuple[object, ...],
     log: Destination,
     *,
     console: bool,
@@ -250,7 +239,6 @@ def _run_on_rig(
     """Run on an emulated or a real rig, and write the log."""
     from equipoise.cli.console import beside
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
-    from equipoise.control.run_controller import IDENTIFIED
     from equipoise.deployment.processes import run_in_processes
     from equipoise.deployment.rig import check_request, exit_code, rehearse_t1, run_virtually
     from equipoise.rigs import is_virtual
@@ -291,14 +279,8 @@ def _run_on_rig(
     if identified is not None:
         identified.save(_actuator_file(out), command="deploy", inputs={})
         rows["identified"] = f"{identified.summary}, in {_actuator_file(out)}"
-    following = ("log", "explain", out) if code else ("log", "replay", out, policy, *task)
-    if request.dry_run and not code:
-        place = next_step.given(robot=request.robot, encoder=request.encoder, rig=rig)
-        following = ("deploy", policy, *place, *task)
-    if result.cause == IDENTIFIED and identified is not None:
-        following = ("train", "--actuator", _actuator_file(out))
     fields = result.model_dump(include=set(RIG_FIELDS))
-    return _Report(rows, following, {"world": request.robot, "lasted_s": lasted, **fields}, code)
+    return _Report(rows, {"world": request.robot, "lasted_s": lasted, **fields}, code)
 
 
 def _actuator_file(log: Path) -> Path:

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from equipoise.cli import next_step
 from equipoise.cli import options as opt
-from equipoise.cli.claim import certify, repeat
+from equipoise.cli.claim import TRAIN_MORE, certify, repeat
 from equipoise.cli.console import trials_beside
 from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.output import Output, trial_fields, verb
@@ -124,7 +123,6 @@ def evaluate(
     destination = choose_file(output, out, "evaluation.json", policy, pendulum, force=force)
 
     from equipoise.artefacts import partial_path
-    from equipoise.control.policy import TabularPolicy
     from equipoise.evaluation import evaluate
     from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
 
@@ -161,18 +159,7 @@ def evaluate(
             evaluation.save(out, command="evaluate", inputs=inputs)
         balanced = _say(output, evaluation)
         output.wrote(out)
-        words = next_step.given(pendulum=pendulum, arm=arm, settings=settings_file)
-        following = next_step.after_evaluation(
-            balanced,
-            task,
-            policy,
-            *(() if isinstance(task, TabularPolicy) else words),
-            world=world,
-            pendulum=pendulum,
-            actuator=actuator,
-            max_speed=max_speed,
-        )
-        output.next(*following)
+        output.next(*(("deploy", policy) if balanced else TRAIN_MORE))
         output.result(
             **trial_fields(evaluation.results),
             duration=evaluation.duration,

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from equipoise import paper
-from equipoise.cli import next_step
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, gauge, verb
 
@@ -64,8 +63,7 @@ def explain(run: Path = opt.RUN, as_json: bool = opt.JSON) -> None:
     if log is not None and len(log.time) > 1:
         output.say()
         output.table(COLUMNS, _picture(log))
-    moved = len(read.tables["tick"]) > 0
-    output.next(*next_step.after_explanation(run, read.conditions.policy, moved=moved))
+    output.next("log", "export", run)
     output.result(
         run=run,
         cause=first.name.value,

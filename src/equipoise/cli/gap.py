@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from equipoise.cli import next_step
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file, pictures
 from equipoise.cli.output import Output, verb
@@ -96,8 +95,7 @@ def gap(
             other.save(wrote[-1], command="gap", inputs={"pendulum": chosen.pendulum.digest})
     _say(output, found)
     output.wrote(*wrote)
-    task = next_step.given(pendulum=pendulum, arm=arm)
-    output.next("evaluate", policy, "--world", world, *task, "--claim", "0.99")
+    output.next("evaluate", policy, "--world", world, "--claim", "0.99")
     output.result(**_result(found, wrote))
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from equipoise import paper
-from equipoise.cli import next_step
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file, pictures
 from equipoise.cli.output import Output, verb
@@ -73,8 +72,7 @@ def map_recoverable(
         wrote = [out, *save(recovery_figure(found), out.with_suffix(""))]
     _say(output, found)
     output.wrote(*wrote)
-    task = next_step.given(pendulum=pendulum, arm=arm)
-    output.next("evaluate", policy, "--world", world, *task)
+    output.next("evaluate", policy, "--world", world)
     output.result(
         map=str(wrote[0]),
         files=[str(path) for path in wrote],

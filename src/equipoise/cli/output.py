@@ -195,9 +195,8 @@ class Output:
         self._voice.print(Text.assemble(("wrote ", "dim"), names), soft_wrap=True)
 
     def next(self, *command: object) -> None:
-        """Name the next command to try; words that are None are left out."""
-        given = (str(word) for word in command if word is not None)
-        words = printable(shlex.join(["equipoise", *given]))
+        """Print the next command to try, without arguments that were not given (None)."""
+        words = printable(shlex.join(["equipoise", *(str(w) for w in command if w is not None)]))
         self._voice.print(Text.assemble(("next: ", "dim"), (words, "bold")), soft_wrap=True)
 
     def result(self, *, bad: bool = False, **fields: Any) -> None:

@@ -5,7 +5,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from equipoise.cli import next_step
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file, unfinished
 from equipoise.cli.output import Output, in_ms, measured, verb, with_intervals
@@ -86,10 +85,7 @@ def refine(
                 artefact.save(paths[part], command="refine", inputs=inputs)
     if made:
         output.wrote(*(paths[part] for part in made))
-    places = [log.conditions.world for log in logs.values()]
-    refined = out if refinement else None
-    moved = bool(findings.moves)
-    output.next(*next_step.after_refinement(moved, refined, policy, runs, places))
+    output.next(*(("evaluate", out) if refinement else ("deploy", policy)))
     written: dict[str, Any] = {part: paths[part] if part in made else None for part in PARTS}
     output.result(**_result(findings, refinement), **written)
 

@@ -1,6 +1,5 @@
 """`equipoise reproduce`: reproduces the whole paper, from a free swing to a report."""
 
-import shlex
 import time
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
@@ -76,6 +75,7 @@ def reproduce(
         recording = read_swing(swing, **opt.swing_options(context))
     from equipoise.report.page import PAGE, build
     from equipoise.studies import reproduction as study
+    from equipoise.studies.results import POLICY
 
     request = study.make_request(recording, machine, resolved, seed, quick)
     destination, resumed = _choose(output, out, request, force)
@@ -100,7 +100,7 @@ def reproduce(
     output.points(found.verdict)
     output.warn(found.results.policy.shortfall)
     output.wrote(page)
-    output.next(*shlex.split(found.next_command)[1:])
+    output.next("evaluate", folder / POLICY, "--trials", "1000")
     evaluation, run = found.results.evaluation, found.results.run
     trials = trial_fields(evaluation.results)
     output.result(

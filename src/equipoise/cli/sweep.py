@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from equipoise.cli import next_step
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import check_output, choose_file, pictures
 from equipoise.cli.output import Output, verb
@@ -78,14 +77,7 @@ def sweep(
     _say(output, found)
     output.wrote(*wrote, storage)
     best = found.ranking[0]
-    given = next_step.given(
-        arm=arm if arm != "iiwa7" else None, recipe=read.recipe if read.recipe != "robust" else None
-    )
-    given += tuple(word for text in actuator or () for word in ("--actuator", text))
-    settings = {f"{s}.{key}": v for s, keys in read.settings.items() for key, v in keys.items()}
-    chosen = (settings | best.parameters).items()
-    words = (word for name, v in chosen for word in ("--set", f"{name}={json.dumps(v)}"))
-    output.next("train", pendulum, *given, *words, "--seed", read.seed)
+    output.next("train", pendulum, "--set", "NAME=VALUE")
     output.result(
         sweep=out,
         files=wrote,

@@ -4,7 +4,6 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from equipoise.cli import next_step
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file, unfinished
 from equipoise.cli.output import Output, verb
@@ -140,20 +139,7 @@ def train(
             best.save(out, command="train", inputs=inputs)
     _say(output, trained, wall, speed, resume)
     output.wrote(out)
-    again = next_step.given(
-        arm=arm if arm != "iiwa7" else None,
-        world=world if world != "model" else None,
-        recipe=recipe if recipe != "robust" else None,
-        held=held,
-        base=base,
-        tip=tip,
-        max_speed=max_speed,
-        settings=settings_file,
-    )
-    again += tuple(word for text in actuator or () for word in ("--actuator", text))
-    again += tuple(word for text in chosen for word in ("--set", text))
-    again = (pendulum, *again, *next_step.given(target=target if target != TARGET else None))
-    output.next(*next_step.after_training(out, best, again, budget))
+    output.next("evaluate", out)
     test = best.test
     output.result(
         policy=out,

@@ -5,7 +5,7 @@ one in virtual time; arguments carry the differences.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from math import ceil, inf, nan, radians
@@ -54,7 +54,7 @@ from equipoise.devices.loop import Executor, LoopResult, run_loop
 from equipoise.devices.operator import Operator
 from equipoise.devices.realtime import RealtimeSetting
 from equipoise.devices.twin.excitation import excitation
-from equipoise.errors import ArtefactError, EquipoiseError, InputError, LinkError
+from equipoise.errors import EquipoiseError, InputError, LinkError
 from equipoise.logs.conditions import RunConditions, RunEnd, named
 from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
 from equipoise.logs.writer import RunWriter
@@ -530,27 +530,6 @@ def require_survival(policy: TaskPolicy) -> None:
         f"expected at least {MIN_SURVIVAL:.1%}; train more learners with equipoise train "
         "--learners, or run it with --anyway"
     )
-
-
-def logged_speed_limit(events: Iterable[tuple[str, str]]) -> float:
-    """Return the flange's speed limit [m/s] from a log's events (default: inf).
-
-    Args:
-        events: Name and text of each event.
-
-    Raises:
-        ArtefactError: The text does not begin with a number.
-    """
-    for name, text in events:
-        if name == SPEED_LIMIT:
-            try:
-                return float(text.split()[0])
-            except (IndexError, ValueError):
-                raise ArtefactError(
-                    f"the log has {text[:40]!r} as the flange's limit, expected a number in m/s; "
-                    "give another log"
-                ) from None
-    return inf
 
 
 def warm_up(request: RunRequest) -> None:

@@ -432,8 +432,8 @@ class RunLog(Viewable):
             )
         if damage and not damaged:
             raise ArtefactError(
-                f"{path}: {run.missing_part}; log explain, log replay and log export read the "
-                "sound part, or record the run again"
+                f"{path}: {run.missing_part}; log explain and log export read the sound part, or "
+                "record the run again"
             )
         return run
 

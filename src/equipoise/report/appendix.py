@@ -138,5 +138,5 @@ def _commands(results: Results) -> list[str]:
         f"equipoise evaluate {files.POLICY} --world {world}",
         f"equipoise deploy {files.POLICY} --world {world}",
         *([f"equipoise gap {files.POLICY} --world {world}"] if results.gap else []),
-        f"equipoise log verify {files.RUN}",
+        f"equipoise log explain {files.RUN}",
     ]

@@ -177,8 +177,6 @@ class Reproduction(NamedTuple):
     """The results."""
     verdict: tuple[str, str, str, str, str]
     """The results in five sentences."""
-    next_command: str
-    """Suggested next command."""
 
 
 @compiling_in_parallel()
@@ -319,12 +317,7 @@ def reproduce(
     results = results._replace(record=record)
     finish(out)
     discard(out)
-    next_command = f"equipoise gap {out / POLICY}"
-    if quick:
-        next_command = "equipoise reproduce"
-    elif study is None:
-        next_command = f"equipoise evaluate {out / POLICY} --trials 1000"
-    return Reproduction(out, results, verdict(results), next_command)
+    return Reproduction(out, results, verdict(results))
 
 
 def make_request(

@@ -1,4 +1,4 @@
-"""Views of a run's log: its end, a summary on one screen, and its tables as CSV."""
+"""Views of a run's log: its end, its pendulum, and its tables as CSV."""
 
 import csv
 import io
@@ -66,37 +66,6 @@ def pendulum_of(run: RunLog) -> PendulumParameters:
     """Return the pendulum of a run: the true one in simulation, the assumed one on a rig."""
     of = run.conditions.pendulum
     return PendulumParameters(of["w2"], of["k"], of["c"], of["coulomb"], of["drag"])
-
-
-def summarise(run: RunLog) -> dict[str, str]:
-    """Return the lines of `log verify`, by name."""
-    conditions, end, made = run.conditions, run.end, run.provenance
-    where = f"world {conditions.world}" if conditions.simulated else f"robot {conditions.world}"
-    encoder = f", encoder {conditions.encoder}" if conditions.encoder else ""
-    rows = {
-        "run": f"{'simulation' if conditions.simulated else 'run on a rig'}, {where}{encoder}",
-        "made": f"by {made.command}, {made.created}" if made else "",
-        "arm": f"{conditions.arm.name}, {conditions.arm.digest[:19]}...",
-        "policy": _short(conditions.policy, "none: the arm was only excited"),
-        "pendulum": _short(conditions.pendulum_digest, "unknown"),
-        "actuator": _short(conditions.actuator, "none"),
-        "lasted": f"{run.lasted:g} s of {conditions.duration:g} s",
-        "ended": f"{run.cause}{f' ({run.guard})' if run.guard else ''}"
-        + (f": {end.reason}" if end and end.reason else ""),
-    }
-    if end is not None and end.late:
-        late = f"p50 {1e3 * end.late['p50']:.2f} ms, max {1e3 * end.late['max']:.2f} ms"
-        rows["lateness"] = f"{late}; {end.missed:,} ticks left out, {end.lost_rows:,} rows lost"
-    counts = [f"{name} {len(table):,}" for name, table in run.tables.items() if len(table)]
-    rows["rows"] = ", ".join(counts) or "none"
-    rows["damage"] = run.missing_part or "none"
-    return {name: text for name, text in rows.items() if text}
-
-
-def _short(digest: str, otherwise: str) -> str:
-    if not digest:
-        return otherwise
-    return f"{digest[:19]}..." if len(digest) > len("sha256:") + 12 else digest
 
 
 # CSV.

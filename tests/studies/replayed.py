@@ -1,25 +1,21 @@
-"""Replay of a log: its measurements through the controller again, compared with its outputs.
+"""Test of determinism: the measurements of a log go through the controller again.
+
+The outputs are compared with those of the log.
 
 The log of a run on a rig holds all inputs of a tick: counts, replies, typed lines, failures,
 lateness. A new `RunController` receives the same inputs at the same times, from the first setpoint
 to rest. The log of a run on a twin begins at the release; there only the control step runs again,
-on the counts and joints of its ticks.
-
-On the machine that made the log every bit is the same. Another processor or library rounds
-differently; the tolerance bounds that. The pendulum is unstable, so that a difference grows e-fold
-every 0.12 s until feedback ends it.
+on the counts and joints of its ticks. On the machine that made the log every bit is the same.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from math import isnan, pi
+from math import inf, isnan, pi
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
 
-from equipoise.artefacts import first_fault
 from equipoise.control.bound_policy import BoundPolicy
 from equipoise.control.control_step import make_controller_params
 from equipoise.control.controller import Controller
@@ -33,7 +29,7 @@ from equipoise.control.run_controller import (
     RunController,
 )
 from equipoise.control.ticks import TickInputs, TickOutput
-from equipoise.deployment.rig import RunRequest, logged_speed_limit
+from equipoise.deployment.rig import SPEED_LIMIT, RunRequest
 from equipoise.devices.interfaces import Reply, Sample
 from equipoise.errors import ArtefactError
 from equipoise.identification.motion import identify_motion
@@ -151,7 +147,8 @@ def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Row
     if isinstance(policy, BoundPolicy):
         policy = replace(policy, settings=conditions.settings)
     known = {name: getattr(conditions, name) for name in ("encoder", "duration", "t1", "seed")}
-    settings = _rig_settings(run)
+    settings = RigSettings.model_validate(conditions.rig)
+    vars(settings)["described_arm"] = conditions.arm  # the URDF that it names may be elsewhere
     known |= {"robot": conditions.world, "alternatives": tuple(others)}
     known |= {"identify": identify_motion if conditions.identifies else None}
     known["anyway"] = conditions.anyway
@@ -162,7 +159,7 @@ def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Row
     if len(tick) == 0 or len(began) == 0:
         raise ArtefactError("nothing moved in this run; there is nothing to replay")
     clock = _PolicyClock()
-    max_speed = logged_speed_limit((e.name, e.text) for e in run.events)
+    max_speed = _logged_speed_limit(run)
     controller = RunController(
         settings.described_arm,
         request.controller(counts_per_rev),
@@ -178,6 +175,12 @@ def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Row
     return _run_ticks(run, controller, clock)
 
 
+def _logged_speed_limit(run: RunLog) -> float:
+    """Return the flange's speed limit [m/s] from a log's events (default: inf)."""
+    texts = (event.text for event in run.events if event.name == SPEED_LIMIT)
+    return next((float(text.split()[0]) for text in texts), inf)
+
+
 class _PolicyClock:
     """Clock of the policy's computing time: a call takes no time, or exceeds its limit."""
 
@@ -189,15 +192,6 @@ class _PolicyClock:
         """Return the time [s]."""
         self._now += 1.0 if self.late else 0.0
         return self._now
-
-
-def _rig_settings(run: RunLog) -> RigSettings:
-    try:
-        return RigSettings.model_validate(run.conditions.rig).with_arm(run.conditions.arm)
-    except ValidationError as error:
-        raise ArtefactError(
-            f"the log has invalid settings of the rig: {first_fault(error).what}; run it again"
-        ) from None
 
 
 def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> Rows:
