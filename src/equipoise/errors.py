@@ -16,7 +16,10 @@ The tree, with the exit code of the command line in brackets::
 A message gives the fault with its value, the expected value, and a remedy.
 """
 
-from typing import Any
+from typing import Any, Final
+
+INTERRUPTED: Final = 130
+"""Exit code of an interrupted command."""
 
 
 class EquipoiseError(Exception):

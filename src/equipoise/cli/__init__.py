@@ -9,16 +9,12 @@ import io
 import os
 import signal
 import sys
-import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import TextIO
 
-from equipoise.errors import ClosedPipeError, OutsideError
+from equipoise.errors import INTERRUPTED, ClosedPipeError, OutsideError
 from equipoise.printable import printable
-
-INTERRUPTED = 130
-"""Exit code of an interrupted command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         code = _run(arguments)
-        if code == INTERRUPTED and threading.current_thread() is threading.main_thread():
+        if code == INTERRUPTED and arguments is None:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # the interpreter is about to end
         if sys.stdout is not None and not sys.stdout.closed:
             sys.stdout.flush()

@@ -23,8 +23,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
-from equipoise.cli import INTERRUPTED
-from equipoise.errors import ClosedPipeError, EquipoiseError, InputError, OutsideError
+from equipoise.errors import INTERRUPTED, ClosedPipeError, EquipoiseError, InputError, OutsideError
 from equipoise.printable import printable
 
 if TYPE_CHECKING:
