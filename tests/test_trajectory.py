@@ -138,7 +138,7 @@ def test_a_recording_that_is_too_large_is_refused_before_it_is_read(tmp_path, mo
         (SAME.encode("utf-16-le"), "UTF-16"),
         (SAME.encode("utf-16-be"), "UTF-16"),
         ("time_s,theta_rad,Länge (°)\n0,1,ü\n".encode("latin-1"), "not UTF-8"),
-        (gzip.compress(SAME.encode()), "a gzip file"),
+        (gzip.compress(SAME.encode(), mtime=0), "a gzip file"),
         (b"PK\3\4 a spreadsheet", "a ZIP file or a spreadsheet"),
         (b"\x89PNG\r\n\x1a\n\x00\xff\xfe", "not UTF-8"),
     ],
