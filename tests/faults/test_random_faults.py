@@ -1,6 +1,5 @@
 """Runs on the emulated rig with two to four faults at random times: what holds whatever fails."""
 
-from dataclasses import replace
 from math import radians
 
 import numpy as np
@@ -62,7 +61,7 @@ LISTED = [each for each in FAULTS if each.trigger.event != "start" and not each.
 
 
 def scene(seed):
-    """Return the faults of a seed by name and time, and the run with them."""
+    """Return the faults of a seed, by name and with their times, and the options of its run."""
     random = np.random.default_rng([seed, 29])
     faults, names = [], []
     identify = bool(random.random() < 0.15)
@@ -77,15 +76,14 @@ def scene(seed):
         trigger = Trigger(phase, float(random.uniform(0.0, PHASES[phase])))
         faults.append((trigger, inject))
         names.append(f"{name} at {phase} + {trigger.after:.2f} s")
-    words = bool(random.random() < 0.3)
-    make = lambda scenario: FaultHarness(scenario, *faults, words_after_stop=words, seed=seed)  # noqa: E731
-    return names, make, replace(Scenario(), identify=identify)
+    return names, faults, {"words": bool(random.random() < 0.3), "identify": identify}
 
 
 def problems_of(seed, folder):
     """Run the faults of a seed; return its names, its end and its problems."""
-    names, make, scenario = scene(seed)
-    harness = make(replace(scenario, out=folder / "run.mcap"))
+    names, faults, options = scene(seed)
+    scenario = Scenario(identify=options["identify"], out=folder / "run.mcap")
+    harness = FaultHarness(scenario, *faults, words_after_stop=options["words"], seed=seed)
     end = harness.run()
     return names, end, check_run(harness, end)
 
