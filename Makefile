@@ -2,11 +2,12 @@
 
 PYTHON ?= python
 # Tests that take seconds, compiled or not: the lower rooms, without the fits of whole recordings.
-QUICK = $(filter-out tests/test_identification%.py tests/test_bench.py, $(wildcard tests/test_*.py)) \
-        tests/model tests/control
+QUICK = $(filter-out tests/test_bench.py, $(wildcard tests/test_*.py)) \
+        tests/model tests/control tests/safety
 # Tests of the modules in which every branch has to be tested: [tool.coverage.run] names these.
-COVERING = $(patsubst %,tests/control/test_%.py,safety trial_safety dropouts plausibility states stop release) \
-           tests/devices/kuka/test_codec.py tests/devices/encoder/test_codec.py
+COVERING = $(patsubst %,tests/safety/test_%.py,rules trial dropouts plausibility stop) \
+           tests/control/test_states.py tests/rig/test_release.py \
+           tests/robots/kst/test_codec.py tests/robots/encoder/test_codec.py
 
 .DEFAULT_GOAL := help
 .PHONY: help install check lint quick plain cover test slow docs generated pictures screenshots demo bench

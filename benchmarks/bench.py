@@ -48,17 +48,17 @@ from pydantic import Field
 
 from equipoise import paper
 from equipoise.artefacts import Value
-from equipoise.compiled import kernel
 from equipoise.control.policy import shipped_policy
 from equipoise.executors import available_cores
+from equipoise.jit import kernel
+from equipoise.learning.training import train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.elementary import fma
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
 from equipoise.settings import Settings
-from equipoise.simulation import setup_of, simulate
-from equipoise.training import train
+from equipoise.worlds import setup_of, simulate
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -533,7 +533,7 @@ def _model(pin: Any, arm: Arm) -> tuple[Any, int, int]:
     return model, flange, model.addFrame(pin.Frame("pivot", parent, place, pin.FrameType.OP_FRAME))
 
 
-# Boxes of Barto, Sutton and Anderson, "Neuronlike adaptive elements that can solve difficult
+# Grid of Barto, Sutton and Anderson, "Neuronlike adaptive elements that can solve difficult
 # learning control problems", 1983, section V: x [m], x_dot [m/s], angle [rad], its rate [rad/s].
 CART_POLE_EDGES: Final = (
     (-0.8, 0.8),

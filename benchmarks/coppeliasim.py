@@ -12,12 +12,12 @@ import argparse
 import json
 import time
 
-from equipoise.control.boxes import cause_named
+from equipoise.apps.coppeliasim.address import read_address
+from equipoise.apps.coppeliasim.world import CoppeliaSimulation
+from equipoise.control.grid import cause_named
 from equipoise.control.policy import KernelPolicy, shipped_policy
 from equipoise.model.random import TEST
-from equipoise.simulation import run_trial, setup_of, simulate
-from equipoise.simulation.coppeliasim.address import read_address
-from equipoise.simulation.coppeliasim.world import CoppeliaSimulation
+from equipoise.worlds import run_trial, setup_of, simulate
 
 POLICY = shipped_policy()
 

@@ -8,13 +8,13 @@ import argparse
 
 import numpy as np
 
-from equipoise.evaluation import Summary, evaluate, exact_interval
 from equipoise.executors import ThreadExecutor, available_cores, run_in_order
+from equipoise.learning.training import train
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import Settings, resolve
-from equipoise.training import train
+from equipoise.worlds.evaluation import Summary, evaluate, exact_interval
 
 LAST = "selection.candidates=1"
 """The last averaged table, without a race."""

@@ -27,8 +27,8 @@ from rich.table import Table
 import equipoise.envs  # noqa: F401  (registers the environments)
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.policy import shipped_policy
-from equipoise.simulation import setup_of, simulate
-from equipoise.simulation.fleet import new_fleet
+from equipoise.worlds import setup_of, simulate
+from equipoise.worlds.fleet import new_fleet
 
 Step = Callable[[], object]
 WIDTHS = (16, 64, 1024)

@@ -38,8 +38,8 @@ def digest(*values: object) -> str:
 def trainings() -> dict[str, str]:
     """Short trainings of both recipes."""
     from equipoise.control.policy import shipped_policy
+    from equipoise.learning.training import train
     from equipoise.settings import resolve
-    from equipoise.training import train
 
     policy, found = shipped_policy(), {}
     for recipe, episodes in EPISODES.items():
@@ -56,7 +56,7 @@ def trainings() -> dict[str, str]:
 def evaluations() -> dict[str, str]:
     """Trials of the shipped policy on plant and twins."""
     from equipoise.control.policy import shipped_policy
-    from equipoise.evaluation import evaluate
+    from equipoise.worlds.evaluation import evaluate
 
     policy, found = shipped_policy(), {}
     parts = {"trials": TRIALS, "duration": 10.0}
@@ -78,11 +78,11 @@ def evaluations() -> dict[str, str]:
 def runs() -> dict[str, str]:
     """Columns of single simulated runs."""
     from equipoise.control.policy import shipped_policy
-    from equipoise.deployment import deploy
+    from equipoise.rig.simulate import simulate_run
 
     found = {}
     for world in ("model", "twin:nominal", "twin:harsh"):
-        run = deploy(shipped_policy(), world=world, seed=3, duration=5.0)
+        run = simulate_run(shipped_policy(), world=world, seed=3, duration=5.0)
         found[f"run {world}"] = digest(run.x, run.x_dot, run.phi, run.phi_dot, run.u, run.stream.q)
     return found
 

@@ -10,7 +10,15 @@ from math import degrees, radians
 import numpy as np
 
 from equipoise.artefacts import Estimate
-from equipoise.checks.recoverable import (
+from equipoise.control.bound_policy import load_policy
+from equipoise.executors import available_cores
+from equipoise.model.actuator import Actuator, shipped_actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.worlds import read_world
+from equipoise.settings import resolve
+from equipoise.worlds.evaluation import evaluate
+from equipoise.worlds.reachability import (
     ReleaseLimit,
     diverging_angle,
     fall,
@@ -18,14 +26,6 @@ from equipoise.checks.recoverable import (
     make_recovery_params,
     release_limit,
 )
-from equipoise.control.bound_policy import load_policy
-from equipoise.evaluation import evaluate
-from equipoise.executors import available_cores
-from equipoise.model.actuator import Actuator, shipped_actuator
-from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.pendulum import Pendulum
-from equipoise.model.sim_configs import read_world
-from equipoise.settings import resolve
 
 W2 = (25.0, 70.0, 140.0)
 """Gravity over inertia [1/s^2]: rods of 59, 21 and 11 cm."""

@@ -38,7 +38,7 @@ import scipy.linalg  # noqa: F401  (imported before the forks, so that no child 
 
 import equipoise.model.arms.iiwa
 import equipoise.model.encoder
-import equipoise.model.sim_configs  # noqa: F401
+import equipoise.model.worlds  # noqa: F401
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = {

@@ -16,19 +16,18 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from equipoise import paper
-from equipoise.learning import closed_loop
-from equipoise.learning.closed_loop import (
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.pendulum import shipped_pendulum
+from equipoise.settings import Settings
+from equipoise.worlds.plant import (
     BatchState,
     DomainRandomization,
     make_loop_params,
     new_batch_state,
     reset,
 )
-from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
-from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import BATCH_SIZE
-from equipoise.model.pendulum import shipped_pendulum
-from equipoise.settings import Settings
 
 NOMINAL: Final = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
 START: Final = (0.01, 0.05, 0.01, 0.1)
@@ -146,7 +145,7 @@ def operations(step: Step) -> float:
     """Return the number of operations of a step, per lane."""
     plant, block = step.plant, counting(step.block)
     Count.operations = 0
-    closed_loop.step(plant, block, BATCH_SIZE)
+    plant.step(plant, block, BATCH_SIZE)
     return Count.operations / BATCH_SIZE
 
 

@@ -35,7 +35,7 @@ from stable_baselines3.common.env_util import make_vec_env
 import equipoise.envs  # noqa: F401  (registers the environments)
 from equipoise import paper
 from equipoise.artefacts import write_whole
-from equipoise.control.boxes import PHI_LIMIT
+from equipoise.control.grid import PHI_LIMIT
 
 HERE: Final = Path(__file__).parent
 ALGORITHMS: Final = ("dqn", "ppo", "sac")

@@ -16,17 +16,17 @@ import time
 from pathlib import Path
 
 from equipoise.control.policy import TabularPolicy
-from equipoise.deployment import excite
-from equipoise.evaluation import Evaluation, evaluate, exact_interval
 from equipoise.executors import available_cores
 from equipoise.identification.actuator import identify_run
+from equipoise.learning.training import LEARNERS, train_to_target
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
-from equipoise.model.sim_configs import IDEAL, MODEL
+from equipoise.model.worlds import IDEAL, MODEL
+from equipoise.rig.simulate import excite
 from equipoise.settings import resolve
-from equipoise.simulation import find_world
-from equipoise.training import LEARNERS, train_to_target
+from equipoise.worlds import find_world
+from equipoise.worlds.evaluation import Evaluation, evaluate, exact_interval
 
 
 def main() -> None:

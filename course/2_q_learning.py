@@ -11,13 +11,13 @@ from checks import check
 
 import equipoise as eq
 from equipoise import paper
-from equipoise.control.boxes import box_count, box_index
+from equipoise.control.grid import box_count, box_index
 from equipoise.learning.learner import Transition, new_tables
 from equipoise.learning.learners import q_learning
-from equipoise.training import training_config
+from equipoise.learning.training import training_config
 
 # %% [markdown]
-# ## Boxes
+# ## Grid
 #
 # The state is $(x, \dot x, \varphi, \dot\varphi)$: where the flange is, how fast it moves, how much the
 # pendulum leans, and how fast it turns.

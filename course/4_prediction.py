@@ -11,8 +11,8 @@ import numpy as np
 from checks import check
 
 import equipoise as eq
-from equipoise.devices.twin.servo_model import equivalent_actuator
 from equipoise.studies.gap import expected_actuator
+from equipoise.worlds.twin.servo_model import equivalent_actuator
 
 # %% [markdown]
 # ## How the arm responds

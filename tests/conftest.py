@@ -7,11 +7,11 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from equipoise.learning.training import train
 from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
 from equipoise.settings import resolve
-from equipoise.training import train
 
 # The first call of a kernel compiles it, which takes seconds: no single example has a deadline.
 hypothesis.settings.register_profile("equipoise", deadline=None, max_examples=50)

@@ -5,13 +5,13 @@ import pytest
 
 from equipoise.control.bound_policy import load_policy
 from equipoise.control.policy import shipped_policy
-from equipoise.deployment import deploy
-from equipoise.evaluation import evaluate
+from equipoise.learning.training import train
 from equipoise.logs.run_log import RunLog
+from equipoise.rig.simulate import simulate_run
 from equipoise.settings import resolve
-from equipoise.studies.certification import certify, check_policy, make_claim, repeat
 from equipoise.studies.gap import gap, trials_of
-from equipoise.training import train
+from equipoise.worlds.certification import certify, check_policy, make_claim, repeat
+from equipoise.worlds.evaluation import evaluate
 from tests.control.test_bound_policy import KINDS, folder
 from tests.studies.replayed import replay
 
@@ -34,7 +34,9 @@ def test_every_kind_is_evaluated_certified_deployed_and_replayed(folder, name):
     certificate, _ = certify(policy, claim)
     check_policy(certificate, policy)
     assert repeat(certificate, load_policy(name)).same_trials
-    deploy(policy, world="twin:nominal", duration=0.5).save(folder / "run.mcap", command="test")
+    simulate_run(policy, world="twin:nominal", duration=0.5).save(
+        folder / "run.mcap", command="test"
+    )
     run = RunLog.load(folder / "run.mcap")
     assert run.conditions.policy == policy.digest
     found = replay(run, load_policy(name))
@@ -51,7 +53,7 @@ def test_lqr_as_a_function_gives_the_trials_of_the_built_in_lqr(folder, world):
     for other in (built_in.results, beside):
         assert own.results.survival == other.survival
         assert own.results.causes == other.causes
-    runs = [deploy(load_policy(n), world=world, duration=2.0) for n in ("guest:lqr", "lqr")]
+    runs = [simulate_run(load_policy(n), world=world, duration=2.0) for n in ("guest:lqr", "lqr")]
     assert np.array_equal(runs[0].u, runs[1].u)
 
 

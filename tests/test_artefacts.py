@@ -337,7 +337,7 @@ def test_a_field_that_is_missing_is_refused(path):
     assert ": label: " in refusal(path, signed({"count": 3}))
 
 
-# Whole or not at all
+# IntArray or not at all
 
 
 def failing(*_, **__):

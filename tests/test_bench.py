@@ -25,18 +25,17 @@ from benchmarks.bench import (
 from rich.console import Console
 
 from equipoise import paper
-from equipoise.learning import closed_loop
-from equipoise.learning.closed_loop import (
-    TRACKED,
-    DomainRandomization,
-    make_loop_params,
-    new_batch_state,
-)
 from equipoise.model.arms.generated import iiwa7 as iiwa7_module
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import Settings, resolve
+from equipoise.worlds.plant import (
+    TRACKED,
+    DomainRandomization,
+    make_loop_params,
+    new_batch_state,
+)
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.16, c=0.1)
 NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
@@ -125,7 +124,7 @@ def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
     arm = iiwa(size)
     peer = PinocchioLoop(arm, QUIET, paper.STEP)
     plant, ours = make_loop_params(arm, QUIET, paper.STEP, PENDULUM), new_batch_state()
-    closed_loop.reset(plant, ours, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
+    plant.reset(plant, ours, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
     rng = np.random.default_rng(5)
     x, x_dot, reached = 0.0, 0.0, 0.0
     for _ in range(1000):
@@ -133,7 +132,7 @@ def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
         ahead = x + x_dot * abs(x_dot) / 2.0
         u = rng.choice(paper.ACTIONS) if abs(ahead) < 0.15 else -np.sign(ahead) * 2.0
         ours.controller.u[0] = u
-        closed_loop.step(plant, ours, 1)
+        plant.step(plant, ours, 1)
         assert peer.run([float(u)]) == 1
         assert peer.q == pytest.approx(ours.controller.q[::BATCH_SIZE], abs=1e-9)
         # u' is a difference of velocities over h = 0.01 s: a hundredth as exact.

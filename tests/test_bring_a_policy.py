@@ -10,9 +10,9 @@ import pytest
 
 from equipoise.cli import main
 from equipoise.control.bound_policy import BUILT_IN, load_policy
-from equipoise.evaluation import Evaluation
 from equipoise.logs.run_log import RunLog
-from equipoise.studies.certification import Certificate
+from equipoise.worlds.certification import Certificate
+from equipoise.worlds.evaluation import Evaluation
 from tests.reference.onnx_network import FLOAT, linear_network
 
 PAGE = (Path(__file__).parents[1] / "docs" / "how-to" / "bring-a-policy.md").read_text()

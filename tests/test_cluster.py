@@ -15,18 +15,18 @@ import pytest
 
 from equipoise import cluster, errors
 from equipoise.cluster import RayExecutor, _call
-from equipoise.compiled import kernel_sources_digest
 from equipoise.control.bound_policy import load_policy
 from equipoise.errors import EquipoiseError, InputError, MissingExtraError
-from equipoise.evaluation import evaluate
 from equipoise.executors import ThreadExecutor
+from equipoise.jit import kernel_sources_digest
+from equipoise.learning.training import train_to_target
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
-from equipoise.simulation import setup_of, simulate
 from equipoise.studies.compare import compare
 from equipoise.studies.gap import gap
-from equipoise.training import train_to_target
-from tests.report.made_up_gap import paper_policy, with_cures
+from equipoise.worlds import setup_of, simulate
+from equipoise.worlds.evaluation import evaluate
+from tests.apps.report.made_up_gap import paper_policy, with_cures
 
 pytestmark = pytest.mark.compiled_only
 SHORT = (

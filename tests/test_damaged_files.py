@@ -11,24 +11,24 @@ import pytest
 from equipoise.control.baselines import baselines
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import ArtefactError, InputError
-from equipoise.evaluation import Evaluation, evaluate
 from equipoise.learning.checkpoint import ResumePoint
+from equipoise.learning.training import train
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
-from equipoise.model.sim_configs import read_world
-from equipoise.rigs import read_rig
+from equipoise.model.worlds import read_world
+from equipoise.rig.config import read_rig
 from equipoise.settings import resolve
-from equipoise.studies.certification import Certificate, certify, make_claim
 from equipoise.studies.compare import compare
 from equipoise.studies.compare_results import Comparison
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.recovery_map import RecoveryMap, map_recovery
-from equipoise.training import train
 from equipoise.trajectory import read_swing
+from equipoise.worlds.certification import Certificate, certify, make_claim
+from equipoise.worlds.evaluation import Evaluation, evaluate
+from tests.apps.report.made_up_gap import measured, paper_policy
 from tests.cli.damage import DAMAGE, digest, mutations, outcomes
-from tests.report.made_up_gap import measured, paper_policy
 
 pytestmark = pytest.mark.compiled_only  # files are read by the same code without compilation
 

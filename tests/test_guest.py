@@ -52,10 +52,10 @@ def equipoise(run, *arguments, code=0):
 
 
 CONFORMANCE = """
-from equipoise.devices.paced import PacedStream
-from equipoise.rigs import RigSettings, emulated_rig
+from equipoise.rig.paced import PacedStream
+from equipoise.rig.config import RigSettings, emulated_rig
 from equipoise.model.pendulum import shipped_pendulum
-from equipoise.model.sim_configs import pendulum_on, read_world
+from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.testing import RobotConformance
 
 

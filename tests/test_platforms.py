@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from equipoise.cli.terminal_operator import single_keys
-from equipoise.devices.encoder.board import Board
-from equipoise.devices.encoder.terminal import Terminal
 from equipoise.errors import OutsideError
+from equipoise.robots.encoder.board import Board
+from equipoise.robots.encoder.terminal import Terminal
 
 pytestmark = pytest.mark.compiled_only  # imports are the same without compilation
 
@@ -44,9 +44,9 @@ DRAW = """
 import numpy as np
 import equipoise as eq
 from equipoise.errors import OutsideError
-from equipoise.devices.twin.physics import mass_matrix
-from equipoise.report.pictures.rendering import draw
-from equipoise.report.pictures.scene import stage
+from equipoise.worlds.twin.physics import mass_matrix
+from equipoise.apps.report.pictures.rendering import draw
+from equipoise.apps.report.pictures.scene import stage
 arm = eq.iiwa(7)
 assert mass_matrix(arm).shape == (7, 7)
 try:

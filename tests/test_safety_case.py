@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from equipoise.control.safety import Rule
+from equipoise.safety.rules import Rule
 from tests.faults.injection import FAULTS
 from tests.faults.real_time import REAL_TIME
 
@@ -59,16 +59,17 @@ def test_no_fault_is_named_that_is_not_injected():
 
 
 def test_each_number_of_the_page_is_that_of_the_code():
-    from equipoise.control import dropouts, plausibility, run_controller, safety, stop
+    from equipoise.rig import run_controller
+    from equipoise.safety import dropouts, plausibility, rules, stop
     from tests.faults.verdicts import MAX_NOTICE
 
     assert f"within {1e3 * MAX_NOTICE:.0f} ms" in PAGE
-    assert f"up to {1e3 * safety.MAX_STALL:g} ms is bridged" in PAGE
+    assert f"up to {1e3 * rules.MAX_STALL:g} ms is bridged" in PAGE
     assert f"not answered for {1e3 * run_controller.MAX_UNANSWERED:g} ms" in PAGE
-    assert f"({safety.STOP_DECELERATION:g} m/s² at the flange" in PAGE
-    assert f"{100 * safety.TORQUE_SHARE:.0f} % of the joint's torque" in PAGE
-    assert f"a following error of {safety.FOLLOWING_LIMIT:g} rad" in PAGE
-    share = 100 * run_controller.UNCERTAIN_TORQUE_FACTOR * safety.TORQUE_SHARE
+    assert f"({rules.STOP_DECELERATION:g} m/s² at the flange" in PAGE
+    assert f"{100 * rules.TORQUE_SHARE:.0f} % of the joint's torque" in PAGE
+    assert f"a following error of {rules.FOLLOWING_LIMIT:g} rad" in PAGE
+    share = 100 * run_controller.UNCERTAIN_TORQUE_FACTOR * rules.TORQUE_SHARE
     assert f"on the way there {share:.0f} % beyond what the start shows" in PAGE
     assert (dropouts.MAX_DROPOUTS, dropouts.DROPOUT_WINDOW) == (3, 1.0)
     assert "a third gap within a second" in PAGE
@@ -77,9 +78,9 @@ def test_each_number_of_the_page_is_that_of_the_code():
     assert stop.RETURN_SHARE == run_controller.HOMING_SHARE
     assert plausibility.MIN_REPLIES == 5
     assert "five replies in order" in PAGE
-    assert f"within {safety.FOLLOWING_LIMIT:g} rad of the setpoints of the last 0.3 s" in PAGE
+    assert f"within {rules.FOLLOWING_LIMIT:g} rad of the setpoints of the last 0.3 s" in PAGE
     assert run_controller.HISTORY == 64
     assert f"above {1e3 * run_controller.MAX_TIMED_REPLY:g} ms do not count" in PAGE.replace(
         "\n", " "
     )
-    assert f"are {1e3 * safety.MAX_MEASUREMENT_AGE:g} ms\nold" in PAGE
+    assert f"are {1e3 * rules.MAX_MEASUREMENT_AGE:g} ms\nold" in PAGE

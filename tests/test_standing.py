@@ -4,13 +4,13 @@ import pytest
 from scipy.stats import binomtest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.evaluation import evaluate
 from equipoise.executors import available_cores
 from equipoise.identification import identify
+from equipoise.learning.training import LEARNERS, train_to_target
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
-from equipoise.training import LEARNERS, train_to_target
 from equipoise.trajectory import read_swing
+from equipoise.worlds.evaluation import evaluate
 
 TESTS = resolve(overrides=["evaluation.trials=1000"])
 

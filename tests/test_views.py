@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 import equipoise as eq
 from equipoise.errors import RecordingError
-from equipoise.model.sim_configs import MODEL
+from equipoise.model.worlds import MODEL
 
 pytestmark = pytest.mark.compiled_only  # nothing is drawn by kernels
 

@@ -13,9 +13,9 @@ import argparse
 from pathlib import Path
 
 import equipoise as eq
-from equipoise.report.figures import gap_figure, recovery_figure, survival
-from equipoise.report.pictures import write_video
-from equipoise.report.style import render
+from equipoise.apps.report.figures import gap_figure, recovery_figure, survival
+from equipoise.apps.report.pictures import write_video
+from equipoise.apps.report.style import render
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.recovery_map import map_recovery
 

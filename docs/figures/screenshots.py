@@ -19,7 +19,7 @@ from PIL import Image
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parents[1]))
 
-from tests.console.browser import (  # noqa: E402
+from tests.apps.console.browser import (  # noqa: E402
     browser,
     press,
     press_now,

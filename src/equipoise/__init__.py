@@ -6,7 +6,7 @@ This module provides the public names. The first use of a name imports its modul
 `import equipoise` costs nothing. Values are immutable, units are SI and radians::
 
     Trajectory -> identify -> Pendulum -> train -> TabularPolicy -> evaluate -> Evaluation
-    excite -> RunLog -> identify_run -> Actuator ---^            `-> deploy -> RunLog
+    excite -> RunLog -> identify_run -> Actuator ---^            `-> simulate_run -> RunLog
 """
 
 from importlib import import_module
@@ -16,11 +16,10 @@ if TYPE_CHECKING:
     from equipoise.artefacts import Estimate
     from equipoise.control.bound_policy import bind_policy, load_policy
     from equipoise.control.policy import Policy, TabularPolicy, shipped_policy
-    from equipoise.deployment import deploy, excite
     from equipoise.errors import EquipoiseError
-    from equipoise.evaluation import Evaluation, evaluate
     from equipoise.identification import identify
     from equipoise.identification.actuator import identify_run
+    from equipoise.learning.training import train, train_to_target
     from equipoise.logs.run_log import RunLog
     from equipoise.model.actuator import Actuator, shipped_actuator
     from equipoise.model.arms.arm import Arm
@@ -28,12 +27,13 @@ if TYPE_CHECKING:
     from equipoise.model.arms.urdf import read_urdf
     from equipoise.model.encoder import simulate_swing
     from equipoise.model.pendulum import Pendulum, PendulumParameters, shipped_pendulum
-    from equipoise.model.sim_configs import read_world
+    from equipoise.model.worlds import read_world
+    from equipoise.rig.simulate import excite, simulate_run
     from equipoise.settings import Settings, resolve
-    from equipoise.studies.certification import Certificate, certify, make_claim
     from equipoise.studies.reproduction import reproduce
-    from equipoise.training import train, train_to_target
     from equipoise.trajectory import Trajectory, read_swing, write_swing
+    from equipoise.worlds.certification import Certificate, certify, make_claim
+    from equipoise.worlds.evaluation import Evaluation, evaluate
 
     __version__: str
 
@@ -44,15 +44,15 @@ __all__ += ["Actuator", "Pendulum", "identify", "identify_run"]
 __all__ += ["shipped_actuator", "shipped_pendulum", "shipped_policy"]
 __all__ += ["Policy", "TabularPolicy", "bind_policy", "load_policy", "train", "train_to_target"]
 __all__ += ["Certificate", "Evaluation", "certify", "evaluate", "make_claim", "reproduce"]
-__all__ += ["RunLog", "deploy", "excite"]
+__all__ += ["RunLog", "excite", "simulate_run"]
 
 _HOMES = {
     "artefacts": ("Estimate",),
     "control.bound_policy": ("bind_policy", "load_policy"),
     "control.policy": ("Policy", "TabularPolicy", "shipped_policy"),
-    "deployment": ("deploy", "excite"),
+    "rig.simulate": ("excite", "simulate_run"),
     "errors": ("EquipoiseError",),
-    "evaluation": ("Evaluation", "evaluate"),
+    "worlds.evaluation": ("Evaluation", "evaluate"),
     "identification": ("identify",),
     "identification.actuator": ("identify_run",),
     "model.actuator": ("Actuator", "shipped_actuator"),
@@ -61,12 +61,12 @@ _HOMES = {
     "model.arms.urdf": ("read_urdf",),
     "model.encoder": ("simulate_swing",),
     "model.pendulum": ("Pendulum", "PendulumParameters", "shipped_pendulum"),
-    "model.sim_configs": ("read_world",),
+    "model.worlds": ("read_world",),
     "logs.run_log": ("RunLog",),
     "settings": ("Settings", "resolve"),
-    "studies.certification": ("Certificate", "certify", "make_claim"),
+    "worlds.certification": ("Certificate", "certify", "make_claim"),
     "studies.reproduction": ("reproduce",),
-    "training": ("train", "train_to_target"),
+    "learning.training": ("train", "train_to_target"),
     "trajectory": ("Trajectory", "read_swing", "write_swing"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -18,8 +18,8 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, Final, TypeVar
 
-from equipoise.compiled import cache_folder, kernel_sources_digest
 from equipoise.errors import EquipoiseError, InputError, LinkError, MissingExtraError, OutsideError
+from equipoise.jit import cache_folder, kernel_sources_digest
 from equipoise.printable import printable
 
 Task = TypeVar("Task")

@@ -200,7 +200,7 @@ Ends = Annotated[tuple[End, ...], Field(min_length=1, max_length=63)]
 
 
 class BoxSettings(Value):
-    """Boxes of a table: inner ends of the intervals of each quantity, the paper's by default.
+    """Grid of a table: inner ends of the intervals of each quantity, the paper's by default.
 
     The outer ends are the limits of failure. The ends lie symmetrically about zero, so that each
     box has a mirror image. An end of phi belongs to the interval above it, an end of another

@@ -21,10 +21,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from equipoise import paper
-from equipoise.control.boxes import ANGLE, PHI_LIMIT, TRUNCATED
-from equipoise.devices.interfaces import SETPOINT_PERIOD, AngleSensor, Array, Clock, Reply, Robot
+from equipoise.control.grid import ANGLE, PHI_LIMIT, TRUNCATED
 from equipoise.errors import EquipoiseError, InputError, LinkError
-from equipoise.simulation import ClosedLoop, Setup, Simulation, predicted
+from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Array, Clock, Reply, Robot
+from equipoise.worlds import ClosedLoop, Setup, Simulation, predicted
 
 MOVE: Final = 0.02
 """Motion of the first joint [rad]."""

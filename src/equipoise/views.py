@@ -1,6 +1,6 @@
 """Plots of values, by `plot()` and in notebooks.
 
-Values must not import the report, which draws them: the first plot loads `equipoise.report.views`.
+Values must not import the report, which draws them: the first plot loads `apps.report.views`.
 """
 
 from importlib import import_module
@@ -26,4 +26,4 @@ class Viewable:
 
 
 def _drawing() -> Any:
-    return import_module("equipoise.report.views")
+    return import_module("equipoise.apps.report.views")

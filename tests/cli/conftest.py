@@ -11,9 +11,9 @@ import typer
 
 from equipoise.cli import main
 from equipoise.cli.app import app
-from equipoise.evaluation import evaluate
 from equipoise.model.encoder import simulate_swing
 from equipoise.trajectory import write_swing
+from equipoise.worlds.evaluation import evaluate
 
 
 class Ran(NamedTuple):

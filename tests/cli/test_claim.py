@@ -3,8 +3,8 @@
 import pytest
 
 from equipoise.control.policy import TabularPolicy
-from equipoise.evaluation import Evaluation
-from equipoise.studies.certification import Certificate, certify, make_claim
+from equipoise.worlds.certification import Certificate, certify, make_claim
+from equipoise.worlds.evaluation import Evaluation
 from tests.cli.damage import DAMAGE, rebuilt
 
 STABLE = {"granted", "claim", "bound", "trials", "failures"}

@@ -166,7 +166,9 @@ def test_a_variable_that_libraries_cannot_read_is_refused(equipoise, monkeypatch
 
 
 def test_a_backend_that_does_not_exist_does_not_keep_figures_from_being_drawn():
-    code = "import equipoise.report.style, matplotlib.figure, os; print(os.environ['MPLBACKEND'])"
+    code = (
+        "import equipoise.apps.report.style, matplotlib.figure, os; print(os.environ['MPLBACKEND'])"
+    )
     ran = subprocess.run(
         [sys.executable, "-c", code],
         env=os.environ | {"MPLBACKEND": "klingon"},

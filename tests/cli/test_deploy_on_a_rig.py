@@ -22,9 +22,9 @@ def test_a_run_on_a_twin_is_told_and_written(equipoise, tmp_path):
 
 def test_a_run_on_a_twin_is_filmed(equipoise, tmp_path, monkeypatch):
     filmed = []
-    monkeypatch.setattr("equipoise.report.pictures.find_encoder", lambda: None)
+    monkeypatch.setattr("equipoise.apps.report.pictures.find_encoder", lambda: None)
     monkeypatch.setattr(
-        "equipoise.report.pictures.write_video", lambda *asked, **_: filmed.append(asked)
+        "equipoise.apps.report.pictures.write_video", lambda *asked, **_: filmed.append(asked)
     )
     options = ("--robot", "twin:nominal", "--duration", 1, "--video", "run.mp4")
     assert equipoise("deploy", *options, "--json").json["video"] == "run.mp4"

@@ -9,14 +9,14 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from equipoise.checks.results import Spread, Verdict
 from equipoise.cli.doctor import FITNESS_STYLES, bar, bars
 from equipoise.cli.output import VERDICT_STYLES
-from equipoise.devices.clocks import SystemClock
-from equipoise.devices.encoder.board import Board
-from equipoise.devices.encoder.terminal import Terminal
-from equipoise.studies.doctor import Fitness
-from tests.devices.kuka.test_listener import Served
+from equipoise.rig.checks.results import Spread, Verdict
+from equipoise.rig.clocks import SystemClock
+from equipoise.rig.doctor import Fitness
+from equipoise.robots.encoder.board import Board
+from equipoise.robots.encoder.terminal import Terminal
+from tests.robots.kst.test_listener import Served
 
 STABLE = {"verdict", "findings", "machine", "lateness", "stalls", "loaded", "link", "encoder"}
 VERDICTS = {"fit": 0, "usable with care": 0, "not fit": 1}
@@ -56,7 +56,7 @@ def test_words_show_both_histograms_each_finding_and_the_verdict(equipoise):
 def test_a_deadline_missed_by_far_is_told_by_the_exit_code(
     equipoise, monkeypatch, late, code, saying
 ):
-    monkeypatch.setattr("equipoise.studies.doctor.lateness", lambda *_: np.full(100, late))
+    monkeypatch.setattr("equipoise.rig.doctor.lateness", lambda *_: np.full(100, late))
     ran = equipoise("rig", "doctor", *QUICK)
     assert ran.code == code
     assert saying in ran.out

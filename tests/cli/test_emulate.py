@@ -14,7 +14,7 @@ import time
 
 import pytest
 
-from equipoise.devices.encoder.codec import Banner, Decoder, Flags
+from equipoise.robots.encoder.codec import Banner, Decoder, Flags
 
 LONGEST = 60.0  # a first start compiles [s]
 

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from equipoise.control.policy import TabularPolicy
-from equipoise.evaluation import Evaluation
+from equipoise.worlds.evaluation import Evaluation
 from tests.cli.damage import DAMAGE, rebuilt
 
 STABLE = {"trials", "duration", "survived", "rate", "interval", "median_s", "causes", "yardsticks"}

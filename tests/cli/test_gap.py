@@ -7,8 +7,8 @@ from equipoise.executors import ThreadExecutor
 from equipoise.model.actuator import Actuator
 from equipoise.studies import gap as study
 from equipoise.studies.gap_results import Gap, sentences
+from tests.apps.report.made_up_gap import falls_early, measured, paper_policy, with_cures
 from tests.cli.damage import DAMAGE
-from tests.report.made_up_gap import falls_early, measured, paper_policy, with_cures
 
 FEW = ("learning.episodes=20", "selection.every=10", "selection.rounds=1")
 SHORT = ("selection.round_trials=2", "selection.duration=1")

@@ -12,16 +12,16 @@ import pytest
 from rich.table import Table
 from rich.text import Text
 
+from equipoise.apps.report import markup
 from equipoise.artefacts import read_document
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator, key_names
 from equipoise.control.ticks import OperatorMessage
-from equipoise.devices import plugins
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import Recorder, push_event
 from equipoise.logs.writer import RunWriter
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.report import markup
+from equipoise.rig import plugins
 from tests.cli.damage import rebuilt
 from tests.logs.made_up import made_up, rig_conditions
 
@@ -216,7 +216,7 @@ def test_code_of_a_guest(equipoise, guest, tmp_path, text, command, end):
     ],
 )
 def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command, end):
-    for text in ("end()", "from equipoise.devices.plugins import *\nPLUGIN = RobotPlugin('', end)"):
+    for text in ("end()", "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin('', end)"):
         entry = EntryPoint("own", f"{guest(text, end)}:PLUGIN", plugins.ROBOTS)
         monkeypatch.setattr(plugins, "_registered", lambda _, entry=entry: {"own": entry})
         ran = equipoise(*command.split())
@@ -230,8 +230,8 @@ def test_the_page():
 
 
 def test_a_figure_takes_a_name_from_a_file_as_it_is(small_evaluation):
-    from equipoise.report.figures.survival import survival
-    from equipoise.report.style import render
+    from equipoise.apps.report.figures.survival import survival
+    from equipoise.apps.report.style import render
 
     renamed = small_evaluation.results.model_copy(update={"name": HOSTILE})
     svg = render(survival(small_evaluation.model_copy(update={"results": renamed})), "svg").decode()

@@ -6,9 +6,9 @@ import pytest
 from PIL import Image
 
 from equipoise.control.policy import shipped_policy
-from equipoise.deployment import deploy
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
+from equipoise.rig.simulate import simulate_run
 from tests.logs.made_up import conditions
 from tests.studies.faulted import draw_fault, run_with
 
@@ -26,7 +26,7 @@ def pushed(tmp_path_factory):
 @pytest.fixture(scope="module")
 def on_a_twin(tmp_path_factory):
     path = tmp_path_factory.mktemp("twin") / "run.mcap"
-    deploy(shipped_policy(), world="twin:nominal", duration=0.4).save(path, command="test")
+    simulate_run(shipped_policy(), world="twin:nominal", duration=0.4).save(path, command="test")
     return path
 
 

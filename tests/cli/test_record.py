@@ -2,10 +2,10 @@
 
 import pytest
 
-from equipoise.devices.encoder.swing import RecordingStage
+from equipoise.robots.encoder.swing import RecordingStage
 from tests.cli.conftest import contents
-from tests.devices.encoder.by_hand import RELEASE, ByHand
-from tests.devices.encoder.rig import Bench
+from tests.robots.encoder.by_hand import RELEASE, ByHand
+from tests.robots.encoder.rig import Bench
 
 URI = "serial:///dev/ttyACM0"
 
@@ -15,14 +15,14 @@ def bench(monkeypatch):
     """A board at `URI`; the machine's clock is the bench's."""
     bench = Bench()
     bench.motion = ByHand(0.8)
-    monkeypatch.setattr("equipoise.devices.clocks.SystemClock", lambda: bench.clock)
+    monkeypatch.setattr("equipoise.rig.clocks.SystemClock", lambda: bench.clock)
     opened = []
 
     def open_serial(uri):
         opened.append(uri)
         return bench.open()
 
-    monkeypatch.setattr("equipoise.devices.encoder.serial_port.open_serial", open_serial)
+    monkeypatch.setattr("equipoise.robots.encoder.serial_port.open_serial", open_serial)
     yield bench
     assert set(opened) <= {URI}
 

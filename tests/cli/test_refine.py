@@ -8,11 +8,11 @@ import pytest
 from equipoise.artefacts import Estimate
 from equipoise.cli.output import measured
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.deployment import deploy
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.sim_configs import TwinSettings, World
+from equipoise.model.worlds import TwinSettings, World
+from equipoise.rig.simulate import simulate_run
 from tests.cli.conftest import contents
 
 # Runs of twelve seconds are 12,000 steps of the physics engine.
@@ -41,7 +41,7 @@ STABLE = {
 def run():
     """A run of the shipped policy on a twin whose pendulum is as the policy believes."""
     twin = TwinSettings(inertia_sigma=0.0, friction_sigma=0.0)
-    return deploy(shipped_policy(), world=World("twin:steady", twin), seed=2, duration=12.0)
+    return simulate_run(shipped_policy(), world=World("twin:steady", twin), seed=2, duration=12.0)
 
 
 @pytest.fixture
@@ -140,9 +140,9 @@ def test_what_cannot_be_compared_is_refused(refused, policy_file, run_file, smal
     refused("refine", run_file, run_file, saying="not a file of Equipoise")
     refused("refine", policy_file, run_file, "--out=run.mcap", saying="ends in .json")
     refused("refine", policy_file, run_file, "--out=policy.json", saying="give another --out")
-    deploy(shipped_policy(), duration=0.1).save(tmp_path / "model.mcap", command="test")
+    simulate_run(shipped_policy(), duration=0.1).save(tmp_path / "model.mcap", command="test")
     refused("refine", policy_file, "model.mcap", saying="expected a run on a rig")
-    deploy(small_policy, duration=0.1).save(tmp_path / "other.mcap", command="test")
+    simulate_run(small_policy, duration=0.1).save(tmp_path / "other.mcap", command="test")
     refused("refine", policy_file, "other.mcap", saying="was on an iiwa14")
     run_file.write_bytes(run_file.read_bytes()[:200])
     refused("refine", policy_file, run_file, saying="run.mcap")

@@ -6,13 +6,13 @@ What stands in the report is tested with the study and the report.
 import pytest
 
 from equipoise.control.policy import TabularPolicy
-from equipoise.evaluation import Evaluation
 from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import Pendulum
 from equipoise.studies import gap as study
 from equipoise.studies import reproduction
 from equipoise.studies.gap_results import Gap
 from equipoise.studies.results import StageRecord
+from equipoise.worlds.evaluation import Evaluation
 from tests.cli.conftest import COSINE, TIME
 
 SHORT = (

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from equipoise import training
 from equipoise.control.policy import TabularPolicy
+from equipoise.learning import training
 from equipoise.model.actuator import Actuator
 from tests.cli.conftest import contents
 from tests.cli.damage import DAMAGE

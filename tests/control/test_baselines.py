@@ -7,16 +7,16 @@ import pytest
 
 from equipoise import paper
 from equipoise.control.baselines import baselines, lqr_gains, pd_gains, state_space
-from equipoise.control.boxes import TRACK, TRUNCATED
+from equipoise.control.grid import TRACK, TRUNCATED
 from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, act
-from equipoise.learning.closed_loop import (
-    make_loop_params,
-)
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import resolve
+from equipoise.worlds.plant import (
+    make_loop_params,
+)
 from tests.reference.pendulum import angular_acceleration
-from tests.simulation.recorded import on_the_plant, run_all
+from tests.worlds.recorded import on_the_plant, run_all
 
 H = 0.01
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)

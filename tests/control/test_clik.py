@@ -12,7 +12,12 @@ from equipoise.control.clik import (
     pose_error,
     solve,
 )
-from equipoise.learning.closed_loop import (
+from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.settings import Settings
+from equipoise.worlds.plant import (
     PHI,
     PHI_DOT,
     TRACKED,
@@ -22,11 +27,6 @@ from equipoise.learning.closed_loop import (
     reset,
     step,
 )
-from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST
-from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.elementary import BATCH_SIZE
-from equipoise.model.pendulum import PendulumParameters
-from equipoise.settings import Settings
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)

@@ -1,6 +1,6 @@
 """The controller: how far it looks ahead, what it makes of measurements, and whether that is true.
 
-That all of it together equals a slow loop is shown in tests/learning/test_closed_loop.py.
+That all of it together equals a slow loop is shown in tests/worlds/test_plant.py.
 """
 
 import copy
@@ -13,7 +13,6 @@ from scipy.optimize import brentq
 
 from equipoise.artefacts import Estimate
 from equipoise.control.baselines import lqr_gains
-from equipoise.control.boxes import TRUNCATED
 from equipoise.control.control_step import (
     EST_BIAS,
     EST_PHI,
@@ -26,20 +25,21 @@ from equipoise.control.control_step import (
     pivot_velocity,
     start_controller,
 )
+from equipoise.control.grid import TRUNCATED
 from equipoise.errors import SettingsError
-from equipoise.learning.closed_loop import (
-    DomainRandomization,
-    make_loop_params,
-    new_batch_state,
-    reset,
-    step,
-)
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.compiler import FRAME_SIZE, POSITION
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.settings import resolve
+from equipoise.worlds.plant import (
+    DomainRandomization,
+    make_loop_params,
+    new_batch_state,
+    reset,
+    step,
+)
 from tests.reference.closed_loop import Joints
 
 ARM = iiwa(14)

@@ -8,9 +8,9 @@ import pytest
 from equipoise.control.control_step import make_controller_params
 from equipoise.control.controller import Controller
 from equipoise.control.policy import shipped_policy
-from equipoise.devices.twin.servo_model import VELOCITY  # the twin's cabinet, another source
-from equipoise.devices.twin.simulated_rig import SimulatedRig
-from equipoise.model.sim_configs import pendulum_on, read_world
+from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig.simulated_rig import SimulatedRig
+from equipoise.worlds.twin.servo_model import VELOCITY  # the twin's cabinet, another source
 
 pytestmark = pytest.mark.compiled_only
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise import paper
-from equipoise.control.boxes import partition
+from equipoise.control.grid import partition
 from equipoise.control.policy import (
     LINEAR,
     RANDOM,

@@ -8,10 +8,10 @@ from gymnasium.utils.env_checker import check_env
 import equipoise.envs
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, OutsideError
-from equipoise.evaluation import evaluate
 from equipoise.model.random import TEST
 from equipoise.settings import resolve
-from equipoise.simulation import Recorder, run_trial, setup_of, simulate
+from equipoise.worlds import Recorder, run_trial, setup_of, simulate
+from equipoise.worlds.evaluation import evaluate
 
 WORLDS = ("ideal", "model", "twin:nominal")
 SEED = 3

@@ -14,7 +14,7 @@ from typing import Any, Final
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
 from equipoise.logs.run_log import RunLog
-from equipoise.rigs import read_rig
+from equipoise.rig.config import read_rig
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.table import Fault, Inject
 

@@ -1,6 +1,6 @@
 """Harness of the faults: an emulated rig in virtual time, into which they are injected.
 
-The run is that of `equipoise.deployment.rig`, with its loop, controller, safety rules and drivers;
+The run is that of `equipoise.rig.run`, with its loop, controller, safety rules and drivers;
 cabinet, board, arm and operator are emulated. The harness records the bytes on the link and the
 motion of the twin, so that the verdict does not rely on the run's own numbers and messages.
 """
@@ -16,13 +16,13 @@ from typing import Any, Final, NamedTuple
 from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
-from equipoise.deployment.rig import RunRequest, run_virtually
-from equipoise.devices.interfaces import Clock, Transport
 from equipoise.errors import EquipoiseError
 from equipoise.identification.motion import identify_motion
 from equipoise.logs.conditions import RunEnd
-from equipoise.model.sim_configs import pendulum_on, read_world
-from equipoise.rigs import DrainingClock, EmulatedRig, RigSettings, emulated_rig
+from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig.config import DrainingClock, EmulatedRig, RigSettings, emulated_rig
+from equipoise.rig.interfaces import Clock, Transport
+from equipoise.rig.run import RunRequest, run_virtually
 
 WORLD: Final = "twin:nominal"
 """World of all faults."""

@@ -19,13 +19,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from equipoise.devices.clocks import SystemClock
-from equipoise.devices.emulation import Emulation
 from equipoise.errors import EquipoiseError
 from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import shipped_pendulum
-from equipoise.model.sim_configs import pendulum_on, read_world
-from equipoise.rigs import RigSettings
+from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig.clocks import SystemClock
+from equipoise.rig.config import RigSettings
+from equipoise.robots.emulation import Emulation
 from tests.faults import verdicts
 from tests.faults.harness import WORLD
 from tests.faults.table import Fault

@@ -14,12 +14,12 @@ import numpy as np
 from equipoise import paper
 from equipoise.control.bound_policy import bind_policy
 from equipoise.control.control_step import SETPOINTS_PER_TICK
-from equipoise.control.safety import Rule
 from equipoise.control.ticks import TickInputs
-from equipoise.devices.twin.hand import draw_hand_params
 from equipoise.model.arms.arm import Joint
 from equipoise.model.arms.posture import condition
-from equipoise.rigs import RigSettings
+from equipoise.rig.config import RigSettings
+from equipoise.safety.rules import Rule
+from equipoise.worlds.twin.hand import draw_hand_params
 from tests.faults.harness import (
     START,
     FaultHarness,

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from equipoise.control.safety import POSITION_MARGIN
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.rigs import RigSettings
+from equipoise.rig.config import RigSettings
+from equipoise.safety.rules import POSITION_MARGIN
 from tests.faults.harness import ArmObservation, ReceivedMessage
 from tests.faults.injection import FAULTS, run_fault
 from tests.faults.real_time import REAL_TIME

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.control.safety import MAX_STALL, Rule
-from equipoise.deployment.rig import RunRequest, run_virtually
-from equipoise.model.sim_configs import pendulum_on, read_world
-from equipoise.rigs import DrainingClock, RigSettings, emulated_rig
+from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig.config import DrainingClock, RigSettings, emulated_rig
+from equipoise.rig.run import RunRequest, run_virtually
+from equipoise.safety.rules import MAX_STALL, Rule
 from tests.faults.harness import StallingClock, TransportTap
 from tests.faults.verdicts import check_limits, setpoints_of
 

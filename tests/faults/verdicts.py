@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.control.safety import POSITION_MARGIN, STOP_DECELERATION
 from equipoise.errors import EquipoiseError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
+from equipoise.safety.rules import POSITION_MARGIN, STOP_DECELERATION
 from tests.faults.harness import (
     BROKEN,
     REFUSED,

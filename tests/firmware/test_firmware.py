@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equipoise.devices.encoder.codec import (
+from equipoise.errors import InputError
+from equipoise.robots.encoder.codec import (
     MAX_LINE,
     Banner,
     Decoder,
@@ -22,8 +23,7 @@ from equipoise.devices.encoder.codec import (
     crc8,
     encode,
 )
-from equipoise.devices.encoder.serial_port import BAUD
-from equipoise.errors import InputError
+from equipoise.robots.encoder.serial_port import BAUD
 
 HERE = Path(__file__).parent
 SKETCH = HERE.parents[1] / "firmware" / "equipoise_encoder"

@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise import paper
-from equipoise.control.boxes import mirrored_box
+from equipoise.control.grid import mirrored_box
 from equipoise.learning.choice import compile_learner, load_learner
-from equipoise.learning.closed_loop import make_loop_params
 from equipoise.learning.episodes import (
     BEGUN,
     ENDED,
@@ -28,10 +27,11 @@ from equipoise.learning.learner import (
     move_towards,
 )
 from equipoise.learning.learners import q_learning
+from equipoise.learning.training import training_config
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
-from equipoise.training import training_config
+from equipoise.worlds.plant import make_loop_params
 from tests.reference import learning as reference
 
 WORD = 2**32

@@ -8,8 +8,8 @@ from equipoise.learning import rewards
 from equipoise.learning.choice import compile_learner, load_learner, reward_names, with_digests
 from equipoise.learning.learner import Transition, UpdateParams, new_tables
 from equipoise.learning.learners import double_q, learner_names, named_learner
+from equipoise.learning.training import train
 from equipoise.settings import LearningSettings
-from equipoise.training import train
 from tests.reference import learning as reference
 
 GAMMA, EPSILON, STATES = 0.9, 0.5, 3

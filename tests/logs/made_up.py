@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 
-from equipoise.control.run_controller import PHASES
 from equipoise.control.states import Phase
 from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.layout import tables
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
+from equipoise.rig.run_controller import PHASES
 from equipoise.settings import resolve
 
 JOINTS = 7

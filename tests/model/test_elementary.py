@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from equipoise.compiled import kernel
+from equipoise.jit import kernel
 from equipoise.model.elementary import BATCH_SIZE, at, fma, log, put, sincos
 
 DIGITS = 60

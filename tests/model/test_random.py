@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 
-from equipoise.compiled import kernel
+from equipoise.jit import kernel
 from equipoise.model import random
 from equipoise.model.random import normal_pair, normal_radius, philox, turn, uniform
 

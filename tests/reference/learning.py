@@ -16,15 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from equipoise import paper
-from equipoise.control.boxes import TRUNCATED
-from equipoise.learning.closed_loop import (
-    BatchState,
-    DomainRandomization,
-    draw_noise,
-    new_batch_state,
-    reset,
-    step,
-)
+from equipoise.control.grid import TRUNCATED
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import (
@@ -36,6 +28,14 @@ from equipoise.model.random import (
     normal_pair,
     philox,
     uniform,
+)
+from equipoise.worlds.plant import (
+    BatchState,
+    DomainRandomization,
+    draw_noise,
+    new_batch_state,
+    reset,
+    step,
 )
 from tests.reference.intervals import place
 

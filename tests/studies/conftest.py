@@ -3,9 +3,9 @@
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.deployment.rig import RunRequest, run_virtually
-from equipoise.model.sim_configs import pendulum_on, read_world
-from equipoise.rigs import RigSettings, emulated_rig
+from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig.config import RigSettings, emulated_rig
+from equipoise.rig.run import RunRequest, run_virtually
 
 
 @pytest.fixture(scope="session")

@@ -12,24 +12,24 @@ import numpy as np
 from equipoise.control.baselines import pd_gains
 from equipoise.control.controller import Controller
 from equipoise.control.policy import LINEAR, KernelPolicy, PolicyKernel, shipped_policy
-from equipoise.control.run_controller import RunController
 from equipoise.control.states import Phase, RunState
-from equipoise.deployment.rig import RunRequest, run_end
-from equipoise.devices.clocks import VirtualClock
-from equipoise.devices.encoder.board import Board
-from equipoise.devices.encoder.sensor import LineEncoder
-from equipoise.devices.guarded import GuardedRobot
-from equipoise.devices.loop import run_loop
-from equipoise.devices.transports import memory_pipe
-from equipoise.devices.twin.robot import TwinRobot
-from equipoise.devices.twin.simulated_rig import SimulatedRig
-from equipoise.learning.closed_loop import scaled
 from equipoise.logs.recorder import Recorder
 from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.sim_configs import pendulum_on, read_world
-from equipoise.rigs import RigSettings
-from equipoise.studies.explanation import CauseName
+from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig.clocks import VirtualClock
+from equipoise.rig.config import RigSettings
+from equipoise.rig.explanation import CauseName
+from equipoise.rig.guarded import GuardedRobot
+from equipoise.rig.loop import run_loop
+from equipoise.rig.run import RunRequest, run_end
+from equipoise.rig.run_controller import RunController
+from equipoise.rig.simulated_rig import SimulatedRig
+from equipoise.rig.transports import memory_pipe
+from equipoise.robots.encoder.board import Board
+from equipoise.robots.encoder.sensor import LineEncoder
+from equipoise.robots.twin.robot import TwinRobot
+from equipoise.worlds.plant import scaled
 
 WORLD = "twin:nominal"
 

@@ -20,17 +20,7 @@ from equipoise.control.bound_policy import BoundPolicy
 from equipoise.control.control_step import make_controller_params
 from equipoise.control.controller import Controller
 from equipoise.control.policy import TaskPolicy, tick_policy
-from equipoise.control.run_controller import (
-    ACTUATOR,
-    FAILED,
-    IDENTIFIED,
-    LATE,
-    UNIDENTIFIED,
-    RunController,
-)
 from equipoise.control.ticks import TickInputs, TickOutput
-from equipoise.deployment.rig import SPEED_LIMIT, RunRequest
-from equipoise.devices.interfaces import Reply, Sample
 from equipoise.errors import ArtefactError
 from equipoise.identification.motion import identify_motion
 from equipoise.logs.conditions import IDEAL
@@ -38,7 +28,17 @@ from equipoise.logs.recorder import FAILED as DEVICE_FAILED
 from equipoise.logs.recorder import WORD_TYPED
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
-from equipoise.rigs import RigSettings
+from equipoise.rig.config import RigSettings
+from equipoise.rig.interfaces import Reply, Sample
+from equipoise.rig.run import SPEED_LIMIT, RunRequest
+from equipoise.rig.run_controller import (
+    ACTUATOR,
+    FAILED,
+    IDENTIFIED,
+    LATE,
+    UNIDENTIFIED,
+    RunController,
+)
 
 Array = npt.NDArray[np.float64]
 

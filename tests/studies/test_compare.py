@@ -3,15 +3,15 @@
 import pytest
 
 from equipoise.control.bound_policy import load_policy
-from equipoise.devices.twin.servo_model import equivalent_actuator
 from equipoise.errors import InputError, SettingsError
-from equipoise.evaluation import evaluate
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
-from equipoise.model.sim_configs import read_world
+from equipoise.model.worlds import read_world
 from equipoise.studies import compare as study
 from equipoise.studies.compare import TRAINED, compare, settings_of, size_of, trials_of
 from equipoise.studies.compare_results import Comparison
 from equipoise.studies.table_search import SearchSize
+from equipoise.worlds.evaluation import evaluate
+from equipoise.worlds.twin.servo_model import equivalent_actuator
 
 FEW = (
     *("learning.episodes=20", "learning.episode_duration=1", "selection.every=10"),

@@ -7,14 +7,11 @@ import pytest
 from scipy import stats
 
 from equipoise.artefacts import Estimate
-from equipoise.devices.twin.servo_model import equivalent_actuator
-from equipoise.devices.twin.twin import Twin
 from equipoise.errors import InputError, SettingsError
-from equipoise.evaluation import TrialResults, evaluate
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.sim_configs import SETS, TwinSettings, World, read_world
+from equipoise.model.worlds import WORLDS, TwinSettings, World, read_world
 from equipoise.settings import EvaluationSettings
 from equipoise.studies import gap as study
 from equipoise.studies.gap import (
@@ -39,7 +36,10 @@ from equipoise.studies.gap_results import (
     sentences,
     track_share,
 )
-from tests.report.made_up_gap import falls_early, measured, paper_policy, with_cures
+from equipoise.worlds.evaluation import TrialResults, evaluate
+from equipoise.worlds.twin.servo_model import equivalent_actuator
+from equipoise.worlds.twin.twin import Twin
+from tests.apps.report.made_up_gap import falls_early, measured, paper_policy, with_cures
 
 WORLD = read_world("twin:nominal").settings
 NO_EFFECT = {
@@ -170,7 +170,7 @@ def test_the_short_form_is_short_and_says_so(full, short):
     assert (long.trials, long.duration, long.quick) == (40, 60.0, False)
     assert (brief.trials, brief.duration, brief.quick) == (8, 20.0, True)
     assert (long.by_effect, brief.by_effect) == ((PAPER, CURED), (PAPER,))
-    assert long.names("named") == tuple(SETS)
+    assert long.names("named") == tuple(WORLDS)
     assert brief.names("named") == ()
     assert sentences(brief)[-1].startswith("This is the short form.")
     assert set(SHORT.delays) < set(FULL.delays)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.special import betaincinv
 
+from equipoise.apps.report.figures.recovery_map import recovery_figure
+from equipoise.apps.report.style import render
 from equipoise.control.bound_policy import load_policy
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, SettingsError
-from equipoise.report.figures.recovery_map import recovery_figure
-from equipoise.report.style import render
 from equipoise.studies.recovery_map import (
     MapSlice,
     RecoveryMap,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.deployment import deploy
 from equipoise.errors import ArtefactError
 from equipoise.logs.run_log import RunLog
+from equipoise.rig.simulate import simulate_run
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.table import hold_back
 from tests.studies.replayed import replay
@@ -81,7 +81,7 @@ def test_another_policy_or_actuator_is_refused(run, small_policy):
 
 
 def test_a_run_on_a_twin_comes_out_bit_for_bit():
-    log = deploy(shipped_policy(), world="twin:harsh", seed=4, duration=1.0)
+    log = simulate_run(shipped_policy(), world="twin:harsh", seed=4, duration=1.0)
     assert replay(log, shipped_policy()) == (len(log.time), True, 0.0, None)
     other = changed(log, "tick", 30, u=log.u[30] + 0.5)
     first = replay(other, shipped_policy()).difference
@@ -89,7 +89,7 @@ def test_a_run_on_a_twin_comes_out_bit_for_bit():
 
 
 def test_a_run_on_the_model_does_not_hold_what_a_replay_needs(small_policy):
-    log = deploy(small_policy, duration=0.2)
+    log = simulate_run(small_policy, duration=0.2)
     with pytest.raises(ArtefactError, match="replay a run on a twin or a rig"):
         replay(log, small_policy)
 

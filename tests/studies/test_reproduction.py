@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from equipoise import paper
+from equipoise.apps.report.page import build
 from equipoise.artefacts import read_document
 from equipoise.errors import ArtefactError, OutsideError, RecordingError
 from equipoise.identification import identify
+from equipoise.learning.training import LEARNERS
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
-from equipoise.model.sim_configs import MODEL
-from equipoise.report.page import build
+from equipoise.model.worlds import MODEL
 from equipoise.settings import resolve
 from equipoise.studies import gap as study
-from equipoise.studies.formatting import LASTED
 from equipoise.studies.gap_results import CURED, PAPER
 from equipoise.studies.reproduction import (
     QUICK,
@@ -26,8 +26,8 @@ from equipoise.studies.reproduction import (
 )
 from equipoise.studies.results import GAP, RECORD, RUN, SWING, load, verdict
 from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
-from equipoise.training import LEARNERS
 from equipoise.trajectory import Trajectory
+from equipoise.worlds.formatting import LASTED
 from tests.arms import without_masses
 from tests.model.arms.witnesses import ELBOW
 
@@ -280,7 +280,7 @@ def test_the_hand_of_the_simulated_swing_holds_and_lets_go():
     held = recording.time < swing.hold
     assert np.ptp(recording.theta[held]) < 4.0 * swing.tremor
     assert np.ptp(recording.theta[held]) > swing.tremor
-    # Whole counts, and no jump at the release.
+    # IntArray counts, and no jump at the release.
     counts = recording.theta / recording.resolution
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
     assert np.max(np.abs(np.diff(recording.theta))) < 0.02

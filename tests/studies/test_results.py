@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from equipoise.model.sim_configs import MODEL
-from equipoise.studies.formatting import percent, plus_minus
+from equipoise.model.worlds import MODEL
 from equipoise.studies.gap_results import CURED, NO_BIAS, NO_PREDICTION, PAPER
 from equipoise.studies.results import estimates_zero, observation_differs, truth, verdict
+from equipoise.worlds.formatting import percent, plus_minus
+from tests.apps.report import made_up
 from tests.logs.made_up import changed_table
-from tests.report import made_up
 
 
 def test_it_has_five_lines_of_one_sentence_or_two():

@@ -8,12 +8,12 @@ import pytest
 
 from equipoise import paper
 from equipoise.control.baselines import baselines
-from equipoise.control.boxes import box_index, partition
+from equipoise.control.grid import box_index, partition
 from equipoise.control.policy import act, shipped_policy
 from equipoise.errors import InputError
+from equipoise.learning.selection import Candidate, race, trial_plants
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.selection import Candidate, race, trial_plants
 from equipoise.settings import RECIPES, BoxSettings, resolve
 from equipoise.studies.table_search import (
     LEVELS,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from equipoise.control.boxes import mirrored_box
+from equipoise.control.grid import mirrored_box
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve

@@ -10,7 +10,7 @@ from equipoise.cli.output import Output
 if TYPE_CHECKING:
     from equipoise.control.policy import TaskPolicy
     from equipoise.executors import Workers
-    from equipoise.studies.certification import Certificate, Repetition
+    from equipoise.worlds.certification import Certificate, Repetition
 
 TRAIN_MORE = ("train", "PENDULUM", "--learners", "12")
 """Next command after a policy has failed: twice the default number of learners."""
@@ -31,7 +31,7 @@ def certify(
 ) -> None:
     """Grant or refuse a claim about a policy, and write the certificate."""
     from equipoise.artefacts import partial_path
-    from equipoise.studies import certification as study
+    from equipoise.worlds import certification as study
 
     def evaluation_beside(path: Path) -> tuple[Path]:
         return (study.evaluation_path(path),)
@@ -80,7 +80,7 @@ def repeat(
         ArtefactError: The file is no certificate, is one of another policy, or does not match the
             trials beside it.
     """
-    from equipoise.studies import certification as study
+    from equipoise.worlds import certification as study
 
     certificate = study.Certificate.load(file)
     if (trials := study.evaluation_path(file)).exists():
@@ -114,8 +114,8 @@ def _claimed(certificate: "Certificate") -> dict[str, Any]:
 
 
 def _say(output: Output, certificate: "Certificate") -> None:
-    from equipoise.studies.certification import percentage
-    from equipoise.studies.formatting import format_failures
+    from equipoise.worlds.certification import percentage
+    from equipoise.worlds.formatting import format_failures
 
     claim = certificate.claim
     # Rounded down, since a lower bound must not exceed its value.
@@ -140,7 +140,7 @@ def _say(output: Output, certificate: "Certificate") -> None:
 
 
 def _say_repeated(output: Output, certificate: "Certificate", again: "Repetition") -> None:
-    from equipoise.studies.formatting import format_failures
+    from equipoise.worlds.formatting import format_failures
 
     trials = f"{certificate.claim.trials:,} trials again: {format_failures(again.failures)}"
     verdict, before = ("granted" if one.granted else "refused" for one in (again, certificate))

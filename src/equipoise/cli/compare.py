@@ -80,8 +80,8 @@ def compare(
         output, out, "compare.json", pendulum, *(given or ()), force=force, beside=beside
     )
 
-    from equipoise.report.figures.compare import compare_figure
-    from equipoise.report.style import save
+    from equipoise.apps.report.figures.compare import compare_figure
+    from equipoise.apps.report.style import save
     from equipoise.settings import LONGEST_TRIAL, MAX_EPISODES, MOST_TRIALS
     from equipoise.studies import compare as study
 
@@ -144,7 +144,7 @@ def _compile(
     """Compile the kernels of trainings and trials, as a stage."""
     from equipoise.control.bound_policy import load_policy
     from equipoise.model.arms.iiwa import iiwa
-    from equipoise.model.sim_configs import IDEAL, MODEL
+    from equipoise.model.worlds import IDEAL, MODEL
     from equipoise.studies import compare as study
     from equipoise.studies import compilation
 
@@ -186,7 +186,7 @@ def _cost(row: "PolicyRow") -> tuple[str, ...]:
 
 
 def _survival(cell: "Cell") -> str:
-    from equipoise.studies.formatting import percent
+    from equipoise.worlds.formatting import percent
 
     summary = cell.results.summary()
     low, high = summary.interval

@@ -11,7 +11,7 @@ from equipoise.cli import options as opt
 from equipoise.cli.output import Output, stop_by_signal, verb
 
 if TYPE_CHECKING:
-    from equipoise.console.trials import ShownTrials
+    from equipoise.apps.console.trials import ShownTrials
 
 HINT = "STOP and the space bar stop the arm; the terminal goes on working beside it"
 
@@ -31,7 +31,7 @@ def console(
     output = Output(as_json)
     output.say("Console for the runs on this computer")
 
-    from equipoise.console.server import serve
+    from equipoise.apps.console.server import serve
 
     def ready(address: str) -> None:
         show_address(output, address)
@@ -58,7 +58,7 @@ def beside(output: Output, wanted: bool) -> Generator[None]:
     if not wanted:
         yield
         return
-    from equipoise.console.server import console_process
+    from equipoise.apps.console.server import console_process
 
     with console_process() as address:
         output.tell(f"  console  {address}\n           {HINT}")
@@ -81,8 +81,8 @@ def trials_beside(output: Output, shown: "ShownTrials | None") -> Generator[None
     if shown is None:
         yield
         return
-    from equipoise.console.server import console_process
-    from equipoise.console.trials import trials_process
+    from equipoise.apps.console.server import console_process
+    from equipoise.apps.console.trials import trials_process
 
     with console_process() as address, trials_process(shown) as process:
         output.tell(f"  console  {address}")

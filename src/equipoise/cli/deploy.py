@@ -17,12 +17,12 @@ from equipoise.cli.destinations import Destination, choose_file
 from equipoise.cli.export import choose_film, write_film
 from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.errors import EquipoiseError, InputError
-from equipoise.guests import guest_code
+from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
     from equipoise.cli.terminal_operator import TerminalOperator
-    from equipoise.deployment.rig import RunRequest
     from equipoise.logs.run_log import RunLog
+    from equipoise.rig.run import RunRequest
 
 EXCITATION = "To identify the arm"
 LOG = "run.mcap"
@@ -126,7 +126,7 @@ def deploy(
     output = Output(as_json)
     opt.check_range("--duration", duration, 0.01, 3600.0, " s")
     if rig is not None and not excite:
-        from equipoise.rigs import is_virtual, read_rig
+        from equipoise.rig.config import is_virtual, read_rig
 
         settings = read_rig(rig)
         robot = robot or settings.robot
@@ -150,9 +150,9 @@ def deploy(
     response = opt.read_actuator(actuator)
     if robot is not None:
         from equipoise.control.bound_policy import BoundPolicy
-        from equipoise.deployment.rig import RunRequest, require_survival
         from equipoise.identification.motion import identify_motion
-        from equipoise.rigs import read_rig
+        from equipoise.rig.config import read_rig
+        from equipoise.rig.run import RunRequest, require_survival
 
         described, length = read_rig(rig), duration or DURATION
         chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)
@@ -168,7 +168,7 @@ def deploy(
         out = log.path
         report = _run_on_rig(output, request, log, console=console)
     else:
-        from equipoise import deployment
+        from equipoise.rig import simulate
 
         chosen = None
         if not excite:
@@ -178,9 +178,9 @@ def deploy(
             if chosen is None:
                 excited, hanging = opt.read_arm(arm or "iiwa7"), opt.read_pendulum(pendulum)
                 length = duration or EXCITATION_DURATION
-                run = deployment.excite(excited, world, hanging, seed=seed, duration=length)
+                run = simulate.excite(excited, world, hanging, seed=seed, duration=length)
             else:
-                run = deployment.deploy(
+                run = simulate.simulate_run(
                     chosen, world=world, actuator=response, seed=seed, duration=duration
                 )
         with log.claimed() as out:
@@ -200,7 +200,7 @@ def deploy(
 
 def _report(run: "RunLog") -> _Report:
     """Return the report of a simulated run or an excitation."""
-    from equipoise.model.sim_configs import PivotFriction
+    from equipoise.model.worlds import PivotFriction
 
     conditions, truth = run.conditions, run.truth
     cause = run.cause + (f" ({run.guard})" if run.guard else "")
@@ -239,9 +239,9 @@ def _run_on_rig(
     """Run on an emulated or a real rig, and write the log."""
     from equipoise.cli.console import beside
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
-    from equipoise.deployment.processes import run_in_processes
-    from equipoise.deployment.rig import check_request, exit_code, rehearse_t1, run_virtually
-    from equipoise.rigs import is_virtual
+    from equipoise.rig.config import is_virtual
+    from equipoise.rig.processes import run_in_processes
+    from equipoise.rig.run import check_request, exit_code, rehearse_t1, run_virtually
 
     check_request(request)
     if console and is_virtual(request.robot):

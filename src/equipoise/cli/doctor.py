@@ -11,8 +11,8 @@ from equipoise.printable import printable
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from equipoise.checks.results import Spread
-    from equipoise.studies.doctor import Diagnosis
+    from equipoise.rig.checks.results import Spread
+    from equipoise.rig.doctor import Diagnosis
 
 FITNESS_STYLES: Final = {"fit": "green", "usable with care": "yellow", "not fit": "red"}
 """Styles of the verdict on machine and rig."""
@@ -42,8 +42,8 @@ def doctor(
     examined = "this machine" if robot is None and encoder is None else "machine and rig"
     output.say(f"Examining {examined}; nothing moves")
 
-    from equipoise.rigs import is_virtual, read_rig, restart_instruction
-    from equipoise.studies.doctor import examine
+    from equipoise.rig.config import is_virtual, read_rig, restart_instruction
+    from equipoise.rig.doctor import examine
 
     if robot is not None and is_virtual(robot):
         raise InputError(
@@ -111,7 +111,7 @@ def bars(spread: "Spread") -> "Table":
     """Return a histogram as bars of characters, one range on each line."""
     from rich.table import Table
 
-    from equipoise.checks.results import HISTOGRAM_EDGES
+    from equipoise.rig.checks.results import HISTOGRAM_EDGES
 
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(justify="right", style="dim", no_wrap=True)

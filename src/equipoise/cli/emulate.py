@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 from equipoise.cli import options as opt
 from equipoise.cli.console import show_address
 from equipoise.cli.output import Output, stop_by_signal, verb
-from equipoise.devices import realtime
-from equipoise.guests import guest_code
+from equipoise.rig import realtime
+from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
-    from equipoise.devices.emulation import Emulation
     from equipoise.model.pendulum import Pendulum, PendulumParameters
-    from equipoise.model.sim_configs import TwinSettings
+    from equipoise.model.worlds import TwinSettings
+    from equipoise.robots.emulation import Emulation
 
 HOST = "127.0.0.1"
 SHOWN = 0.02
@@ -69,9 +69,9 @@ def emulate(
     output.say(f"Emulating the {arm}, world {world}")
     sys.stdout.flush()
 
-    from equipoise.devices.clocks import SystemClock
-    from equipoise.devices.emulation import Emulation
-    from equipoise.model.sim_configs import pivot_friction, read_world
+    from equipoise.model.worlds import pivot_friction, read_world
+    from equipoise.rig.clocks import SystemClock
+    from equipoise.robots.emulation import Emulation
 
     began = time.monotonic()
 
@@ -132,8 +132,8 @@ def _shown(output: Output, wanted: bool, emulation: "Emulation") -> "Generator[C
     if not wanted:
         yield lambda: None
         return
-    from equipoise.console.publisher import publishing
-    from equipoise.console.server import console_process
+    from equipoise.apps.console.publisher import publishing
+    from equipoise.apps.console.server import console_process
     from equipoise.logs.shared import RunInfo
 
     bench, arm, due = emulation.bench, emulation.arm, 0.0
@@ -164,8 +164,8 @@ def _true_pendulum(
     """Return the emulated pendulum: the identified one, varied as the world's numbers say."""
     import numpy as np
 
-    from equipoise.learning.closed_loop import scaled
-    from equipoise.model.sim_configs import pivot_friction
+    from equipoise.model.worlds import pivot_friction
+    from equipoise.worlds.plant import scaled
 
     inertia, friction = np.random.default_rng([seed, 2]).standard_normal(2).tolist()
     own = scaled(

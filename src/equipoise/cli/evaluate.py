@@ -13,11 +13,11 @@ from equipoise.cli.output import Output, trial_fields, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from equipoise.console.trials import ShownTrials
+    from equipoise.apps.console.trials import ShownTrials
     from equipoise.control.policy import TaskPolicy
-    from equipoise.evaluation import Evaluation, TrialResults
     from equipoise.model.actuator import Actuator
     from equipoise.settings import Settings
+    from equipoise.worlds.evaluation import Evaluation, TrialResults
 
 TASK = (
     *("policy", "named", "actuator", "pendulum", "arm"),
@@ -123,8 +123,8 @@ def evaluate(
     destination = choose_file(output, out, "evaluation.json", policy, pendulum, force=force)
 
     from equipoise.artefacts import partial_path
-    from equipoise.evaluation import evaluate
     from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
+    from equipoise.worlds.evaluation import evaluate
 
     partial = partial_path(destination.path)
     check_output(partial)
@@ -179,8 +179,8 @@ def _shown(
     seed: int,
 ) -> "ShownTrials":
     """Return the trials that the console shows."""
-    from equipoise.console.trials import ShownTrials
-    from equipoise.simulation.coppeliasim.address import is_address
+    from equipoise.apps.console.trials import ShownTrials
+    from equipoise.apps.coppeliasim.address import is_address
 
     if is_address(world):
         raise InputError(
@@ -233,7 +233,7 @@ def _say(output: Output, evaluation: "Evaluation") -> bool:
 
 
 def _row(results: "TrialResults") -> tuple[str, ...]:
-    from equipoise.studies.formatting import percent
+    from equipoise.worlds.formatting import percent
 
     summary = results.summary()
     low, high = summary.interval

@@ -40,7 +40,7 @@ def explain(run: Path = opt.RUN, as_json: bool = opt.JSON) -> None:
     output.say(f"Explaining {run}")
 
     from equipoise.logs.run_log import RunLog
-    from equipoise.studies.explanation import explain as why
+    from equipoise.rig.explanation import explain as why
 
     read = RunLog.load(run, damaged=True)
     found, missing = why(read), read.missing_part

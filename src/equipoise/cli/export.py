@@ -42,7 +42,7 @@ def export(
     output.say(f"Writing {what} of {run}")
 
     from equipoise.logs.run_log import RunLog
-    from equipoise.studies.runs import export as write
+    from equipoise.logs.runs import export as write
 
     log = RunLog.load(run, damaged=True)
     output.warn(log.missing_part)
@@ -78,7 +78,7 @@ def choose_film(output: Output, video: Path, *inputs: Path | None, force: bool) 
         InputError: The name cannot be used.
         MissingExtraError: imageio-ffmpeg is not installed.
     """
-    from equipoise.report.pictures import MP4, SUFFIXES, find_encoder
+    from equipoise.apps.report.pictures import MP4, SUFFIXES, find_encoder
 
     kind = video.suffix.lower()
     if kind not in SUFFIXES:
@@ -95,7 +95,7 @@ def check_film(run: "RunLog", video: Path, begin: float | None, end: float | Non
     Raises:
         InputError: It cannot.
     """
-    from equipoise.report.pictures import WEBP, check_length, check_span
+    from equipoise.apps.report.pictures import WEBP, check_length, check_span
 
     begin, end = check_span(run, begin, end)
     if video.suffix.lower() == WEBP:
@@ -118,8 +118,8 @@ def write_film(
         begin: Start since the release [s]; by default as `write_video` has it.
         end: End since the release [s].
     """
+    from equipoise.apps.report.pictures import write_video
     from equipoise.logs.run_log import RunLog
-    from equipoise.report.pictures import write_video
 
     log = RunLog.load(run, damaged=True)
     with film.claimed() as path, output.busy("drawing the film") as rename:

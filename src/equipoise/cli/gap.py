@@ -54,9 +54,9 @@ def gap(
     )
     opt.check_range("--duration", duration, 0.01, 3600.0, " s")
 
+    from equipoise.apps.report.figures.gap import gap_figure
+    from equipoise.apps.report.style import save
     from equipoise.control.policy import TabularPolicy
-    from equipoise.report.figures.gap import gap_figure
-    from equipoise.report.style import save
     from equipoise.studies import compilation
     from equipoise.studies import gap as study
     from equipoise.studies.progress import TrainingProgress, counted

@@ -98,8 +98,8 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     destination = choose_file(output, given, "actuator.json", log, force=force)
 
     from equipoise.identification.actuator import identify_run
+    from equipoise.logs.runs import load_run
     from equipoise.model.actuator import LAWS, describe_rotor
-    from equipoise.studies.runs import load_run
 
     run = load_run(log)
     output.warn(run.missing_part)
@@ -140,8 +140,8 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
 
 
 def _draw(stem: Path, swing: "Trajectory", pendulum: "Pendulum") -> tuple[Path, ...]:
-    from equipoise.report.figures import free_swing
-    from equipoise.report.style import save
+    from equipoise.apps.report.figures import free_swing
+    from equipoise.apps.report.style import save
 
     return save(free_swing(swing, pendulum), stem)
 

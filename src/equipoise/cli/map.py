@@ -46,8 +46,8 @@ def map_recoverable(
     )
     opt.check_range("--duration", duration, 0.01, 3600.0, " s")
 
-    from equipoise.report.figures.recovery_map import recovery_figure
-    from equipoise.report.style import save
+    from equipoise.apps.report.figures.recovery_map import recovery_figure
+    from equipoise.apps.report.style import save
     from equipoise.studies import recovery_map as study
 
     chosen = opt.read_policy(policy, pendulum, arm, actuator, settings_file)

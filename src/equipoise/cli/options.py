@@ -279,7 +279,7 @@ def read_arm(
             raise InputError(
                 f"{name} describes the joints of its arm; leave out --held, --base and --tip"
             )
-        from equipoise.rigs import read_rig
+        from equipoise.rig.config import read_rig
 
         return read_rig(Path(name)).described_arm
     return resolve_arm(name, held=joint, base=base, tip=tip)

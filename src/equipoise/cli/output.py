@@ -29,8 +29,8 @@ from equipoise.printable import printable
 if TYPE_CHECKING:
     from equipoise.artefacts import Estimate
     from equipoise.control.policy import TaskPolicy
-    from equipoise.evaluation import Done, TrialResults
     from equipoise.studies.progress import ProgressReporter, Show
+    from equipoise.worlds.evaluation import Done, TrialResults
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -246,7 +246,7 @@ class Output:
         Yields:
             Callback for finished trials.
         """
-        from equipoise.model.sim_configs import IDEAL, MODEL
+        from equipoise.model.worlds import IDEAL, MODEL
         from equipoise.studies import compilation
         from equipoise.studies.progress import counted
 
@@ -342,7 +342,7 @@ def stoppable() -> Generator[Callable[[], None]]:
 
     The main thread waits for the others, and an interruption reaches it alone.
     """
-    from equipoise.deployment.processes import SIGNALS, handled_signals
+    from equipoise.rig.processes import SIGNALS, handled_signals
 
     stopped = threading.Event()
 
@@ -363,7 +363,7 @@ def stoppable() -> Generator[Callable[[], None]]:
 @contextmanager
 def stop_by_signal() -> Generator[Callable[[], bool]]:
     """Catch signals that would end the program; yield whether one was received."""
-    from equipoise.deployment.processes import SIGNALS, handled_signals
+    from equipoise.rig.processes import SIGNALS, handled_signals
 
     came = threading.Event()
     with handled_signals(SIGNALS, lambda *_: came.set()):

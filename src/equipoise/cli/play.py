@@ -35,8 +35,8 @@ def play(
     output = Output(as_json)
     output.say("Playground")
 
-    from equipoise.console.play import play
-    from equipoise.console.scenes import read_scene
+    from equipoise.apps.console.play import play
+    from equipoise.apps.console.scenes import read_scene
 
     begin = read_scene(scene)
     yours = None if policy is None else opt.read_policy(policy)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import choose_file
 from equipoise.cli.output import Output, gauge, verb
-from equipoise.guests import guest_code
+from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
     pass
@@ -40,9 +40,9 @@ def record(
     destination = choose_file(output, out, "swing.csv", force=force, suffix=".csv")
     opt.check_range("--duration", duration, 1.0, 600.0, " s")
 
-    from equipoise.devices.clocks import SystemClock
-    from equipoise.devices.encoder.swing import SwingRecorder, record_swing
-    from equipoise.rigs import encoder_at
+    from equipoise.rig.clocks import SystemClock
+    from equipoise.rig.config import encoder_at
+    from equipoise.robots.encoder.swing import SwingRecorder, record_swing
     from equipoise.trajectory import write_swing
 
     prompted = ""

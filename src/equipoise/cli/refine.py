@@ -13,7 +13,7 @@ from equipoise.printable import printable
 if TYPE_CHECKING:
     from equipoise.artefacts import Artefact, Estimate
     from equipoise.control.policy import Checkpoint, TabularPolicy
-    from equipoise.studies.refinement import Refinement, RefinementFindings
+    from equipoise.identification.refinement import Refinement, RefinementFindings
 
 PARTS: tuple[str, ...] = ("policy", "pendulum", "actuator")
 """Files that may be written, and the keys of their paths in the JSON object."""
@@ -50,8 +50,8 @@ def refine(
     )
 
     from equipoise.control.policy import TabularPolicy
-    from equipoise.studies.refinement import inspect
-    from equipoise.studies.runs import load_run
+    from equipoise.identification.refinement import inspect
+    from equipoise.logs.runs import load_run
 
     table = TabularPolicy.load(policy)
     logs = {str(path): load_run(path) for path in runs}
@@ -103,8 +103,8 @@ def _retrain(
     workers: int | None,
     partial: Path,
 ) -> "Refinement":
+    from equipoise.identification import refinement as study
     from equipoise.studies import compilation
-    from equipoise.studies import refinement as study
     from equipoise.studies.progress import ProgressReporter, TrainingProgress
 
     settings = study.settings_of_retraining(policy.settings, episodes or study.EPISODES)
@@ -131,7 +131,7 @@ def _retrain(
 
 
 def _say(output: Output, policy: "TabularPolicy", findings: "RefinementFindings") -> None:
-    from equipoise.studies.refinement import numbers
+    from equipoise.identification.refinement import numbers
 
     fit, known = findings.fit, policy.pendulum
     rows = {

@@ -73,7 +73,7 @@ def reproduce(
         from equipoise.trajectory import read_swing
 
         recording = read_swing(swing, **opt.swing_options(context))
-    from equipoise.report.page import PAGE, build
+    from equipoise.apps.report.page import PAGE, build
     from equipoise.studies import reproduction as study
     from equipoise.studies.results import POLICY
 

@@ -24,7 +24,7 @@ def show(
     output = Output(as_json)
     output.say(f"Showing {run}")
 
-    from equipoise.console.replay_page import show_run
+    from equipoise.apps.console.replay_page import show_run
     from equipoise.logs.run_log import RunLog
 
     log = RunLog.load(run, damaged=True)

@@ -45,8 +45,8 @@ def sweep(
         output, out, "sweep.json", study_file, pendulum, force=force, beside=pictures
     )
 
-    from equipoise.report.figures.sweep import sweep_figure
-    from equipoise.report.style import save
+    from equipoise.apps.report.figures.sweep import sweep_figure
+    from equipoise.apps.report.style import save
     from equipoise.studies import sweep as study
     from equipoise.studies.compilation import FUNCTIONS, compile_training, compiling
     from equipoise.studies.sweep_results import read_study
@@ -109,7 +109,7 @@ def _say(output: Output, found: "Sweep") -> None:
 
 
 def _row(trial: "SweepTrial") -> tuple[str, ...]:
-    from equipoise.studies.formatting import percent
+    from equipoise.worlds.formatting import percent
 
     low, high = trial.interval
     return (

@@ -11,7 +11,7 @@ from equipoise.errors import InputError
 
 if TYPE_CHECKING:
     from equipoise.control.policy import TabularPolicy
-    from equipoise.training import TrainedLearners
+    from equipoise.learning.training import TrainedLearners
 
 HELP: Final = {
     "track": "track: the pendulum stays up, and the table moves the flange off its track. Tables "
@@ -100,9 +100,15 @@ def train(
     machine = opt.read_arm(arm, held, base, tip)
     responses = [one for each in actuator or () if (one := opt.read_actuator(each))] or None
 
+    from equipoise.learning.training import (
+        LEARNERS,
+        TARGET,
+        actuators_in,
+        check_task,
+        train_to_target,
+    )
     from equipoise.studies.compilation import FUNCTIONS, compile_training, compiling
     from equipoise.studies.progress import TrainingProgress
-    from equipoise.training import LEARNERS, TARGET, actuators_in, check_task, train_to_target
 
     begin = time.perf_counter()
     opt.check_range("--target", target, 0.0, 1.0)

@@ -30,12 +30,12 @@ from equipoise.control.policy import (
 )
 from equipoise.control.python_policy import PythonPolicy
 from equipoise.errors import ArtefactError, InputError
-from equipoise.guests import guest_code
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.settings import Settings
+from equipoise.user_code import guest_code
 
 BUILT_IN: Final = {"lqr": "LQR", "lqr-snapped": "LQR, snapped", "pd": "PD", "random": "random"}
 """Built-in policies, and their names among the baselines."""

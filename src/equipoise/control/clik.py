@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import inlined, kernel
+from equipoise.jit import inlined, kernel
 from equipoise.model.arms.compiler import BIAS, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.model.elementary import BATCH_SIZE, at, fma, put
 

@@ -30,7 +30,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import inlined, kernel
 from equipoise.control.clik import (
     GAMMA,
     REFERENCE_SIZE,
@@ -42,6 +41,7 @@ from equipoise.control.clik import (
 )
 from equipoise.control.estimator import Gains, observer_gains
 from equipoise.errors import ArmError, SettingsError
+from equipoise.jit import inlined, kernel
 from equipoise.model.actuator import (
     CYCLE,
     Actuator,

@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import handle, kernel
-from equipoise.control.boxes import Boxes, box_index, partition
 from equipoise.control.clik import manipulability
 from equipoise.control.control_step import (
     HISTORY_TICKS,
@@ -25,7 +23,9 @@ from equipoise.control.control_step import (
     observe,
     start_controller,
 )
+from equipoise.control.grid import Grid, box_index, partition
 from equipoise.control.policy import Policy
+from equipoise.jit import kernel, struct_ref
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.arms.compiler import FRAME_SIZE, POSITION, ROTATION, TWIST, KinematicsFunction
 from equipoise.model.elementary import BATCH_SIZE, at
@@ -62,11 +62,11 @@ class StateEstimate(NamedTuple):
     """Displacement of the flange from home [m]."""
 
 
-ControllerHandle: Any = handle("ControllerHandle", __name__, ("params", "state", "boxes"))
+ControllerHandle: Any = struct_ref("ControllerHandle", __name__, ("params", "state", "boxes"))
 
 
 @kernel
-def new_controller_handle(params: ControllerParams, state: ControllerState, boxes: Boxes) -> Any:
+def new_controller_handle(params: ControllerParams, state: ControllerState, boxes: Grid) -> Any:
     """Return a controller that kernels take by reference."""
     return ControllerHandle(params, state, boxes)
 
@@ -316,7 +316,7 @@ class FlangeKinematics:
         return FlangePose(*map(float, pose_by_reference(self._handle)))
 
 
-FlangeHandle: Any = handle("FlangeHandle", __name__, ("kinematics", "q", "dq", "frame", "home"))
+FlangeHandle: Any = struct_ref("FlangeHandle", __name__, ("kinematics", "q", "dq", "frame", "home"))
 
 
 @kernel

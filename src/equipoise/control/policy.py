@@ -18,9 +18,9 @@ from pydantic import Field, model_validator
 
 from equipoise import paper
 from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Share, Value, value_digest
-from equipoise.compiled import handle, inlined, kernel
-from equipoise.control import boxes
-from equipoise.control.boxes import Boxes, box_count, box_index
+from equipoise.control import grid
+from equipoise.control.grid import Grid, box_count, box_index
+from equipoise.jit import inlined, kernel, struct_ref
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
@@ -63,7 +63,7 @@ class PolicyKernel(NamedTuple):
     """Gains of u = gains . (x, x_dot, phi, phi_dot); for LINEAR and SNAPPED."""
     actions: tuple[float, ...] = paper.ACTIONS
     """The eight accelerations [m/s^2]."""
-    boxes: Boxes = boxes.partition(BoxSettings(), 1.0)
+    boxes: Grid = grid.partition(BoxSettings(), 1.0)
     """Edges of the boxes."""
 
 
@@ -163,7 +163,7 @@ def act(
     return nearest
 
 
-def table_kernel(u_of_box: Array, partition: Boxes) -> PolicyKernel:
+def table_kernel(u_of_box: Array, partition: Grid) -> PolicyKernel:
     """Return the kernel of m tables.
 
     Args:
@@ -174,7 +174,7 @@ def table_kernel(u_of_box: Array, partition: Boxes) -> PolicyKernel:
     return PolicyKernel(TABLE, np.array(u_of_box), boxes=partition)
 
 
-PolicyHandle: Any = handle("PolicyHandle", __name__, ("kernel",))
+PolicyHandle: Any = struct_ref("PolicyHandle", __name__, ("kernel",))
 
 
 @kernel
@@ -284,14 +284,14 @@ class TargetTest(Value):
     """Number of trials survived."""
     interval: tuple[Share, Share]
     """Interval of the share [-], of 95 % confidence over all learners of one command. Its bounds
-    hold although the test stopped as soon as they decided (`equipoise.selection`)."""
+    hold although the test stopped as soon as they decided (`equipoise.learning.selection`)."""
     causes: dict[Name, Count]
     """Number of trials by the cause of their end."""
 
     @property
     def failures(self) -> dict[str, int]:
         """Number of failed trials by their cause, the most frequent first."""
-        failed = {cause: n for cause, n in self.causes.items() if cause != boxes.CAUSES[0]}
+        failed = {cause: n for cause, n in self.causes.items() if cause != grid.CAUSES[0]}
         return dict(sorted(failed.items(), key=lambda item: -item[1]))
 
     @property
@@ -358,7 +358,7 @@ class TabularPolicy(Viewable, Artefact):
             raise ValueError("the actions are not the ones of this Equipoise (the paper's eight)")
         if len(self.tests) not in (0, len(self.actuators)):
             raise ValueError("tests must have one entry for each actuator, or none")
-        shape = (self.settings.boxes.count, boxes.ACTIONS)
+        shape = (self.settings.boxes.count, grid.ACTIONS)
         for name, table in (("Q", self.Q), ("visits", self.visits)):
             if len(table) != shape[0] or any(len(row) != shape[1] for row in table):
                 raise ValueError(f"{name} must have {shape[0]} rows of {shape[1]} numbers")
@@ -431,9 +431,9 @@ class TabularPolicy(Viewable, Artefact):
         return table_kernel(self.u_of_box, self.partition)
 
     @property
-    def partition(self) -> Boxes:
+    def partition(self) -> Grid:
         """The boxes for kernels."""
-        return boxes.partition(self.settings.boxes, self.pendulum.parameters().k)
+        return grid.partition(self.settings.boxes, self.pendulum.parameters().k)
 
     def reset(self) -> None:
         """Do nothing: a table has no state."""
@@ -446,7 +446,7 @@ class TabularPolicy(Viewable, Artefact):
 
 def greedy_accelerations(Q: Array) -> Array:
     """Return the greedy acceleration of each box [m/s^2], shape (boxes,), of a table."""
-    return np.array(paper.ACTIONS)[boxes.greedy_actions(Q)]
+    return np.array(paper.ACTIONS)[grid.greedy_actions(Q)]
 
 
 @functools.lru_cache(maxsize=16)

@@ -15,7 +15,7 @@ from typing import Any, Self
 from equipoise.artefacts import DIGEST_PREFIX
 from equipoise.control.policy import Array, Policy
 from equipoise.errors import InputError
-from equipoise.guests import guest_code, load_object, source_digest
+from equipoise.user_code import guest_code, load_object, source_digest
 
 
 class PythonPolicy:

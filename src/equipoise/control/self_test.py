@@ -22,8 +22,8 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import kernel
 from equipoise.control.minimum_jerk import Path
+from equipoise.jit import kernel
 from equipoise.model.pendulum import PendulumParameters, step
 
 Array = npt.NDArray[np.float64]

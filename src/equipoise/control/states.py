@@ -12,7 +12,7 @@ r"""Phases of a run on a rig, and the transitions between them.
 
 The servo runs in all phases. `stop` leads from each of them to STOPPING. A stop is latched: no
 event leads out of STOPPING, and the first cause is kept; only the operator begins anew, with a new
-run. After a lost link the loop returns, so that no event follows (`equipoise.devices.loop`).
+run. After a lost link the loop returns, so that no event follows (`equipoise.rig.loop`).
 
 An event without an entry in the table changes nothing: a late event must not move an arm.
 """

@@ -1,6 +1,6 @@
 """Inputs and outputs of a control tick of a run on a rig.
 
-A tick handler, such as `equipoise.control.run_controller`, uses no device, clock or file.
+A tick handler, such as `equipoise.rig.run_controller`, uses no device, clock or file.
 """
 
 from collections.abc import Callable, Sequence

@@ -10,9 +10,8 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from equipoise import paper
-from equipoise.control.boxes import TRUNCATED, box_index, cause_named, partition
 from equipoise.control.controller import Observation
-from equipoise.control.trial_safety import guard_named
+from equipoise.control.grid import TRUNCATED, box_index, cause_named, partition
 from equipoise.envs.pictures import Screen
 from equipoise.errors import InputError
 from equipoise.learning import rewards
@@ -21,9 +20,10 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.random import ENVIRONMENT, TEST
-from equipoise.model.sim_configs import MODEL, World
+from equipoise.model.worlds import MODEL, World
+from equipoise.safety.trial import guard_named
 from equipoise.settings import LearningSettings, Settings
-from equipoise.simulation import Setup, Trial, estimated, has_ideal_arm, predicted, simulate
+from equipoise.worlds import Setup, Trial, estimated, has_ideal_arm, predicted, simulate
 
 Array = npt.NDArray[np.float64]
 Observe = Literal["predicted", "estimated", "raw"]
@@ -34,7 +34,7 @@ REWARD_FAILURE: Final = LearningSettings().reward_failure
 """Reward of a failure in the paper's reward."""
 WINDOW: Final = 256
 """Number of trials drawn at a time."""
-ONCE: Final = "the environment has not been reset; call env.reset() first"
+NOT_RESET: Final = "the environment has not been reset; call env.reset() first"
 
 
 def paper_reward(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
@@ -183,7 +183,7 @@ class BalanceEnv(gym.Env[Array, Any]):
             InputError: The action is not a finite number, or the environment was not reset.
         """
         if self._state is None:
-            raise InputError(ONCE)
+            raise InputError(NOT_RESET)
         u = float(self._acceleration(action))
         if not isfinite(u):
             raise InputError(f"the action is {action!r}; expected an acceleration [m/s^2]")
@@ -208,7 +208,7 @@ class BalanceEnv(gym.Env[Array, Any]):
             gym.logger.warn("render() draws nothing without render_mode='rgb_array' or 'human'")
             return None
         if self._state is None:
-            raise InputError(ONCE)
+            raise InputError(NOT_RESET)
         phi = float(self._loop.state()[2])
         return self._screen.show(self._loop.joints(), phi, self._u, self._loop.now)
 

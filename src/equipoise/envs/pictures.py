@@ -11,12 +11,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from equipoise.apps.report.pictures.camera import Size
+from equipoise.apps.report.pictures.rendering import Picture, draw
+from equipoise.apps.report.pictures.scene import stage
 from equipoise.errors import OutsideError
 from equipoise.model.arms.arm import Arm
 from equipoise.model.physics_engine import mujoco
-from equipoise.report.pictures.camera import Size
-from equipoise.report.pictures.rendering import Picture, draw
-from equipoise.report.pictures.scene import stage
 
 Array = npt.NDArray[np.float64]
 

@@ -9,11 +9,10 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from equipoise import paper
-from equipoise.control.boxes import TRUNCATED, cause_named
 from equipoise.control.controller import Observation
-from equipoise.control.trial_safety import guard_named
+from equipoise.control.grid import TRUNCATED, cause_named
 from equipoise.envs.balance import (
-    ONCE,
+    NOT_RESET,
     REWARD_FAILURE,
     WINDOW,
     Array,
@@ -24,10 +23,11 @@ from equipoise.envs.balance import (
 from equipoise.errors import InputError
 from equipoise.executors import available_cores
 from equipoise.model.random import ENVIRONMENT
-from equipoise.model.sim_configs import MODEL, World
-from equipoise.simulation import Trials
-from equipoise.simulation.fleet import new_fleet
-from equipoise.simulation.trials import Whole
+from equipoise.model.worlds import MODEL, World
+from equipoise.safety.trial import guard_named
+from equipoise.worlds import Trials
+from equipoise.worlds.fleet import new_fleet
+from equipoise.worlds.trials import IntArray
 
 Flags = npt.NDArray[np.bool_]
 
@@ -173,7 +173,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
             InputError: The actions have another shape or are not finite, or a reset is missing.
         """
         if self._seed < 0:
-            raise InputError(ONCE)
+            raise InputError(NOT_RESET)
         values, over = self._values, self._ended
         if self._mode is AutoresetMode.DISABLED and over.any():
             raise InputError(
@@ -225,7 +225,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
         steps = zip(before.tolist(), u.tolist(), after.tolist(), failed.tolist(), strict=True)
         return np.array([reward(Observation(*s), a, Observation(*n), f) for s, a, n, f in steps])
 
-    def _release(self, loops: Whole) -> None:
+    def _release(self, loops: IntArray) -> None:
         """Begin the next episodes in some environments."""
         count = len(loops)
         if self._used + count > len(self._window.number):

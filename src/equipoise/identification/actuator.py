@@ -49,7 +49,7 @@ from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.encoder import theta_from_counts
 
 Array = npt.NDArray[np.float64]
-Whole = npt.NDArray[np.intp]
+IntArray = npt.NDArray[np.intp]
 
 DELAY, T_C, LAG, LOAD_BIAS = 0, 1, 2, 2 + FREE_JOINTS
 SHARE = LOAD_BIAS + FREE_JOINTS
@@ -162,7 +162,7 @@ class Log(NamedTuple):
         return self.reply_q[:, self.settled :]
 
     @property
-    def blocks(self) -> Whole:
+    def blocks(self) -> IntArray:
         """Index of the block of time of each fitted position, shape (n,)."""
         return blocks_of_time(self.time, BLOCKS)
 
@@ -321,7 +321,7 @@ def identify_run(run: RunLog) -> Actuator:
     """Identify the actuator of the arm of a run log.
 
     Args:
-        run: Log with setpoints and measured joints, as recorded by `equipoise.deployment.excite`.
+        run: Log with setpoints and measured joints, as recorded by `equipoise.rig.simulate.excite`.
 
     Raises:
         RecordingError: The log cannot be used, see `identify_actuator`.

@@ -4,16 +4,16 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-Whole = npt.NDArray[np.intp]
+IntArray = npt.NDArray[np.intp]
 
 
-def blocks_of_time(time: Array, blocks: int) -> Whole:
+def blocks_of_time(time: Array, blocks: int) -> IntArray:
     """Return the index of the block of equal duration that holds each sample, shape (n,)."""
     elapsed = time - time[0]
     return np.minimum(elapsed / elapsed[-1] * blocks, blocks - 1).astype(np.intp)
 
 
-def jackknife(J: Array, residual: Array, block: Whole) -> Array:
+def jackknife(J: Array, residual: Array, block: IntArray) -> Array:
     """Estimate the covariance of least-squares unknowns.
 
     The estimate is the scatter of the unknowns, to first order, when one block at a time is left

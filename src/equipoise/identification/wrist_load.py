@@ -19,13 +19,13 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from equipoise.devices.twin.physics import pivot, rod_centre
 from equipoise.errors import ArmError
 from equipoise.logs.conditions import RunConditions
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.inertials import link_inertials
-from equipoise.model.sim_configs import TwinSettings
+from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY
+from equipoise.worlds.twin.physics import pivot, rod_centre
 
 Array = npt.NDArray[np.float64]
 

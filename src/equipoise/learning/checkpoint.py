@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pydantic import ConfigDict, Field
 
 from equipoise.artefacts import Artefact, Count, Number, Value
-from equipoise.control.boxes import ACTIONS
+from equipoise.control.grid import ACTIONS
 from equipoise.control.policy import LearningPoint, TabularPolicy, TargetTest
 from equipoise.errors import ArtefactError
 from equipoise.learning.episodes import BEGUN, ENDED, IN_USE, TrainingState

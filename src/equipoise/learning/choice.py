@@ -20,10 +20,9 @@ from typing import Any, Final
 import numba
 from numba.core.errors import NumbaError
 
-from equipoise.compiled import compilable, disabled, function_pointer
 from equipoise.control.controller import Observation
 from equipoise.errors import InputError, SettingsError
-from equipoise.guests import format_error, guest_code, load_object, source_digest
+from equipoise.jit import compilable, disabled, function_pointer
 from equipoise.learning import rewards
 from equipoise.learning.learner import (
     Learner,
@@ -40,6 +39,7 @@ from equipoise.learning.learner import (
 )
 from equipoise.learning.learners import learner_names, named_learner
 from equipoise.settings import BoxSettings, LearningSettings
+from equipoise.user_code import format_error, guest_code, load_object, source_digest
 
 DIGEST_LENGTH: Final = 16
 """Number of hexadecimal digits of a guest's digest in a name."""

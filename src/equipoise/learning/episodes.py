@@ -18,19 +18,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import handle, inlined, kernel
-from equipoise.control.boxes import TRUNCATED, Boxes
-from equipoise.learning.closed_loop import (
-    BatchState,
-    DomainRandomization,
-    LoopParams,
-    box_of,
-    copy_lane,
-    draw_noise,
-    new_batch_state,
-    reset,
-    step,
-)
+from equipoise.control.grid import TRUNCATED, Grid
+from equipoise.jit import inlined, kernel, struct_ref
 from equipoise.learning.learner import (
     CONTINUES,
     DECIDED,
@@ -58,9 +47,20 @@ from equipoise.model.random import (
     philox,
     uniform,
 )
+from equipoise.worlds.plant import (
+    BatchState,
+    DomainRandomization,
+    LoopParams,
+    box_of,
+    copy_lane,
+    draw_noise,
+    new_batch_state,
+    reset,
+    step,
+)
 
 Array = npt.NDArray[np.float64]
-Whole = npt.NDArray[np.int64]
+IntArray = npt.NDArray[np.int64]
 
 
 # Entries of `TrainingState.totals`.
@@ -93,8 +93,8 @@ class TrainingConfig(NamedTuple):
     zero_error: float
     actions: tuple[float, ...]
     """Accelerations [m/s^2]."""
-    boxes: Boxes
-    """Boxes of the tables."""
+    boxes: Grid
+    """Grid of the tables."""
 
 
 @inlined
@@ -143,7 +143,7 @@ def new_training_state(boxes: int, tables: int = 0) -> TrainingState:
     )
 
 
-TrainingLoop: Any = handle(
+TrainingLoop: Any = struct_ref(
     "TrainingLoop", __name__, ("plant", "pendulum", "config", "learner", "training", "key")
 )
 
@@ -155,7 +155,7 @@ def new_training_loop(
     config: TrainingConfig,
     learner: LearnerKernel,
     training: TrainingState,
-    key: Whole,
+    key: IntArray,
 ) -> Any:
     """Return a training that `train_episodes` takes by reference.
 
@@ -220,7 +220,7 @@ def begin_episode(
 
 @inlined
 def draw_decisions(
-    draws: Draws, seed: int, tick: Whole, episode: Whole, number: int, lanes: int
+    draws: Draws, seed: int, tick: IntArray, episode: IntArray, number: int, lanes: int
 ) -> None:
     """Draw the random numbers of a decision in each lane, at its tick."""
     explore, choice, chance = draws

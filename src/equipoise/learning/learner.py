@@ -7,7 +7,7 @@ chooses an action, `update` learns from a `Transition`. Each learner of the proj
 
 Both functions are compiled with Numba into functions for a whole block (`choose_with`,
 `learn_with`; `rewards_of` does it with a reward), which are passed to the loop as values
-(`equipoise.compiled.function_pointer`): one compiled loop serves every learner.
+(`equipoise.jit.function_pointer`): one compiled loop serves every learner.
 """
 
 import functools
@@ -18,14 +18,14 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import inlined
-from equipoise.control.boxes import ACTIONS, TRUNCATED, mirrored_box
 from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
 from equipoise.control.controller import Observation
+from equipoise.control.grid import ACTIONS, TRUNCATED, mirrored_box
+from equipoise.jit import inlined
 from equipoise.model.elementary import BATCH_SIZE, at
 
 Array = npt.NDArray[np.float64]
-Whole = npt.NDArray[np.int64]
+IntArray = npt.NDArray[np.int64]
 
 
 class Tables(NamedTuple):
@@ -175,9 +175,9 @@ class Learner(NamedTuple):
 class Decisions(NamedTuple):
     """Decisions of the episodes that run side by side; all arrays have shape (BATCH_SIZE,)."""
 
-    box: Whole
+    box: IntArray
     """Box of the decision."""
-    action: Whole
+    action: IntArray
     """Index of the action, or `UNDECIDED`."""
     chance: Array
     """Uniform random number in [0, 1) of the decision, for the learner."""
@@ -187,7 +187,7 @@ class Decisions(NamedTuple):
     """gamma to the number of steps since the decision."""
     epsilon: Array
     """Probability of a random action in the episode."""
-    place: Whole
+    place: IntArray
     """Index among the running episodes, constant over an episode."""
 
 
@@ -207,9 +207,9 @@ class Results(NamedTuple):
 
     reward: Array
     """Reward of the step."""
-    box_next: Whole
+    box_next: IntArray
     """Box after the step."""
-    outcome: Whole
+    outcome: IntArray
     """`CONTINUES`, `DECIDED`, `TIMED_OUT` or `FAILED`."""
 
 
@@ -330,7 +330,7 @@ def rewards_of(reward: Callable[..., float]) -> Callable[..., None]:
         before: Array,
         u: Array,
         after: Array,
-        cause: Whole,
+        cause: IntArray,
         reward_failure: float,
         out: Array,
         lanes: int,

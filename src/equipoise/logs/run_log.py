@@ -31,7 +31,7 @@ from equipoise.logs.writer import FORMAT, VERSION, Digest, LogEncoder
 from equipoise.views import Viewable
 
 Array = npt.NDArray[np.float64]
-Whole = npt.NDArray[np.int64]
+IntArray = npt.NDArray[np.int64]
 
 FAULTS: Final = (
     AttributeError,
@@ -77,7 +77,7 @@ class EncoderSamples(NamedTuple):
 
     time: Array
     """Time stamp since the release [s], shape (r,)."""
-    counts: Whole
+    counts: IntArray
     """Counts relative to the zero, shape (r,)."""
 
 
@@ -199,7 +199,7 @@ class RunLog(Viewable):
 
     # Phases.
 
-    def phase_ticks(self, *phases: Phase) -> Whole:
+    def phase_ticks(self, *phases: Phase) -> IntArray:
         """Return the indices of the ticks in any of `phases`, shape (n,)."""
         states = [i for i, phase in enumerate(self.conditions.phases) if phase in phases]
         return np.flatnonzero(np.isin(self.tables["tick"]["state"], states))

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
-from equipoise.compiled import PACKAGE, inlined, kernel
+from equipoise.jit import PACKAGE, inlined, kernel
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import BATCH_SIZE, fma
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import types
 
-from equipoise.compiled import disabled, fma, inlined
+from equipoise.jit import disabled, fma, inlined
 
 BATCH_SIZE: Final = 16
 """Number of states in a block: fills the widest registers and hides the latency of a division."""

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.compiled import kernel
+from equipoise.jit import kernel
 from equipoise.model.pendulum import PendulumParameters, swing
 from equipoise.trajectory import Trajectory
 

@@ -19,8 +19,8 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentence, Value
-from equipoise.compiled import PACKAGE, inlined, kernel
 from equipoise.errors import RecordingError
+from equipoise.jit import PACKAGE, inlined, kernel
 from equipoise.model.elementary import fma, sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 from equipoise.trajectory import Trajectory

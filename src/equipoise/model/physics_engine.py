@@ -12,7 +12,7 @@ def mujoco() -> Any:
 
     MuJoCo loads the OpenGL library of `MUJOCO_GL` on import, and fails if the name or the library
     is wrong. Physics needs no OpenGL: MuJoCo is then imported without, and only rendering fails
-    (`equipoise.report.pictures.rendering` gives the reason).
+    (`equipoise.apps.report.pictures.rendering` gives the reason).
 
     Raises:
         ImportError: MuJoCo is not installed.

@@ -11,7 +11,7 @@ number of workers. Key and counter identify each draw::
 from math import pi, sqrt
 from typing import Final
 
-from equipoise.compiled import inlined
+from equipoise.jit import inlined
 from equipoise.model.elementary import log, sincos
 
 Words = tuple[int, int, int, int]

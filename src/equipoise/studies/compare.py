@@ -31,19 +31,17 @@ from equipoise.control.policy import (
     TaskPolicy,
     tick_policy,
 )
-from equipoise.devices.twin.servo_model import equivalent_actuator
 from equipoise.errors import InputError
-from equipoise.evaluation import Done, trial_results
 from equipoise.executors import Workers
+from equipoise.learning.selection import Running
+from equipoise.learning.training import train
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.random import TEST
-from equipoise.model.sim_configs import World
-from equipoise.selection import Running
+from equipoise.model.worlds import World
 from equipoise.settings import EvaluationSettings, Settings, resolve
-from equipoise.simulation import find_world, setup_of, simulate
 from equipoise.studies import value_iteration
 from equipoise.studies.compare_results import (
     MAX_ROWS,
@@ -57,7 +55,9 @@ from equipoise.studies.compare_results import (
 from equipoise.studies.progress import ProgressReporter, Show, TrainingProgress, counted
 from equipoise.studies.table_search import QUICK, SearchSize, search_table
 from equipoise.studies.value_iteration import solve_table
-from equipoise.training import train
+from equipoise.worlds import find_world, setup_of, simulate
+from equipoise.worlds.evaluation import Done, trial_results
+from equipoise.worlds.twin.servo_model import equivalent_actuator
 
 TRAINED: Final[Mapping[str, tuple[str, ...]]] = {
     "paper": ("paper",),

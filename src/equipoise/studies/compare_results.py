@@ -6,9 +6,9 @@ from pydantic import Field
 
 from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Value
 from equipoise.control.policy import MAX_ACTUATORS
-from equipoise.evaluation import TrialResults
-from equipoise.model.sim_configs import TwinSettings
+from equipoise.model.worlds import TwinSettings
 from equipoise.settings import EvaluationSettings
+from equipoise.worlds.evaluation import TrialResults
 
 Kind = Literal["trained", "solved", "searched", "built in", "given"]
 

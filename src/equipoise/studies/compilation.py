@@ -10,17 +10,17 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from typing import Any, Final
 
-from equipoise.compiled import cache_is_empty, watching_compilation
 from equipoise.control.bound_policy import bind_policy
 from equipoise.control.policy import TaskPolicy, shipped_policy
-from equipoise.evaluation import evaluate
 from equipoise.executors import available_cores
+from equipoise.jit import cache_is_empty, watching_compilation
+from equipoise.learning.training import train
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import shipped_pendulum
-from equipoise.model.sim_configs import MODEL, World
+from equipoise.model.worlds import MODEL, World
 from equipoise.settings import Settings
 from equipoise.studies.progress import ProgressReporter, Show
-from equipoise.training import train
+from equipoise.worlds.evaluation import evaluate
 
 MOMENT: Final = 0.02
 """Duration of an episode or a trial that runs only for the compilation [s]."""

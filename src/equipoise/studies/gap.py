@@ -27,15 +27,14 @@ from typing import Any, Final, NamedTuple
 
 from equipoise.artefacts import Estimate
 from equipoise.control.policy import TabularPolicy, TaskPolicy
-from equipoise.devices.twin.servo_model import equivalent_actuator
 from equipoise.errors import InputError
-from equipoise.evaluation import Done, TrialResults, evaluate
 from equipoise.executors import ThreadExecutor, Workers, executor_of, run_in_order
+from equipoise.learning.training import train
 from equipoise.model.actuator import Actuator
-from equipoise.model.sim_configs import (
+from equipoise.model.worlds import (
     MODEL,
     PREFIX,
-    SETS,
+    WORLDS,
     TwinSettings,
     World,
     pivot_friction,
@@ -53,7 +52,8 @@ from equipoise.studies.gap_results import (
     GapPoint,
     Part,
 )
-from equipoise.training import train
+from equipoise.worlds.evaluation import Done, TrialResults, evaluate
+from equipoise.worlds.twin.servo_model import equivalent_actuator
 
 _ABSENT: Final = (
     *("transport", "transport_jitter", "encoder_age", "encoder_jitter", "zero_error"),
@@ -105,7 +105,7 @@ class Form(NamedTuple):
     """Constant errors of the encoder's zero [rad]."""
     by_effect: tuple[Controller, ...] = (PAPER, CURED)
     """Controllers that run effect by effect."""
-    worlds: tuple[str, ...] = tuple(SETS)
+    worlds: tuple[str, ...] = tuple(WORLDS)
     """Other named worlds."""
 
 

@@ -14,12 +14,12 @@ from scipy.stats import t as student
 
 from equipoise import paper
 from equipoise.artefacts import Artefact, Name, Number, Seed, Value
-from equipoise.control.boxes import CAUSES, TRACK
-from equipoise.control.safety import Rule
-from equipoise.evaluation import CONFIDENCE, TrialResults
-from equipoise.model.sim_configs import PivotFriction, TwinSettings
+from equipoise.control.grid import CAUSES, TRACK
+from equipoise.model.worlds import PivotFriction, TwinSettings
+from equipoise.safety.rules import Rule
 from equipoise.settings import Settings
-from equipoise.studies.formatting import LASTED, percent
+from equipoise.worlds.evaluation import CONFIDENCE, TrialResults
+from equipoise.worlds.formatting import LASTED, percent
 
 Array = npt.NDArray[np.float64]
 Controller = Literal["cured", "not told", "no prediction", "no bias estimate", "paper"]

@@ -8,8 +8,8 @@ from typing import Any, Final, NamedTuple
 
 from equipoise.control.policy import LearningPoint, format_share
 from equipoise.learning.checkpoint import LearnerResult
+from equipoise.learning.training import TargetProgress
 from equipoise.settings import Settings
-from equipoise.training import TargetProgress
 
 LEARNING_SHARE: Final = 0.7
 """Share of the episodes in the time of a learner; the rest are the trials of its race and test."""

@@ -2,7 +2,7 @@
 
 Starts fill a slice of the state space, one at random in each cell of a grid. The policy balances
 the nominal plant from each of them, without a zero error. A start is held if the trial lasts. The
-boundaries of the recoverable set (`equipoise.checks.recoverable`) are those of the nominal
+boundaries of the recoverable set (`equipoise.worlds.reachability`) are those of the nominal
 pendulum, at the release.
 """
 
@@ -15,7 +15,18 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from equipoise.artefacts import Artefact, Estimate, Name, Number, Seed, Share, Value
-from equipoise.checks.recoverable import (
+from equipoise.control.grid import TRUNCATED
+from equipoise.control.policy import TaskPolicy
+from equipoise.errors import InputError
+from equipoise.executors import Workers
+from equipoise.model.actuator import Actuator
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.random import MAP
+from equipoise.model.worlds import MODEL, TwinSettings, World, pivot_friction
+from equipoise.settings import LONGEST_TRIAL, Settings
+from equipoise.worlds import Setup, find_world, setup_of, simulate
+from equipoise.worlds.evaluation import Done, exact_interval
+from equipoise.worlds.reachability import (
     FLANGE_PLANE,
     PENDULUM_PLANE,
     Boundary,
@@ -25,17 +36,6 @@ from equipoise.checks.recoverable import (
     make_recovery_params,
     release_limit,
 )
-from equipoise.control.boxes import TRUNCATED
-from equipoise.control.policy import TaskPolicy
-from equipoise.errors import InputError
-from equipoise.evaluation import Done, exact_interval
-from equipoise.executors import Workers
-from equipoise.model.actuator import Actuator
-from equipoise.model.pendulum import PendulumParameters
-from equipoise.model.random import MAP
-from equipoise.model.sim_configs import MODEL, TwinSettings, World, pivot_friction
-from equipoise.settings import LONGEST_TRIAL, Settings
-from equipoise.simulation import Setup, find_world, setup_of, simulate
 
 Array = npt.NDArray[np.float64]
 Plane = Literal["pendulum", "flange"]

@@ -6,7 +6,7 @@ study of the gap compares it there with a table like the paper's. An arm with un
 twin: its run is on the model.
 
 Each stage takes the previous value and saves its own, so that any stage can be repeated from its
-files. `equipoise.report.page.build` makes the page from the folder.
+files. `equipoise.apps.report.page.build` makes the page from the folder.
 """
 
 import time
@@ -18,17 +18,17 @@ from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
 from equipoise.artefacts import Artefact, StrPath, Value, partial_path, value_digest
 from equipoise.control.policy import TabularPolicy
-from equipoise.deployment import deploy
 from equipoise.errors import ArmError, ArtefactError
-from equipoise.evaluation import Evaluation, evaluate
 from equipoise.executors import available_cores
 from equipoise.identification import identify
+from equipoise.learning.training import LEARNERS, TARGET, software, train_to_target
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.inertials import link_inertials
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.sim_configs import MODEL
+from equipoise.model.worlds import MODEL
+from equipoise.rig.simulate import simulate_run
 from equipoise.settings import Settings
 from equipoise.studies.compilation import (
     FUNCTIONS,
@@ -56,8 +56,8 @@ from equipoise.studies.results import (
     verdict,
 )
 from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
-from equipoise.training import LEARNERS, TARGET, software, train_to_target
 from equipoise.trajectory import Trajectory, read_swing, write_swing
+from equipoise.worlds.evaluation import Evaluation, evaluate
 
 T = TypeVar("T")
 S = TypeVar("S", Pendulum, TabularPolicy, Evaluation, RunLog, Gap)
@@ -285,7 +285,7 @@ def reproduce(
     if world == TWIN and not {RUN, GAP} <= finished.keys():
         with compiling(report, TWIN_FUNCTIONS, "compile twin"):
             compile_trials(policy, world)
-    work = partial(deploy, policy, world=world, seed=seed)
+    work = partial(simulate_run, policy, world=world, seed=seed)
     run = saved("deploy", RUN, RunLog, work, DEPLOY_TIME, policy=policy.digest)
     study = None
 

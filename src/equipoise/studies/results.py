@@ -18,11 +18,9 @@ from equipoise import paper
 from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Value, read_document
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
-from equipoise.evaluation import Evaluation
 from equipoise.logs.run_log import RunLog, TruthColumns
 from equipoise.model.pendulum import Pendulum
-from equipoise.model.sim_configs import MODEL
-from equipoise.studies.formatting import LASTED, format_end, format_failures, percent, plus_minus
+from equipoise.model.worlds import MODEL
 from equipoise.studies.gap_results import (
     CURED,
     NO_BIAS,
@@ -35,6 +33,8 @@ from equipoise.studies.gap_results import (
 )
 from equipoise.studies.synthetic_swing import SyntheticSwing
 from equipoise.trajectory import Trajectory, read_swing
+from equipoise.worlds.evaluation import Evaluation
+from equipoise.worlds.formatting import LASTED, format_end, format_failures, percent, plus_minus
 
 SWING: Final = "swing.csv"
 PENDULUM: Final = "pendulum.json"

@@ -21,10 +21,10 @@ from equipoise.artefacts import (
     first_fault,
 )
 from equipoise.errors import SettingsError
-from equipoise.evaluation import exact_interval
-from equipoise.model.sim_configs import MODEL
+from equipoise.model.worlds import MODEL
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings, read_toml, resolve
-from equipoise.simulation import find_world
+from equipoise.worlds import find_world
+from equipoise.worlds.evaluation import exact_interval
 
 if TYPE_CHECKING:
     import optuna
@@ -38,7 +38,7 @@ MAX_CHOICES: Final = 1000
 UNUSED_SECTIONS: Final = ("identification", "evaluation")
 """Sections of the settings that do not affect a training."""
 
-Whole = Annotated[int, Field(ge=-(2**53), le=2**53)]
+IntArray = Annotated[int, Field(ge=-(2**53), le=2**53)]
 """Integer end of an interval."""
 Choices = Annotated[tuple[Any, ...], Field(min_length=1, max_length=MAX_CHOICES)]
 
@@ -48,9 +48,9 @@ class ParameterRange(Value):
 
     choices: Choices | None = None
     """Values of any type, such as the inner ends of intervals."""
-    low: Whole | Number | None = None
+    low: IntArray | Number | None = None
     """Lower end of the interval, in the unit of the setting."""
-    high: Whole | Number | None = None
+    high: IntArray | Number | None = None
     """Upper end of the interval, included."""
     step: Annotated[float, Field(gt=0.0)] | None = None
     """Distance of the values from `low` on; without it the interval is continuous."""

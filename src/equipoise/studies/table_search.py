@@ -27,15 +27,11 @@ import numpy.typing as npt
 
 from equipoise import paper
 from equipoise.control.baselines import lqr_gains
-from equipoise.control.boxes import ACTIONS, TRUNCATED
+from equipoise.control.grid import ACTIONS, TRUNCATED
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
 from equipoise.errors import InputError
 from equipoise.executors import Workers
-from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import Arm
-from equipoise.model.pendulum import Pendulum, PendulumParameters
-from equipoise.model.random import SELECTION
-from equipoise.selection import (
+from equipoise.learning.selection import (
     FIRST_BLOCK,
     Candidate,
     Running,
@@ -44,10 +40,14 @@ from equipoise.selection import (
     scored,
     trial_plants,
 )
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.random import SELECTION
 from equipoise.settings import BoxSettings, Settings
 
 Array = npt.NDArray[np.float64]
-Whole = npt.NDArray[np.int64]
+IntArray = npt.NDArray[np.int64]
 
 NAME: Final = "table_search"
 """Name of the search in the settings of its policy, in place of a learner's."""
@@ -114,7 +114,7 @@ def lqr_table(settings: BoxSettings, pendulum: PendulumParameters) -> Array:
     return LEVELS[whole_table(np.array(half))]
 
 
-def whole_table(half: Whole) -> Whole:
+def whole_table(half: IntArray) -> IntArray:
     """Return the actions of all boxes from those of the lower half, shape (..., boxes / 2)."""
     return np.concatenate((half, ACTIONS - 1 - half[..., ::-1]), axis=-1)
 
@@ -231,7 +231,7 @@ class _Search:
         mean = float(np.mean([result.mean_duration for result in results]))
         return LearningPoint(episodes=self.trials, steps=self.steps, duration=mean)
 
-    def _run(self, halves: Whole) -> list[Checkpoint]:
+    def _run(self, halves: IntArray) -> list[Checkpoint]:
         """Run the common trials of a generation; return the result of each table."""
         size, duration = self._size, self._plant.settings.selection.duration
         policy = self._plant.tables(LEVELS[whole_table(halves)].ravel())

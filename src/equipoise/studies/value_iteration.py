@@ -18,27 +18,27 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise import paper
-from equipoise.control.boxes import (
+from equipoise.control.grid import (
     ACTIONS,
     TRUNCATED,
-    Boxes,
+    Grid,
     box_indices,
     greedy_actions,
     partition,
 )
 from equipoise.control.policy import LearningPoint, TabularPolicy
 from equipoise.executors import Workers
+from equipoise.learning.selection import Candidate, Running, TrialPlant, race, trial_plants
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TRAINING_NOISE
-from equipoise.selection import Candidate, Running, TrialPlant, race, trial_plants
 from equipoise.settings import Settings
-from equipoise.simulation.fleet import new_fleet
 from equipoise.studies.table_search import LEVELS
+from equipoise.worlds.fleet import new_fleet
 
 Array = npt.NDArray[np.float64]
-Whole = npt.NDArray[np.int64]
+IntArray = npt.NDArray[np.int64]
 
 NAME: Final = "value_iteration"
 """Name of the method in the settings of its policy, in place of a learner's."""
@@ -129,7 +129,7 @@ def solve_table(
     )
 
 
-def solve(N: Whole, gamma: float) -> Array:
+def solve(N: IntArray, gamma: float) -> Array:
     """Solve for the values of all actions.
 
     The task is mirror-symmetric, and each count also counts for its mirror image.
@@ -170,7 +170,7 @@ class _Counts:
         self.N = np.zeros((count, ACTIONS, count + 1), np.int64)
         """Number of transitions; the last column counts failures."""
 
-    def advance(self, table: Whole, exploration: float) -> LearningPoint:
+    def advance(self, table: IntArray, exploration: float) -> LearningPoint:
         """Run a round with a table of actions, of which some are drawn at random instead."""
         loops, rng, count, before = self._size.loops, self._rng, len(table), self._ended
         self._release(np.arange(loops))
@@ -192,15 +192,15 @@ class _Counts:
         duration = paper.STEP * steps / max(self._ended - before, 1)
         return LearningPoint(episodes=self._ended, steps=self._steps, duration=duration)
 
-    def _release(self, loops: Whole) -> None:
+    def _release(self, loops: IntArray) -> None:
         trials = self._simulation.draw(len(loops), self._drawn)
         self._drawn += len(loops)
         self._fleet.reset(loops, trials)
 
-    def _box(self) -> Whole:
+    def _box(self) -> IntArray:
         return _boxes_of(self._fleet.values.predicted, self._boxes)
 
 
-def _boxes_of(states: Array, boxes: Boxes) -> Whole:
-    found: Whole = box_indices(states, boxes)
+def _boxes_of(states: Array, boxes: Grid) -> IntArray:
+    found: IntArray = box_indices(states, boxes)
     return found

@@ -12,11 +12,11 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from equipoise.devices.interfaces import Request
-from equipoise.devices.plugins import EmulatedRobot, RobotPlugin
-from equipoise.devices.setpoints import checked
-from equipoise.devices.transports import SocketTransport, memory_pipe
 from equipoise.errors import InputError, LinkError
+from equipoise.rig.interfaces import Request
+from equipoise.rig.plugins import EmulatedRobot, RobotPlugin
+from equipoise.rig.setpoints import checked
+from equipoise.rig.transports import SocketTransport, memory_pipe
 
 FORM = "guest://HOST:4000"
 MEASURE, START, STOP, SETPOINT, REQUEST, STOPPED = range(6)

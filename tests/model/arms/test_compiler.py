@@ -151,7 +151,7 @@ def test_where_the_cache_cannot_be_written_one_warning_is_given(tmp_path, monkey
     for length in (0.31, 0.32):
         arm = shorter(length)
         assert arm.pose(np.zeros(6)).position[2] == pytest.approx(1.14 + length)
-    (warning,) = (r.getMessage() for r in caplog.records if r.name == "equipoise.compiled")
+    (warning,) = (r.getMessage() for r in caplog.records if r.name == "equipoise.jit")
     assert "set EQUIPOISE_CACHE_DIR to a folder of your own that can be written" in warning
 
 
@@ -175,7 +175,7 @@ if not numba.config.DISABLE_JIT:
 """
 KERNELS = f"""
 import numpy as np
-from equipoise.compiled import kernel
+from equipoise.jit import kernel
 
 @kernel
 def height(arm, q, dq):

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from equipoise.compiled import kernel
+from equipoise.jit import kernel
 from equipoise.model.arms.compiler import BIAS, FRAME_SIZE, JACOBIAN, POSITION, ROTATION, TWIST
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE

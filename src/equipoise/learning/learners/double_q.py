@@ -8,7 +8,7 @@ mean, Q = (A + B) / 2. The learner's own table holds half of their difference, D
 that A = Q + D and B = Q - D. Both tables share the count of visits, and so the learning rate.
 """
 
-from equipoise.compiled import inlined
+from equipoise.jit import inlined
 from equipoise.learning.learner import (
     Learner,
     Tables,

@@ -16,8 +16,8 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from equipoise.artefacts import Name, Value, first_fault, shortened, value_digest
-from equipoise.compiled import function_pointer
 from equipoise.errors import ArmError
+from equipoise.jit import function_pointer
 from equipoise.model.arms.chain import FREE_JOINTS, Chain, Floats, Triple, links, wrist_centre
 from equipoise.model.arms.compiler import FRAME_SIZE, PARTS, ArmFunctions, KinematicsFunction, load
 from equipoise.model.elementary import BATCH_SIZE

@@ -36,8 +36,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from equipoise.artefacts import write_whole
-from equipoise.compiled import cache_directory, cache_folder, warn_of_cache
 from equipoise.errors import OutsideError
+from equipoise.jit import cache_directory, cache_folder, warn_of_cache
 from equipoise.model.arms.chain import FREE_JOINTS, Chain, Floats, Link
 from equipoise.model.arms.symbols import Symbol, Tape, Vector
 from equipoise.model.elementary import BATCH_SIZE

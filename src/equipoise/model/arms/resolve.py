@@ -11,10 +11,10 @@ from typing import Any, Final
 
 from equipoise.artefacts import quoted
 from equipoise.errors import ArmError
-from equipoise.guests import guest_code
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.chain import Triple
 from equipoise.model.arms.urdf import read_urdf
+from equipoise.user_code import guest_code
 
 GROUP: Final = "equipoise.arms"
 """Entry point group of arms."""

@@ -1,0 +1,176 @@
+"""Grid of a table, by default the paper's 270: box of a state, mirror image of a box.
+
+Section 4.1. The ends come from the settings `boxes`, converted to radians. An inner end belongs to
+exactly one of its two neighbours; the outer limits of phi and x belong to no box: a state on them
+is a failure. Index of a box: ((i_phi * n_phi_dot + i_phi_dot) * n_x + i_x) * n_x_dot + i_x_dot,
+each axis counted from its lowest interval; n is the number of its intervals.
+
+Mirror symmetry (x, phi -> -x, -phi) is a map of *indices*. Re-binning -phi is not the same, since
+the intervals of phi are half open.
+"""
+
+from math import radians
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise import paper
+from equipoise.jit import inlined, kernel
+from equipoise.settings import BoxSettings
+
+ACTIONS: Final = len(paper.ACTIONS)
+
+PHI_LIMIT: Final = radians(paper.PHI_LIMIT_DEG)
+"""Failure angle |phi| [rad]."""
+
+TRUNCATED: Final = 0
+ANGLE: Final = 1
+TRACK: Final = 2
+JOINT_LIMIT: Final = 3
+SAFETY_STOP: Final = 4
+"""Lowest code of a safety stop; the rest names the rule, see
+`equipoise.safety.trial.guard_named`."""
+CAUSES: Final = ("lasted", "angle", "track", "joint limit", "guard")
+"""Causes of the end of a trial, by code; `angle` and `track` are the outer limits."""
+
+
+class Axis(NamedTuple):
+    """The inner edges of one axis."""
+
+    edges: tuple[float, ...]
+    """Rising, in SI units."""
+    upper: tuple[bool, ...]
+    """Whether the edge itself belongs to the interval above it."""
+
+
+class Grid(NamedTuple):
+    """The four axes."""
+
+    phi: Axis
+    phi_dot: Axis
+    x: Axis
+    x_dot: Axis
+    x_per_x_dot: float
+    """Time over which x is continued [s]."""
+    x_per_phi_dot: float
+    """The same, times the distance from the pivot to the centre of percussion [m s]."""
+
+
+def cause_named(code: int) -> str:
+    """Return the name of the cause of a trial's end, by its code."""
+    return CAUSES[min(code, SAFETY_STOP)]
+
+
+def partition(settings: BoxSettings, k: float) -> Grid:
+    """Return the boxes in SI units, for kernels.
+
+    Args:
+        settings: Inner ends, and the time over which x is continued at the velocity
+            x_dot + phi_dot / k of the pendulum's centre of percussion. The flange's acceleration
+            does not act on that point: its velocity is the drift along the track.
+        k: Coupling of the pendulum to the pivot's acceleration [1/m].
+    """
+    phi, phi_dot = (tuple(map(radians, ends)) for ends in (settings.phi_deg, settings.phi_dot_deg))
+    return Grid(
+        phi=Axis(phi, (True,) * len(phi)),
+        phi_dot=_outward(phi_dot),
+        x=_outward(settings.x),
+        x_dot=_outward(settings.x_dot),
+        x_per_x_dot=settings.look_ahead,
+        x_per_phi_dot=settings.look_ahead / k,
+    )
+
+
+def _outward(edges: tuple[float, ...]) -> Axis:
+    """Return the axis whose edges belong to the intervals farther from zero."""
+    return Axis(edges, tuple(edge >= 0.0 for edge in edges))
+
+
+@inlined
+def box_count(boxes: Grid) -> int:
+    """Return the number of boxes."""
+    angles = (len(boxes.phi.edges) + 1) * (len(boxes.phi_dot.edges) + 1)
+    return angles * (len(boxes.x.edges) + 1) * (len(boxes.x_dot.edges) + 1)
+
+
+@inlined
+def interval_index(value: float, axis: Axis) -> int:
+    """Return the interval of an axis that holds `value`."""
+    index = 0
+    for i in range(len(axis.edges)):
+        edge = axis.edges[i]
+        index += (value > edge) | ((value == edge) & axis.upper[i])
+    return index
+
+
+@inlined
+def box_index(x: float, x_dot: float, phi: float, phi_dot: float, boxes: Grid) -> int:
+    """Return the box that holds a state; states beyond a limit fall in the outermost box.
+
+    Args:
+        x: Displacement of the flange [m].
+        x_dot: Its velocity [m/s].
+        phi: Angle of the pendulum from upright [rad].
+        phi_dot: Its angular velocity [rad/s].
+        boxes: From `partition`.
+    """
+    i = interval_index(phi, boxes.phi)
+    j = interval_index(phi_dot, boxes.phi_dot)
+    ahead = x + boxes.x_per_x_dot * x_dot + boxes.x_per_phi_dot * phi_dot
+    k = interval_index(ahead, boxes.x)
+    m = interval_index(x_dot, boxes.x_dot)
+    i = i * (len(boxes.phi_dot.edges) + 1) + j
+    return (i * (len(boxes.x.edges) + 1) + k) * (len(boxes.x_dot.edges) + 1) + m
+
+
+@kernel
+def box_indices(states: npt.NDArray[np.float64], boxes: Grid) -> npt.NDArray[Any]:
+    """Return the boxes that hold some states.
+
+    Args:
+        states: x, x_dot, phi, phi_dot in SI units, shape (n, 4).
+        boxes: From `partition`.
+
+    Returns:
+        Index of each box, shape (n,).
+    """
+    found = np.empty(len(states), np.int64)
+    for i in range(len(states)):
+        found[i] = box_index(states[i, 0], states[i, 1], states[i, 2], states[i, 3], boxes)
+    return found
+
+
+@inlined
+def mirrored_box(box: int, count: int) -> int:
+    """Return the box of the mirror image, of `count` boxes.
+
+    Counting each axis from its other end counts all boxes from the other end.
+    """
+    return count - 1 - box
+
+
+@kernel
+def greedy_actions(Q: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
+    """Return the index of the best action of each box, ties broken mirror-symmetrically.
+
+    Of equal values the lowest action wins in a box of the lower half (phi < 0) and the highest in
+    its mirror image, so that a symmetric table gives a symmetric policy.
+
+    Args:
+        Q: State-action values, shape (boxes, 8).
+
+    Returns:
+        Indices of actions, shape (boxes,).
+    """
+    best = np.zeros(Q.shape[0], np.int64)
+    last = Q.shape[1] - 1
+    for box in range(Q.shape[0]):
+        lower_half = box < mirrored_box(box, Q.shape[0])
+        action = 0 if lower_half else last
+        for i in range(last + 1):
+            candidate = i if lower_half else last - i
+            if Q[box, candidate] > Q[box, action]:
+                action = candidate
+        best[box] = action
+    return best

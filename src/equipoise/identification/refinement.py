@@ -1,0 +1,441 @@
+"""Refinement of a policy's model from logs of its runs, and retraining of its table.
+
+This is the future work of Safeea & Neto: from the robot back to the simulation. A log holds the
+setpoints of the joints, their measured angles, and the encoder's counts. From these are identified
+
+1. the pendulum: w2, k and c (`equipoise.identification.refine`). The pivot follows from the
+   measured joints; phi in space is the encoder's angle plus the tilt of the flange;
+2. the actuator: delay, cycle, and the lags of the joints that move. Balancing moves few joints; the
+   others keep their lags.
+
+A parameter has changed if it differs beyond both 95 % intervals and beyond the range of the
+training. Training continues with the new values from the old table and its visits. The better of
+old and new table on the new model is kept, by trials that selected neither.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import hypot, sqrt
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.artefacts import Estimate, Value
+from equipoise.control.policy import Checkpoint, TabularPolicy
+from equipoise.errors import ArtefactError, RecordingError
+from equipoise.executors import Workers
+from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
+from equipoise.identification.refine import ClosedLoopFit, ParameterChange, compare, regress
+from equipoise.learning.selection import Running
+from equipoise.learning.training import TARGET, compare_policies, measure_policy, train
+from equipoise.logs.run_log import RunLog
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.encoder import theta_from_counts
+from equipoise.model.pendulum import Pendulum
+from equipoise.settings import PlantSettings, Settings
+
+Array = npt.NDArray[np.float64]
+
+EPISODES: Final = 2000
+"""Episodes of a retraining."""
+EXPLORATION: Final = 0.2
+"""Initial exploration of a retraining, as a share of the training's [-]."""
+COMPARISON_SEED: Final = 1 << 32
+"""Offset of the seed for the trials that compare old and new table, beyond all training seeds."""
+SAMPLE_SPACING: Final = 0.01
+"""Spacing of averaged encoder samples [s]: one tick, as in a log of a twin."""
+NORMAL: Final = 1.96
+"""Half width of a 95 % interval in standard deviations [-]."""
+MAX_BIRGE_RATIO: Final = 3.0
+"""Birge ratio of w2 between runs beyond which a warning is given [-]."""
+NO_DRAG: Final = Estimate(value=0.0, low=0.0, high=0.0, source="assumed")
+"""Air drag of the pendulum; balancing is too slow to identify it."""
+
+
+class ModelMotion(NamedTuple):
+    """Measured motion of pendulum and pivot; each of shape (n,)."""
+
+    time: Array
+    """Time stamps of the encoder [s]."""
+    phi: Array
+    """Angle of the pendulum from upright, in space [rad]."""
+    x: Array
+    """Displacement of the pivot along base x [m]."""
+
+
+class ArmResponse(Value):
+    """Change of an actuator's parameter."""
+
+    name: str
+    """`delay`, `cycle`, or `lag of` a joint."""
+    before: Estimate
+    """Previous estimate [s]."""
+    now: Estimate
+    """Estimate from the logs [s]."""
+    z: float
+    """Difference in standard deviations of both."""
+
+    @property
+    def text(self) -> str:
+        """The change in one line."""
+        before, now = (
+            f"{1e3 * e.value:.3g} [{1e3 * e.low:.3g}, {1e3 * e.high:.3g}]"
+            for e in (self.before, self.now)
+        )
+        return (
+            f"{self.name} moved from {before} to {now} ms (95 % intervals, z = {self.z:.1f}): "
+            "the response of the arm has changed"
+        )
+
+
+class RefinementFindings(Value):
+    """Model of a policy as identified from logs, and its changes."""
+
+    fit: ClosedLoopFit
+    """The identified pendulum."""
+    response: dict[str, Estimate]
+    """The identified parameters of the actuator, by name [s]."""
+    moves: tuple[ParameterChange | ArmResponse, ...]
+    """Changed parameters; empty if the model still holds."""
+    pendulum: Pendulum
+    """The policy's pendulum with the changed parameters."""
+    actuator: Actuator
+    """The policy's actuator, with all identified parameters if any changed."""
+    warnings: tuple[str, ...]
+    """Limitations of the logs, each with advice."""
+
+
+class Refinement(NamedTuple):
+    """A policy for the refined model."""
+
+    policy: TabularPolicy
+    """The better policy."""
+    kept: Literal["old", "new"]
+    """Origin of its table."""
+    old: Checkpoint
+    """Score of the old table on the model."""
+    new: Checkpoint
+    """Score of the new table in the same trials."""
+
+
+def inspect(policy: TabularPolicy, logs: Mapping[str, RunLog]) -> RefinementFindings:
+    """Identify the model of a policy from logs of its runs, and compare.
+
+    Args:
+        policy: The policy, with its pendulum, arm and actuator.
+        logs: Runs on one rig, by name; at least one.
+
+    Raises:
+        ArtefactError: A log is of another arm.
+        RecordingError: A log identifies no pendulum.
+    """
+    plant, arm = policy.settings.plant, policy.arm
+    fits: list[ClosedLoopFit] = []
+    responses: list[dict[str, Estimate]] = []
+    warnings: list[str] = []
+    for name, log in logs.items():
+        try:
+            fits.append(regress(*thinned(read_motion(log, arm)), g=policy.pendulum.g))
+        except (ArtefactError, RecordingError) as error:
+            raise type(error)(f"{name}: {error}") from None
+        warnings += (f"{name}: {warning}" for warning in fits[-1].warnings)
+        # An ideal arm has no actuator to compare with.
+        if not plant.ideal:
+            try:
+                responses.append(read_response(log, arm, policy.actuator))
+            except RecordingError as error:
+                warnings.append(f"{name} does not identify the actuator: {error}")
+    if len(fits) > 1 and disagreement([each.w2 for each in fits]) > MAX_BIRGE_RATIO:
+        found = ", ".join(f"{each.w2.value:.4g}" for each in fits)
+        warnings.append(
+            f"the runs disagree about w2 ({found} 1/s^2): the pendulum changed between them, so "
+            "that their mean is uncertain; give runs of one pendulum"
+        )
+    fit = combine_fits(fits)
+    response = {
+        name: combine(estimates)
+        for name in numbers(policy.actuator, arm)
+        if (estimates := [each[name] for each in responses if name in each])
+    }
+    moves = compare(policy.pendulum, fit, plant)
+    responded = compare_responses(policy.actuator, response, arm, plant)
+    return RefinementFindings(
+        fit=fit,
+        response=response,
+        moves=(*moves, *responded),
+        pendulum=_moved_pendulum(policy.pendulum, fit, moves),
+        actuator=_moved_actuator(policy.actuator, response, arm) if responded else policy.actuator,
+        warnings=tuple(warnings),
+    )
+
+
+def retrain(
+    policy: TabularPolicy,
+    pendulum: Pendulum,
+    actuator: Actuator,
+    *,
+    episodes: int = EPISODES,
+    seed: int = 0,
+    workers: Workers = 1,
+    comparing: Running = lambda _, __: None,
+    testing: Running = lambda _, __: None,
+    **options: Any,
+) -> Refinement:
+    """Continue a policy's training on another model, and keep the better of old and new table.
+
+    The table that is kept is tested on the new model, for the target of the policy.
+
+    Args:
+        policy: The policy with the initial table and visits.
+        pendulum: The pendulum.
+        actuator: The actuator.
+        episodes: Number of episodes.
+        seed: Master seed.
+        workers: Threads, or an executor; the result does not depend on it.
+        comparing: Called as trials of the comparison finish.
+        testing: Called as trials of the test finish.
+        options: `partial`, `report` and `selecting` of `train`.
+    """
+    settings = settings_of_retraining(policy.settings, episodes)
+    options |= {"actuator": actuator, "seed": seed, "init_policy": policy, "workers": workers}
+    new = train(pendulum, policy.arm, settings, **options)
+    old = policy.model_copy(update={"pendulum": pendulum, "actuators": (actuator,)})
+    of_old, of_new = compare_policies(
+        [old, new], seed=seed + COMPARISON_SEED, workers=workers, running=comparing
+    )
+    kept, better = ("new", new) if of_new.score > of_old.score else ("old", old)
+    if kept == "old":
+        better = better.model_copy(update={"checkpoints": (of_old,)})
+    target = TARGET if policy.test is None else policy.test.target
+    tests = measure_policy(better, target=target, workers=workers, running=testing)
+    return Refinement(better.model_copy(update={"tests": tests}), kept, of_old, of_new)
+
+
+def settings_of_retraining(settings: Settings, episodes: int) -> Settings:
+    """Return the settings of a retraining, from those of the training."""
+    learning = settings.learning
+    changes = {"episodes": episodes, "epsilon_initial": EXPLORATION * learning.epsilon_initial}
+    return settings.model_copy(update={"learning": learning.model_copy(update=changes)})
+
+
+def read_motion(log: RunLog, arm: Arm) -> ModelMotion:
+    """Return the motion of pendulum and pivot from the measurements of encoder and joints.
+
+    Args:
+        log: A run on a rig.
+        arm: Its arm, with the home posture of the run.
+
+    Raises:
+        ArtefactError: The log is of another arm.
+        RecordingError: The log has no measurements.
+    """
+    from scipy.interpolate import CubicSpline
+
+    conditions, ran = log.conditions, log.conditions.arm
+    # The iiwa 7 and the iiwa 14 have joints of the same names.
+    of_policy = (arm.name, tuple(joint.name for joint in arm.joints), arm.held_joint)
+    if (ran.name, conditions.joints, ran.held_joint) != of_policy:
+        raise ArtefactError(
+            f"the run was on an {ran.name} with joint {ran.held_joint} held, and the "
+            f"policy is for an {arm.name} with joint {arm.held_joint} held; give a run on that arm"
+        )
+    # A tick without a new sample reads the previous one again.
+    time, first = np.unique(log.encoder.time, return_index=True)
+    measured, of = np.unique(log.replies.time, return_index=True)
+    if conditions.counts_per_rev is None or min(len(time), len(measured)) < 2:
+        raise RecordingError(
+            f"the log holds {len(time)} encoder counts and {len(measured)} measured postures (world"
+            f" {conditions.world}), expected a run on a rig; run the policy on one, or on a twin"
+        )
+    theta = theta_from_counts(log.encoder.counts[first].astype(float), conditions.counts_per_rev, 1)
+    phi = np.mod(2.0 * np.pi - theta, 2.0 * np.pi) - np.pi
+    pivot = CubicSpline(measured, _pivot(log.replies.q[of], arm))
+    inside = (time >= measured[0]) & (time <= measured[-1])
+    x, tilt = pivot(time[inside]).T
+    return ModelMotion(time[inside], phi[inside] + tilt, x)
+
+
+def thinned(motion: ModelMotion) -> ModelMotion:
+    """Return a motion with averaged neighbouring samples, about `SAMPLE_SPACING` apart.
+
+    A board sends every millisecond, with stamps that err by a third of that, which a spline through
+    all samples would fit. The equation of the pendulum is nearly linear, so that averages of its
+    terms satisfy it.
+    """
+    if len(motion.time) < 2:
+        return motion
+    every = max(round(SAMPLE_SPACING / float(np.median(np.diff(motion.time)))), 1)
+    whole = len(motion.time) // every * every
+    return ModelMotion(*(part[:whole].reshape(-1, every).mean(axis=1) for part in motion))
+
+
+def _pivot(q: Array, arm: Arm) -> Array:
+    """Return x of the pivot from home [m], and the tilt of the flange [rad], shape (n, 2).
+
+    The tilt is a rotation about base y, the axis of the spindle; the encoder does not measure it.
+
+    Args:
+        q: All joints [rad], shape (n, joints).
+        arm: The arm.
+    """
+    free = list(arm.free)
+    poses = [arm.pose(posture) for posture in q[:, free]]
+    position = np.array([pose.position for pose in poses])
+    rotation = np.array([pose.rotation for pose in poses])
+    home, outward = arm.pose(arm.home_free), np.array(arm.pivot)
+    x = (position + rotation @ outward - home.position - home.rotation @ outward)[:, 0]
+    turn = rotation @ home.rotation.T
+    return np.stack([x, np.arctan2(turn[:, 0, 2], turn[:, 2, 2])], axis=1)
+
+
+def read_response(log: RunLog, arm: Arm, known: Actuator) -> dict[str, Estimate]:
+    """Return the parameters of the actuator that a run identifies, by name [s].
+
+    Args:
+        log: A run on a rig.
+        arm: Its arm.
+        known: An actuator of the same kind.
+
+    Raises:
+        RecordingError: The joints moved too little, or did not follow their setpoints.
+    """
+    free = list(arm.free)
+    stream, replies = log.stream, log.replies
+    sent, q = stream.q[:, free], replies.q[:, free]
+    moving = np.flatnonzero(speed_ranges(stream.time, sent) >= LEAST_SPEED).tolist()
+    if not moving:
+        raise RecordingError(
+            f"no joint's velocity ranges over {LEAST_SPEED} rad/s; let the pendulum move more, or "
+            "record a run with equipoise deploy --excite"
+        )
+    # The fit needs six moving joints: the first of these replaces those at rest.
+    joints = [j if j in moving else moving[0] for j in range(FREE_JOINTS)]
+    actuator = identify_actuator(
+        stream.time, sent[:, joints], replies.time, q[:, joints], source=log.digest, kind=known.kind
+    )
+    still = {_lag(arm, j) for j in range(FREE_JOINTS) if j not in moving}
+    return {
+        name: estimate
+        for name, estimate in numbers(actuator, arm).items()
+        if name not in still and estimate.source == "identified"
+    }
+
+
+def numbers(actuator: Actuator, arm: Arm) -> dict[str, Estimate]:
+    """Return delay, cycle and lags of an actuator by name [s]."""
+    lags = {_lag(arm, j): lag for j, lag in enumerate(actuator.lags)}
+    return {"delay": actuator.delay, "cycle": actuator.cycle, **lags}
+
+
+def _lag(arm: Arm, joint: int) -> str:
+    return f"lag of {arm.free_joints[joint].name}"
+
+
+def compare_responses(
+    known: Actuator, response: Mapping[str, Estimate], arm: Arm, plant: PlantSettings
+) -> tuple[ArmResponse, ...]:
+    """Return the changed parameters of an actuator.
+
+    As for the pendulum, a parameter has changed if the difference exceeds both 95 % intervals,
+    corrected for the number of parameters, and the range of the training. The training's range of
+    the delay covers lags too: to slow motion both are equivalent.
+
+    Args:
+        known: The actuator as identified before.
+        response: Parameters identified from logs, by name [s].
+        arm: The arm.
+        plant: Ranges of delay and lags in the training.
+    """
+    from scipy.stats import norm
+
+    limit = float(norm.isf(0.025 / max(len(response), 1)))
+    moves: list[ArmResponse] = []
+    for name, now in response.items():
+        before = numbers(known, arm)[name]
+        varied = 0.0 if name == "cycle" else plant.delay_spread
+        varied += 0.0 if name == "delay" else plant.lag_spread * before.value
+        difference = abs(now.value - before.value)
+        z = difference / hypot(before.half_width / NORMAL, now.half_width / NORMAL)
+        if z > limit and difference > varied:
+            moves.append(ArmResponse(name=name, before=before, now=now, z=z))
+    return tuple(moves)
+
+
+def combine(estimates: Sequence[Estimate]) -> Estimate:
+    """Return the weighted mean of estimates.
+
+    Its interval is widened by the Birge ratio if that exceeds one: the parameter varies between the
+    logs.
+
+    Args:
+        estimates: At least one, each with an interval of positive width.
+    """
+    if len(estimates) == 1:
+        return estimates[0]
+    values, halves, weights = _table(estimates)
+    mean = float(weights @ values / np.sum(weights))
+    wider = max(disagreement(estimates), 1.0)
+    below, above = (wider / np.sqrt(np.sum(halves**-2.0, axis=0))).tolist()
+    return Estimate(value=mean, low=mean - below, high=mean + above, source="identified")
+
+
+def disagreement(estimates: Sequence[Estimate]) -> float:
+    """Return the Birge ratio of estimates: their spread in units of their intervals.
+
+    Args:
+        estimates: At least two.
+    """
+    values, _, weights = _table(estimates)
+    mean = float(weights @ values / np.sum(weights))
+    return NORMAL * sqrt(float(weights @ (values - mean) ** 2) / (len(values) - 1))
+
+
+def _table(estimates: Sequence[Estimate]) -> tuple[Array, Array, Array]:
+    """Return values, half widths of the intervals below and above, and weights of estimates."""
+    table = np.array([(e.value, e.value - e.low, e.high - e.value) for e in estimates])
+    return table[:, 0], table[:, 1:], 1.0 / np.mean(table[:, 1:], axis=1) ** 2
+
+
+def combine_fits(fits: Sequence[ClosedLoopFit]) -> ClosedLoopFit:
+    """Return the joint fit of several logs of one pendulum; at least one."""
+    if len(fits) == 1:
+        return fits[0]
+    names = (name for name, value in fits[0] if isinstance(value, Estimate))
+    squares = [(fit.rate, fit.unexplained**2) for fit in fits]
+    rate, unexplained = np.average(squares, axis=0, weights=[fit.samples for fit in fits])
+    changes: dict[str, Any] = {name: combine([getattr(f, name) for f in fits]) for name in names}
+    changes |= {n: sum(getattr(fit, n) for fit in fits) for n in ("duration", "samples", "blocks")}
+    changes |= {"rate": float(rate), "unexplained": sqrt(unexplained)}
+    changes["warnings"] = tuple(warning for fit in fits for warning in fit.warnings)
+    return fits[0].model_copy(update=changes)
+
+
+def _moved_pendulum(
+    known: Pendulum, fit: ClosedLoopFit, moves: Sequence[ParameterChange]
+) -> Pendulum:
+    """Return the pendulum with its changed parameters, without mass, length and inertia."""
+    covariance = np.array(known.covariance)
+    changes: dict[str, Any] = {}
+    for move in moves:
+        if move.name == "w2":
+            found = {"w2": fit.w2, "k": fit.k}
+            changes |= {"mass": None, "length": None, "inertia": None}
+        else:
+            c, coulomb = fit.c.not_negative(), fit.coulomb.not_negative()
+            found = {"c": c, "coulomb": coulomb, "drag": NO_DRAG}
+            changes |= {"friction_model": "coulomb"}
+        changes |= {"fit": None, "friction": None, **found}
+        for place, name in enumerate(("w2", "c", "coulomb", "drag")):
+            if name in found:
+                covariance[place, :] = covariance[:, place] = 0.0
+                covariance[place, place] = (found[name].half_width / NORMAL) ** 2
+    return known.model_copy(update=changes | {"covariance": tuple(map(tuple, covariance.tolist()))})
+
+
+def _moved_actuator(known: Actuator, response: dict[str, Estimate], arm: Arm) -> Actuator:
+    """Return the actuator with all identified parameters, which one fit identified together."""
+    now = numbers(known, arm) | response
+    lags = tuple(now[_lag(arm, j)] for j in range(FREE_JOINTS))
+    changes = {"delay": now["delay"], "cycle": now["cycle"], "lags": lags, "fit": None}
+    return known.model_copy(update=changes)

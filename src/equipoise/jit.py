@@ -1,0 +1,311 @@
+"""Compilation of kernels with Numba, and the cache of their machine code.
+
+`@kernel` is `numba.njit` with fixed options: lazy typing, so that importing a module compiles
+nothing; `nogil`, so that threads run in parallel; no `fastmath`, so that equal input gives equal
+bits; and a cache on disk.
+
+Numba's own cache depends only on the file of a kernel, but a kernel also contains the code of the
+kernels that it calls. This cache depends on a digest of *all* files with kernels, in the user's
+cache directory (`EQUIPOISE_CACHE_DIR` moves it). Loading cached code runs it, so a folder that
+others can write to is not used (`equipoise.private_folder`). Without a usable folder, kernels
+compile in each process, after one warning.
+
+`@compilable` keeps a function in Python and lets kernels call it.
+
+`struct_ref` creates a type that holds many arrays and numbers behind one reference: passing it from
+Python to a kernel takes a microsecond, passing its parts takes a hundred.
+
+`function_pointer` compiles a function of fixed signature that kernels take as an *argument*, so
+that one training loop serves every arm (a dispatcher as an argument would always miss the cache).
+"""
+
+import ctypes
+import functools
+import hashlib
+import logging
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numba
+import platformdirs
+from numba.core import caching, config, event
+
+from equipoise.printable import printable
+from equipoise.private_folder import make_private_folder, writable_by_others
+
+logger = logging.getLogger(__name__)
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+PACKAGE = Path(__file__).parent
+KERNEL_FOLDERS = ("model", "control", "safety", "learning", "worlds", "apps/coppeliasim")
+"""Folders of the package with kernels."""
+
+
+def cache_directory() -> Path:
+    """Return the directory of reproducible files: machine code and generated arms."""
+    moved = os.environ.get("EQUIPOISE_CACHE_DIR")
+    return Path(moved) if moved else Path(platformdirs.user_cache_dir("equipoise", appauthor=False))
+
+
+@functools.cache
+def kernel_sources_digest() -> str:
+    """Return a digest of every file with kernels and of this module."""
+    kernels = (file for name in KERNEL_FOLDERS for file in (PACKAGE / name).rglob("*.py"))
+    digest = hashlib.sha256()
+    for file in sorted([Path(__file__), *kernels]):
+        digest.update(str(file.relative_to(PACKAGE)).encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _usable(folder: Path, contents: bool) -> bool:
+    """Create a cache folder; return whether this user alone can write to it."""
+    try:
+        make_private_folder(folder)
+        tempfile.TemporaryFile(dir=folder).close()
+        problem = writable_by_others(folder, contents=contents)
+    except OSError as error:
+        problem = f"cannot write {folder}: {error.strerror or error}"
+    if problem:
+        warn_of_cache(cache_directory(), problem)
+    return not problem
+
+
+@functools.cache
+def warn_of_cache(cache: Path, problem: str) -> None:
+    """Warn of a problem with the cache, once."""
+    logger.warning(
+        "the cache %s is not used: %s. Code is compiled anew in each process; set "
+        "EQUIPOISE_CACHE_DIR to a folder of your own that can be written",
+        printable(str(cache)),
+        printable(problem),
+    )
+
+
+def cache_folder(*names: str) -> Path | None:
+    """Return a folder of the cache; warn and return None if it cannot be used."""
+    top = cache_directory()
+    folder = top.joinpath(*names)
+    return folder if _usable(top, False) and _usable(folder, True) else None
+
+
+@functools.cache
+def _machine_code_directory() -> Path | None:
+    return cache_folder("kernels", kernel_sources_digest())
+
+
+def cache_is_empty() -> bool:
+    """Return whether the cache is in use and holds no kernels yet."""
+    directory = None if disabled() else _machine_code_directory()
+    return directory is not None and not any(directory.glob("*.nbi"))
+
+
+@contextmanager
+def watching_compilation(compiled: Callable[[], None]) -> Generator[None]:
+    """Call `compiled` for each function that Numba compiles in this context."""
+
+    class _Listener(event.Listener):
+        def on_start(self, event: event.Event) -> None:
+            pass
+
+        def on_end(self, event: event.Event) -> None:
+            compiled()
+
+    with event.install_listener("numba:compile", _Listener()):
+        yield
+
+
+class _Locator(caching._CacheLocator):
+    """Location and stamp of the machine code of one function, for Numba.
+
+    The types of Numba's base methods, which only raise, lack the return values.
+    """
+
+    def __init__(self, py_func: Callable[..., Any], py_file: str, directory: Path) -> None:
+        self._directory = directory
+        # Files of equal name share the directory: the path distinguishes them.
+        place = hashlib.sha256(py_file.encode()).hexdigest()[:8]
+        self._place = f"{py_func.__code__.co_firstlineno}-{place}"
+        self._stamp = hashlib.sha256(Path(py_file).read_bytes()).hexdigest()
+
+    def get_cache_path(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return str(self._directory)
+
+    def get_source_stamp(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self._stamp
+
+    def get_disambiguator(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self._place
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "_Locator | None":
+        directory = _machine_code_directory()
+        return None if directory is None else cls(py_func, py_file, directory)
+
+
+class _CacheImpl(caching.CompileResultCacheImpl):
+    _locator_classes = [_Locator]  # noqa: RUF012  (the name and type are Numba's)
+
+
+class _KernelCache(caching.FunctionCache):
+    _impl_class = _CacheImpl
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load machine code from the cache; return None if its file is damaged."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:  # a damaged pickle raises any error
+            logger.debug("damaged file in the cache: %r", error)
+            with suppress(OSError):
+                self.flush()  # or the new code could not be added
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Write machine code to the cache; continue without it if the disk is full."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            warn_of_cache(cache_directory(), f"the disk takes no more ({error.strerror})")
+
+
+def _cached(compiled: Any) -> None:
+    if _machine_code_directory() is not None:
+        compiled._cache = _KernelCache(
+            compiled.py_func if hasattr(compiled, "py_func") else compiled._pyfunc
+        )
+
+
+def disabled() -> bool:
+    """Return whether `NUMBA_DISABLE_JIT=1` keeps kernels as plain Python."""
+    return bool(vars(config)["DISABLE_JIT"])  # set by Numba from NUMBA_DISABLE_JIT
+
+
+def kernel(function: F) -> F:
+    """Compile `function` on its first call; with `NUMBA_DISABLE_JIT=1` return it unchanged."""
+    return _lazily_compiled(function, _nrt=True)
+
+
+def inlined(function: F) -> F:
+    """Compile `function` into each kernel that calls it.
+
+    Formulas inside loops over lanes need it: a processor vectorises a loop only without calls. So
+    do functions of a control step, because a call copies all arrays of its named tuples. Such a
+    function creates no array: it counts no references, which would take longer than its formulas.
+    """
+    return _lazily_compiled(function, _nrt=False, forceinline=True)
+
+
+def compilable(function: F) -> F:
+    """Keep `function` in Python, and compile it into each kernel that calls it.
+
+    Rigs evaluate rules in Python, because nothing may compile during a run; trials evaluate the
+    same code in kernels.
+    """
+    if disabled():
+        return function
+    from numba.extending import register_jitable
+
+    return register_jitable(error_model="numpy")(function)
+
+
+def _lazily_compiled(function: F, **options: Any) -> F:
+    if disabled():
+        return function
+    options |= {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    dispatcher: Any = numba.njit(**options)(function)
+    _cached(dispatcher)
+    # Numba gives an integer literal a type of its own, for which it would compile the kernel again.
+    resolve = dispatcher.get_call_template
+    dispatcher.get_call_template = lambda args, kws: resolve(
+        tuple(map(numba.types.unliteral, args)),
+        {name: numba.types.unliteral(kind) for name, kind in kws.items()},
+    )
+    return dispatcher
+
+
+_library_fma: Any = ctypes.CDLL("ucrtbase" if os.name == "nt" else None).fma
+_library_fma.argtypes, _library_fma.restype = [ctypes.c_double] * 3, ctypes.c_double
+
+
+def fma(a: float, b: float, c: float) -> float:
+    """Return a b + c with one rounding; in kernels it is one instruction.
+
+    A compiler must not join a product and a sum by itself, because that changes the result.
+    """
+    return _library_fma(a, b, c)
+
+
+def _teach_numba_fma() -> None:
+    from numba.extending import lower_builtin, type_callable
+
+    number = numba.types.float64
+
+    @type_callable(fma)
+    def type_of_fma(context: Any) -> Any:
+        return lambda a, b, c: number
+
+    @lower_builtin(fma, number, number, number)
+    def code_of_fma(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.fma(*values)
+
+
+if not disabled():
+    _teach_numba_fma()
+
+
+@functools.cache
+def function_pointer(function: F, signature: Any, cached: bool = True) -> F:
+    """Compile `function` for one `signature`, as an argument of kernels.
+
+    Args:
+        function: A plain function of a real `.py` file.
+        signature: Numba signature, e.g. `void(float64[::1], float64[::1])`.
+        cached: Whether to cache the machine code on disk. The digest of the cache does not cover
+            code from outside the package, which is not cached and has its indices checked.
+
+    Returns:
+        The compiled function; with `NUMBA_DISABLE_JIT=1`, `function` itself.
+    """
+    if disabled():
+        return function
+    from numba.core.ccallback import CFunc
+    from numba.core.sigutils import normalize_signature
+
+    options = {"error_model": "numpy", "boundscheck": not cached, "_nrt": not cached}
+    pointer: Any = CFunc(function, normalize_signature(signature), {}, options)
+    if cached:
+        _cached(pointer)
+    pointer.compile()
+    return pointer
+
+
+def struct_ref(name: str, module: str, fields: Sequence[str]) -> Any:
+    """Create a type whose values kernels take by reference, with fields of any types.
+
+    Construct its values in a kernel (`return NAME(...)`), which caches the constructor, too.
+
+    Args:
+        name: Name of the type; assign it to a variable of this name.
+        module: `__name__` of the module that defines it.
+        fields: Names of the fields.
+
+    Returns:
+        A type with a constructor of its fields, in their order; with `NUMBA_DISABLE_JIT=1`, a
+        named tuple.
+    """
+    if disabled():
+        # The fields are dynamic.
+        return NamedTuple(name, [(field, Any) for field in fields])  # pyright: ignore
+    from numba.experimental import structref
+
+    kind = type(f"{name}Type", (numba.types.StructRef,), {"__module__": module})
+    proxy = type(name, (structref.StructRefProxy,), {"__module__": module})
+    structref.define_proxy(proxy, structref.register(kind), list(fields))
+    vars(sys.modules[module])[kind.__name__] = kind  # Numba's cache looks up the type by name
+    return proxy

@@ -1,0 +1,351 @@
+"""Simulated worlds for testing a policy, by name.
+
+`ideal` is the paper's plant, whose arm has no delay; `model` is the training plant, with the
+identified actuator. `twin:nominal` and others of `WORLDS` are named, frozen parameter sets of the
+digital twin, each with what is known and what is guessed about it; `twin:FILE` is a TOML file of
+differences to nominal.
+
+A twin's pendulum has the identified friction: viscous, dry and drag. A world may override dry
+friction and drag; `pivot_friction` returns the effective friction and its origin.
+
+Each docstring gives the source of its number. The source of the KUKA Sunrise Toolbox and the arm's
+data are facts; numbers marked *assumed* are pessimistic choices within the plausible range.
+"""
+
+import os.path
+from collections.abc import Mapping
+from math import radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
+
+from pydantic import Field, ValidationError
+
+from equipoise.artefacts import Number, Value, first_fault, quoted
+from equipoise.errors import SettingsError
+from equipoise.settings import FINEST_ENCODER, QUARTER_TURN, read_toml
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from equipoise.model.pendulum import Pendulum, PendulumParameters
+
+IDEAL: Final = "ideal"
+"""Name of the paper's plant in `--world` and in files."""
+MODEL: Final = "model"
+"""Name of the training plant in `--world` and in files."""
+PREFIX: Final = "twin:"
+"""Prefix of the names of digital twins."""
+
+Inner = Literal["velocity", "pd", "trajectory40"]
+FrictionSource = Literal["pendulum", "world", "assumed"]
+"""Origin of a friction: the pendulum's identification, an override of the world, or the world's
+assumption for a pendulum without an identified value."""
+
+RotorInertia = Annotated[float, Field(ge=0.0, le=100.0)]
+"""Inertia of the motor and gear of a joint, reflected to its output: n^2 J [kg m^2]."""
+LWR_ROTORS: Final = (3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394)
+"""Reflected rotor inertias of the KUKA LWR, A1 to A7 [kg m^2], the predecessor of the iiwa. Jubien,
+Gautier and Janot identified them on that arm from motor and joint torques (IFAC Proceedings 47(3),
+2014, pp. 8391-8396)."""
+LIGHT_ROTOR: Final = 0.02
+"""Rotor inertia of `light-rotors` [kg m^2]: a fifth of a small motor (1e-5 kg m^2) behind 1:100."""
+
+
+class TwinSettings(Value):
+    """Parameters of the digital twin; the defaults are `nominal`."""
+
+    transport: float = Field(default=0.010, ge=0.0, le=0.2)
+    """Delay from sending a setpoint to its use by the servo [s]. Assumed: a request and its reply
+    through Java take 3 to 4 ms at the rates that the toolbox's author reports; the rest is
+    margin."""
+    transport_jitter: float = Field(default=0.001, ge=0.0, le=0.05)
+    """Half width of the uniform jitter of that delay [s]; the order is kept. Assumed."""
+    cycle: int = Field(default=1, ge=1, le=10)
+    """Cycle of the server's shaping law [ms]: `Thread.sleep(1)` in its source."""
+    shaped: bool = True
+    """Whether the server applies its shaping law, as in its source. Otherwise the destination is
+    the setpoint, as behind KUKA's FRI."""
+    inner: Inner = "velocity"
+    """Servo model of the cabinet behind the shaping law; it is not published. `velocity`: a joint
+    velocity of (destination - q) over the cycle, through a first-order lag. `pd`: a PD controller
+    on the destination. `trajectory40`: as velocity, but over the minimum trajectory time of 40 ms
+    that the server's source requests."""
+    lag: float = Field(default=0.008, ge=0.001, le=0.1)
+    """Time constant of the joint drives [s]. Assumed: 4 to 16 ms are plausible."""
+    pd_frequency: float = Field(default=125.0, ge=1.0, le=2000.0)
+    """Natural frequency of `pd`, critically damped [rad/s]. Assumed: 1 / lag of `velocity`. A cycle
+    of 1 ms limits it to 2000."""
+    rotor_inertia: RotorInertia | Annotated[tuple[RotorInertia, ...], Field(min_length=1)] = (
+        LWR_ROTORS
+    )
+    """Inertia of motor and gear, reflected to the output of the joint [kg m^2]: one number for all
+    joints, or one for each from the base on, the last one for further joints. The drive knows it.
+    KUKA publishes none for the iiwa. Default: as identified on its predecessor, the LWR. Drake's
+    model of the iiwa 14 estimates more, from types of motors and gears: 3.4 for A1 to A4, 1.3 for
+    A5, 1.2 for A6 and A7."""
+    bracket_mass: float = Field(default=0.1, ge=0.0, le=14.0)
+    """Mass of the bracket of the pendulum, unknown to the drive [kg]. Assumed. The payload of every
+    iiwa is at most 14 kg."""
+    pendulum_mass: float = Field(default=0.15, ge=1e-9, le=14.0)
+    """Mass of the pendulum, unknown to the drive [kg]; modelled as a uniform rod. Assumed."""
+    pivot_outward: float = Field(default=0.13, ge=0.0, le=1.0)
+    """Distance from the axis of A7 to the pendulum's plane [m]: clearance for the wrist."""
+    coulomb: float | None = Field(default=None, ge=0.0, le=1e3)
+    """Override of the pendulum's dry friction over inertia [1/s^2]; None keeps the identified
+    value."""
+    drag: float | None = Field(default=None, ge=0.0, le=1e3)
+    """Override of the pendulum's quadratic drag over inertia [1/rad]; None keeps the identified
+    value."""
+    assumed_coulomb: float = Field(default=0.1, ge=0.0, le=1e3)
+    """Dry friction over inertia of a pendulum without an identified value [1/s^2], if `coulomb` is
+    None. Assumed: recorded pivots show 0.05 to 2."""
+    inertia_sigma: float = Field(default=0.02, ge=0.0, lt=0.25)
+    """Standard deviation of the factor on I, drawn per trial."""
+    friction_sigma: float = Field(default=0.2, ge=0.0, lt=1.0)
+    """Standard deviation of the factor on b, drawn per trial."""
+    counts_per_rev: int = Field(default=8192, ge=64, le=FINEST_ENCODER)
+    """Encoder counts per revolution, after x4: 2048 lines."""
+    zero_error: float = Field(default=radians(0.2), ge=0.0, le=QUARTER_TURN)
+    """Half width of the uniform zero error of the encoder, drawn per trial [rad]. Assumed: stiction
+    leaves a hanging pendulum coulomb / w2 beside the vertical, 0.1 deg on a recorded arm."""
+    zero_offset: float = Field(default=0.0, ge=-QUARTER_TURN, le=QUARTER_TURN)
+    """Constant part of the zero error [rad]."""
+    encoder_age: float = Field(default=0.001, ge=0.0, le=0.05)
+    """Age of the newest count at a tick [s]: an encoder board sends at 1 kHz."""
+    encoder_jitter: float = Field(default=0.0003, ge=0.0, le=0.01)
+    """Half width of the uniform error of a count's time stamp [s]. Assumed: USB frames."""
+    reply_age: float = Field(default=0.005, ge=0.0, le=0.1)
+    """Age of the newest measured q at a tick [s]: the reply to the previous setpoint. Assumed."""
+    joint_noise: float = Field(default=5e-5, ge=0.0, le=0.1)
+    """Standard deviation of the noise on a measured joint position [rad]. Assumed: half of the
+    arm's repeatability of 0.1 mm at 0.8 m, 6e-5 rad."""
+    substeps: int = Field(default=1, ge=1, le=16)
+    """Number of physics engine steps per millisecond."""
+    guards: bool = True
+    """Whether the safety rules of a rig end a trial (cause `guard`)."""
+    t1: bool = False
+    """Whether these rules include the speed limit of T1."""
+
+
+class PivotFriction(Value):
+    """Dry friction and drag of a twin's pendulum, with their origins."""
+
+    coulomb: Number
+    """Dry friction over inertia [1/s^2]."""
+    drag: Number
+    """Quadratic drag over inertia [1/rad]."""
+    coulomb_from: FrictionSource
+    """Origin of the dry friction."""
+    drag_from: FrictionSource
+    """Origin of the drag."""
+    own_coulomb: Number
+    """Identified dry friction of the pendulum over inertia [1/s^2]; zero if not identified."""
+    own_drag: Number
+    """Identified quadratic drag of the pendulum over inertia [1/rad]."""
+
+    def on(self, pendulum: "PendulumParameters") -> "PendulumParameters":
+        """Return a pendulum with the overridden frictions."""
+        overrides = {
+            name: float(getattr(self, name))
+            for name in ("coulomb", "drag")
+            if getattr(self, f"{name}_from") != "pendulum"
+        }
+        return pendulum._replace(**overrides)
+
+    def describe(self, world: str) -> str:
+        """Return the frictions as text, with their units and origins.
+
+        Args:
+            world: Name of the world.
+        """
+        identified = "as identified"
+        if self.coulomb_from == "world":
+            origin = f"set by {world}; the pendulum has {self.own_coulomb:.3g}"
+        elif self.coulomb_from == "assumed":
+            origin = f"assumed by {world}; not identified for this pendulum"
+        else:
+            origin = identified
+        text = f"dry friction {self.coulomb:.3g} 1/s^2 ({origin})"
+        if self.drag == self.own_drag == 0.0:
+            return text
+        if self.drag_from == "world":
+            identified = f"set by {world}; the pendulum has {self.own_drag:.3g}"
+        return f"{text}, drag {self.drag:.3g} 1/rad ({identified})"
+
+
+def pivot_friction(pendulum: "Pendulum", settings: TwinSettings) -> PivotFriction:
+    """Return the effective dry friction and drag of a pendulum in a twin.
+
+    Args:
+        pendulum: The pendulum, with the sources of its numbers.
+        settings: Parameters of the twin.
+    """
+    coulomb, drag = pendulum.coulomb.value, pendulum.drag.value
+    coulomb_from: FrictionSource = "pendulum"
+    drag_from: FrictionSource = "pendulum"
+    if settings.coulomb is not None:
+        coulomb, coulomb_from = settings.coulomb, "world"
+    elif pendulum.coulomb.source == "assumed":
+        coulomb, coulomb_from = settings.assumed_coulomb, "assumed"
+    if settings.drag is not None:
+        drag, drag_from = settings.drag, "world"
+    return PivotFriction(
+        coulomb=coulomb,
+        drag=drag,
+        coulomb_from=coulomb_from,
+        drag_from=drag_from,
+        own_coulomb=pendulum.coulomb.value,
+        own_drag=pendulum.drag.value,
+    )
+
+
+def pendulum_on(pendulum: "Pendulum", settings: TwinSettings) -> "PendulumParameters":
+    """Return the best values of a pendulum with its effective friction in a twin.
+
+    Args:
+        pendulum: The pendulum, with the sources of its numbers.
+        settings: Parameters of the twin.
+    """
+    return pivot_friction(pendulum, settings).on(pendulum.parameters())
+
+
+def rotor_inertias(settings: TwinSettings, n: int) -> "npt.NDArray[np.float64]":
+    """Return the rotor inertia of each joint [kg m^2], shape (n,).
+
+    Args:
+        settings: Parameters of the twin.
+        n: Number of joints of the arm.
+
+    Example:
+        >>> rotor_inertias(TwinSettings(rotor_inertia=(3.0, 2.0)), 3)
+        array([3., 2., 2.])
+    """
+    import numpy as np
+
+    given = np.atleast_1d(np.asarray(settings.rotor_inertia, np.float64))
+    return given[np.minimum(np.arange(n), len(given) - 1)]
+
+
+class World(NamedTuple):
+    """Digital twin with the name of its parameter set."""
+
+    name: str
+    """Name as given to `--world`, e.g. `twin:nominal`."""
+    settings: TwinSettings
+    """Parameters of the twin."""
+
+
+class WorldPreset(NamedTuple):
+    """Frozen parameter set of the digital twin."""
+
+    changes: Mapping[str, Any]
+    """Differences to the defaults of `TwinSettings`."""
+    known: str
+    """What is known about such a cabinet, with its source."""
+    guessed: str
+    """What is guessed about it."""
+
+
+WORLDS: Final[Mapping[str, WorldPreset]] = {
+    "nominal": WorldPreset(
+        {},
+        known="The server's shaping law and cycle, from its source; the masses of the links. The "
+        "rotor inertias are those of the predecessor of the iiwa, the KUKA LWR.",
+        guessed="10 ms of transport. The drives reach a destination within a cycle, through a "
+        "first-order lag of 8 ms.",
+    ),
+    "harsh": WorldPreset(
+        {
+            "transport": 0.030,
+            "counts_per_rev": 4096,
+            "assumed_coulomb": 0.3,
+            "zero_error": radians(0.4),
+            "inertia_sigma": 0.04,
+            "friction_sigma": 0.4,
+        },
+        known="As nominal.",
+        guessed="As nominal, with 30 ms of transport, half the encoder's counts, three times the "
+        "dry friction, and twice the errors of zero, inertia and friction.",
+    ),
+    "light-rotors": WorldPreset(
+        {"rotor_inertia": LIGHT_ROTOR},
+        known="As nominal; published rotor inertias are 20 to 160 times as large.",
+        guessed="Rotor inertias of 0.02 kg m^2, so that the load disturbs the drives of the wrist.",
+    ),
+    "bare": WorldPreset(
+        {"rotor_inertia": 0.0},
+        known="As nominal; a joint without a rotor does not exist.",
+        guessed="No rotor inertia: the drive of A7 knows the 0.0003 kg m^2 of its link alone, a "
+        "tenth of bracket and pendulum.",
+    ),
+    "pd": WorldPreset(
+        {"inner": "pd"},
+        known="As nominal.",
+        guessed="The drives control the position, critically damped at 125 rad/s. Behind the law "
+        "they reach a destination in 16 ms instead of 1 ms.",
+    ),
+    "trajectory40": WorldPreset(
+        {"inner": "trajectory40"},
+        known="As nominal; the server's source requests a minimum trajectory execution time of "
+        "40 ms.",
+        guessed="The drives take these 40 ms to each destination.",
+    ),
+    "smart60": WorldPreset(
+        {"shaped": False, "transport": 0.044, "inner": "pd"},
+        known="A program with KUKA's SmartServo sets destinations without the shaping law of KST. "
+        "A total delay of about 60 ms is reported, without a published measurement.",
+        guessed="Its split: 44 ms of transport, and drives that control the position, critically "
+        "damped at 125 rad/s, 16 ms behind a ramp. SmartServo plans its own trajectories.",
+    ),
+    "fri": WorldPreset(
+        {"shaped": False, "transport": 0.003, "inner": "pd"},
+        known="KUKA's FRI takes a position every 1 to 5 ms, without a shaping law.",
+        guessed="A setpoint takes effect after 2 to 4 ms. The drives control the position, "
+        "critically damped at 125 rad/s, 16 ms behind a ramp.",
+    ),
+}
+"""Frozen parameter sets by name."""
+
+
+def read_world(name: str) -> World:
+    """Return the twin of a name.
+
+    Args:
+        name: `twin:` and a key of `WORLDS` (`twin:harsh`), or `twin:FILE`, where the file is TOML
+            with differences to nominal.
+
+    Raises:
+        SettingsError: The world does not exist, or its file is invalid.
+
+    Example:
+        >>> world = read_world("twin:harsh")
+        >>> world.name, world.settings.transport
+        ('twin:harsh', 0.03)
+    """
+    twins = f"{', '.join(PREFIX + short for short in WORLDS)} or {PREFIX}FILE.toml"
+    if name == MODEL:
+        raise SettingsError(f"the plant of the training is no digital twin; choose {twins}")
+    if not name.startswith(PREFIX):
+        raise SettingsError(f"there is no world {quoted(name)}; choose {IDEAL}, {MODEL}, {twins}")
+    which = name.removeprefix(PREFIX)
+    if which in WORLDS:
+        return World(PREFIX + which, TwinSettings.model_validate(WORLDS[which].changes))
+    file = Path(which)
+    try:
+        which.encode()
+    except UnicodeEncodeError:  # results name their world
+        raise SettingsError(
+            f"the name of the world {quoted(name)} is not UTF-8; give the file another name"
+        ) from None
+    if not which or not os.path.lexists(file):
+        raise SettingsError(
+            f"there is no world {quoted(name)}: no set of that name, and no such file; choose one "
+            f"of {', '.join(WORLDS)}, or give a TOML file"
+        )
+    differences = {**WORLDS["nominal"].changes, **read_toml(file, "the numbers of a world")}
+    try:
+        return World(name, TwinSettings.model_validate(differences))
+    except ValidationError as error:
+        fault = first_fault(error)
+        raise SettingsError(f"world {file}: {fault.where}: {fault.what}, got {fault.got}") from None

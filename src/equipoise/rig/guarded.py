@@ -1,0 +1,165 @@
+"""Guard around any robot: the last check of each setpoint before it is sent.
+
+The guard checks each setpoint by the rules of `equipoise.safety.rules`. It holds back an invalid
+setpoint and all later ones, and sends its own ramp to rest instead, which starts at the last
+setpoint sent with the velocity of its reference. It never clips a setpoint.
+"""
+
+from collections.abc import Iterator, Sequence
+
+from equipoise.errors import LinkError
+from equipoise.rig.interfaces import Array, Reply, Robot
+from equipoise.safety.rules import Limits, check_first, check_setpoint
+from equipoise.safety.stop import Ramp, ramp
+
+
+class GuardedRobot:
+    """`Robot` that sends valid setpoints only, and otherwise stops the arm."""
+
+    def __init__(self, robot: Robot, limits: Limits, period: float) -> None:
+        """Guard a robot.
+
+        Args:
+            robot: The robot.
+            limits: Limits of setpoints.
+            period: Time between two setpoints [s].
+        """
+        self._robot, self._limits, self._period = robot, limits, period
+        self.started_at: tuple[float, ...] = ()
+        """Measured joints at the start of the servo [rad], equal to the first setpoint."""
+        self.last: tuple[float, ...] | None = None
+        """Last setpoint sent [rad]; None before the first."""
+        self._references: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+        """References of the last two setpoints [rad], the older one first."""
+        self._ramp: Ramp | None = None
+        self._sent = 0  # setpoints of the ramp
+        self.held_back: str | None = None
+        """Reason for holding a setpoint back; None without one."""
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return self._robot.joints
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the guard's ramp has ended or was never started."""
+        return self._ramp is None or self._sent * self._period >= self._ramp.duration
+
+    def connect(self) -> None:
+        """Connect.
+
+        Raises:
+            LinkError: A reply is missing or invalid.
+        """
+        self._robot.connect()
+
+    def measured(self) -> Array:
+        """Return the measured joints [rad], shape (joints,).
+
+        Raises:
+            LinkError: The reply is late or invalid.
+        """
+        return self._robot.measured()
+
+    def start(self) -> None:
+        """Start the servo; the first setpoint has to equal the joints measured now.
+
+        Raises:
+            LinkError: A reply is late or invalid, or this guard has stopped.
+        """
+        if self.held_back is not None:
+            raise LinkError(f"the guard has stopped ({self.held_back}); begin a new run")
+        self.started_at = tuple(self._robot.measured().tolist())
+        self.last = None
+        self._robot.start()
+
+    def send(
+        self,
+        q: Sequence[float] | Array,
+        *,
+        lead: Sequence[float] | Array = (),
+        to_rest: bool = False,
+        from_rest: bool = False,
+    ) -> None:
+        """Send a setpoint, or the next one of a ramp to rest if the setpoint is invalid.
+
+        Args:
+            q: The joints [rad], shape (joints,).
+            lead: Their distances from the setpoint's reference [rad], shape (joints,); empty for
+                none.
+            to_rest: Whether the setpoint belongs to a ramp to rest inside the limits, so that the
+                stopping distance is not checked.
+            from_rest: Whether the arm has come to rest at the last setpoint, because the stream
+                stood still.
+
+        Raises:
+            LinkError: The link is down, replies are overdue, or the first setpoint differs from the
+                measured joints.
+        """
+        if self._ramp is None:
+            setpoint, ahead = tuple(map(float, q)), tuple(map(float, lead))
+            reference = setpoint
+            if ahead:
+                reference = tuple(a - b for a, b in zip(setpoint, ahead, strict=True))
+            if from_rest and self.last is not None:
+                self._references = self.last, self.last
+            before, last = self._references
+            if self.last is None:
+                last = reference
+                if broken := check_first(self._limits, setpoint, self.started_at):
+                    self.held_back = broken.reason
+                    raise LinkError(f"nothing was sent: {broken.reason}")
+            else:
+                path, sent = (reference, last, before), (setpoint, self.last)
+                if broken := check_setpoint(self._limits, *path, self._period, to_rest, sent):
+                    self.held_back = broken.reason
+                    self._begin_ramp(self.last)
+            if self._ramp is None:
+                self._robot.send(setpoint)
+                self._references, self.last = (last, reference), setpoint
+                return
+        self.last = self._upcoming
+        self._sent += 1
+        self._robot.send(self.last)
+
+    def replies(self) -> list[Reply]:
+        """Return the replies since the last call, the oldest first.
+
+        Raises:
+            LinkError: The link is down, or a reply is overdue or invalid.
+        """
+        return self._robot.replies()
+
+    def stop(self) -> None:
+        """Stop the servo, the arm at rest.
+
+        Raises:
+            LinkError: A reply is late or invalid.
+        """
+        self._robot.stop()
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._robot.close()
+
+    def rest(self) -> Iterator[tuple[float, ...]]:
+        """Yield the setpoints of a ramp to rest from the last one sent, one for each period."""
+        if self.last is None:
+            return
+        if self._ramp is None:
+            self._begin_ramp(self.last)
+        if not self.at_rest:
+            while not self.at_rest:
+                yield self._upcoming
+            yield self._upcoming  # repeated, so that the arm no longer moves
+
+    def _begin_ramp(self, last: tuple[float, ...]) -> None:
+        dq = [(b - a) / self._period for a, b in zip(*self._references, strict=True)]
+        # The flange speed is not known here: the joints alone determine the ramp.
+        self._ramp, self._sent = ramp(last, dq, 0.0, self._limits), 0
+
+    @property
+    def _upcoming(self) -> tuple[float, ...]:
+        assert self._ramp is not None  # noqa: S101 - its only callers have begun it
+        return self._ramp.at((self._sent + 1) * self._period)

@@ -1,0 +1,201 @@
+"""Interfaces of a rig: robot, angle sensor, clock, and the transport of their bytes.
+
+All times are those of the rig's `Clock` [s], from an arbitrary zero, and never decrease. Methods do
+not block unless their docstring says so: one thread reads robot and sensor, and waits at the clock
+only. A device that fails raises `equipoise.errors.LinkError`, and never resumes by itself.
+"""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.control.ticks import Reply, Sample
+
+Array = npt.NDArray[np.float64]
+
+SETPOINT_PERIOD: Final = 0.005
+"""Time between two setpoints [s]: half a tick of 10 ms. KST servers need 200 Hz for a smooth
+motion."""
+
+
+class Request(NamedTuple):
+    """Request for the next setpoint, by a robot that sets the pace itself."""
+
+    time: float
+    """Time of the request [s]."""
+    q: tuple[float, ...]
+    """Measured joints [rad], shape (joints,)."""
+    torque: tuple[float, ...] | None
+    """External torques [N m], shape (joints,); None in a request without them."""
+
+
+@runtime_checkable
+class Clock(Protocol):
+    """Time of a rig."""
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        ...
+
+    def wait_until(self, time: float, /) -> None:
+        """Block until a time [s], or return at once if it is past; virtual time runs the rig."""
+
+
+class ServoedArm(Protocol):
+    """Connection, servo and joints of an arm, which both kinds of robot have."""
+
+    @property
+    def joints(self) -> int:
+        """Number of joints, the held one included."""
+        ...
+
+    def connect(self) -> None:
+        """Connect, the arm at rest. Blocks, if needed until an operator has started a server.
+
+        Raises:
+            LinkError: The reply is missing or invalid.
+        """
+
+    def measured(self) -> Array:
+        """Return the measured joints [rad], shape (joints,), while the servo is off. Blocks.
+
+        It is called 50 times a second while the operator is asked, so that a lost link is noticed.
+
+        Raises:
+            LinkError: The reply is late or invalid.
+        """
+        ...
+
+    def start(self) -> None:
+        """Start the servo, which holds the arm at its position. Blocks until it runs.
+
+        Raises:
+            LinkError: The reply is late or invalid.
+        """
+
+    def stop(self) -> None:
+        """Stop the servo, the arm at rest. Blocks.
+
+        Raises:
+            LinkError: The reply is late or invalid.
+        """
+
+    def close(self) -> None:
+        """Disconnect; a failing link is ignored. Never raises, and may be called again."""
+
+
+@runtime_checkable
+class Robot(ServoedArm, Protocol):
+    """An arm that follows a stream of setpoints of all its joints.
+
+    After `start` it obeys them; while none comes it goes to the last one, and rests there.
+    """
+
+    def send(self, q: Sequence[float] | Array) -> None:
+        """Send a setpoint of all joints.
+
+        Args:
+            q: The joints [rad], shape (joints,).
+
+        Raises:
+            LinkError: The link is down, or replies are overdue.
+            InputError: The setpoint is not one finite number per joint; nothing was sent.
+        """
+
+    def replies(self) -> list[Reply]:
+        """Return the replies since the last call, the oldest first.
+
+        Raises:
+            LinkError: The link is down, or a reply is overdue or invalid.
+        """
+        ...
+
+
+@runtime_checkable
+class PacedRobot(ServoedArm, Protocol):
+    """An arm that sets the pace: it requests each setpoint, every few milliseconds.
+
+    `equipoise.rig.paced.PacedStream` makes a `Robot` of it: ticks stay at 10 ms, and each
+    request is answered with a point of a smooth path through the setpoints. The
+    requests begin with `start`.
+    """
+
+    def request(self, until: float) -> Request | None:
+        """Block until the robot requests a setpoint, or until a time [s].
+
+        Returns:
+            The oldest request without an answer; None without a request at that time.
+
+        Raises:
+            LinkError: The link is down, or the robot has stopped.
+        """
+        ...
+
+    def answer(self, q: Sequence[float] | Array) -> None:
+        """Answer the last request with the joints for its next cycle [rad], shape (joints,).
+
+        Raises:
+            LinkError: The link is down.
+        """
+
+
+@runtime_checkable
+class AngleSensor(Protocol):
+    """An incremental encoder on the pendulum's spindle, with a button."""
+
+    @property
+    def description(self) -> str:
+        """Name of the device and its properties, for the user."""
+        ...
+
+    @property
+    def rejected(self) -> int:
+        """Number of damaged or inconsistent readings that were dropped since connecting."""
+        ...
+
+    @property
+    def counts_per_rev(self) -> int:
+        """Counts per revolution, after x4; from the board, if it reports them."""
+        ...
+
+    def connect(self) -> None:
+        """Connect and wait for the first sample. Blocks.
+
+        Raises:
+            LinkError: The sensor is missing, or sends nothing valid.
+        """
+
+    def samples(self) -> list[Sample]:
+        """Return the samples since the last call, the oldest first.
+
+        Raises:
+            LinkError: The link is down, or silent.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close the link. Never raises, and may be called again."""
+
+
+class Transport(Protocol):
+    """A stream of bytes, both ways."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; never blocks.
+
+        Raises:
+            LinkError: The link is down, or accepts no more bytes.
+        """
+
+    def read(self) -> bytes:
+        """Return the bytes since the last call; empty without any.
+
+        Raises:
+            LinkError: The other end has closed the link.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close; never raises, and may be called again."""

@@ -1,0 +1,266 @@
+"""Control loop of a run: read, decide, send; wait; send the setpoint of half a tick; wait.
+
+The loop runs in one thread. Deadlines are absolute times of the rig's clock, so that they do not
+drift. A loop that stands still sends no setpoint that is later than the next one should be: the arm
+comes to rest at the last one sent, the missed ticks are skipped and counted, and the tick handler
+begins anew from there at the time of a later tick. A tick takes no lock, prints nothing, and writes
+its records to preallocated rings (`equipoise.logs.recorder`).
+
+A failure ends in one of two ways. While the robot accepts setpoints, the tick handler brings the
+arm to rest inside the stream; if the handler itself fails, the guard around the robot does. If the
+link to the robot is lost, software cannot stop the arm: the loop reports this at once and returns.
+"""
+
+from collections.abc import Callable
+from contextlib import suppress
+from time import perf_counter
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.control.ticks import (
+    Job,
+    OperatorMessage,
+    TickHandler,
+    TickInputs,
+    TickOutput,
+    missed_ticks,
+)
+from equipoise.errors import LinkError
+from equipoise.logs.recorder import FAILED, PULSE, WORD_TYPED, Recorder, push_event
+from equipoise.rig.guarded import GuardedRobot
+from equipoise.rig.interfaces import AngleSensor, Clock, Sample
+from equipoise.rig.operator import Operator
+
+Array = npt.NDArray[np.float64]
+
+
+class Executor(Protocol):
+    """Executor of jobs that take longer than a tick, one at a time."""
+
+    def begin(self, job: Job) -> None:
+        """Start a job; returns quickly."""
+
+    def result(self) -> Any:
+        """Return the result or the exception of the job, once; None while it runs."""
+        ...
+
+
+class InlineExecutor:
+    """Executor for virtual time, in which a job takes no time."""
+
+    def __init__(self) -> None:
+        """Create an idle executor."""
+        self._result: Any = None
+
+    def begin(self, job: Job) -> None:
+        """Run the job."""
+        try:
+            self._result = job()
+        except Exception as error:  # the tick handler stops on it
+            self._result = error
+
+    def result(self) -> Any:
+        """Return the result of the job, once."""
+        result, self._result = self._result, None
+        return result
+
+
+class Timing(NamedTuple):
+    """Timing of a loop."""
+
+    late: Array
+    """Lateness of each tick [s], shape (n,)."""
+    compute: Array
+    """Time of each tick from reading to sending [s], shape (n,)."""
+    missed: int
+    """Number of ticks that were skipped."""
+
+    def percentiles(self, of: Array) -> dict[str, float]:
+        """Return p50, p99, p99.9 and maximum of an array [s]; empty for an empty array."""
+        if not len(of):
+            return {}
+        p50, p99, p999 = np.percentile(of, (50.0, 99.0, 99.9)).tolist()
+        return {"p50": p50, "p99": p99, "p99.9": p999, "max": float(of.max())}
+
+
+class LoopResult(NamedTuple):
+    """End of a loop."""
+
+    fault: str | None
+    """Fault that ended the loop; None after a regular end."""
+    stoppable: bool
+    """Whether software still commands the arm; otherwise the operator must stop it."""
+    timing: Timing
+    """Timing of the ticks."""
+
+
+def run_loop(
+    robot: GuardedRobot,
+    sensor: AngleSensor,
+    clock: Clock,
+    handler: TickHandler,
+    recorder: Recorder,
+    operator: Operator,
+    *,
+    max_duration: float,
+    executor: Executor | None = None,
+    idle: Callable[[], None] = lambda: None,
+) -> LoopResult:
+    """Run until the tick handler is done or the link to the robot is lost. The servo has to run.
+
+    Args:
+        robot: The arm, behind its guard.
+        sensor: The encoder, connected.
+        clock: Clock of both.
+        handler: Tick handler, which decides on the setpoints.
+        recorder: Rings for the log.
+        operator: Receives messages and returns input, without blocking.
+        max_duration: Maximum duration of the recorded timing [s].
+        executor: Executor of longer jobs (default: inline, between two ticks).
+        idle: Called once in a tick after its last setpoint, for example to drain the rings in
+            virtual time.
+    """
+    h = handler.h
+    late, compute = np.zeros((2, round(max_duration / h)))
+    executor = InlineExecutor() if executor is None else executor
+    ticks = missed = unsent = 0
+    faults: list[str] = []
+    sensor_lost = refused = still = False
+    deadline = clock.now() + h
+    fault: str | None = None
+    stoppable = True
+    try:
+        while True:
+            clock.wait_until(deadline)
+            due = deadline
+            while (skipped := missed_ticks(clock.now() - deadline, h)) > 0:
+                deadline += skipped * h
+                missed += skipped
+                clock.wait_until(deadline)
+            now, begin = clock.now(), perf_counter()
+            lateness = now - due
+            samples: list[Sample] = []
+            if not sensor_lost:
+                try:
+                    samples = sensor.samples()
+                except LinkError as error:
+                    sensor_lost = True
+                    faults.append(str(error))
+            replies, words = robot.replies(), operator.read_input()
+            done = executor.result()
+            inputs = TickInputs(samples, replies, words, faults, lateness, done, unsent)
+            output, faults = handler.tick(now, inputs), []
+            first, rest = output.setpoints[:1], output.setpoints[1:]
+            still = still or inputs.paused(h)
+            leads = output.leads or ((),) * len(output.setpoints)
+            for setpoint in first:
+                robot.send(setpoint, lead=leads[0], to_rest=output.to_rest, from_rest=still)
+            still = not first
+            sent, took = clock.now(), perf_counter() - begin
+            if ticks < len(late):
+                late[ticks], compute[ticks] = lateness, took
+            ticks += 1
+            for sample in samples:
+                recorder.encoder.push(*sample, now)
+            _record(recorder, now, took, inputs, output)
+            if first:
+                recorder.stream.push(sent, robot.last)  # as sent: the guard may have replaced it
+            for event in output.events:
+                _notify(recorder, operator, now, event)
+            unsent = 0
+            for place, setpoint in enumerate(rest, start=1):
+                period = h / len(output.setpoints)
+                clock.wait_until(deadline + place * period)
+                moment = clock.now()
+                if moment > deadline + (place + 1) * period:
+                    unsent = len(rest) + 1 - place
+                    break
+                robot.send(setpoint, lead=leads[place], to_rest=output.to_rest)
+                recorder.stream.push(moment, robot.last)
+            if output.job is not None:
+                executor.begin(output.job)
+            if robot.held_back is not None and not refused:
+                refused = True
+                faults.append(robot.held_back)
+            if output.done:
+                break
+            idle()
+            deadline += h
+    except LinkError as error:
+        # The arm rests if the guard refused the first setpoint, since no other was sent.
+        fault, stoppable = str(error), robot.held_back is not None and robot.last is None
+    except KeyboardInterrupt:  # Ctrl-C in virtual time, or from a driver
+        _rest(robot, clock, recorder, h / 2.0)
+        raise
+    except BaseException as error:  # after any failure the arm has to come to rest
+        fault = f"the controller failed ({type(error).__name__}: {error})"
+    if fault is not None:
+        text = fault if stoppable else f"{fault}; {CANNOT_STOP}"
+        _notify_best_effort(recorder, operator, clock, text)
+    if stoppable and (fault is not None or not robot.at_rest):
+        stoppable = _rest(robot, clock, recorder, h / 2.0)
+        if not stoppable:
+            _notify_best_effort(recorder, operator, clock, CANNOT_STOP)
+    recorder.pulse[_TICKS] = 0.0  # no further tick
+    idle()
+    return LoopResult(fault, stoppable, Timing(late[:ticks], compute[:ticks], missed))
+
+
+CANNOT_STOP: Final = (
+    "software cannot stop the robot any more, it holds its last target: press the E-stop"
+)
+"""Message to the operator when the link to the robot is lost."""
+
+
+def _rest(robot: GuardedRobot, clock: Clock, recorder: Recorder, period: float) -> bool:
+    """Bring the arm to rest without the tick handler; return whether that was possible."""
+    moment = clock.now()
+    try:
+        for setpoint in robot.rest():
+            moment += period
+            clock.wait_until(moment)
+            robot.replies()
+            now = clock.now()
+            robot.send(setpoint)
+            recorder.stream.push(now, robot.last)
+            recorder.pulse[_TIME] = now  # the loop still commands the arm
+    except BaseException:  # the link is lost, or a part that has failed fails again
+        return False
+    return True
+
+
+def _notify_best_effort(recorder: Recorder, operator: Operator, clock: Clock, text: str) -> None:
+    """Report a fault; an exception is suppressed, since the arm still has to come to rest."""
+    with suppress(Exception):
+        _notify(recorder, operator, clock.now(), OperatorMessage("fault", text))
+
+
+def _notify(recorder: Recorder, operator: Operator, now: float, event: OperatorMessage) -> None:
+    push_event(recorder.event, now, event.name, event.answers, event.text)
+    operator.notify(event)
+
+
+_TIME, _STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("time", "state", "phi", "ticks"))
+
+
+def _record(
+    recorder: Recorder, now: float, took: float, inputs: TickInputs, output: TickOutput
+) -> None:
+    record, unknown = output.record, recorder.unknown
+    for reply in inputs.replies:
+        q = unknown if reply.q is None else reply.q
+        torque = unknown if reply.torque is None else reply.torque
+        recorder.reply.push(reply.received, reply.sent, q, torque, now)
+    recorder.tick.push(
+        *(now, inputs.lateness, took, output.state),
+        *(record.x, record.x_dot, record.phi, record.phi_dot, record.box, record.u),
+        *(record.estimated_phi, record.estimated_phi_dot, record.bias, output.q, output.dq),
+    )
+    for name, texts in ((WORD_TYPED, inputs.lines), (FAILED, inputs.faults)):
+        for text in texts:
+            push_event(recorder.event, now, name, (), text)
+    pulse = recorder.pulse
+    pulse[_TIME], pulse[_STATE], pulse[_PHI] = now, output.state, record.estimated_phi
+    pulse[_TICKS] += 1.0

@@ -1,0 +1,198 @@
+"""One simulated run of a policy, and its log.
+
+The world is a plant (`ideal`, `model`) or a digital twin of the rig (`twin:...`): an arm with the
+robot's servo, a pendulum whose weight loads it, an encoder with a zero offset. Pendulum, noise,
+start and zero are drawn as for a test trial, from a separate seed. The policy runs tick by tick
+from Python, with the same bits as a compiled trial.
+
+`excite` moves the arm while the pendulum hangs, and records the response for the identification of
+the actuator (`equipoise.identification.actuator`).
+"""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise import paper
+from equipoise.control.control_step import SETPOINTS_PER_TICK
+from equipoise.control.grid import box_indices, cause_named, partition
+from equipoise.control.policy import TaskPolicy
+from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd, named
+from equipoise.logs.run_log import RunLog
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.random import DEPLOYMENT
+from equipoise.model.worlds import (
+    MODEL,
+    TwinSettings,
+    World,
+    pendulum_on,
+    pivot_friction,
+    read_world,
+)
+from equipoise.safety.trial import guard_named
+from equipoise.settings import Settings
+from equipoise.worlds import Recorder, find_world, run_trial, setup_of, simulate
+
+Array = npt.NDArray[np.float64]
+
+EXCITED = "excited"
+"""Cause of the end of an excitation."""
+
+
+def simulate_run(
+    policy: TaskPolicy,
+    *,
+    world: str | World = MODEL,
+    actuator: Actuator | None = None,
+    seed: int = 0,
+    duration: float | None = None,
+    settings: Settings | None = None,
+) -> RunLog:
+    """Run a policy once.
+
+    Args:
+        policy: The policy.
+        world: `ideal`, `model`, a name that `read_world` knows, or a twin with its numbers.
+        actuator: The controller's model of the arm's response (default: that of the training). A
+            policy with several selects one on a twin, see `equipoise.control.actuator_choice`.
+        seed: Master seed of pendulum, noise, start and zero.
+        duration: Length of the run [s] (default: that of an evaluation's trial).
+        settings: Noise of the plant, ranges of the start, the controller (default: the policy's).
+
+    Returns:
+        The log, to the end of the run or its failure.
+
+    Raises:
+        ArmError: Home is a singular posture, or the masses of a twin's arm are unknown.
+        SettingsError: The world is unknown.
+    """
+    setup = setup_of(policy, world, settings, actuator)
+    pendulum, arm, settings, _, h = setup
+    duration = settings.evaluation.duration if duration is None else duration
+    name, twin = find_world(world)
+    simulation = simulate(world, setup, seed=seed, stream=DEPLOYMENT)
+    trial, loop = simulation.draw(1).trial(0), simulation.loop()
+    recorder = Recorder(len(arm.joints), round(duration / h))
+    _, cause, _ = run_trial(loop, policy, trial, duration, recorder)
+    rows = recorder.rows
+    used = setup.actuators[loop.chosen]
+    time = np.arange(len(rows.u), dtype=np.float64) * h
+    sent = (time[:, None] + np.arange(SETPOINTS_PER_TICK) * h / SETPOINTS_PER_TICK).ravel()
+    setpoints = rows.setpoints.reshape(-1, FREE_JOINTS)
+    measured: dict[str, Any] = {}
+    if twin is not None:
+        measured = {
+            "stream": {"time": sent, "q": _all_joints(arm, setpoints)},
+            "replies": {"time": rows.measured[:, -1], "q": _all_joints(arm, rows.measured[:, :-1])},
+            "encoder": {"time": rows.encoder[:, 1], "counts": rows.encoder[:, 0]},
+        }
+    boxes = partition(settings.boxes, pendulum.parameters().k)
+    state = ("x", "x_dot", "phi", "phi_dot")
+    return RunLog.simulated(
+        RunConditions(
+            arm=arm,
+            settings=settings,
+            policy=policy.digest,
+            policy_name=policy.name,
+            pendulum_digest=pendulum.digest,
+            world=name,
+            start=trial.start,
+            h=h,
+            duration=duration,
+            seed=seed,
+            actuator=IDEAL if used.kind == "ideal" else used.digest,
+            zero_error=loop.zero,
+            pendulum=named(loop.pendulum),
+            **_twin_conditions(pendulum, twin),
+        ),
+        RunEnd(cause=cause_named(cause), guard=guard_named(cause), lasted=round(len(time) * h, 9)),
+        {
+            "time": time,
+            **dict(zip(state, rows.observation.T, strict=True)),
+            "box": box_indices(rows.observation, boxes),
+            "u": rows.u,
+            "estimated_phi": rows.estimate[:, 0],
+            "estimated_phi_dot": rows.estimate[:, 1],
+            "bias": rows.estimate[:, 2],
+            "q": _all_joints(arm, rows.q),
+            "dq": _all_joints(arm, rows.dq, held=0.0),
+        },
+        truth={
+            **dict(zip(state, rows.state.T, strict=True)),
+            "tracked": rows.tracked,
+            "q": rows.joints,
+        },
+        **measured,
+    )
+
+
+def excite(
+    arm: Arm, world: str | World, pendulum: Pendulum, *, seed: int = 0, duration: float = 10.0
+) -> RunLog:
+    """Move every joint of a twin about home while the pendulum hangs, and record the response.
+
+    Args:
+        arm: The arm with its home posture.
+        world: A name that `read_world` knows, or a twin with its numbers.
+        pendulum: The hanging pendulum.
+        seed: Master seed of jitter and noise.
+        duration: Length of the record [s].
+
+    Returns:
+        A log without ticks: setpoints, measured joints, and the hanging pendulum's swing.
+
+    Raises:
+        ArmError: The masses of the arm are unknown, or home is close to a limit.
+        SettingsError: The world is unknown.
+    """
+    from equipoise.worlds.twin import excitation
+
+    twin = world if isinstance(world, World) else read_world(world)
+    parameters = pendulum_on(pendulum, twin.settings)
+    record = excitation.excite(arm, twin.settings, parameters, seed, duration)
+    return RunLog.simulated(
+        RunConditions(
+            arm=arm,
+            settings=Settings(),
+            policy="",
+            world=twin.name,
+            start=(0.0, 0.0, np.pi, 0.0),
+            h=paper.STEP,
+            duration=duration,
+            seed=seed,
+            actuator="",
+            pendulum=named(parameters),
+            pendulum_digest=pendulum.digest,
+            **_twin_conditions(pendulum, twin.settings),
+        ),
+        RunEnd(cause=EXCITED),
+        {},
+        stream={"time": record.stream_time, "q": _all_joints(arm, record.stream_q)},
+        replies={"time": record.reply_time, "q": _all_joints(arm, record.reply_q)},
+        encoder={"time": record.encoder_time, "counts": record.counts},
+    )
+
+
+def _twin_conditions(pendulum: Pendulum, twin: TwinSettings | None) -> dict[str, Any]:
+    """Return the conditions of a run that a twin adds."""
+    return {
+        "counts_per_rev": twin and twin.counts_per_rev,
+        "world_settings": twin and twin.model_dump(),
+        "friction": twin and pivot_friction(pendulum, twin).model_dump(),
+    }
+
+
+def _all_joints(arm: Arm, free: Array, held: float | None = None) -> Array:
+    """Return values of all joints, shape (n, joints), from those of the free joints.
+
+    Args:
+        arm: The arm.
+        free: Values of the free joints, shape (n, free joints).
+        held: Value of the held joints (default: their angles at home [rad]).
+    """
+    values = np.full((len(free), len(arm.joints)), arm.home if held is None else held, np.float64)
+    values[:, list(arm.free)] = free
+    return values

@@ -1,0 +1,188 @@
+"""Simulated rig: the twin with an operator's hand and button, in time.
+
+On it an emulated cabinet and an emulated encoder board run, or robot and encoder in process
+(`equipoise.robots.twin.robot`). Virtual time drives it by `clock.attach(bench.advance)`, real time
+by calls of `advance` with the time: the rig catches up in whole milliseconds. Equal seeds and equal
+acts at equal times give equal motion.
+
+Each fault of the bodies is a method: `push`, `touch`, `slip`, and `stop` of the arm.
+"""
+
+from collections.abc import Callable, Sequence
+from math import pi, radians
+from typing import Final
+
+import numpy as np
+
+from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import TwinSettings
+from equipoise.settings import GRAVITY
+from equipoise.worlds.twin.hand import Hand, HandParams, Side, draw_hand_params
+from equipoise.worlds.twin.physics import TICK, rod_centre
+from equipoise.worlds.twin.simulated_arm import SimulatedArm
+from equipoise.worlds.twin.twin import Array, TrueState, Twin, advance
+
+PRESS: Final = 0.1
+"""Duration of a press of the button [s]."""
+DEFLECTION: Final = radians(50.0)
+"""Angle from hanging at which the pendulum is held for a free swing [rad]."""
+
+
+class SimulatedRig:
+    """Arm, pendulum, hand and button, in time."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        pendulum: PendulumParameters,
+        settings: TwinSettings,
+        *,
+        seed: int = 0,
+        start: float = 0.0,
+        q: Sequence[float] | Array | None = None,
+        phi: float = pi,
+    ) -> None:
+        """Set up a rig, the arm at rest.
+
+        Args:
+            arm: The arm with its home posture.
+            pendulum: The pendulum, with the friction that acts in the twin.
+            settings: The world's numbers.
+            seed: Seed of all random numbers.
+            start: Start time [s].
+            q: Free joints [rad], shape (6,); home if not given.
+            phi: Angle of the pendulum from upright [rad]; it hangs if not given.
+
+        Raises:
+            ArmError: The masses of the arm's links are not known.
+        """
+        self.settings = settings
+        """The world's numbers."""
+        self.seed = seed
+        """Seed of all random numbers."""
+        self.joints = len(arm.joints)
+        """Number of joints of the arm."""
+        self.twin = Twin(arm, pendulum, settings, seed=seed)
+        self.twin.reset(q, phi)
+        self.body = SimulatedArm(self.twin, arm, settings)
+        """Arm that an emulated cabinet moves and measures."""
+        self._reach = rod_centre(pendulum.w2)
+        inertia = settings.pendulum_mass * GRAVITY * self._reach / pendulum.w2
+        self.hand = Hand(inertia, self._reach)
+        """Hand of the operator, at the middle of the rod."""
+        self._random = np.random.default_rng(seed)
+        self._start, self._ticks = start, 0
+        self._down_until = self._slip = 0.0
+        self._touching = False
+        self._watching: list[Callable[[], None]] = []
+
+    @property
+    def now(self) -> float:
+        """The time [s]."""
+        return self._start + self._ticks * TICK
+
+    def advance(self, now: float) -> None:
+        """Advance in milliseconds to a time [s]."""
+        due = round((now - self._start) / TICK)
+        while self._ticks < due:
+            self.body.tick()
+            self._grasp()
+            advance(self.twin.kernel, 1)
+            self._ticks += 1
+            for work in self._watching:
+                work()
+
+    def watch(self, work: Callable[[], None]) -> None:
+        """Run `work()` at the end of each millisecond from now on."""
+        self._watching.append(work)
+
+    @property
+    def phi(self) -> float:
+        """Angle of the pendulum from upright, relative to the flange, beyond a turn [rad]."""
+        return float(self.twin.kernel.bodies.qpos[self.joints])
+
+    @property
+    def phi_dot(self) -> float:
+        """Rate of that angle [rad/s]."""
+        return float(self.twin.kernel.bodies.qvel[self.joints])
+
+    @property
+    def q(self) -> Array:
+        """True positions of all joints [rad], shape (joints,)."""
+        return self.twin.kernel.bodies.qpos[: self.joints].copy()
+
+    @property
+    def theta(self) -> float:
+        """Angle that an encoder measures: from hanging, relative to the flange [rad]."""
+        return pi - self.phi + self._slip
+
+    def truth(self) -> TrueState:
+        """Return the true state of flange and pendulum."""
+        return self.twin.truth()
+
+    @property
+    def button(self) -> bool:
+        """Whether the button is down."""
+        return self.now < self._down_until
+
+    def press(self, duration: float = PRESS) -> None:
+        """Press the button for a while [s]."""
+        self._down_until = self.now + duration
+
+    def lift(self, *, side: Side | None = None, clumsy: float = 0.25) -> HandParams:
+        """Grip the pendulum, bring it upright, and hold it until `let_go`.
+
+        Args:
+            side: Side of the lift (default: drawn).
+            clumsy: Probability of a release with a push or a drag.
+
+        Returns:
+            The parameters of the hand; the caller releases after their time of holding.
+        """
+        manner = draw_hand_params(self._random, side=side, clumsy=clumsy)
+        self.hand.lift(self.now, self.phi, manner)
+        return manner
+
+    def steady(self) -> None:
+        """Grip the pendulum, bring it to hang, and hold it until `let_go`."""
+        self.hand.steady(self.now, self.phi, draw_hand_params(self._random, clumsy=0.0))
+
+    def hold_deflected(self) -> None:
+        """Grip the pendulum and hold it deflected until `let_go`, which starts a free swing."""
+        manner = draw_hand_params(self._random, clumsy=0.0)
+        self.hand.hold_deflected(self.now, self.phi, DEFLECTION, manner)
+
+    def let_go(self) -> None:
+        """Release the pendulum."""
+        self.hand.release(self.now)
+
+    def push(self, rate: float) -> None:
+        """Push the pendulum, which changes its rate [rad/s]."""
+        self.hand.push(self.now, rate)
+
+    def touch(self, force: Sequence[float] | Array) -> None:
+        """Press on the middle of the bracket, beside the flange, from now on.
+
+        Args:
+            force: Force in base axes [N], shape (3,); zero ends the contact.
+        """
+        flange = self.twin.kernel.bodies.flange
+        self.twin.data.xfrc_applied[flange, :3] = np.asarray(force, np.float64)
+
+    def slip(self, angle: float) -> None:
+        """Slip the encoder on its spindle, which adds an offset to its angle from now on [rad]."""
+        self._slip += angle
+
+    def _grasp(self) -> None:
+        """Apply the force of the hand at the middle of the rod, across it."""
+        if self.hand.idle:
+            if self._touching:
+                self.twin.data.xfrc_applied[self.twin.kernel.bodies.pendulum, :3] = 0.0
+                self._touching = False
+            return
+        bodies = self.twin.kernel.bodies
+        torque = self.hand.torque(self.now, self.phi, self.phi_dot)
+        across = bodies.xmat[bodies.pendulum, 0::3]
+        self.twin.data.xfrc_applied[bodies.pendulum, :3] = torque / self._reach * across
+        self._touching = True

@@ -1,0 +1,1 @@
+"""Robots and sensors: each with its driver, codec and emulator."""

@@ -1,0 +1,176 @@
+"""Emulator of an encoder board, which sends the same bytes as the firmware for any angle.
+
+The board counts an angle on its own clock, and can have the faults of real boards. Its inputs are
+bytes and times, its outputs bytes: it runs in virtual time behind a memory pipe and in real time on
+a pseudo-terminal (`terminal.py`).
+
+Not modelled: single edges of the two lines (their faults are set by attributes), the bounce of the
+button, the transmission time of a line, and a full buffer.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import floor
+from typing import Final
+
+import numpy as np
+
+from equipoise.model.encoder import counts_from_theta
+from equipoise.robots.encoder.codec import Banner, Flags, Reading, Requests, encode
+
+RATE: Final = 1000
+"""Line rate of the firmware [Hz]."""
+BOOT: Final = 0.3
+"""Time from a restart to the banner [s]."""
+NAME: Final = "emulated"
+FIRMWARE: Final = "1.0"
+
+
+@dataclass(eq=False)
+class Board:
+    """Emulated board; its faults are attributes that may be set at any time.
+
+    At its start it sends its banner, and its first line a period later.
+    """
+
+    angle: Callable[[], float]
+    """Returns theta, the spindle's angle relative to its mount, from any zero [rad]."""
+    counts_per_rev: int = 8192
+    """Counts per revolution in the banner, after x4."""
+    sign: int = 1
+    """1 if counts grow with theta, -1 if they fall; the wrong sign is a fault."""
+    rate_hz: int = RATE
+    """Line rate [Hz]."""
+    offset_us: int = 0
+    """Time of the board's clock at `start` [us]."""
+    drift: float = 0.0
+    """Relative error of the board's clock, positive if fast [-]."""
+    start: float = 0.0
+    """Time at which the board is switched on [s]."""
+    seed: int = 0
+    """Seed of malformed lines."""
+    factor: float = 1.0
+    """Ratio of actual to nominal counts; other than 1 is a fault."""
+    loss: float = 0.0
+    """Share of upward counts that are lost: a slow fault."""
+    frozen: bool = False
+    """Whether the count is frozen: a fault."""
+    silent: bool = False
+    """Whether the board sends no lines: a fault."""
+    malformed: float = 0.0
+    """Share of damaged lines: a fault."""
+
+    def __post_init__(self) -> None:
+        """Switch the board on."""
+        self._rng = np.random.default_rng(self.seed)
+        self._requests = Requests()
+        self._now = self.start
+        self._boot(self.start, self.offset_us)
+
+    def _boot(self, now: float, t_us: int = 0) -> None:
+        self._started = self._next = self._at = now
+        self._start_us = t_us
+        self._theta = self.angle()
+        self._raw = self._counted(self._theta)
+        self._line = self._count = self._shift = self._skip = self._requested = 0
+        self._lost = 0.0
+        self._greets = True
+        self._down = self._latched = self._illegal = False
+
+    # Inputs and faults.
+
+    def feed(self, data: bytes) -> None:
+        """Receive bytes from the host."""
+        self._requested += self._requests.feed(data)
+
+    def press(self, down: bool = True) -> None:
+        """Press the button, or release it; a press is latched until the next line."""
+        self._latched |= down and not self._down
+        self._down = down
+
+    def jump(self, counts: int) -> None:
+        """Change the count at once, as a slipping coupling or a burst of noise does."""
+        self._shift += counts
+
+    def zero(self) -> None:
+        """Set the count to zero, which our firmware never does."""
+        self._shift = -self._count
+
+    def skip(self, lines: int) -> None:
+        """Drop the next lines."""
+        self._skip += lines
+
+    def meet_illegal(self) -> None:
+        """Inject a simultaneous change of both lines of the encoder."""
+        self._illegal = True
+
+    def reboot(self) -> None:
+        """Restart count, sequence and clock, after `BOOT`."""
+        self._boot(self._now + BOOT)
+
+    # Outputs.
+
+    def advance(self, now: float) -> bytes:
+        """Advance to a time, and return the bytes sent meanwhile.
+
+        The angle is interpolated linearly between two calls: call it about once per period.
+
+        Args:
+            now: The time [s], not before that of the last call.
+        """
+        theta, before, since = self.angle(), self._theta, self._at
+        sent = bytearray()
+        if now >= self._started:
+            banner = encode(Banner(NAME, FIRMWARE, self.counts_per_rev, self.rate_hz))
+            sent += banner * (self._greets + self._requested)
+            self._greets, self._requested = False, 0
+        period = 1.0 / (self.rate_hz * (1.0 + self.drift))
+        while self._next + period <= now + 1e-9:
+            self._next += period
+            share = (self._next - since) / (now - since) if now > since else 1.0
+            self._move(before + min(max(share, 0.0), 1.0) * (theta - before))
+            sent += self._line_now()
+        self._theta, self._at, self._now = theta, max(now, since), now
+        return bytes(sent)
+
+    def _counted(self, theta: float) -> int:
+        return int(counts_from_theta(self.factor * theta, self.counts_per_rev, self.sign))
+
+    def _move(self, theta: float) -> None:
+        raw = self._counted(theta)
+        step, self._raw = raw - self._raw, raw
+        if self.frozen:
+            return
+        self._lost += self.loss * max(step, 0)
+        missed = floor(self._lost)
+        self._lost -= missed
+        self._count += step - missed
+
+    def _line_now(self) -> bytes:
+        flags = Flags.DOWN * self._down | Flags.PRESSED * self._latched
+        flags |= Flags.ILLEGAL * self._illegal
+        clock = (self._next - self._started) * (1.0 + self.drift)
+        t_us = (self._start_us + round(1e6 * clock)) % 2**32
+        count = (self._count + self._shift + 2**31) % 2**32 - 2**31
+        line = encode(Reading(self._line, t_us, count, int(flags)))
+        self._line = (self._line + 1) % 2**16
+        if self._skip or self.silent:
+            self._skip = max(self._skip - 1, 0)
+            return b""
+        self._latched = self._illegal = False
+        if self.malformed > 0.0 and self._rng.random() < self.malformed:
+            return self._damaged(line)
+        return line
+
+    def _damaged(self, line: bytes) -> bytes:
+        """Return a damaged line: bytes changed, lost or doubled, or noise."""
+        rng = self._rng
+        kind, place = int(rng.integers(4)), int(rng.integers(len(line)))
+        if kind == 0:
+            end = min(place + 1 + int(rng.integers(4)), len(line))
+            return line[:place] + rng.bytes(end - place) + line[end:]
+        if kind == 1:
+            return line[:place] + line[place + 1 + int(rng.integers(8)) :]
+        if kind == 2:
+            return line[:place] + line[max(place - 3, 0) :]
+        return rng.bytes(len(line))

@@ -1,0 +1,226 @@
+r"""Codec of the KST server, the program of the KUKA Sunrise Toolbox on the cabinet.
+
+The client sends ASCII lines over TCP, each a command whose fields are joined by `_`. The server
+answers most of them with one line. The protocol has no length, checksum, sequence number or
+watchdog::
+
+    getJointsPositions\n             0.0_0.4364_0.0_-1.3962_0.0_1.309_0.0_\n
+    startDirectServoJoints\n         done\n
+    jpJP_<seven numbers>_\n          1.5855032851556873E-4_0.4364_ ... _0.0_\n
+    jpExT_<seven numbers>_\n         0.5_-1.25_1.0E-4_0.0_0.0_0.0_0.125_\n
+    stopDirectServoJoints\n          done\n
+    end\n                            (the server closes the connection and its program ends)
+
+Angles are in radians, torques in N m, lengths in mm. The server writes numbers as Java's
+`Double.toString`, each with a trailing `_`. It answers `nak` to a command that fails in its main
+thread, and does not answer most other mistakes.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from decimal import Decimal
+from typing import Final, Literal
+
+from equipoise.errors import InputError, LinkError
+from equipoise.rig.interfaces import Array
+from equipoise.rig.setpoints import checked
+
+PORT: Final = 30001
+"""TCP port of the KST server."""
+JOINTS: Final = 7
+"""Number of joints of an iiwa. Lines of an emulated arm have one field for each of its joints."""
+DIGITS: Final = 9
+"""Significant digits of the numbers sent, 1 nrad in 1 rad. At 100 Hz the five digits of the
+official clients cause steps of 1 rad/s^2 in the second difference."""
+MAX_LINE: Final = 1024
+"""Maximum accepted line length [bytes]; seven Java numbers take less than 190."""
+
+ReplyKind = Literal["done", "joints", "external", "measured", "pose", "force", "nothing"]
+"""Reply that a setpoint requests: an acknowledgement, measured joints [rad], external or measured
+torques [N m], the end effector's pose [mm, rad] or force [N], or nothing."""
+
+SUFFIXES: Final[dict[ReplyKind, str]] = {
+    "done": "",
+    "joints": "JP",
+    "external": "ExT",
+    "measured": "MT",
+    "pose": "EEfP",
+    "force": "EEfFrelEEF",
+}
+"""End of the name of a command that sets a target, by requested reply."""
+SETPOINTS: Final[dict[ReplyKind, str]] = {
+    **{kind: f"jp{suffix}" for kind, suffix in SUFFIXES.items()},
+    "nothing": "jf",
+}
+"""Commands that set the target of the joint servo, by requested reply."""
+
+GET_JOINTS: Final = b"getJointsPositions\n"
+"""Request for the measured joints, at any time."""
+START_SERVO: Final = b"startDirectServoJoints\n"
+"""Start of the joint servo; acknowledged before it runs."""
+STOP_SERVO: Final = b"stopDirectServoJoints\n"
+"""Stop of the servo; acknowledged at once, obeyed a few milliseconds later."""
+END: Final = b"end\n"
+"""End of servo, connection and server, which an operator has to start again; not answered."""
+
+Word = Literal["done", "nak", "interrupted"]
+WORDS: Final[dict[bytes, Word]] = {b"done": "done", b"nak": "nak", b"interrupted": "interrupted"}
+_NUMBER = re.compile(rb"-?[0-9]+\.[0-9]+(?:E-?[0-9]+)?")
+_DOUBLE = re.compile(
+    r"[+-]?(?:NaN|Infinity|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?[fFdD]?)"
+)
+
+
+class KstLineSplitter:
+    """Splitter of a byte stream into lines; fails for good at a line that is too long."""
+
+    def __init__(self) -> None:
+        """Create a splitter without bytes."""
+        self._rest = b""
+        self._broken = False
+
+    def feed(self, data: bytes) -> list[bytes]:
+        r"""Add bytes, and return the lines that they complete, without line ends.
+
+        Lines end in \n or \r\n; empty lines are left out.
+
+        Raises:
+            LinkError: A line is too long, now or earlier.
+        """
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if self._broken or any(len(line) > MAX_LINE for line in (*lines, self._rest)):
+            self._broken, self._rest = True, b""
+            raise LinkError(
+                f"expected lines of at most {MAX_LINE} bytes, and more came without a line "
+                "end; is this a KST server?"
+            )
+        return [line for line in (line.removesuffix(b"\r") for line in lines) if line]
+
+
+def setpoint(
+    q: Sequence[float] | Array, reply: ReplyKind = "joints", *, joints: int = JOINTS
+) -> bytes:
+    """Return the line that sets the target of the joint servo.
+
+    Args:
+        q: All joints [rad], shape (joints,).
+        reply: Requested reply.
+        joints: Number of joints.
+
+    Raises:
+        InputError: `q` is not one finite number for each joint.
+    """
+    fields = "".join(f"{value:.{DIGITS}g}_" for value in checked(q, joints).tolist())
+    return f"{SETPOINTS[reply]}_{fields}\n".encode()
+
+
+def parse_reply(line: bytes) -> Word | tuple[float, ...]:
+    """Return the word or the finite numbers in a line of the server.
+
+    Args:
+        line: The line without its end.
+
+    Raises:
+        LinkError: The line is neither a known word nor finite Java numbers with a trailing `_`.
+    """
+    if (word := WORDS.get(line)) is not None:
+        return word
+    *fields, last = line.split(b"_")
+    if fields and not last and all(map(_NUMBER.fullmatch, fields)):
+        values = tuple(map(float, fields))
+        if all(map(math.isfinite, values)):
+            return values
+    raise LinkError(
+        f"expected done, nak, interrupted or finite numbers that end in _, got {_shown(line)}; "
+        "nothing more can be trusted: connect again"
+    )
+
+
+def expect_done(line: bytes, command: str) -> None:
+    """Check that a line acknowledges a command, named in the message.
+
+    Raises:
+        LinkError: The line is anything else.
+    """
+    reply = parse_reply(line)
+    if reply == "nak":
+        raise LinkError(
+            f"the server refused {command} (nak); look at the message on the smartPAD, then start "
+            "the server and connect again"
+        )
+    if reply != "done":
+        raise LinkError(
+            f"expected done as the answer to {command}, got {_shown(line)}; requests and answers "
+            "are out of step: connect again"
+        )
+
+
+def expect_numbers(line: bytes, count: int, command: str) -> tuple[float, ...]:
+    """Return the numbers in the reply to a command, named in the message.
+
+    Raises:
+        LinkError: The line does not hold `count` finite numbers.
+    """
+    reply = parse_reply(line)
+    if isinstance(reply, str) or len(reply) != count:
+        raise LinkError(
+            f"expected {count} numbers as the answer to {command}, got {_shown(line)}; requests "
+            "and answers are out of step: connect again"
+        )
+    return reply
+
+
+def tokens(line: bytes) -> list[str]:
+    """Return the non-empty fields of a client's line, split as the server splits it."""
+    return [field for field in line.decode("latin-1").split("_") if field]
+
+
+def java_double(text: str) -> float:
+    """Parse a number as Java's `Double.parseDouble` does, except for hexadecimal numbers.
+
+    Java accepts `NaN` and `Infinity`, but neither `nan` nor `inf`.
+
+    Raises:
+        InputError: Java rejects the text.
+    """
+    stripped = text.strip("".join(map(chr, range(33))))
+    if _DOUBLE.fullmatch(stripped) is None:
+        raise InputError(f"{text[:40]!r} is no number for the server; send a decimal number")
+    return float(stripped.rstrip("fFdD"))
+
+
+def java_number(value: float) -> str:
+    """Format a number as Java's `Double.toString` does, in the fewest digits that identify it.
+
+    Example:
+        >>> java_number(0.0001), java_number(-1.3962), java_number(100.0)
+        ('1.0E-4', '-1.3962', '100.0')
+    """
+    if math.isnan(value):
+        return "NaN"
+    if math.isinf(value):
+        return "Infinity" if value > 0.0 else "-Infinity"
+    sign, digits, exponent = Decimal(repr(float(value))).normalize().as_tuple()
+    # Java writes at least two digits: where one is enough, the nearest two.
+    if len(digits) == 1:
+        sign, digits, exponent = Decimal(f"{value:.1e}").as_tuple()
+    text, minus = "".join(map(str, digits)), "-" * sign
+    point = len(text) + int(exponent)
+    if value == 0.0:
+        return f"{minus}0.0"
+    if not 1e-3 <= abs(value) < 1e7:
+        return f"{minus}{text[0]}.{text[1:]}E{point - 1}"
+    text, point = "0" * (1 - point) + text, max(point, 1)
+    text = text.ljust(point, "0")
+    fraction = text[point:].rstrip("0")
+    return f"{minus}{text[:point]}.{fraction or '0'}"
+
+
+def numbers_reply(values: Sequence[float]) -> bytes:
+    """Return the server's reply with numbers."""
+    return "".join(f"{java_number(value)}_" for value in values).encode() + b"\n"
+
+
+def _shown(line: bytes) -> str:
+    return repr(line[:120].decode("latin-1"))

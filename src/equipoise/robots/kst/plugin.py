@@ -1,0 +1,87 @@
+"""The plugin of KUKA arms behind a KST server: `kst://HOST:30001`."""
+
+from contextlib import suppress
+from functools import partial
+from typing import Final
+from urllib.parse import urlsplit
+
+from equipoise.errors import InputError, LinkError
+from equipoise.model.arms.arm import Arm
+from equipoise.rig.plugins import EmulatedRobot, RobotPlugin, Session
+from equipoise.rig.simulated_rig import SimulatedRig
+from equipoise.rig.transports import memory_pipe
+from equipoise.robots.kst.codec import PORT
+from equipoise.robots.kst.listener import KstListener
+from equipoise.robots.kst.robot import KstRobot, dial
+from equipoise.robots.kst.server_emulator import KstServer
+from equipoise.robots.kst.slow_link import flange_speed
+
+FORM: Final = f"kst://HOST:{PORT}"
+
+
+def host_and_port(address: str) -> tuple[str, int]:
+    """Return the host and the port of an address.
+
+    Raises:
+        InputError: The address is invalid.
+    """
+    try:
+        parts = urlsplit(address)
+    except ValueError:  # a bracket is open
+        parts = urlsplit("")
+    if not parts.hostname or parts.path.strip("/") or parts.query:
+        raise InputError(f"{address!r} is no address of a KUKA arm; expected {FORM}")
+    try:
+        parts.hostname.encode("idna")
+    except UnicodeError:
+        raise InputError(
+            f"{address!r} has an invalid host name; give the name or the number of the cabinet, "
+            "such as 172.31.1.147"
+        ) from None
+    with suppress(ValueError):  # the port is no number, or too large
+        port = PORT if parts.port is None else parts.port
+        if port > 0:
+            return parts.hostname, port
+    raise InputError(f"{address!r} has an invalid port; expected 1 to 65535")
+
+
+def open_robot(address: str, session: Session) -> KstRobot:
+    """Return the driver for an address; nothing is opened before it is connected."""
+    clock, notify, attend = session
+    return KstRobot(dial(*host_and_port(address)), clock, notify=notify, attend=attend)
+
+
+def emulate(
+    rig: SimulatedRig, arm: Arm, session: Session, delay: float, seed: int
+) -> EmulatedRobot:
+    """Return the driver in front of an emulated server that drives a simulated arm."""
+    server = KstServer(rig.body, [joint.velocity for joint in arm.joints], seed=seed)
+    host, cabinet = memory_pipe(session.clock, delay)
+
+    def advance(now: float) -> None:
+        data = b""
+        with suppress(LinkError):  # a closed link gets no reply; the servo continues
+            data = cabinet.read()
+        server.feed(data, now)
+        for segment in server.advance(now):
+            with suppress(LinkError):
+                cabinet.write(segment)
+
+    driver = partial(KstRobot, joints=rig.joints)
+    return EmulatedRobot(driver(lambda: host, session.clock), advance, server, cabinet, driver)
+
+
+PLUGIN: Final = RobotPlugin(
+    form=FORM,
+    check=host_and_port,
+    open=open_robot,
+    emulate=emulate,
+    serve=KstListener,
+    flange_speed=flange_speed,
+    failure=(
+        "A KST server has no watchdog: if this computer or the cable fails, the arm goes on to its "
+        "last target, which is always near, and software cannot stop it. The E-stop can."
+    ),
+    restart="start the server's application on the smartPAD",
+)
+"""Registered as `kst`."""

@@ -1,0 +1,364 @@
+"""Driver of a KUKA iiwa behind a KST server, a `Robot`.
+
+Each request has exactly one reply, in order, within a timeout. Anything else (silence, a reply of
+another kind, an unrequested line) ends the link for good, because a reply can no longer be matched
+with its request. The driver never repeats a request and never reconnects. A lost reply among many
+of one kind shifts all later ones; the next request for torques reveals it, since its reply is then
+read as joints that the arm cannot have reached.
+
+`connect`, `start`, `stop` and `close` wait for the races of the server: it acknowledges a servo
+before the servo exists, then overwrites its target with the measured joints; and it acknowledges a
+command before it is ready for the next.
+
+The server has no watchdog. If this program dies or the link breaks, the servo continues to the last
+target, and only the operator can stop it, with the E-stop. The last target must therefore always be
+near and slow to reach. A layer above (`equipoise.rig.guarded`) ensures this, and checks
+position, velocity and acceleration. This module sends finite numbers only.
+"""
+
+import socket
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Final, NoReturn
+
+import numpy as np
+
+from equipoise.errors import LinkError, OutsideError
+from equipoise.rig.interfaces import Array, Clock, Reply, Transport
+from equipoise.rig.plugins import ignore
+from equipoise.rig.transports import SocketTransport
+from equipoise.robots.kst import codec
+
+TIMEOUT: Final = 0.1
+"""Timeout of the reply to a setpoint [s]. A cabled link takes one or two milliseconds, a garbage
+collection on the cabinet tens."""
+MAX_PENDING: Final = 20
+"""Maximum number of setpoints without a reply: 100 ms of a stream at 200 Hz. A run that stops after
+50 ms without a reply can still send its ramp to rest."""
+TORQUE_EVERY: Final = 10
+"""Number of setpoints of which one requests external torques: 20 times a second. A reply has joints
+or torques, never both."""
+REPLY_TIMEOUT: Final = 1.0
+"""Timeout of the reply to any other command [s]."""
+MAX_JOINT_SPEED: Final = 4.0
+"""Upper bound of an iiwa's joint speeds [rad/s]; the fastest joint reaches 3.2."""
+JOINT_NOISE: Final = 0.05
+"""Upper bound of the difference between two measurements read at once [rad]."""
+SERVER_TIMEOUT: Final = 60.0
+"""Timeout of the server from its start on the smartPAD to its client, and of `connect` to that
+start [s]."""
+RETRY_PERIOD: Final = 1.0
+"""Time between two attempts to connect [s]."""
+AFTER_CONNECT: Final = 1.0
+"""Delay from the connection to the first command [s], as in both official clients."""
+AFTER_START: Final = 0.5
+"""Delay from the acknowledgement of a servo to the first setpoint [s] (MATLAB's client: 0.5 s,
+iiwaPy3: 0.3 s)."""
+BEFORE_STOP: Final = 0.5
+"""Delay from the last setpoint to the stop [s], as in MATLAB's client."""
+AFTER_STOP: Final = 0.3
+"""Delay from the acknowledgement of a stop to the certain end of the servo [s], as in iiwaPy3."""
+AFTER_END: Final = 1.0
+"""Time within which the server closes the connection after `end` [s]."""
+POLL_PERIOD: Final = 0.001
+"""Time between two reads of the link while waiting [s]."""
+TCP_TIMEOUT: Final = 2.0
+"""Timeout of one attempt to connect over TCP [s]."""
+
+INSTRUCTIONS: Final = (
+    "waiting for the robot: start the application MatlabToolboxServer on the smartPAD now; it "
+    f"waits {SERVER_TIMEOUT:g} s for its client"
+)
+
+
+def dial(host: str, port: int) -> Callable[[], Transport]:
+    """Return a function that opens a TCP connection to a KST server, for `KstRobot`.
+
+    Args:
+        host: Name or number of the cabinet.
+        port: Port of the server.
+    """
+
+    def opened() -> Transport:
+        try:
+            return SocketTransport(socket.create_connection((host, port), timeout=TCP_TIMEOUT))
+        except socket.gaierror as error:  # starting the application does not help: do not wait
+            raise OutsideError(
+                f"there is no host {host} ({error.strerror}); check the name, or give its number, "
+                "such as 172.31.1.147"
+            ) from None
+        except OSError as error:
+            raise LinkError(
+                f"no connection to {host}, port {port} ({error}); check cable, address and that "
+                "the server has been started"
+            ) from None
+
+    return opened
+
+
+class KstRobot:
+    """Driver of a KST server; see the module."""
+
+    def __init__(
+        self,
+        open_transport: Callable[[], Transport],
+        clock: Clock,
+        *,
+        notify: Callable[[str], None] = ignore,
+        attend: Callable[[], None] = ignore,
+        joints: int = codec.JOINTS,
+    ) -> None:
+        """Create the driver; nothing is opened before `connect`.
+
+        Args:
+            open_transport: Opens a connection to the server, or raises `LinkError`.
+            clock: Clock of the rig.
+            notify: Receives instructions to the operator while `connect` waits.
+            attend: Called between attempts to connect; an exception that it raises ends the wait.
+            joints: Number of joints; other than seven only for an emulated arm.
+        """
+        self.joints = joints
+        """Number of joints, the held one included."""
+        self._open, self._clock = open_transport, clock
+        self._notify, self._attend = notify, attend
+        self._transport: Transport | None = None
+        self._failure = ""
+        self._streams, self._sent = False, 0
+        self._may_move = True  # until the first reply, a servo of a lost client may run
+        self.torque_every = TORQUE_EVERY
+        """Number of setpoints of which one requests external torques."""
+        self._lines = codec.KstLineSplitter()
+        self._received: deque[bytes] = deque()
+        self._pending: deque[tuple[float, bool]] = deque()
+        self._ready: list[Reply] = []
+        self._last: tuple[float, tuple[float, ...]] = (0.0, ())
+
+    def connect(self) -> None:
+        """Connect to the server, wait for its start if needed, and read the joints.
+
+        Raises:
+            LinkError: The server does not start in time, or its reply is missing or invalid.
+        """
+        if self._transport is not None or self._failure:
+            raise LinkError(
+                "a robot is connected to once; for another session start the server again and "
+                "make a new connection"
+            )
+        self._transport = self._reach()
+        self._wait(AFTER_CONNECT)
+        self.measured()
+        self._may_move = False
+
+    def measured(self) -> Array:
+        """Request the measured joints [rad], shape (7,), while no servo runs.
+
+        Raises:
+            LinkError: The reply is late or invalid.
+        """
+        self._at_rest("measure")
+        return np.array(self._numbers(codec.GET_JOINTS))
+
+    def start(self) -> None:
+        """Start the servo, which holds the arm at its position.
+
+        Raises:
+            LinkError: A reply is late or invalid.
+        """
+        self._at_rest("start a servo")
+        self._may_move = True
+        self._done(codec.START_SERVO)
+        self._wait(AFTER_START)
+        measured = self._numbers(codec.GET_JOINTS)
+        held = self._numbers(codec.setpoint(measured, joints=self.joints))
+        self._streams, self._sent = True, 0
+        self._last = (self._clock.now(), held)
+
+    def send(self, q: Sequence[float] | Array) -> None:
+        """Send a setpoint of all joints; each `torque_every`th requests torques instead of joints.
+
+        Args:
+            q: The joints [rad], shape (7,).
+
+        Raises:
+            LinkError: The link is down, no servo runs, or replies are overdue.
+            InputError: The setpoint is not seven finite numbers; nothing was sent.
+        """
+        torque = (self._sent + 1) % self.torque_every == 0
+        line = codec.setpoint(q, "external" if torque else "joints", joints=self.joints)
+        if not self._streams:
+            self._link()
+            raise LinkError("the servo does not run, so that no setpoint is obeyed; start it first")
+        self._collect()
+        if len(self._pending) >= MAX_PENDING:
+            self._fail(f"{len(self._pending)} setpoints wait for their answer, expected fewer")
+        self._write(line)
+        self._sent += 1
+        self._pending.append((self._clock.now(), torque))
+
+    def replies(self) -> list[Reply]:
+        """Return the replies since the last call, the oldest first.
+
+        Raises:
+            LinkError: The link is down, or a reply is overdue or invalid.
+        """
+        self._collect()
+        ready, self._ready = self._ready, []
+        return ready
+
+    def stop(self) -> None:
+        """Stop the servo, the arm at rest; without a servo, do nothing.
+
+        Raises:
+            LinkError: A reply is late or invalid.
+        """
+        self._link()
+        if not self._streams:
+            return
+        while self._pending:
+            self._wait(POLL_PERIOD)
+            self._collect()
+        self._wait(BEFORE_STOP)
+        self._done(codec.STOP_SERVO)
+        self._streams = False
+        self._wait(AFTER_STOP)
+        self._may_move = False
+
+    def close(self) -> None:
+        """End the server and its servo, and close; an operator has to start the server again.
+
+        Waits for the server to close the connection: closing a connection with unread bytes may
+        discard the last command.
+        """
+        transport, self._transport = self._transport, None
+        if transport is None:
+            return
+        self._failure = self._failure or "the connection was closed"
+        with suppress(LinkError):
+            transport.write(codec.END)
+            deadline = self._clock.now() + AFTER_END
+            while self._clock.now() < deadline:
+                transport.read()
+                self._wait(POLL_PERIOD)
+        transport.close()
+
+    def _reach(self) -> Transport:
+        deadline, notified = self._clock.now() + SERVER_TIMEOUT, False
+        while True:
+            try:
+                return self._open()
+            except LinkError as error:
+                if self._clock.now() >= deadline:
+                    within = f"within {SERVER_TIMEOUT:g} s"
+                    raise LinkError(f"no KST server answered {within}: {error}") from None
+            if not notified:
+                self._notify(INSTRUCTIONS)
+                notified = True
+            self._wait(RETRY_PERIOD)
+            self._attend()
+
+    def _at_rest(self, what: str) -> None:
+        self._link()
+        if self._streams:
+            raise LinkError(
+                f"a servo runs, so that the arm is not at rest to {what}; stop it first"
+            )
+
+    def _done(self, command: bytes) -> None:
+        line = self._request(command)
+        with self._final_errors():
+            codec.expect_done(line, _name(command))
+
+    def _numbers(self, command: bytes) -> tuple[float, ...]:
+        line = self._request(command)
+        with self._final_errors():
+            return codec.expect_numbers(line, self.joints, _name(command))
+
+    def _request(self, command: bytes) -> bytes:
+        """Send a command while no reply is pending, and return its reply."""
+        self._collect()
+        self._write(command)
+        deadline = self._clock.now() + REPLY_TIMEOUT
+        while not self._received:
+            if self._clock.now() >= deadline:
+                self._fail(
+                    f"expected the answer to {_name(command)} within {REPLY_TIMEOUT:g} s, "
+                    "and nothing came"
+                )
+            self._wait(POLL_PERIOD)
+            self._drain()
+        return self._received.popleft()
+
+    def _collect(self) -> None:
+        """Match the received lines with the pending setpoints."""
+        self._drain()
+        now = self._clock.now()
+        while self._received:
+            line = self._received.popleft()
+            if not self._pending:
+                self._fail(f"expected nothing, got {line[:120].decode('latin-1')!r}")
+            sent, torque = self._pending.popleft()
+            with self._final_errors():
+                values = codec.expect_numbers(line, self.joints, "a setpoint")
+            if not torque:
+                self._check_step(sent, values)
+            q, torques = (None, values) if torque else (values, None)
+            self._ready.append(Reply(sent, now, q, torques))
+        if self._pending and now - self._pending[0][0] > TIMEOUT:
+            self._fail(f"expected the answer to a setpoint within {TIMEOUT:g} s")
+
+    def _check_step(self, sent: float, q: tuple[float, ...]) -> None:
+        """Check that the arm can have reached joints [rad] since the last reply."""
+        before, q_before = self._last
+        step = max(abs(a - b) for a, b in zip(q, q_before, strict=True))
+        most = MAX_JOINT_SPEED * (self._clock.now() - before) + JOINT_NOISE
+        if step > most:
+            self._fail(
+                f"expected joints less than {most:.2g} rad from those before, got "
+                f"{step:.2g} rad: an answer was lost, or these are torques"
+            )
+        self._last = (sent, q)
+
+    def _drain(self) -> None:
+        transport = self._link()
+        with self._final_errors():
+            self._received.extend(self._lines.feed(transport.read()))
+
+    def _write(self, line: bytes) -> None:
+        transport = self._link()
+        with self._final_errors():
+            transport.write(line)
+
+    def _link(self) -> Transport:
+        if self._failure:
+            raise LinkError(self._failure)
+        if self._transport is None:
+            raise LinkError("the robot is not connected; connect first")
+        return self._transport
+
+    @contextmanager
+    def _final_errors(self) -> Generator[None]:
+        """Give up the link for good on a `LinkError`."""
+        try:
+            yield
+        except LinkError as error:
+            self._fail(str(error))
+
+    def _fail(self, why: str) -> NoReturn:
+        """Give up the link for good."""
+        consequence = (
+            "A servo that runs goes on to the last setpoint, and software cannot stop it: be ready "
+            "at the E-stop, and"
+            if self._may_move
+            else "No servo runs;"
+        )
+        self._failure = f"robot: {why}; the link is given up. {consequence} start the server again"
+        raise LinkError(self._failure)
+
+    def _wait(self, duration: float) -> None:
+        self._clock.wait_until(self._clock.now() + duration)
+
+
+def _name(command: bytes) -> str:
+    """Return the name of a command, for messages."""
+    return command.decode().rstrip("\n").split("_")[0]

@@ -1,0 +1,1 @@
+"""Safety: rules, limits and stop motion, readable without the rest."""

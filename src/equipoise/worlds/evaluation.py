@@ -1,0 +1,324 @@
+"""Evaluation of a policy: survival with its confidence interval, and causes of failure.
+
+Trials start as after a release by hand and run on plants that vary around the policy's pendulum:
+on the paper's plant (world `ideal`), on the plant of the training with the identified actuator
+(`model`), on a digital twin (`twin:...`), or in CoppeliaSim (`coppeliasim://...`). Any policy runs
+in any world. Test seeds serve no other purpose, trial i is the same for every policy, and the
+baselines run the same trials.
+"""
+
+import threading
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, ClassVar, NamedTuple, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+from scipy.stats import binomtest
+
+from equipoise.artefacts import (
+    Artefact,
+    Count,
+    Name,
+    PartialFile,
+    Seed,
+    StrPath,
+    Value,
+    value_digest,
+)
+from equipoise.control.baselines import baselines
+from equipoise.control.grid import CAUSES, cause_named
+from equipoise.control.policy import MAX_ACTUATORS, PolicyKernel, TaskPolicy
+from equipoise.executors import Workers
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import Arm
+from equipoise.model.random import TEST
+from equipoise.model.worlds import MODEL, PivotFriction, TwinSettings, World, pivot_friction
+from equipoise.safety.trial import guard_named
+from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
+from equipoise.views import Viewable
+from equipoise.worlds import Trials, find_world, setup_of, simulate
+
+CONFIDENCE = 0.95
+"""Confidence of all reported intervals [-]."""
+
+Done = Callable[[int], None]
+"""Callback; receives the number of trials that have just finished."""
+
+
+Survival = Annotated[float, Field(ge=0.0, le=LONGEST_TRIAL)]
+"""Duration of a trial [s]."""
+
+
+class Summary(NamedTuple):
+    """Statistics of the trials of one policy; derived, never stored."""
+
+    trials: int
+    survived: int
+    rate: float
+    """Share of the trials without a failure."""
+    interval: tuple[float, float]
+    """Exact (Clopper-Pearson) 95 % interval of the survival rate."""
+    median: float
+    """Median survival [s]."""
+    quantiles: tuple[float, float, float, float]
+    """Survival at 5, 25, 75 and 95 % of the trials [s]."""
+    causes: dict[str, int]
+    """Number of trials by the cause of their end."""
+
+
+def exact_interval(count: int, of: int) -> tuple[float, float]:
+    """Return the exact (Clopper-Pearson) 95 % interval of a share.
+
+    Args:
+        count: Number of successes.
+        of: Number of trials, at least one.
+    """
+    low, high = binomtest(count, of).proportion_ci(CONFIDENCE, method="exact")
+    return float(low), float(high)
+
+
+class TrialResults(Value):
+    """The trials of one policy, in their order."""
+
+    name: Name
+    """Name of the policy."""
+    survival: Annotated[tuple[Survival, ...], Field(min_length=1, max_length=MOST_TRIALS)]
+    """Duration of each trial [s]."""
+    causes: Annotated[tuple[Name, ...], Field(max_length=MOST_TRIALS)]
+    """Cause of the end of each trial: lasted, angle, track, joint limit, guard."""
+    guards: Annotated[tuple[Name, ...], Field(max_length=MOST_TRIALS)] = ()
+    """Guard that ended each trial, empty for another cause; no entries if no guard ended one."""
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        trials = len(self.survival)
+        if len(self.causes) != trials or len(self.guards) not in (0, trials):
+            raise ValueError(f"{trials} trials need as many causes, and guards if there are any")
+        return self
+
+    def summary(self) -> Summary:
+        """Return share, interval, quantiles and causes."""
+        trials, survived = len(self.survival), self.causes.count(CAUSES[0])
+        rate, interval = survived / trials, exact_interval(survived, trials)
+        q05, q25, q50, q75, q95 = np.quantile(self.survival, [0.05, 0.25, 0.5, 0.75, 0.95]).tolist()
+        quantiles, causes = (q05, q25, q75, q95), dict(Counter(self.causes))
+        return Summary(trials, survived, rate, interval, q50, quantiles, causes)
+
+
+def trial_results(name: str, trials: Trials, h: float) -> TrialResults:
+    """Return the results of finished trials.
+
+    Args:
+        name: Name of the policy.
+        trials: Trials with their results.
+        h: Time step [s].
+    """
+    survival = tuple(round(steps * h, 6) for steps in trials.steps.tolist())
+    codes = trials.cause.tolist()
+    causes, guards = (tuple(map(named, codes)) for named in (cause_named, guard_named))
+    guards = guards if any(guards) else ()
+    return TrialResults(name=name, survival=survival, causes=causes, guards=guards)
+
+
+class Evaluation(Viewable, Artefact):
+    """All trials of a policy and of the baselines."""
+
+    FORMAT: ClassVar[str] = "equipoise-evaluation"
+    VERSION: ClassVar[int] = 4
+
+    policy: Name
+    """Digest of the policy's file or source."""
+    world: Name
+    """World of the trials."""
+    world_settings: TwinSettings | None
+    """Numbers of the twin; `None` on a plant or a kinematic arm."""
+    arm: Name
+    """Name of the arm."""
+    arm_digest: Name
+    """Digest of the arm."""
+    actuators: Annotated[tuple[Name, ...], Field(min_length=1, max_length=MAX_ACTUATORS)]
+    """Digests of the controller's models of the arm's response; of several, each trial on a twin
+    selects one from the move of the self-test before its release."""
+    pendulum: Name
+    """Digest of the pendulum that the trials vary."""
+    friction: PivotFriction | None = None
+    """Dry friction and drag of that pendulum in the twin; `None` on a plant, where they are the
+    pendulum's own."""
+    settings: Settings
+    """Resolved settings: starts, noise, number and length of the trials."""
+    seed: Seed
+    """Master seed; with the number of a trial it determines its conditions and noise."""
+    results: TrialResults
+    """Trials of the policy."""
+    baselines: Annotated[tuple[TrialResults, ...], Field(max_length=16)]
+    """Trials of the baselines, on the same conditions."""
+
+    def __repr__(self) -> str:
+        """Return one line: world, number of trials without a failure, and survival."""
+        found = self.results.summary()
+        low, high = found.interval
+        where = f"{self.results.name!r} in {self.world!r}"
+        lasted = f"{found.survived} of {found.trials} trials lasted {self.duration:g} s"
+        interval = f"(95 %: {low:.3f} to {high:.3f})"
+        return f"<Evaluation of {where}: {lasted} {interval}, median {found.median:.3g} s>"
+
+    __str__ = __repr__
+
+    @property
+    def duration(self) -> float:
+        """Length of a trial [s]."""
+        return self.settings.evaluation.duration
+
+
+def evaluate(
+    policy: TaskPolicy,
+    settings: Settings | None = None,
+    *,
+    world: str | World = MODEL,
+    actuator: Actuator | None = None,
+    seed: int = 0,
+    with_baselines: bool = True,
+    workers: Workers = 1,
+    partial: StrPath | None = None,
+    done: Done = lambda _: None,
+) -> Evaluation:
+    """Evaluate a policy in a simulated world.
+
+    A policy with a kernel runs compiled, on several threads. Other policies run in Python on the
+    same trials, about a second per trial of a minute.
+
+    Args:
+        policy: The policy with its task, such as a table or a result of `load_policy`.
+        settings: Number, length and starts of the trials, noise of the plant, the controller
+            (default: the policy's).
+        world: `ideal`, `model`, a name that `read_world` knows, or a twin with its numbers.
+        actuator: The controller's model of the arm's response (default: the policy's; in `ideal`
+            always the ideal one). A policy with several selects one in each trial on a twin, see
+            `equipoise.control.actuator_choice`; on a plant its first one holds.
+        seed: Master seed of the trials.
+        with_baselines: Run the baselines on the same trials.
+        workers: Threads, or an executor, of compiled policies; the result does not depend on it.
+        partial: File that keeps the finished trials until all are done: an interrupted evaluation
+            continues from it.
+        done: Callback; receives the number of trials that have just finished.
+
+    Raises:
+        SettingsError: The world is unknown.
+        ArmError: The masses of the twin's arm are unknown.
+    """
+    setup = setup_of(policy, world, settings, actuator)
+    pendulum, arm, settings, actuators, h = setup
+    responses = tuple(each.digest for each in actuators)
+    place, numbers = find_world(world)
+    simulation = simulate(world, setup, seed=seed, stream=TEST)
+    count, kept = settings.evaluation.trials, None if partial is None else Path(partial)
+
+    one_trial = settings.evaluation.model_copy(update={"trials": 1})
+    trial_settings = settings.model_copy(update={"evaluation": one_trial})
+
+    def run(name: str, policy: TaskPolicy | PolicyKernel, digest: str) -> TrialResults:
+        trials = simulation.draw(count)
+        key = _CacheKey(
+            name=name,
+            policy=digest,
+            place=place,
+            world=numbers,
+            arm=arm,
+            actuators=responses,
+            pendulum=pendulum.digest,
+            settings=trial_settings,
+            seed=seed,
+        )
+        finished = _FinishedTrials(kept, value_digest(key))
+        todo = finished.restore(trials)
+        done(count - len(todo))
+
+        def add(rows: Sequence[int]) -> None:
+            finished.add(trials, rows)
+            done(len(rows))
+
+        with finished:
+            span = settings.evaluation.duration
+            simulation.run(policy, trials, todo, duration=span, workers=workers, done=add)
+        return trial_results(name, trials, h)
+
+    nominal = pendulum.parameters(linearised=settings.plant.linearised)
+    others = baselines(nominal, h) if with_baselines else {}
+    evaluation = Evaluation(
+        policy=policy.digest,
+        world=place,
+        world_settings=numbers,
+        arm=arm.name,
+        arm_digest=arm.digest,
+        actuators=responses,
+        pendulum=pendulum.digest,
+        friction=None if numbers is None else pivot_friction(pendulum, numbers),
+        settings=settings,
+        seed=seed,
+        results=run(policy.name, policy, policy.digest),
+        baselines=tuple(run(name, kernel, "") for name, kernel in others.items()),
+    )
+    if kept is not None:
+        kept.unlink(missing_ok=True)
+    return evaluation
+
+
+class _CacheKey(Value):
+    """Cache key of a trial, without its number."""
+
+    name: str
+    policy: str
+    place: str
+    world: TwinSettings | None
+    arm: Arm
+    actuators: tuple[str, ...]
+    pendulum: str
+    settings: Settings
+    seed: int
+
+
+class PartialEvaluation(Artefact):
+    """Finished trials of interrupted evaluations."""
+
+    FORMAT: ClassVar[str] = "equipoise-partial-evaluation"
+    VERSION: ClassVar[int] = 1
+
+    finished: dict[Name, tuple[tuple[Count, Count, Count], ...]]
+    """Number, steps and code of the cause of each finished trial, by its cache key."""
+
+
+class _FinishedTrials(PartialFile):
+    """Finished trials in a file, rewritten from time to time."""
+
+    def __init__(self, path: Path | None, key: str) -> None:
+        super().__init__(path, "evaluate", self._partial)
+        self._key = key
+        self._others: dict[str, tuple[tuple[int, int, int], ...]] = {}
+        self._finished: list[tuple[int, int, int]] = []
+        self._lock = threading.Lock()
+        if path is not None and path.exists():
+            self._others = dict(PartialEvaluation.load(path).finished)
+            self._finished = list(self._others.pop(key, ()))
+
+    def restore(self, trials: Trials) -> list[int]:
+        """Restore the results of finished trials; return the numbers of the others."""
+        count = len(trials.steps)
+        self._finished = [row for row in self._finished if row[0] < count]
+        for i, steps, cause in self._finished:
+            trials.steps[i], trials.cause[i] = steps, cause
+        known = {row[0] for row in self._finished}
+        return [i for i in range(count) if i not in known]
+
+    def add(self, trials: Trials, rows: Sequence[int]) -> None:
+        """Store the results of finished trials."""
+        with self._lock:
+            self._finished += ((i, int(trials.steps[i]), int(trials.cause[i])) for i in rows)
+        self.update()
+
+    def _partial(self) -> PartialEvaluation | None:
+        with self._lock:
+            own = {self._key: tuple(self._finished)} if self._finished else {}
+        finished = self._others | own
+        return PartialEvaluation(finished=finished) if finished else None

@@ -1,0 +1,285 @@
+"""Trials on the plant of the training: worlds `ideal` and `model`.
+
+With the actuator `ideal` this is the paper's simulation; with any other, the arm follows through
+delay, servo and drive, and the controller observes through an encoder.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+
+from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
+from equipoise.control.grid import TRUNCATED
+from equipoise.control.policy import RANDOM, TABLE, PolicyKernel, act, table_action
+from equipoise.jit import kernel, struct_ref
+from equipoise.model.arms.arm import Arm
+from equipoise.model.elementary import BATCH_SIZE, at
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.random import philox, uniform
+from equipoise.settings import Settings
+from equipoise.worlds.interface import Array, Measurement, Setup, Simulation
+from equipoise.worlds.plant import (
+    TRACKED,
+    BatchState,
+    DomainRandomization,
+    LoopParams,
+    X,
+    copy_lane,
+    draw_noise,
+    make_loop_params,
+    measure,
+    new_batch_state,
+    reset,
+    scaled,
+    step,
+)
+from equipoise.worlds.trials import IntArray, Trial, Trials, draw_trials
+
+Lanes: Any = struct_ref("Lanes", __name__, ("plant", "pendulum", "batch", "number", "tick", "key"))
+
+
+@kernel
+def new_lanes(
+    plant: LoopParams,
+    pendulum: PendulumParameters,
+    batch: BatchState,
+    number: IntArray,
+    tick: IntArray,
+    key: IntArray,
+) -> Any:
+    """Return a batch of closed loops that kernels take by reference.
+
+    Args:
+        plant: Constants.
+        pendulum: Nominal parameters, which the factors of each trial scale.
+        batch: States.
+        number: Number of the trial in each lane, shape (BATCH_SIZE,).
+        tick: Number of steps of each lane, shape (BATCH_SIZE,).
+        key: Seed and stream of the noise, shape (2,).
+    """
+    return Lanes(plant, pendulum, batch, number, tick, key)
+
+
+@kernel
+def advance_lanes(lanes: Any, count: int) -> None:
+    """Advance the first lanes by one tick, with the u of each in its controller."""
+    batch, key = lanes.batch, lanes.key
+    draw_noise(batch.controller.noise, key[0], lanes.tick, lanes.number, 0, key[1], count)
+    step(lanes.plant, batch, count)
+    for n in range(count):
+        lanes.tick[n] += 1
+
+
+@dataclass
+class PlantSimulation(Simulation):
+    """Trials on the plant of the training."""
+
+    BATCH: ClassVar[int] = BATCH_SIZE
+    PIECE: ClassVar[int] = 4 * BATCH_SIZE
+
+    params: LoopParams
+    """Constants of the closed loop."""
+    arm: Arm
+    """The arm."""
+    pendulum: PendulumParameters
+    """Nominal parameters, which the trials vary."""
+    settings: Settings
+    """Ranges of the trials' conditions."""
+    seed: int
+    """Master seed."""
+    stream: int
+    """Purpose of the trials."""
+    spread: float = 1.0
+    """Factor on the variation of the plants."""
+    setup: Setup | None = None
+    """Pendulum, arm and controller that give the constants; without it, the simulation runs in this
+    process only."""
+
+    @classmethod
+    def of(cls, setup: Setup, *, seed: int, stream: int, spread: float = 1.0) -> "PlantSimulation":
+        """Return the simulation of a setup.
+
+        Args:
+            setup: Pendulum, arm and controller.
+            seed: Master seed.
+            stream: Purpose of the trials.
+            spread: Factor on the variation of the plants.
+
+        Raises:
+            ArmError: Home is a singular posture.
+            SettingsError: The delay exceeds the controller's history.
+        """
+        pendulum, arm, settings, _, h = setup
+        nominal = pendulum.parameters(linearised=settings.plant.linearised)
+        params = make_loop_params(arm, settings, h, nominal, setup.actuator)
+        return cls(params, arm, nominal, settings, seed, stream, spread, setup)
+
+    def __reduce__(self) -> Any:
+        """Return what sets the simulation up in another process."""
+        if self.setup is None:
+            return super().__reduce__()
+        given = {"seed": self.seed, "stream": self.stream, "spread": self.spread}
+        return partial(PlantSimulation.of, self.setup, **given), ()
+
+    def draw(self, count: int, first: int = 0) -> Trials:
+        """Draw the conditions of `count` trials from number `first` on."""
+        return draw_trials(count, self.settings, self.seed, self.stream, self.spread, first)
+
+    def loop(self) -> "PlantLoop":
+        """Return a closed loop for `reset`."""
+        return PlantLoop(self)
+
+    def run_piece(
+        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
+    ) -> None:
+        """Run trials of a compiled policy in this thread; see `Simulation.run`."""
+        plant, pendulum, taken = self.params, self.pendulum, np.array(rows, np.int64)
+        batch, max_steps = new_batch_state(), round(duration / plant.controller.h)
+        keys = self.seed, self.stream
+        run_trials(plant, batch, policy, pendulum, trials, taken, max_steps, *keys)
+
+
+class PlantLoop:
+    """Closed loop of the training, in the first lane of a batch."""
+
+    def __init__(self, simulation: PlantSimulation) -> None:
+        """Allocate the state."""
+        self._simulation, self._plant, batch = simulation, simulation.params, new_batch_state()
+        self._batch, self._key = batch, np.zeros(2, np.int64)
+        self._number, self._tick = np.zeros((2, BATCH_SIZE), np.int64)
+        self._lanes = new_lanes(
+            self._plant, simulation.pendulum, batch, self._number, self._tick, self._key
+        )
+        self.params, self.controller = self._plant.controller, batch.controller
+        self.pendulum, self.now, self.tracked = simulation.pendulum, 0.0, 0.0
+        self.zero: float | None = None
+        self.chosen = 0
+
+    def reset(self, trial: Trial) -> None:
+        """Release the pendulum under the conditions of a trial."""
+        own, nominal, batch = trial.variation, self._simulation.pendulum, self._batch
+        self._number[0], self._tick[0], self.now, self.tracked = trial.number, 0, 0.0, 0.0
+        self._key[:] = self._simulation.seed, self._simulation.stream
+        self.pendulum = scaled(nominal, own.inertia_factor, own.friction_factor)
+        reset(self._plant, batch, nominal, own, trial.start, 0)
+        if self.params.has_sensor:
+            self.zero = own.zero
+            measure(self.params, batch, 1)
+
+    def step(self, u: float) -> int:
+        """Advance by one tick with u [m/s^2], and return the cause of the failure."""
+        self.controller.u[0] = u
+        advance_lanes(self._lanes, 1)
+        self.now = float(self._tick[0]) * self.params.h
+        self.tracked = float(self._batch.state[TRACKED * BATCH_SIZE])
+        return int(self._batch.cause[0])
+
+    def state(self) -> Array:
+        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
+        return self._batch.state[: 4 * BATCH_SIZE : BATCH_SIZE].copy()
+
+    def joints(self) -> Array:
+        """Return the true positions of all joints [rad], shape (n,)."""
+        q = self._batch.q if self.params.has_sensor else self._batch.controller.q
+        return self._simulation.arm.with_held(q[::BATCH_SIZE])
+
+    def measurement(self) -> Measurement | None:
+        """Return the measurements of this tick; `None` without an encoder."""
+        if not self.params.has_sensor:
+            return None
+        q = self.controller.measured[::BATCH_SIZE].copy()
+        return Measurement(float(self.controller.counts[0]), self.now, q, self.now)
+
+
+@kernel
+def place_trial(
+    plant: LoopParams,
+    batch: BatchState,
+    pendulum: PendulumParameters,
+    trials: Trials,
+    row: int,
+    n: int,
+) -> None:
+    """Place the trial of a row in lane `n`."""
+    x, x_dot, phi, phi_dot = trials.start[row]
+    variation = DomainRandomization(
+        trials.inertia_factor[row],
+        trials.friction_factor[row],
+        trials.delay[row],
+        trials.lag_factor[row],
+        trials.zero[row],
+    )
+    reset(plant, batch, pendulum, variation, (x, x_dot, phi, phi_dot), n)
+
+
+@kernel
+def run_trials(
+    plant: LoopParams,
+    batch: BatchState,
+    policy: PolicyKernel,
+    pendulum: PendulumParameters,
+    trials: Trials,
+    rows: IntArray,
+    max_steps: int,
+    seed: int,
+    stream: int,
+) -> None:
+    """Run trials in all lanes of a batch, and write their results.
+
+    Args:
+        plant: Constants.
+        batch: Scratch space for the states.
+        policy: The policy; with several tables, each row has the index of its own.
+        pendulum: Nominal parameters, which the factors of each trial scale.
+        trials: Conditions; receives the results.
+        rows: Rows of the trials to run.
+        max_steps: Number of steps after which a trial is truncated.
+        seed: Seed of the noise.
+        stream: Stream of the noise: selection or test.
+    """
+    controller, cause = batch.controller, batch.cause
+    observation, u = controller.observation, controller.u
+    row = np.zeros(BATCH_SIZE, np.int64)
+    number = np.zeros(BATCH_SIZE, np.int64)
+    tick = np.zeros(BATCH_SIZE, np.int64)
+    sum_x2 = np.zeros(BATCH_SIZE)
+    placed = 0
+    lanes = 0
+    while lanes < BATCH_SIZE and placed < len(rows):
+        row[lanes], number[lanes] = rows[placed], trials.number[rows[placed]]
+        place_trial(plant, batch, pendulum, trials, rows[placed], lanes)
+        placed += 1
+        lanes += 1
+    while lanes > 0:
+        for n in range(lanes):
+            x, x_dot = at(observation, OBS_X, n), at(observation, OBS_X_DOT, n)
+            phi, phi_dot = at(observation, OBS_PHI, n), at(observation, OBS_PHI_DOT, n)
+            if policy.kind == TABLE:
+                u[n] = table_action(policy, int(trials.table[row[n]]), x, x_dot, phi, phi_dot)
+                continue
+            chance = 0.0
+            if policy.kind == RANDOM:
+                chance = uniform(philox(seed, tick[n], number[n], 1, stream)[0], 0.0, 1.0)
+            u[n] = act(policy, x, x_dot, phi, phi_dot, chance)
+        draw_noise(controller.noise, seed, tick, number, 0, stream, lanes)
+        step(plant, batch, lanes)
+        for n in range(lanes - 1, -1, -1):
+            tick[n] += 1
+            sum_x2[n] += at(batch.state, X, n) ** 2
+            if cause[n] == TRUNCATED and tick[n] < max_steps:
+                continue
+            i = row[n]
+            trials.steps[i], trials.cause[i], trials.sum_x2[i] = tick[n], cause[n], sum_x2[n]
+            if placed < len(rows):
+                row[n], number[n] = rows[placed], trials.number[rows[placed]]
+                tick[n], sum_x2[n] = 0, 0.0
+                place_trial(plant, batch, pendulum, trials, rows[placed], n)
+                placed += 1
+            else:
+                lanes -= 1
+                copy_lane(batch, lanes, n)
+                row[n], number[n] = row[lanes], number[lanes]
+                tick[n], sum_x2[n] = tick[lanes], sum_x2[lanes]

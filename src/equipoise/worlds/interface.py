@@ -1,0 +1,342 @@
+"""Interface of simulated worlds and of their closed loops, a tick at a time.
+
+A `Simulation` is a world with the inputs of its trials: pendulum, arm, settings, actuator and
+seed. It draws the conditions of trials, runs them for a compiled policy, and opens `ClosedLoop`s,
+which Python drives tick by tick. Both ways run the same kernels with the same random numbers, keyed
+by (seed, trial, tick): a trial has the same bits either way.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import nan
+from typing import Any, ClassVar, Final, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.control.control_step import (
+    EST_PHI,
+    EST_PHI_DOT,
+    EST_PIVOT_V,
+    EST_X,
+    ControllerParams,
+    ControllerState,
+)
+from equipoise.control.grid import TRUNCATED
+from equipoise.control.policy import Policy, PolicyKernel, TaskPolicy
+from equipoise.executors import ThreadExecutor, Workers, executor_of
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.arm import FREE_JOINTS, Arm
+from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.settings import Settings
+from equipoise.worlds.trials import IntArray, Trial, Trials
+
+Array = npt.NDArray[np.float64]
+UNLIMITED: Final = 1_000_000
+"""Number of closed loops that a world without a limit may have."""
+REMOTE_PIECES: Final = 32
+"""Number of pieces in a task of another process, which sets the simulation up anew."""
+Finished = Callable[[Sequence[int]], None]
+"""Receives the rows of trials that have just finished."""
+
+
+class Measurement(NamedTuple):
+    """Newest measurements at a tick."""
+
+    counts: float
+    """Encoder counts from hanging, growing with theta."""
+    counted_at: float
+    """Their time stamp, from the release [s]."""
+    q: Array
+    """Measured free joints [rad], shape (6,)."""
+    measured_at: float
+    """Their time stamp, from the release [s]."""
+
+
+class ClosedLoop(Protocol):
+    """A closed loop in simulation; its attributes are for reading."""
+
+    params: ControllerParams
+    """Constants of the controller, the time between ticks among them."""
+    controller: ControllerState
+    """State of the controller, in the first lane."""
+    pendulum: PendulumParameters
+    """True parameters of the pendulum in this trial."""
+    zero: float | None
+    """Encoder zero offset in phi in this trial [rad]; `None` without an encoder."""
+    chosen: int
+    """Number of the actuator of the setup that the controller assumes in this trial."""
+    now: float
+    """Time since the release [s]."""
+    tracked: float
+    """Tracked acceleration u' over the last step [m/s^2]."""
+
+    def reset(self, trial: Trial) -> None:
+        """Release the pendulum under the conditions of a trial."""
+        ...
+
+    def step(self, u: float) -> int:
+        """Advance by one tick, and return the cause of the failure, `TRUNCATED` without one.
+
+        Args:
+            u: Acceleration of the flange along x [m/s^2].
+        """
+        ...
+
+    def state(self) -> Array:
+        """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
+        ...
+
+    def joints(self) -> Array:
+        """Return the true positions of all joints [rad], shape (n,)."""
+        ...
+
+    def measurement(self) -> Measurement | None:
+        """Return the newest measurements; `None` without an encoder."""
+        ...
+
+
+class Setup(NamedTuple):
+    """Pendulum, arm and controller of trials."""
+
+    pendulum: Pendulum
+    """The pendulum, which trials vary."""
+    arm: Arm
+    """The arm with its home posture."""
+    settings: Settings
+    """Ranges of the trials' conditions, noise of the plant, the controller."""
+    actuators: tuple[Actuator, ...]
+    """The controller's models of the arm's response. Of several, a trial on a twin selects one from
+    the move of the self-test before the release; elsewhere the first one holds."""
+    h: float
+    """Time between ticks [s]."""
+
+    @property
+    def actuator(self) -> Actuator:
+        """Default model of the arm's response: the first one."""
+        return self.actuators[0]
+
+
+class Simulation(ABC):
+    """Trials in a simulated world."""
+
+    BATCH: ClassVar[int] = 1
+    """Number of trials that advance together."""
+    MOST_LOOPS: ClassVar[int] = UNLIMITED
+    """Largest number of closed loops that advance side by side."""
+    PIECE: ClassVar[int]
+    """Maximum number of trials that a thread takes at a time; a multiple of `BATCH`."""
+    seed: int
+    """Master seed of the trials."""
+    stream: int
+    """Purpose of the trials: each has random numbers of its own."""
+
+    @abstractmethod
+    def draw(self, count: int, first: int = 0) -> Trials:
+        """Draw the conditions of `count` trials from number `first` on."""
+
+    @abstractmethod
+    def loop(self) -> ClosedLoop:
+        """Return a closed loop for `reset`."""
+
+    @abstractmethod
+    def run_piece(
+        self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
+    ) -> None:
+        """Run trials of a compiled policy in this thread; see `run`."""
+
+    def __reduce__(self) -> Any:
+        """Refuse to be pickled, unless a world says what sets it up in another process."""
+        raise TypeError(f"{type(self).__name__} runs in the process that made it")
+
+    def run(
+        self,
+        policy: TaskPolicy | PolicyKernel,
+        trials: Trials,
+        rows: Sequence[int],
+        *,
+        duration: float,
+        workers: Workers = 1,
+        done: Finished = lambda _: None,
+    ) -> None:
+        """Run trials of any policy: compiled where it has a kernel, else from Python, one by one.
+
+        Args:
+            policy: The policy, or its kernel alone.
+            trials: Conditions, from `draw`; receives the results.
+            rows: Rows of the trials to run.
+            duration: Length of a trial [s].
+            workers: Number of threads, or executor, for a compiled policy; the results do not
+                depend on it.
+            done: Called with the rows of trials that have just finished.
+        """
+        kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
+        if kernel is not None:
+            executor = executor_of(workers)
+            if self.MOST_LOOPS == 1:  # Ctrl-C reaches the caller's thread alone
+                executor = ThreadExecutor(1)
+            share = -(-len(rows) // (self.BATCH * executor.workers)) * self.BATCH
+            most = self.PIECE * (REMOTE_PIECES if executor.is_remote else 1)
+            size = min(most, max(share, 1))
+            pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
+            run = partial(_run_piece, self, kernel, duration)
+            for i, results in executor.completed(run, _Pieces(trials, pieces)):
+                piece = pieces[i]
+                trials.steps[piece], trials.cause[piece], trials.sum_x2[piece] = results
+                done(piece)
+        elif not isinstance(policy, PolicyKernel):
+            loop = self.loop()
+            for row in rows:
+                ended = run_trial(loop, policy, trials.trial(row), duration)
+                trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
+                done([row])
+
+
+class _Pieces(Sequence[Trials]):
+    """Copies of pieces of some trials, each made when it is asked for."""
+
+    def __init__(self, trials: Trials, pieces: Sequence[Sequence[int]]) -> None:
+        self._trials, self._pieces = trials, pieces
+
+    def __len__(self) -> int:
+        return len(self._pieces)
+
+    def __getitem__(self, i: Any) -> Any:
+        return self._trials.rows(self._pieces[i])
+
+
+def _run_piece(
+    simulation: Simulation, policy: PolicyKernel, duration: float, trials: Trials
+) -> tuple[IntArray, IntArray, Array]:
+    """Run some trials of a compiled policy; return their steps, causes and sums of x^2."""
+    simulation.run_piece(policy, trials, range(len(trials.steps)), duration)
+    return trials.steps, trials.cause, trials.sum_x2
+
+
+def predicted(loop: ClosedLoop) -> Array:
+    """Return x, x_dot, phi, phi_dot at which u takes effect: the observation, shape (4,)."""
+    return loop.controller.observation[::BATCH_SIZE].copy()
+
+
+def estimated(loop: ClosedLoop) -> Array:
+    """Return the estimate of x, x_dot, phi, phi_dot at the tick, shape (4,)."""
+    if not loop.params.has_sensor:
+        return predicted(loop)
+    rows = loop.controller.estimate[::BATCH_SIZE]
+    return rows[[EST_X, EST_PIVOT_V, EST_PHI, EST_PHI_DOT]]
+
+
+def run_trial(
+    loop: ClosedLoop,
+    policy: Policy,
+    trial: Trial,
+    duration: float,
+    record: "TickObserver | None" = None,
+) -> tuple[int, int, float]:
+    """Run one trial of a policy from Python.
+
+    Args:
+        loop: The closed loop.
+        policy: The policy.
+        trial: Conditions.
+        duration: Length of the trial [s].
+        record: Observer of each tick, such as a `Recorder`.
+
+    Returns:
+        Number of steps, cause of the end, and the sum of x^2 over the steps [m^2].
+    """
+    steps, cause, sum_x2 = 0, TRUNCATED, 0.0
+    max_steps = round(duration / loop.params.h)
+    loop.reset(trial)
+    policy.reset()
+    while steps < max_steps and cause == TRUNCATED:
+        u = float(policy.act(predicted(loop)))
+        if record is not None:
+            record.before(loop, steps, u)
+        cause = loop.step(u)
+        if record is not None:
+            record.after(loop, steps)
+        steps += 1
+        sum_x2 += float(loop.state()[0]) ** 2
+    return steps, cause, sum_x2
+
+
+class TickObserver(Protocol):
+    """Observer of the ticks of a trial; an exception from it ends the trial."""
+
+    def before(self, loop: ClosedLoop, tick: int, u: float) -> None:
+        """Observe the state at a tick, and the u that the policy commands [m/s^2]."""
+        ...
+
+    def after(self, loop: ClosedLoop, tick: int) -> None:
+        """Observe the commands of a tick, and the state at its end."""
+        ...
+
+
+class TrialRecord(NamedTuple):
+    """One recorded trial, a row for each tick."""
+
+    observation: Array
+    """x, x_dot, phi, phi_dot as the policy observed them, shape (n, 4)."""
+    u: Array
+    """Commanded acceleration [m/s^2], shape (n,)."""
+    estimate: Array
+    """Estimated phi [rad], phi_dot [rad/s] and bias of phi [rad] at the tick, shape (n, 3)."""
+    state: Array
+    """True x, x_dot, phi, phi_dot at the tick, shape (n, 4)."""
+    joints: Array
+    """True positions of all joints at the tick [rad], shape (n, joints)."""
+    encoder: Array
+    """Encoder counts and their time stamp [s], NaN without an encoder, shape (n, 2)."""
+    measured: Array
+    """Measured free joints [rad] and their time stamp [s], NaN without, shape (n, 7)."""
+    setpoints: Array
+    """Free joints sent at the tick and h / 2 later [rad], shape (n, 12)."""
+    q: Array
+    """Commanded free joints at the end of the tick [rad], shape (n, 6)."""
+    dq: Array
+    """Their velocities [rad/s], shape (n, 6)."""
+    tracked: Array
+    """Tracked acceleration u' over the tick [m/s^2], shape (n,)."""
+
+
+class Recorder:
+    """Recorder of a `TrialRecord`."""
+
+    def __init__(self, joints: int, max_steps: int) -> None:
+        """Allocate the rows of a trial.
+
+        Args:
+            joints: Number of joints of the arm.
+            max_steps: Maximum number of steps of the trial.
+        """
+        widths = (4, 0, 3, 4, joints, 2, FREE_JOINTS + 1, 2 * FREE_JOINTS, FREE_JOINTS, FREE_JOINTS)
+        shapes = [(max_steps, width) if width else max_steps for width in (*widths, 0)]
+        self._rows, self._ticks = TrialRecord(*map(np.zeros, shapes)), 0
+
+    def before(self, loop: ClosedLoop, tick: int, u: float) -> None:
+        """Write the state and the measurements at a tick, and the u that the policy commands."""
+        rows, state = self._rows, loop.state()
+        rows.observation[tick], rows.u[tick], rows.state[tick] = predicted(loop), u, state
+        rows.joints[tick] = loop.joints()
+        rows.estimate[tick, :2] = state[2:]
+        rows.encoder[tick] = rows.measured[tick] = nan
+        if (measured := loop.measurement()) is not None:
+            rows.estimate[tick] = loop.controller.estimate[: 3 * BATCH_SIZE : BATCH_SIZE]
+            rows.encoder[tick] = measured.counts, measured.counted_at
+            rows.measured[tick] = *measured.q, measured.measured_at
+
+    def after(self, loop: ClosedLoop, tick: int) -> None:
+        """Write the commands and the tracked acceleration of a tick."""
+        rows, controller = self._rows, loop.controller
+        rows.setpoints[tick] = controller.setpoints[::BATCH_SIZE]
+        rows.q[tick], rows.dq[tick] = controller.q[::BATCH_SIZE], controller.dq[::BATCH_SIZE]
+        rows.tracked[tick] = loop.tracked
+        self._ticks = tick + 1
+
+    @property
+    def rows(self) -> TrialRecord:
+        """Record up to the latest tick."""
+        return TrialRecord(*(column[: self._ticks] for column in self._rows))

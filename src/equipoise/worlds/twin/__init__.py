@@ -1,0 +1,1 @@
+"""The digital twin: MuJoCo, servo model, encoder and hand."""

@@ -1,0 +1,208 @@
+"""The bodies of the twin in MuJoCo: the arm, the bracket on its flange, and the pendulum.
+
+The bodies of `equipoise.model.arms.scene` with the masses of the robot. The arm's own gravity is
+balanced, as by its drives; that of bracket and pendulum is not. The pendulum is a uniform rod, and
+its free swing determines its length::
+
+    l = 3 g / (4 w2)      I = m g l / w2
+
+Nothing collides: a trial ends before anything could. The bodies have no shapes, whose poses MuJoCo
+would compute in each step.
+"""
+
+import copy
+import functools
+from math import copysign
+from typing import Any, Final
+
+import numpy as np
+
+from equipoise.model.arms.arm import Arm, Inertial
+from equipoise.model.arms.chain import Floats, Triple
+from equipoise.model.arms.inertials import inertia_entries, link_inertials
+from equipoise.model.arms.scene import SIZES, scene
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.physics_engine import mujoco
+from equipoise.model.worlds import TwinSettings, rotor_inertias
+from equipoise.settings import GRAVITY
+
+TICK: Final = 1e-3
+"""Time step of the twin: the cycle of the joint drives [s]."""
+DRY_TIME: Final = 0.002
+"""Time constant with which dry friction stops the pendulum [s]; the least that MuJoCo takes for
+steps of a millisecond. With its default of 20 ms a sticking pendulum creeps."""
+END_TIME: Final = 0.005
+"""Time constant with which the end of a joint's range stops it [s]; with MuJoCo's default of 20 ms
+a joint at full speed overshoots by 3 degrees."""
+DRY_SHARE: Final = 0.999
+"""Impedance of dry friction as a constraint of MuJoCo [-]; its default is 0.9."""
+TOLERANCE: Final = 1e-14
+"""Tolerance of the solver. MuJoCo's 1e-8 is relative to the inertia of the whole arm; the dry
+friction of a pendulum of 0.15 kg can be smaller and would be lost."""
+DIAGONAL: Final = (0, 3, 5)
+"""Numbers of xx, yy and zz among the entries of an inertia."""
+SOLVER_BYTES: Final = 1 << 17
+"""Memory of the solver [bytes]; a chain without contacts needs little."""
+
+
+def build(arm: Arm, pendulum: PendulumParameters, settings: TwinSettings) -> Any:
+    """Return the MuJoCo model of the twin: all joints of the arm, then phi of the pendulum.
+
+    Args:
+        arm: The arm; its pivot's distance from the axis of the last joint is that of the settings.
+        pendulum: w2 and the frictions.
+        settings: Masses, pivot and steps; its frictions are not used, see `pivot_friction`.
+
+    Raises:
+        ArmError: The masses of the arm's links are not known.
+    """
+    outward, bracket, m = settings.pivot_outward, settings.bracket_mass, settings.pendulum_mass
+    model = copy.copy(_loaded(arm, outward, bracket, m))
+    n = len(arm.joints)
+    model.dof_armature[:n] = rotor_inertias(settings, n)
+    model.opt.timestep = TICK / settings.substeps
+    set_pendulum(model, mujoco().MjData(model), pendulum)
+    return model
+
+
+def set_pendulum(model: Any, data: Any, pendulum: PendulumParameters) -> None:
+    """Set the pendulum of a MuJoCo model of the twin, which differs between trials.
+
+    Args:
+        model: From `build`; changed in place.
+        data: Its state; set to the initial one.
+        pendulum: w2 and the frictions.
+    """
+    body, phi = model.nbody - 1, model.nv - 1
+    m = model.body_mass[body]
+    rod = rod_inertial(pendulum.w2, m)
+    I = m * GRAVITY * rod.com[2] / pendulum.w2
+    model.body_ipos[body], model.body_inertia[body] = rod.com, np.take(rod.inertia, DIAGONAL)
+    # MuJoCo's torque is -(damping + dampingpoly |rate|) rate.
+    model.dof_damping[phi], model.dof_dampingpoly[phi, 0] = pendulum.c * I, pendulum.drag * I
+    model.dof_frictionloss[phi] = pendulum.coulomb * I
+    mj = mujoco()
+    mj.mj_setConst(model, data)
+    mj.mj_resetData(model, data)
+
+
+@functools.lru_cache(maxsize=8)
+def _loaded(arm: Arm, outward: float, bracket: float, m: float) -> Any:
+    """Return the model with the drawing's pendulum of mass m [kg], without rotors, for `build`."""
+    arm = arm.model_copy(update={"pivot": pivot(arm, outward)})
+    spec = _weighed(arm)
+    if bracket > 0.0:
+        _weigh(spec.body("flange"), bar_inertial(bracket, np.array(arm.pivot)))
+    l, along = 0.5 * SIZES.rod_length, 0.5 * m * SIZES.rod**2
+    inertia = (m * l**2 / 3.0, 0.0, 0.0, m * l**2 / 3.0, 0.0, along)
+    rod = Inertial(name="pendulum", mass=m, com=(0.0, 0.0, l), inertia=inertia)
+    _weigh(spec.body("pendulum"), rod)
+    phi = spec.joint("phi")
+    phi.solref_friction = [DRY_TIME, 1.0]
+    phi.solimp_friction = [DRY_SHARE, DRY_SHARE, *phi.solimp_friction[2:]]
+    return spec.compile()
+
+
+def rod_centre(w2: float) -> float:
+    """Return the distance from the pivot of a uniform rod to its centre of mass [m].
+
+    Args:
+        w2: w2 of the rod as a pendulum [1/s^2].
+    """
+    return 3.0 * GRAVITY / (4.0 * w2)
+
+
+def rod_inertial(w2: float, mass: float) -> Inertial:
+    """Return the inertial of a uniform rod, from its pivot upwards along z.
+
+    Args:
+        w2: w2 of the rod as a pendulum [1/s^2].
+        mass: Its mass [kg].
+    """
+    l = rod_centre(w2)
+    across, along = mass * GRAVITY * l / w2 - mass * l**2, 0.5 * mass * SIZES.rod**2
+    inertia = (across, 0.0, 0.0, across, 0.0, along)
+    return Inertial(name="pendulum", mass=mass, com=(0.0, 0.0, l), inertia=inertia)
+
+
+def bar_inertial(mass: float, end: Floats) -> Inertial:
+    """Return the inertial of a bar as thick as the bracket.
+
+    Args:
+        mass: Its mass [kg].
+        end: Its end in the frame in which it starts [m], shape (3,).
+    """
+    slender = (end @ end * np.eye(3) - np.outer(end, end)) / 12.0
+    inertia = mass * (slender + SIZES.bracket**2 / 4.0 * np.eye(3))
+    x, y, z = (0.5 * end).tolist()
+    return Inertial(name="bracket", mass=mass, com=(x, y, z), inertia=inertia_entries(inertia))
+
+
+def pivot(arm: Arm, outward: float) -> Triple:
+    """Return the pendulum's pivot in the flange frame [m], at a distance from the last axis.
+
+    Args:
+        arm: The arm, which gives the side and the height of the pivot.
+        outward: Distance along the spindle, which lies along base y at home [m].
+    """
+    spindle = arm.pose(arm.home_free).rotation[1]
+    own = float(spindle @ arm.pivot)
+    x, y, z = arm.pivot + (copysign(outward, own) - own) * spindle
+    return float(x), float(y), float(z)
+
+
+def build_bare(arm: Arm) -> Any:
+    """Return the MuJoCo model of the bare arm's links, as its drives know them.
+
+    Raises:
+        ArmError: The masses of the arm's links are not known.
+    """
+    spec = _weighed(arm)
+    spec.delete(spec.body("flange"))
+    spec.delete(spec.key("home"))
+    return spec.compile()
+
+
+def mass_matrix(arm: Arm) -> Floats:
+    """Return the mass matrix of the bare arm at home, without rotors [kg m^2], shape (n, n)."""
+    mj = mujoco()
+    model = build_bare(arm)
+    data = mj.MjData(model)
+    data.qpos[:] = arm.home
+    mj.mj_forward(model, data)
+    M = np.zeros((model.nv, model.nv))
+    mj.mj_fullM(model, data, M)
+    return M
+
+
+def _weighed(arm: Arm) -> Any:
+    """Return the scene without shapes, with the masses of the arm's links."""
+    mj = mujoco()
+    spec = scene(arm)
+    spec.memory = SOLVER_BYTES
+    spec.compiler.boundmass, spec.compiler.boundinertia = 0.0, 0.0
+    spec.option.tolerance = TOLERANCE
+    spec.option.gravity = [0.0, 0.0, -GRAVITY]
+    off = mj.mjtDisableBit
+    # A diverging state must be visible, not reset; the pendulum's damping needs no implicit step.
+    for feature in ("CONTACT", "ISLAND", "EULERDAMP", "AUTORESET"):
+        spec.option.disableflags |= int(getattr(off, f"mjDSBL_{feature}"))
+    # A solver over the constraint forces: one row of dry friction needs one pass.
+    spec.option.solver = mj.mjtSolver.mjSOL_PGS
+    for geom in list(spec.geoms):
+        spec.delete(geom)
+    for number, (joint, link) in enumerate(zip(arm.joints, link_inertials(arm), strict=True), 1):
+        body = spec.body(f"frame {number}")
+        body.gravcomp = 1.0
+        hinge = spec.joint(joint.name)
+        hinge.solref_limit = [END_TIME, 1.0]
+        _weigh(body, link)
+    return spec
+
+
+def _weigh(body: Any, link: Inertial) -> None:
+    """Set the inertial of a body, independent of its geometry."""
+    xx, xy, xz, yy, yz, zz = link.inertia
+    body.explicitinertial = True
+    body.mass, body.ipos = link.mass, link.com
+    body.fullinertia = [xx, yy, zz, xy, xz, yz]

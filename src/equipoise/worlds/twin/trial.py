@@ -1,0 +1,171 @@
+"""Trials of a policy on the twin: controller, server, arm, pendulum and sensors in one kernel.
+
+The control step is the one of training and deployment: measurements become the observation, its u
+becomes two setpoints. The true state decides how a trial ends; in a world with guards, the rules of
+a rig end it as well, from the rig's measurements. A trial depends on its conditions, the master
+seed and its number alone.
+"""
+
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise import paper
+from equipoise.control.control_step import (
+    OBS_PHI,
+    OBS_PHI_DOT,
+    OBS_X,
+    OBS_X_DOT,
+    SETPOINTS_PER_TICK,
+    ControllerParams,
+    ControllerState,
+    command,
+    observe,
+    start_controller,
+)
+from equipoise.control.grid import ANGLE, JOINT_LIMIT, PHI_LIMIT, SAFETY_STOP, TRACK, TRUNCATED
+from equipoise.control.policy import RANDOM, PolicyKernel, act
+from equipoise.jit import inlined, kernel
+from equipoise.model.arms.arm import FREE_JOINTS
+from equipoise.model.elementary import at, put
+from equipoise.model.random import TWIN, philox, uniform
+from equipoise.safety.rules import NO_VIOLATION
+from equipoise.safety.trial import (
+    TrialSafetyMonitor,
+    reset_trial_monitor,
+    setpoint_violation,
+    trial_violation,
+)
+from equipoise.worlds.twin.physics import TICK
+from equipoise.worlds.twin.sensors import encoder, reply
+from equipoise.worlds.twin.servo_model import NOW
+from equipoise.worlds.twin.twin import TwinKernel, advance, reset, send_free, truth
+
+Array = npt.NDArray[np.float64]
+
+
+class TrialResult(NamedTuple):
+    """Result of a trial."""
+
+    steps: int
+    """Number of control steps."""
+    cause: int
+    """Cause of the end: TRUNCATED, ANGLE, TRACK, JOINT_LIMIT, or from SAFETY_STOP on the rule."""
+    sum_x2: float
+    """Sum of x^2 over the steps [m^2]."""
+
+
+class TwinTrial(NamedTuple):
+    """Closed loop of a trial on the twin; kernels change its states in place."""
+
+    twin: TwinKernel
+    """The twin."""
+    params: ControllerParams
+    """Constants of the controller."""
+    state: ControllerState
+    """State of the controller."""
+    q: Array
+    """Scratch array: free joints [rad], shape (6,)."""
+    monitor: TrialSafetyMonitor
+    """Rules of the world with their state."""
+
+
+@kernel
+def release(trial: TwinTrial, phi: float, phi_dot: float) -> None:
+    """Release the pendulum, the arm at rest at home; the controller has observed it until now.
+
+    Args:
+        trial: Changed in place.
+        phi: Angle of the pendulum from upright [rad].
+        phi_dot: Its rate [rad/s].
+    """
+    twin, controller = trial.twin, trial.params
+    reset(twin, twin.home, phi, phi_dot)
+    counts, stamp = encoder(twin.sensors, twin.past, 0, twin.key[0], twin.key[1])
+    shown = pi - counts * controller.resolution - stamp * phi_dot
+    start_controller(controller, trial.state, 0.0, 0.0, shown, phi_dot, 0)
+    reset_trial_monitor(trial.monitor, controller.home)
+
+
+@inlined
+def step(trial: TwinTrial) -> int:
+    """Advance by one control step: send the setpoints for u, and observe at its end.
+
+    Args:
+        trial: The state of its controller holds u; changed in place.
+
+    Returns:
+        The cause of failure, TRUNCATED without one.
+    """
+    twin, controller, state, monitor = trial.twin, trial.params, trial.state, trial.monitor
+    q = trial.q
+    command(controller, state, 1)
+    for s in range(SETPOINTS_PER_TICK):
+        for i in range(FREE_JOINTS):
+            q[i] = at(state.setpoints, 6 * s + i, 0)
+        if monitor.active:
+            for i in range(FREE_JOINTS):
+                monitor.lead[i] = at(state.leads, 6 * s + i, 0)
+            broken = setpoint_violation(monitor, q, twin.cabinet.clock[NOW] * TICK)
+            if broken != NO_VIOLATION:
+                return SAFETY_STOP + broken
+        send_free(twin, q)
+        advance(twin, round(controller.h / SETPOINTS_PER_TICK / TICK))
+    tick = twin.cabinet.clock[NOW]
+    counts, counted = encoder(twin.sensors, twin.past, tick, twin.key[0], twin.key[1])
+    measured = reply(twin.sensors, twin.past, tick, twin.key[0], twin.key[1], q)
+    put(state.counts, 0, 0, counts)
+    for i in range(FREE_JOINTS):
+        put(state.measured, i, 0, q[i])
+    observe(controller, state, tick * TICK - counted, tick * TICK - measured, 1)
+    real = truth(twin)
+    # Written so that NaN is a failure.
+    if not abs(real.phi) < PHI_LIMIT:
+        return ANGLE
+    if not abs(real.x) < paper.X_LIMIT:
+        return TRACK
+    if state.limit_exceeded[0]:
+        return JOINT_LIMIT
+    if monitor.active:
+        broken = trial_violation(monitor, controller, state, q, measured)
+        if broken != NO_VIOLATION:
+            return SAFETY_STOP + broken
+    return TRUNCATED
+
+
+@inlined
+def decide(twin: TwinKernel, state: ControllerState, policy: PolicyKernel) -> None:
+    """Compute u from the observation."""
+    chance = 0.0
+    if policy.kind == RANDOM:
+        words = philox(twin.key[0], twin.cabinet.clock[NOW], twin.key[1], 0, TWIN)
+        chance = uniform(words[2], 0.0, 1.0)
+    seen = state.observation
+    x, x_dot = at(seen, OBS_X, 0), at(seen, OBS_X_DOT, 0)
+    phi, phi_dot = at(seen, OBS_PHI, 0), at(seen, OBS_PHI_DOT, 0)
+    state.u[0] = act(policy, x, x_dot, phi, phi_dot, chance)
+
+
+@inlined
+def run_trial(
+    trial: TwinTrial, policy: PolicyKernel, phi: float, phi_dot: float, max_steps: int
+) -> TrialResult:
+    """Run one trial.
+
+    Args:
+        trial: Changed in place.
+        policy: The policy.
+        phi: Angle of the pendulum from upright at the release [rad].
+        phi_dot: Its rate [rad/s].
+        max_steps: Number of steps after which the trial is truncated.
+    """
+    release(trial, phi, phi_dot)
+    steps, cause, sum_x2 = 0, TRUNCATED, 0.0
+    while steps < max_steps and cause == TRUNCATED:
+        decide(trial.twin, trial.state, policy)
+        cause = step(trial)
+        steps += 1
+        sum_x2 += truth(trial.twin).x ** 2
+    return TrialResult(steps, cause, sum_x2)

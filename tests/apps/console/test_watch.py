@@ -1,0 +1,134 @@
+"""Runs and their consoles through shared memory."""
+
+import os
+from math import nan
+
+import numpy as np
+import pytest
+
+from equipoise.apps.console.gauges import messages_list, question_card, state_card
+from equipoise.apps.console.publisher import publishing
+from equipoise.apps.console.watch import RunWatch
+from equipoise.control.states import Phase
+from equipoise.logs.recorder import LoggedEvent, push_event
+from equipoise.logs.shared import RunInfo, live_runs, open_recorder, share
+from equipoise.model.arms.iiwa import iiwa7
+from equipoise.rig.operator import OperatorMessage
+from equipoise.rig.processes import OperatorProxy
+from equipoise.rig.run_controller import PHASES
+
+ARM = iiwa7()
+HOME = np.array(ARM.home)
+
+
+@pytest.fixture
+def shared():
+    info = RunInfo(title="test", pid=os.getpid(), arm=ARM, phases=PHASES, duration=8.0)
+    with share(info) as folder:
+        yield folder, open_recorder(folder, len(ARM.joints))
+
+
+@pytest.fixture
+def watch(shared):
+    watch = RunWatch(shared[0])
+    yield watch
+    watch.close()
+
+
+def ask(operator, text, *answers):
+    operator.notify(OperatorMessage("checklist", text, answers))
+
+
+def tick(recorder, time, phase, phi, late=0.001):
+    state = PHASES.index(phase)
+    observed = (0.0, 0.0, phi, 0.0, 0, 0.5, phi, 0.0, 0.0)
+    recorder.tick.push(time, late, 0.001, state, *observed, HOME + 0.1, 0.0 * HOME)
+
+
+def test_an_observer_sees_all_and_takes_nothing(shared, watch):
+    recorder = shared[1]
+    assert watch.observe().phase is None
+    tick(recorder, 1.0, Phase.HOMING, 3.0, late=0.004)
+    tick(recorder, 1.01, Phase.BALANCING, 0.1)
+    recorder.reply.push(1.0, nan, HOME, 0.0 * HOME, 1.0)
+    push_event(recorder.event, 1.0, "homing", (), "Moving")
+    now = watch.observe()
+    assert (now.phase, now.phi, now.late, now.time) == (Phase.BALANCING, 0.1, 0.004, 1.01)
+    assert now.q == pytest.approx(HOME)
+    assert now.commanded == pytest.approx(HOME + 0.1)
+    assert [event.text for event in now.events] == ["Moving"]
+    assert watch.observe().events == []
+    assert len(recorder.tick.take()) == 2
+    assert len(recorder.event.take()) == 1
+
+
+def test_the_end_of_a_run_is_seen_and_its_memory_is_gone():
+    info = RunInfo(title="test", pid=os.getpid(), arm=ARM)
+    with share(info) as folder:
+        assert folder in live_runs()
+        assert folder.stat().st_mode & 0o077 == 0
+        watch = RunWatch(folder)
+        assert not watch.observe().ended
+    assert watch.observe().ended
+    assert not folder.exists()
+
+
+def test_an_answer_counts_for_its_question_alone_and_once(shared, watch):
+    operator = OperatorProxy(shared[1])
+    ask(operator, "First? Type a.", "a")
+    first = watch.observe().question
+    assert first.answers == ("a",)
+    ask(operator, "Second? Type b.", "b")
+    second = watch.observe().question
+    watch.say("a", first.number)  # too late
+    watch.say("b", second.number)
+    watch.say("b", second.number)  # a second press
+    assert operator.read_input() == ["b"]
+    assert watch.observe().question is None
+
+
+def test_an_answer_at_the_terminal_closes_the_question(shared, watch):
+    recorder = shared[1]
+    operator = OperatorProxy(recorder)
+    ask(operator, "First? Type a.", "a")
+    number = watch.observe().question.number
+    recorder.typed.push(b"a")
+    watch.say("a", number)
+    assert operator.read_input() == ["a"]
+
+
+def test_a_stop_needs_no_question(shared, watch):
+    operator = OperatorProxy(shared[1])
+    watch.say("y", 0)
+    watch.say("stop")
+    assert operator.read_input() == ["stop"]
+
+
+def test_one_console_has_the_words_of_a_run(shared, watch):
+    with pytest.raises(BlockingIOError):
+        RunWatch(shared[0])
+    watch.close()
+    RunWatch(shared[0]).close()
+
+
+def test_what_is_published_is_what_an_observer_sees():
+    info = RunInfo(title="rig", pid=os.getpid(), arm=ARM, actions=("push",), stop="estop")
+    with publishing(info) as publisher:
+        (folder,) = (each for each in live_runs() if each.name)
+        watch = RunWatch(folder)
+        publisher.show(2.0, HOME, 0.2, commanded=HOME + 0.1, u=-1.0)
+        publisher.say(2.0, "pushed")
+        now = watch.observe()
+        assert (now.phase, now.phi, now.u, now.time) == (None, 0.2, -1.0, 2.0)
+        assert now.commanded == pytest.approx(HOME + 0.1)
+        watch.say("push")
+        assert publisher.words() == ["push"]
+        watch.close()
+
+
+def test_texts_of_devices_and_plugins_are_escaped():
+    bad = "<img src=x onerror=alert(1)>\x1b[2J"
+    event = LoggedEvent(0.0, "notice", (), bad)
+    for html in (question_card(bad), messages_list([event]), state_card(bad, "#000", [bad])):
+        assert "<img" not in html
+        assert "\x1b" not in html

@@ -1,0 +1,241 @@
+"""Results of a reproduction that nobody ran: small, quick to draw, as odd as a test wants them."""
+
+from itertools import repeat
+
+import numpy as np
+
+from equipoise import paper
+from equipoise.apps.report.pictures.rendering import draw
+from equipoise.apps.report.pictures.scene import stage
+from equipoise.artefacts import Estimate, Provenance
+from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
+from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd
+from equipoise.logs.run_log import RunLog
+from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import Pendulum, SwingFit
+from equipoise.model.worlds import MODEL, read_world
+from equipoise.settings import resolve
+from equipoise.studies.results import PipelineStage, Results, StageRecord, digests
+from equipoise.studies.synthetic_swing import SyntheticSwing
+from equipoise.trajectory import Trajectory
+from equipoise.worlds.evaluation import Evaluation, TrialResults
+from tests.apps.report.made_up_gap import falls_early, measured
+
+W2, C, RELEASE = 70.2, 0.15, 0.5
+AHEAD = 0.03
+"""How far the made-up policy sees ahead on the twin [s]."""
+ZERO = -0.002
+"""Error of the encoder's zero there [rad]."""
+PROVENANCE = Provenance(
+    created="2031-02-03T04:05:06+00:00",
+    command="reproduce",
+    software={"equipoise": "1.2.3", "numpy": "2.0"},
+)
+
+
+def swing(rate=False, source="swing.csv"):
+    """A decaying cosine: near enough to a small swing to be drawn as one."""
+    time = np.arange(0.0, 5.0, 0.005)
+    free = time - RELEASE
+    decay = np.where(free < 0.0, 1.0, np.exp(-0.5 * C * free))
+    theta = 0.05 * decay * np.cos(np.sqrt(W2) * np.maximum(free, 0.0))
+    if rate:
+        return Trajectory(time=time, theta_dot=np.gradient(theta, time), source=source)
+    return Trajectory(time=time, theta=theta, source=source)
+
+
+def pendulum(trajectory, warnings=(), release=RELEASE):
+    """What was identified from it."""
+    rate = trajectory.theta is None
+
+    def estimate(value):
+        return Estimate.normal(value, 0.001 * value, "identified")
+
+    return Pendulum(
+        w2=estimate(W2),
+        k=estimate(W2 / 9.80665),
+        c=estimate(C),
+        coulomb=Estimate.normal(0.0, 0.0, "assumed"),
+        drag=Estimate.normal(0.0, 0.0, "assumed"),
+        covariance=((0.0,) * 4,) * 4,
+        friction_model="viscous",
+        fit=SwingFit(
+            source=trajectory.source,
+            sha256=trajectory.sha256,
+            quantity="rate" if rate else "angle",
+            window=(RELEASE, 4.995),
+            release=release,
+            samples=900,
+            periods=6.0,
+            rms=2e-4,
+            noise=1e-4,
+            offset=0.0,
+            theta=0.05,
+            theta_dot=0.0,
+            settings=resolve().identification,
+            warnings=tuple(warnings),
+        ),
+    )
+
+
+def policy(of, recipe="robust", unvisited=7):
+    """A table that pushes towards where the pendulum leans, after a training with a selection."""
+    settings = resolve(recipe)
+    visits = np.ones((270, 8), dtype=np.int64)
+    visits[:unvisited] = 0
+    lean = np.repeat([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0], 45)
+    selected = settings.selection.every > 0
+    curve = [
+        LearningPoint(
+            episodes=n,
+            steps=40 * n,
+            duration=n / 1000.0,
+        )
+        for n in range(1000, 10001, 1000)
+    ]
+    candidates = [
+        Checkpoint(episodes=n, trials=400, survived=399, mean_duration=60.0, rms_x=0.05, score=0.9)
+        for n in (9000, 8000, 10000)
+    ]
+    return TabularPolicy(
+        actions=paper.ACTIONS,
+        Q=tuple(map(tuple, np.outer(lean, paper.ACTIONS).tolist())),
+        visits=tuple(map(tuple, visits.tolist())),
+        h=0.01,
+        pendulum=of,
+        arm=iiwa(7),
+        actuators=(IDEAL_ACTUATOR if recipe == "paper" else shipped_actuator(),),
+        settings=settings,
+        seed=0,
+        learner=0,
+        episodes=10_000,
+        steps=400_000,
+        learning_curve=tuple(curve),
+        checkpoints=tuple(candidates) if selected else (),
+    )
+
+
+def trials(name, falls, count=20, cause="track"):
+    """Trials of a minute, of which the first fell after the given times."""
+    return TrialResults(
+        name=name,
+        survival=(*falls, *[60.0] * (count - len(falls))),
+        causes=(*[cause] * len(falls), *["lasted"] * (count - len(falls))),
+    )
+
+
+def evaluation(of, falls=(3.0, 20.0)):
+    """A policy that fell twice in twenty, and two yardsticks."""
+    return Evaluation(
+        policy=of.digest,
+        world=MODEL,
+        world_settings=None,
+        actuators=(of.actuator.digest,),
+        arm=of.arm.name,
+        arm_digest=of.arm.digest,
+        pendulum=of.pendulum.digest,
+        settings=of.settings,
+        seed=0,
+        results=trials("policy", falls),
+        baselines=(
+            trials("LQR", ()),
+            trials("random", np.linspace(0.2, 0.9, 20).tolist(), cause="angle"),
+        ),
+    )
+
+
+def run(of, lasted=60.0, cause="lasted", world=MODEL):
+    """A run of sines, with the boxes of a few states; on a twin the policy saw them early."""
+    n = round(lasted / 0.01)
+    time = 0.01 * np.arange(n)
+    q = np.tile(np.array(of.arm.home), (n, 1))
+    q[:, 0] += 0.1 * np.sin(time)
+    twin = None if world == MODEL else read_world(world)
+
+    def state(t):
+        return {
+            "x": 0.12 * np.sin(t),
+            "x_dot": 0.12 * np.cos(t),
+            "phi": 0.05 * np.sin(8.0 * t),
+            "phi_dot": 0.4 * np.cos(8.0 * t),
+        }
+
+    was = state(time - AHEAD if twin else time)
+    u = np.array(paper.ACTIONS)[np.arange(n) // 3 % 8]
+    known = {**was, "tracked": u + 0.03, "q": q - 0.001} if twin else None
+    return RunLog.simulated(
+        RunConditions(
+            policy=of.digest,
+            world=twin.name if twin else world,
+            arm=of.arm,
+            pendulum={"w2": 68.0, "k": 6.93, "c": 0.17, "coulomb": 0.1, "drag": 0.0},
+            start=(0.0, 0.0, 0.03, 0.2),
+            h=0.01,
+            duration=60.0,
+            seed=0,
+            actuator=of.actuator.digest if twin else IDEAL,
+            counts_per_rev=twin.settings.counts_per_rev if twin else None,
+            world_settings=twin.settings.model_dump() if twin else None,
+            zero_error=ZERO if twin else None,
+            settings=of.settings,
+        ),
+        RunEnd(cause=cause, lasted=lasted),
+        {
+            "time": time,
+            **state(time),
+            "box": np.arange(n) % 12 + 120,
+            "u": u,
+            "q": q,
+            "dq": np.zeros_like(q),
+            "estimated_phi": was["phi"],
+            "estimated_phi_dot": was["phi_dot"],
+            "bias": ZERO * (1.0 - np.exp(-time)) if twin else np.zeros(n),
+        },
+        truth=known,
+    )
+
+
+def results(
+    *,
+    recipe="robust",
+    quick=False,
+    given=None,
+    warnings=(),
+    falls=(3.0, 20.0),
+    world="twin:nominal",
+    **of_run,
+):
+    """All of it. `given` is the name of a recording, where one was given."""
+    trajectory = swing(source=given or "simulated swing")
+    identified = pendulum(trajectory, warnings)
+    trained = policy(identified, recipe)
+    studied = world != MODEL and recipe != "paper"
+    found = Results(
+        record=StageRecord(
+            quick=quick,
+            seed=0,
+            workers=2,
+            swing=trajectory.source,
+            swing_sha256="sha256:" + 64 * "a",
+            simulated=None if given else SyntheticSwing(),
+            files={},
+            stages=(
+                PipelineStage(name="train", wall=8.25),
+                PipelineStage(name="evaluate", wall=0.5),
+            ),
+        ),
+        swing=trajectory,
+        pendulum=identified,
+        policy=trained,
+        evaluation=evaluation(trained, falls),
+        run=run(trained, world=world, **of_run),
+        gap=measured(trained, falls_early, quick=True)[0] if studied else None,
+    )
+    record = found.record.model_copy(update={"files": dict(digests(found))})
+    return found._replace(record=record)
+
+
+def frames(arm, q, phi, u=None, *, size):
+    """Pictures of poses of the rig, without an arrow where no command is given."""
+    return draw(stage(arm, size), q, phi, repeat(0.0) if u is None else u)

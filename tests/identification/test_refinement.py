@@ -1,0 +1,394 @@
+"""Refine: what logs of the twin say about pendulum and actuator, and which table is kept.
+
+The twin is MuJoCo's, and the logs show what its sensors show. Its pendulum varies from run to run
+by 2 %, and that is found, too; so where nothing shall have moved, this variation is switched off.
+"""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from equipoise.artefacts import Estimate
+from equipoise.control.policy import Checkpoint, shipped_policy
+from equipoise.errors import ArtefactError, RecordingError
+from equipoise.identification import refinement
+from equipoise.identification.refine import compare, regress
+from equipoise.identification.refinement import (
+    combine,
+    combine_fits,
+    compare_responses,
+    inspect,
+    read_motion,
+    retrain,
+)
+from equipoise.learning import training
+from equipoise.learning.training import train
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.worlds import LIGHT_ROTOR, TwinSettings, World
+from equipoise.rig.simulate import simulate_run
+from equipoise.settings import GRAVITY, PlantSettings
+from equipoise.worlds.evaluation import evaluate
+from equipoise.worlds.twin.twin import Twin
+from tests.logs.made_up import changed_table
+
+# A run of a minute is 60,000 steps of the physics engine.
+pytestmark = pytest.mark.compiled_only
+
+ACTUATOR = Actuator.assumed("kst", delay=0.010, lag=0.008)
+"""The nominal twin's, as its numbers say."""
+
+
+def with_w2(pendulum, factor):
+    """The same pendulum with another moment of inertia."""
+    changes = {
+        name: Estimate(value=v, low=v, high=v, source="given")
+        for name, v in (
+            ("w2", factor * pendulum.w2.value),
+            ("k", factor * pendulum.k.value),
+        )
+    }
+    return pendulum.model_copy(update=changes)
+
+
+@functools.cache
+def run(seed, factor=1.0, duration=20.0, **numbers):
+    """A log of the shipped policy on a twin whose w2 is not what the policy believes.
+
+    The controller of the run predicts with the true w2: a standing policy is what is wanted here.
+    """
+    policy = shipped_policy()
+    there = policy.model_copy(update={"pendulum": with_w2(policy.pendulum, factor)})
+    twin = TwinSettings(inertia_sigma=0.0, friction_sigma=0.0, **numbers)
+    return simulate_run(there, world=World("twin:steady", twin), seed=seed, duration=duration)
+
+
+def policy_knowing(actuator=ACTUATOR):
+    return shipped_policy().model_copy(update={"actuators": (actuator,)})
+
+
+def at_once():
+    """The shipped policy, of an arm that follows at once."""
+    policy = shipped_policy()
+    plant = policy.settings.plant.model_copy(update={"ideal": True})
+    settings = policy.settings.model_copy(update={"plant": plant})
+    return policy.model_copy(update={"settings": settings})
+
+
+def regressed(log):
+    return regress(*read_motion(log, shipped_policy().arm))
+
+
+# What is read from a log
+
+
+@pytest.mark.parametrize(
+    "turned", [(0.0, 0.0, 0.0, 0.02, 0.0, 0.0), (0.02, 0.01, -0.01, -0.02, 0.01, -0.03)]
+)
+def test_pivot_and_phi_are_those_of_mujoco_where_the_flange_tilts(turned):
+    log, arm = run(0, duration=1.0), iiwa(7)
+    exact = TwinSettings(zero_error=0.0, counts_per_rev=1 << 20)
+    twin = Twin(arm, shipped_policy().pendulum.parameters(), exact)
+    home = np.array(twin.data.xpos[twin.kernel.bodies.pendulum])
+    q = arm.home_free + turned
+    twin.reset(q, phi=0.05)
+    time, truth = np.arange(3.0), twin.truth()
+    fine = replace(log, conditions=log.conditions.model_copy(update={"counts_per_rev": 1 << 20}))
+    replied = changed_table(
+        fine, "reply", time=time, sent=time, q=np.tile(arm.with_held(q), (3, 1))
+    )
+    counted = changed_table(
+        replied, "encoder", time=time, counts=np.full(3, int(twin.encoder()[0]))
+    )
+    motion = read_motion(counted, arm)
+    assert abs(truth.phi - 0.05) > 0.01
+    # To second order in the turns; balancing turns the flange by 0.0003 rad.
+    assert motion.phi == pytest.approx(truth.phi, abs=1e-4)
+    moved = twin.data.xpos[twin.kernel.bodies.pendulum] - home
+    assert motion.x == pytest.approx(moved[0], abs=1e-9)
+
+
+def test_a_run_is_read_as_it_was_but_for_the_zero_and_the_counts():
+    log = run(0)
+    motion = read_motion(log, iiwa(7))
+    count = 2.0 * np.pi / log.conditions.counts_per_rev
+    phi = np.interp(motion.time, log.time, log.truth.phi) + log.conditions.zero_error
+    # The counts' time stamps are wrong by up to 0.3 ms, and the pendulum turns at up to 1 rad/s.
+    assert np.max(np.abs(motion.phi - phi)[1:-1]) < 2.0 * count
+    x = np.interp(motion.time, log.time, log.truth.x)
+    assert np.std(motion.x - x) < 5e-4
+
+
+def test_a_sample_that_was_read_twice_counts_once():
+    log = run(0)
+    twice = replace(
+        log,
+        tables=dict(log.tables)
+        | {name: np.repeat(log.tables[name], 2) for name in ("encoder", "reply")},
+    )
+    arm = shipped_policy().arm
+    for one, other in zip(read_motion(log, arm), read_motion(twice, arm), strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_what_no_rig_measured_is_refused():
+    log = simulate_run(shipped_policy(), world="model", duration=1.0)
+    with pytest.raises(RecordingError, match="expected a run on a rig"):
+        inspect(shipped_policy(), {"run.mcap": log})
+
+
+def test_the_log_of_another_arm_is_refused():
+    policy = shipped_policy()
+    # Its joints have the same names.
+    elsewhere = policy.model_copy(update={"arm": iiwa(14)})
+    assert policy.arm.name == "iiwa7"
+    with pytest.raises(ArtefactError, match=r"^run.mcap: .*policy is for an iiwa14"):
+        inspect(elsewhere, {"run.mcap": run(0, duration=1.0)})
+
+
+def test_a_run_that_is_too_short_is_named():
+    with pytest.raises(RecordingError, match=r"^short.mcap: .*balance for longer"):
+        inspect(shipped_policy(), {"short.mcap": run(0, duration=1.0)})
+
+
+# The pendulum
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.0, 1.1])
+def test_w2_of_a_run_is_that_of_its_pendulum(factor):
+    log = run(1, factor)
+    assert log.cause == "lasted"
+    fit = regressed(log)
+    assert fit.w2.value == pytest.approx(log.conditions.pendulum["w2"], rel=0.01)
+    assert fit.k.value == pytest.approx(fit.w2.value / GRAVITY)
+
+
+def flagged(seed, factor, duration):
+    fit = regressed(run(seed, factor, duration))
+    return tuple(move.name for move in compare(shipped_policy().pendulum, fit, PlantSettings()))
+
+
+def test_a_pendulum_that_is_another_by_ten_percent_is_flagged_and_the_same_is_not():
+    assert [flagged(seed, 1.0, 20.0) for seed in (2, 3, 4)] == [(), (), ()]
+    assert "w2" in flagged(2, 0.9, 20.0)
+    assert "w2" in flagged(3, 1.1, 20.0)
+
+
+@pytest.mark.slow
+def test_of_fifty_runs_most_shifts_are_flagged_and_few_others():
+    seeds = range(100, 150)
+    shifted = ["w2" in flagged(seed, 1.1 if seed % 2 else 0.9, 60.0) for seed in seeds]
+    assert sum(shifted) >= 45
+    assert sum(flagged(seed, 1.0, 60.0) != () for seed in seeds) <= 5
+
+
+def test_what_moved_makes_another_pendulum():
+    weighed = Estimate.normal(0.2, 0.001, "given")
+    policy = policy_knowing()
+    known = policy.pendulum.model_copy(
+        update=dict.fromkeys(("mass", "length", "inertia", "friction"), weighed)
+    )
+    policy = policy.model_copy(update={"pendulum": known})
+    found = inspect(policy, {"run": run(4, 1.1)})
+    assert [move.name for move in found.moves] == ["w2"]
+    assert "w2 moved by +" in found.moves[0].text
+    there = found.pendulum
+    assert (there.w2, there.k) == (found.fit.w2, found.fit.k)
+    assert there.k.value == pytest.approx(there.w2.value / there.g)
+    assert there.c == known.c
+    assert (there.mass, there.length, there.inertia, there.friction) == (None,) * 4
+    half = there.w2.value - there.w2.low
+    assert there.covariance[0][0] == pytest.approx((half / 1.96) ** 2, rel=0.3)
+    assert there.covariance[0][1:] == (0.0, 0.0, 0.0)
+    assert Pendulum.model_validate(there.model_dump()) == there
+    # The arm is the same, and nothing of it changes.
+    assert found.actuator == policy.actuator
+
+
+def test_a_pivot_with_more_dry_friction_is_found():
+    known = shipped_policy().pendulum
+    # The shipped policy hardly moves the pendulum: a fine encoder shows its friction, and light
+    # rotors keep it moving.
+    log = run(6, duration=60.0, coulomb=1.0, counts_per_rev=1 << 18, rotor_inertia=LIGHT_ROTOR)
+    found = inspect(at_once(), {"run": log})
+    assert [move.name for move in found.moves] == ["c"]
+    assert found.pendulum.w2 == known.w2
+    assert found.pendulum.friction_model == "coulomb"
+    # Dry and viscous friction are not well told apart, but what they take out together is known.
+    c, coulomb, rate = found.pendulum.c.value, found.pendulum.coulomb.value, found.fit.rate
+    assert c + coulomb / rate == pytest.approx(known.c.value + 1.0 / rate, rel=0.2)
+
+
+# The actuator
+
+
+def test_the_same_arm_is_the_same_actuator_as_far_as_it_moves():
+    found = inspect(policy_knowing(), {"run": run(2)})
+    assert found.response["delay"].value == pytest.approx(0.010, abs=0.001)
+    assert found.response["lag of A1"].value == pytest.approx(0.008, rel=0.2)
+    # The wrist holds the flange level, and hardly moves for it.
+    assert "lag of A5" not in found.response
+    assert found.moves == ()
+    assert found.pendulum == shipped_policy().pendulum
+    assert found.actuator == ACTUATOR
+
+
+@pytest.mark.parametrize(
+    ("numbers", "name", "truth"),
+    [({"transport": 0.018}, "delay", 0.018), ({"lag": 0.016}, "lag of A1", 0.016)],
+)
+def test_an_arm_that_follows_otherwise_is_found(numbers, name, truth):
+    found = inspect(policy_knowing(), {"run": run(2, **numbers)})
+    assert name in [move.name for move in found.moves]
+    assert all("ms (95 % intervals" in move.text for move in found.moves)
+    assert found.response[name].value == pytest.approx(truth, rel=0.1)
+    assert found.pendulum == shipped_policy().pendulum
+    assert found.actuator.delay == found.response["delay"]
+    assert found.actuator.lags[0] == found.response["lag of A1"]
+    # What the log does not tell stays as it was.
+    assert found.actuator.lags[3] == ACTUATOR.lags[3]
+    assert Actuator.model_validate(found.actuator.model_dump()) == found.actuator
+
+
+def estimate(value, half):
+    return Estimate(value=value, low=value - half, high=value + half, source="identified")
+
+
+@pytest.mark.parametrize(
+    ("now", "moved"),
+    [
+        (estimate(0.0149, 0.0001), True),
+        (estimate(0.0139, 0.0001), False),  # training varies the delay by 4 ms
+        (estimate(0.0160, 0.0070), False),  # within its interval
+    ],
+)
+def test_a_delay_moves_beyond_intervals_and_beyond_what_training_varies(now, moved):
+    arm = shipped_policy().arm
+    moves = compare_responses(ACTUATOR, {"delay": now}, arm, PlantSettings())
+    assert [move.name for move in moves] == ["delay"] * moved
+
+
+def test_a_policy_of_an_arm_that_follows_at_once_compares_no_actuator():
+    found = inspect(at_once(), {"run": run(2)})
+    assert (found.response, found.moves) == ({}, ())
+
+
+def test_joints_that_stand_still_tell_no_actuator():
+    log = run(2)
+    posture = np.broadcast_to(log.stream.q[0], log.stream.q.shape)
+    still = changed_table(log, "stream", q=posture)
+    found = inspect(policy_knowing(), {"run": still})
+    assert found.response == {}
+    (warning,) = found.warnings
+    assert warning.startswith("run does not identify the actuator: no joint's velocity")
+
+
+# Several logs
+
+
+def test_several_estimates_are_weighted_by_how_well_each_is_known():
+    both = combine([estimate(1.0, 0.3), estimate(1.3, 0.6)])
+    # Inverse variances: weights 4 to 1.
+    assert both.value == pytest.approx(1.06)
+    assert both.high - both.value == pytest.approx(0.6 / np.sqrt(5.0))
+    assert combine([estimate(1.0, 0.3)]) == estimate(1.0, 0.3)
+
+
+def test_estimates_that_disagree_are_known_less_well():
+    far = combine([estimate(1.0, 0.1), estimate(2.0, 0.1)])
+    # Two values at a distance of 1: standard deviation of their mean 1 / 2.
+    assert far.value == pytest.approx(1.5)
+    assert far.high - far.value == pytest.approx(1.96 / 2.0, rel=1e-6)
+
+
+def test_runs_of_two_pendula_are_told_apart():
+    found = inspect(at_once(), {"light": run(2, 0.9), "heavy": run(3, 1.1)})
+    (warning,) = found.warnings
+    assert "disagree about w2" in warning
+    low, high = found.fit.w2.interval
+    assert low < 0.92 * shipped_policy().pendulum.w2.value
+    assert high > 1.08 * shipped_policy().pendulum.w2.value
+
+
+def test_two_runs_are_told_as_one():
+    fits = [regressed(run(seed)) for seed in (2, 3)]
+    both = combine_fits(fits)
+    assert both.w2 == combine([fit.w2 for fit in fits])
+    assert both.zero == combine([fit.zero for fit in fits])
+    assert both.samples == fits[0].samples + fits[1].samples
+    assert both.duration == pytest.approx(sum(fit.duration for fit in fits))
+    assert min(fit.rate for fit in fits) <= both.rate <= max(fit.rate for fit in fits)
+
+
+# Training on
+
+
+def test_a_training_goes_on_from_table_and_visits(small_policy, quick_settings):
+    one = quick_settings.learning.model_copy(update={"episodes": 1})
+    settings = quick_settings.model_copy(update={"learning": one})
+    warm = train(
+        small_policy.pendulum,
+        small_policy.arm,
+        settings,
+        actuator=small_policy.actuator,
+        init_policy=small_policy,
+    )
+    visits, before = np.array(warm.visits), np.array(small_policy.visits)
+    assert np.all(visits >= before)
+    assert 0 < np.sum(visits > before) < 200
+    untouched = visits == before
+    assert np.array_equal(warm.table[untouched], small_policy.table[untouched])
+    assert not np.array_equal(warm.table, small_policy.table)
+
+
+def test_the_better_table_is_kept_with_the_new_model(small_policy):
+    there = with_w2(small_policy.pendulum, 1.1)
+    refined = retrain(small_policy, there, small_policy.actuator, episodes=80, seed=3)
+    scores = {"old": refined.old.score, "new": refined.new.score}
+    assert scores[refined.kept] == max(scores.values())
+    assert refined.policy.pendulum == there
+    assert refined.policy.arm == small_policy.arm
+    assert (refined.policy.table.tolist() == small_policy.table.tolist()) == (refined.kept == "old")
+    # Both ran the same trials, of the policy's own settings.
+    assert refined.old.trials == refined.new.trials
+    # The table that is kept has a test on the new model.
+    alone = refined.policy.model_copy(update={"tests": ()})
+    assert refined.policy.tests == training.measure_policy(alone)
+
+
+@pytest.mark.parametrize(("score", "kept"), [(0.6, "new"), (0.5, "old"), (0.4, "old")])
+def test_a_new_table_is_kept_only_if_it_is_better(monkeypatch, small_policy, score, kept):
+    def judged(policies, **_):
+        assert policies[0].Q == small_policy.Q
+        counts = {"episodes": 1, "trials": 9, "survived": 5, "mean_duration": 1.0, "rms_x": 0.1}
+        return [Checkpoint(**counts, score=each) for each in (0.5, score)]
+
+    monkeypatch.setattr(refinement, "compare_policies", judged)
+    refined = retrain(
+        small_policy, small_policy.pendulum, small_policy.actuator, episodes=40, seed=3
+    )
+    assert refined.kept == kept
+    assert (refined.policy.Q == small_policy.Q) == (kept == "old")
+    assert refined.policy.settings.learning.episodes == (40 if kept == "new" else 120)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_on_the_twin_the_refined_policy_is_as_good_as_the_old(factor):
+    policy, twin = shipped_policy(), TwinSettings(inertia_sigma=0.0, friction_sigma=0.0)
+    found = inspect(policy, {f"run {seed}": run(seed, factor) for seed in (2, 3)})
+    refined = retrain(policy, found.pendulum, found.actuator, workers=2).policy
+    there = with_w2(policy.pendulum, factor)
+
+    def share(table):
+        table = table.model_copy(update={"pendulum": there})
+        results = evaluate(
+            table, world=World("twin:steady", twin), with_baselines=False, workers=2
+        ).results
+        return results.summary().rate
+
+    # Of 200 trials; the same for both.
+    assert share(refined) >= share(policy) - 0.02

@@ -1,0 +1,142 @@
+"""Logs of either format are read as one, and exported."""
+
+import csv
+import dataclasses
+
+import numpy as np
+import pytest
+
+from equipoise.control.policy import shipped_policy
+from equipoise.errors import ArtefactError, RecordingError
+from equipoise.identification.refinement import read_motion, thinned
+from equipoise.logs.conditions import RunEnd
+from equipoise.logs.recorder import Recorder, push_event
+from equipoise.logs.run_log import RunLog
+from equipoise.logs.runs import ending, export, load_run, pendulum_of
+from equipoise.logs.writer import RunWriter
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.rig.config import RigSettings
+from equipoise.rig.simulate import simulate_run
+
+pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
+
+
+@pytest.fixture(scope="module")
+def twin_log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("twin") / "run.mcap"
+    simulate_run(shipped_policy(), world="twin:nominal", duration=0.5).save(path, command="test")
+    return path
+
+
+def table(path):
+    with path.open() as file:
+        header, *rows = csv.reader(file)
+    return header, rows
+
+
+def test_the_balancing_of_a_rig_is_a_run_log(rig_log):
+    log, whole = load_run(rig_log), RunLog.load(rig_log, damaged=True)
+    assert log.lasted == pytest.approx(1.5)
+    assert log.cause == "lasted"
+    assert log.conditions.policy == shipped_policy().digest
+    assert log.time == pytest.approx(0.01 * np.arange(150))
+    # 1000 samples, 200 setpoints and (but for torques) 180 replies a second.
+    assert len(log.encoder.time) == pytest.approx(1520, abs=10)
+    assert len(log.stream.time) == pytest.approx(304, abs=3)
+    assert len(log.replies.time) == pytest.approx(274, abs=3)
+    assert len(whole.tables["tick"]) > 10 * len(log.time)
+    assert pendulum_of(whole) == shipped_policy().pendulum.parameters()
+    assert whole.conditions.arm == RigSettings().described_arm
+
+
+def test_counts_and_joints_of_a_rig_tell_what_the_observer_believed(rig_log):
+    # What refine reads, beside what the estimator made of the same counts at the ticks.
+    log = load_run(rig_log)
+    motion = read_motion(log, iiwa(7))
+    phi = np.interp(log.time, motion.time, motion.phi)
+    assert np.rad2deg(phi - log.estimated_phi - log.bias)[10:] == pytest.approx(0.0, abs=0.4)
+    x = np.interp(log.time + 0.03, motion.time, motion.x)
+    assert x[:-5] == pytest.approx(log.x[:-5], abs=0.01)
+
+
+def test_a_log_that_breaks_off_is_read_to_its_last_chunk(broken_off, rig_log):
+    log, whole = load_run(broken_off), load_run(rig_log)
+    assert ending(RunLog.load(broken_off, damaged=True))[::3] == ("log broken off", False)
+    assert 10 < len(log.time) < len(whole.time)
+    assert log.phi.tolist() == whole.phi[: len(log.time)].tolist()
+    # Nobody said where the zero is: the last angle in the hand does.
+    n = len(log.encoder.counts)
+    away = log.encoder.counts - whole.encoder.counts[:n]
+    turn = whole.conditions.counts_per_rev
+    assert np.all((away + turn // 2) % turn - turn // 2 == 0)
+
+
+def test_samples_closer_than_a_tick_are_averaged_before_a_fit(rig_log):
+    motion = read_motion(load_run(rig_log), iiwa(7))
+    few = thinned(motion)
+    assert len(few.time) == len(motion.time) // 10
+    assert few.phi[3] == pytest.approx(motion.phi[30:40].mean())
+    assert np.diff(few.time) == pytest.approx(0.01, abs=5e-4)
+    assert thinned(few).x.tolist() == few.x.tolist()
+
+
+def test_a_run_that_did_not_balance_is_refused_with_its_reason(tmp_path, rig_log):
+    path, conditions = tmp_path / "run.mcap", RunLog.load(rig_log, damaged=True).conditions
+    writer = RunWriter(path, conditions, 0.0)
+    recorder = Recorder(7)
+    push_event(recorder.event, 0.5, "move", ("y", "n"), "Move? y or n")
+    writer.drain(recorder)
+    writer.finish(1.0, RunEnd(cause="operator", reason="the move was not allowed"))
+    with pytest.raises(RecordingError, match=r"while connecting \(the move was not allowed\)"):
+        load_run(path)
+
+
+def test_what_is_no_log_is_refused(tmp_path):
+    (tmp_path / "x.mcap").write_bytes(b"hello")
+    with pytest.raises(ArtefactError, match="is not an MCAP file"):
+        RunLog.load(tmp_path / "x.mcap")
+    with pytest.raises(ArtefactError, match="there is no file"):
+        RunLog.load(tmp_path / "y.mcap")
+
+
+def test_every_table_is_exported_with_units(rig_log, tmp_path):
+    run = RunLog.load(rig_log)
+    made = export(run, tmp_path / "csv")
+    assert [path.name for path in made] == [
+        "tick.csv",
+        "stream.csv",
+        "reply.csv",
+        "encoder.csv",
+        "event.csv",
+    ]
+    header, rows = table(made[0])
+    assert header[:6] == ["time_s", "late_s", "compute_s", "state", "x_m", "x_dot_m_s"]
+    assert header[-1] == "dq_A7_rad_s"
+    assert len(rows) == len(run.tables["tick"])
+    assert rows[0][header.index("x_m")] == ""  # not known on the way home
+    column = header.index("q_A2_rad")
+    assert [float(row[column]) for row in rows] == run.tables["tick"]["q"][:, 1].tolist()
+    assert "torque_A1_Nm" in table(made[2])[0]
+    assert [row[3] for row in table(made[4])[1]] == [event.text for event in run.events]
+
+
+def test_a_log_of_a_twin_is_exported(twin_log, tmp_path):
+    run = RunLog.load(twin_log)
+    made = {path.stem: table(path) for path in export(run, tmp_path)}
+    assert set(made) == {"tick", "truth", "stream", "reply", "encoder"}
+    header, rows = made["truth"]
+    assert header[:3] == ["time_s", "x_m", "x_dot_m_s"]
+    assert [float(row[1]) for row in rows] == run.truth.x.tolist()
+
+
+def test_a_log_that_breaks_off_is_refused_where_all_of_it_is_needed(broken_off):
+    with pytest.raises(ArtefactError, match="is cut short.* sound before that: .* ticks"):
+        RunLog.load(broken_off)
+
+
+@pytest.mark.parametrize("end", [RunEnd(), RunEnd(lost_rows=2), RunEnd(fault="no device")])
+def test_a_run_that_ended_with_an_error_says_so(rig_log, end):
+    whole = RunLog.load(rig_log, damaged=True)
+    how = ending(dataclasses.replace(whole, end=end))
+    assert (how.cause, how.whole) == ("error", True)
+    assert how.reason == (end.fault or "an error ended the run; the output of deploy names it")

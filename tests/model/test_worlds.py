@@ -1,0 +1,142 @@
+"""Worlds: their names, their numbers as published, and what is refused."""
+
+from math import radians
+from pathlib import Path
+
+import pytest
+
+from equipoise.artefacts import Estimate
+from equipoise.errors import SettingsError
+from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.worlds import (
+    WORLDS,
+    TwinSettings,
+    pendulum_on,
+    pivot_friction,
+    read_world,
+)
+
+VISCOUS = Pendulum.assumed(70.2, 0.15)
+DRY = Pendulum.assumed(120.0, 0.23).model_copy(
+    update={
+        "coulomb": Estimate.normal(1.957, 0.08, "identified"),
+        "drag": Estimate.normal(0.02, 0.001, "identified"),
+    }
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "transport", "counts", "coulomb", "zero_deg", "inertia", "friction"),
+    [
+        ("twin:nominal", 0.010, 8192, 0.1, 0.2, 0.02, 0.2),
+        ("twin:harsh", 0.030, 4096, 0.3, 0.4, 0.04, 0.4),
+    ],
+)
+def test_the_named_sets_have_the_numbers_that_the_documents_state(
+    name, transport, counts, coulomb, zero_deg, inertia, friction
+):
+    world = read_world(name).settings
+    assert (world.transport, world.counts_per_rev) == (transport, counts)
+    assert (world.coulomb, world.drag, world.assumed_coulomb) == (None, None, coulomb)
+    assert world.zero_error == pytest.approx(radians(zero_deg))
+    assert (world.inertia_sigma, world.friction_sigma) == (inertia, friction)
+    assert (world.lag, world.cycle, world.inner, world.pivot_outward) == (8e-3, 1, "velocity", 0.13)
+
+
+@pytest.mark.parametrize(
+    ("pendulum", "world", "coulomb", "drag", "saying"),
+    [
+        (DRY, "twin:nominal", 1.957, 0.02, "dry friction 1.96 1/s^2 (as identified), drag 0.02"),
+        (DRY, "twin:harsh", 1.957, 0.02, "(as identified)"),
+        (VISCOUS, "twin:nominal", 0.1, 0.0, "assumed by twin:nominal; not identified"),
+        (VISCOUS, "twin:harsh", 0.3, 0.0, "assumed by twin:harsh; not identified"),
+    ],
+)
+def test_a_twin_has_the_friction_of_its_pendulum_unless_its_set_says_otherwise(
+    pendulum, world, coulomb, drag, saying
+):
+    name, settings = read_world(world)
+    assert saying in pivot_friction(pendulum, settings).describe(name)
+    swings = pendulum_on(pendulum, settings)
+    assert (swings.coulomb, swings.drag) == (coulomb, drag)
+    assert (swings.w2, swings.c) == (pendulum.w2.value, pendulum.c.value)
+
+
+def test_what_a_trial_varies_varies_the_pendulums_own_friction_and_not_the_worlds():
+    heavy = PendulumParameters(w2=60.0, k=6.0, c=0.1, coulomb=1.0, drag=0.01)
+    nominal, sticky = TwinSettings(), TwinSettings(coulomb=0.1, drag=0.0)
+    assert pivot_friction(DRY, nominal).on(heavy) == heavy
+    assert pivot_friction(DRY, sticky).on(heavy) == heavy._replace(coulomb=0.1, drag=0.0)
+    told = pivot_friction(DRY, sticky).describe("twin:sticky.toml")
+    assert "set by twin:sticky.toml; the pendulum has 1.96" in told
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("light-rotors", {"rotor_inertia": 0.02}),
+        ("bare", {"rotor_inertia": 0.0}),
+        ("pd", {"inner": "pd"}),
+        ("trajectory40", {"inner": "trajectory40"}),
+        ("smart60", {"inner": "pd", "shaped": False, "transport": 0.044}),
+        ("fri", {"inner": "pd", "shaped": False, "transport": 0.003}),
+    ],
+)
+def test_the_other_sets_differ_from_nominal_in_what_the_documents_state(name, changes):
+    nominal = read_world("twin:nominal").settings
+    assert nominal.rotor_inertia == (3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394)
+    assert read_world(f"twin:{name}").settings == nominal.model_copy(update=changes)
+    # A drive critically damped at omega stays 2 / omega behind a ramp.
+    smart60 = read_world("twin:smart60").settings
+    assert smart60.transport + 2.0 / smart60.pd_frequency == pytest.approx(0.060)
+
+
+def test_the_documents_say_of_each_set_what_is_known_and_what_is_guessed():
+    page = (Path(__file__).parents[2] / "docs/how-to/digital-twin.md").read_text(encoding="utf-8")
+    for name, named in WORLDS.items():
+        assert f"| `{name}` |" in page
+        assert named.known.endswith(".")
+        assert named.guessed.endswith(".")
+
+
+def test_each_set_can_be_told_from_the_others():
+    assert len({read_world(f"twin:{name}").settings.model_dump_json() for name in WORLDS}) == len(
+        WORLDS
+    )
+
+
+def test_every_number_says_what_it_is():
+    for name, field in TwinSettings.model_fields.items():
+        assert field.description, name
+
+
+def test_a_file_holds_differences_to_nominal_and_keeps_its_own_name(tmp_path):
+    file = tmp_path / "nominal.toml"
+    file.write_text("transport = 0.02\nzero_offset = 0.0087\n")
+    world = read_world(f"twin:{file}")
+    nominal = read_world("twin:nominal").settings
+    assert world.settings == nominal.model_copy(update={"transport": 0.02, "zero_offset": 0.0087})
+    assert world.name == f"twin:{file}"
+    file.write_text("coulomb = 0.7\n")
+    assert pivot_friction(DRY, read_world(f"twin:{file}").settings).coulomb == 0.7
+
+
+@pytest.mark.parametrize(
+    ("text", "saying"),
+    [
+        ("transport = -1", "transport"),
+        ("transprot = 0.1", "transprot"),
+        ('inner = "spring"', "inner"),
+        ("transport = ", "not valid TOML"),
+    ],
+)
+def test_a_file_with_a_mistake_is_refused_by_name(tmp_path, text, saying):
+    (tmp_path / "w.toml").write_text(text)
+    with pytest.raises(SettingsError, match=saying):
+        read_world(f"twin:{tmp_path / 'w.toml'}")
+
+
+@pytest.mark.parametrize("name", ["nominal", "twin:nominel", "robot", "twin:"])
+def test_an_unknown_world_is_refused_with_those_that_there_are(name):
+    with pytest.raises(SettingsError, match="nominal"):
+        read_world(name)

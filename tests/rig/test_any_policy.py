@@ -1,0 +1,225 @@
+"""Policies of every kind on a virtual rig: balance, replay, and the stop where they fail."""
+
+import sys
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from equipoise.control.bound_policy import bind_policy, load_policy
+from equipoise.control.policy import KernelPolicy, shipped_policy
+from equipoise.control.states import Phase
+from equipoise.errors import ArtefactError, InputError
+from equipoise.logs.run_log import RunLog
+from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig.config import RigSettings, emulated_rig
+from equipoise.rig.explanation import CauseName, explain
+from equipoise.rig.processes import InterruptedPolicy, PolicyTimeout
+from equipoise.rig.run import RunRequest, exit_code, run_virtually, warm_up
+from equipoise.rig.run_controller import PHASES
+from tests.control.test_bound_policy import KINDS, folder
+from tests.studies.replayed import replay
+
+__all__ = ["folder"]
+
+pytestmark = pytest.mark.compiled_only
+NOMINAL = read_world("twin:nominal")
+BALANCE = load_policy("lqr")
+
+
+class Silent:
+    def notify(self, event):
+        pass
+
+    def read_input(self):
+        return []
+
+
+def run(policy, out, duration=1.0, failing=None):
+    """Run a policy on a virtual rig; return the result and the log."""
+    request = RunRequest(
+        policy=policy,
+        actuator=policy.actuator,
+        settings=RigSettings(),
+        robot="twin:nominal",
+        encoder=None,
+        duration=duration,
+        t1=False,
+        dry_run=False,
+        seed=3,
+    )
+    pendulum = pendulum_on(policy.pendulum, NOMINAL.settings)
+    rig = emulated_rig(NOMINAL, request.settings, pendulum, seed=3).rig
+    if failing is not None:
+        failing.clock = rig.clock
+    result = run_virtually(request, out, rig=rig, operator=Silent())
+    return result, RunLog.load(out, damaged=True)
+
+
+def test_a_run_with_setpoints_that_lead_balances_and_replays(tmp_path):
+    table = shipped_policy()
+    controller = table.settings.controller.model_copy(update={"lead": True})
+    settings = table.settings.model_copy(update={"controller": controller})
+    policy = table.model_copy(update={"settings": settings})
+    _, log = run(policy, tmp_path / "run.mcap")
+    assert log.end.cause == "lasted"
+    found = replay(log, policy)
+    assert (found.difference, found.whole, found.largest) == (None, True, 0.0)
+
+
+class Failing:
+    """The LQR, until it fails after half a second."""
+
+    def __init__(self, fail):
+        self._fail, self._ticks, self.clock = fail, 0, None
+
+    def reset(self):
+        self._ticks = 0
+
+    def act(self, observation):
+        self._ticks += 1
+        return self._fail(self) if self._ticks > 50 else BALANCE.act(observation)
+
+
+def raises(policy):
+    raise RuntimeError("the gain\nis lost")
+
+
+def exits(policy):
+    sys.exit(1)
+
+
+def is_late(policy):
+    policy.clock.wait_until(policy.clock.now() + 0.006)
+    return 0.0
+
+
+FAILURES = {
+    raises: "the policy failed: Failing raised RuntimeError",
+    exits: "the policy failed: 1",
+    lambda policy: np.nan: "Failing returned nan",
+    is_late: "the policy failed: it took 6.0 ms, expected at most 5.0 ms",
+}
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["guest:Counting", None]
+    + [pytest.param(name, marks=pytest.mark.slow) for name in KINDS if name != "guest:Counting"],
+)
+def test_a_policy_of_any_kind_runs_on_a_virtual_rig_and_its_run_replays(folder, name):
+    policy = load_policy(name)
+    _, log = run(policy, folder / "run.mcap")
+    assert log.conditions.policy == policy.digest
+    assert log.conditions.policy_name == policy.name
+    found = replay(log, load_policy(name))
+    assert found.difference is None
+    assert found.whole
+    other = "pd" if name != "pd" else "lqr"
+    with pytest.raises(ArtefactError, match="give the policy that ran"):
+        replay(log, load_policy(other))
+
+
+@pytest.mark.slow
+def test_the_built_in_lqr_and_the_same_law_in_python_run_bit_for_bit_alike(folder):
+    results, logs = zip(
+        *(run(load_policy(name), folder / f"{i}.mcap", 3.0) for i, name in enumerate(
+            ("lqr", "guest:lqr")
+        )),
+        strict=True,
+    )  # fmt: skip
+    assert [(one.cause, one.lasted) for one in results] == [("lasted", 3.0)] * 2
+    assert np.array_equal(logs[0].tables["tick"]["u"], logs[1].tables["tick"]["u"])
+    assert np.array_equal(logs[0].tables["stream"]["q"], logs[1].tables["stream"]["q"])
+
+
+@pytest.mark.parametrize(
+    "fail",
+    [
+        fail if fail in (raises, is_late) else pytest.param(fail, marks=pytest.mark.slow)
+        for fail in FAILURES
+    ],
+)
+def test_a_policy_that_fails_ends_in_the_latched_stop_with_the_arm_at_rest(tmp_path, fail):
+    failing = Failing(fail)
+    policy = bind_policy(failing, name="Failing")
+    result, log = run(policy, tmp_path / "run.mcap", 5.0, failing)
+    assert (result.cause, result.stoppable, exit_code(result)) == ("policy", True, 1)
+    assert FAILURES[fail] in result.reason
+    assert result.lasted == pytest.approx(0.5)
+    tick = log.tables["tick"]
+    last = tick["state"][-1]
+    assert last == PHASES.index(Phase.STOPPING)
+    assert np.abs(tick["dq"][-1]).max() == 0.0
+    first = int(np.flatnonzero(tick["state"] == last)[0])
+    assert (tick["state"][first:] == last).all()
+    assert tick["u"][first] == 0.0
+    found = explain(log).causes[0]
+    assert found.name is CauseName.POLICY
+    assert result.reason[:40] in found.evidence
+
+
+def test_a_late_policys_run_replays_though_its_time_is_not_measured_again(tmp_path):
+    failing = Failing(is_late)
+    _, log = run(bind_policy(failing), tmp_path / "run.mcap", 5.0, failing)
+    again = Failing(lambda policy: 0.0)
+    assert replay(log, bind_policy(again)).difference is None
+
+
+def test_a_computer_that_stands_still_in_a_compiled_policy_does_not_end_the_run(
+    tmp_path, monkeypatch
+):
+    act, calls, computer = KernelPolicy.act, [], SimpleNamespace()
+
+    def stall_once(self, observation):
+        calls.append(observation)
+        if len(calls) == 50:
+            computer.clock.wait_until(computer.clock.now() + 0.03)
+        return act(self, observation)
+
+    monkeypatch.setattr(KernelPolicy, "act", stall_once)
+    result, log = run(BALANCE, tmp_path / "run.mcap", failing=computer)
+    assert result.cause == "lasted"
+    assert log.tables["tick"]["late"].max() > 0.015
+
+
+# Before and beside the run
+
+
+def request(policy):
+    return RunRequest(
+        policy, policy.actuator, RigSettings(), "twin:nominal", None, 1.0, False, False, 3
+    )
+
+
+def test_a_policy_that_fails_or_is_slow_is_refused_before_the_arm_moves():
+    def sleeps(observation):
+        time.sleep(0.008)
+        return 0.0
+
+    for function, says in (
+        (lambda _: 1 / 0, "ZeroDivisionError"),
+        (sleeps, r"takes .* ms, expected at most 5\.0"),
+    ):
+        with pytest.raises(InputError, match=says):
+            warm_up(request(bind_policy(function, name="mine")))
+    warm_up(request(shipped_policy()))
+
+
+def test_an_endless_loop_of_a_policy_is_interrupted_even_where_it_catches_exceptions():
+    def endless(observation):
+        while True:
+            try:
+                sum(range(1000))
+            except Exception:
+                continue
+
+    policy = InterruptedPolicy(bind_policy(endless), 0.005)
+    began = time.perf_counter()
+    with pytest.raises(PolicyTimeout, match=r"it took more than 5\.0 ms"):
+        policy.act(np.zeros(4))
+    assert time.perf_counter() - began < 0.5
+    quick = InterruptedPolicy(bind_policy(lambda _: 0.5), 0.05)
+    assert quick.act(np.zeros(4)) == 0.5
+    time.sleep(0.06)  # the timer is off

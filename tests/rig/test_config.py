@@ -1,0 +1,185 @@
+"""What `rig.toml` may say, and which addresses are some."""
+
+import numpy as np
+import pytest
+
+from equipoise.control.policy import shipped_policy
+from equipoise.errors import EquipoiseError, InputError, SettingsError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.urdf import read_urdf
+from equipoise.rig.checks.fit import check_fit
+from equipoise.rig.clocks import VirtualClock
+from equipoise.rig.config import RigSettings, check_addresses, read_rig, robot_at
+from equipoise.rig.run import RunRequest
+from equipoise.robots.kst import plugin
+from tests.model.arms.witnesses import ELBOW, ELBOW_HOME
+
+
+def written(tmp_path, text):
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    return path
+
+
+def test_without_a_file_the_rig_is_the_arm_of_the_training():
+    assert read_rig(None).described_arm == iiwa(7)
+
+
+def test_a_rig_says_where_its_pendulum_is(tmp_path):
+    path = written(
+        tmp_path,
+        'arm = "iiwa14"\nmedia_flange_mm = 35\npivot_outward_mm = 150\nencoder_sign = -1\n'
+        "home_deg = [80, 30, 0, -70, 0, 80, 0]\n",
+    )
+    rig = read_rig(path)
+    arm = rig.described_arm
+    assert arm.pivot == pytest.approx((-0.15, 0.0, 0.035))
+    assert arm.home[0] == pytest.approx(1.3962634)
+    assert arm.digest == iiwa(14).digest
+    assert rig.encoder_sign == -1
+
+
+def test_a_rig_describes_an_arm_from_a_urdf_beside_it(tmp_path):
+    (tmp_path / "arm.urdf").write_text(ELBOW.read_text())
+    home = ", ".join(f"{np.degrees(angle):.4f}" for angle in ELBOW_HOME)
+    text = (
+        f'arm = "arm.urdf"\nbase = "pedestal"\ntip = "adapter"\nhome_deg = [{home}]\n'
+        "pivot_mm = [10, 20, 130]\nacceleration_deg = 400\n"
+    )
+    arm = read_rig(written(tmp_path, text)).described_arm
+    expected = read_urdf(ELBOW, base="pedestal", tip="adapter", home=ELBOW_HOME)
+    assert arm.geometry_digest == expected.geometry_digest
+    assert arm.home == pytest.approx(ELBOW_HOME, abs=1e-6)
+    assert arm.pivot == pytest.approx((0.01, 0.02, 0.13))
+    assert arm.joints[0].acceleration == pytest.approx(np.radians(400))
+    assert arm.joints[0].link == expected.joints[0].link
+    with pytest.raises(SettingsError, match="place the pivot of an iiwa, and this is elbow 6"):
+        read_rig(
+            written(tmp_path, text.replace("pivot_mm = [10, 20, 130]", "media_flange_mm = 35"))
+        )
+
+
+def test_a_changed_rig_has_its_own_arm():
+    rig = RigSettings()
+    assert rig.described_arm == iiwa(7)
+    assert rig.changed(arm="iiwa14").described_arm == iiwa(14)
+
+
+def test_equal_rigs_have_one_digest_and_others_another(tmp_path):
+    path = written(tmp_path, 'arm = "iiwa7"\n')
+    assert read_rig(path).digest == RigSettings().digest
+    assert RigSettings(encoder_sign=-1).digest != RigSettings().digest
+
+
+@pytest.mark.parametrize(
+    ("text", "saying"),
+    [
+        ("counts = 8192", "known: name, arm"),
+        ('arm = "iiwa"', "no arm 'iiwa'; choose iiwa14, iiwa7"),
+        ('arm = "iiwa.urdf"', r"there is no file .*iiwa\.urdf"),
+        ('held = "A3"', "held belong to an arm from a URDF, and iiwa7 is a registered arm"),
+        (
+            "pivot_mm = [1, 2, 3]\nmedia_flange_mm = 35",
+            "give pivot_mm alone",
+        ),
+        ("media_flange_mm = 20", "0, 35 or 61"),
+        ("encoder_sign = 2", "1 or -1"),
+        ("home_deg = [0, 0, 0]", "3 angles; give one for each of 7"),
+        ("home_deg = [0, 130, 0, 0, 0, 0, 0]", "joint 2"),
+        ("home_deg = [1.57, 0.52, 0.1, -1.22, 0, 1.4, 0]", "joint 3"),
+        ("base_tilt_deg = [1.0, 1.0]", "level the base"),
+        ("counts_per_rev = nan", "finite number"),
+        ("= 3", "not valid TOML"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path, text, saying):
+    with pytest.raises(SettingsError, match=saying):
+        read_rig(written(tmp_path, text))
+
+
+def test_a_rig_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(SettingsError, match=r"there is no file .*rig\.toml"):
+        read_rig(tmp_path / "rig.toml")
+
+
+@pytest.mark.parametrize(
+    ("robot", "encoder"),
+    [
+        ("kst://", "serial:///dev/ttyACM0"),
+        ("kst://host:70000", "serial:///dev/ttyACM0"),
+        ("kst://host:0", "serial:///dev/ttyACM0"),
+        ("kst://host:port", "serial:///dev/ttyACM0"),
+        ("kst://host?port=3", "serial:///dev/ttyACM0"),
+        ("kst://[::1", "serial:///dev/ttyACM0"),
+        ("kst://host", "serial://"),
+        ("kst://host", "socket://host"),
+        ("http://host", "serial:///dev/ttyACM0"),
+        ("kst://host", None),
+        ("kst://host", "/dev/ttyACM0"),
+        ("twin:nominal", "serial:///dev/ttyACM0"),
+        ("model", None),
+    ],
+)
+def test_an_address_that_is_none_is_refused(robot, encoder):
+    with pytest.raises(InputError) as refused:
+        check_addresses(robot, encoder)
+    assert isinstance(refused.value, EquipoiseError)
+
+
+@pytest.mark.parametrize(
+    ("robot", "where"),
+    [
+        ("kst://172.31.1.147", ("172.31.1.147", 30001)),
+        ("kst://localhost:3", ("localhost", 3)),
+        ("kst://[::1]:30002/", ("::1", 30002)),
+    ],
+)
+def test_addresses_of_a_robot(robot, where, monkeypatch):
+    check_addresses(robot, "socket://localhost:4")
+    dialled = []
+    monkeypatch.setattr(plugin, "dial", lambda *to: dialled.append(to))
+    robot_at(robot, VirtualClock())
+    assert dialled == [where]
+
+
+def test_a_twin_has_an_encoder_of_its_own():
+    check_addresses("twin:nominal", None)
+    with pytest.raises(SettingsError, match="there is no world"):
+        check_addresses("twin:nowhere", None)
+
+
+def test_what_a_rig_says_of_its_limits_becomes_its_rules(tmp_path):
+    text = "position_margin_deg = 10\nspeed_share = 0.5\ntorque_share = 0.2\n"
+    file = written(tmp_path, text)
+    policy = shipped_policy()
+
+    def guard(rig):
+        request = RunRequest(
+            policy=policy,
+            actuator=policy.actuator,
+            settings=rig,
+            robot="twin:nominal",
+            encoder=None,
+            duration=1.0,
+            t1=False,
+            dry_run=False,
+            seed=0,
+        )
+        return request.guard(8192)
+
+    usual, strict = guard(RigSettings()), guard(read_rig(file))
+    assert np.subtract(strict.limits.lower, usual.limits.lower) == pytest.approx(np.radians(7.0))
+    assert np.subtract(usual.limits.upper, strict.limits.upper) == pytest.approx(np.radians(7.0))
+    assert np.divide(strict.limits.velocity, usual.limits.velocity) == pytest.approx(0.5)
+    assert np.divide(strict.torque, usual.torque) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("height", "verdict"), [(None, None), (0.0, "good"), (230.0, "good"), (232.0, "bad")]
+)
+def test_the_hanging_pendulum_needs_room(height, verdict):
+    """The pivot is 491 mm above the base, a rod of w2 = 70.2 1/s^2 is 209.6 mm long."""
+    policy = shipped_policy()
+    found = check_fit(policy, policy.actuator, RigSettings(table_height_mm=height))
+    below = [one for one in found if one.name == "room below"]
+    assert [one.verdict for one in below] == ([] if verdict is None else [verdict])

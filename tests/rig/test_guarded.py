@@ -1,0 +1,324 @@
+"""The guard around a robot: what leaves, whatever goes in. Limits are recomputed from the arm."""
+
+from math import inf, nan, radians
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from equipoise.errors import LinkError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.rig.guarded import GuardedRobot
+from equipoise.rig.interfaces import Reply, Robot
+from equipoise.safety.rules import FIRST_LIMIT, limits_of
+from equipoise.safety.stop import ramp
+
+ARM = iiwa(7)
+HOME = np.array(ARM.home)
+PERIOD = 0.005
+LOWER = np.array([joint.lower for joint in ARM.joints]) + radians(3.0)
+UPPER = np.array([joint.upper for joint in ARM.joints]) - radians(3.0)
+VELOCITY = np.array([joint.velocity for joint in ARM.joints])
+ACCELERATION = np.array([joint.acceleration for joint in ARM.joints])
+
+
+class Tape:
+    """A robot that stands where it is told to and keeps what it is sent."""
+
+    joints = 7
+
+    def __init__(self, q=HOME):
+        self.q, self.calls, self.sent = np.array(q, float), [], []
+
+    def connect(self):
+        self.calls.append("connect")
+
+    def measured(self):
+        return self.q
+
+    def start(self):
+        self.calls.append("start")
+
+    def send(self, q):
+        self.sent.append(tuple(q))
+
+    def replies(self):
+        return [Reply(0.0, 0.001, tuple(self.q), None)]
+
+    def stop(self):
+        self.calls.append("stop")
+
+    def close(self):
+        self.calls.append("close")
+
+
+def guarded(q=HOME):
+    tape = Tape(q)
+    robot = GuardedRobot(tape, limits_of(ARM), PERIOD)
+    robot.connect()
+    robot.start()
+    return robot, tape
+
+
+def along(start, velocity, n):
+    """Setpoints of a stream that speeds up within the limits, to velocities [rad/s]."""
+    q, dq = np.array(start, float), np.zeros(7)
+    for _ in range(n):
+        dq = dq + np.clip(velocity - dq, -0.9 * ACCELERATION * PERIOD, 0.9 * ACCELERATION * PERIOD)
+        q = q + PERIOD * dq
+        yield tuple(q)
+
+
+def moving(speed=0.4, n=40):
+    """A guarded arm that moves at a tenth to the half of its speed."""
+    robot, tape = guarded()
+    robot.send(HOME)
+    for setpoint in along(HOME, speed * np.array([1.0, 0.2, 0.0, -0.5, 0.1, 0.3, -1.0]), n):
+        robot.send(setpoint)
+    assert robot.held_back is None
+    return robot, tape
+
+
+def check_sent(sent):
+    q = np.array(sent)
+    assert q.shape[1] == 7
+    assert np.isfinite(q).all()
+    assert (q >= LOWER - 1e-9).all()
+    assert (q <= UPPER + 1e-9).all()
+    steps = np.diff(q, axis=0, prepend=q[:1])
+    assert (np.abs(steps) <= VELOCITY * PERIOD * (1.0 + 1e-5) + 1e-12).all()
+    jolts = np.diff(steps, axis=0, prepend=np.zeros((1, 7)))
+    assert (np.abs(jolts) <= ACCELERATION * PERIOD**2 * (1.0 + 1e-5) + 1e-12).all()
+
+
+def test_it_is_a_robot():
+    robot, tape = guarded()
+    assert isinstance(robot, Robot)
+    assert robot.joints == 7
+    assert robot.replies() == tape.replies()
+    np.testing.assert_array_equal(robot.measured(), HOME)
+    robot.stop()
+    robot.close()
+    assert tape.calls == ["connect", "start", "stop", "close"]
+
+
+def test_a_way_to_rest_that_ends_at_a_limit_is_not_taken_over():
+    limits = limits_of(ARM)
+    v = 0.2
+    begin = UPPER[6] - 0.5 * v**2 / ACCELERATION[6] - 0.3 * v * PERIOD
+
+    def sent_on(**how):
+        robot, tape = guarded((*HOME[:6], begin))
+        robot.last = (*HOME[:6], begin)
+        robot._references = (*HOME[:6], begin - v * PERIOD), robot.last
+        way = ramp(robot.last, (*(0.0,) * 6, v), 1.0, limits)
+        assert way.duration < v / 4.0  # the limit is near
+        n = int(way.duration / PERIOD) + 3
+        for k in range(1, n):
+            robot.send(way.at(k * PERIOD), **how)
+        return robot, tape, [way.at(k * PERIOD) for k in range(1, n)]
+
+    robot, tape, setpoints = sent_on(to_rest=True)
+    assert robot.held_back is None
+    assert tape.sent == setpoints
+    # Who does not say that it is on its way to rest is asked where it could be stopped.
+    robot, tape, setpoints = sent_on()
+    assert "could only be stopped at" in robot.held_back
+    assert max(q[6] for q in tape.sent) <= UPPER[6] + 1e-12
+
+
+def test_what_may_be_sent_leaves_as_it_came():
+    robot, tape = guarded()
+    stream = [tuple(HOME), *along(HOME, 0.2 * VELOCITY, 50)]
+    for setpoint in stream:
+        robot.send(setpoint)
+        assert robot.last == setpoint
+    assert tape.sent == stream
+    assert robot.at_rest  # of a ramp of its own there is none
+
+
+@pytest.mark.parametrize("away", [2.0 * FIRST_LIMIT, -0.1, nan])
+def test_nothing_leaves_before_a_first_setpoint_where_the_arm_is(away):
+    robot, tape = guarded()
+    first = HOME.copy()
+    first[4] += away
+    with pytest.raises(LinkError, match="nothing was sent"):
+        robot.send(first)
+    assert tape.sent == []
+    assert robot.held_back is not None
+    assert robot.last is None
+    assert list(robot.rest()) == []
+    # It is for good: not even where the arm is may anything be sent now.
+    with pytest.raises(LinkError, match="begin a new run"):
+        robot.start()
+
+
+def test_each_start_asks_where_the_arm_is_now():
+    robot, tape = guarded()
+    robot.send(HOME)
+    robot.stop()
+    tape.q = HOME + 0.1
+    robot.start()
+    assert robot.started_at == tuple(tape.q)
+    with pytest.raises(LinkError, match="nothing was sent"):
+        robot.send(HOME)  # the old target
+
+
+BAD = {
+    "a number that is none": lambda q: (*q[:6], nan),
+    "infinity": lambda q: (-inf, *q[1:]),
+    "six numbers": lambda q: q[:6],
+    "eight numbers": lambda q: (*q, 0.0),
+    "a jump": lambda q: tuple(a + 0.05 for a in q),
+    "degrees": lambda q: tuple(np.degrees(q)),
+    "a velocity": lambda q: (*q[:6], q[6] + 0.02),
+    "an acceleration": lambda q: (*q[:6], q[6] + 0.001),
+    "a position": lambda q: (q[0], 2.05, *q[2:]),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_setpoint_that_may_not_be_sent_is_replaced_by_the_next_of_a_ramp(name):
+    robot, tape = moving()
+    last = np.array(tape.sent[-1])
+    speed = np.array(tape.sent[-1]) - np.array(tape.sent[-2])
+    asked = len(tape.sent)
+    robot.send(BAD[name](tuple(last + speed)))
+    assert robot.held_back
+    assert len(tape.sent) == asked + 1  # one for one: each setpoint has its reply
+    assert robot.last == tape.sent[-1]
+    step = np.array(tape.sent[-1]) - last
+    moves = np.abs(speed) > 1e-9
+    # It goes on the same way, and slower at once.
+    assert (step * speed >= 0.0).all()
+    assert (np.abs(step)[moves] < np.abs(speed)[moves]).all()
+    check_sent(tape.sent)
+
+
+def test_nothing_is_let_through_after_a_latched_stop():
+    robot, tape = moving()
+    robot.send((nan,) * 7)
+    reason = robot.held_back
+    good = list(along(tape.sent[-1], 0.1 * VELOCITY, 300))
+    for setpoint in good:
+        robot.send(setpoint)
+    assert robot.held_back == reason  # the first one stays
+    assert robot.at_rest
+    assert tape.sent[-1] == tape.sent[-2]
+    assert not set(good) & set(tape.sent)
+    check_sent(tape.sent)
+
+
+def test_rest_ramps_from_what_was_sent_last_and_says_what_leaves():
+    robot, tape = moving()
+    before = len(tape.sent)
+    speed = np.abs(np.array(tape.sent[-1]) - np.array(tape.sent[-2])).max()
+    for setpoint in robot.rest():
+        robot.send(setpoint)
+        assert tape.sent[-1] == setpoint == robot.last
+    ramp = tape.sent[before - 1 :]
+    steps = np.abs(np.diff(ramp, axis=0)).max(axis=1)
+    assert (np.diff(steps) < 1e-12).all()
+    assert steps[0] < speed
+    assert robot.at_rest
+    assert robot.held_back is None  # nothing was wrong
+    # As hard as the joints may, no harder: from 0.4 rad/s at 10 rad/s^2.
+    assert len(ramp) - 2 == pytest.approx(0.4 / 10.0 / PERIOD, abs=1.5)  # the last one twice
+    # The end of a ramp is where it stays, and there is no second one.
+    robot.send(HOME)
+    assert tape.sent[-1] == ramp[-1]
+    assert list(robot.rest()) == []
+    check_sent(tape.sent)
+
+
+def test_rest_of_an_arm_that_stands_is_nothing():
+    robot, tape = guarded()
+    for _ in range(3):
+        robot.send(HOME)
+    assert list(robot.rest()) == []
+    assert len(tape.sent) == 3
+
+
+def test_a_link_that_fails_is_not_hidden():
+    robot, tape = moving()
+    last, before = np.array(tape.sent[-1]), np.array(tape.sent[-2])
+
+    def gone(q):
+        raise LinkError("gone")
+
+    tape.send = gone
+    with pytest.raises(LinkError, match="gone"):
+        robot.send(2.0 * last - before)
+    assert robot.held_back is None
+    way = robot.rest()
+    with pytest.raises(LinkError, match="gone"):
+        robot.send(next(way))
+
+
+wild = st.one_of(
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.floats(-3.0, 3.0),
+)
+
+
+@given(
+    start=st.lists(st.floats(0.02, 0.98), min_size=7, max_size=7),
+    shares=st.lists(st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7), min_size=1, max_size=4),
+    late=st.integers(0, 200),
+    bad=st.lists(wild, min_size=5, max_size=9),
+)
+def test_whatever_goes_in_what_leaves_keeps_all_limits(start, shares, late, bad):
+    at = LOWER + np.array(start) * (UPPER - LOWER)
+    robot, tape = guarded(at)
+    robot.send(at)
+    q = at
+    for share in shares:
+        for setpoint in along(q, np.array(share) * VELOCITY, 30):
+            robot.send(setpoint)
+            q = np.array(setpoint)
+    robot.send(bad)
+    for _ in range(late):
+        robot.send(q)
+    for setpoint in robot.rest():
+        robot.send(setpoint)
+    check_sent(tape.sent)
+    assert robot.held_back is None or robot.at_rest
+
+
+LEAD = np.array([0.034, -0.03, 0.0, 0.02, -0.01, 0.0, 0.025])
+
+
+def test_a_setpoint_that_leads_is_judged_by_its_reference():
+    robot, tape = guarded()
+    robot.send(HOME)
+    # As a jump of the reference the same setpoint would not be sent.
+    robot.send(HOME + LEAD, lead=LEAD)
+    reference = HOME
+    for reference in map(np.array, along(HOME, np.full(7, 0.2), 20)):
+        robot.send(reference + LEAD, lead=LEAD)
+    assert robot.held_back is None
+    assert tape.sent[-1] == pytest.approx(reference + LEAD, abs=1e-15)
+    far = np.array(next(along(reference, np.full(7, 0.2), 1)))
+    robot.send(far + LEAD, lead=LEAD - 0.002)
+    assert robot.held_back is not None
+    # The ramp goes on from the setpoint with the reference's velocity.
+    assert np.abs(np.array(tape.sent[-1]) - tape.sent[-2]).max() <= 0.2 * PERIOD * 1.001
+    robot, tape = guarded()
+    robot.send(HOME)
+    robot.send(HOME + LEAD, lead=LEAD)
+    robot.send(HOME - LEAD, lead=-LEAD)
+    assert "jumps by 0.0680 rad" in robot.held_back
+
+
+def test_a_stream_that_stood_still_begins_anew_from_rest():
+    robot, tape = moving()
+    last, before = np.array(tape.sent[-1]), np.array(tape.sent[-2])
+    # The moving arm may go on so; the one that has come to rest meanwhile may not.
+    robot.send(tuple(2.0 * last - before), from_rest=True)
+    assert "rad/s^2" in robot.held_back
+    assert np.array_equal(tape.sent[-1], last)
+    robot, tape = moving()
+    for n, setpoint in enumerate(along(tape.sent[-1], 0.4 * np.ones(7), 10)):
+        robot.send(setpoint, from_rest=n == 0)
+    assert robot.held_back is None

@@ -1,0 +1,262 @@
+"""Robot and encoder that fail while nothing moves: in virtual time, and as processes."""
+
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from math import inf
+from types import SimpleNamespace
+
+import pytest
+
+from equipoise.control.policy import shipped_policy
+from equipoise.errors import LinkError, OutsideError
+from equipoise.logs.run_log import RunLog
+from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig import plugins
+from equipoise.rig.config import RigSettings, emulated_rig
+from equipoise.rig.run import CHECKLIST, RunRequest, exit_code, run_virtually
+from tests.cli.test_emulate import emulator
+from tests.guest.guest.robot import PLUGIN as GUEST
+
+pytestmark = [
+    pytest.mark.compiled_only,
+    pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals"),
+]
+
+WORLD = read_world("twin:nominal")
+ANSWERS = [*(word for word, _ in CHECKLIST), "y"]
+ENDED = 2.1
+"""Longest time from a fault to the end of a run [s]: a driver waits 1 s for a reply, and 1 s for
+the end of the connection."""
+PATIENCE = 10.0
+"""Time after a fault at which a run that still waits has failed the test [s]; the processes of a
+busy host end within 8 s."""
+
+
+# In virtual time.
+
+
+def cut(link):
+    link.cut = True
+
+
+FAULTS = {
+    "the robot's process dies": (lambda rig: rig.robot.link.close(), "closed the link"),
+    "the robot's cable is pulled": (lambda rig: cut(rig.robot.link), "within 1 s|for 0.5 s"),
+    "the encoder's board dies": (lambda rig: rig.sensor.link.close(), "is gone: .*closed the link"),
+    "the encoder falls silent": (lambda rig: cut(rig.sensor.link), "no line .* for 0.5 s"),
+}
+
+
+class Absent:
+    """Operator who answers the first questions at once and no other, while a link fails."""
+
+    def __init__(self, emulated, fault, answered, *, at=None, after=0.3):
+        (self._fail, self.saying), self._rig = FAULTS[fault], emulated
+        self._words, self.failed_at, self._after = ANSWERS[:answered], at, after
+        emulated.bench.watch(self._act)
+
+    def notify(self, event):
+        pass
+
+    def read_input(self):
+        if self._words:
+            return [self._words.pop(0)]
+        if self.failed_at is None:
+            self.failed_at = self._rig.bench.now + self._after
+        return []
+
+    def _act(self):
+        now = self._rig.bench.now
+        if self.failed_at is None or now < self.failed_at:
+            return
+        if self._fail is not None:
+            self._fail(self._rig)
+            self._fail = None
+        assert now < self.failed_at + PATIENCE, "the run goes on with a dead link"
+
+
+@pytest.fixture
+def rig_of(monkeypatch):
+    """Make a request for a kind of robot, and its emulated rig."""
+    known = plugins._registered
+    guest = SimpleNamespace(name="guest", value="guest:GUEST", load=lambda: GUEST)
+    monkeypatch.setattr(plugins, "_registered", lambda group: {**known(group), "guest": guest})
+
+    def make(robot):
+        policy, settings, address = shipped_policy(), RigSettings(), f"{robot}://twin:nominal"
+        request = RunRequest(policy, policy.actuator, settings, address, None, 1.0)
+        pendulum = pendulum_on(policy.pendulum, WORLD.settings)
+        return request, emulated_rig(WORLD, settings, pendulum, robot=robot, seed=3)
+
+    return make
+
+
+def unattended(emulated):
+    return emulated.rig._replace(operator=None)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    ("robot", "answered"),
+    [
+        *(("kst", answered) for answered in range(len(ANSWERS))),
+        *(("guest", answered) for answered in (0, 4)),
+    ],
+)
+def test_a_link_that_fails_at_a_question_ends_the_run(rig_of, tmp_path, robot, answered, fault):
+    out, (request, emulated) = tmp_path / "run.mcap", rig_of(robot)
+    person = Absent(emulated, fault, answered)
+    with pytest.raises(LinkError, match=person.saying) as failed:
+        run_virtually(request, out, person, rig=unattended(emulated))
+    assert 0.0 <= emulated.bench.now - person.failed_at < ENDED
+    run = RunLog.load(out, damaged=True)
+    assert run.end.fault == str(failed.value)
+    assert len(run.tables["stream"]) == 0
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_link_that_fails_while_the_emulated_operator_is_asked_ends_the_run(rig_of, fault):
+    request, emulated = rig_of("kst")
+    emulated.rig.operator.ignored = frozenset({"move"})
+    person = Absent(emulated, fault, 0, after=15.0)
+    with pytest.raises(LinkError, match=person.saying):
+        run_virtually(request, None, person, rig=emulated.rig)
+    assert emulated.rig.operator.messages[-1].answers == (ANSWERS[-2],)
+    assert 0.0 <= emulated.bench.now - person.failed_at < ENDED
+
+
+@pytest.mark.parametrize("dry_run", [False, True])
+@pytest.mark.parametrize("moment", [1.7, 2.7, 3.3])  # round trips, encoder, their last samples
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_link_that_fails_in_the_preflight_ends_a_run_whose_answers_were_typed_ahead(
+    rig_of, fault, moment, dry_run
+):
+    request, emulated = rig_of("kst")
+    person = Absent(emulated, fault, len(ANSWERS), at=moment)
+    request = replace(request, dry_run=dry_run)
+    try:
+        end = run_virtually(request, None, person, rig=unattended(emulated))
+        reason, code = end.reason, exit_code(end)
+    except OutsideError as error:
+        reason, code = str(error), error.exit_code
+    assert code == 3
+    assert re.search(f"{person.saying}|newest 25.0 ms old", reason)  # a check of the pre-flight
+
+
+@pytest.mark.parametrize("robot", ["kst", "guest"])
+def test_a_run_after_long_questions_is_like_any_other(rig_of, robot):
+    request, emulated = rig_of(robot)
+
+    class Slow:
+        due, word = inf, ""
+
+        def notify(self, event):
+            if event.name == "checklist":
+                self.due, self.word = emulated.bench.now + 5.0, event.answers[0]
+
+        def read_input(self):
+            if emulated.bench.now < self.due:
+                return []
+            self.due = inf
+            return [self.word]
+
+    emulated.rig.operator.ignored = frozenset({"checklist"})
+    end = run_virtually(request, None, Slow(), rig=emulated.rig)
+    assert emulated.bench.now > 20.0
+    assert (end.cause, end.lasted) == ("lasted", 1.0)
+
+
+# As processes.
+
+
+@contextmanager
+def deploying(folder, robot, encoder, *options):
+    """Start `equipoise deploy`; nobody answers its questions."""
+    addresses = ("--robot", robot, "--encoder", encoder)
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-m", "equipoise", "deploy", *addresses, *options],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=folder,
+        env=os.environ | {"COLUMNS": "400"},
+    )
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.communicate(timeout=20.0)
+
+
+def wait_for(process, text):
+    """Wait until the process has printed a line with a text."""
+    seen = b""
+    while text.encode() not in seen:
+        assert select.select([process.stdout], [], [], 60.0)[0], seen.decode()
+        came = os.read(process.stdout.fileno(), 4096)
+        assert came, seen.decode()
+        seen += came
+
+
+def rest(process, began):
+    """Return the exit code and the last lines of a process that ends in time."""
+    code = process.wait(20.0)
+    took, said = time.monotonic() - began, process.stdout.read()
+    assert took < PATIENCE, said
+    return code, said
+
+
+QUESTION = "tested today? Type estop."
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("number", "saying"),
+    [
+        (signal.SIGKILL, "error: (robot: .* No servo runs; start the server|serial://.* is gone)"),
+        (signal.SIGSTOP, "error: robot: expected the answer to getJointsPositions within 1 s"),
+    ],
+)
+def test_a_rig_that_dies_while_the_checklist_is_asked_ends_deploy(tmp_path, number, saying):
+    with emulator() as rig, deploying(tmp_path, rig.ready["robot"], rig.ready["encoder"]) as run:
+        wait_for(run, QUESTION)
+        began = time.monotonic()
+        rig.process.send_signal(number)
+        code, said = rest(run, began)
+    assert code == 3
+    assert re.search(saying, said), said
+    fault = RunLog.load(tmp_path / "run.mcap", damaged=True).end.fault
+    assert fault in said
+
+
+@pytest.mark.slow
+def test_sigterm_while_the_checklist_is_asked_ends_deploy(tmp_path):
+    with emulator() as rig, deploying(tmp_path, rig.ready["robot"], rig.ready["encoder"]) as run:
+        wait_for(run, QUESTION)
+        began = time.monotonic()
+        run.terminate()
+        code, said = rest(run, began)
+    assert code == 130
+    assert "estop was not acknowledged; nothing has moved" in said
+
+
+@pytest.mark.slow
+def test_an_encoder_that_dies_while_deploy_waits_for_the_robots_server_ends_deploy(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        robot = f"kst://127.0.0.1:{closed.getsockname()[1]}"
+    with emulator() as rig, deploying(tmp_path, robot, rig.ready["encoder"]) as run:
+        wait_for(run, "start the application")
+        began = time.monotonic()
+        rig.process.kill()
+        code, said = rest(run, began)
+    assert code == 3
+    assert re.search(f"error: {rig.ready['encoder']} is gone", said), said

@@ -1,0 +1,436 @@
+"""The loop in virtual time, around a heart, a sensor and a robot that do as each test says."""
+
+import time
+
+import numpy as np
+import pytest
+
+from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
+from equipoise.errors import LinkError
+from equipoise.logs.recorder import FAILED, PULSE, WORD_TYPED, Recorder, read_events
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.rig.clocks import VirtualClock
+from equipoise.rig.guarded import GuardedRobot
+from equipoise.rig.interfaces import Reply, Sample
+from equipoise.rig.loop import CANNOT_STOP, InlineExecutor, Timing, run_loop
+from equipoise.safety.rules import limits_of
+
+ARM = iiwa(7)
+HOME = ARM.home
+H = 0.01
+TICK_TIME, TICKS = PULSE.index("time"), PULSE.index("ticks")
+
+
+class Held(VirtualClock):
+    """A clock whose waits take too long: by `held_up[n]` seconds, the n-th of them."""
+
+    def __init__(self, held_up=None):
+        super().__init__()
+        self.waits, self.held_up = 0, held_up or {}
+
+    def wait_until(self, moment):
+        super().wait_until(moment)
+        self.waits += 1
+        super().wait_until(self.now() + self.held_up.get(self.waits, 0.0))
+
+
+class Arm:
+    """A robot that answers each setpoint; its link breaks at a call of `send` or of `replies`."""
+
+    joints = 7
+
+    def __init__(self, clock, breaks=None):
+        self.clock, self.breaks = clock, breaks or {}
+        self.calls = {"send": 0, "replies": 0}
+        self.sent, self.waiting = [], []
+
+    def _call(self, name):
+        self.calls[name] += 1
+        if self.calls[name] >= self.breaks.get(name, 10**9):
+            raise LinkError(f"{name} failed")
+
+    def measured(self):
+        return np.array(HOME)
+
+    def start(self):
+        pass
+
+    def send(self, q):
+        self._call("send")
+        now = self.clock.now()
+        self.sent.append((now, tuple(q)))
+        self.waiting.append(Reply(now, now, tuple(q), None))
+
+    def replies(self):
+        self._call("replies")
+        waiting, self.waiting = self.waiting, []
+        return waiting
+
+
+class Encoder:
+    """A sample in each tick, until the link breaks."""
+
+    def __init__(self, clock, lost_at=10**9):
+        self.clock, self.lost_at, self.calls = clock, lost_at, 0
+
+    def samples(self):
+        self.calls += 1
+        if self.calls >= self.lost_at:
+            raise LinkError("the encoder is unplugged")
+        return [Sample(self.clock.now(), 100 + self.calls, False, False, 0)]
+
+
+class Person:
+    def __init__(self, says=()):
+        self.told, self.says = [], list(says)
+
+    def notify(self, event):
+        self.told.append((event.name, event.text))
+
+    def read_input(self):
+        return self.says.pop(0) if self.says else []
+
+
+class Heart:
+    """Moves A7 back and forth, or as it is given; keeps what it is told."""
+
+    h = H
+
+    def __init__(self, ticks=20, each=None):
+        self.ticks, self.each = ticks, each or {}
+        self.seen = []
+
+    def at(self, n):
+        """Where it wants the arm at half a tick: at rest, then gently to and fro."""
+        return (*HOME[:6], HOME[6] + 0.05 * (1.0 - np.cos(4.0 * 0.5 * H * n)))
+
+    def tick(self, now, inputs):
+        n = len(self.seen)
+        self.seen.append((now, inputs))
+        output = TickOutput(
+            setpoints=(self.at(2 * n), self.at(2 * n + 1)),
+            q=HOME,
+            dq=(0.0,) * 7,
+            state=3,
+            record=TickRecord(),
+            events=(),
+            done=n + 1 == self.ticks,
+        )
+        change = self.each.get(n)
+        return output if change is None else change(output)
+
+
+class Course:
+    def __init__(self, heart=None, *, held_up=None, breaks=None, lost_at=10**9, says=(), **more):
+        self.clock = Held(held_up)
+        self.arm, self.sensor = Arm(self.clock, breaks), Encoder(self.clock, lost_at)
+        self.robot = GuardedRobot(self.arm, limits_of(ARM), H / 2.0)
+        self.heart, self.person = heart or Heart(), Person(says)
+        self.recorder = Recorder(7)
+        self.robot.start()
+        self.more = more
+
+    def run(self):
+        return run_loop(
+            self.robot, self.sensor, self.clock, self.heart, self.recorder, self.person,
+            **({"max_duration": 1.0} | self.more),
+        )  # fmt: skip
+
+    @property
+    def faults(self):
+        return [fault for _, inputs in self.heart.seen for fault in inputs.faults]
+
+
+def came_to_rest(sent, since):
+    """From a setpoint on each step is smaller, down to what one step of a ramp ends with."""
+    q = np.array([q for _, q in sent])
+    steps = np.abs(np.diff(q, axis=0)).max(axis=1)[since - 1 :]
+    return len(steps) > 1 and steps[-1] <= 10.0 * (H / 2.0) ** 2 and (np.diff(steps) < 1e-12).all()
+
+
+def raising(error):
+    def change(output):
+        raise error
+
+    return change
+
+
+def test_each_tick_reads_decides_and_sends_two_setpoints_half_a_tick_apart():
+    course = Course(Heart(20))
+    ending = course.run()
+    assert (ending.fault, ending.stoppable) == (None, True)
+    assert [now for now, _ in course.heart.seen] == pytest.approx(H * np.arange(1, 21))
+    sent = course.arm.sent[:40]
+    assert [when for when, _ in sent] == pytest.approx(H * (1.0 + 0.5 * np.arange(40)))
+    assert [q for _, q in sent] == [course.heart.at(n) for n in range(40)]
+    # What came since the tick before goes in: a sample, and two replies.
+    assert all(len(inputs.samples) == 1 for _, inputs in course.heart.seen)
+    assert [len(inputs.replies) for _, inputs in course.heart.seen] == [0] + 19 * [2]
+
+
+def test_what_was_read_decided_and_sent_is_in_the_rings():
+    course = Course(Heart(20), says=[[], ["y"]])
+    course.run()
+    rings = course.recorder.rings
+    assert len(rings["tick"].take()) == 20
+    stream = rings["stream"].take()
+    assert [tuple(q) for q in stream["q"]] == [q for _, q in course.arm.sent]
+    assert stream["time"] == pytest.approx([when for when, _ in course.arm.sent])
+    assert len(rings["encoder"].take()) == 20
+    assert len(rings["reply"].take()) == 38
+    typed = [e for e in read_events(rings["event"].take()) if e.name == WORD_TYPED]
+    assert [(event.time, event.text) for event in typed] == [(pytest.approx(0.02), "y")]
+
+
+def test_punctual_ticks_are_recorded_as_such_up_to_the_room_there_is():
+    course = Course(Heart(20), max_duration=0.12)
+    timing = course.run().timing
+    assert timing.missed == 0
+    assert len(timing.late) == len(timing.compute) == 12
+    assert timing.late == pytest.approx(np.zeros(12), abs=1e-12)
+    assert (timing.compute > 0.0).all()
+
+
+def test_compute_is_the_time_from_reading_to_sending():
+    def slow(output):
+        time.sleep(0.02)
+        return output
+
+    compute = Course(Heart(6, {3: slow})).run().timing.compute
+    assert compute[3] > 0.019
+    assert np.delete(compute, 3).max() < 0.019
+
+
+@pytest.mark.parametrize(
+    ("late", "found", "missed"),
+    [(0.004, 0.004, 0), (0.009, 0.010, 1), (0.012, 0.012, 1), (0.025, 0.025, 2), (0.060, 0.060, 6)],
+)
+def test_a_late_tick_says_so_and_those_that_were_missed_are_left_out(late, found, missed):
+    # Two waits a tick: the ninth is for the fifth tick.
+    course = Course(Heart(10), held_up={9: late})
+    timing = course.run().timing
+    assert timing.late[4] == pytest.approx(found)
+    assert timing.late[:4] == pytest.approx(np.zeros(4), abs=1e-12)
+    assert timing.missed == missed
+    assert course.heart.seen[4][1].lateness == pytest.approx(found)
+    assert course.heart.seen[4][1].unsent == 0
+    # Skipped, not made up for: the next one is at the next deadline of the old rhythm.
+    times = [now for now, _ in course.heart.seen]
+    assert times[5] == pytest.approx(H * (6 + missed))
+    assert np.diff(times[5:]) == pytest.approx(H)
+
+
+@pytest.mark.parametrize(("late", "unsent"), [(0.005, 0), (0.006, 1), (0.012, 1), (0.060, 1)])
+def test_a_setpoint_that_is_later_than_the_next_one_is_not_sent(late, unsent):
+    course = Course(Heart(10), held_up={10: late})
+    course.run()
+    assert [inputs.unsent for _, inputs in course.heart.seen] == [0] * 5 + [unsent] + [0] * 4
+    assert len(course.arm.sent) == 20 - unsent
+
+
+def test_percentiles():
+    timing = Timing(np.zeros(0), np.zeros(0), 0)
+    assert timing.percentiles(timing.late) == {}
+    of = np.arange(1001.0)[::-1]
+    assert timing.percentiles(of) == pytest.approx(
+        {"p50": 500.0, "p99": 990.0, "p99.9": 999.0, "max": 1000.0}
+    )
+
+
+def test_a_lost_sensor_is_a_fault_in_the_same_tick_and_the_loop_goes_on():
+    course = Course(Heart(20), lost_at=5)
+    ending = course.run()
+    assert (ending.fault, ending.stoppable) == (None, True)
+    assert course.faults == ["the encoder is unplugged"]  # once
+    assert course.heart.seen[4][1].faults == ["the encoder is unplugged"]
+    assert len(course.heart.seen) == 20
+    assert course.sensor.calls == 5  # nobody asks it again
+    failed = [e for e in read_events(course.recorder.event.take()) if e.name == FAILED]
+    assert [(e.time, e.text) for e in failed] == [(pytest.approx(0.05), "the encoder is unplugged")]
+
+
+@pytest.mark.parametrize(("call", "number"), [("send", 7), ("send", 8), ("replies", 4)])
+def test_where_the_link_to_the_robot_is_gone_the_operator_is_told_so_and_nothing_is_sent(
+    call, number
+):
+    course = Course(Heart(20), breaks={call: number})
+    ending = course.run()
+    assert not ending.stoppable
+    assert ending.fault == f"{call} failed"
+    assert course.person.told == [("fault", f"{call} failed; {CANNOT_STOP}")]
+    # In the very tick: the fourth begins at 0.04 s.
+    assert course.clock.now() <= 0.045 + 1e-9
+    assert course.arm.calls["send"] == (number if call == "send" else 6)
+    assert course.recorder.pulse[TICKS] == 0.0
+
+
+def test_a_first_setpoint_that_is_refused_moves_nothing_and_software_still_commands():
+    elsewhere = tuple(angle + 0.1 for angle in HOME)
+    heart = Heart(20, {0: lambda output: output._replace(setpoints=(elsewhere, elsewhere))})
+    course = Course(heart)
+    ending = course.run()
+    assert ending.stoppable
+    assert "nothing was sent" in ending.fault
+    assert course.arm.sent == []
+    assert [name for name, _ in course.person.told] == ["fault"]
+    assert "software" not in course.person.told[0][1]
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit, GeneratorExit])
+def test_a_heart_that_fails_leaves_the_arm_to_come_to_rest(error):
+    course = Course(Heart(20, {9: raising(error("by zero"))}))
+    ending = course.run()
+    assert ending.fault == f"the controller failed ({error.__name__}: by zero)"
+    assert ending.stoppable
+    assert course.person.told == [("fault", ending.fault)]
+    assert len(course.arm.sent) > 18
+    assert came_to_rest(course.arm.sent, 18)
+    # The stream goes on without a gap, and what left is what the log says.
+    when = [when for when, _ in course.arm.sent]
+    assert np.diff(when).max() <= 0.01 + 1e-9
+    stream = course.recorder.stream.take()
+    assert [tuple(q) for q in stream["q"]] == [q for _, q in course.arm.sent]
+    assert stream["time"] == pytest.approx(when)
+
+
+def test_the_heart_beats_while_the_arm_comes_to_rest_without_it():
+    course = Course(Heart(40, {30: raising(RuntimeError("no"))}))
+    beats = []
+    course.clock.attach(
+        lambda now: beats.append((now, *course.recorder.pulse[[TICK_TIME, TICKS]].tolist()))
+    )
+    course.run()
+    alive = [now - beat for now, beat, ticks in beats if ticks > 0.0]
+    # An arm that is ramped down is no arm that nobody commands: that is told after 80 ms.
+    assert max(alive) <= 0.020 + 1e-9
+    assert course.recorder.pulse[TICKS] == 0.0
+
+
+def test_an_interruption_goes_on_once_the_arm_rests():
+    course = Course(Heart(20, {9: raising(KeyboardInterrupt())}))
+    with pytest.raises(KeyboardInterrupt):
+        course.run()
+    assert came_to_rest(course.arm.sent, 18)
+
+
+def test_a_link_that_breaks_on_the_way_to_rest_is_told_as_well():
+    course = Course(Heart(20, {9: raising(RuntimeError("no"))}), breaks={"send": 20})
+    ending = course.run()
+    assert not ending.stoppable
+    assert [text for _, text in course.person.told][-1] == CANNOT_STOP
+
+
+@pytest.mark.parametrize(
+    ("what", "since"),
+    [("read_input", 24), ("tell", 25), ("record", 25), ("begin", 26), ("idle", 26)],
+)
+def test_whatever_fails_in_a_tick_the_arm_comes_to_rest(what, since):
+    def fail(*_):
+        raise OSError("broken pipe")
+
+    heart = Heart(
+        30, {12: lambda output: output._replace(events=(OperatorMessage("note"),), job=fail)}
+    )
+    course = Course(heart)
+    if what == "tell":
+        course.person.notify = fail
+    elif what == "begin":
+        course.more["executor"] = type("Gone", (InlineExecutor,), {"begin": fail})()
+    else:
+        count = iter(range(1000))
+
+        def later(*_):
+            if next(count) == 12:
+                raise OSError("broken pipe")
+            return []
+
+        if what == "read_input":
+            course.person.read_input = later
+        elif what == "idle":
+            course.more["idle"] = later
+        else:
+            course.recorder.encoder.push = later
+    ending = course.run()
+    assert ending.fault == "the controller failed (OSError: broken pipe)"
+    assert ending.stoppable
+    assert came_to_rest(course.arm.sent, since)
+
+
+def test_a_setpoint_that_the_guard_holds_back_is_a_fault_of_the_next_tick():
+    bad = (*HOME[:6], HOME[6] + 1.0)
+    heart = Heart(60, {9: lambda output: output._replace(setpoints=(output.setpoints[0], bad))})
+    course = Course(heart)
+    ending = course.run()
+    assert ending.stoppable
+    assert ending.fault is None  # the heart has heard of it
+    assert [n for n, (_, inputs) in enumerate(heart.seen) if inputs.faults] == [10]
+    assert "joint 7" in course.faults[0]
+    # What leaves from then on is the guard's, and so says the log.
+    stream = course.recorder.stream.take()
+    assert [tuple(q) for q in stream["q"]] == [q for _, q in course.arm.sent]
+    assert bad not in [q for _, q in course.arm.sent]
+    assert came_to_rest(course.arm.sent, 19)
+
+
+@pytest.mark.parametrize("to_rest", [False, True])
+def test_the_guard_is_told_of_a_way_to_rest(to_rest):
+    course = Course(
+        Heart(3, {n: lambda output: output._replace(to_rest=to_rest) for n in range(3)})
+    )
+    told, send = [], course.robot.send
+    course.robot.send = lambda q, **how: told.append(how["to_rest"]) or send(q, **how)
+    course.run()
+    assert told[:6] == [to_rest] * 6
+
+
+def test_a_heart_that_is_done_too_soon_does_not_leave_a_ramp_unfinished():
+    bad = (*HOME[:6], HOME[6] + 1.0)
+    heart = Heart(20, {19: lambda output: output._replace(setpoints=(bad, bad))})
+    course = Course(heart)
+    ending = course.run()
+    assert (ending.fault, ending.stoppable) == (None, True)
+    assert course.robot.at_rest
+    assert came_to_rest(course.arm.sent, 38)
+
+
+def test_a_job_is_done_between_two_ticks_and_its_result_reaches_the_heart_once():
+    heart = Heart(10, {3: lambda output: output._replace(job=lambda: 42)})
+    course = Course(heart)
+    course.run()
+    results = [inputs.result for _, inputs in heart.seen]
+    assert results == [None] * 4 + [42] + [None] * 5
+
+
+def test_a_job_that_fails_reaches_the_heart_as_its_exception():
+    heart = Heart(10, {3: lambda output: output._replace(job=lambda: 1 / 0)})
+    course = Course(heart)
+    assert course.run().fault is None
+    assert isinstance(heart.seen[4][1].result, ZeroDivisionError)
+
+
+def test_a_job_elsewhere_takes_its_time():
+    class Elsewhere:
+        def __init__(self):
+            self.begun, self.asked = [], 0
+
+        def begin(self, job):
+            self.begun.append(job)
+
+        def result(self):
+            self.asked += bool(self.begun)
+            return self.begun.pop()() if self.asked == 4 and self.begun else None
+
+    heart = Heart(10, {2: lambda output: output._replace(job=lambda: "done")})
+    Course(heart, executor=Elsewhere()).run()
+    assert [n for n, (_, inputs) in enumerate(heart.seen) if inputs.result == "done"] == [6]
+
+
+def test_what_the_heart_says_is_told_in_its_tick_and_logged():
+    heart = Heart(
+        10, {3: lambda output: output._replace(events=(OperatorMessage("armed", "Let go."),))}
+    )
+    course = Course(heart)
+    course.run()
+    assert course.person.told == [("armed", "Let go.")]
+    logged = read_events(course.recorder.event.take())
+    assert [(e.name, e.time) for e in logged] == [("armed", pytest.approx(0.04))]

@@ -1,0 +1,99 @@
+"""The path of a robot that sets the pace lies within what the guard checks of its setpoints."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import BSpline
+
+from equipoise.errors import LinkError
+from equipoise.rig.paced import MARGIN, PacedStream
+from tests.rig.paced import paced_robot
+
+T = 0.005
+
+
+def streamed(setpoints, period_ms=1, late=lambda k: 0.0):
+    """Send setpoints of the first joint from home, one each period; return times and answers."""
+    robot, clock = paced_robot(period_ms)
+    stream = PacedStream(robot, clock, T)
+    stream.connect()
+    stream.start()
+    home, began = stream.measured()[0], clock.now()
+    for k, q in enumerate(setpoints):
+        stream.wait_until(began + T * k + late(k))
+        stream.send([home + q, *robot.q[1:]])
+    stream.wait_until(began + T * len(setpoints) + 0.1)
+    answers = [(t - began, q[0] - home) for t, q in robot.answers if t > began - 1e-9]
+    return np.array(answers).T
+
+
+@given(st.lists(st.floats(-0.01, 0.01), min_size=3, max_size=40))
+@settings(max_examples=30, deadline=None)  # each runs some hundred milliseconds of virtual time
+def test_no_point_is_further_out_faster_or_more_accelerated_than_the_setpoints(steps):
+    setpoints = np.cumsum(np.cumsum(steps)) * 1e-2
+    _, q = streamed(setpoints)
+    knots = np.concatenate([[0.0] * 3, setpoints, [setpoints[-1]] * 3])
+    assert min(knots) - 1e-12 <= q.min() <= q.max() <= max(knots) + 1e-12
+    assert np.abs(np.diff(q)).max() <= np.abs(np.diff(knots)).max() * 1e-3 / T + 1e-12
+    bend = np.abs(np.diff(knots, 2)).max() * (1e-3 / T) ** 2
+    assert np.abs(np.diff(q, 2)).max() <= bend + 1e-12
+
+
+def test_it_is_the_quadratic_b_spline_of_scipy():
+    setpoints = 0.01 * np.sin(np.linspace(0.0, 3.0, 60))
+    t, q = streamed(setpoints)
+    knots = np.concatenate([[0.0], setpoints, [setpoints[-1]] * 2])
+    # The setpoint k has the support from MARGIN + (k - 1) T to MARGIN + (k + 2) T.
+    spline = BSpline(MARGIN + T * np.arange(-1, len(knots) + 2), knots, 2)
+    inside = (t > MARGIN + T) & (t < T * len(setpoints))
+    assert q[inside] == pytest.approx(spline(t[inside]), abs=1e-12)
+
+
+@pytest.mark.parametrize("period_ms", [1, 2, 4, 8])
+def test_an_even_motion_is_followed_evenly_whatever_the_pace(period_ms):
+    speed = 0.5
+    t, q = streamed(speed * T * np.arange(1, 200), period_ms)
+    inside = (t > 0.1) & (t < 0.9)
+    assert np.diff(q[inside]) == pytest.approx(speed * 1e-3 * period_ms, abs=1e-12)
+    # A setpoint is due one period after it was sent: what is later is the delay of the path.
+    assert t[inside] - q[inside] / speed == pytest.approx(0.5 * T + MARGIN, abs=1e-9)
+
+
+def test_setpoints_that_come_late_within_the_margin_change_nothing():
+    setpoints = 0.02 * np.sin(np.linspace(0.0, 3.0, 60))
+    times, q = streamed(setpoints)
+    again, late = streamed(setpoints, late=lambda k: MARGIN * (k % 2 if k else 0))
+    n = min(len(times), len(again))
+    assert late[:n] == pytest.approx(q[:n], abs=1e-12)
+
+
+def test_a_late_setpoint_bends_the_path_and_a_missing_one_ends_it_at_the_last():
+    speed, missing = 0.5, 100
+    setpoints = speed * T * np.arange(1, 200)
+    _, q = streamed(setpoints, late=lambda k: 0.003 * (k == missing))
+    # 2 ms beyond the margin: 0.4 of a period.
+    assert np.abs(np.diff(q)).max() <= speed * 1e-3 + 0.5 * 0.4**2 * speed * T + 1e-12
+    _, q = streamed(setpoints[:missing])
+    assert q[-1] == setpoints[missing - 1]
+
+
+def test_more_setpoints_than_the_path_takes_are_refused():
+    robot, clock = paced_robot(1)
+    stream = PacedStream(robot, clock, T)
+    stream.connect()
+    stream.start()
+    for _ in range(8):
+        stream.send(robot.q)
+    with pytest.raises(LinkError, match="8 setpoints wait"):
+        stream.send(robot.q)
+
+
+def test_a_robot_that_gives_up_is_a_link_that_is_lost():
+    robot, clock = paced_robot(1)
+    stream = PacedStream(robot, clock, T)
+    stream.connect()
+    stream.start()
+    clock.wait_until(clock.now() + 0.01)  # nobody answers meanwhile
+    with pytest.raises(LinkError, match="without an answer"):
+        stream.wait_until(clock.now() + 0.01)

@@ -1,0 +1,524 @@
+"""Parent, loop and writer as processes of their own, in real time, around an arm that is made up.
+
+The loop's process runs the real loop, guard and signals; in place of the course stands a heart that
+moves one joint to and fro until a word comes. The whole course over ports and a terminal is in
+`tests/faults/real_time.py`.
+"""
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from math import cos
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from equipoise.control.policy import shipped_policy
+from equipoise.control.states import Phase
+from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
+from equipoise.errors import InputError, LinkError, OutsideError
+from equipoise.logs.conditions import RunEnd
+from equipoise.logs.recorder import PULSE, Recorder, push_event
+from equipoise.logs.run_log import RunLog
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.rig import processes
+from equipoise.rig.clocks import SystemClock
+from equipoise.rig.config import RigSettings
+from equipoise.rig.guarded import GuardedRobot
+from equipoise.rig.interfaces import Reply, Sample
+from equipoise.rig.loop import CANNOT_STOP, run_loop
+from equipoise.rig.processes import HEARTBEAT_TIMEOUT, POLL_PERIOD, run_in_processes
+from equipoise.rig.realtime import freeze_garbage
+from equipoise.rig.run import RunRequest
+from equipoise.rig.run_controller import PHASES
+from equipoise.safety.rules import limits_of
+from equipoise.safety.stop import ramp
+
+pytestmark = [
+    pytest.mark.compiled_only,
+    pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's"),
+]
+
+ARM = iiwa(7)
+H = 0.01
+TOLD = 0.100
+MOVING, STOPPING = PHASES.index(Phase.BALANCING), PHASES.index(Phase.STOPPING)
+
+
+# What stands in the loop's process.
+
+
+class Arm:
+    joints = 7
+
+    def __init__(self):
+        self.waiting = []
+
+    def measured(self):
+        return np.array(ARM.home)
+
+    def start(self):
+        pass
+
+    def send(self, q):
+        now = time.monotonic()
+        self.waiting.append(Reply(now, now, tuple(q), None))
+
+    def replies(self):
+        waiting, self.waiting = self.waiting, []
+        return waiting
+
+
+class Encoder:
+    def samples(self):
+        return [Sample(time.monotonic(), 0, False, False, 0)]
+
+
+class Heart:
+    """Moves A7 to and fro, until a word or two seconds have come; then it comes to rest.
+
+    Slowly enough to begin anew at full speed after a stall of a busy machine.
+    """
+
+    h = H
+
+    def __init__(self):
+        self.tick_number, self.rest, self.cause = 0, None, "lasted"
+        self.q = [ARM.home[6]] * 2
+
+    def tick(self, now, inputs):
+        n = self.tick_number = self.tick_number + 1
+        events = [OperatorMessage("homing", f"process {os.getpid()}")] if n == 1 else []
+        if self.rest is None and (inputs.lines or n > 200):
+            self.cause = inputs.lines[0] if inputs.lines else "lasted"
+            events.append(OperatorMessage("stopping", self.cause))
+            speed = (self.q[1] - self.q[0]) / (H / 2.0)
+            q = (*ARM.home[:6], self.q[1])
+            self.rest = n, ramp(q, (*[0.0] * 6, speed), 0.0, limits_of(ARM))
+        wanted = [self.at(2 * n - 1), self.at(2 * n)]
+        self.q = [q[6] for q in wanted]
+        return TickOutput(
+            setpoints=tuple(wanted), q=ARM.home, dq=(0.0,) * 7,
+            state=MOVING if self.rest is None else STOPPING, record=TickRecord(), events=events,
+            done=self.rest is not None and n > self.rest[0] + 20,
+        )  # fmt: skip
+
+    def at(self, n):
+        if self.rest is not None:
+            begun, way = self.rest
+            return way.at((n - 2 * (begun - 1)) * H / 2.0)
+        return (*ARM.home[:6], ARM.home[6] + 0.005 * (1.0 - cos(4.0 * n * H / 2.0)))
+
+
+def move(request, rig, operators, recorder, *, measures, executor, supervise):
+    """Be the course: no more than a stream."""
+    robot = GuardedRobot(Arm(), limits_of(ARM), H / 2.0)
+    robot.start()
+    heart = Heart()
+    freeze_garbage()  # as a run does: a collection stalls the loop for 200 ms
+    ending = run_loop(
+        robot,
+        Encoder(),
+        SystemClock(),
+        heart,
+        recorder,
+        operators[0],
+        max_duration=10.0,
+        executor=executor,
+    )
+    return RunEnd(
+        cause=heart.cause, stoppable=ending.stoppable, missed=ending.timing.missed, lasted=0.0
+    )
+
+
+def moving(request, memory, joints, pipe, course=move):
+    """Be the loop's process, with another course and nobody beside it."""
+    RunRequest.connect = lambda *_, **__: None
+    processes.run_on_rig = course
+    processes.WorkerProcess = lambda: None
+    processes._loop(request, memory, joints, pipe)
+
+
+def refusing(request, memory, joints, pipe):
+    def refuse(*_, **__):
+        raise LinkError("the robot says nothing")
+
+    moving(request, memory, joints, pipe, refuse)
+
+
+def breaking(request, memory, joints, pipe):
+    def fail(*_, **__):
+        raise ZeroDivisionError("by zero")
+
+    moving(request, memory, joints, pipe, fail)
+
+
+def waiting(request, memory, joints, pipe):
+    """Wait for a robot's server with an encoder that has died."""
+
+    def samples():
+        raise LinkError("the encoder is gone")
+
+    def connect(_, tell, attend):
+        processes.run_on_rig = lambda *_, **__: attend()
+        return SimpleNamespace(sensor=SimpleNamespace(samples=samples))
+
+    RunRequest.connect = connect
+    processes.WorkerProcess = lambda: None
+    processes._loop(request, memory, joints, pipe)
+
+
+# Who stands at the screen.
+
+
+class Person:
+    """Keeps what it is told, and does something once, so long after the arm began to move."""
+
+    def __init__(self, act=None, after=0.4):
+        self.told, self.looks, self.act, self.after = [], [], act, after
+        self.began = self.acted = None
+        self.loop = self.writer = 0
+
+    def notify(self, event):
+        now = time.monotonic()
+        self.told.append((now, event.name, event.text))
+        if event.name == "homing":
+            self.began, self.loop = now, int(event.text.split()[1])
+            children = {child.pid for child in multiprocessing.active_children()}
+            (self.writer,) = children - {self.loop}
+
+    def live(self, phase, phi):
+        pass
+
+    def read_input(self):
+        now = time.monotonic()
+        self.looks.append(now)
+        if self.act and self.began and self.acted is None and now > self.began + self.after:
+            self.acted = time.monotonic()
+            return self.act(self) or []
+        return []
+
+    def texts(self, name):
+        return [text for _, n, text in self.told if n == name]
+
+    def told_after(self, text):
+        """How long after its act it was told [s], less what the host held the parent up."""
+        when = next(when for when, _, said in self.told if text in said)
+        looks = [look for look in self.looks if self.acted - 0.05 <= look <= when]
+        return when - self.acted - max(0.0, *(np.diff([*looks, when]) - 2.0 * POLL_PERIOD))
+
+
+def kill(number, whom):
+    def act(person):
+        os.kill(getattr(person, whom), number)
+
+    return act
+
+
+def signal_here(number):
+    return lambda _: os.kill(os.getpid(), number)
+
+
+@pytest.fixture
+def request_of_a_run():
+    policy = shipped_policy()
+    return RunRequest(
+        policy=policy, actuator=policy.actuator, settings=RigSettings(), robot="kst://nowhere",
+        encoder="serial://nowhere", duration=2.0, t1=False, dry_run=False, seed=0,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def run(monkeypatch, tmp_path, request_of_a_run):
+    def play(person, loop=moving):
+        monkeypatch.setattr(processes, "_loop", loop)
+        return run_in_processes(request_of_a_run, tmp_path / "run.mcap", person)
+
+    yield play
+    for child in multiprocessing.active_children():
+        child.kill()
+
+
+def came_to_rest(log):
+    """The log goes on to where the arm stands, without a gap."""
+    stream = log.tables["stream"]
+    steps = np.abs(np.diff(stream["q"][:, 6]))
+    return steps[:20].max() > 1e-6 and (steps[-4:] < 1e-12).all()
+
+
+@pytest.mark.slow
+def test_a_run_ends_by_itself_and_its_log_is_whole(run, tmp_path):
+    person = Person()
+    outcome = run(person)
+    assert (outcome.cause, outcome.stoppable) == ("lasted", True)
+    assert person.texts("stopping") == ["lasted"]
+    assert person.texts("fault") == person.texts("warning") == []
+    log = RunLog.load(tmp_path / "run.mcap", damaged=True)
+    assert log.end.cause == "lasted"
+    assert log.end.lost_rows == 0
+    # Where the machine stands still, a second setpoint is left out.
+    ticks, rows = len(log.tables["tick"]), len(log.tables["stream"])
+    assert ticks < rows <= 2 * ticks
+    assert ticks == pytest.approx(222, abs=2)
+    assert came_to_rest(log)
+    assert [event.name for event in log.events] == ["homing", "stopping"]
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGTERM,
+        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
+        pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
+    ],
+)
+def test_a_signal_is_a_word_to_the_loop_and_the_log_is_complete(run, tmp_path, number):
+    handler = signal.getsignal(number)
+    outcome = run(Person(signal_here(number)))
+    assert outcome.cause == processes.STOP
+    assert outcome.stoppable
+    log = RunLog.load(tmp_path / "run.mcap", damaged=True)
+    assert log.end.cause == processes.STOP
+    assert came_to_rest(log)
+    assert len(log.tables["tick"]) < 150
+    assert signal.getsignal(number) == handler
+
+
+def test_a_loop_that_is_killed_is_told_at_once_and_its_log_is_readable(run, tmp_path):
+    person = Person(kill(signal.SIGKILL, "loop"), after=1.5)
+    with pytest.raises(OutsideError, match="has ended with -9; press the E-stop"):
+        run(person)
+    assert person.texts("fault") == [f"the loop does not answer: {CANNOT_STOP}"]
+    assert person.told_after("does not answer") < TOLD
+    log = RunLog.load(tmp_path / "run.mcap", damaged=True)
+    # All that it had recorded; a tick may have been under way.
+    assert len(log.tables["tick"]) > 100
+    assert log.tables["tick"]["time"][-1] > person.acted - 2.0 * H - 0.01
+    assert "has ended with -9" in log.end.fault
+
+
+def test_a_loop_that_stands_still_is_told_within_100_ms(run, tmp_path):
+    def hold(person):
+        os.kill(person.loop, signal.SIGSTOP)
+        person.act, person.acted, person.after = release, None, 1.0
+
+    def release(person):
+        os.kill(person.loop, signal.SIGCONT)
+        return ["stop"]
+
+    class Patient(Person):
+        def read_input(self):
+            before = self.act
+            said = super().read_input()
+            if before is hold and self.act is release:
+                self.held = self.looks[-1]
+            return said
+
+    person = Patient(hold)
+    outcome = run(person)
+    assert outcome.stoppable  # the stall was only one
+    assert person.texts("fault") == [f"the loop does not answer: {CANNOT_STOP}"]
+    person.acted = person.held
+    late = person.told_after("does not answer")
+    assert HEARTBEAT_TIMEOUT - 2.0 * H < late < TOLD
+    assert came_to_rest(RunLog.load(tmp_path / "run.mcap", damaged=True))
+
+
+def test_a_writer_that_is_killed_does_not_disturb_the_run_and_is_told_at_once(run, tmp_path):
+    person = Person(kill(signal.SIGKILL, "writer"), after=1.2)
+    outcome = run(person)
+    assert (outcome.cause, outcome.stoppable) == ("lasted", True)
+    assert person.texts("warning") == [
+        "the log is incomplete: the process that writes it has ended with -9"
+    ]
+    assert person.told_after("incomplete") < TOLD
+    # Unless the computer stood still, which raises the alarm rightly.
+    assert person.texts("fault") == [] or outcome.late["max"] > 0.05
+    log = RunLog.load(tmp_path / "run.mcap", damaged=True)
+    assert log.end is None
+    assert 0 < len(log.tables["tick"]) < 200
+
+
+def test_where_the_operator_cannot_be_told_anything_the_arm_comes_to_rest(run, tmp_path):
+    class Mute(Person):
+        def live(self, phase, phi):
+            if self.began and time.monotonic() > self.began + 0.3:
+                raise BrokenPipeError("nobody reads")
+
+    with pytest.raises(BrokenPipeError):
+        run(Mute())
+    log = RunLog.load(tmp_path / "run.mcap", damaged=True)
+    assert [event.text for event in log.events if event.name == "stopping"] == [processes.STOP]
+    assert len(log.tables["tick"]) < 150
+    assert came_to_rest(log)
+
+
+@pytest.mark.parametrize("word", [processes.STOP, processes.ALONE])
+def test_a_wait_for_the_robot_can_be_given_up(word):
+    recorder = Recorder(7, memoryview(bytearray(Recorder.buffer_size(7))))
+    across = processes.OperatorProxy(recorder)
+    recorder.typed.push(b"ok")
+    across.attend("start the server again")
+    recorder.typed.push(word.encode())
+    with pytest.raises(OutsideError, match="nothing has moved. To deploy again, start the server"):
+        across.attend("start the server again")
+    assert across.read_input() == []
+
+
+def run_alone(request, out, pids):
+    processes._loop = moving
+
+    class Telling(Person):
+        def read_input(self):
+            if self.loop and not self.acted:
+                self.acted = time.monotonic()
+                pids.send((self.loop, self.writer))
+            return []
+
+    run_in_processes(request, out, Telling())
+
+
+def test_a_loop_whose_parent_is_gone_comes_to_rest_and_nobody_is_left(request_of_a_run, tmp_path):
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    out = tmp_path / "run.mcap"
+    parent = context.Process(target=run_alone, args=(request_of_a_run, out, theirs))
+    parent.start()
+    assert ours.poll(30.0)
+    left = ours.recv()
+    time.sleep(0.2)
+    parent.kill()
+    parent.join()
+    until = time.monotonic() + processes.JOIN_TIMEOUT + 5.0
+    while any(map(lives, left)) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not any(map(lives, left))
+    log = RunLog.load(out, damaged=True)
+    assert [event.text for event in log.events if event.name == "stopping"] == [processes.ALONE]
+    assert came_to_rest(log)
+    assert log.end == RunEnd()  # how it ended nobody could say
+
+
+def lives(pid):
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize(
+    ("loop", "kind", "saying"),
+    [
+        pytest.param(refusing, LinkError, "the robot says nothing", marks=pytest.mark.slow),
+        (waiting, LinkError, "the encoder is gone"),
+        (
+            breaking,
+            OutsideError,
+            r"the run failed \(ZeroDivisionError: by zero .*\); please report",
+        ),
+    ],
+)
+def test_what_fails_in_the_loops_process_is_one_sentence_here(run, tmp_path, loop, kind, saying):
+    with pytest.raises(kind, match=saying):
+        run(Person(), loop)
+    assert not any(tmp_path.iterdir()), "a log of a run that never was connected"
+
+
+def test_without_room_for_the_log_nothing_begins(monkeypatch, tmp_path, request_of_a_run):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr(processes, "_loop", None)
+    with pytest.raises(OutsideError, match="cannot write"):
+        run_in_processes(request_of_a_run, tmp_path / "file" / "run.mcap", Person())
+
+
+# The process beside the loop's.
+
+
+def test_what_is_done_beside_the_loop_comes_back_and_a_dead_helper_is_an_error():
+    aside = processes.WorkerProcess()
+    try:
+        assert aside.result() is None  # the practice was taken already
+        aside.begin(os.getpid)
+        assert wait_for(aside) not in (None, os.getpid())
+        aside.begin(fail)
+        assert str(wait_for(aside)) == "so it is"
+        aside._process.kill()
+        aside._process.join()
+        aside.begin(os.getpid)
+        assert isinstance(wait_for(aside), (EOFError, OSError))
+    finally:
+        aside.close()
+
+
+def wait_for(aside):
+    until = time.monotonic() + 5.0
+    while (result := aside.result()) is None and time.monotonic() < until:
+        time.sleep(0.005)
+    return result
+
+
+def fail():
+    raise ValueError("so it is")
+
+
+# The parent alone, around a loop that is a fiction.
+
+
+class Fiction:
+    """A loop's process: `lives` looks, then it is dead."""
+
+    def __init__(self, lives=10**9):
+        self.lives, self.exitcode = lives, -11
+
+    def is_alive(self):
+        self.lives -= 1
+        return self.lives >= 0
+
+
+@pytest.mark.parametrize("error", [EOFError, OSError])
+def test_a_loop_that_dies_without_a_word_before_it_moved_anything_is_an_error(error):
+    def gone():
+        raise error
+
+    pipe = SimpleNamespace(poll=lambda: True, recv=gone)
+    person = Person()
+    ended = processes._attend(Fiction(2), Recorder(7), person, [], pipe, quiet())
+    assert isinstance(ended, OutsideError)
+    assert "-11" in str(ended)
+    assert person.told == []  # the servo did not run
+
+
+def test_the_last_words_and_the_result_of_a_loop_are_taken_though_it_has_ended():
+    recorder, person = Recorder(7), Person()
+    push_event(recorder.notices, 0.0, "stopping", (), "the end")
+    result = InputError("no")
+    pipe = SimpleNamespace(poll=lambda: True, recv=lambda: result)
+    assert processes._attend(Fiction(0), recorder, person, [], pipe, quiet()) is result
+    assert person.texts("stopping") == ["the end"]
+
+
+def test_a_loop_without_a_heartbeat_is_told_once_until_it_beats_again():
+    recorder, person = Recorder(7), Person()
+    pulse = recorder.pulse
+    pulse[PULSE.index("ticks")] = 5.0
+    script = iter([0.0] * 3 + [1.0] * 3 + [0.0] * 2 + [1.0] * 2)
+
+    def old(*_):
+        pulse[0] = time.monotonic() - next(script)
+        return False
+
+    pulse[0] = time.monotonic()
+    pipe = SimpleNamespace(poll=lambda: False, recv=None)
+    log = SimpleNamespace(check=old)
+    with contextlib.suppress(StopIteration):
+        processes._attend(Fiction(), recorder, person, [], pipe, log)
+    assert person.texts("fault") == 2 * [f"the loop does not answer: {CANNOT_STOP}"]
+
+
+def quiet():
+    return SimpleNamespace(check=lambda _: None)

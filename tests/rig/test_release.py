@@ -1,0 +1,401 @@
+"""Armed and released: what the rules say one by one, and how they do on hands that tremble.
+
+The hands are simulated here, apart from the twin's: holding the pendulum at any angle, with a
+tremor that is a single tone or a band of noise, and a slow drift; letting go, the pendulum goes on
+by `equipoise.model.pendulum` from where the hand's motion had it.
+"""
+
+from itertools import count
+from math import cosh, radians, sinh, sqrt
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from equipoise.model.encoder import counts_from_theta, theta_from_counts
+from equipoise.model.pendulum import PendulumParameters, step
+from equipoise.rig import release
+from equipoise.rig.release import (
+    BUFFER_SIZE,
+    MAX_SAMPLE_GAP,
+    ReleaseDetector,
+    ReleaseState,
+)
+
+PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
+W = sqrt(PENDULUM.w2)
+COUNTS = 8192
+RATE = 1000
+
+
+def fed(detector, time, phi):
+    """Return what the detector said to each sample, angles in degrees."""
+    return [detector.feed(t, radians(angle)) for t, angle in zip(time, phi, strict=True)]
+
+
+def armed(rate=RATE, pendulum=PENDULUM):
+    """Return a detector that has just armed over a still pendulum, and the time of its sample."""
+    detector = ReleaseDetector(pendulum)
+    for i in count():
+        time = i / rate
+        if detector.feed(time, 0.0) is ReleaseState.ARMED:
+            return detector, time
+
+
+def fall(start_deg, rate_deg, begin, rate=RATE, until_deg=20.0):
+    """Return times and angles [deg] of a linear fall; the closed form, without friction."""
+    time, phi = [], []
+    for i in range(1, 2 * rate):
+        t = i / rate
+        angle = start_deg * cosh(W * t) + rate_deg / W * sinh(W * t)
+        if abs(angle) > until_deg:
+            break
+        time.append(begin + t)
+        phi.append(angle)
+    return time, phi
+
+
+# What the rules say.
+
+
+def test_the_numbers_are_those_that_were_asked_for_and_those_of_the_decision():
+    in_degrees = release.ARM_ANGLE, release.ARM_RATE, release.RELEASE_ANGLE, release.HELD_ANGLE
+    assert np.degrees(in_degrees) == pytest.approx([1.0, 5.0, 1.5, 4.0])
+    assert (release.ARM_AVERAGING_TIME, release.ARM_TIME, release.FIT_WINDOW) == (0.2, 0.5, 0.04)
+    assert (release.ACCELERATION_TOLERANCE, release.RATE_RATIO, release.FALL_TIME) == (
+        0.3,
+        (0.6, 3.0),
+        0.01,
+    )
+    assert (np.degrees(release.FALL_GROWTH_ANGLE), release.MAX_FALL_TIME) == (
+        pytest.approx(4.0),
+        0.2,
+    )
+    # At 1 kHz two samples are 1 ms apart.
+    assert 0.0 < release.FAST_FALL_TIME < 1e-3
+
+
+def test_a_pendulum_that_stands_still_arms_after_the_mean_and_half_a_second():
+    _, time = armed()
+    assert time == pytest.approx(0.7, abs=0.002)
+
+
+@pytest.mark.parametrize(
+    ("angle", "arms"),
+    [(0.99, True), (1.0, False), (1.01, False), (-0.99, True), (-1.0, False), (-1.01, False)],
+)
+def test_the_pendulum_has_to_stand_within_a_degree(angle, arms):
+    detector = ReleaseDetector(PENDULUM)
+    said = fed(detector, np.arange(2000) / RATE, np.full(2000, angle))
+    assert (ReleaseState.ARMED in said) == arms
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("rate", "arms_after"), [(4.95, 0.7), (5.05, 0.4 + 0.2 + 0.5)])
+def test_a_hand_that_moves_faster_than_five_degrees_per_second_begins_anew(side, rate, arms_after):
+    # At once after 0.4 s, as far as that rate takes it in 0.2 s, over which its mean is taken.
+    time = np.arange(2000) / RATE
+    phi = side * rate * 0.2 * np.where(time < 0.4, -0.5, 0.5)
+    said = fed(ReleaseDetector(PENDULUM), time, phi)
+    assert time[said.index(ReleaseState.ARMED)] == pytest.approx(arms_after, abs=0.003)
+
+
+def test_an_armed_hand_may_move_up_to_the_angle_of_release():
+    detector, time = armed()
+    said = fed(detector, time + np.arange(1, 601) / RATE, np.linspace(0.0, 1.49, 600))
+    assert set(said) == {ReleaseState.ARMED}
+
+
+@pytest.mark.parametrize("start", [0.3, 0.9, -0.3, -0.9])
+@pytest.mark.parametrize("rate", [500, 1000, 2000])
+def test_a_fall_from_rest_is_seen_while_it_can_be_caught(start, rate):
+    detector, begin = armed(rate)
+    time, phi = fall(start, 0.0, begin, rate)
+    said = fed(detector, time, phi)
+    at = said.index(ReleaseState.RELEASED)
+    assert ReleaseState.HELD not in said
+    assert 1.5 < abs(phi[at]) < 2.2
+    # It has to be seen for 10 ms beyond 1.5 deg, where the ratio has passed 0.6.
+    beyond = int(np.argmax(np.abs(phi) > 1.5))
+    assert time[at] - time[beyond] == pytest.approx(0.010, abs=1.01 / rate)
+    assert not detector.denied
+
+
+def test_released_stays_until_it_is_reset():
+    detector, begin = armed()
+    fed(detector, *fall(0.5, 0.0, begin))
+    assert detector.feed(begin + 9.0, float("nan")) is ReleaseState.RELEASED
+    assert detector.feed(begin + 9.0, 0.0) is ReleaseState.RELEASED
+    detector.reset()
+    assert detector.state is ReleaseState.HELD
+    assert not detector.denied
+
+
+def test_a_fall_that_nobody_armed_is_no_release():
+    detector = ReleaseDetector(PENDULUM)
+    said = fed(detector, *fall(0.5, 0.0, 0.0))
+    assert set(said) == {ReleaseState.HELD}
+    assert not detector.denied
+
+
+def test_a_fast_fall_is_not_waited_for():
+    # phi_dot / (w phi) is 2.2 at 1.5 deg, |phi + phi_dot / w| above 4 deg after 35 ms.
+    detector, begin = armed()
+    time, phi = fall(0.0, 3.0 * W, begin)
+    said = fed(detector, time, phi)
+    at = said.index(ReleaseState.RELEASED)
+    growing = 3.0 * np.exp(W * (time[at] - begin))
+    assert 4.0 < growing < 4.35, "two samples have to do, also before 1.5 deg"
+
+
+@pytest.mark.parametrize("share", [0.25, 1.6])
+def test_another_pendulum_does_not_fall_like_this_one(share):
+    # What falls with another w2 is something else, such as a hand that moves on.
+    detector, begin = armed(pendulum=PENDULUM._replace(w2=PENDULUM.w2 * share))
+    time, phi = fall(0.5, 0.0, begin)
+    said = fed(detector, time, phi)
+    assert ReleaseState.RELEASED not in said
+    assert detector.denied
+
+
+def test_friction_brakes_a_fall():
+    heavy = PENDULUM._replace(c=3.0)
+    detector, begin = armed(pendulum=heavy)
+    growth = 0.5 * (sqrt(heavy.c**2 + 4.0 * heavy.w2) - heavy.c)
+    t = np.arange(1, 300) / RATE
+    angle = 0.9 * np.exp(growth * t)
+    grips = fed(detector, begin + t[angle < 4.0], angle[angle < 4.0])
+    assert grips[-1] is ReleaseState.RELEASED
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("off", "grip"), [(297.0, ReleaseState.RELEASED), (303.0, ReleaseState.ARMED)]
+)
+def test_the_derivative_of_the_acceleration_has_to_agree_within_300(way, off, grip):
+    detector, begin = armed()
+    # Beside 3 deg: angle, rate and acceleration of a fall in the middle, its derivative is off.
+    phi = radians(3.0)
+    rate = W * phi
+    acceleration = PENDULUM.w2 * np.sin(phi) - PENDULUM.c * rate
+    jerk = PENDULUM.w2 * rate + way * off
+    t = np.arange(-25, 26) / RATE
+    motion = phi + rate * t + acceleration * t**2 / 2.0 + jerk * t**3 / 6.0
+    assert fed(detector, begin + 0.026 + t, np.degrees(motion))[-1] is grip
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_fall_is_believed_from_a_ratio_of_three_down_to_one_of_six_tenths(side):
+    # From rest at 1.4 deg the ratio is tanh(w t), beyond 0.6 after 82.7 ms; then it has to last.
+    detector, begin = armed()
+    time, phi = fall(side * 1.4, 0.0, begin)
+    at = fed(detector, time, phi).index(ReleaseState.RELEASED)
+    assert time[at] - begin == pytest.approx(0.0827 + 0.010, abs=0.0011)
+    # As 6 deg sinh(w t) through upright, after 28.6 ms, it is coth, below 3 after 41.4 ms more.
+    detector, begin = armed()
+    time, phi = fall(side * -1.45, side * sqrt(6.0**2 + 1.45**2) * W, begin)
+    at = fed(detector, time, phi).index(ReleaseState.RELEASED)
+    assert time[at] - begin == pytest.approx(0.0286 + 0.0414 + 0.001, abs=0.0006)
+
+
+def test_a_hand_that_carries_it_away_evenly_is_still_on():
+    # 15 deg/s, as a fall has at 1.8 deg, but without its acceleration.
+    detector, begin = armed()
+    time = begin + np.arange(1, 500) / RATE
+    said = fed(detector, time, 15.0 * (time - begin))
+    assert ReleaseState.RELEASED not in said
+    assert said[-1] is ReleaseState.HELD
+    assert detector.denied
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_beyond_four_degrees_the_hand_is_still_on(side):
+    detector, begin = armed()
+    said = fed(detector, begin + np.array([0.001, 0.002]), [side * 4.0, side * 4.01])
+    assert said == [ReleaseState.ARMED, ReleaseState.HELD]
+    assert detector.denied
+
+
+def test_what_comes_back_is_held():
+    detector, begin = armed()
+    said = fed(detector, begin + np.array([0.001, 0.002, 0.003]), [1.5, 1.51, 1.5])
+    assert said == [ReleaseState.ARMED, ReleaseState.ARMED, ReleaseState.HELD]
+    assert detector.denied
+
+
+def test_what_stays_between_is_held():
+    detector, begin = armed()
+    said = fed(detector, begin + np.arange(1, 250) / RATE, np.full(249, 2.0))
+    assert said.index(ReleaseState.HELD) == pytest.approx(201, abs=2)
+    assert detector.denied
+
+
+def test_a_denied_hand_arms_again():
+    detector, begin = armed()
+    fed(detector, begin + np.arange(1, 5) / RATE, [1.6, 1.4, 0.0, 0.0])
+    assert detector.denied
+    said = fed(detector, begin + np.arange(5, 900) / RATE, np.zeros(895))
+    assert said[-1] is ReleaseState.ARMED
+    assert not detector.denied
+
+
+@pytest.mark.parametrize(
+    ("sample", "on"),
+    [
+        ((0.001, float("nan")), 0.002),
+        ((float("inf"), 0.0), 0.002),
+        ((2 * MAX_SAMPLE_GAP, 0.0), 2 * MAX_SAMPLE_GAP + 0.001),
+        ((-0.1, 0.0), -0.099),
+    ],
+    ids=["no angle", "no time", "gap", "back in time"],
+)
+def test_a_sample_that_cannot_be_forgets_all(sample, on):
+    detector, begin = armed()
+    assert detector.feed(begin + sample[0], radians(sample[1])) is ReleaseState.HELD
+    assert detector.denied
+    later = begin + on + np.arange(690) / RATE
+    assert set(fed(detector, later, np.zeros(690))) == {ReleaseState.HELD}
+    assert detector.feed(later[-1] + 0.012, 0.0) is ReleaseState.ARMED
+
+
+@pytest.mark.parametrize(
+    ("after", "grip"), [(0.0199, ReleaseState.ARMED), (0.0201, ReleaseState.HELD)]
+)
+def test_a_gap_of_twenty_milliseconds_is_bridged_and_no_longer_one(after, grip):
+    detector, begin = armed()
+    assert detector.feed(begin + after, 0.0) is grip
+
+
+@pytest.mark.parametrize(
+    ("after", "grip"),
+    [
+        (0.0, ReleaseState.ARMED),
+        (3.95e-4, ReleaseState.ARMED),
+        (4.05e-4, ReleaseState.HELD),
+        (-1e-6, ReleaseState.HELD),
+    ],
+)
+def test_a_sample_that_follows_too_closely_is_passed_over(after, grip):
+    detector, begin = armed()
+    # Five degrees: the hand would be on.
+    assert detector.feed(begin + after, radians(5.0)) is grip
+
+
+def test_a_broken_sample_before_arming_denies_nothing():
+    detector = ReleaseDetector(PENDULUM)
+    detector.feed(0.0, float("nan"))
+    fed(detector, [0.0, 0.1, 0.2], [0.0, 0.0, 0.0])
+    assert not detector.denied
+
+
+def test_samples_come_as_fast_as_they_like():
+    # 20 kHz: most are passed over, and the memory still holds 0.2 s.
+    detector, _ = armed(rate=20_000)
+    assert len(detector._time) == BUFFER_SIZE
+    assert detector.state is ReleaseState.ARMED
+
+
+@pytest.mark.parametrize(("rate", "seen"), [(125, False), (270, False), (285, True)])
+def test_fewer_than_twelve_samples_show_no_fall(rate, seen):
+    # The window of 40 ms holds 6, 11 and 12.
+    detector, begin = armed(rate=rate)
+    said = fed(detector, *fall(0.5, 0.0, begin, rate=rate))
+    assert (ReleaseState.RELEASED in said) == seen
+
+
+# How they do.
+
+
+class Hold(NamedTuple):
+    time: np.ndarray
+    """[s]"""
+    phi: np.ndarray
+    """True angle [deg]."""
+    zero: float
+    """Error of the encoder's zero [deg]."""
+
+
+def hold(rng, duration=None, drift=1.0):
+    """Return a hand that holds the pendulum about upright, a tone or a band of noise in it."""
+    duration = rng.uniform(2.0, 20.0) if duration is None else duration
+    n = round(duration * RATE)
+    time = np.arange(n) / RATE + rng.uniform(-5e-5, 5e-5, n)
+    rms = rng.uniform(0.05, 0.3)
+    if rng.random() < 0.5:
+        tremor = sqrt(2.0) * np.sin(2 * np.pi * (rng.uniform(4, 10) * time + rng.random()))
+    else:
+        tones, phases = rng.uniform(4.0, 10.0, 24), rng.random(24)
+        tremor = np.sin(2 * np.pi * (np.outer(time, tones) + phases)).sum(1) * sqrt(2 / 24)
+    tones, phases, sizes = rng.uniform(0.05, 0.4, 3), rng.random(3), rng.uniform(0.2, 1.0, 3)
+    slow = np.sin(2 * np.pi * (np.outer(time, tones) + phases)) @ sizes / sizes.sum()
+    phi = drift * rng.uniform(0.3, 1.0) * slow + rms * tremor
+    return Hold(time, phi, rng.uniform(-0.1, 0.1))
+
+
+def read(phi, zero):
+    """Return what is read of an angle through the encoder, all in degrees."""
+    counts = counts_from_theta(np.pi - np.radians(phi + zero), float(COUNTS), 1.0)
+    return 180.0 - np.degrees(theta_from_counts(counts, float(COUNTS), 1.0))
+
+
+def starts(held):
+    """Return whether a hold was taken for a release."""
+    said = fed(ReleaseDetector(PENDULUM), held.time, read(held.phi, held.zero))
+    return ReleaseState.RELEASED in said
+
+
+def clean_release(rng):
+    """Let go at once at a random armed moment, and return the growing part at the start [deg].
+
+    None where the fall was not seen. A pendulum that dry friction holds upright is no release.
+    """
+    while True:
+        held = hold(rng)
+        said = fed(ReleaseDetector(PENDULUM), held.time, read(held.phi, held.zero))
+        moments = [i for i, grip in enumerate(said[:-1]) if grip is ReleaseState.ARMED]
+        if not moments:
+            continue
+        last = int(rng.choice(moments))
+        rate = (held.phi[last + 1] - held.phi[last - 1]) / (
+            held.time[last + 1] - held.time[last - 1]
+        )
+        plant = PENDULUM._replace(
+            w2=PENDULUM.w2 * rng.normal(1.0, 0.02), coulomb=rng.uniform(0.0, 0.2)
+        )
+        phi, phi_dot = radians(held.phi[last]), radians(rate)
+        detector = ReleaseDetector(PENDULUM)
+        fed(detector, held.time[: last + 1], read(held.phi, held.zero)[: last + 1])
+        time = held.time[last]
+        for _ in range(2 * RATE):
+            now = time + 1.0 / RATE + rng.uniform(-5e-5, 5e-5)
+            phi, phi_dot = step(phi, phi_dot, 0.0, now - time, plant)
+            time = now
+            grip = detector.feed(time, radians(float(read(np.degrees(phi), held.zero))))
+            if grip is ReleaseState.RELEASED:
+                return float(np.degrees(phi + phi_dot / W))
+            if grip is ReleaseState.HELD:
+                return None
+        # It stands.
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("holds", [8, pytest.param(2000, marks=pytest.mark.slow)])
+def test_no_hold_is_taken_for_a_release(holds):
+    rng = np.random.default_rng(41)
+    assert not any(starts(hold(rng)) for _ in range(holds))
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("holds", [8, pytest.param(1000, marks=pytest.mark.slow)])
+def test_a_hand_that_drifts_half_as_far_again_seldom_is(holds):
+    rng = np.random.default_rng(42)
+    assert sum(starts(hold(rng, drift=1.5)) for _ in range(holds)) <= 0.02 * holds
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("releases", [6, pytest.param(200, marks=pytest.mark.slow)])
+def test_clean_releases_start_where_they_can_be_caught(releases):
+    rng = np.random.default_rng(43)
+    grown = [clean_release(rng) for _ in range(releases)]
+    caught = sum(value is not None and abs(value) < 5.0 for value in grown)
+    assert caught >= 0.99 * releases, grown

@@ -1,0 +1,401 @@
+"""A whole run on emulated rigs, in virtual time, with all guards on."""
+
+import os
+
+import numpy as np
+import pytest
+
+from equipoise.control.policy import shipped_policy
+from equipoise.control.states import Phase
+from equipoise.control.ticks import OperatorMessage
+from equipoise.errors import InputError
+from equipoise.identification.motion import identify_motion
+from equipoise.logs import writer as log_writer
+from equipoise.logs.recorder import Recorder, read_events
+from equipoise.logs.run_log import RunLog
+from equipoise.model.actuator import Actuator
+from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.rig.clocks import VirtualClock
+from equipoise.rig.config import RigSettings, emulated_rig
+from equipoise.rig.plugins import ignore
+from equipoise.rig.run import (
+    OperatorChannel,
+    RunRequest,
+    describe_fit,
+    exit_code,
+    rehearse_t1,
+    run_virtually,
+)
+from equipoise.rig.run_controller import PHASES
+from equipoise.safety.rules import Rule
+from tests.studies.replayed import replay
+
+pytestmark = pytest.mark.compiled_only
+
+NOMINAL = read_world("twin:nominal")
+
+
+class Spy:
+    """Is told, and speaks once after an event of a name."""
+
+    def __init__(self, after="", word="stop"):
+        self.names, self._after, self._word = [], after, word
+
+    def notify(self, event):
+        self.names.append(event.name)
+
+    def read_input(self):
+        if self._after and self._after in self.names:
+            self._after = ""
+            return [self._word]
+        return []
+
+
+def request(duration=2.0, settings=None, **changes):
+    policy = shipped_policy()
+    given = {
+        "policy": policy,
+        "actuator": policy.actuator,
+        "settings": settings or RigSettings(),
+        "robot": "twin:nominal",
+        "encoder": None,
+        "duration": duration,
+        "t1": False,
+        "dry_run": False,
+        "seed": 3,
+    }
+    return RunRequest(**(given | changes))
+
+
+def on_the_twin(wanted, out=None, spy=None):
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=wanted.seed).rig
+    return run_virtually(wanted, out, rig=rig, operator=spy or Spy())
+
+
+def test_it_stands_on_the_twin_and_the_log_says_how(tmp_path):
+    out, spy = tmp_path / "run.mcap", Spy()
+    outcome = on_the_twin(request(), out, spy)
+    assert (outcome.cause, outcome.lasted, exit_code(outcome)) == ("lasted", 2.0, 0)
+    order = ["homing", "home", "reference", "swing", "self-test", "lift", "armed", "balancing"]
+    assert [name for name in spy.names if name in order] == order
+    run = RunLog.load(out, damaged=True)
+    tick, stream = run.tables["tick"], run.tables["stream"]
+    balancing = tick["state"] == PHASES.index(Phase.BALANCING)
+    assert balancing.sum() == 200
+    assert np.abs(tick["phi"][balancing]).max() < np.radians(8.0)
+    # Two setpoints in each tick, within the limits of the arm, from first to last.
+    assert len(stream) == 2 * len(tick)
+    limits = np.array([(j.velocity, j.acceleration) for j in request().policy.arm.joints]).T
+    steps = np.diff(stream["q"], axis=0) / 0.005
+    assert (np.abs(steps) <= limits[0] * 1.001).all()
+    assert (np.abs(np.diff(steps, axis=0)) / 0.005 <= limits[1] * 1.001).all()
+    assert run.end is not None
+    assert run.end.cause == "lasted"
+
+
+def test_a_run_that_is_told_no_actuator_selects_it_before_the_lift(tmp_path):
+    own, out = shipped_policy().actuator, tmp_path / "run.mcap"
+    slow = Actuator.assumed("kst", delay=0.01, lag=0.008, cycle=0.04)
+    middle = Actuator.assumed("kst", delay=0.01, lag=0.004, cycle=0.016)
+    policy = shipped_policy().model_copy(update={"actuators": (own, middle, slow), "tests": ()})
+    wanted = request(policy=policy, robot="twin:trajectory40", alternatives=(middle, slow))
+    assert run_virtually(wanted, out, Spy()).cause == "lasted"
+    run = RunLog.load(out, damaged=True)
+    names = [event.name for event in run.events]
+    assert names.index("self-test") < names.index("actuator") < names.index("lift")
+    (said,) = (event.text for event in run.events if event.name == "actuator")
+    assert said.startswith("The arm responds as actuator 3 of 3, kst, delay 10.0 ms, t_c 40.0 ms")
+    # The log holds all that the selection needs.
+    replayed = replay(run, policy)
+    assert (replayed.difference, replayed.ticks) == (None, len(run.tables["tick"]))
+    # Told the wrong one, the same run falls.
+    told = request(policy=policy, robot="twin:trajectory40")
+    assert run_virtually(told, None, Spy()).cause != "lasted"
+
+
+@pytest.mark.slow
+def test_an_excitation_before_the_lift_refuses_a_policy_for_another_arm(tmp_path):
+    out = tmp_path / "run.mcap"
+    wanted = request(robot="twin:pd", identify=identify_motion)
+    end = run_virtually(wanted, out, Spy())
+    assert (end.cause, exit_code(end), end.lasted) == ("identified", 1, 0.0)
+    assert "It fits none of the actuators of policy" in end.reason
+    run = RunLog.load(out, damaged=True)
+    found = run.end.identified
+    assert found.cycle.value == pytest.approx(0.016, rel=0.02)
+    assert run.conditions.identifies
+    replayed = replay(run, wanted.policy)
+    assert (replayed.difference, replayed.ticks) == (None, len(run.tables["tick"]))
+    # A policy that was trained for it, too, fits.
+    both = shipped_policy().model_copy(update={"actuators": (wanted.actuator, found), "tests": ()})
+    assert describe_fit(both, found).endswith("It fits actuator 2 of the policy's 2.")
+
+
+@pytest.mark.parametrize("sign", [pytest.param(1, marks=pytest.mark.slow), -1])
+def test_it_stands_behind_the_protocols_of_the_hardware(sign):
+    wanted = request(settings=RigSettings(encoder_sign=sign))
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3, robot="kst").rig
+    outcome = run_virtually(wanted, None, rig=rig, operator=Spy())
+    assert (outcome.cause, outcome.lasted) == ("lasted", 2.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_it_stands_a_minute_behind_the_protocols_of_the_hardware(seed):
+    wanted = request(60.0)
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=seed, robot="kst").rig
+    outcome = run_virtually(wanted, None, rig=rig, operator=Spy())
+    assert (outcome.cause, outcome.lasted) == ("lasted", 60.0)
+
+
+@pytest.mark.parametrize("when", ["homing", "hang", "swing", "armed", "balancing"])
+def test_any_word_stops_it_in_the_same_tick_and_the_arm_comes_to_rest(tmp_path, when):
+    out = tmp_path / "run.mcap"
+    outcome = on_the_twin(request(), out, Spy(after=when))
+    assert (outcome.cause, exit_code(outcome)) == ("operator", 130)
+    run = RunLog.load(out, damaged=True)
+    tick = run.tables["tick"]
+    stopping = tick["state"] == PHASES.index(Phase.STOPPING)
+    stopped_at = next(event.time for event in run.events if event.name == "stopping")
+    assert tick["time"][stopping][0] == pytest.approx(stopped_at)
+    assert np.abs(tick["dq"][-1]).max() == 0.0
+    # It never moves again.
+    assert stopping[np.argmax(stopping) :].all()
+
+
+def test_a_dry_run_moves_nothing(tmp_path):
+    out, spy = tmp_path / "run.mcap", Spy()
+    outcome = on_the_twin(request(dry_run=True), out, spy)
+    assert (outcome.cause, exit_code(outcome)) == ("dry run", 0)
+    assert "checklist" in spy.names
+    assert len(RunLog.load(out, damaged=True).tables["stream"]) == 0
+
+
+def test_a_log_that_a_full_disk_cut_is_not_passed_over_in_silence(tmp_path, monkeypatch):
+    whole = tmp_path / "whole.mcap"
+    on_the_twin(request(dry_run=True), whole)
+    room, real = whole.stat().st_size - 50, os.pwrite
+    monkeypatch.setattr(
+        log_writer.os, "pwrite", lambda f, data, at: real(f, data[: max(room - at, 0)], at)
+    )
+    spy = Spy()
+    on_the_twin(request(dry_run=True), tmp_path / "run.mcap", spy)
+    assert spy.names[-1] == "warning"
+
+
+class Script:
+    """Types all it has to say at once."""
+
+    def __init__(self, *words):
+        self.told, self._words = [], list(words)
+
+    def notify(self, event):
+        self.told.append(event.text)
+
+    def read_input(self):
+        words, self._words = self._words, []
+        return words
+
+
+def test_words_that_come_together_answer_one_question_after_the_other():
+    clock, recorder = VirtualClock(), Recorder(7)
+    channel = OperatorChannel([Script("estop", " Fence \n", "stop")], recorder, clock, ignore)
+    assert [channel.ask(OperatorMessage("checklist", text, ())) for text in "ab"] == [
+        "estop",
+        "fence",
+    ]
+    # What was left over is not lost: the loop hears it, and stops.
+    assert channel.read_input() == ["stop"]
+    assert channel.read_input() == []
+    logged = [(event.name, event.text) for event in read_events(recorder.event.take())]
+    assert logged == [
+        ("checklist", "a"),
+        ("word", "estop"),
+        ("checklist", "b"),
+        ("word", " Fence \n"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("typed", "cause", "asked"),
+    [
+        (["estpo", "", "estop", "fnece", "fence", "monitoring", "t1"], "dry run", 7),
+        (["e stop", "estop!", "yes", "estop", "fence"], "operator", 3),
+        (["no", "estop"], "operator", 1),
+        (["estop", "stop", "fence"], "operator", 2),
+    ],
+)
+def test_a_mistyped_word_is_asked_again_up_to_three_times(typed, cause, asked):
+    wanted = request(dry_run=True)
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum).rig._replace(operator=None)
+    script = Script(*typed)
+    outcome = run_virtually(wanted, None, rig=rig, operator=script)
+    assert outcome.cause == cause
+    assert sum("Type" in text for text in script.told) == asked
+
+
+def test_a_mistyped_answer_to_the_move_is_asked_again():
+    wanted = request()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum).rig._replace(operator=None)
+    script = Script("estop", "fence", "monitoring", "t1", "yes", "n")
+    outcome = run_virtually(wanted, None, rig=rig, operator=script)
+    assert outcome.reason == "the move was not allowed; nothing has moved"
+    assert script.told[-1].startswith("'yes' is not y or n. The arm will move to home")
+
+
+def test_whoever_asks_waits_for_a_word():
+    clock, script = VirtualClock(), Script()
+    clock.attach(lambda now: script._words.extend(["y"] if now == 1.0 else []))
+    channel = OperatorChannel([script], Recorder(7), clock, ignore)
+    assert channel.ask(OperatorMessage("move")) == "y"
+    assert clock.now() == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_stop_that_came_with_the_last_answer_is_heard_in_the_first_tick():
+    wanted = request()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
+    rig = emulated_rig(NOMINAL, wanted.settings, pendulum).rig._replace(operator=None)
+    script = Script("estop", "fence", "monitoring", "t1", "y", "stop")
+    outcome = run_virtually(wanted, None, rig=rig, operator=script)
+    assert (outcome.cause, outcome.lasted) == ("operator", 0.0)
+    assert "stopped by the operator (stop)" in script.told
+
+
+def test_an_encoder_that_counts_the_wrong_way_is_found_before_the_pendulum_is_lifted():
+    wanted = request()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
+    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3, robot="kst")
+    emulated.sensor.board.sign = -1
+    spy = Spy()
+    outcome = run_virtually(wanted, None, rig=emulated.rig, operator=spy)
+    assert outcome.cause == "self-test"
+    assert "sign" in outcome.reason
+    assert "lift" not in spy.names
+
+
+def test_a_link_that_goes_dead_is_told_at_once():
+    wanted = request(5.0)
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
+    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=3, robot="kst")
+
+    class Cutter(Spy):
+        def notify(self, event):
+            super().notify(event)
+            if event.name == "balancing":
+                emulated.robot.link.cut = True
+
+    spy = Cutter()
+    outcome = run_virtually(wanted, None, rig=emulated.rig, operator=spy)
+    assert exit_code(outcome) == 3
+    assert "fault" in spy.names
+    assert not outcome.stoppable
+
+
+def test_a_policy_for_another_arm_is_refused():
+    with pytest.raises(InputError, match="trained on iiwa7, the rig has iiwa14"):
+        on_the_twin(request(settings=RigSettings(arm="iiwa14")))
+
+
+@pytest.mark.parametrize("force", [(150.0, 0.0, 0.0), (0.0, -150.0, 0.0), (0.0, 0.0, 150.0)])
+def test_a_push_on_the_way_home_stops_the_arm(force):
+    wanted = request()
+    pendulum = pendulum_on(wanted.policy.pendulum, NOMINAL.settings)
+    emulated = emulated_rig(NOMINAL, wanted.settings, pendulum, seed=wanted.seed, robot="kst")
+    bench, clock = emulated.bench, emulated.rig.clock
+
+    class Pusher(Spy):
+        def notify(self, event):
+            super().notify(event)
+            if event.name == "homing":
+                self.at = clock.now() + 0.3
+                clock.attach(self.push)
+            elif event.name == "stopping":
+                self.stopped = clock.now()
+
+        def push(self, now):
+            bench.touch(force if self.at <= now < self.at + 0.3 else (0.0, 0.0, 0.0))
+
+    pusher = Pusher()
+    outcome = run_virtually(wanted, None, rig=emulated.rig, operator=pusher)
+    assert outcome.cause == Rule.TORQUE.value
+    assert pusher.stopped - pusher.at <= 0.1
+    assert "home" not in pusher.names
+
+
+# The speed of the flange.
+
+
+def limited(max_speed):
+    """Return the shipped policy, as if it had been trained for a speed of the flange."""
+    policy = shipped_policy()
+    plant = policy.settings.plant.model_copy(update={"max_speed": max_speed})
+    return policy.model_copy(
+        update={"settings": policy.settings.model_copy(update={"plant": plant})}
+    )
+
+
+def test_a_policy_that_lives_with_t1_on_the_twin_may_run_there():
+    rehearse_t1(request(t1=True), trials=4, duration=2.0)
+
+
+def test_a_policy_that_is_too_fast_on_the_twin_is_refused():
+    # No run of this policy stays below 50 mm/s.
+    with pytest.raises(
+        InputError, match=r"lasts 2 s in 0 of 4 trials, expected 4 .*flange speed 4.*--max-speed"
+    ):
+        rehearse_t1(request(policy=limited(0.05), t1=True), trials=4, duration=2.0)
+
+
+def test_a_policy_for_another_rig_is_refused_before_it_is_tried_in_t1():
+    with pytest.raises(InputError, match="trained on iiwa7, the rig has iiwa14"):
+        rehearse_t1(request(settings=RigSettings(arm="iiwa14"), t1=True))
+
+
+class Pusher(Spy):
+    """Pushes the pendulum once it balances."""
+
+    def __init__(self, bench, rate):
+        super().__init__()
+        self._bench, self._rate = bench, rate
+
+    def notify(self, event):
+        super().notify(event)
+        if event.name == "balancing":
+            self._bench.push(self._rate)
+
+
+@pytest.mark.parametrize("t1", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_in_t1_a_run_stops_softly_where_the_flange_is_too_fast(tmp_path, t1):
+    wanted, out = request(1.5, t1=t1), tmp_path / "run.mcap"
+    emulated = emulated_rig(
+        NOMINAL,
+        wanted.settings,
+        pendulum_on(wanted.policy.pendulum, NOMINAL.settings),
+        seed=3,
+        robot="kst",
+    )
+    spy = Pusher(emulated.bench, 1.0)
+    outcome = run_virtually(wanted, out, rig=emulated.rig, operator=spy)
+    run = RunLog.load(out, damaged=True)
+    tick = run.tables["tick"]
+    fast = np.abs(tick["x_dot"][tick["state"] == PHASES.index(Phase.BALANCING)]).max()
+    if not t1:
+        # The same push, and it goes on: the rule alone has stopped the other run.
+        assert outcome.cause == "lasted"
+        assert fast > 0.23
+        return
+    assert (outcome.cause, exit_code(outcome), outcome.stoppable) == ("flange speed", 1, True)
+    assert "0.23 m/s" in outcome.reason
+    assert "speed limit" in spy.names
+    # Nothing was clipped on the way there, and the ramp to rest takes its time.
+    stopping = tick["state"] == PHASES.index(Phase.STOPPING)
+    ramp = tick["dq"][stopping]
+    assert np.abs(ramp[-1]).max() == 0.0
+    accelerations = [joint.acceleration for joint in wanted.policy.arm.joints]
+    assert (np.abs(np.diff(ramp, axis=0)).max(axis=0) <= 0.01 * np.array(accelerations)).all()
+    assert np.count_nonzero(np.abs(ramp).max(axis=1) > 0.0) > 4

@@ -1,0 +1,170 @@
+"""Deployment: the run obeys arm, pendulum and table, which independent witnesses recompute."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from equipoise import paper
+from equipoise.control.grid import CAUSES
+from equipoise.control.policy import TabularPolicy
+from equipoise.model.random import SELECTION, TARGET_TEST, TEST
+from equipoise.rig.simulate import DEPLOYMENT, simulate_run
+from equipoise.worlds.plant import make_loop_params
+from equipoise.worlds.trials import draw_trials
+from tests.worlds.recorded import on_the_plant, run_all
+
+
+@pytest.fixture(scope="module")
+def run(small_policy):
+    return simulate_run(small_policy, seed=5, duration=0.6)
+
+
+def test_equal_seed_gives_equal_bits_and_another_seed_another_run(run, small_policy):
+    assert simulate_run(small_policy, seed=5, duration=0.6).digest == run.digest
+    other = simulate_run(small_policy, seed=6, duration=0.6)
+    assert other.conditions.start != run.conditions.start
+    assert other.conditions.pendulum != run.conditions.pendulum
+
+
+def test_the_log_says_what_ran(run, small_policy):
+    conditions = run.conditions
+    assert conditions.policy == small_policy.digest
+    assert conditions.arm == small_policy.arm
+    assert conditions.joints == tuple(joint.name for joint in small_policy.arm.joints)
+    assert conditions.settings == small_policy.settings
+    assert (conditions.seed, conditions.duration, conditions.h) == (5, 0.6, small_policy.h)
+
+
+def test_the_pendulum_is_not_the_one_that_the_policy_was_trained_for(run, pendulum):
+    real = run.conditions.pendulum
+    factor = pendulum.w2.value / real["w2"]
+    assert 0.9 < factor < 1.1
+    assert factor != 1.0
+    # I divides w2 and k alike; b scales c alone.
+    assert real["k"] == pytest.approx(pendulum.k.value / factor, rel=1e-12)
+    assert real["c"] != pytest.approx(pendulum.c.value / factor, rel=1e-6)
+
+
+def test_it_starts_as_a_release_leaves_the_pendulum(run):
+    x, x_dot, phi, phi_dot = run.conditions.start
+    assert (x, x_dot) == (0.0, 0.0)
+    assert 1.5 <= np.rad2deg(abs(phi)) <= 2.5
+    assert 8.0 <= np.rad2deg(abs(phi_dot)) <= 18.0
+    assert phi * phi_dot > 0.0
+    # Home is found to the tolerance of the posture's iteration, 1e-12.
+    first = (run.x[0], run.x_dot[0], run.phi[0], run.phi_dot[0])
+    np.testing.assert_allclose(first, run.conditions.start, atol=1e-9)
+
+
+def test_it_shares_its_numbers_with_no_other_trial(small_policy, run):
+    for stream in (SELECTION, TARGET_TEST, TEST):
+        others = draw_trials(50, small_policy.settings, 5, stream, spread=1.0)
+        assert not np.any(np.isclose(others.start[:, 2], run.conditions.start[2]))
+
+
+def test_each_command_is_that_of_the_table(run, small_policy):
+    for i in range(len(run.time)):
+        state = np.array([run.x[i], run.x_dot[i], run.phi[i], run.phi_dot[i]])
+        assert run.u[i] == small_policy.act(state)
+
+
+def test_each_box_holds_its_state_as_the_paper_prints_the_intervals(run):
+    axes = (
+        paper.PHI_INTERVALS_DEG,
+        paper.PHI_DOT_INTERVALS_DEG,
+        paper.X_INTERVALS,
+        paper.X_DOT_INTERVALS,
+    )
+    values = (np.rad2deg(run.phi), np.rad2deg(run.phi_dot), run.x, run.x_dot)
+    for i, box in enumerate(run.box):
+        indices = np.unravel_index(box, (6, 5, 3, 3))
+        for intervals, index, series in zip(axes, indices, values, strict=True):
+            assert float(series[i]) in intervals[index]
+
+
+def test_the_joints_carry_the_flange_to_x(run, small_policy):
+    arm = small_policy.arm
+    home = arm.pose(arm.home_free).position
+    for i in range(0, len(run.time) - 1, 7):
+        flange = arm.kinematics(arm.without_held(run.q[i]), arm.without_held(run.dq[i]))
+        # Row i of the joints is the end of tick i, where tick i + 1 begins.
+        assert flange.position[0] - home[0] == pytest.approx(run.x[i + 1], abs=1e-12)
+        assert flange.twist[0] == pytest.approx(run.x_dot[i + 1], abs=1e-12)
+
+
+def test_what_the_policy_saw_is_the_truth(run, small_policy):
+    for name in ("x", "x_dot", "phi", "phi_dot"):
+        np.testing.assert_array_equal(getattr(run.truth, name), getattr(run, name))
+    np.testing.assert_array_equal(run.estimated_phi, run.phi)
+    np.testing.assert_array_equal(run.estimated_phi_dot, run.phi_dot)
+    np.testing.assert_array_equal(run.bias, 0.0)
+    # The real joints carry the flange to the real x of the same tick.
+    arm = small_policy.arm
+    home = arm.pose(arm.home_free).position[0]
+    flange = [arm.pose(arm.without_held(q)).position[0] for q in run.truth.q]
+    np.testing.assert_allclose(np.array(flange) - home, run.truth.x, atol=1e-12)
+
+
+def test_the_ideal_model_has_neither_a_rig_nor_an_actuator(run):
+    conditions = run.conditions
+    assert (conditions.actuator, conditions.counts_per_rev) == ("ideal", None)
+    assert (conditions.world_settings, conditions.zero_error) == (None, None)
+    assert len(run.stream.time) == len(run.replies.time) == len(run.encoder.time) == 0
+
+
+def test_the_held_joint_stays(run, small_policy):
+    held = small_policy.arm.held_joint - 1
+    np.testing.assert_array_equal(run.q[:, held], small_policy.arm.held_angle)
+    np.testing.assert_array_equal(run.dq[:, held], 0.0)
+
+
+def test_the_tracked_acceleration_is_the_change_of_the_pivots_velocity(run, small_policy):
+    arm = small_policy.arm
+    velocity = []
+    for q, dq in zip(run.q, run.dq, strict=True):
+        flange = arm.kinematics(arm.without_held(q), arm.without_held(dq))
+        lever = flange.rotation @ arm.pivot
+        velocity.append(flange.twist[0] + np.cross(flange.twist[3:], lever)[0])
+    np.testing.assert_allclose(np.diff(velocity) / 0.01, run.tracked[1:], atol=1e-9)
+
+
+def test_the_pendulum_follows_the_nonlinear_equation(run):
+    p = run.conditions.pendulum
+
+    def law(_, y, u):
+        return [y[1], p["w2"] * np.sin(y[0]) - p["c"] * y[1] - p["k"] * u * np.cos(y[0])]
+
+    for i in range(0, len(run.time) - 1, 5):
+        start = [run.phi[i], run.phi_dot[i]]
+        end = solve_ivp(law, (0.0, 0.01), start, args=(run.tracked[i],), rtol=1e-11, atol=1e-13)
+        # One Runge-Kutta step of 0.01 s is wrong by about (h / 0.12 s)^5 / 120 of the state.
+        np.testing.assert_allclose([run.phi[i + 1], run.phi_dot[i + 1]], end.y[:, -1], atol=1e-6)
+
+
+def test_it_is_the_trial_that_the_compiled_loop_runs(small_policy):
+    settings = small_policy.settings
+    long = simulate_run(small_policy, seed=5, duration=20.0)
+    pendulum = small_policy.pendulum.parameters()
+    params = make_loop_params(small_policy.arm, settings, small_policy.h, pendulum)
+    simulation = on_the_plant(params, small_policy.arm, pendulum, settings, 5, DEPLOYMENT)
+    trial = run_all(simulation, small_policy.kernel, simulation.draw(1), 20.0)
+    assert len(long.time) == trial.steps[0]
+    assert long.cause == CAUSES[trial.cause[0]]
+    # Small steps end runs early: x^2 before each step, against the sum after each step.
+    assert np.sum(long.x[1:] ** 2) == pytest.approx(trial.sum_x2[0], rel=0.02)
+
+
+def test_a_table_that_always_pushes_one_way_fails(small_policy):
+    pushing = tuple((1.0, *[0.0] * 7) for _ in range(270))
+    table = TabularPolicy.model_validate(small_policy.model_dump() | {"Q": pushing})
+    run = simulate_run(table, duration=10.0)
+    # 2 m/s^2 reach the end of the track from rest after sqrt(2 * 0.22 / 2) = 0.47 s.
+    assert run.cause in ("angle", "track")
+    assert run.lasted <= 0.48
+    assert set(run.u) == {-2.0}
+
+
+def test_a_run_without_a_failure_lasts_as_long_as_a_trial(small_policy):
+    run = simulate_run(small_policy, settings=small_policy.settings.model_copy())
+    assert run.conditions.duration == small_policy.settings.evaluation.duration
+    assert (run.cause == "lasted") == (run.lasted == run.conditions.duration)

@@ -1,0 +1,262 @@
+"""The bench: a twin whose time passes as a clock's, with a body, a hand and faults."""
+
+import time
+
+import numpy as np
+import pytest
+
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import TwinSettings
+from equipoise.rig.clocks import VirtualClock
+from equipoise.rig.simulated_rig import SimulatedRig
+from equipoise.settings import GRAVITY
+from equipoise.worlds.twin.twin import Twin
+
+pytestmark = pytest.mark.compiled_only
+
+ARM = iiwa(7)
+PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
+NOMINAL = TwinSettings()
+A6 = 5
+
+
+def stand(*, arm=ARM, settings=NOMINAL, seed=0, **more):
+    clock = VirtualClock()
+    bench = SimulatedRig(arm, PENDULUM, settings, seed=seed, **more)
+    clock.attach(bench.advance)
+    return bench, clock
+
+
+def wait(clock, seconds):
+    clock.wait_until(clock.now() + seconds)
+
+
+def shown(bench):
+    return np.array(bench.body.measured())
+
+
+def test_with_the_hand_off_it_is_the_twin_bit_by_bit():
+    bench, clock = stand(phi=2.0)
+    twin = Twin(ARM, PENDULUM, NOMINAL)
+    twin.reset(phi=2.0)
+    for _ in range(20):
+        wait(clock, 0.05)
+        twin.advance(0.05)
+        assert bench.now == pytest.approx(twin.now)
+        assert bench.truth() == twin.truth()
+        assert np.array_equal(bench.twin.data.qpos, twin.data.qpos)
+
+
+def test_it_leaves_the_twin_when_something_pushes_and_comes_back_to_its_ways():
+    bench, clock = stand()
+    bench.push(np.radians(30.0))
+    wait(clock, 0.05)
+    # The push changes the rate by what was asked, but for the swing of 50 ms.
+    assert np.degrees(bench.phi_dot) == pytest.approx(30.0, rel=0.1)
+    wait(clock, 0.001)
+    assert not bench.twin.data.xfrc_applied.any()
+
+
+def test_it_is_ten_times_faster_than_time_with_a_hand_at_it():
+    bench, clock = stand()
+    bench.lift()
+    wait(clock, 0.1)
+    best = np.inf
+    for _ in range(3):
+        began = time.process_time()
+        wait(clock, 0.5)
+        best = min(best, time.process_time() - began)
+    assert best < 0.05
+
+
+def test_time_may_come_in_pieces_of_any_length_and_begin_anywhere():
+    whole, _ = stand(phi=1.0, start=50.0)
+    parts, _ = stand(phi=1.0)
+    whole.advance(51.0)
+    for now in (0.2504, 0.2504, 0.7, 1.0):
+        parts.advance(now)
+    assert whole.now == pytest.approx(51.0)
+    assert whole.truth() == parts.truth()
+
+
+# The body.
+
+
+def test_a_servo_follows_all_seven_joints_after_the_transport():
+    bench, clock = stand()
+    wait(clock, 0.1)
+    bench.body.servo(True)
+    before = shown(bench)
+    target = before + np.array([0.02, -0.02, 0.02, 0.02, -0.02, 0.02, 0.02])
+    bench.body.target(target)
+    wait(clock, 0.008)
+    assert np.abs(shown(bench) - before).max() < 5e-4
+    for _ in range(200):
+        bench.body.target(target)
+        wait(clock, 0.005)
+    # What the drives do not know of pulls them down, by 2 mrad at the hand.
+    assert np.abs(shown(bench) - target).max() < 5e-3
+
+
+def test_servos_that_begin_again_and_again_leave_the_arm_where_it_is():
+    bench, clock = stand()
+    wait(clock, 1.0)
+    before = shown(bench)
+    for _ in range(5):
+        bench.body.servo(True)
+        wait(clock, 0.2)
+        bench.body.servo(False)
+        wait(clock, 0.2)
+    assert np.abs(shown(bench) - before).max() < 5e-4
+
+
+def test_without_a_servo_targets_do_nothing_and_a_new_one_begins_at_the_measured_joints():
+    bench, clock = stand()
+    before = shown(bench)
+    bench.body.target(before + 0.3)
+    wait(clock, 0.3)
+    assert np.abs(shown(bench) - before).max() < 5e-3
+    bench.body.servo(True)
+    bench.body.target(before + 0.05)
+    bench.body.servo(False)
+    bench.body.servo(True)
+    wait(clock, 0.3)
+    assert np.abs(shown(bench) - before).max() < 5e-3
+
+
+def swept(bench, clock, until):
+    """Sweep joint 1 at 0.5 rad/s."""
+    bench.body.servo(True)
+    q = shown(bench)
+    for i in range(round(until / 0.005)):
+        bench.body.target(q + np.eye(7)[0] * 0.0025 * i)
+        wait(clock, 0.005)
+    return q
+
+
+def test_what_stops_it_brakes_it_at_once_and_it_obeys_nothing_until_set_free():
+    bench, clock = stand()
+    swept(bench, clock, 0.5)
+    speed = bench.twin.data.qvel[0]
+    assert speed == pytest.approx(0.5, rel=0.3)
+    bench.body.stop("emergency stop")
+    there = shown(bench)
+    wait(clock, 0.3)
+    assert np.abs(bench.twin.data.qvel[:7]).max() < 0.05
+    assert 0.0 < shown(bench)[0] - there[0] < 0.02
+    there = shown(bench)
+    bench.body.target(there + 0.1)
+    bench.body.servo(True)
+    assert not bench.body.running
+    bench.body.target(there + 0.1)
+    wait(clock, 0.3)
+    assert np.abs(shown(bench) - there).max() < 5e-3
+    bench.body.set_free()
+    bench.body.servo(True)
+    bench.body.target(there + 0.02)
+    wait(clock, 0.3)
+    assert shown(bench)[0] - there[0] == pytest.approx(0.02, abs=3e-3)
+
+
+@pytest.mark.parametrize("joint", [0, 4])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_target_that_is_no_number_stops_the_arm_and_harms_nothing_else(joint, value):
+    bench, clock = stand()
+    q = swept(bench, clock, 0.3)
+    q[joint] = value
+    bench.body.target(q)
+    assert "not finite" in bench.body.stopped
+    wait(clock, 0.5)
+    assert np.isfinite(bench.twin.data.qpos).all()
+    assert np.abs(bench.twin.data.qvel[:7]).max() < 0.05
+
+
+def test_external_torques_are_those_of_what_hangs_on_the_flange_and_of_what_presses_on_it():
+    bench, clock = stand()
+    wait(clock, 0.5)
+    at_rest = np.array(bench.body.torques(True))
+    bodies = bench.twin.kernel.bodies
+    # A weight at the flange, by the lever arms of the axes: joint 1 is vertical, joint 2 lies
+    # across at the shoulder, joint 4 at the elbow.
+    weight = GRAVITY * (NOMINAL.bracket_mass + NOMINAL.pendulum_mass)
+    assert abs(at_rest[0]) < 0.2
+    assert at_rest[1] == pytest.approx(weight * bodies.xpos[bodies.flange, 1], abs=0.4)
+    bench.touch((0.0, 0.0, -20.0))
+    wait(clock, 0.2)
+    pressed = np.array(bench.body.torques(True)) - at_rest
+    data, mujoco = bench.twin.data, pytest.importorskip("mujoco")
+    J = np.zeros((3, 8))
+    mujoco.mj_jacBodyCom(bench.twin.model, data, J, None, bodies.flange)
+    assert pressed == pytest.approx(J[2, :7] * -20.0, abs=0.4)
+    bench.touch((0.0, 0.0, 0.0))
+    wait(clock, 0.5)
+    assert np.array(bench.body.torques(True)) == pytest.approx(at_rest, abs=0.4)
+
+
+def test_the_drives_torques_carry_the_arm():
+    bench, clock = stand()
+    wait(clock, 0.5)
+    own, other = np.array(bench.body.torques(False)), np.array(bench.body.torques(True))
+    gravity = bench.twin.kernel.bodies.gravity
+    assert own + other == pytest.approx(gravity, abs=0.4)
+
+
+def test_the_flange_is_told_as_kuka_does_in_millimetres_and_turns_about_z_y_x():
+    from scipy.spatial.transform import Rotation
+
+    bench, _ = stand()
+    *xyz, a, b, c = bench.body.flange()
+    pose = ARM.pose(ARM.home_free)
+    assert xyz == pytest.approx(1e3 * pose.position, abs=1e-6)
+    assert Rotation.from_euler("ZYX", [a, b, c]).as_matrix() == pytest.approx(
+        pose.rotation, abs=1e-9
+    )
+
+
+# What goes wrong with it.
+
+
+def test_an_encoder_that_slips_shows_more_and_the_pendulum_knows_nothing_of_it():
+    bench, clock = stand()
+    wait(clock, 0.2)
+    before, truth = bench.theta, bench.truth()
+    bench.slip(np.radians(1.0))
+    assert bench.theta - before == pytest.approx(np.radians(1.0))
+    assert bench.truth() == truth
+
+
+def test_on_a_tilted_base_the_pendulum_hangs_elsewhere_relative_to_the_flange():
+    bench = SimulatedRig(ARM, PENDULUM._replace(c=4.0), NOMINAL)
+    bench.advance(2.0)
+    level = bench.theta
+    lean = np.radians(1.0)
+    bench.twin.model.opt.gravity[:] = GRAVITY * np.array([np.sin(lean), 0.0, -np.cos(lean)])
+    bench.advance(6.0)
+    assert abs(bench.theta - level) == pytest.approx(np.radians(1.0), rel=0.1)
+
+
+def test_a_misaligned_joint_turns_the_flange_and_does_not_show_it():
+    bench, clock = stand()
+    wait(clock, 0.3)
+    before, there = shown(bench), bench.twin.data.qpos[:7].copy()
+    # The joint stands by so much further than it shows and was asked to; the arm moves there.
+    bench.body._error[A6] += np.radians(1.0)
+    bench.twin.kernel.cabinet.target[A6] += np.radians(1.0)
+    wait(clock, 0.5)
+    moved = bench.twin.data.qpos[:7] - there
+    assert moved[A6] == pytest.approx(np.radians(1.0), abs=3e-3)
+    # Shown is the drives' own error only, which the servo's start has left behind.
+    assert abs(shown(bench)[A6] - before[A6]) < 3e-3
+
+
+def test_the_button_is_down_for_a_moment():
+    bench, clock = stand()
+    assert not bench.button
+    wait(clock, 0.05)
+    bench.press()
+    assert bench.button
+    wait(clock, 0.09)
+    assert bench.button
+    wait(clock, 0.02)
+    assert not bench.button

@@ -1,0 +1,149 @@
+"""The hand: how it lifts, holds and lets go."""
+
+import numpy as np
+import pytest
+
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import TwinSettings
+from equipoise.rig.clocks import VirtualClock
+from equipoise.rig.simulated_rig import SimulatedRig
+from equipoise.settings import GRAVITY
+from equipoise.worlds.twin.hand import (
+    DRAG_OPENING,
+    DRIFT,
+    HOLDING,
+    LIFTING,
+    OPENING,
+    PUSH,
+    TREMOR,
+    TREMOR_HZ,
+    draw_hand_params,
+)
+
+ARM = iiwa(7)
+PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
+UNSTABLE = np.sqrt(PENDULUM.w2)
+
+
+def stand(seed):
+    clock = VirtualClock()
+    bench = SimulatedRig(ARM, PENDULUM, TwinSettings(), seed=seed)
+    clock.attach(bench.advance)
+    return bench, clock
+
+
+def recorded(bench, clock, seconds):
+    """phi in space, each millisecond [rad]."""
+    angles = []
+    for _ in range(round(1000 * seconds)):
+        clock.wait_until(clock.now() + 0.001)
+        angles.append(bench.truth().phi)
+    return np.array(angles)
+
+
+def test_manners_are_within_their_limits_and_of_every_kind():
+    random = np.random.default_rng(1)
+    manners = [draw_hand_params(random) for _ in range(2000)]
+    for manner in manners:
+        tremor, drift = manner.amplitude[:-2], manner.amplitude[-2:]
+        assert TREMOR[0] <= np.sqrt(np.sum(tremor**2) / 2) <= TREMOR[1]
+        assert DRIFT[0] <= drift.sum() <= DRIFT[1]
+        hertz = manner.frequency[:-2] / (2 * np.pi)
+        assert TREMOR_HZ[0] <= hertz.min() <= hertz.max() <= TREMOR_HZ[1]
+        assert LIFTING[0] <= manner.lifting <= LIFTING[1]
+        assert HOLDING[0] <= manner.holding <= HOLDING[1]
+        assert manner.push == 0.0 or PUSH[0] <= abs(manner.push) <= PUSH[1]
+        assert OPENING[0] <= manner.opening <= DRAG_OPENING[1]
+    # A share of 0.25 in 2000: four standard deviations are 0.04.
+    assert np.mean([m.clumsy for m in manners]) == pytest.approx(0.25, abs=0.04)
+    assert np.mean([m.side == "front" for m in manners]) == pytest.approx(0.5, abs=0.045)
+    assert {np.sign(m.push) for m in manners} == {-1.0, 0.0, 1.0}
+    assert np.mean([m.holding for m in manners]) == pytest.approx(11.0, abs=0.5)
+
+
+def test_equal_seeds_make_equal_hands():
+    one, other = (draw_hand_params(np.random.default_rng(3)) for _ in range(2))
+    assert np.array_equal(one.frequency, other.frequency)
+    assert one.tremble(1.5) == other.tremble(1.5)
+    assert draw_hand_params(np.random.default_rng(4)).holding != one.holding
+
+
+def test_a_tremor_has_the_rate_of_its_angle():
+    manner = draw_hand_params(np.random.default_rng(5))
+    h = 1e-6
+    ahead, behind = manner.tremble(2.0 + h)[0], manner.tremble(2.0 - h)[0]
+    assert manner.tremble(2.0)[1] == pytest.approx((ahead - behind) / (2 * h), rel=1e-5)
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize(("side", "sign"), [("front", 1), ("back", -1)])
+def test_it_lifts_from_its_side_and_holds_upright_within_its_tremor(side, sign):
+    bench, clock = stand(11)
+    clock.wait_until(0.2)
+    manner = bench.lift(side=side)
+    lifting = recorded(bench, clock, manner.lifting)
+    assert bench.now >= bench.hand.arrives() - 1e-3
+    middle = lifting[len(lifting) // 4 : -len(lifting) // 4]
+    assert (sign * middle > 0).all()
+    held = recorded(bench, clock, 8.0)
+    assert bench.hand.holds
+    # Sum of all amplitudes, and the grip's yielding.
+    assert np.abs(held).max() < manner.amplitude.sum() + np.radians(0.2)
+    quick = held - np.convolve(held, np.ones(500) / 500, mode="same")
+    rms = np.std(quick[500:-500])
+    assert rms == pytest.approx(np.sqrt(np.sum(manner.amplitude[:-2] ** 2) / 2), rel=0.25)
+
+
+@pytest.mark.compiled_only
+def test_a_held_pendulum_moves_the_arm_less_than_a_millimetre():
+    bench, clock = stand(2)
+    bench.lift()
+    clock.wait_until(6.0)
+    assert abs(bench.truth().x) < 1e-3
+
+
+@pytest.mark.compiled_only
+def test_released_cleanly_it_falls_freely_and_no_force_remains():
+    for seed in range(4):
+        bench, clock = stand(seed)
+        manner = bench.lift(clumsy=0.0)
+        clock.wait_until(manner.lifting + 2.0)
+        before = bench.truth()
+        bench.let_go()
+        clock.wait_until(clock.now() + manner.opening + 0.002)
+        assert bench.hand.idle
+        assert not bench.twin.data.xfrc_applied.any()
+        after = bench.truth()
+        # Nothing was thrown: the rate is still that of a tremor, or of the fall from there.
+        allowed = abs(before.phi_dot) + UNSTABLE**2 * 0.1 * manner.opening + np.radians(8)
+        assert abs(after.phi_dot) < allowed
+        clock.wait_until(clock.now() + 0.6)
+        assert abs(bench.truth().phi) > np.radians(1.0)
+
+
+@pytest.mark.compiled_only
+def test_a_push_at_the_release_shows_in_the_rate():
+    manner = None
+    for seed in range(100):
+        bench, clock = stand(seed)
+        manner = bench.lift(clumsy=1.0)
+        if abs(manner.push) > np.radians(25.0):
+            break
+    clock.wait_until(manner.lifting + 2.0)
+    bench.let_go()
+    clock.wait_until(clock.now() + 0.06)
+    assert bench.truth().phi_dot * np.sign(manner.push) > 0.5 * abs(manner.push)
+
+
+@pytest.mark.compiled_only
+def test_it_catches_a_swinging_pendulum_and_lets_it_hang():
+    clock = VirtualClock()
+    bench = SimulatedRig(ARM, PENDULUM, TwinSettings(), phi=0.3)
+    clock.attach(bench.advance)
+    clock.wait_until(1.37)
+    bench.steady()
+    clock.wait_until(bench.hand.arrives() + 0.5)
+    bench.let_go()
+    swing = recorded(bench, clock, 2.0)
+    assert np.abs(np.abs(swing) - np.pi).max() < np.radians(0.5)

@@ -1,0 +1,182 @@
+"""The twin's bodies in MuJoCo against the public chain, closed forms and energy."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from equipoise.errors import ArmError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import TwinSettings
+from equipoise.settings import GRAVITY
+from equipoise.worlds.twin.physics import build, mass_matrix, pivot
+from equipoise.worlds.twin.servo_model import make_servo_params
+from tests.arms import without_masses
+from tests.model.arms.weighed import WEIGHED, by_mujoco, by_pinocchio
+
+PENDULUM = PendulumParameters(w2=70.2, k=70.2 / GRAVITY, c=0.15)
+BARE = TwinSettings(bracket_mass=0.0, pendulum_mass=1e-9, rotor_inertia=0.0)
+
+
+def at(model, q):
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def matrix(model, q):
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, at(model, q), M)
+    return M
+
+
+@pytest.mark.parametrize("name", WEIGHED)
+@pytest.mark.parametrize("library", [by_mujoco, by_pinocchio])
+def test_the_arm_is_that_of_an_independent_library(name, library):
+    arm, urdf = WEIGHED[name]
+    n = len(arm.joints)
+    model = build(arm, PENDULUM, BARE)
+    rng = np.random.default_rng(n)
+    for _ in range(5):
+        q = rng.uniform(-2.0, 2.0, n)
+        M, torque = library(urdf, q)
+        # MuJoCo keeps principal inertias, to some 1e-7 of what it is given.
+        assert matrix(model, [*q, 0.0])[:n, :n] == pytest.approx(M, abs=1e-6)
+        data = at(model, [*q, 0.0])
+        assert data.qfrc_bias[:n] == pytest.approx(torque, abs=1e-6)
+        assert data.qfrc_gravcomp[:n] == pytest.approx(torque, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", WEIGHED)
+@pytest.mark.parametrize("library", [by_mujoco, by_pinocchio])
+def test_the_drives_know_the_bare_arm_at_home_and_its_rotors(name, library):
+    arm, urdf = WEIGHED[name]
+    M, _ = library(urdf, np.array(arm.home))
+    servo = make_servo_params(arm, TwinSettings(rotor_inertia=(0.3, 0.2)))
+    assert servo.inertia == pytest.approx(M, abs=1e-6)
+    assert servo.rotors.tolist() == [0.3] + [0.2] * (len(arm.joints) - 1)
+
+
+def test_rotors_bracket_and_pendulum_have_their_inertia():
+    arm, home = iiwa(7), [*iiwa(7).home, 0.0]
+    rotors = BARE.model_copy(update={"rotor_inertia": (0.3, 0.2)})
+    more = matrix(build(arm, PENDULUM, rotors), home) - matrix(build(arm, PENDULUM, BARE), home)
+    assert more == pytest.approx(np.diag([0.3] + [0.2] * 6 + [0.0]), abs=1e-9)
+
+    model = build(arm, PENDULUM, TwinSettings(bracket_mass=0.4, pendulum_mass=0.3))
+    outward = np.array([0.0, 0.13, 0.0])
+    data = at(model, home)
+    flange, rod = model.body("flange"), model.body("pendulum")
+    assert flange.mass[0] == pytest.approx(0.4)
+    assert rod.mass[0] == pytest.approx(0.3)
+    flange_x = arm.pose(arm.home_free).position
+    assert data.xipos[flange.id] == pytest.approx(flange_x + 0.5 * outward, abs=1e-9)
+    assert data.xpos[rod.id] == pytest.approx(flange_x + outward, abs=1e-9)
+
+
+@pytest.mark.parametrize("w2", [60.0, 70.2])
+def test_the_pendulum_is_a_uniform_rod_with_the_w2_and_k_that_it_shall_have(w2):
+    settings = TwinSettings(pendulum_mass=0.2)
+    pendulum = PendulumParameters(w2=w2, k=w2 / GRAVITY, c=0.1, coulomb=0.3, drag=0.02)
+    model = build(iiwa(7), pendulum, settings)
+    home = [*iiwa(7).home, 0.0]
+    I = matrix(model, home)[7, 7]
+    # A uniform rod of length L about its end: I = m L^2 / 3, centre of mass at L / 2.
+    l = model.body("pendulum").ipos[2]
+    assert pytest.approx(0.2 * (2 * l) ** 2 / 3) == I
+    assert 0.2 * GRAVITY * l / I == pytest.approx(w2)
+    # What an acceleration of the pivot does, k = m l / I: the flange's is that of A1 at home.
+    assert model.dof_damping[7] == pytest.approx(0.1 * I)
+    assert model.dof_dampingpoly[7, 0] == pytest.approx(0.02 * I)
+    assert model.dof_frictionloss[7] == pytest.approx(0.3 * I)
+    flange = iiwa(7).kinematics(iiwa(7).home_free)
+    x_per_a1 = flange.jacobian[0, 0] - 0.13  # the pivot is outward of the flange, along base y
+    coupling = matrix(model, home)[7, 0] / I
+    assert coupling == pytest.approx(pendulum.k * x_per_a1)
+
+
+def test_the_world_decides_how_far_outward_the_pivot_is_and_the_arm_how_high():
+    for arm in (iiwa(7), iiwa(14), iiwa(7, media_flange=0.061)):
+        assert pivot(arm, 0.13) == pytest.approx(arm.pivot)
+        assert pivot(arm, 0.05) == pytest.approx((-0.05, 0.0, arm.pivot[2]))
+    other_side = iiwa(7).model_copy(update={"pivot": (0.1, 0.0, 0.0)})
+    assert pivot(other_side, 0.13) == pytest.approx((0.13, 0.0, 0.0))
+
+
+def test_gravity_of_the_arm_is_balanced_and_that_of_bracket_and_pendulum_is_not():
+    arm = iiwa(7)
+    rng = np.random.default_rng(5)
+    bare, loaded = build(arm, PENDULUM, BARE), build(arm, PENDULUM, TwinSettings())
+    for _ in range(5):
+        q = [*rng.uniform(-1.0, 1.0, 7), np.pi]
+        data = at(bare, q)
+        assert data.qfrc_passive[:7] == pytest.approx(data.qfrc_bias[:7], abs=1e-6)
+        data = at(loaded, q)
+        J = np.zeros((3, 8))
+        torque = np.zeros(8)
+        for name, mass in (("flange", 0.1), ("pendulum", 0.15)):
+            mujoco.mj_jacBodyCom(loaded, data, J, None, loaded.body(name).id)
+            torque += mass * GRAVITY * J[2]
+        unbalanced = data.qfrc_bias - data.qfrc_gravcomp
+        assert unbalanced == pytest.approx(torque, abs=1e-6)
+
+
+def energy(model, data):
+    """Kinetic energy, and the potential of what the drives do not balance [J]."""
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, M)
+    kinetic = 0.5 * data.qvel @ M @ data.qvel
+    carried = [model.body(name).id for name in ("flange", "pendulum")]
+    return kinetic + sum(GRAVITY * model.body_mass[i] * data.xipos[i, 2] for i in carried)
+
+
+def drift(substeps):
+    """Largest change of the energy of an arm that moves freely with its pendulum [J]."""
+    settings = TwinSettings(rotor_inertia=0.0, substeps=substeps)
+    model = build(iiwa(7), PENDULUM._replace(c=0.0), settings)
+    data = mujoco.MjData(model)
+    data.qpos[:] = [*iiwa(7).home, 2.0]
+    data.qvel[:] = [0.5, -0.3, 0.2, 0.4, -0.5, 0.3, 1.0, 3.0]
+    levels = [energy(model, data)]
+    for _ in range(200):
+        mujoco.mj_step(model, data, substeps)
+        levels.append(energy(model, data))
+    return np.ptp(levels), levels[0]
+
+
+def test_without_friction_energy_stays_and_its_error_falls_with_the_step():
+    (whole, level), (half, _), (quarter, _) = drift(1), drift(2), drift(4)
+    assert whole < 1e-3 * level
+    # First order: half the step, half the error.
+    assert whole / half == pytest.approx(2.0, rel=0.1)
+    assert half / quarter == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("joint", range(7))
+def test_a_joint_ends_at_its_limit(joint, side):
+    arm = iiwa(7)
+    limits = arm.joints[joint]
+    model = build(arm, PENDULUM, TwinSettings())
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.qpos[joint] = side * (limits.upper - 0.1)
+    data.qvel[joint] = side * limits.velocity
+    beyond = []
+    for tick in range(600):
+        # It arrives at full speed; then it is pushed.
+        data.qfrc_applied[joint] = side * 0.1 * limits.torque if tick > 200 else 0.0
+        mujoco.mj_step(model, data)
+        beyond.append(side * data.qpos[joint] - limits.upper)
+    assert -0.1 < max(beyond[:200]) < np.radians(0.5)
+    assert abs(beyond[-1]) < np.radians(0.3)
+
+
+def test_an_arm_of_unknown_masses_is_refused():
+    arm = without_masses(iiwa(7))
+    with pytest.raises(ArmError, match="has no mass, no inertia"):
+        build(arm, PENDULUM, TwinSettings())
+    with pytest.raises(ArmError, match="has no mass, no inertia"):
+        mass_matrix(arm)

@@ -1,0 +1,97 @@
+"""Encoder and replies: what they show, how old it is and how wrong."""
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from equipoise.model.worlds import TwinSettings
+from equipoise.worlds.twin.sensors import (
+    HISTORY_MS,
+    encoder,
+    encoder_zero,
+    make_sensors,
+    new_sensor_history,
+    reply,
+)
+
+EXACT = TwinSettings(
+    zero_error=0.0, encoder_age=0.0, encoder_jitter=0.0, reply_age=0.0, joint_noise=0.0
+)
+
+
+def test_counts_are_the_angle_from_hanging_and_grow_with_it():
+    past = new_sensor_history()
+    past.phi[:] = 0.25 * pi
+    counts, stamp = encoder(make_sensors(EXACT, 0, 0), past, 40, 0, 0)
+    assert counts == 8192 * 3 / 8
+    assert stamp == pytest.approx(0.040)
+
+
+@pytest.mark.parametrize("zero", [-0.004, 0.007])
+def test_a_wrong_zero_reads_so_much_too_much_of_phi(zero):
+    past = new_sensor_history()
+    past.phi[:] = 0.1
+    sensors = make_sensors(EXACT.model_copy(update={"zero_offset": zero}), 0, 0)
+    counts, _ = encoder(sensors, past, 40, 0, 0)
+    step = 2 * pi / 8192
+    assert pi - counts * step == pytest.approx(0.1 + zero, abs=0.5001 * step)
+
+
+def test_the_zero_error_differs_between_trials_within_its_bounds():
+    settings = EXACT.model_copy(update={"zero_error": 0.01, "zero_offset": 0.1})
+    zeros = np.array([encoder_zero(settings, 5, i) for i in range(500)]) - 0.1
+    assert np.all(np.abs(zeros) <= 0.01)
+    # Even in +-0.01: mean 0, standard deviation 0.0058; 500 of them.
+    assert np.mean(zeros) == pytest.approx(0.0, abs=5 * 0.0058 / np.sqrt(500))
+    assert np.std(zeros) == pytest.approx(0.01 / np.sqrt(3), rel=0.1)
+    assert encoder_zero(settings, 5, 3) == encoder_zero(settings, 5, 3)
+    assert encoder_zero(settings, 6, 3) != encoder_zero(settings, 5, 3)
+
+
+@pytest.mark.parametrize(("age", "ticks"), [(0.0, 0), (0.001, 1), (0.0042, 5), (0.05, 50)])
+def test_a_sample_is_known_when_it_is_old_enough(age, ticks):
+    settings = EXACT.model_copy(update={"encoder_age": age, "reply_age": age})
+    sensors, past = make_sensors(settings, 0, 0), new_sensor_history()
+    now = 1000
+    for tick in range(now - HISTORY_MS + 1, now + 1):
+        past.phi[tick % HISTORY_MS] = pi - (tick - 900) * 2 * pi / 8192
+        past.q[tick % HISTORY_MS] = tick + 0.1 * np.arange(6)
+    counts, counted = encoder(sensors, past, now, 0, 0)
+    q = np.zeros(6)
+    measured = reply(sensors, past, now, 0, 0, q)
+    assert counts == now - ticks - 900
+    assert counted == measured == pytest.approx(1e-3 * (now - ticks))
+    assert q == pytest.approx(now - ticks + 0.1 * np.arange(6))
+
+
+def test_time_stamps_are_wrong_by_their_jitter_and_stay_so():
+    settings = EXACT.model_copy(update={"encoder_jitter": 3e-4})
+    sensors, past = make_sensors(settings, 0, 0), new_sensor_history()
+
+    def stamp(tick, seed=1, trial=2):
+        return float(encoder(sensors, past, tick, seed, trial)[1])
+
+    errors = np.array([stamp(tick) - 1e-3 * tick for tick in range(1000)])
+    assert np.all(np.abs(errors) <= 3e-4)
+    assert np.mean(errors) == pytest.approx(0.0, abs=5 * 3e-4 / np.sqrt(3 * 1000))
+    assert np.std(errors) == pytest.approx(3e-4 / np.sqrt(3), rel=0.1)
+    assert stamp(7) == stamp(7)
+    assert len({stamp(7), stamp(7, seed=2), stamp(7, trial=3)}) == 3
+
+
+def test_measured_joints_carry_white_noise_of_the_stated_size():
+    settings = EXACT.model_copy(update={"joint_noise": 1e-4})
+    sensors, past = make_sensors(settings, 0, 0), new_sensor_history()
+    past.q[:] = np.arange(6)
+    rows = np.zeros((2000, 6))
+    for tick, q in enumerate(rows):
+        reply(sensors, past, tick, 3, 4, q)
+    noise = (rows - np.arange(6)) / 1e-4
+    assert np.mean(noise, axis=0) == pytest.approx(np.zeros(6), abs=5 / np.sqrt(2000))
+    assert np.std(noise, axis=0) == pytest.approx(np.ones(6), abs=5 / np.sqrt(4000))
+    together = np.corrcoef(np.vstack([noise[1:].T, noise[:-1].T]))
+    assert np.max(np.abs(together - np.eye(12))) < 5 / np.sqrt(2000)
+    again = np.zeros(6)
+    reply(sensors, past, 77, 3, 4, again)
+    assert np.array_equal(again, rows[77])

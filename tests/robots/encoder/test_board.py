@@ -1,0 +1,172 @@
+"""The emulated board: what it counts, says and does wrong on request."""
+
+from math import pi, sin
+
+import numpy as np
+import pytest
+
+from equipoise.robots.encoder.board import BOOT, Board
+from equipoise.robots.encoder.codec import Banner, Decoder, Flags, Reading
+
+
+class Hand:
+    """What turns the spindle, and reads what the board sends."""
+
+    def __init__(self, **board):
+        self.theta = 0.0
+        self.now = 0.0
+        self.board = Board(lambda: self.theta, **board)
+        self.decoder = Decoder()
+        self.decoder.feed(b"\n")
+
+    def advance(self, seconds, motion=None, every=0.001):
+        said = []
+        for _ in range(round(seconds / every)):
+            self.now += every
+            if motion:
+                self.theta = motion(self.now)
+            said += self.decoder.feed(self.board.advance(self.now))
+        return said
+
+
+def readings(said):
+    return [line for line in said if isinstance(line, Reading)]
+
+
+def test_it_introduces_itself_then_sends_a_line_each_millisecond():
+    hand = Hand()
+    banner, *lines = hand.advance(0.5)
+    assert banner == Banner("emulated", "1.0", 8192, 1000)
+    assert [line.seq for line in lines] == list(range(500))
+    assert [line.t_us for line in lines] == list(range(1000, 501_000, 1000))
+    assert {(line.counts, line.flags) for line in lines} == {(0, 0)}
+
+
+def test_it_counts_from_where_it_was_switched_on():
+    hand = Hand(counts_per_rev=4096)
+    lines = readings(hand.advance(1.0, lambda time: time * pi / 2.0))
+    assert lines[-1].counts == 1024
+    other = Hand(counts_per_rev=4096, sign=-1)
+    assert readings(other.advance(1.0, lambda time: time * pi / 2.0))[-1].counts == -1024
+
+
+@pytest.mark.parametrize("every", [0.001, 0.004])
+def test_its_counts_are_those_of_its_own_times(every):
+    hand = Hand(rate_hz=500, drift=2e-3, offset_us=2**32 - 1_000_000)
+    lines = readings(hand.advance(4.0, lambda time: sin(8.0 * time), every))
+    assert len(lines) == pytest.approx(4.0 * 500 * 1.002, abs=2)
+    passed = np.diff([line.t_us for line in lines]) % 2**32
+    assert set(passed.tolist()) <= {1999, 2000, 2001}
+    elapsed = np.cumsum([lines[0].t_us - (2**32 - 1_000_000), *passed]) * 1e-6 / 1.002
+    theta = np.array([line.counts for line in lines]) * 2.0 * pi / 8192
+    # Between two calls the angle moves evenly: at most 64 every^2 / 8 off.
+    most = pi / 8192 + 64.0 * every**2 / 8.0 + 1e-5
+    assert np.max(np.abs(theta - np.sin(8.0 * elapsed))) < most
+
+
+def test_it_answers_a_question_between_two_lines():
+    hand = Hand()
+    hand.advance(0.01)
+    hand.board.feed(b"?")
+    assert all(isinstance(line, Reading) for line in hand.advance(0.01))
+    hand.board.feed(b"\n")
+    said = hand.advance(0.01)
+    assert isinstance(said[0], Banner)
+    assert len(readings(said)) == 10
+
+
+def test_a_press_is_latched_and_down_is_told_until_it_is_up():
+    hand = Hand()
+    hand.board.press()
+    flags = [line.flags for line in readings(hand.advance(0.003))]
+    assert flags == [Flags.DOWN | Flags.PRESSED, Flags.DOWN, Flags.DOWN]
+    hand.board.press(False)
+    assert readings(hand.advance(0.001))[0].flags == 0
+    hand.board.press()
+    hand.board.press(False)
+    assert [line.flags for line in readings(hand.advance(0.002))] == [Flags.PRESSED, 0]
+
+
+def test_faults_do_what_they_say():
+    hand = Hand()
+
+    def ramp(time):
+        return 2.0 * time
+
+    hand.advance(0.1, ramp)
+    hand.board.frozen = True
+    still = {line.counts for line in readings(hand.advance(0.1, ramp))}
+    assert len(still) == 1
+    hand.board.frozen = False
+    before = readings(hand.advance(0.001, ramp))[0].counts
+    hand.board.jump(-500)
+    assert readings(hand.advance(0.001, ramp))[0].counts == pytest.approx(before - 500 + 3, abs=2)
+    hand.board.zero()
+    assert abs(readings(hand.advance(0.001, ramp))[0].counts) <= 4
+    hand.board.meet_illegal()
+    assert [line.flags for line in readings(hand.advance(0.002, ramp))] == [Flags.ILLEGAL, 0]
+    seq = readings(hand.advance(0.001, ramp))[0].seq
+    hand.board.skip(5)
+    assert readings(hand.advance(0.006, ramp))[0].seq == seq + 6
+    hand.board.silent = True
+    assert hand.advance(0.1, ramp) == []
+    hand.board.silent = False
+    assert len(hand.advance(0.1, ramp)) == 100
+
+
+def test_a_flag_waits_for_a_line_that_is_sent():
+    hand = Hand()
+    hand.board.meet_illegal()
+    hand.board.skip(3)
+    assert readings(hand.advance(0.004))[0].flags == Flags.ILLEGAL
+
+
+def test_wrong_sign_wrong_counts_and_lost_counts():
+    def turn(time):
+        return pi * time
+
+    def after(change):
+        hand = Hand()
+        hand.advance(0.001)
+        change(hand.board)
+        return readings(hand.advance(0.999, turn))[-1].counts
+
+    assert after(lambda board: setattr(board, "sign", -1)) == pytest.approx(-4096, abs=1)
+    assert after(lambda board: setattr(board, "factor", 0.5)) == pytest.approx(2048, abs=1)
+    assert after(lambda board: setattr(board, "loss", 0.01)) == pytest.approx(4096 * 0.99, abs=2)
+
+
+def test_lost_upward_counts_add_up_in_a_swing():
+    hand = Hand()
+    hand.board.loss = 0.01
+    lines = readings(hand.advance(10.0, lambda time: sin(2.0 * pi * time)))
+    # Ten swings, each up by four radians... of which two are upward.
+    upward = 10 * 2 * 8192 / (2.0 * pi)
+    assert lines[-1].counts == pytest.approx(-0.01 * upward, abs=3)
+
+
+def test_a_restart_begins_everything_anew():
+    hand = Hand(offset_us=5_000_000)
+    hand.advance(1.0, lambda time: time)
+    hand.board.press()
+    hand.board.reboot()
+    assert hand.advance(BOOT - 0.002, lambda time: time) == []
+    banner, first, *_ = hand.advance(0.1, lambda time: time)
+    assert isinstance(banner, Banner)
+    assert (first.seq, first.t_us, first.flags) == (0, 1000, 0)
+    assert abs(first.counts) < 0.35 * 8192 / (2.0 * pi)
+
+
+def test_malformed_lines_are_seeded_and_as_many_as_asked_for():
+    def said(seed):
+        hand = Hand(seed=seed)
+        hand.advance(0.001)
+        hand.board.malformed = 0.1
+        return b"".join(hand.board.advance(0.001 * (i + 2)) for i in range(5000))
+
+    assert said(1) == said(1)
+    assert said(1) != said(2)
+    decoder = Decoder()
+    # A damaged line often takes the next one with it; now and then the damage changes nothing.
+    assert len(decoder.feed(said(1))) == pytest.approx(4350, abs=150)
+    assert decoder.rejected == pytest.approx(480, abs=100)

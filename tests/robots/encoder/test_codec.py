@@ -1,0 +1,441 @@
+"""The E-line protocol: what is a line, what is none, and what a damaged one can pass for."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from equipoise.errors import InputError
+from equipoise.robots.encoder.codec import (
+    MAX_LINE,
+    REQUEST,
+    Banner,
+    Decoder,
+    Flags,
+    Reading,
+    Requests,
+    crc8,
+    decode,
+    encode,
+)
+
+READINGS = st.builds(
+    Reading,
+    st.integers(0, 2**16 - 1),
+    st.integers(0, 2**32 - 1),
+    st.integers(-(2**31), 2**31 - 1),
+    st.integers(0, 15),
+)
+EXAMPLE = Reading(1023, 123456789, -4096, 1)
+
+
+def signed(body):
+    """Return a line with the right checksum, found bit by bit from the polynomial as printed."""
+    register = 0
+    for byte in body:
+        for place in range(8):
+            carry = (register & 1) ^ (byte >> place & 1)
+            register = register >> 1 ^ (0b10001100 if carry else 0)
+    return body + b"*%02X" % register
+
+
+def test_the_checksum_is_crc_8_maxim():
+    assert crc8(b"") == 0
+    assert crc8(b"123456789") == 0xA1
+    # The ROM code of a 1-Wire chip in Maxim's application note 27.
+    assert crc8(bytes.fromhex("021CB801000000")) == 0xA2
+
+
+def test_the_printed_example_is_encoded_so():
+    assert encode(EXAMPLE) == b"E,1023,123456789,-4096,1*1D\n"
+    assert decode(b"E,1023,123456789,-4096,1*1D") == EXAMPLE
+    banner = Banner("pico", "1.0", 8192, 1000)
+    assert encode(banner) == signed(b"I,pico,1.0,8192,1000") + b"\n"
+    assert decode(encode(banner)[:-1]) == banner
+
+
+@given(READINGS)
+def test_every_reading_comes_back(reading):
+    line = encode(reading)
+    assert line.endswith(b"\n")
+    assert line[:-1] == signed(line[:-4])
+    assert decode(line[:-1]) == reading
+
+
+@pytest.mark.parametrize(
+    "edge",
+    [
+        Reading(0, 0, 0, 0),
+        Reading(65535, 2**32 - 1, 2**31 - 1, 15),
+        Reading(65535, 2**32 - 1, -(2**31), 15),
+        Banner("A", "0", 1, 1),
+        Banner("Z" * 32, "9" * 16, 999_999_999, 999_999),
+    ],
+)
+def test_the_ends_of_each_range_fit(edge):
+    line = encode(edge)[:-1]
+    assert decode(line) == edge
+    assert len(line) <= MAX_LINE
+
+
+@pytest.mark.parametrize(
+    "beyond",
+    [
+        Reading(65536, 0, 0, 0),
+        Reading(-1, 0, 0, 0),
+        Reading(0, 2**32, 0, 0),
+        Reading(0, 0, 2**31, 0),
+        Reading(0, 0, -(2**31) - 1, 0),
+        Reading(0, 0, 0, 16),
+        Banner("", "1", 1, 1),
+        Banner("with blank", "1", 1, 1),
+        Banner("naïve", "1", 1, 1),
+        Banner("a,b", "1", 1, 1),
+        Banner("a" * 33, "1", 1, 1),
+        Banner("a", "1" * 17, 1, 1),
+        Banner("a", "1", 0, 1),
+        Banner("a", "1", 1, 0),
+        Banner("a", "1", 1, 1_000_000),
+    ],
+)
+def test_what_does_not_fit_is_not_sent(beyond):
+    with pytest.raises(InputError, match="does not fit the E-line protocol"):
+        encode(beyond)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"E",
+        b"E,1,2,3",
+        b"E,1,2,3,0,0",
+        b"E,01,2,3,0",
+        b"E,+1,2,3,0",
+        b"E, 1,2,3,0",
+        b"E,1,2,-0,0",
+        b"E,1,2,03,0",
+        b"E,1,2,--3,0",
+        b"E,-1,2,3,0",
+        b"E,1,-2,3,0",
+        b"E,1,2,3,",
+        b"E,1,2,,0",
+        b"E,1,2,3,a",
+        b"E,1,2,3,00",
+        b"E,1,2,3,G",
+        b"E,1,2,3.0,0",
+        b"E,1_0,2,3,0",
+        "E,١,2,3,0".encode(),
+        b"E,65536,2,3,0",
+        b"E,1,4294967296,3,0",
+        b"E,1,2,2147483648,0",
+        b"E,1,2,-2147483649,0",
+        b"e,1,2,3,0",
+        b" E,1,2,3,0",
+        b"E,1,2,3,0 ",
+        b"E,1,2,3,0\r",
+        b"X,1,2,3,0",
+        b"I,pico,1.0,8192",
+        b"I,1pico,1.0,8192,1000",
+        b"I,pico,,8192,1000",
+        b"I,pico,1.0,08192,1000",
+        b"I,pico,1.0,-8192,1000",
+        b"I,pico,1.0,8192,0",
+    ],
+)
+def test_another_spelling_is_no_line_even_with_its_checksum(body):
+    assert decode(signed(body)) is None
+
+
+@pytest.mark.parametrize(
+    "end", [b"1D", b"*1d", b"*1D\r", b"*1D ", b"*01D", b"*D", b"**1D", b"*1E", b"", b"*1D\n"]
+)
+def test_the_checksum_has_one_spelling(end):
+    assert decode(b"E,1023,123456789,-4096,1" + end) is None
+
+
+def test_a_banner_with_a_wrong_checksum_is_none():
+    line = encode(Banner("pico", "1.0", 8192, 1000))[:-1]
+    assert decode(line[:-1] + (b"0" if line[-1:] != b"0" else b"1")) is None
+
+
+def test_flags_are_the_protocols_bits():
+    assert [int(flag) for flag in Flags] == [1, 2, 4, 8]
+    assert decode(signed(b"E,1,2,3,B")).flags == Flags.DOWN | Flags.PRESSED | Flags.ILLEGAL
+
+
+# A stream of bytes.
+
+
+@given(st.lists(READINGS, max_size=5), st.binary(max_size=40), st.lists(st.integers(0, 60)))
+def test_lines_come_back_however_they_are_cut(readings, before, cuts):
+    stream = before.replace(b"\n", b"") + b"\n" + b"".join(encode(reading) for reading in readings)
+    decoder, got = Decoder(), []
+    for cut in cuts:
+        got += decoder.feed(stream[:cut])
+        stream = stream[cut:]
+    assert got + decoder.feed(stream) == readings
+    assert decoder.rejected == 0
+
+
+def test_an_incomplete_first_line_is_dropped_and_not_counted():
+    decoder = Decoder()
+    assert decoder.feed(b"6789,-4096,1*1D\n" + encode(EXAMPLE)) == [EXAMPLE]
+    assert decoder.rejected == 0
+    # Nor does a first line that looks whole count: it may be the end of a longer one.
+    assert Decoder().feed(encode(EXAMPLE)) == []
+
+
+def test_damaged_lines_are_counted_and_the_next_is_read():
+    decoder = Decoder()
+    assert decoder.feed(b"\nE,1,2\n\n" + encode(EXAMPLE)) == [EXAMPLE]
+    assert decoder.rejected == 2
+
+
+def test_lines_that_are_too_long_are_counted_with_the_damaged_ones():
+    decoder = Decoder()
+    decoder.feed(b"\nE,1\n" + b"x" * 97 + b"\n" + b"y" * 96 + b"\n")
+    assert decoder.rejected == 3
+
+
+def test_a_line_without_end_takes_no_memory():
+    decoder, line = Decoder(), encode(EXAMPLE)
+    decoder.feed(b"\n")
+    for _ in range(1000):
+        assert decoder.feed(b"x" * 50) == []
+        assert len(decoder._part) <= MAX_LINE
+    assert decoder.rejected == 1
+    assert decoder.feed(b"x\n" + line + b"y" * MAX_LINE + b"\n" + line) == [EXAMPLE, EXAMPLE]
+    assert decoder.rejected == 2
+    assert decoder.feed(b"y" * (MAX_LINE + 1) + b"\n" + line) == [EXAMPLE]
+    assert decoder.rejected == 3
+
+
+@given(st.lists(st.binary(max_size=200), max_size=10))
+def test_no_bytes_make_it_raise(pieces):
+    decoder, requests = Decoder(), Requests()
+    for piece in pieces:
+        for said in decoder.feed(piece):
+            assert decode(encode(said)[:-1]) == said
+        requests.feed(piece)
+        decode(piece)
+
+
+@pytest.mark.parametrize(
+    ("sent", "asked"),
+    [
+        (b"?\n", 1),
+        (b"?", 0),
+        (b"?\r\n", 1),
+        (b"?\r", 1),
+        (b"\n\n?\n?\n", 2),
+        (b"??\n", 0),
+        (b" ?\n", 0),
+        (b"?x\n?\n", 1),
+        (b"x?\n", 0),
+        (b"", 0),
+    ],
+)
+def test_a_question_is_a_mark_alone_on_its_line(sent, asked):
+    assert Requests().feed(sent) == asked
+    requests = Requests()
+    assert sum(requests.feed(bytes([byte])) for byte in sent) == asked
+
+
+def test_no_other_byte_ends_or_makes_a_question():
+    for byte in set(range(256)) - set(b"\r\n"):
+        assert Requests().feed(b"?%c\n" % byte) == 0
+        assert Requests().feed(b"%c\n" % byte) == (byte == ord("?"))
+
+
+def test_what_the_host_asks_with_is_a_question():
+    requests = Requests()
+    assert [requests.feed(REQUEST) for _ in range(3)] == [1, 1, 1]
+
+
+# Damage.
+
+
+def bursts(stream, least_first):
+    """Return the stream with every change within eight neighbouring bits, one after the other."""
+    bits = 8 * len(stream)
+    whole = int.from_bytes(stream, "little" if least_first else "big")
+    for start in range(bits):
+        for pattern in range(1, 256, 2):
+            if start + pattern.bit_length() <= bits:
+                changed = whole ^ pattern << start
+                yield changed.to_bytes(len(stream), "little" if least_first else "big")
+
+
+def heard(stream):
+    """Return what is read between two silent ends of lines."""
+    return Decoder().feed(b"\n" + stream)
+
+
+def no_burst_passes_for_another_reading(readings):
+    lines = [encode(reading) for reading in readings]
+    stream = b"".join(lines)
+    # On a wire the least bit of a byte goes first; in memory one writes the greatest first.
+    for least_first in (True, False):
+        tried = 0
+        for damaged in bursts(stream, least_first):
+            assert set(heard(damaged)) <= set(readings), damaged
+            tried += 1
+        assert tried == 128 * (8 * len(stream) - 7) + 127
+
+
+def some_readings(seed, n):
+    """Return readings of all lengths that follow each other."""
+    rng = np.random.default_rng(seed)
+    for _ in range(n):
+        seq, t_us, count = (
+            int(rng.integers(10 ** rng.integers(1, digits + 1))) for digits in (4, 9, 9)
+        )
+        count *= int(rng.choice((-1, 1)))
+        yield [
+            Reading(seq + i, t_us + 1000 * i, count + i, int(rng.integers(16))) for i in range(3)
+        ]
+
+
+def test_no_burst_of_eight_bits_passes_for_another_reading():
+    # Over three lines, their stars, checksums and ends included: all that one burst can touch.
+    no_burst_passes_for_another_reading(
+        [Reading(1022, 123455789, -4095, 0), EXAMPLE, Reading(1024, 123457789, 0, 15)]
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_no_burst_of_eight_bits_passes_on_lines_of_any_length(seed):
+    for readings in some_readings(seed, 25):
+        no_burst_passes_for_another_reading(readings)
+
+
+def share_that_passes(damage, n, seed):
+    """Return which share of differently damaged lines passes for another reading."""
+    rng = np.random.default_rng(seed)
+    tried = passed = 0
+    while tried < n:
+        reading = Reading(
+            int(rng.integers(2**16)),
+            int(rng.integers(2**32)),
+            int(rng.integers(-(10**5), 10**5)),
+            0,
+        )
+        line = encode(reading)[:-1]
+        damaged = damage(rng, line)
+        if damaged == line or b"\n" in damaged:
+            continue
+        tried += 1
+        passed += decode(damaged) is not None
+    return passed / tried
+
+
+def digits_changed(rng, line):
+    """Change the digits of a field into others: what the grammar cannot see."""
+    body = bytearray(line)
+    places = [i for i, byte in enumerate(body[:-3]) if 0x31 <= byte <= 0x39]
+    for place in rng.choice(places, size=min(4, len(places)), replace=False):
+        body[place] = 0x31 + int(rng.integers(9))
+    return bytes(body)
+
+
+def two_far_bits(rng, line):
+    body = bytearray(line)
+    for place in rng.integers(8 * len(line), size=2):
+        body[place // 8] ^= 1 << place % 8
+    return bytes(body)
+
+
+def bytes_changed(rng, line):
+    body = bytearray(line)
+    for place in rng.integers(len(line), size=int(rng.integers(2, 6))):
+        body[place] = int(rng.integers(256))
+    return bytes(body)
+
+
+def a_piece_lost(rng, line):
+    place = int(rng.integers(len(line)))
+    return line[:place] + line[place + int(rng.integers(1, 8)) :]
+
+
+def two_lines_as_one(rng, line):
+    other = encode(Reading(*(int(n) for n in rng.integers(10**4, size=3)), 0))[:-1]
+    return line[: int(rng.integers(len(line)))] + other[int(rng.integers(len(other))) :]
+
+
+DAMAGES = (digits_changed, two_far_bits, bytes_changed, a_piece_lost, two_lines_as_one)
+
+
+@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
+def test_other_damage_passes_at_most_once_in_128(damage):
+    # Eight bits let 1/256 of wholly random damage pass; 10,000 trials put 1/128 six deviations off.
+    assert share_that_passes(damage, 10_000, 1) <= 1 / 128
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
+def test_of_many_damaged_lines_at_most_one_in_128_passes(damage):
+    assert share_that_passes(damage, 200_000, 2) <= 1 / 128
+
+
+# Noise, a great deal of it.
+
+GRAINS = st.sampled_from(
+    [b"E,", b"I,", b",", b"*", b"\n", b"\r", b"-", b"0", b"1", b"9", b"F", b"?", b"\x00", b"\xff"]
+)
+
+
+def noisy(grains, seed, lines):
+    """Return a stream of noise, true lines, damaged lines and what looks almost like lines."""
+    rng = np.random.default_rng(seed)
+    stream = bytearray()
+    for i in range(lines):
+        kind = int(rng.integers(4))
+        if kind == 0:
+            body = b"".join(grains[int(k)] for k in rng.integers(len(grains), size=12))
+        elif kind == 1:
+            body = rng.bytes(int(rng.integers(40)))
+        else:
+            body = encode(Reading(i % 65536, int(rng.integers(2**32)), i, 0))[:-1]
+            if kind == 3:
+                body = DAMAGES[int(rng.integers(len(DAMAGES)))](rng, body)
+        stream += body + b"\n"
+    return bytes(stream)
+
+
+def survives(grains, seed, lines, cut):
+    stream = noisy(grains, seed, lines)
+    decoder, got = Decoder(), 0
+    for at in range(0, len(stream), cut):
+        for said in decoder.feed(stream[at : at + cut]):
+            # Whatever is accepted is a line of the protocol, in its one spelling.
+            assert decode(encode(said)[:-1]) == said
+            got += 1
+    assert got + decoder.rejected >= lines - 1
+    return got
+
+
+@settings(max_examples=20)
+@given(st.lists(GRAINS, min_size=1, max_size=8), st.integers(0, 2**32), st.integers(1, 4096))
+def test_noise_never_makes_it_raise(grains, seed, cut):
+    survives(grains, seed, 100, cut)
+
+
+@pytest.mark.slow
+@settings(max_examples=100)
+@given(st.lists(GRAINS, min_size=1, max_size=8), st.integers(0, 2**32), st.integers(64, 4096))
+def test_a_million_lines_of_noise_never_make_it_raise(grains, seed, cut):
+    survives(grains, seed, 10_000, cut)
+
+
+def test_the_examples_in_the_documents_are_lines():
+    root = Path(__file__).parents[3]
+    for page in ("docs/reference/e-line.md", "firmware/README.md"):
+        found = re.findall(r"\b[EI],[\w.,-]+\*[0-9A-F]{2}\b", (root / page).read_text())
+        assert found
+        for line in found:
+            assert decode(line.encode()) is not None, line

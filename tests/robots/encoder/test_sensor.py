@@ -1,0 +1,446 @@
+"""The driver of an encoder board, in virtual time: what it gives out, drops and refuses."""
+
+from math import pi, sin
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from equipoise.errors import LinkError
+from equipoise.rig.interfaces import AngleSensor
+from equipoise.rig.transports import memory_pipe
+from equipoise.robots.encoder import sensor as module
+from equipoise.robots.encoder.codec import Reading, crc8, decode, encode
+from equipoise.robots.encoder.sensor import MAX_INCONSISTENT, MAX_RATE, LineEncoder
+from tests.robots.encoder.rig import Bench
+
+RESOLUTION = 2.0 * pi / 8192
+
+
+@pytest.fixture
+def bench():
+    bench = Bench()
+    bench.sensor.connect()
+    bench.run(0.1)
+    return bench
+
+
+def swinging(time):
+    return 1.2 * sin(8.4 * time)
+
+
+def test_it_is_an_angle_sensor(bench):
+    assert isinstance(bench.sensor, AngleSensor)
+    assert bench.sensor.counts_per_rev == 8192
+    assert bench.sensor.banner.rate_hz == 1000
+
+
+@pytest.mark.parametrize("drift", [0.0, 1e-4, -1e-4, 9e-4, -9e-4])
+@pytest.mark.parametrize("offset_us", [0, 2**32 - 2_000_000])
+def test_each_sample_is_the_angle_at_its_time(drift, offset_us):
+    bench = Bench(drift=drift, offset_us=offset_us)
+    bench.motion = swinging
+    bench.sensor.connect()
+    samples = bench.run(10.0)
+    time = np.array([sample.time for sample in samples])
+    counts = np.array([sample.counts for sample in samples])
+    assert len(samples) == pytest.approx(10_000, abs=20)
+    assert np.all(np.diff(time) > 0.8e-3)
+    # A line takes 1 ms, which nobody can see from one end; looks are 5 ms apart.
+    theta = np.array([swinging(t - 0.001) for t in time])
+    assert np.max(np.abs(counts * RESOLUTION - theta)) < 0.5 * RESOLUTION + 10.0 * 1.1e-3
+    assert all(sample.missing == 0 and not sample.illegal for sample in samples)
+
+
+def test_times_do_not_follow_the_jitter_of_arrival(bench):
+    rng = np.random.default_rng(0)
+    samples, taken = [], []
+    for _ in range(400):
+        bench.device.delay = 0.001 + 0.004 * float(rng.random() ** 2)
+        new = bench.run(0.005)
+        samples += new
+        taken += [bench.clock.now()] * len(new)
+    time = np.array([sample.time for sample in samples])
+    assert np.max(np.abs(np.diff(time) - 1e-3)) < 0.11e-3
+    ages = np.array(taken) - time
+    # One line that is faster than all of the last second by 1 ms moves the guess within ten.
+    assert np.min(ages) > -1.0e-3
+    assert np.max(ages) < 0.012
+
+
+def test_counts_and_sequence_wrap_unnoticed():
+    bench = Bench()
+    shift = 2**31 - 50
+    state = {}
+
+    def shifted(data):
+        lines = []
+        for line in data.split(b"\n")[:-1]:
+            said = decode(line)
+            if isinstance(said, Reading):
+                counts = (said.counts + shift + 2**31) % 2**32 - 2**31
+                said = said._replace(counts=counts, seq=(said.seq + 65_000) % 65_536)
+                state["last"] = said
+            lines.append(encode(said))
+        return b"".join(lines)
+
+    bench.garble = shifted
+    bench.motion = lambda time: max(0.0, time - 0.3) * 1.0
+    bench.sensor.connect()
+    samples = bench.run(2.0)
+    assert state["last"].counts < 0
+    assert np.all(np.diff([sample.counts for sample in samples]) >= 0)
+    assert samples[-1].counts > 2**31
+    assert sum(sample.missing for sample in samples) == bench.sensor.rejected == 0
+
+
+def test_the_sign_makes_counts_grow_with_theta():
+    for board, host in ((1, 1), (-1, -1)):
+        bench = Bench(sign=board, sensor_sign=host)
+        bench.motion = lambda time: time
+        bench.sensor.connect()
+        samples = bench.run(1.0)
+        assert samples[-1].counts - samples[0].counts == pytest.approx(8192 / (2 * pi), rel=0.02)
+
+
+def test_lost_lines_are_told_with_the_next_sample(bench):
+    bench.board.skip(7)
+    samples = bench.run(0.1)
+    assert [sample.missing for sample in samples if sample.missing] == [7]
+
+
+def test_button_and_illegal_transitions_are_told_once(bench):
+    bench.board.press()
+    bench.board.press(False)
+    bench.board.meet_illegal()
+    samples = bench.run(0.1)
+    assert sum(sample.pressed for sample in samples) == 1
+    assert sum(sample.illegal for sample in samples) == 1
+    bench.board.press()
+    assert sum(sample.pressed for sample in bench.run(0.5)) == 1
+
+
+def test_a_press_is_seen_although_its_line_is_lost(bench):
+    bench.garble = lambda data: b"" if b",3*" in data else data
+    bench.board.press()
+    assert sum(sample.pressed for sample in bench.run(0.1)) == 1
+
+
+def test_a_button_that_is_down_from_the_beginning_was_not_pressed():
+    bench = Bench()
+    bench.board.press()
+    bench.clock.wait_until(0.01)
+    bench.sensor.connect()
+    assert not any(sample.pressed for sample in bench.run(0.1))
+
+
+@pytest.mark.parametrize("expected", [None, 8192])
+def test_a_board_as_expected_is_taken(expected):
+    Bench(expected=expected).sensor.connect()
+
+
+def test_a_board_of_other_counts_is_refused():
+    bench = Bench(expected=4096)
+    assert bench.sensor.counts_per_rev == 4096
+    with pytest.raises(LinkError, match=r"counts 8192 per revolution, the rig expects 4096"):
+        bench.sensor.connect()
+    with pytest.raises(LinkError, match=r"counts 8192 per revolution"):
+        bench.sensor.samples()
+    assert not bench.host._open
+
+
+def test_a_board_that_boots_when_its_port_is_opened_is_waited_for():
+    bench = Bench()
+    opened = bench.open
+
+    def resetting():
+        bench.board.reboot()
+        return opened()
+
+    bench.sensor._open = resetting
+    bench.sensor.connect()
+    assert len(bench.run(0.1)) == pytest.approx(100, abs=8)
+
+
+def test_a_silent_board_is_named_silent():
+    bench = Bench()
+    bench.garble = lambda data: b""
+    with pytest.raises(LinkError, match="sent nothing for 6 s; check its power"):
+        bench.sensor.connect()
+
+
+def test_noise_is_named_noise():
+    bench = Bench()
+    bench.garble = lambda data: b"\x80\xff\n" * 3
+    with pytest.raises(LinkError, match=r"sent no banner .* lines could not be read"):
+        bench.sensor.connect()
+
+
+def test_a_board_without_counts_is_refused():
+    bench = Bench()
+    bench.board.silent = True
+    with pytest.raises(LinkError, match="but no steady counts"):
+        bench.sensor.connect()
+
+
+def test_a_board_that_restarts_while_connecting_is_timed_again():
+    bench = Bench()
+    bench.clock.wait_until(1.0)
+    restart = [1.1]
+
+    def work(now):
+        if restart and now > restart[0]:
+            restart.clear()
+            bench.board.reboot()
+
+    bench.clock.attach(work)
+    bench.sensor.connect()
+    samples = bench.run(0.1)
+    assert abs(samples[-1].time - bench.clock.now()) < 0.01
+
+
+def failing(bench, saying, within=1.0):
+    """Read until the sensor fails; return when it did, and see that it stays failed."""
+    began = bench.clock.now()
+    with pytest.raises(LinkError, match=saying) as first:
+        bench.run(within)
+    took = bench.clock.now() - began
+    for _ in range(3):
+        with pytest.raises(LinkError) as again:
+            bench.sensor.samples()
+        assert str(again.value) == str(first.value)
+    return took
+
+
+def test_an_unplugged_board_is_an_error_that_stays(bench):
+    bench.unplug()
+    assert failing(bench, "is gone: the other end has closed") < 0.02
+
+
+def test_a_board_that_falls_silent_is_an_error(bench):
+    bench.board.silent = True
+    assert failing(bench, "sent no line that is valid") == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_board_that_says_nothing_readable_any_more_is_an_error(bench):
+    bench.garble = lambda data: data.lower()
+    failing(bench, r"\d+ damaged since connecting")
+
+
+def test_answers_that_come_late_are_no_restart():
+    bench = Bench(delay=0.4)
+    bench.sensor.connect()
+    bench.run(3.0)
+    assert bench.sensor.untimely == 0
+
+
+def test_a_restart_is_an_error(bench):
+    bench.run(1.5)
+    bench.board.reboot()
+    assert failing(bench, "introduced itself unasked: it restarted, and its zero is void") < 0.33
+
+
+def test_a_restart_whose_banner_is_lost_is_an_error(bench):
+    bench.run(1.5)
+    bench.garble = lambda data: b"" if data.startswith(b"I") else data
+    bench.board.reboot()
+    assert failing(bench, r"began anew .* its zero is void") < 0.33
+
+
+@pytest.mark.parametrize("counts", [60, -60, 150, 1000, -4096, 2**28])
+@pytest.mark.parametrize("turning", [False, True])
+def test_a_jump_of_the_count_is_an_error(bench, counts, turning):
+    if turning:
+        began = bench.clock.now()
+        bench.motion = lambda time: -np.sign(counts) * 15.0 * (time - began)
+        bench.run(0.05)
+        counts *= 4
+    bench.board.jump(counts)
+    assert failing(bench, "jumped from") < 0.02
+    assert bench.sensor.jumps == MAX_INCONSISTENT
+
+
+def test_a_pendulum_that_falls_is_no_jump(bench):
+    began = bench.clock.now()
+    bench.motion = lambda time: 0.98 * MAX_RATE * (time - began)
+    samples = bench.run(1.0)
+    assert bench.sensor.jumps == 0
+    assert len(samples) == 1000
+
+
+def forged(change, at=50):
+    """Let one line say something else, under a right checksum: what slips through the codec."""
+    seen = [0]
+
+    def garble(data):
+        said = decode(data[:-1])
+        seen[0] += isinstance(said, Reading)
+        return encode(change(said)) if seen[0] == at else data
+
+    return garble
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda said: said._replace(seq=said.seq + 500, t_us=said.t_us + 500_000),
+        lambda said: said._replace(counts=said.counts + 60),
+        lambda said: said._replace(counts=-(2**31)),
+        lambda said: said._replace(seq=(said.seq + 1) % 65536),
+        lambda said: said._replace(seq=(said.seq - 1) % 65536),
+        lambda said: said._replace(seq=(said.seq + 30_000) % 65536),
+        lambda said: said._replace(t_us=(said.t_us + 1_000) % 2**32),
+        lambda said: said._replace(t_us=(said.t_us - 1_000) % 2**32),
+        lambda said: said._replace(t_us=(said.t_us + 10**9) % 2**32),
+    ],
+)
+def test_a_wrong_line_with_a_right_checksum_is_dropped_alone(bench, change):
+    bench.garble = forged(change)
+    samples = bench.run(0.2)
+    assert len(samples) == 199
+    assert all(sample.counts == 0 for sample in samples)
+    assert np.max(np.diff([sample.time for sample in samples])) < 2.2e-3
+    assert bench.sensor.untimely + bench.sensor.jumps == 1
+    assert [sample.missing for sample in samples if sample.missing] == [1]
+
+
+def test_what_slips_through_the_checksum_is_off_by_no_more_than_a_motion_could_be():
+    rng = np.random.default_rng(11)
+    bench = Bench()
+    bench.motion = swinging
+    bench.sensor.connect()
+    forgeries = [0]
+
+    def forge(data):
+        """Change digits of every tenth line, and give it a right checksum."""
+        said = decode(data[:-1])
+        if rng.random() > 0.1 or not isinstance(said, Reading):
+            return data
+        while (other := changed_digits(rng, data)) is None or decode(other) == said:
+            pass
+        forgeries[0] += 1
+        return other + b"\n"
+
+    bench.garble = forge
+    samples, failed, dropped = [], 0, 0
+    while bench.clock.now() < 20.0:
+        try:
+            samples += bench.run(0.005)
+        except LinkError:
+            # Sequence and time were changed by the same few periods: what follows seems to go back.
+            failed += 1
+            dropped += bench.sensor.untimely + bench.sensor.jumps
+            bench.host, bench.device = memory_pipe(bench.clock, 0.001)
+            bench.sensor.connect()
+    dropped += bench.sensor.untimely + bench.sensor.jumps
+    assert forgeries[0] > 1900
+    assert failed <= 3
+    # A few changes are as small as a motion: those pass, and are as harmless.
+    assert dropped > 0.7 * forgeries[0]
+    assert len(samples) > 16_000
+    for sample in samples:
+        assert abs(sample.counts * RESOLUTION - swinging(sample.time - 0.001)) < 0.0021 * MAX_RATE
+    assert np.min(np.diff([sample.time for sample in samples])) > 0.0
+
+
+def changed_digits(rng, data):
+    """Return another line of the grammar with a right checksum; none where the draw made none."""
+    body = bytearray(data[: data.index(b"*")])
+    places = [i for i, byte in enumerate(body) if chr(byte).isdigit()]
+    for place in rng.choice(places, size=min(int(rng.integers(1, 4)), len(places)), replace=False):
+        body[place] = ord("0") + int(rng.integers(10))
+    whole = bytes(body) + b"*%02X" % crc8(bytes(body))
+    return whole if decode(whole) is not None else None
+
+
+def test_a_board_of_malformed_lines_gives_only_true_samples():
+    bench = Bench(seed=3)
+    bench.motion = swinging
+    bench.sensor.connect()
+    bench.board.malformed = 0.2
+    samples = bench.run(20.0)
+    assert bench.sensor.rejected > 2000
+    assert 14_000 < len(samples) < 16_000
+    for sample in samples:
+        assert abs(sample.counts * RESOLUTION - swinging(sample.time - 0.001)) < 0.02
+    # What is not given out is told as missing, the damaged lines at the very end apart.
+    told = sum(sample.missing for sample in samples)
+    assert told + len(samples) == pytest.approx(20_000, abs=25)
+
+
+def test_a_clock_that_is_too_slow_is_an_error():
+    bench = Bench(drift=-5e-3)
+    bench.sensor.connect()
+    took = failing(
+        bench, r"lines late, even the fastest .* by \d+ ms, .* clock is slow by", within=20.0
+    )
+    assert 4.0 < took < 8.0
+
+
+def test_a_link_that_is_too_slow_is_an_error(bench):
+    began = bench.clock.now()
+
+    def work(now):
+        bench.device.delay = 0.001 + 0.02 * (now - began)
+
+    bench.clock.attach(work)
+    failing(bench, "the link is too slow for its rate", within=5.0)
+
+
+def test_a_host_that_stalls_reads_what_waited_with_its_true_times():
+    bench = Bench()
+    bench.motion = swinging
+    bench.sensor.connect()
+    bench.run(1.0)
+    bench.clock.wait_until(bench.clock.now() + 0.3)
+    samples = bench.sensor.samples()
+    assert len(samples) == pytest.approx(300, abs=2)
+    assert bench.clock.now() - samples[0].time == pytest.approx(0.3, abs=0.003)
+    for sample in samples:
+        assert abs(sample.counts * RESOLUTION - swinging(sample.time - 0.001)) < 0.02
+    bench.run(3.0)
+
+
+def test_nothing_is_read_before_it_is_connected_or_after_it_is_closed():
+    bench = Bench()
+    with pytest.raises(LinkError, match="is not connected"):
+        bench.sensor.samples()
+    with pytest.raises(LinkError, match="is not connected"):
+        _ = bench.sensor.counts_per_rev
+    bench.sensor.connect()
+    bench.sensor.close()
+    bench.sensor.close()
+    with pytest.raises(LinkError, match="is closed; connect it again"):
+        bench.sensor.samples()
+
+
+def test_a_link_that_cannot_be_opened_says_why():
+    def nowhere():
+        raise LinkError("there is no device /dev/ttyX; plug the board in")
+
+    sensor = LineEncoder(nowhere, Bench().clock)
+    with pytest.raises(LinkError, match="there is no device /dev/ttyX"):
+        sensor.connect()
+    with pytest.raises(LinkError, match="is not connected"):
+        sensor.samples()
+
+
+def test_it_can_be_connected_again_after_it_failed(bench):
+    bench.board.jump(5000)
+    failing(bench, "jumped")
+    bench.host, bench.device = memory_pipe(bench.clock, 0.001)
+    bench.sensor.connect()
+    samples = bench.run(0.1)
+    assert samples[-1].counts == 5000
+    assert bench.opened == 2
+
+
+def test_the_limits_are_those_of_the_reference_page():
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "e-line.md").read_text()
+    for number in (
+        f"{module.MAX_RATE:g} rad/s",
+        f"{module.SILENCE:g} s",
+        f"{module.CONNECT_TIMEOUT:g} s",
+        f"{module.MAX_INCONSISTENT} lines",
+    ):
+        assert number in page, number

@@ -1,0 +1,85 @@
+"""An arm that follows its target with a first-order lag, behind an emulated server in memory."""
+
+from math import exp, isnan
+
+from equipoise.rig.clocks import TICK, VirtualClock
+from equipoise.rig.transports import memory_pipe
+from equipoise.robots.kst.server_emulator import Faults, KstServer
+
+HOME = (0.0, 0.4364, 0.0, -1.3962, 0.0, 1.309, 0.0)
+SPEEDS = (1.710, 1.710, 1.745, 2.269, 2.443, 3.142, 3.142)
+LAG = 0.005
+
+
+class Follower:
+    """The simplest arm: each joint closes in on the target within LAG."""
+
+    def __init__(self, q=HOME):
+        self.q = list(q)
+        self.goal = list(q)
+        self.targets = []
+        self.running = False
+        self.frozen = False
+        self.external = (0.5, -1.25, 1e-4, 0.0, 0.0, 0.0, 0.125)
+
+    def measured(self):
+        return tuple(self.q)
+
+    def torques(self, external):
+        return self.external if external else (0.0, -12.5, 0.0, 8.25, 0.0, 0.5, 0.0)
+
+    def flange(self):
+        return (400.5, 0.0, 600.25, 3.0, 0.0, -3.0)
+
+    def servo(self, running):
+        self.running = running
+        self.goal = list(self.q)
+
+    def target(self, q):
+        self.targets.append(tuple(q))
+        self.goal = list(q)
+
+    def advance(self, now):
+        if self.running and not self.frozen:
+            share = 1.0 - exp(-TICK / LAG)
+            self.q = [
+                q + (0.0 if isnan(goal) else share * (goal - q))
+                for q, goal in zip(self.q, self.goal, strict=True)
+            ]
+
+
+class Bench:
+    """Follower, server and a pipe to it, in virtual time."""
+
+    def __init__(self, *, faults=Faults(), delay=0.0, q=HOME):  # noqa: B008
+        self.clock = VirtualClock()
+        self.body = Follower(q)
+        self.server = KstServer(self.body, SPEEDS, faults=faults)
+        self.client, self.end = memory_pipe(self.clock, delay)
+        self.heard, self.heard_at = b"", []
+        self.clock.attach(self.body.advance)
+        self.clock.attach(self.run)
+
+    def run(self, now):
+        if self.server.closed:
+            self.server.advance(now)
+            self.end.close()
+            return
+        data = self.end.read()
+        self.heard += data
+        if data:
+            self.heard_at.append((now, data))
+        self.server.feed(data, now)
+        for segment in self.server.advance(now):
+            self.end.write(segment)
+        if self.server.closed:
+            self.end.close()
+
+    def wait(self, duration):
+        self.clock.wait_until(self.clock.now() + duration)
+
+    def say(self, *lines, wait=0.01):
+        """Send lines in one segment, and return what has come after a while."""
+        self.client.write(b"".join(line.encode() + b"\n" for line in lines))
+        self.wait(wait)
+        return self.client.read()

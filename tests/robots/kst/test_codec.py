@@ -1,0 +1,311 @@
+"""The KST server's lines, both ways."""
+
+import math
+import re
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from equipoise.errors import InputError, LinkError
+from equipoise.robots.kst import codec
+from equipoise.robots.kst.codec import (
+    JOINTS,
+    MAX_LINE,
+    PORT,
+    SETPOINTS,
+    KstLineSplitter,
+    expect_done,
+    expect_numbers,
+    java_double,
+    java_number,
+    numbers_reply,
+    parse_reply,
+    setpoint,
+    tokens,
+)
+
+Q = (0.0013, 0.4364, 0.0, -1.3962, 0.0, 1.309, 0.0)
+FLOATS = st.floats(allow_nan=False, allow_infinity=False)
+SEVEN = st.lists(FLOATS, min_size=JOINTS, max_size=JOINTS)
+# As a JVM 17 prints them; from 19 on Java's own digits are the fewest, as here.
+JAVA = {
+    0.0: "0.0",
+    5e-324: "4.9E-324",
+    2e-323: "2.0E-323",
+    2.2250738585072014e-308: "2.2250738585072014E-308",
+    1e-5: "1.0E-5",
+    1e-4: "1.0E-4",
+    7.513185688183855e-4: "7.513185688183855E-4",
+    9.999e-4: "9.999E-4",
+    1e-3: "0.001",
+    -0.0010000000000000002: "-0.0010000000000000002",
+    2e-3: "0.002",
+    0.1 + 0.2: "0.30000000000000004",
+    0.4364: "0.4364",
+    -1.3962: "-1.3962",
+    5.0: "5.0",
+    100.0: "100.0",
+    1234567.0: "1234567.0",
+    9999999.0: "9999999.0",
+    1e7: "1.0E7",
+    12345678.9: "1.23456789E7",
+    9007199254740992.0: "9.007199254740992E15",
+    1e21: "1.0E21",
+    1.7976931348623157e308: "1.7976931348623157E308",
+    math.inf: "Infinity",
+    -math.inf: "-Infinity",
+}
+
+
+def test_setpoint_is_the_line_of_the_captured_session():
+    assert setpoint(Q, "done") == b"jp_0.0013_0.4364_0_-1.3962_0_1.309_0_\n"
+    assert setpoint(np.array(Q)) == b"jpJP_0.0013_0.4364_0_-1.3962_0_1.309_0_\n"
+    assert {asked: setpoint(Q, asked).split(b"_")[0].decode() for asked in SETPOINTS} == {
+        "done": "jp", "joints": "jpJP", "external": "jpExT", "measured": "jpMT", "pose": "jpEEfP",
+        "force": "jpEEfFrelEEF", "nothing": "jf",
+    }  # fmt: skip
+    assert PORT == 30001
+
+
+@pytest.mark.parametrize(
+    ("command", "line"),
+    [
+        (codec.GET_JOINTS, b"getJointsPositions\n"),
+        (codec.START_SERVO, b"startDirectServoJoints\n"),
+        (codec.STOP_SERVO, b"stopDirectServoJoints\n"),
+        (codec.END, b"end\n"),
+    ],
+)
+def test_a_command_is_spelt_as_the_server_spells_it(command, line):
+    assert command == line
+
+
+@given(st.lists(SEVEN, min_size=20, max_size=20))
+def test_setpoint_keeps_nine_digits_and_the_server_reads_them(setpoints):
+    for q in setpoints:
+        fields = tokens(setpoint(q).rstrip(b"\n"))
+        assert fields[0] == "jpJP"
+        assert len(fields) == JOINTS + 1
+        for value, field in zip(q, fields[1:], strict=True):
+            assert math.isclose(java_double(field), value, rel_tol=5.001e-9, abs_tol=1e-320)
+
+
+@pytest.mark.parametrize(
+    "q",
+    [
+        Q[:6],
+        (*Q, 0.0),
+        (),
+        (math.nan, *Q[1:]),
+        (*Q[:6], math.inf),
+        (*Q[:6], -math.inf),
+        (*Q[:6], "a"),
+        (*Q[:6], None),
+        (*Q[:6], 1j),
+        (*Q[:6], 10**400),
+        (*Q[:6], (0.0, 1.0)),
+        np.zeros((7, 1)),
+        np.zeros((1, 7)),
+        0.0,
+        None,
+    ],
+)
+def test_only_seven_finite_numbers_are_sent(q):
+    with pytest.raises(InputError, match="nothing was sent"):
+        setpoint(q)
+
+
+def test_stream_is_split_into_lines_however_it_is_cut():
+    stream = b"jp_1_\n\ngetJointsPositions\r\n\r\nend\n"
+    for cut in range(len(stream) + 1):
+        lines = KstLineSplitter()
+        assert lines.feed(stream[:cut]) + lines.feed(stream[cut:]) == [
+            b"jp_1_",
+            b"getJointsPositions",
+            b"end",
+        ]
+
+
+def test_line_without_an_end_is_given_up_for_good():
+    lines, longest = KstLineSplitter(), b"x" * MAX_LINE
+    assert lines.feed(longest) == []
+    assert lines.feed(b"\n" + longest) == [longest]
+    with pytest.raises(LinkError, match="at most 1024 bytes"):
+        lines.feed(b"9")
+    for _ in range(3):
+        with pytest.raises(LinkError, match="at most 1024 bytes"):
+            lines.feed(b"\ndone\n")
+    with pytest.raises(LinkError, match="at most 1024 bytes"):
+        KstLineSplitter().feed(b"done\n" + longest + b"x\ndone\n")
+
+
+def test_replies_of_the_captured_session_are_read():
+    assert parse_reply(b"done") == "done"
+    assert parse_reply(b"nak") == "nak"
+    assert parse_reply(b"interrupted") == "interrupted"
+    assert expect_numbers(
+        b"1.5855032851556873E-4_0.4364_0.0_-1.3962_0.0_1.309_0.0_", JOINTS, "jpJP"
+    ) == (1.5855032851556873e-4, 0.4364, 0.0, -1.3962, 0.0, 1.309, 0.0)
+    expect_done(b"done", "jp")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"",
+        b"Done",
+        b"done_",
+        b"ok",
+        b"_",
+        b"1.0",  # cut off: the trailing _ is missing
+        b"1.0_2.0",
+        b"1_2_",  # no Java number
+        b"1.0__2.0_",
+        b"NaN_0.0_",
+        b"Infinity_",
+        b"-Infinity_",
+        b"nan_",
+        b"1.0E999_",  # not finite
+        b"0.0_1.0E999_",
+        b"1.0e-4_",
+        b"1.0E_",
+        b"+1.0_",
+        b".5_",
+        b" 1.0_",
+        b"1.0_\x00",
+        b"\xff\xfe_",
+        "١.٠_".encode(),
+    ],
+)
+def test_what_the_server_may_not_say_is_a_link_error(line):
+    with pytest.raises(LinkError):
+        parse_reply(line)
+
+
+def test_answers_of_the_wrong_kind_are_named():
+    with pytest.raises(LinkError, match=r"refused jRelVel \(nak\)"):
+        expect_done(b"nak", "jRelVel")
+    with pytest.raises(LinkError, match=r"expected done .* to jp, got 'interrupted'"):
+        expect_done(b"interrupted", "jp")
+    with pytest.raises(LinkError, match=r"expected done .* got '0\.0_'"):
+        expect_done(b"0.0_", "jp")
+    for line in (b"done", b"nak", b"0.0_", b"0.0_" * 6, b"0.0_" * 8):
+        with pytest.raises(LinkError, match=r"expected 7 numbers as the answer to jpJP"):
+            expect_numbers(line, JOINTS, "jpJP")
+
+
+@pytest.mark.parametrize(("value", "text"), JAVA.items())
+def test_numbers_are_written_as_java_writes_them(value, text):
+    assert java_number(value) == text
+
+
+def test_nan_and_minus_zero_are_written_as_java_writes_it():
+    assert java_number(math.nan) == "NaN"
+    assert java_number(-0.0) == "-0.0"
+
+
+@given(st.lists(FLOATS, min_size=50, max_size=50))
+@example([1e-3, 1e7, 9999999.999999998, 0.0009999999999999998, -1e-3, -1e7] * 9)
+def test_java_numbers_come_back_to_the_last_bit(values):
+    for value in values:
+        text = java_number(value)
+        assert struct.pack("d", float(text)) == struct.pack("d", value)
+        assert struct.pack("d", java_double(text)) == struct.pack("d", value)
+        if value == 0.0 or 1e-3 <= abs(value) < 1e7:
+            assert re.fullmatch(r"-?(0|[1-9]\d*)\.(0|\d*[1-9])", text)
+        else:
+            assert re.fullmatch(r"-?[1-9]\.(0|\d*[1-9])E-?[1-9]\d*", text)
+
+
+@given(st.lists(FLOATS, min_size=1, max_size=9))
+def test_replies_of_numbers_come_back(values):
+    line = numbers_reply(values)
+    assert line.endswith(b"_\n")
+    assert parse_reply(line[:-1]) == tuple(values)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("0.1", 0.1),
+        ("1e-5", 1e-5),
+        ("-3", -3.0),
+        (" +.5 ", 0.5),
+        ("5.", 5.0),
+        ("1d", 1.0),
+        ("2.5F", 2.5),
+        ("Infinity", math.inf),
+        ("-Infinity", -math.inf),
+    ],
+)
+def test_java_reads_numbers(text, value):
+    assert java_double(text) == value
+
+
+def test_java_reads_its_own_nan():
+    assert math.isnan(java_double("NaN"))
+
+
+@pytest.mark.parametrize(
+    "text", ["nan", "inf", "", " ", "1,5", "0x1", "1e", "--1", "1.0.0", "1!", "١", "e5"]
+)
+def test_java_does_not_read_other_things(text):
+    with pytest.raises(InputError):
+        java_double(text)
+
+
+def test_empty_fields_are_left_out():
+    assert tokens(b"jp__0.1_0.2") == ["jp", "0.1", "0.2"]
+    assert tokens(b"___") == []
+
+
+SAID = st.one_of(
+    st.binary(max_size=40),
+    st.text(alphabet="0123456789.E-_+nakdoeINf\r ", max_size=60).map(str.encode),
+)
+
+
+@given(st.lists(SAID, min_size=100, max_size=100))
+def test_whatever_the_server_says_is_read_or_refused(said):
+    lines = KstLineSplitter()
+    for line in lines.feed(b"\n".join(said) + b"\n"):
+        try:
+            reply = parse_reply(line)
+        except LinkError:
+            continue
+        assert reply in ("done", "nak", "interrupted") or (
+            isinstance(reply, tuple) and reply and all(map(math.isfinite, reply))
+        )
+
+
+@given(st.lists(SAID, min_size=100, max_size=100))
+def test_whatever_a_client_says_is_taken_apart(said):
+    for line in KstLineSplitter().feed(b"\n".join(said) + b"\n"):
+        for field in tokens(line):
+            try:
+                value = java_double(field)
+            except InputError:
+                continue
+            assert isinstance(value, float)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_a_quarter_of_a_million_damaged_lines_are_read_or_refused(seed):
+    random = np.random.default_rng(seed)
+    good = [b"done", b"nak", numbers_reply(Q)[:-1], numbers_reply([1e-4] * JOINTS)[:-1]]
+    accepted = 0
+    for _ in range(250_000):
+        line = bytearray(good[random.integers(len(good))])
+        for _ in range(random.integers(4)):
+            line[random.integers(len(line))] = random.integers(256)
+        try:
+            said = parse_reply(bytes(line))
+        except LinkError:
+            continue
+        accepted += 1
+        assert isinstance(said, str) or all(map(math.isfinite, said))
+    assert accepted > 50_000

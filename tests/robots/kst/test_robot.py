@@ -1,0 +1,455 @@
+"""The driver against the emulated server, in virtual time."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from equipoise.errors import InputError, LinkError
+from equipoise.robots.kst.codec import numbers_reply
+from equipoise.robots.kst.robot import INSTRUCTIONS, KstRobot
+from equipoise.robots.kst.server_emulator import Faults
+from tests.robots.kst.follower import HOME, Bench
+
+
+class Rig(Bench):
+    """A bench with the driver at its end, counting what is opened."""
+
+    def __init__(self, *, opens_after=0.0, **options):
+        super().__init__(**options)
+        self.told, self.opened, self.tried, self.opens_after = [], 0, 0, opens_after
+        self.robot = KstRobot(
+            self.open, self.clock, notify=self.told.append, attend=lambda: self.attend()
+        )
+        self.attend = lambda: None
+
+    def open(self):
+        self.tried += 1
+        if self.clock.now() < self.opens_after:
+            raise LinkError("nobody listens")
+        self.opened += 1
+        return self.client
+
+    def fault(self, **faults):
+        self.server.faults = replace(self.server.faults, **faults)
+
+    def stream(self, duration, q=HOME, period=0.005, torque_every=10**9):
+        """Send one setpoint in each period, and return the replies."""
+        self.robot.torque_every = torque_every
+        replies, end = [], self.clock.now() + duration
+        while self.clock.now() < end - 1e-9:
+            self.robot.send(q)
+            self.wait(period)
+            replies += self.robot.replies()
+        return replies
+
+
+@pytest.fixture
+def rig():
+    rig = Rig()
+    rig.robot.connect()
+    return rig
+
+
+@pytest.fixture
+def streaming(rig):
+    rig.robot.start()
+    return rig
+
+
+def off(value):
+    return (value, *HOME[1:])
+
+
+def latched(rig):
+    """Whether nothing works any more, and nothing more is sent."""
+    rig.wait(0.01)
+    heard = rig.heard
+    for call in (
+        rig.robot.measured,
+        rig.robot.start,
+        rig.robot.replies,
+        rig.robot.stop,
+        rig.robot.connect,
+        lambda: rig.robot.send(HOME),
+    ):
+        with pytest.raises(LinkError, match="E-stop|No servo runs|was closed|once"):
+            call()
+    rig.wait(2.0)
+    return rig.heard == heard and rig.opened == 1
+
+
+def test_session_is_these_bytes(rig):
+    rig.robot.torque_every = 2
+    rig.robot.start()
+    rig.robot.send((0.005123456789, *HOME[1:]))
+    rig.robot.send(HOME)
+    rig.robot.stop()
+    rig.robot.close()
+    home = b"0_0.4364_0_-1.3962_0_1.309_0_\n"
+    assert rig.heard == (
+        b"getJointsPositions\n"
+        b"startDirectServoJoints\n"
+        b"getJointsPositions\n"
+        b"jpJP_" + home + b"jpJP_0.00512345679_0.4364_0_-1.3962_0_1.309_0_\n"
+        b"jpExT_" + home + b"stopDirectServoJoints\n"
+        b"end\n"
+    )
+
+
+def test_connect_waits_for_the_operator_with_instructions():
+    rig = Rig(opens_after=30.0)
+    rig.robot.connect()
+    assert rig.told == [INSTRUCTIONS]
+    assert "smartPAD" in INSTRUCTIONS
+    assert 31.0 <= rig.clock.now() < 33.0
+    assert rig.robot.measured() == pytest.approx(HOME)
+
+
+def test_who_attends_to_the_wait_can_end_it():
+    def give_up():
+        if rig.clock.now() > 5.0:
+            raise InterruptedError
+
+    rig = Rig(opens_after=30.0)
+    rig.attend = give_up
+    with pytest.raises(InterruptedError):
+        rig.robot.connect()
+    assert 5.0 < rig.clock.now() < 7.0
+    assert rig.opened == 0
+
+
+def test_connect_says_nothing_where_the_server_runs(rig):
+    assert rig.told == []
+    assert 1.0 <= rig.clock.now() < 1.1
+
+
+def test_connect_gives_up_after_a_minute():
+    rig = Rig(opens_after=1e9)
+    with pytest.raises(LinkError, match="within 60 s: nobody listens"):
+        rig.robot.connect()
+    assert 60.0 <= rig.clock.now() < 62.0
+    assert rig.tried == 61
+
+
+def test_connect_to_a_server_that_has_lost_its_client_finds_silence():
+    rig = Rig(faults=Faults(deaf=True))
+    with pytest.raises(LinkError, match="getJointsPositions within 1 s"):
+        rig.robot.connect()
+    assert latched(rig)
+
+
+def test_nothing_works_before_connect_and_nothing_is_spoilt_by_trying():
+    rig = Rig()
+    for call in (rig.robot.measured, rig.robot.start, rig.robot.replies, rig.robot.stop):
+        with pytest.raises(LinkError, match="connect first"):
+            call()
+    with pytest.raises(LinkError, match="connect first"):
+        rig.robot.send(HOME)
+    rig.robot.close()
+    rig.robot.connect()
+    with pytest.raises(LinkError, match="once"):
+        rig.robot.connect()
+    assert rig.robot.measured() == pytest.approx(HOME)
+
+
+def test_first_setpoint_holds_the_arm_where_it_is(rig):
+    rig.robot.start()
+    assert rig.body.running
+    assert all(target == pytest.approx(HOME) for target in rig.body.targets)
+    rig.robot.send(off(0.01))
+    rig.wait(0.1)
+    assert rig.body.measured()[0] == pytest.approx(0.01, abs=1e-6)
+
+
+def test_what_the_races_of_the_server_require_is_waited_for():
+    rig = Rig()
+    rig.robot.connect()
+    rig.robot.start()
+    rig.robot.send(HOME)
+    rig.robot.stop()
+    rig.robot.measured()
+    times = dict[str, list[float]]()
+    for now, data in rig.heard_at:
+        times.setdefault(data.decode().strip().split("_")[0], []).append(now)
+    asked, first = times["getJointsPositions"], times["jpJP"]
+    assert asked[0] >= 1.0
+    assert 0.5 <= asked[1] - times["startDirectServoJoints"][0] < 0.51
+    assert asked[1] < first[0] < first[1]
+    assert 0.5 <= times["stopDirectServoJoints"][0] - first[1] < 0.51
+    assert 0.3 <= asked[2] - times["stopDirectServoJoints"][0] < 0.31
+
+
+def test_replies_have_their_times_in_order():
+    rig = Rig(delay=0.004)
+    rig.robot.connect()
+    rig.robot.start()
+    sent = []
+    replies = []
+    for i in range(100):
+        sent.append(rig.clock.now())
+        rig.robot.send(off(1e-4 * i))
+        rig.wait(0.003)
+        replies += rig.robot.replies()
+    for _ in range(20):
+        rig.wait(0.001)
+        replies += rig.robot.replies()
+    assert [reply.sent for reply in replies] == sent
+    trips = [reply.received - reply.sent for reply in replies]
+    assert min(trips) >= 0.008 - 1e-9
+    assert max(trips) < 0.02
+    for i, reply in enumerate(replies):
+        if i % 10 == 9:
+            assert reply.q is None
+            assert reply.torque == rig.body.external
+        else:
+            assert reply.torque is None
+            assert len(reply.q) == 7
+    joints = [reply.q[0] for reply in replies if reply.q]
+    assert joints == sorted(joints)
+
+
+def test_stop_ends_the_servo_and_another_may_start(streaming):
+    streaming.stream(0.1, off(0.01))
+    streaming.robot.send(off(0.01))
+    streaming.robot.stop()
+    assert not streaming.body.running
+    assert streaming.robot.measured()[0] == pytest.approx(0.01, abs=1e-6)
+    assert len(streaming.robot.replies()) == 1
+    streaming.robot.stop()
+    with pytest.raises(LinkError, match="start it first"):
+        streaming.robot.send(HOME)
+    streaming.robot.start()
+    streaming.stream(0.1)
+
+
+def test_close_ends_the_server_and_may_be_called_again(streaming):
+    streaming.robot.close()
+    assert streaming.server.ended
+    streaming.wait(0.01)
+    assert not streaming.body.running
+    streaming.robot.close()
+    assert latched(streaming)
+
+
+def test_close_never_raises_and_does_not_wait_for_ever():
+    rig = Rig()
+    rig.robot.close()
+    rig.robot.connect()
+    rig.fault(deaf=True)
+    before = rig.clock.now()
+    rig.robot.close()
+    assert 1.0 <= rig.clock.now() - before < 1.1
+    with pytest.raises(LinkError):
+        rig.end.write(b"done\n")
+    rig = Rig()
+    rig.robot.connect()
+    rig.end.close()
+    rig.robot.close()
+
+
+@pytest.mark.parametrize("q", [HOME[:6], (*HOME, 0.0), (math.nan, *HOME[1:]), off(math.inf)])
+def test_setpoint_of_other_than_seven_finite_numbers_is_not_sent(streaming, q):
+    heard = streaming.heard
+    with pytest.raises(InputError):
+        streaming.robot.send(q)
+    streaming.wait(0.05)
+    assert streaming.heard == heard
+    assert len(streaming.stream(0.05)) == 10, "the link goes on"
+
+
+def test_measuring_while_a_servo_runs_is_refused_without_harm(streaming):
+    heard = streaming.heard
+    for call in (
+        streaming.robot.measured,
+        streaming.robot.start,
+    ):
+        with pytest.raises(LinkError, match="stop it first"):
+            call()
+    assert streaming.heard == heard
+    streaming.stream(0.05)
+
+
+# Whatever goes wrong ends the link for good.
+
+
+def test_silence_ends_the_link_after_the_timeout(streaming):
+    streaming.stream(0.1)
+    streaming.fault(drop=1.0)
+    began = streaming.clock.now()
+    with pytest.raises(LinkError, match=r"setpoint within 0\.1 s"):
+        streaming.stream(1.0, period=0.02)
+    assert 0.1 < streaming.clock.now() - began <= 0.121
+    assert latched(streaming)
+
+
+def test_overdue_answer_is_found_by_the_next_setpoint(streaming):
+    streaming.fault(drop=1.0)
+    streaming.robot.send(HOME)
+    streaming.wait(0.11)
+    heard = streaming.heard
+    with pytest.raises(LinkError, match=r"within 0\.1 s"):
+        streaming.robot.send(HOME)
+    streaming.wait(0.01)
+    assert streaming.heard == heard
+
+
+def test_answers_that_nobody_takes_are_no_backlog(streaming):
+    for _ in range(30):
+        streaming.robot.send(HOME)
+        streaming.wait(0.005)
+    assert len(streaming.robot.replies()) == 30
+
+
+@pytest.mark.parametrize(("step", "believed"), [(0.24, True), (0.26, False), (-0.26, False)])
+def test_joints_that_cannot_have_been_reached_are_not_believed(streaming, step, believed):
+    streaming.fault(deaf=True)
+    streaming.robot.send(HOME)
+    streaming.wait(0.05)  # 0.2 rad at 4 rad/s, and 0.05 rad of noise
+    streaming.end.write(numbers_reply(off(step)))
+    if believed:
+        assert streaming.robot.replies()[0].q[0] == step
+    else:
+        with pytest.raises(LinkError, match=r"expected joints less than 0\.25 rad .* got 0\.26"):
+            streaming.robot.replies()
+
+
+def test_too_many_setpoints_without_an_answer_end_the_link(streaming):
+    streaming.fault(drop=1.0)
+    with pytest.raises(LinkError, match="20 setpoints wait"):
+        streaming.stream(1.0, period=0.0005)
+    assert latched(streaming)
+
+
+@pytest.mark.parametrize("torque", [False, True])
+def test_one_lost_answer_is_found_at_the_next_question_for_torques(streaming, torque):
+    assert len(streaming.stream(1.0, torque_every=20)) == 200
+    streaming.fault(drop=1.0)
+    streaming.robot.torque_every = 1 if torque else 20
+    streaming.robot.send(HOME)
+    streaming.wait(0.005)
+    streaming.fault(drop=0.0)
+    began = streaming.clock.now()
+    with pytest.raises(LinkError, match="these are torques"):
+        streaming.stream(1.0, torque_every=20)
+    assert streaming.clock.now() - began <= 0.11
+    assert latched(streaming)
+
+
+def test_late_answer_is_no_answer(streaming):
+    streaming.fault(delay=0.12)
+    with pytest.raises(LinkError, match="within"):
+        streaming.stream(1.0, period=0.02)
+    assert latched(streaming)
+
+
+def test_answers_that_wait_while_the_host_stalls_are_in_time(streaming):
+    streaming.robot.send(HOME)
+    streaming.wait(1.0)
+    streaming.robot.send(HOME)
+    streaming.wait(0.005)
+    assert len(streaming.robot.replies()) == 2
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        b"done\n",
+        b"nak\n",
+        b"0.0_\n",
+        b"0.0_" * 8 + b"\n",
+        b"NaN_" * 7 + b"\n",
+        b"0.0_" * 6 + b"0.0\n",
+        b"\xff\n",
+    ],
+)
+def test_wrong_answer_ends_the_link(streaming, extra):
+    streaming.robot.send(HOME)
+    streaming.end.write(extra)
+    with pytest.raises(LinkError, match="expected"):
+        streaming.robot.replies()
+    assert latched(streaming)
+
+
+@pytest.mark.parametrize("extra", [b"done\n", b"0.0_" * 7 + b"\n", b"x" * 2000])
+def test_line_that_nobody_asked_for_ends_the_link(streaming, extra):
+    streaming.end.write(extra)
+    with pytest.raises(LinkError, match="expected"):
+        streaming.robot.replies()
+    assert latched(streaming)
+
+
+def test_line_that_nobody_asked_for_is_found_before_the_next_request(rig):
+    rig.end.write(b"done\n")
+    heard = rig.heard
+    with pytest.raises(LinkError, match="expected nothing, got 'done'"):
+        rig.robot.start()
+    assert rig.heard == heard
+
+
+def test_refusal_ends_the_link(streaming):
+    streaming.fault(refuse=1.0)
+    with pytest.raises(LinkError, match="expected 7 numbers"):
+        streaming.stream(0.1)
+    assert latched(streaming)
+
+
+@pytest.mark.parametrize("what", ["start", "measured"])
+def test_refusal_at_rest_ends_the_link(rig, what):
+    rig.fault(refuse=1.0)
+    with pytest.raises(LinkError, match="nak"):
+        getattr(rig.robot, what)()
+    assert latched(rig)
+
+
+def test_silence_at_the_start_ends_the_link(rig):
+    rig.fault(drop=1.0)
+    with pytest.raises(LinkError, match="startDirectServoJoints within 1 s"):
+        rig.robot.start()
+    assert latched(rig)
+
+
+def test_silence_at_the_stop_ends_the_link(streaming):
+    streaming.fault(drop=1.0)
+    streaming.robot.send(HOME)
+    with pytest.raises(LinkError, match="within"):
+        streaming.robot.stop()
+    assert latched(streaming)
+
+
+def test_closed_connection_ends_the_link_and_says_what_that_means(streaming):
+    streaming.robot.send(off(0.01))
+    streaming.wait(0.001)
+    streaming.fault(close=True)
+    streaming.wait(0.1)
+    with pytest.raises(LinkError, match=r"software cannot stop it: be ready at the E-stop"):
+        streaming.stream(1.0)
+    assert latched(streaming)
+    assert streaming.body.running
+    assert streaming.body.measured()[0] == pytest.approx(0.01, abs=1e-6)
+
+
+def test_closed_connection_without_a_servo_says_that_nothing_moves(rig):
+    rig.fault(close=True)
+    rig.wait(0.1)
+    with pytest.raises(LinkError, match="^robot: [^;]*; the link is given up. No servo runs;"):
+        rig.robot.measured()
+
+
+def test_half_open_link_ends_in_time(streaming):
+    streaming.stream(0.1)
+    streaming.client.cut = True
+    began = streaming.clock.now()
+    with pytest.raises(LinkError, match="within"):
+        streaming.stream(1.0, period=0.02)
+    assert streaming.clock.now() - began <= 0.121
+
+
+def test_failed_link_still_says_goodbye_which_ends_the_servo(streaming):
+    streaming.fault(refuse=1.0)
+    with pytest.raises(LinkError):
+        streaming.stream(0.1)
+    streaming.robot.close()
+    assert streaming.server.ended
+    streaming.wait(0.01)
+    assert not streaming.body.running

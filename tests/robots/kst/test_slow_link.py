@@ -1,0 +1,110 @@
+"""How fast the flange may move over a slow link, against a servo simulated cycle by cycle."""
+
+from math import expm1, sqrt
+
+import numpy as np
+import pytest
+
+from equipoise.model.actuator import AMPLITUDE, CYCLE, INTERVAL_WIDTH, speed_of_peak
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.worlds import TwinSettings
+from equipoise.robots.kst.slow_link import flange_speed
+from equipoise.worlds.twin.servo_model import (
+    make_servo_params,
+    new_servo_state,
+    send,
+    serve,
+    start,
+)
+
+WORLD = TwinSettings(transport=0.0, transport_jitter=0.0)
+IIWA = {size: iiwa(size) for size in (7, 14)}
+PERIODS = pytest.mark.parametrize("period_ms", [5, 7, 10, 15])
+
+
+def shaped_peak(speed, period):
+    """Return the peak velocity command of the shaping law for constant-speed setpoints [rad/s]."""
+    half, k = 0.5 * speed * period, AMPLITUDE / (INTERVAL_WIDTH**2 * CYCLE)
+    e = half + sqrt(half**2 + speed / k)
+    return AMPLITUDE / CYCLE * -expm1(-((e / INTERVAL_WIDTH) ** 2))
+
+
+def peak_of_the_cabinet(speed, period_ms, lag):
+    """Return the largest velocity that the cabinet asks its drives for [rad/s].
+
+    A joint turns evenly; a setpoint comes each period. A perfect drive goes where the server wants
+    it within a millisecond, one with a lag takes up a share of the difference.
+    """
+    arm = IIWA[7]
+    servo, cabinet, n = make_servo_params(arm, WORLD), new_servo_state(7), 7
+    q, dq, nothing, force = (np.zeros(n) for _ in range(4))
+    start(cabinet, q)
+    share = 1.0 if lag == 0.0 else 1.0 - np.exp(-1e-3 / lag)
+    peaks = []
+    for ms in range(1500):
+        cabinet.clock[0] = ms
+        if ms % period_ms == 0:
+            send(cabinet, servo, np.full(n, speed * ms * 1e-3), 0, 0)
+        serve(cabinet, servo, q, dq, nothing, force)
+        dq += (cabinet.wanted - dq) * share
+        q += 1e-3 * dq
+        peaks.append(abs(cabinet.wanted[0]))
+    return max(peaks[750:])
+
+
+@pytest.mark.compiled_only
+@PERIODS
+@pytest.mark.parametrize("speed", [0.1, 0.25, 0.5, 0.8])
+def test_the_shaped_peak_is_that_of_the_cabinet_with_a_perfect_drive(speed, period_ms):
+    peak = peak_of_the_cabinet(speed, period_ms, lag=0.0)
+    # The law is quadratic only near zero, and the server looks once a millisecond: both make the
+    # peak of the cabinet smaller, never larger.
+    assert peak <= shaped_peak(speed, 1e-3 * period_ms) <= 1.12 * peak
+
+
+@pytest.mark.compiled_only
+@PERIODS
+@pytest.mark.parametrize("lag", [0.004, 0.008, 0.016])
+def test_a_drive_that_lags_is_asked_for_less(lag, period_ms):
+    for speed in (0.1, 0.4, 0.8):
+        peak = peak_of_the_cabinet(speed, period_ms, lag)
+        assert speed < peak <= shaped_peak(speed, 1e-3 * period_ms)
+
+
+def test_without_a_period_there_is_no_peak():
+    assert shaped_peak(0.7, 0.0) == pytest.approx(0.7, rel=0.02)
+
+
+@pytest.mark.parametrize("period", [0.002, 0.005, 0.01, 0.03])
+@pytest.mark.parametrize("speed", [0.01, 0.3, 1.0])
+def test_each_is_the_inverse_of_the_other(speed, period):
+    assert speed_of_peak(shaped_peak(speed, period), period) == pytest.approx(speed, rel=1e-9)
+
+
+@pytest.mark.parametrize("size", [7, 14])
+def test_at_the_limit_the_worst_joint_has_a_peak_of_80_percent_of_its_speed(size):
+    arm, period = IIWA[size], 0.008
+    limit = flange_speed(arm, period)
+    shares = []
+    for x in np.linspace(-0.22, 0.22, 23):
+        # Found by Newton's method, where the limit follows the track from home.
+        q, home = arm.home_free, arm.kinematics(arm.home_free)
+        for _ in range(20):
+            here = arm.kinematics(q)
+            turn = 0.5 * sum(np.cross(here.rotation[:, i], home.rotation[:, i]) for i in range(3))
+            away = np.concatenate((home.position + np.array([x, 0.0, 0.0]) - here.position, turn))
+            q = q + np.linalg.solve(here.jacobian, away)
+        dq = np.linalg.solve(arm.kinematics(q).jacobian, limit * np.eye(6)[0])
+        shares += [
+            shaped_peak(abs(rate), period) / joint.velocity
+            for rate, joint in zip(dq, arm.free_joints, strict=True)
+        ]
+    assert max(shares) == pytest.approx(0.8, rel=0.01)
+
+
+@pytest.mark.parametrize("size", [7, 14])
+def test_the_slower_the_link_the_slower_the_flange(size):
+    limits = [flange_speed(IIWA[size], period) for period in (0.005, 0.007, 0.009, 0.02)]
+    assert limits == sorted(limits, reverse=True)
+    # T1 is slower than any link over which a run is allowed.
+    assert limits[2] > 0.23

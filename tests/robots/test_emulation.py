@@ -1,0 +1,162 @@
+"""The emulated hardware, in virtual time but for its port."""
+
+import os
+import select
+import socket
+import sys
+
+import pytest
+
+from equipoise.rig.clocks import VirtualClock
+from equipoise.robots.emulation import Emulation
+from equipoise.robots.encoder.codec import Decoder, Flags, Reading
+from equipoise.robots.kst.listener import NOTICED, RESTART
+from tests.rig.in_process import ARM, PENDULUM, TwinSettings
+
+pytestmark = [
+    pytest.mark.compiled_only,
+    pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals"),
+]
+
+ASK = b"getJointsPositions\n"
+
+
+class Stage:
+    """An emulation whose time passes while acts that were planned for it are done."""
+
+    def __init__(self, **more):
+        self.clock, self.said, self.plan = VirtualClock(), [], []
+        self.emulation = Emulation(
+            ARM, PENDULUM, TwinSettings(), self.clock, say=self.said.append, **more
+        )
+        self.port = 0
+
+    def at(self, time, act):
+        self.plan.append((time, act))
+
+    def run(self, until):
+        def stop():
+            while self.plan and self.clock.now() >= self.plan[0][0]:
+                self.plan.pop(0)[1]()
+            return self.clock.now() >= until
+
+        self.emulation.run("127.0.0.1", 0, stop, listening=self.listens)
+
+    def listens(self, port):
+        assert self.port == 0
+        self.port = port
+
+    def connect(self):
+        self.client = socket.create_connection(("127.0.0.1", self.port), timeout=5.0)
+
+    def send(self, data):
+        return lambda: self.client.sendall(data)
+
+    def came(self):
+        return self.client.recv(4096) if select.select([self.client], [], [], 0.0)[0] else b""
+
+
+def test_a_client_is_answered_and_the_server_started_again_after_its_end():
+    stage, came = Stage(), []
+    stage.at(0.10, stage.connect)
+    stage.at(0.15, stage.send(ASK))
+    stage.at(0.30, lambda: came.append(stage.came()))
+    stage.at(0.40, stage.send(b"end\n"))
+    stage.at(0.60 + RESTART, stage.connect)
+    stage.at(0.70 + RESTART, stage.send(ASK))
+    stage.at(0.90 + RESTART, lambda: came.append(stage.came()))
+    stage.run(2.5)
+    stage.client.close()
+    assert [answer.count(b"_") for answer in came] == [7, 7]
+    assert [words.split()[-1] for words in stage.said] == ["ended", "smartPAD"]
+
+
+def test_a_client_that_vanishes_leaves_the_servo_on_and_the_operator_notices_later():
+    stage, running = Stage(), []
+    bench = stage.emulation.bench
+    stage.at(0.1, stage.connect)
+    stage.at(0.2, stage.send(b"startDirectServoJoints\n"))
+    stage.at(0.5, lambda: stage.client.close())
+    stage.at(NOTICED, lambda: running.append(bench.body.running))
+    stage.at(NOTICED + 1.5, lambda: running.append(bench.body.running))
+    stage.run(NOTICED + 2.0)
+    assert running == [True, False]
+    assert "vanished" in stage.said[0]
+    assert "smartPAD" in stage.said[1]
+
+
+def test_without_an_operator_the_word_start_starts_the_server_again():
+    stage, came = Stage(operator=False), []
+    stage.at(0.1, stage.connect)
+    stage.at(0.2, stage.send(b"end\n"))
+    stage.at(3.0 + RESTART, lambda: came.append(len(stage.said)))
+    stage.at(3.1 + RESTART, stage.emulation.acts["start"])
+    stage.at(3.5 + RESTART, stage.connect)
+    stage.at(3.6 + RESTART, stage.send(ASK))
+    stage.at(3.8 + RESTART, lambda: came.append(stage.came().count(b"_")))
+    stage.run(5.0 + RESTART)
+    stage.client.close()
+    assert came == [1, 7]
+
+
+def test_faults_are_those_of_the_answers():
+    stage, came = Stage(faults="delay=0.5"), []
+    stage.at(0.1, stage.connect)
+    stage.at(0.2, stage.send(ASK))
+    stage.at(0.6, lambda: came.append(stage.came()))
+    stage.at(0.8, lambda: came.append(stage.came()))
+    stage.run(1.0)
+    stage.client.close()
+    assert [answer.count(b"_") for answer in came] == [0, 7]
+
+
+def test_the_terminal_tells_button_and_pendulum():
+    stage = Stage(operator=False)
+    acts, came, decoder = stage.emulation.acts, [], Decoder()
+    port = os.open(stage.emulation.terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+    def read():
+        if select.select([port], [], [], 0.0)[0]:
+            came.extend(decoder.feed(os.read(port, 65536)))
+
+    for i in range(1, 60):
+        stage.at(0.05 * i, read)
+    stage.at(0.5, acts["press"])
+    stage.at(1.0, acts["push"])
+    stage.plan.sort(key=lambda planned: planned[0])
+    stage.run(3.0)
+    os.close(port)
+    lines = [line for line in came if isinstance(line, Reading)]
+    assert sum(bool(line.flags & Flags.DOWN) for line in lines) == pytest.approx(100, abs=2)
+    assert max(abs(line.counts) for line in lines[:900]) <= 4
+    # 20 deg/s is 2.4 deg of a swing.
+    assert max(abs(line.counts) for line in lines) == pytest.approx(54, abs=8)
+
+
+def test_a_host_that_stalls_is_told_and_time_is_made_up_for():
+    stage = Stage()
+    stage.at(0.1, lambda: setattr(stage.clock, "_ticks", stage.clock._ticks + 50))
+    stage.run(1.0)
+    assert stage.emulation.stalls == 1
+    assert "stalled" in stage.said[0]
+    assert stage.emulation.bench.now == pytest.approx(1.0, abs=0.003)
+
+
+def test_an_arm_that_sags_under_its_load_ends_its_motion_all_the_same():
+    stage, came = Stage(), []
+    bench = stage.emulation.bench
+    wanted = list(ARM.home)
+    wanted[1] += 0.1
+    target = "_".join(str(q) for q in wanted)
+    stage.at(0.1, stage.connect)
+    stage.at(0.2, stage.send(b"jRelVel_0.5_\n"))
+    stage.at(0.3, stage.send(f"jp_{target}_\n\n".encode()))
+    stage.at(0.4, lambda: came.append(stage.came()))
+    stage.at(0.4, stage.send(b"doPTPinJS\n"))
+    stage.at(0.5, lambda: came.append(stage.came()))
+    stage.at(4.0, lambda: came.append(stage.came()))
+    stage.run(4.1)
+    stage.client.close()
+    assert came == [b"done\ndone\n", b"done\n", b"done\n"]
+    assert bench.body.measured() == pytest.approx(wanted, abs=5e-3)
+    assert bench.body.measured() != pytest.approx(wanted, abs=3e-4)  # it does sag

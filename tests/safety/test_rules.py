@@ -1,0 +1,737 @@
+"""The safety rules at their edges: each on either side of its bound, and all of them on nothing."""
+
+from math import inf, nan, pi, radians
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from equipoise.model.actuator import MAX_LEAD
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.safety import rules
+from equipoise.safety.rules import (
+    FROM_MEASURED,
+    Limits,
+    MonitorState,
+    Rule,
+    SafetyInputs,
+    Violation,
+    check,
+    check_first,
+    check_setpoint,
+    limits_of,
+    make_safety_params,
+    newest_before,
+    stopping_reach,
+    unexplained_turn,
+    update_monitor,
+)
+
+ARM = iiwa(14)
+HOME = ARM.home
+LIMITS = limits_of(ARM)
+H = 0.01
+DT = 0.005
+RESOLUTION = 2 * pi / 8192
+GUARD = make_safety_params(ARM, reaction=0.03, u_max=2.0, h=H, counts_per_rev=8192)
+T1 = GUARD._replace(speed=rules.T1_SPEED)
+CALM = MonitorState()
+
+
+def moved(q, joint, by):
+    """Return a posture with one joint moved, counted from one."""
+    return tuple(angle + by if i == joint else angle for i, angle in enumerate(q, start=1))
+
+
+def broken(view, guard=GUARD, watched=CALM):
+    """Return the rule that a view breaks, or none."""
+    violation = check(guard, watched, view)
+    return violation and violation.rule
+
+
+# The numbers of the issue and of the arm.
+
+
+def test_the_numbers_are_those_that_were_asked_for():
+    assert rules.TRACK_LIMIT == 0.22
+    assert rules.STOP_DECELERATION == 4.0
+    assert rules.T1_SPEED == 0.23
+    assert pytest.approx(radians(11.0)) == rules.ANGLE_RULE_LIMIT
+    assert pytest.approx(radians(3.0)) == rules.POSITION_MARGIN
+    assert (rules.MAX_STALL, rules.MAX_MISSED_TICKS) == (0.070, 3)
+    assert rules.FOLLOWING_TIME == 0.05
+    assert rules.STILL_ANGLE == 5e-4
+    assert rules.ROUNDING == 1e-6
+    # The operator is told within 100 ms that software cannot stop the robot.
+    assert rules.MAX_STALL <= 0.1 - 2 * H
+
+
+def test_limits_are_those_of_the_arm_less_three_degrees():
+    assert np.degrees(LIMITS.upper) == pytest.approx([167, 117, 167, 117, 167, 117, 172])
+    assert np.degrees(LIMITS.lower) == pytest.approx([-167, -117, -167, -117, -167, -117, -172])
+    assert np.degrees(LIMITS.velocity) == pytest.approx([85, 85, 100, 75, 130, 135, 135])
+    assert LIMITS.acceleration == (10.0,) * 7
+    assert LIMITS.joints == 7
+
+
+def test_a_guard_knows_its_arm():
+    assert GUARD.torque == pytest.approx([32.0, 32.0, 17.6, 17.6, 11.0, 4.0, 4.0])
+    assert GUARD.resolution == pytest.approx(RESOLUTION)
+    assert GUARD.limits == LIMITS
+    assert (GUARD.reaction, GUARD.u_max, GUARD.h, GUARD.speed) == (0.03, 2.0, H, inf)
+    w = abs(np.linalg.det(ARM.kinematics(ARM.home_free).jacobian))
+    assert GUARD.min_manipulability == pytest.approx(0.1 * w)
+    other_way = (*ARM.home[:5], -ARM.home[5], *ARM.home[6:])
+    elbow = ARM.model_copy(update={"home": other_way})
+    assert np.linalg.det(elbow.kinematics(elbow.home_free).jacobian) < 0.0
+    least = make_safety_params(
+        elbow, reaction=0.0, u_max=1.0, h=H, counts_per_rev=9
+    ).min_manipulability
+    assert least == pytest.approx(GUARD.min_manipulability)
+    plain = rules.SafetyParams(LIMITS, (), 0.0, 0.0, 0.0, H, RESOLUTION)
+    assert plain.speed == inf
+    slow = make_safety_params(iiwa(7), reaction=0.0, u_max=1.0, h=H, counts_per_rev=9, speed=0.3)
+    assert slow.speed == 0.3
+
+
+# Setpoints.
+
+
+def test_a_good_setpoint_may_be_sent():
+    assert check_setpoint(LIMITS, HOME, HOME, HOME, DT) is None
+    assert check_first(LIMITS, HOME, HOME) is None
+    assert rules.broken_setpoint(LIMITS, HOME, HOME, HOME, DT) == (
+        rules.NO_VIOLATION,
+        0,
+        0.0,
+        0.0,
+    )
+    assert rules.broken_flange(GUARD, 0.0, 0.0, 0.0, 0.0, 1.0) == (rules.NO_VIOLATION, 0.0, 0.0)
+    assert rules.NO_VIOLATION not in range(len(Rule)), "no rule has the code of none"
+
+
+@pytest.mark.parametrize("number", [nan, inf, -inf])
+@pytest.mark.parametrize("joint", range(1, 8))
+def test_only_finite_numbers_are_sent(number, joint):
+    q = moved(HOME, joint, number)
+    for violation in (
+        check_setpoint(LIMITS, q, HOME, HOME, DT),
+        check_first(LIMITS, q, HOME),
+        check_first(LIMITS, HOME, q),
+    ):
+        assert violation is not None
+        assert violation.rule is Rule.NUMBER
+        assert violation.joint == joint
+        assert np.isnan(violation.limit)
+    assert "measured posture" in check_first(LIMITS, HOME, q).reason
+    assert "a setpoint" in check_first(LIMITS, q, HOME).reason
+
+
+@pytest.mark.parametrize("q", [(), HOME[:6], (*HOME, 0.0)])
+def test_only_one_number_per_joint_is_sent(q):
+    for violation in (
+        check_setpoint(LIMITS, q, HOME, HOME, DT),
+        check_first(LIMITS, q, HOME),
+        check_first(LIMITS, HOME, q),
+    ):
+        assert violation is not None
+        assert violation.rule is Rule.COUNT
+        assert (violation.value, violation.limit) == (len(q), 7)
+
+
+@pytest.mark.parametrize("joint", range(1, 8))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_setpoint_is_near_its_reference(joint, sign):
+    def broken(lead, reference=HOME, step=0.0):
+        setpoint = moved(reference, joint, sign * lead)
+        sent = setpoint, moved(setpoint, joint, step)
+        return check_setpoint(LIMITS, reference, reference, reference, DT, setpoints=sent)
+
+    assert broken(MAX_LEAD) is None
+    violation = broken(1.01 * MAX_LEAD)
+    assert violation.rule is Rule.LEAD
+    assert (violation.value, violation.limit) == pytest.approx((1.01 * MAX_LEAD, MAX_LEAD))
+    assert f"joint {joint}" in violation.reason
+    assert broken(nan) is not None
+    # The reference is inside the limits, and the setpoint is not.
+    limit = (LIMITS.upper if sign > 0.0 else LIMITS.lower)[joint - 1]
+    near = moved(HOME, joint, limit - sign * 0.01 - HOME[joint - 1])
+    assert broken(0.009, near) is None
+    violation = broken(0.011, near)
+    assert violation.rule is Rule.POSITION
+    assert (violation.value, violation.limit) == pytest.approx((limit + sign * 0.001, limit))
+    # The reference rests, and the setpoint jumps.
+    assert broken(0.01, step=0.999 * rules.STEP_LIMIT) is None
+    violation = broken(0.01, step=-1.001 * rules.STEP_LIMIT)
+    assert (violation.rule, violation.limit) == (Rule.JUMP, rules.STEP_LIMIT)
+
+
+@pytest.mark.parametrize("joint", range(1, 8))
+@pytest.mark.parametrize("upper", [True, False])
+def test_a_setpoint_stays_inside_the_position_limits(joint, upper):
+    limit = (LIMITS.upper if upper else LIMITS.lower)[joint - 1]
+    inwards = -1e-9 if upper else 1e-9
+    at = moved(HOME, joint, limit - HOME[joint - 1] + inwards)
+    beyond = moved(at, joint, -2 * inwards)
+    assert check_setpoint(LIMITS, at, at, at, DT) is None
+    violation = check_setpoint(LIMITS, beyond, beyond, beyond, DT)
+    assert violation is not None
+    assert violation.rule is Rule.POSITION
+    assert violation.joint == joint
+    assert violation.limit == limit
+    assert violation.value == beyond[joint - 1]
+    assert " is at " in violation.reason
+    bounds = LIMITS.lower[joint - 1], LIMITS.upper[joint - 1]
+    assert "expected {:.4f} to {:.4f} rad".format(*bounds) in violation.reason
+    assert check_first(LIMITS, at, at) is None
+    first = check_first(LIMITS, beyond, beyond)
+    assert first is not None
+    assert first.rule is Rule.POSITION
+
+
+def test_at_its_bound_a_setpoint_may_be_sent():
+    for q in (LIMITS.upper, LIMITS.lower):
+        assert check_setpoint(LIMITS, q, q, q, DT) is None
+        assert check_first(LIMITS, q, q) is None
+    # Joint 3 is at zero at home, so that nothing is rounded.
+    for side in (1.0, -1.0):
+        assert check_first(LIMITS, moved(HOME, 3, side * rules.FIRST_LIMIT), HOME) is None
+        jump = moved(HOME, 3, side * rules.STEP_LIMIT)
+        assert check_setpoint(LIMITS, jump, HOME, HOME, 10.0) is None
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_setpoint_can_be_stopped_before_the_limit(side):
+    # 1.2 rad/s needs 1.44 / (2 10) = 72 mrad.
+    for room, may in ((0.0721, True), (0.0719, False)):
+        q = moved(HOME, 1, side * (LIMITS.upper[0] - room) - HOME[0])
+        last, before = moved(q, 1, -1.2 * side * DT), moved(q, 1, -2.4 * side * DT)
+        violation = check_setpoint(LIMITS, q, last, before, DT)
+        assert (violation is None) == may
+        if violation:
+            assert violation.rule is Rule.POSITION
+            assert "could only be stopped" in violation.reason
+            assert violation.value == pytest.approx(side * (LIMITS.upper[0] - room + 0.072))
+        # On the way back it may be there.
+        assert check_setpoint(LIMITS, last, q, moved(q, 1, 1.2 * side * DT), DT) is None
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_only_on_a_way_to_rest_nobody_asks_where_a_joint_could_be_stopped(side):
+    limit = LIMITS.upper[6] if side > 0.0 else LIMITS.lower[6]
+    stream = [(*HOME[:6], limit - side * far) for far in (1e-9, 0.0011, 0.0022)]
+    broken = rules.broken_setpoint(LIMITS, *stream, DT)
+    assert broken[:2] == (rules.POSITION_CODE, 7)
+    assert rules.broken_setpoint(LIMITS, *stream, DT, True)[0] == rules.NO_VIOLATION
+    assert check_setpoint(LIMITS, *stream, DT, to_rest=True) is None
+    # The limit itself stays one.
+    beyond = ((*HOME[:6], limit + side * 1e-9), *stream[1:])
+    assert check_setpoint(LIMITS, *beyond, DT, to_rest=True).rule is Rule.POSITION
+
+
+@pytest.mark.parametrize("joint", range(1, 8))
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("dt", [0.002, 0.005, 0.01])
+def test_no_joint_is_sent_faster_than_it_can(joint, side, dt):
+    step = LIMITS.velocity[joint - 1] * dt * side
+    for share, may in ((0.999, True), (1.001, False)):
+        q, last = moved(HOME, joint, share * step), HOME
+        before = moved(HOME, joint, -share * step)
+        violation = check_setpoint(LIMITS, q, last, before, dt)
+        assert (violation is None) == may
+        if violation:
+            assert violation.rule is Rule.VELOCITY
+            assert violation.joint == joint
+            assert violation.value == pytest.approx(share * LIMITS.velocity[joint - 1])
+            assert violation.limit == LIMITS.velocity[joint - 1]
+            assert violation.reason.endswith(" rad/s")
+
+
+@pytest.mark.parametrize("joint", range(1, 8))
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("dt", [0.002, 0.005, 0.01])
+def test_no_joint_is_sent_harder_than_it_can(joint, side, dt):
+    change = LIMITS.acceleration[joint - 1] * dt**2 * side
+    for share, may in ((0.999, True), (1.001, False)):
+        # From rest, while moving on, and to rest.
+        for v in (0.0, 0.3 * side * dt):
+            q = moved(HOME, joint, v + share * change)
+            violation = check_setpoint(LIMITS, q, HOME, moved(HOME, joint, -v), dt)
+            assert (violation is None) == may
+            if violation:
+                assert violation.rule is Rule.ACCELERATION
+                assert violation.joint == joint
+                assert violation.value == pytest.approx(10.0 * share)
+                assert violation.limit == 10.0
+                assert violation.reason.endswith(" rad/s^2")
+
+
+def test_at_the_limits_themselves_rounding_is_forgiven():
+    step = LIMITS.velocity[0] * DT
+    for n in range(1000):
+        q0 = -1.0 + n * 1e-3
+        q = [moved(HOME, 1, q0 + i * step - HOME[0]) for i in range(3)]
+        assert check_setpoint(LIMITS, q[2], q[1], q[0], DT) is None
+
+
+@pytest.mark.parametrize(("share", "may"), [(5e-7, True), (5e-6, False)])
+def test_rounding_is_forgiven_and_no_more(share, may):
+    v, a = (limit * (1.0 + share) for limit in (LIMITS.velocity[0], 10.0))
+    fast = check_setpoint(LIMITS, moved(HOME, 1, v * DT), HOME, moved(HOME, 1, -v * DT), DT)
+    hard = check_setpoint(LIMITS, moved(HOME, 1, a * DT**2), HOME, HOME, DT)
+    assert (fast is None) == (hard is None) == may
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_jump_is_a_jump_however_long_ago_the_last_one_was(side):
+    for step, rule in ((0.0348, None), (0.0350, Rule.JUMP)):
+        q = moved(HOME, 1, side * step)
+        violation = check_setpoint(LIMITS, q, HOME, HOME, 10.0)
+        assert (violation and violation.rule) is rule
+    assert violation.joint == 1
+    assert violation.value == pytest.approx(0.035)
+    assert violation.limit == pytest.approx(radians(2.0))
+    assert "jumps by 0.0350 rad" in violation.reason
+
+
+def test_degrees_for_radians_are_found():
+    violation = check_setpoint(LIMITS, tuple(np.degrees(HOME)), HOME, HOME, DT)
+    assert violation is not None
+    assert violation.rule is Rule.POSITION
+
+
+@pytest.mark.parametrize("joint", range(1, 8))
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_first_setpoint_is_the_measured_posture(joint, side):
+    assert check_first(LIMITS, moved(HOME, joint, side * 0.00499), HOME) is None
+    violation = check_first(LIMITS, moved(HOME, joint, side * 0.00501), HOME)
+    assert violation is not None
+    assert violation.rule is Rule.FIRST
+    assert violation.joint == joint
+    assert violation.value == pytest.approx(0.00501)
+    assert violation.limit == 0.005
+    assert violation.from_measured
+
+
+# The run.
+
+
+def test_nothing_wrong_breaks_no_rule():
+    assert check(GUARD, CALM, SafetyInputs()) is None
+    assert check(T1, CALM, SafetyInputs(balancing=True, on_track=True)) is None
+    assert set(SafetyInputs(manipulability=0.0)) == set(MonitorState()) == {0.0, None}
+    assert rules.overloaded_joint((0.0,) * 7, GUARD.torque) == 0
+
+
+BOUNDS = [
+    # rule, view that keeps it, view that breaks it
+    (Rule.LINK, {"overdue": 0.070}, {"overdue": 0.0701}),
+    (Rule.TORQUE, {"torque": (32.0, -32.0, 0, 0, 0, 0, 4.0)}, {"torque": (0,) * 6 + (4.01,)}),
+    (Rule.TORQUE, {"torque": (0.0,) * 7}, {"torque": (0, -32.1, 0, 0, 0, 0, 0)}),
+    (
+        Rule.SINGULAR,
+        {"manipulability": 1.001 * GUARD.min_manipulability},
+        {"manipulability": 0.999 * GUARD.min_manipulability},
+    ),
+    (Rule.TRACK, {"x": -0.217}, {"x": -0.219}),
+    (Rule.TRACK, {"x": 0.217}, {"x": 0.219}),
+    (Rule.TRACK, {"x": 0.215, "x_dot": -0.5}, {"x": 0.22, "x_dot": -0.5}),
+    (Rule.TRACK, {"x": -0.215, "x_dot": 0.5}, {"x": -0.22, "x_dot": 0.5}),
+    (Rule.TRACK, {"x": 0.16, "x_dot": 0.5}, {"x": 0.17, "x_dot": 0.5}),
+    (Rule.DRIFT, {"drift": 0.0149}, {"drift": 0.0151}),
+    (Rule.TILT, {"tilt": radians(1.99)}, {"tilt": radians(2.01)}),
+    (Rule.TILT, {"tilt": -radians(1.99)}, {"tilt": -radians(2.01)}),
+    (Rule.TICK, {"lateness": 0.070}, {"lateness": 0.0701}),
+    (Rule.MEASUREMENT_STALE, {"measured_age": 0.120}, {"measured_age": 0.1201}),
+    (Rule.ENCODER_STALE, {"encoder_age": 0.070}, {"encoder_age": 0.0701}),
+    (Rule.ENCODER_ILLEGAL, {"encoder_illegal": False}, {"encoder_illegal": True}),
+    (Rule.ENCODER_GAP, {"encoder_missing": 0}, {"encoder_missing": 1}),
+    (
+        Rule.ENCODER_JUMP,
+        {"encoder_jump": radians(0.599)},
+        {"encoder_jump": radians(0.601)},
+    ),
+    (Rule.ANGLE, {"phi": radians(10.99)}, {"phi": radians(11.0)}),
+    (Rule.ANGLE, {"phi": -radians(10.99)}, {"phi": -radians(11.0)}),
+]
+
+WORDS = {
+    Rule.SINGULAR: "near a singularity",
+    Rule.TRACK: "could be stopped at",
+    Rule.DRIFT: "mm off its line",
+    Rule.TILT: "tilted by",
+}
+"""What the operator is told of the flange."""
+
+
+@pytest.mark.parametrize(("rule", "kept", "not_kept"), BOUNDS)
+def test_each_rule_on_either_side_of_its_bound(rule, kept, not_kept):
+    usual = {"on_track": True, "balancing": True}
+    assert check(GUARD, CALM, SafetyInputs(**usual | kept)) is None
+    violation = check(GUARD, CALM, SafetyInputs(**usual | not_kept))
+    assert isinstance(violation, Violation)
+    assert violation.rule is rule
+    # What the operator is told holds the number that is and the one that may be.
+    assert any(character.isdigit() for character in violation.reason) or (
+        rule is Rule.ENCODER_ILLEGAL
+    )
+    assert WORDS.get(rule, "") in violation.reason
+    assert abs(violation.value) >= abs(violation.limit) or rule is Rule.SINGULAR
+
+
+def test_lost_counts_are_counted():
+    illegal = check(GUARD, CALM, SafetyInputs(encoder_illegal=True))
+    assert (illegal.value, illegal.limit) == (1.0, 0.0)
+    gap = check(GUARD, CALM, SafetyInputs(encoder_missing=3))
+    assert (gap.value, gap.limit) == (3.0, 0.0)
+
+
+def test_at_their_bounds_these_are_kept():
+    at = SafetyInputs(
+        on_track=True,
+        drift=rules.DRIFT_LIMIT,
+        tilt=rules.TILT_LIMIT,
+        manipulability=GUARD.min_manipulability,
+        encoder_jump=rules.MAX_COUNT_JUMP,
+    )
+    assert check(
+        GUARD,
+        MonitorState(expected_motion=rules.EXPECTED_MOTION, error_time=rules.FOLLOWING_TIME),
+        at,
+    ) is (None)
+    # Joint 3 is at zero at home, so that nothing is rounded.
+    view = SafetyInputs(measured=moved(HOME, 3, rules.FOLLOWING_LIMIT), expected=HOME)
+    assert update_monitor(GUARD, CALM, view).error_time == 0.0
+    rested = update_monitor(GUARD, CALM, SafetyInputs(measured=HOME, expected=HOME))
+    view = SafetyInputs(measured=moved(HOME, 3, rules.STILL_ANGLE), expected=HOME)
+    assert update_monitor(GUARD, rested, view).rest == HOME
+
+
+def test_who_would_come_to_rest_at_the_very_end_of_the_track_is_stopped():
+    at_once = GUARD._replace(reaction=0.0)
+    # From 0.5 m/s to rest it takes 31.25 mm.
+    for x_dot, x in ((0.0, 0.22), (0.5, 0.22 - 0.03125)):
+        assert broken(SafetyInputs(on_track=True, x=x, x_dot=x_dot), at_once) is Rule.TRACK
+        assert broken(SafetyInputs(on_track=True, x=x - 1e-9, x_dot=x_dot), at_once) is None
+
+
+def test_flange_and_angle_count_where_they_mean_something():
+    away = SafetyInputs(x=9.0, x_dot=9.0, drift=9.0, tilt=9.0, manipulability=0.0, phi=3.0)
+    assert check(T1, CALM, away) is None
+    assert broken(away._replace(on_track=True)) is Rule.SINGULAR
+    assert broken(away._replace(balancing=True)) is Rule.ANGLE
+
+
+def test_t1_is_slow_and_a_stop_not_a_clip():
+    for side in (1.0, -1.0):
+        slow, fast = (SafetyInputs(on_track=True, x_dot=side * v) for v in (0.2299, 0.23))
+        assert broken(slow, T1) is None
+        assert broken(fast, T1) is Rule.SPEED
+        assert broken(fast) is None
+    violation = check(T1, CALM, fast)
+    assert (violation.value, violation.limit) == (-0.23, 0.23)
+    assert violation.reason == "the flange moves at -0.230 m/s, expected less than 0.23 m/s"
+
+
+def test_the_violation_names_the_joint_that_is_touched():
+    violation = check(GUARD, CALM, SafetyInputs(torque=(0, 0, 0, 0, 0, -4.5, 0)))
+    assert violation.joint == 6
+    assert violation.value == -4.5
+    assert violation.limit == pytest.approx(4.0)
+    assert violation.from_measured
+
+
+NUMBERS = [
+    name
+    for name, value in zip(SafetyInputs._fields, SafetyInputs(), strict=True)
+    if type(value) is float
+]
+
+
+@pytest.mark.parametrize("number", [nan, inf, -inf])
+@pytest.mark.parametrize("name", [*NUMBERS, "measured", "expected", "torque"])
+def test_what_is_no_number_stops_the_run_whatever_else_is_wrong(name, number):
+    if name == "manipulability" and number == inf:
+        return
+    value = number if name in NUMBERS else (0.0, 0.0, 0.0, number, 0.0, 0.0, 0.0)
+    view = SafetyInputs(overdue=1.0, on_track=True, balancing=True, x=9.0)._replace(**{name: value})
+    violation = check(GUARD, CALM, view)
+    assert violation.rule is Rule.NUMBER
+    assert name in violation.reason
+
+
+def test_all_numbers_of_a_view_are_looked_at():
+    assert len(NUMBERS) == 11
+
+
+def test_of_several_the_first_in_the_order_of_the_rules_is_named():
+    wrong = {
+        Rule.NUMBER: {"measured": (nan,) * 7},
+        Rule.LINK: {"overdue": 1.0},
+        Rule.TORQUE: {"torque": (99.0,) * 7},
+        Rule.SINGULAR: {"manipulability": 0.0},
+        Rule.TRACK: {"x": 0.3},
+        Rule.SPEED: {"x_dot": -0.3},
+        Rule.DRIFT: {"drift": 1.0},
+        Rule.TILT: {"tilt": 1.0},
+        Rule.TICK: {"lateness": 1.0},
+        Rule.MEASUREMENT_STALE: {"measured_age": 1.0},
+        Rule.ENCODER_STALE: {"encoder_age": 1.0},
+        Rule.ENCODER_ILLEGAL: {"encoder_illegal": True},
+        Rule.ENCODER_GAP: {"encoder_missing": 3},
+        Rule.ENCODER_JUMP: {"encoder_jump": 1.0},
+        Rule.ANGLE: {"phi": 1.0},
+    }
+    assert [rule for rule in Rule if rule in wrong] == list(wrong)
+    for first in range(len(wrong)):
+        changes = {}
+        for change in list(wrong.values())[first:]:
+            changes |= change
+        view = SafetyInputs(on_track=True, balancing=True)._replace(**changes)
+        assert broken(view, T1) is list(wrong)[first]
+
+
+def test_the_rules_that_leave_the_arm_elsewhere():
+    assert {Rule.NOT_FOLLOWING, Rule.FOLLOWING, Rule.TORQUE, Rule.FIRST} == FROM_MEASURED
+    assert not Violation(Rule.TRACK, "", 1.0, 0.0).from_measured
+    assert Violation(Rule.TRACK, "", 1.0, 0.0).joint is None
+
+
+# What goes on for a while.
+
+
+def seen(*views, guard=GUARD):
+    """Return what has been going on after these views, and the first violation."""
+    watched, first = MonitorState(), None
+    for view in views:
+        watched = update_monitor(guard, watched, view)
+        first = first or check(guard, watched, view)
+    return watched, first
+
+
+def test_three_missed_ticks_in_a_row_are_too_many():
+    late, in_time = SafetyInputs(lateness=H), SafetyInputs(lateness=0.99 * H)
+    assert seen(late, late)[1] is None
+    assert seen(late, late, in_time, late, late)[1] is None
+    watched, violation = seen(late, late, late)
+    assert watched.missed == 3
+    assert update_monitor(GUARD, watched, SafetyInputs()).missed == 0
+    assert violation.rule is Rule.TICK
+    assert (violation.value, violation.limit) == (3.0, 3.0)
+    # Measured joints or not.
+    arm = SafetyInputs(lateness=H, measured=HOME, expected=HOME)
+    assert seen(late, arm, late)[1].rule is Rule.TICK
+    assert seen(arm, arm, arm)[1].rule is Rule.TICK
+
+
+def along(n, follow, *, joint=1, speed=0.1):
+    """Return views of an arm that is expected to move steadily, and does by a share of it."""
+    return [
+        SafetyInputs(
+            measured=moved(HOME, joint, follow * speed * H * i),
+            expected=moved(HOME, joint, speed * H * i),
+        )
+        for i in range(n)
+    ]
+
+
+def test_an_arm_that_follows_is_left_alone():
+    for follow in (1.0, 0.95):
+        assert seen(*along(50, follow))[1] is None
+    assert seen(*along(300, 1.0, speed=0.0))[1] is None
+
+
+def test_an_arm_that_stands_still_while_it_should_move_does_not_follow():
+    views = along(50, 0.0)
+    # 0.1 rad/s: after 0.1 s it should have gone 10 mrad.
+    assert seen(*views[:10])[1] is None
+    watched, violation = seen(*views[:13])
+    assert violation.rule is Rule.NOT_FOLLOWING
+    assert violation.value == pytest.approx(0.011, abs=0.0015)
+    assert violation.limit == 0.01
+    assert violation.from_measured
+    assert watched.rest == HOME
+    # Each tremble within the noise is no motion.
+    trembling = [
+        view._replace(measured=moved(HOME, i % 7 + 1, 2e-4 * (-1) ** i))
+        for i, view in enumerate(views)
+    ]
+    assert seen(*trembling)[1].rule is Rule.NOT_FOLLOWING
+    # ... beyond it, it is.
+    creeping = [
+        view._replace(measured=moved(HOME, 2, 6e-4 * (i % 2))) for i, view in enumerate(views)
+    ]
+    assert seen(*creeping[:20])[1] is None
+
+
+def test_standing_still_counts_from_the_last_motion():
+    follows = along(30, 1.0)
+    stop = follows[-1].measured
+    frozen = [SafetyInputs(measured=stop, expected=moved(stop, 1, 0.001 * i)) for i in range(1, 20)]
+    assert seen(*follows, *frozen[:9])[1] is None
+    assert seen(*follows, *frozen[:12])[1].rule is Rule.NOT_FOLLOWING
+    # What has come back counts all the same.
+    back = SafetyInputs(measured=stop, expected=stop)
+    watched, _ = seen(*follows, *frozen[:8], back)
+    assert watched.expected_motion == pytest.approx(0.008, abs=0.0011)
+
+
+def test_ticks_without_measured_joints_change_nothing_of_that():
+    views = along(9, 0.0)
+    one, other = (
+        seen(*views)[0],
+        seen(*views, SafetyInputs(), SafetyInputs(measured=HOME), SafetyInputs(expected=HOME))[0],
+    )
+    assert other == one._replace(unmeasured=3)
+
+
+def off(n, by, joint=3):
+    """Return views of an arm that moves along, beside where it is expected."""
+    return [
+        view._replace(measured=moved(view.expected, joint, by)) for view in along(n, 1.0, speed=0.2)
+    ]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_arm_that_is_elsewhere_for_long_is_not_following(side):
+    far, near = off(12, side * 0.031), off(12, side * 0.029)
+    assert seen(*near)[1] is None
+    # Five ticks are 50 ms; it has to last longer.
+    assert seen(*far[:5])[1] is None
+    watched, violation = seen(*far[:6])
+    assert watched.error_time == pytest.approx(0.06)
+    assert violation.rule is Rule.FOLLOWING
+    assert violation.joint == 3
+    assert violation.value == pytest.approx(0.031)
+    assert violation.limit == 0.03
+    assert violation.from_measured
+    # Near in between, it begins anew.
+    assert seen(*far[:5], near[5], *far[6:11])[1] is None
+
+
+def test_a_following_error_lasts_through_ticks_without_measured_joints():
+    far, blind = off(8, 0.031), SafetyInputs()
+    assert seen(far[0], *(blind,) * 9)[1] is None
+    # An error before and after them has lasted; one measurement is not enough.
+    assert seen(far[0], *(blind,) * 4, far[5])[1].rule is Rule.FOLLOWING
+    assert seen(far[0], *(blind,) * 3, far[4])[1] is None
+    assert seen(*(blind,) * 9, far[0])[1] is None
+    assert seen(far[0], *(blind,) * 4, off(6, 0.029)[5], far[6])[1] is None
+
+
+def test_a_following_error_needs_measured_joints_to_be_named():
+    watched = MonitorState(error_time=1.0)
+    assert check(GUARD, watched, SafetyInputs()) is None
+    assert check(GUARD, watched, SafetyInputs(measured=HOME)) is None
+    assert broken(SafetyInputs(measured=HOME, expected=HOME), watched=watched) is Rule.FOLLOWING
+
+
+# Track.
+
+
+@pytest.mark.parametrize("u_max", [0.0, 2.0])
+@settings(max_examples=50)
+@given(
+    x=st.floats(-0.22, 0.22),
+    x_dot=st.floats(-1.0, 1.0),
+    reaction=st.floats(0.0, 0.08),
+)
+def test_the_reach_is_where_a_simulated_stop_ends(u_max, x, x_dot, reaction):
+    # Outwards at full command until the stop takes effect, then at 4 m/s^2 to rest; by steps.
+    s = 1.0 if x_dot > 0.0 or (x_dot == 0.0 and x >= 0.0) else -1.0
+    place, v, h = s * x, abs(x_dot), 1e-3
+    left = reaction
+    while left > 1e-12:
+        dt = min(h, left)
+        place += v * dt + 0.5 * u_max * dt**2
+        v += u_max * dt
+        left -= dt
+    while v > 1e-12:
+        dt = min(h, v / 4.0)
+        place += v * dt - 2.0 * dt**2
+        v -= 4.0 * dt
+    assert stopping_reach(x, x_dot, reaction, u_max) == pytest.approx(place, abs=1e-9)
+
+
+def test_the_reach_is_the_formula_of_the_issue():
+    T, u, x, v = 0.035, 2.0, 0.1, 0.3
+    by_hand = x + v * T + 0.5 * u * T**2 + (v + u * T) ** 2 / 8.0
+    assert stopping_reach(x, v, T, u) == pytest.approx(by_hand, rel=1e-12)
+    assert stopping_reach(-x, -v, T, u) == pytest.approx(by_hand, rel=1e-12)
+    assert stopping_reach(x, -v, T, u) == pytest.approx(by_hand - 2 * x, rel=1e-12)
+
+
+def test_at_rest_the_reach_is_on_the_side_where_it_is():
+    assert stopping_reach(-0.2, 0.0, 0.0, 2.0) == pytest.approx(0.2)
+    assert stopping_reach(0.2, -0.0, 0.0, 2.0) == pytest.approx(0.2)
+
+
+def test_the_setpoint_in_force_is_the_newest_that_was_sent_by_then():
+    sent = [0.04, 0.01, 0.02, 0.03]  # the fifth has taken the place of the first
+    in_force = [newest_before(sent, 5, since) for since in (0.045, 0.04, 0.039, 0.02, 0.01)]
+    assert in_force == [0, 0, 3, 2, 1]
+    assert newest_before(sent, 5, 0.005) == 1, "all were sent later: the oldest"
+    begun = [0.04, 0.05, -inf, -inf]
+    assert newest_before(begun, 2, 10.0) == 1
+    assert begun[newest_before(begun, 2, 0.0)] == -inf, "where it rested before the first"
+
+
+# Encoder.
+
+
+def test_a_falling_pendulum_is_explained():
+    # Free fall from upright to hanging and on, at any rate of samples, with a push of the pivot.
+    w2 = 70.2
+    for dt in (0.0005, 0.001, 0.002, 0.005):
+        time = np.arange(0.0, 2.0, 1e-4)
+        theta, v = np.empty_like(time), 0.0
+        theta[0] = radians(179.5)
+        for i in range(1, len(time)):
+            v += 1e-4 * (-w2 * np.sin(theta[i - 1]) + 14.0 * np.sign(np.sin(40 * time[i])))
+            theta[i] = theta[i - 1] + 1e-4 * v
+        t = np.arange(0.0, 1.99, dt)
+        counts = np.floor(np.interp(t, time, theta) / RESOLUTION + 0.5).astype(int)
+        worst = max(
+            unexplained_turn(tuple(t[i : i + 3]), tuple(counts[i : i + 3]), RESOLUTION)
+            for i in range(len(t) - 2)
+        )
+        assert worst == 0.0
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_jump_of_the_counts_is_seen(side):
+    times = (0.0, 0.001, 0.002)
+    # Two steps of the encoder and gravity's 0.15 mrad explain two counts.
+    assert unexplained_turn(times, (0, 5 * side, 12 * side), RESOLUTION) == 0.0
+    jump = unexplained_turn(times, (0, 5 * side, 30 * side), RESOLUTION)
+    assert jump == pytest.approx((20 - 2) * RESOLUTION - 0.5 * 150.0 * 0.001 * 0.002)
+    assert broken(SafetyInputs(encoder_jump=jump)) is Rule.ENCODER_JUMP
+    # Whenever and wherever that is.
+    shifted = unexplained_turn(
+        (7.0, 7.001, 7.002), (900, 900 + 5 * side, 900 + 30 * side), RESOLUTION
+    )
+    assert shifted == pytest.approx(jump, abs=1e-9)
+    # As long after a longer pause: a step then stands for more.
+    later = unexplained_turn((0.0, 0.001, 0.004), (0, 0, 30 * side), RESOLUTION)
+    assert later == pytest.approx((30 - 4) * RESOLUTION - 0.5 * 150.0 * 0.003 * 0.004)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_no_pendulum_turns_faster_than_twenty_radians_per_second(side):
+    def steady(rate):
+        counts = tuple(round(side * rate * t / RESOLUTION) for t in (0.0, 0.01, 0.02))
+        return unexplained_turn((0.0, 0.01, 0.02), counts, RESOLUTION)
+
+    assert steady(20.0) == 0.0
+    assert steady(22.0) == pytest.approx(0.02 - RESOLUTION, abs=RESOLUTION)
+
+
+@pytest.mark.parametrize("times", [(0.0, 0.0, 0.001), (0.0, 0.001, 0.001), (0.0, 0.002, 0.001)])
+def test_time_that_does_not_go_on_explains_nothing(times):
+    assert unexplained_turn(times, (0, 0, 0), RESOLUTION) == inf
+    assert broken(SafetyInputs(encoder_jump=inf)) is Rule.NUMBER
+
+
+def test_limits_say_how_many_joints_there_are():
+    assert Limits((0.0,), (1.0,), (1.0,), (1.0,)).joints == 1

@@ -1,0 +1,323 @@
+"""The motion after a stop: the ramp over random states of an arm, and the way back in its reach."""
+
+from math import inf, nan
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from equipoise.errors import InputError
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.safety.rules import STOP_DECELERATION, check_setpoint, limits_of
+from equipoise.safety.stop import (
+    RETURN_SHARE,
+    ROUNDING_RESERVE,
+    StopMotion,
+    ramp,
+    stoppable_speeds,
+)
+
+ARM = iiwa(14)
+LIMITS = limits_of(ARM)
+HOME = ARM.home
+DT = 0.005
+
+shares = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7)
+
+
+def stream(way, n=None):
+    """Return the setpoints from the begin of a ramp until after its end."""
+    n = int(way.duration / DT) + 4 if n is None else n
+    return np.array([way.at(i * DT) for i in range(n)])
+
+
+def speed_along_base(q, dq):
+    """Return the speed of the flange [m/s]."""
+    twist = ARM.kinematics(ARM.without_held(q), ARM.without_held(dq)).twist
+    return float(np.linalg.norm(twist[:3]))
+
+
+@given(shares, st.floats(0.0, 2.0))
+def test_the_arm_slows_down_at_once_goes_on_straight_and_ends_at_rest(share, speed):
+    dq = [s * limit for s, limit in zip(share, LIMITS.velocity, strict=True)]
+    way = ramp(HOME, dq, speed, LIMITS)
+    q = stream(way)
+    steps = np.diff(q, axis=0)
+    moving = np.abs(dq) > 1e-6
+    # In the very first step, every moving joint is slower than before.
+    assert np.all(np.abs(steps[0])[moving] < np.abs(dq)[moving] * DT)
+    assert np.all(np.abs(np.diff(np.abs(steps), axis=0)) >= -1e-15)
+    # All joints in proportion, and none turns back.
+    assert np.all(steps * np.array(dq) >= -1e-18)
+    np.testing.assert_allclose(np.outer(steps[:, 0], dq), steps * dq[0], atol=1e-12)
+    # Exactly at rest, and it stays.
+    assert np.array_equal(q[-1], q[-2])
+    assert way.speed_at(way.duration + DT) == pytest.approx((0.0,) * 7)
+    assert way.at(1e9) == tuple(q[-1])
+
+
+@given(shares, st.floats(0.0, 2.0))
+def test_each_setpoint_may_be_sent(share, speed):
+    dq = [s * limit for s, limit in zip(share, LIMITS.velocity, strict=True)]
+    way = ramp(HOME, dq, speed, LIMITS)
+    last = HOME
+    before = tuple(q - DT * v for q, v in zip(HOME, dq, strict=True))
+    for setpoint in stream(way)[1:]:
+        assert check_setpoint(LIMITS, tuple(setpoint), last, before, DT) is None
+        before, last = last, tuple(setpoint)
+
+
+@given(
+    st.integers(0, 6), st.sampled_from([-1.0, 1.0]), st.floats(0.01, 0.3), st.floats(1e-9, 1.0),
+    st.floats(0.0, 5.0),
+)  # fmt: skip
+def test_a_ramp_from_where_a_joint_can_just_be_stopped_ends_inside_its_limit(
+    joint, side, share, before_the_last, flange_speed
+):
+    v = side * share * LIMITS.velocity[joint]
+    limit = LIMITS.upper[joint] if side > 0.0 else LIMITS.lower[joint]
+    farthest = limit - side * 0.5 * v * v / LIMITS.acceleration[joint]
+
+    def at(place):
+        return (*HOME[:joint], place, *HOME[joint + 1 :])
+
+    # The farthest setpoint that may be sent, but for less than the way of one more.
+    last = at(farthest - v * DT * before_the_last)
+    before = at(last[joint] - v * DT)
+    assert check_setpoint(LIMITS, last, before, at(before[joint] - v * DT), DT) is None
+    dq = [(a - b) / DT for a, b in zip(last, before, strict=True)]
+    for setpoint in stream(ramp(last, dq, flange_speed, LIMITS))[1:]:
+        assert check_setpoint(LIMITS, tuple(setpoint), last, before, DT, to_rest=True) is None
+        before, last = last, tuple(setpoint)
+
+
+def test_a_ramp_begins_with_the_smaller_of_commanded_and_mean_speed():
+    last, before = (0.01, 0.01, -0.01, -0.01, 0.5), (0.0, 0.0, 0.0, 0.0, 0.5)
+    # Mean: 2, 2, -2, -2, 0 rad/s.
+    dq = (3.0, 1.0, -3.0, -1.0, 0.1)
+    assert stoppable_speeds(dq, last, before, DT) == pytest.approx((2.0, 1.0, -2.0, -1.0, 0.0))
+
+
+def test_a_ramp_leaves_room_for_rounding_before_a_limit():
+    room = 0.5 * 0.2**2 / LIMITS.acceleration[6] * 1.5
+    q = (*HOME[:6], LIMITS.upper[6] - room)
+    way = ramp(q, (*(0.0,) * 6, 0.2), 1.0, LIMITS)
+    left = LIMITS.upper[6] - way.at(way.duration)[6]
+    assert left == pytest.approx(room * ROUNDING_RESERVE, abs=2e-15)
+    assert 0.0 < ROUNDING_RESERVE < 1e-6
+
+
+def test_the_flange_slows_down_as_it_shall():
+    # Along the track at home, as when balancing.
+    J = ARM.kinematics(ARM.home_free).jacobian
+    for x_dot in (0.05, 0.2, 0.4):
+        dq = ARM.with_held(np.linalg.solve(J, np.eye(6)[0] * x_dot))
+        dq[2] = 0.0
+        way = ramp(HOME, dq, x_dot, LIMITS)
+        assert min(way.rates) == pytest.approx(STOP_DECELERATION / x_dot)
+        assert way.duration == pytest.approx(x_dot / STOP_DECELERATION)
+        x = np.array([ARM.pose(ARM.without_held(q)).position[0] for q in stream(way)])
+        # Where the flange comes to rest: v^2 / 2a, but for the bend of its path in joint space.
+        assert x[-1] - x[0] == pytest.approx(x_dot**2 / (2 * STOP_DECELERATION), rel=0.02)
+        assert speed_along_base(way.at(0.5 * way.duration), way.speed_at(0.5 * way.duration)) == (
+            pytest.approx(0.5 * x_dot, rel=0.02)
+        )
+
+
+def test_no_joint_decelerates_by_more_than_its_limit():
+    dq = [0.0] * 7
+    dq[0] = 1.4
+    # The flange alone would ask for 4 / 0.5 = 8 1/s, the joint allows 10 / 1.4.
+    assert ramp(HOME, dq, 0.5, LIMITS).rates[0] == pytest.approx(10.0 / 1.4)
+    assert ramp(HOME, dq, 2.0, LIMITS).rates[0] == pytest.approx(2.0)
+
+
+def test_a_flange_that_does_not_move_leaves_it_to_the_joints():
+    dq = [0.0] * 6 + [1.0]
+    assert ramp(HOME, dq, 0.0, LIMITS).rates[6] == pytest.approx(10.0)
+    assert ramp(HOME, dq, -2.0, LIMITS).rates[6] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("room", "rate"), [(0.5, 2.0), (0.08, 0.5 * 0.8 / 0.08), (0.01, 12.5), (0.0, 12.5), (-1, 12.5)]
+)
+def test_near_a_position_limit_it_stops_sooner(side, room, rate):
+    q, dq = list(HOME), [0.0] * 7
+    q[0] = side * (LIMITS.upper[0] - room)
+    dq[0] = side * 0.8
+    way = ramp(q, dq, 2.0, LIMITS)
+    assert min(way.rates) == pytest.approx(rate)
+    if room >= 0.08:
+        assert abs(way.at(inf)[0]) <= LIMITS.upper[0] + 1e-12
+    # Away from the limit it does not matter.
+    dq[0] = -dq[0]
+    assert ramp(q, dq, 2.0, LIMITS).rates[0] == pytest.approx(2.0)
+
+
+def test_a_joint_near_its_limit_does_not_wait_for_one_that_cannot_stop_so_soon():
+    q, dq = list(HOME), [0.0] * 7
+    dq[6] = 2.0  # stops in 0.2 s, and not sooner
+    q[0], dq[0] = LIMITS.upper[0] - 0.02, 0.5  # would go 0.05 rad meanwhile
+    way = ramp(q, dq, 0.0, LIMITS)
+    assert way.rates[6] == pytest.approx(10.0 / 2.0)
+    assert way.at(inf)[0] == pytest.approx(LIMITS.upper[0])
+    assert way.at(inf)[6] == pytest.approx(HOME[6] + 2.0**2 / (2 * 10.0))
+    assert way.speed_at(0.1)[0] == 0.0
+    assert way.speed_at(0.1)[6] == pytest.approx(1.0)
+    assert way.duration == pytest.approx(0.2)
+    assert np.all(stream(way) <= np.array(LIMITS.upper) + 1e-12)
+
+
+def test_at_rest_it_holds():
+    way = ramp(HOME, (0.0,) * 7, 0.3, LIMITS)
+    assert way.duration == 0.0
+    for time in (-1.0, 0.0, DT, 10.0):
+        assert way.at(time) == HOME
+        assert way.speed_at(time) == (0.0,) * 7
+
+
+def test_before_its_begin_it_is_where_it_begins():
+    way = ramp(HOME, (0.5,) + (0.0,) * 6, 0.0, LIMITS)
+    assert way.at(-1.0) == way.at(0.0) == HOME
+    assert way.speed_at(-1.0) == way.speed_at(0.0) == way.dq0
+    assert way.speed_at(0.5 * way.duration)[0] == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(
+    ("q", "dq", "speed", "name"),
+    [
+        (HOME[:6], (0.0,) * 7, 0.0, "q"),
+        (HOME, (0.0,) * 8, 0.0, "dq"),
+        ((nan,) * 7, (0.0,) * 7, 0.0, "q"),
+        (HOME, (inf,) * 7, 0.0, "dq"),
+        ((*HOME[:6], nan), (0.0,) * 7, 0.0, "q"),
+        (HOME, (inf,) + (0.0,) * 6, 0.0, "dq"),
+        (HOME, (0.0,) * 7, nan, "flange_speed"),
+    ],
+)
+def test_it_starts_from_numbers(q, dq, speed, name):
+    with pytest.raises(InputError, match=f"^{name} is"):
+        ramp(q, dq, speed, LIMITS)
+
+
+# The way back.
+
+H = 2.0 * DT
+SLIDING = tuple(0.2 * limit for limit in LIMITS.velocity)
+"""Velocities of a stop that covers 0.02 to 0.05 rad in each joint [rad/s]."""
+
+
+def stopped(dq=SLIDING, speed=0.5, q=HOME):
+    """Return a stop at the end of its ramp, and the setpoints of the ramp."""
+    motion, sent = StopMotion(q, dq, speed, LIMITS), [q]
+    while not motion.at_rest:
+        sent += motion.advance(H)
+    return motion, np.array(sent)
+
+
+def sent_until_rest(motion, ticks=1000):
+    """Return the setpoints from now until rest."""
+    sent = [motion.q]
+    for _ in range(ticks):
+        sent += motion.advance(H)
+        if motion.at_rest:
+            return np.array(sent)
+    raise AssertionError("it does not come to rest")
+
+
+def test_a_stop_is_its_ramp_and_then_rests():
+    motion, sent = stopped()
+    way = ramp(HOME, SLIDING, 0.5, LIMITS)
+    assert sent == pytest.approx(stream(way, len(sent)))
+    assert motion.q == way.at(inf)
+    assert motion.advance(H) == (way.at(inf),) * 2
+    assert motion.dq == (0.0,) * 7
+    assert 0.0 < motion.rested < 2.0 * H
+    assert not motion.goes_back
+
+
+def test_the_way_back_ends_where_the_arm_is():
+    motion, ramped = stopped()
+    end = tuple(0.4 * a + 0.6 * b for a, b in zip(HOME, motion.q, strict=True))
+    moved = motion.go_back(end)
+    assert moved == pytest.approx(0.4 * np.abs(ramped[-1] - HOME).max())
+    assert motion.goes_back
+    assert motion.rested < 0.0
+    sent = sent_until_rest(motion)
+    assert sent[-1] == pytest.approx(end)
+    assert not motion.goes_back
+    dq, ddq = np.diff(sent, axis=0) / DT, np.diff(sent, n=2, axis=0) / DT**2
+    used = np.abs(dq / LIMITS.velocity).max(), np.abs(ddq / LIMITS.acceleration).max()
+    assert max(used) == pytest.approx(RETURN_SHARE, rel=0.05)
+
+
+@given(
+    shares,
+    st.lists(st.floats(-10.0, 10.0), min_size=7, max_size=7),
+    st.integers(1, 200),
+    st.sampled_from(["hold", "rest", ""]),
+)
+def test_no_setpoint_leaves_the_reach_of_the_ramp_whatever_is_measured(share, away, ticks, then):
+    dq = [0.3 * s * limit for s, limit in zip(share, LIMITS.velocity, strict=True)]
+    motion, sent = stopped(dq)
+    reach = np.abs(sent[-1] - HOME)
+    motion.go_back(tuple(np.add(HOME, away).tolist()))
+    back = [motion.q]
+    for _ in range(ticks):
+        back += motion.advance(H)
+    if then == "hold":
+        motion.hold()
+    elif then == "rest":
+        motion.rest(back[-1])
+    back += sent_until_rest(motion)[1:].tolist()
+    assert (np.abs(np.array(back) - HOME) <= reach + 1e-12).all()
+    limits = LIMITS._replace(acceleration=tuple(1.001 * a for a in LIMITS.acceleration))
+    for before, last, q in zip([back[0], *back], back, back[1:], strict=False):
+        assert check_setpoint(limits, q, last, before, DT, to_rest=True) is None or then == "rest"
+
+
+def test_a_way_back_that_is_held_ends_at_once():
+    motion, _ = stopped()
+    motion.go_back(HOME)
+    sent = [motion.q]
+    for _ in range(20):
+        sent += motion.advance(H)
+    assert max(map(abs, motion.dq)) > 0.01
+    motion.hold()
+    assert not motion.goes_back
+    held = sent_until_rest(motion)
+    assert len(held) < 8
+    hardest = np.abs(np.diff([*sent, *held[1:]], n=2, axis=0)).max(axis=0) / DT**2
+    assert (hardest <= np.array(LIMITS.acceleration) * (1.0 + 1e-6)).all()
+
+
+def test_where_the_stream_stood_still_the_arm_rests_at_its_last_setpoint():
+    motion = StopMotion(HOME, SLIDING, 0.5, LIMITS)
+    _, last = motion.advance(H)
+    motion.rest(last)
+    assert motion.at_rest
+    assert motion.rested == 0.0
+    assert motion.advance(H) == (last, last)
+
+
+def test_the_way_back_needs_a_measured_angle_for_each_joint():
+    for measured in (HOME[:6], (*HOME, 0.0)):
+        motion, _ = stopped()
+        with pytest.raises((ValueError, IndexError)):
+            motion.go_back(measured)
+
+
+def test_the_way_back_is_as_slow_as_the_way_home():
+    assert RETURN_SHARE == 0.1
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_way_back_stays_inside_the_limits(side):
+    ends = np.array(LIMITS.upper if side > 0 else LIMITS.lower)
+    q = tuple((ends - side * 0.01).tolist())
+    motion, sent = stopped(tuple(-side * v for v in SLIDING), q=q)
+    assert (np.abs(sent[-1] - q) > 0.011).all()
+    motion.go_back(tuple((ends + side * 0.01).tolist()))
+    assert sent_until_rest(motion)[-1] == pytest.approx(ends, abs=1e-12)

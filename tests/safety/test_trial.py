@@ -1,0 +1,328 @@
+"""The rules as kernels ask them: the same verdicts as in Python, and when they are asked."""
+
+from math import radians
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from equipoise.control.control_step import (
+    EST_PHI,
+    EST_PIVOT_V,
+    make_controller_params,
+    new_controller_state,
+)
+from equipoise.control.grid import ANGLE, CAUSES, SAFETY_STOP, TRUNCATED, cause_named
+from equipoise.jit import kernel
+from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.worlds import read_world
+from equipoise.safety import rules
+from equipoise.safety.rules import (
+    NO_VIOLATION,
+    RULES,
+    MonitorState,
+    Rule,
+    SafetyInputs,
+    broken_flange,
+    broken_setpoint,
+    check,
+    check_setpoint,
+    error_time_exceeded,
+    has_fallen,
+    largest_difference,
+    make_safety_params,
+    newest_before,
+    next_error_time,
+    overloaded_joint,
+    stopping_reach,
+    update_monitor,
+)
+from equipoise.safety.trial import (
+    guard_named,
+    new_trial_monitor,
+    reset_trial_monitor,
+    setpoint_violation,
+    trial_safety,
+    trial_violation,
+)
+from equipoise.settings import Settings
+
+ARM = iiwa(7)
+GUARD_7 = make_safety_params(ARM, reaction=0.03, u_max=2.0, h=0.01, counts_per_rev=8192)
+DT = 0.005
+
+
+def near(middle, wide):
+    return st.floats(middle - wide, middle + wide)
+
+
+def numbers(wide):
+    return st.tuples(*(near(0.0, wide) for _ in ARM.joints))
+
+
+@kernel
+def compiled_setpoint(limits, q, last, before, dt):
+    return broken_setpoint(limits, q, last, before, dt)
+
+
+@kernel
+def compiled_flange(guard, x, x_dot, drift, tilt, w):
+    return broken_flange(guard, x, x_dot, drift, tilt, w)
+
+
+@kernel
+def compiled_rest(guard, measured, expected, before, torque, phi):
+    error, joint = largest_difference(measured, expected)
+    error_time = next_error_time(before, error, guard.h)
+    pressed = overloaded_joint(torque, guard.torque)
+    return error, joint, error_time, error_time_exceeded(error_time), pressed, has_fallen(phi)
+
+
+@kernel
+def compiled_newest(sent, number, since):
+    return newest_before(sent, number, since)
+
+
+@pytest.mark.compiled_only
+@settings(deadline=None, max_examples=300)
+@given(
+    place=st.sampled_from([0.0, 1.0, 1.5, 2.0]),
+    change=numbers(0.02),
+    bend=numbers(3e-4),
+    jump=st.sampled_from([0.0, 0.0, 0.0, 0.036]),
+)
+def test_a_setpoint_has_the_same_verdict_compiled_and_in_python(place, change, bend, jump):
+    last = np.array(ARM.home) + place
+    q = last + np.array(change) * 0.1 + jump
+    before = last - np.array(change) * 0.1 + np.array(bend)
+    violation = check_setpoint(GUARD_7.limits, q.tolist(), tuple(last), tuple(before), DT)
+    code, joint, value, limit = compiled_setpoint(GUARD_7.limits, q, last, before, DT)
+    if violation is None:
+        assert code == NO_VIOLATION
+    else:
+        assert (RULES[code], joint) == (violation.rule, violation.joint)
+        assert (value, limit) == pytest.approx((violation.value, violation.limit), rel=1e-12)
+
+
+@pytest.mark.compiled_only
+@settings(deadline=None, max_examples=300)
+@given(
+    x=near(0.0, 0.3),
+    x_dot=near(0.0, 0.8),
+    drift=st.floats(0.0, 0.02),
+    tilt=near(0.0, 0.05),
+    w=st.floats(0.0, 0.1),
+    speed=st.sampled_from([float("inf"), rules.T1_SPEED, 0.4]),
+)
+def test_a_flange_has_the_same_verdict_compiled_and_in_python(x, x_dot, drift, tilt, w, speed):
+    guard = GUARD_7._replace(speed=speed)
+    view = SafetyInputs(on_track=True, x=x, x_dot=x_dot, drift=drift, tilt=tilt, manipulability=w)
+    violation = check(guard, MonitorState(), view)
+    code, value, limit = compiled_flange(guard, x, x_dot, drift, tilt, w)
+    if violation is None:
+        assert code == NO_VIOLATION
+    else:
+        assert RULES[code] is violation.rule
+        assert (value, limit) == pytest.approx((violation.value, violation.limit), rel=1e-12)
+
+
+@pytest.mark.compiled_only
+@settings(deadline=None, max_examples=200)
+@given(
+    off=numbers(0.05),
+    before=st.floats(0.0, 0.1),
+    torque=numbers(40.0),
+    phi=near(0.0, radians(15.0)),
+)
+def test_all_else_has_the_same_verdict_compiled_and_in_python(off, before, torque, phi):
+    expected = ARM.home
+    measured = tuple(float(a + b) for a, b in zip(expected, off, strict=True))
+    view = SafetyInputs(
+        measured=measured, expected=expected, torque=torque, phi=phi, balancing=True
+    )
+    watched = update_monitor(GUARD_7, MonitorState(error_time=before), view)
+    *_, joint, error_time, lost, pressed, fallen = compiled_rest(
+        GUARD_7, np.array(measured), np.array(expected), before, np.array(torque), phi
+    )
+    assert error_time == watched.error_time
+    violation = check(GUARD_7, watched, view)
+    if pressed:
+        assert (violation.rule, violation.joint) == (Rule.TORQUE, pressed)
+    elif lost:
+        assert (violation.rule, violation.joint) == (Rule.FOLLOWING, joint)
+    elif fallen:
+        assert violation.rule is Rule.ANGLE
+    else:
+        assert violation is None
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("count", [4, 5])
+def test_the_setpoint_in_force_is_the_same_compiled_and_in_python(count):
+    sent = np.array([0.04, 0.01, 0.02, 0.03])
+    for since in np.arange(0.0, 0.05, 0.005):
+        assert compiled_newest(sent, count, since) == newest_before(sent, count, since)
+
+
+def test_a_number_that_is_none_breaks_a_rule():
+    nan = float("nan")
+    home = np.array(ARM.home)
+    broken = home.copy()
+    broken[3] = nan
+    assert broken_setpoint(GUARD_7.limits, broken, home, home, DT)[:2] == (
+        rules.POSITION_CODE, 4,
+    )  # fmt: skip
+    assert broken_flange(GUARD_7, nan, 0.0, 0.0, 0.0, 1.0)[0] == rules.TRACK_CODE
+    assert broken_flange(GUARD_7, 0.0, nan, 0.0, 0.0, 1.0)[0] == rules.TRACK_CODE
+    assert has_fallen(nan)
+
+
+def test_rules_act_where_a_world_has_them_with_the_numbers_of_a_rig():
+    actuator = shipped_actuator()
+    world = read_world("twin:nominal").settings
+    unguarded = world.model_copy(update={"guards": False})
+    assert trial_safety(ARM, unguarded, actuator, 0.01) is None
+    guard = trial_safety(ARM, world, actuator, 0.01)
+    assert guard is not None
+    assert guard.limits == GUARD_7.limits
+    assert guard.u_max == 2.0
+    assert actuator.delay.value < guard.reaction < 0.05
+    assert guard.speed == float("inf")
+    t1 = trial_safety(ARM, world.model_copy(update={"t1": True}), actuator, 0.01)
+    assert t1 == guard._replace(speed=0.23)
+
+
+@pytest.mark.parametrize(
+    ("t1", "max_speed", "speed"), [(False, 0.3, 0.3), (True, 0.3, 0.23), (True, 0.2, 0.2)]
+)
+def test_of_two_speed_limits_the_lower_acts(t1, max_speed, speed):
+    world = read_world("twin:nominal").settings.model_copy(update={"t1": t1})
+    guard = trial_safety(ARM, world, shipped_actuator(), 0.01, max_speed)
+    assert guard.speed == speed
+
+
+def test_the_free_joints_alone_are_asked():
+    watching = new_trial_monitor(ARM, GUARD_7)
+    assert len(watching.params.limits.upper) == len(watching.params.torque) == 6
+    assert watching.active
+    assert not new_trial_monitor(ARM, None).active
+
+
+def test_what_may_not_be_sent_is_not_remembered_as_sent():
+    watching, home = new_trial_monitor(ARM, GUARD_7), ARM.home_free.copy()
+    reset_trial_monitor(watching, home)
+    assert setpoint_violation(watching, home, 0.0) == NO_VIOLATION
+    assert setpoint_violation(watching, home + 1e-5, 0.005) == NO_VIOLATION
+    far = home + 1e-5
+    far[2] += 0.02
+    assert RULES[setpoint_violation(watching, far, 0.01)] is Rule.VELOCITY
+    newest = newest_before(watching.sent, watching.number[0], 1.0)
+    assert watching.setpoints[newest] == pytest.approx(home + 1e-5)
+    assert RULES[setpoint_violation(watching, home + 6e-4, 0.01)] is Rule.ACCELERATION
+
+
+class Tick:
+    """The first lane of a controller, told what it measures and believes."""
+
+    def __init__(self, guard=GUARD_7, begin=(0.0,) * 6):
+        self.controller = make_controller_params(
+            ARM, Settings(), IDEAL_ACTUATOR, PendulumParameters(70.2, 7.16, 0.15), h=0.01,
+            counts_per_rev=8192,
+        )  # fmt: skip
+        self.memory, self.watching = new_controller_state(), new_trial_monitor(ARM, guard)
+        reset_trial_monitor(self.watching, ARM.home_free + begin)
+
+    def __call__(self, away=(0.0,) * 6, v=0.0, phi=0.0, measured_at=0.0):
+        """Return the rule that ends the run, or none; joints are told as seen from home [rad]."""
+        q = ARM.home_free + away
+        self.memory.measured[::BATCH_SIZE] = q
+        (
+            self.memory.estimate[EST_PIVOT_V * BATCH_SIZE],
+            self.memory.estimate[EST_PHI * BATCH_SIZE],
+        ) = v, phi
+        code = trial_violation(self.watching, self.controller, self.memory, q, measured_at)
+        return None if code == NO_VIOLATION else RULES[code]
+
+
+def test_a_stream_of_any_length_is_judged_by_its_last_two_setpoints():
+    # To half a radian per second with 9 of 10 rad/s^2, on with that speed, and to rest at once.
+    speed = np.minimum(9.0 * DT * np.arange(300), 0.45)
+    tick = Tick()
+    for time, place in enumerate(np.cumsum(speed) * DT):
+        last = ARM.home_free - joint(0, place)
+        assert setpoint_violation(tick.watching, last, DT * time) == NO_VIOLATION
+    assert RULES[setpoint_violation(tick.watching, last, 1.5)] is Rule.ACCELERATION
+    # Another trial begins at rest, wherever that is.
+    reset_trial_monitor(tick.watching, ARM.home_free)
+    assert setpoint_violation(tick.watching, ARM.home_free, 0.0) == NO_VIOLATION
+
+
+def joint(row, by):
+    return np.eye(6)[row] * by
+
+
+@pytest.mark.parametrize(
+    ("rule", "kept", "not_kept"),
+    [
+        # To rest from 1 m/s it takes 171 mm, from 1.2 m/s 235 mm.
+        (Rule.TRACK, {"v": 1.0}, {"v": 1.2}),
+        (Rule.TRACK, {"v": -1.0}, {"v": -1.2}),
+        (Rule.ANGLE, {"phi": radians(10.9)}, {"phi": radians(11.0)}),
+        (Rule.ANGLE, {"phi": -radians(10.9)}, {"phi": -radians(11.0)}),
+        # The first joint takes the flange, 0.59 m away, along its track, the second one, 0.61 m
+        # away, off its line; the last one tilts it.
+        (Rule.TRACK, {"away": joint(0, 0.02)}, {"away": joint(0, 0.4)}),
+        (Rule.DRIFT, {"away": joint(1, 0.024)}, {"away": joint(1, 0.025)}),
+        (Rule.TILT, {"away": joint(5, radians(1.9))}, {"away": joint(5, radians(2.1))}),
+        (Rule.TRACK, {}, {"v": 1.2, "phi": 1.0}),
+    ],
+)
+def test_a_trial_ends_where_a_rig_would_stop(rule, kept, not_kept):
+    assert Tick(begin=kept.get("away", joint(0, 0.0)))(**kept) is None
+    assert Tick(begin=not_kept.get("away", joint(0, 0.0)))(**not_kept) is rule
+
+
+def test_a_trial_in_t1_ends_where_a_rig_would_stop():
+    assert Tick(GUARD_7._replace(speed=0.23))(v=0.229) is None
+    assert Tick(GUARD_7._replace(speed=0.23))(v=-0.231) is Rule.SPEED
+
+
+def test_a_trial_ends_where_the_arm_is_elsewhere_for_long():
+    tick, off = Tick(), joint(3, 0.031)
+    assert [tick() for _ in range(10)] == [None] * 10
+    assert [tick(off) for _ in range(6)] == [None] * 5 + [Rule.FOLLOWING]
+    begun = Tick()
+    assert [begun(off) for _ in range(5)] == [None] * 5
+    reset_trial_monitor(begun.watching, ARM.home_free)
+    assert begun(off) is None, "another trial has not been elsewhere yet"
+
+
+@pytest.mark.parametrize(("measured_at", "error_time"), [(1.029, False), (1.031, True)])
+def test_an_arm_is_expected_where_it_was_sent_before_its_reaction(measured_at, error_time):
+    wide = (1e9,) * 7
+    limits = GUARD_7.limits._replace(velocity=wide, acceleration=wide)
+    tick = Tick(GUARD_7._replace(limits=limits))
+    assert setpoint_violation(tick.watching, ARM.home_free + joint(4, 0.034), 1.0) == NO_VIOLATION
+    said = {tick(measured_at=measured_at) for _ in range(6)}
+    assert (Rule.FOLLOWING in said) == error_time
+
+
+def test_a_cause_says_which_guard_it_was():
+    code = SAFETY_STOP + rules.TRACK_CODE
+    assert (cause_named(code), guard_named(code)) == ("guard", "track")
+    assert (cause_named(ANGLE), guard_named(ANGLE)) == ("angle", "")
+    assert (cause_named(TRUNCATED), guard_named(TRUNCATED)) == ("lasted", "")
+    assert [guard_named(SAFETY_STOP + place) for place in range(len(RULES))] == [
+        r.value for r in Rule
+    ]
+    assert {cause_named(SAFETY_STOP + place) for place in range(len(RULES))} == {CAUSES[-1]}
+
+
+def test_the_reach_of_a_stop_is_that_of_the_issue():
+    T, u, v, x = 0.03, 2.0, 0.5, 0.1
+    expected = x + v * T + 0.5 * u * T**2 + (v + u * T) ** 2 / 8.0
+    assert stopping_reach(x, v, T, u) == pytest.approx(expected)

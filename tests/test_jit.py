@@ -1,0 +1,166 @@
+"""Compilation and its cache, each case in a process of its own."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"
+
+MODULE = """
+from equipoise.jit import kernel
+
+@kernel
+def double(x):
+    return FACTOR * x
+
+def triple(x, out):
+    out[0] = 3.0 * x
+"""
+SESSION = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import numba, numpy as np
+from equipoise import jit
+from tried import double, triple
+
+out = np.zeros(1)
+pointer = jit.function_pointer(triple, numba.void(numba.float64, numba.float64[::1]))
+
+@jit.kernel
+def through(pointer, x, out):
+    pointer(x, out)
+
+through(pointer, 2.0, out)
+four = double(2.0)
+hits = "plain" if double is getattr(double, "py_func", double) else sum(
+    double.stats.cache_hits.values()) + pointer.cache_hits
+print(four, out[0], hits, jit.kernel_sources_digest())
+"""
+
+
+@pytest.fixture
+def session(tmp_path):
+    """Run the session above with other factors and environments; return what it prints."""
+
+    def run(factor="2.0", **environment):
+        (tmp_path / "tried.py").write_text(MODULE.replace("FACTOR", factor))
+        (tmp_path / "session.py").write_text(SESSION)
+        cache = {"EQUIPOISE_CACHE_DIR": str(tmp_path / "cache")}
+        return subprocess.run(
+            [sys.executable, str(tmp_path / "session.py"), str(tmp_path)],
+            env={**os.environ, **cache, **environment},
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=300,
+        )
+
+    return run
+
+
+@pytest.mark.skipif(not JIT, reason="nothing is compiled")
+def test_the_second_process_finds_what_the_first_compiled(session):
+    assert session().stdout.split()[:3] == ["4.0", "6.0", "0"]
+    assert session().stdout.split()[:3] == ["4.0", "6.0", "2"]
+
+
+@pytest.mark.skipif(not JIT, reason="nothing is compiled")
+def test_an_edited_kernel_is_compiled_anew(session):
+    session()
+    assert session(factor="5.0").stdout.split()[:3] == ["10.0", "6.0", "0"]
+
+
+@pytest.mark.skipif(not JIT, reason="nothing is compiled")
+def test_an_unwritable_cache_gives_one_warning_and_right_results(session, tmp_path):
+    occupied = tmp_path / "occupied"
+    occupied.write_text("a folder cannot be made here")
+    for _ in range(2):
+        run = session(EQUIPOISE_CACHE_DIR=str(occupied))
+        assert run.stdout.split()[:3] == ["4.0", "6.0", "0"]
+        assert run.stderr.count("Code is compiled anew in each process") == 1
+        assert "set EQUIPOISE_CACHE_DIR" in run.stderr
+
+
+@pytest.mark.skipif(not JIT, reason="nothing is compiled")
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no such permissions")
+def test_a_poisoned_cache_runs_no_code(session, tmp_path):
+    session()
+    indices = list((tmp_path / "cache").rglob("*.nbi"))
+    assert indices
+    poison = b"cos\nsystem\n(S'touch " + str(tmp_path / "owned").encode() + b"'\ntR."
+    for index in indices:
+        index.write_bytes(poison)
+    (tmp_path / "cache").chmod(0o777)
+    run = session()
+    assert run.stdout.split()[:3] == ["4.0", "6.0", "0"]
+    assert not (tmp_path / "owned").exists()
+    assert run.stderr.count("Code is compiled anew in each process") == 1
+    assert "others may write to" in run.stderr
+
+
+@pytest.mark.skipif(not JIT, reason="nothing is compiled")
+def test_a_damaged_cache_is_written_again(session, tmp_path):
+    session()
+    for file in (tmp_path / "cache").rglob("*.nb?"):
+        file.write_bytes(file.read_bytes()[:20])
+    assert session().stdout.split()[:3] == ["4.0", "6.0", "0"]
+    run = session()
+    assert (run.stdout.split()[:3], run.stderr) == (["4.0", "6.0", "2"], "")
+
+
+@pytest.mark.skipif(not JIT, reason="nothing is compiled")
+def test_a_full_disk_means_no_cache_and_one_warning(tmp_path):
+    (tmp_path / "tried.py").write_text(MODULE.replace("FACTOR", "2.0"))
+    full = (
+        "from numba.core import caching\n"
+        "def full(*_): raise OSError(28, 'No space left on device')\n"
+        "caching.IndexDataCacheFile.save = full\n"
+    )
+    (tmp_path / "session.py").write_text(full + SESSION)
+    run = subprocess.run(
+        [sys.executable, str(tmp_path / "session.py"), str(tmp_path)],
+        env={**os.environ, "EQUIPOISE_CACHE_DIR": str(tmp_path / "cache")},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=300,
+    )
+    assert run.stdout.split()[:2] == ["4.0", "6.0"]
+    assert run.stderr.count("the disk takes no more (No space left on device)") == 1
+    assert len(run.stderr.splitlines()) == 1
+
+
+def test_without_compilation_kernels_are_plain_functions(session, tmp_path):
+    run = session(NUMBA_DISABLE_JIT="1")
+    assert run.stdout.split()[:3] == ["4.0", "6.0", "plain"]
+    assert not (tmp_path / "cache").exists()
+
+
+def test_the_key_of_the_cache_changes_with_every_file_that_holds_kernels(tmp_path, monkeypatch):
+    from equipoise import jit
+
+    package = tmp_path / "package"
+    for room in jit.KERNEL_FOLDERS:
+        (package / room / "inner").mkdir(parents=True)
+        (package / room / "inner" / "a.py").write_text("x = 1\n")
+    (package / "jit.py").write_text("")
+    monkeypatch.setattr(jit, "PACKAGE", package)
+    monkeypatch.setattr(jit, "__file__", str(package / "jit.py"))
+    seen = set()
+
+    def key():
+        return jit.kernel_sources_digest.__wrapped__()
+
+    seen.add(key())
+    for room in jit.KERNEL_FOLDERS:
+        (package / room / "inner" / "a.py").write_text(f"x = '{room}'\n")
+        seen.add(key())
+    (package / "model" / "b.py").write_text("")
+    seen.add(key())
+    (package / "jit.py").write_text("# other flags\n")
+    seen.add(key())
+    (package / "report.py").write_text("no kernels here\n")
+    assert key() in seen
+    assert len(seen) == len(jit.KERNEL_FOLDERS) + 3

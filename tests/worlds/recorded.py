@@ -1,0 +1,27 @@
+"""Simulations for tests, and recorded trials in them."""
+
+from equipoise.model.random import TEST
+from equipoise.settings import Settings
+from equipoise.worlds import Recorder, run_trial
+from equipoise.worlds.ideal import PlantSimulation
+
+
+def on_the_plant(params, arm, pendulum, settings=None, seed=0, stream=TEST, spread=1.0):
+    """Return the simulation of a plant."""
+    settings = Settings() if settings is None else settings
+    return PlantSimulation(params, arm, pendulum, settings, seed=seed, stream=stream, spread=spread)
+
+
+def run_all(simulation, kernel, trials, duration, workers=1, done=lambda rows: None):
+    """Run all of some trials, and return them."""
+    rows = range(len(trials.steps))
+    simulation.run(kernel, trials, rows, duration=duration, workers=workers, done=done)
+    return trials
+
+
+def record(simulation, policy, trial, duration, joints=7):
+    """Run a trial from Python; return steps, cause and sum of x^2, and the record."""
+    loop = simulation.loop()
+    recorder = Recorder(joints, round(duration / loop.params.h))
+    result = run_trial(loop, policy, trial, duration, recorder)
+    return result, recorder.rows

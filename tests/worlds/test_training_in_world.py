@@ -1,0 +1,90 @@
+"""Training in a world that Python steps: the compiled training, an episode at a time."""
+
+import numpy as np
+import pytest
+
+from equipoise.errors import InputError, SettingsError
+from equipoise.learning.choice import compile_learner
+from equipoise.learning.episodes import (
+    ENDED,
+    IN_USE,
+    STEPS,
+    new_training_loop,
+    new_training_state,
+    train_episodes,
+)
+from equipoise.learning.in_world import train_in_world
+from equipoise.learning.selection import trial_plants
+from equipoise.learning.training import actuators_in, train, training_config
+from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.random import TRAINING_NOISE
+from equipoise.settings import resolve
+
+pytestmark = pytest.mark.compiled_only
+
+ARM, PENDULUM = iiwa(7), Pendulum.assumed(70.2, 0.15)
+FEW = [
+    "learning.episodes=6",
+    "learning.episode_duration=0.5",
+    "selection.every=3",
+    "selection.late=1",
+    "selection.round_trials=10",
+    "selection.rounds=1",
+    "selection.duration=0.5",
+]
+
+
+@pytest.mark.parametrize("learner", ["q_learning", "sarsa", "double_q"])
+@pytest.mark.parametrize("actuator", [IDEAL_ACTUATOR, shipped_actuator()])
+def test_an_episode_in_a_world_teaches_what_it_teaches_compiled(learner, actuator):
+    settings = resolve(overrides=[f"learning.learner={learner}", "learning.hold_action=true"])
+    config = training_config(settings, PENDULUM.parameters().k)._replace(episodes=1)
+    kernel, boxes = compile_learner(settings.learning), settings.boxes.count
+    for seed in range(3):
+        states = [new_training_state(boxes, 2), new_training_state(boxes, 2)]
+        key = np.array((seed, 0))
+        plant = trial_plants(PENDULUM, ARM, settings, (actuator,), seed)[0]
+        world = plant.simulation(TRAINING_NOISE)
+        given = (world.params, plant.pendulum, config, kernel)
+        compiled, stepped = (new_training_loop(*given, state, key) for state in states)
+        train_episodes(compiled, 1)
+        train_in_world(stepped, states[1], world.loop(), 1)
+        one, other = states
+        assert one.totals[STEPS] == other.totals[STEPS] > 0
+        assert other.totals[ENDED] == 1
+        assert other.totals[IN_USE] == 0
+        for ours, theirs in zip(one.tables, other.tables, strict=True):
+            assert ours.tobytes() == theirs.tobytes()
+
+
+def test_training_on_a_twin_goes_on_where_it_stopped(tmp_path):
+    settings, world = resolve(overrides=FEW), "twin:nominal"
+    whole = train(PENDULUM, ARM, settings, seed=2, world=world)
+    assert [point.episodes for point in whole.learning_curve] == [3, 6]
+
+    def interrupt(point):
+        raise KeyboardInterrupt
+
+    partial = tmp_path / "partial.json"
+    with pytest.raises(KeyboardInterrupt):
+        train(PENDULUM, ARM, settings, seed=2, world=world, partial=partial, report=interrupt)
+    again = train(PENDULUM, ARM, settings, seed=2, world=world, partial=partial)
+    assert again.digest == whole.digest
+    assert train(PENDULUM, ARM, settings, seed=2).digest != whole.digest
+
+
+def test_a_world_that_cannot_train_is_refused():
+    settings, own = resolve(overrides=FEW), Actuator.assumed("lag", delay=0.01, lag=0.01)
+    kinematic = "coppeliasim://localhost"
+    with pytest.raises(InputError, match="recipe paper"):
+        actuators_in("ideal", settings, None)
+    with pytest.raises(InputError, match="behind one actuator"):
+        actuators_in("twin:nominal", settings, (own, shipped_actuator()))
+    with pytest.raises(InputError, match="has no delay; leave out the actuator"):
+        actuators_in(kinematic, settings, own)
+    assert actuators_in(kinematic, settings, None) == IDEAL_ACTUATOR
+    assert actuators_in(f"{kinematic}?engine=ode", settings, own) == own
+    with pytest.raises(SettingsError, match="there is no world"):
+        actuators_in("moon", settings, None)

@@ -1,0 +1,428 @@
+"""Trials: what is drawn for them, and that neither lanes, pieces nor workers change a bit."""
+
+from math import inf, nextafter, radians, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from equipoise import paper
+from equipoise.control.baselines import lqr_gains
+from equipoise.control.grid import (
+    ANGLE,
+    CAUSES,
+    JOINT_LIMIT,
+    TRACK,
+    TRUNCATED,
+    cause_named,
+    partition,
+)
+from equipoise.control.policy import LINEAR, RANDOM, SNAPPED, PolicyKernel, act, table_kernel
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.pendulum import PendulumParameters
+from equipoise.model.random import SELECTION, TARGET_TEST, TEST
+from equipoise.safety.trial import guard_named
+from equipoise.settings import BoxSettings, resolve
+from equipoise.worlds.ideal import run_trials
+from equipoise.worlds.plant import (
+    X_DOT,
+    DomainRandomization,
+    X,
+    draw_noise,
+    make_loop_params,
+    new_batch_state,
+    reset,
+    scaled,
+    step,
+)
+from equipoise.worlds.trials import draw_trials
+from tests.worlds.recorded import on_the_plant, record, run_all
+
+ARM = iiwa(14)
+PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
+SETTINGS = resolve()
+NOMINAL = DomainRandomization(1.0, 1.0, 0.0, 1.0, 0.0)
+CONDITIONS = ("start", "inertia_factor", "friction_factor", "delay", "lag_factor", "zero")
+STREAMS = (SELECTION, TARGET_TEST, TEST)
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return make_loop_params(ARM, SETTINGS, paper.STEP, PENDULUM)
+
+
+@pytest.fixture(scope="module", params=["ideal", "lag", "kst"])
+def any_plant(request):
+    """One plant with each kind of actuator."""
+    actuator = Actuator.assumed(request.param, delay=0.0125, lag=0.015)
+    return make_loop_params(ARM, SETTINGS, paper.STEP, PENDULUM, actuator)
+
+
+@pytest.fixture(scope="module")
+def kernels():
+    """One policy of each kind."""
+    rng = np.random.default_rng(0)
+    gains = lqr_gains(PENDULUM, paper.STEP)
+    return {
+        "table": table_kernel(rng.choice(paper.ACTIONS, 270), partition(BoxSettings(), 1.0)),
+        "linear": PolicyKernel(LINEAR, gains=gains),
+        "snapped": PolicyKernel(SNAPPED, gains=gains),
+        "random": PolicyKernel(RANDOM),
+    }
+
+
+def drawn(count=100, seed=0, stream=TEST, spread=1.0, settings=SETTINGS):
+    return draw_trials(count, settings, seed, stream, spread)
+
+
+def outcome(trials):
+    """Return the bits of what came of trials."""
+    return [column.tobytes() for column in (trials.steps, trials.cause, trials.sum_x2)]
+
+
+def run(plant, policy, count=100, workers=1, duration=1.0, seed=0, pendulum=PENDULUM):
+    simulation = on_the_plant(plant, ARM, pendulum, SETTINGS, seed)
+    return run_all(simulation, policy, simulation.draw(count), duration, workers)
+
+
+# What is drawn
+
+
+def test_the_conditions_of_a_trial_do_not_depend_on_how_many_there_are():
+    few, many = drawn(7), drawn(1000)
+    for name in ("number", *CONDITIONS):
+        assert getattr(few, name).tobytes() == getattr(many, name)[:7].tobytes()
+        later = draw_trials(63, SETTINGS, 0, TEST, 1.0, first=937)
+        assert getattr(later, name).tobytes() == getattr(many, name)[937:].tobytes()
+
+
+def test_trials_start_as_a_release_leaves_the_pendulum():
+    start = drawn(5000).start
+    assert not start[:, :2].any()  # x = x_dot = 0
+    phi, phi_dot = start[:, 2], start[:, 3]
+    assert np.array_equal(np.sign(phi), np.sign(phi_dot))
+    for values, low, high in [(phi, 1.5, 2.5), (phi_dot, 8.0, 18.0)]:
+        size = np.abs(values)
+        assert radians(low) <= size.min() < size.max() <= radians(high)
+        # p-value below 1e-5: chance for a new seed below 1e-4 in all of this file.
+        shares = (size - radians(low)) / radians(high - low)
+        assert stats.kstest(shares, "uniform").pvalue > 1e-5
+    assert stats.binomtest(int(np.sum(phi > 0)), 5000).pvalue > 1e-5
+    assert abs(np.corrcoef(np.abs(phi), np.abs(phi_dot))[0, 1]) < 5 / sqrt(5000)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1.0, 2.0])
+def test_plants_vary_normally_around_the_centre(spread):
+    trials = drawn(5000, spread=spread)
+    for factors, sigma in [(trials.inertia_factor, 0.02), (trials.friction_factor, 0.2)]:
+        if spread == 0.0:
+            assert np.all(factors == 1.0)
+            continue
+        scores = (factors - 1.0) / (spread * sigma)
+        assert stats.kstest(stats.norm.cdf(scores), "uniform").pvalue > 1e-5
+
+
+@pytest.mark.parametrize("spread", [0.0, 1.0, 2.0])
+def test_rigs_vary_evenly_around_the_centre(spread):
+    overrides = ["plant.delay_spread=0.003", "plant.lag_spread=0.3", "plant.zero_error=0.004"]
+    trials = drawn(5000, spread=spread, settings=resolve(overrides=overrides))
+    for values, centre, width in [
+        (trials.delay, 0.0, 0.003),
+        (trials.lag_factor, 1.0, 0.3),
+        (trials.zero, 0.0, 0.004),
+    ]:
+        if spread == 0.0:
+            assert np.all(values == centre)
+            continue
+        shares = 0.5 + 0.5 * (values - centre) / (spread * width)
+        assert stats.kstest(shares, "uniform").pvalue > 1e-5
+    if spread:
+        columns = np.corrcoef([trials.delay, trials.lag_factor, trials.zero, trials.start[:, 2]])
+        assert np.abs(columns[np.triu_indices(4, 1)]).max() < 5 / sqrt(5000)
+
+
+def test_no_setting_makes_a_pendulum_without_inertia():
+    settings = resolve(overrides=["plant.inertia_sigma=0.24", "plant.friction_sigma=0.9"])
+    trials = drawn(10_000, spread=2.0, settings=settings)
+    assert trials.inertia_factor.min() < 0.0
+    for i in (np.argmin(trials.inertia_factor), np.argmin(trials.friction_factor)):
+        own = scaled(PENDULUM, trials.inertia_factor[i], trials.friction_factor[i])
+        assert own.c >= 0.0
+        assert 0.0 < own.w2 <= 10.0 * PENDULUM.w2 * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**40, 2**63 - 1])
+def test_selection_target_test_and_evaluation_share_no_trial(seed):
+    rounds = [drawn(50, s, t) for s in (seed, seed - 1) if s >= 0 for t in STREAMS]
+    for name in CONDITIONS:
+        numbers = np.concatenate([getattr(trials, name).ravel() for trials in rounds])
+        numbers = numbers[numbers != 0.0]  # x and x_dot
+        assert len(np.unique(numbers)) == len(numbers)
+
+
+def test_other_seeds_draw_other_trials():
+    seen = {drawn(1, seed).start.tobytes() for seed in range(50)}
+    assert len(seen) == 50
+
+
+def test_factors_on_inertia_divide_everything_and_factors_on_friction_only_c():
+    pendulum = PendulumParameters(70.0, 7.0, 0.2, 0.3, 0.4, True)
+    assert scaled(pendulum, 2.0, 3.0) == pytest.approx((35.0, 3.5, 0.3, 0.15, 0.2, True))
+    # b = c I stays when I alone changes; m g l = w2 I always.
+    heavier = scaled(pendulum, 1.25, 1.0)
+    assert heavier.c * 1.25 == pytest.approx(pendulum.c)
+    assert heavier.w2 * 1.25 == pytest.approx(pendulum.w2)
+
+
+# Noise
+
+
+def noise(tick, index, learner=0, stream=TEST, seed=0, lanes=BATCH_SIZE):
+    out = np.full(6 * BATCH_SIZE, np.nan)
+    draw_noise(out, seed, np.array(tick), np.array(index), learner, stream, lanes)
+    return out.reshape(6, BATCH_SIZE)
+
+
+def test_noise_belongs_to_the_trial_and_its_step_not_to_the_lane():
+    tick, index = np.arange(100, 100 + BATCH_SIZE), np.arange(7, 7 + BATCH_SIZE)
+    together = noise(tick, index)
+    for n in range(BATCH_SIZE):
+        alone = noise(np.full(BATCH_SIZE, tick[n]), np.full(BATCH_SIZE, index[n]), lanes=1)
+        assert alone[:, 0].tobytes() == together[:, n].tobytes()
+        assert np.all(np.isnan(alone[:, 1:]))
+
+
+def test_noise_is_six_independent_standard_normal_numbers():
+    columns = np.concatenate(
+        [noise(np.arange(BATCH_SIZE), np.full(BATCH_SIZE, index)) for index in range(1000)], axis=1
+    )
+    n = columns.shape[1]
+    for row in columns:
+        assert stats.kstest(row, "norm").pvalue > 1e-5
+    correlations = np.corrcoef(columns)[np.triu_indices(6, 1)]
+    assert np.abs(correlations).max() < 5 / sqrt(n)
+    # ... and of those of other streams, learners and seeds.
+    for other in ({"stream": SELECTION}, {"learner": 1}, {"seed": 1}):
+        others = np.concatenate(
+            [noise(np.arange(BATCH_SIZE), np.full(BATCH_SIZE, i), **other) for i in range(1000)],
+            axis=1,
+        )
+        across = np.corrcoef(columns, others)[:6, 6:]
+        assert np.abs(across).max() < 5 / sqrt(n)
+
+
+# Lanes, pieces and workers
+
+
+@pytest.mark.compiled_only
+@pytest.mark.parametrize("kind", ["table", "linear", "snapped", "random"])
+def test_workers_do_not_change_a_bit(any_plant, kernels, kind):
+    alone = outcome(run(any_plant, kernels[kind], 150))
+    assert outcome(run(any_plant, kernels[kind], 150, workers=2)) == alone
+    assert outcome(run(any_plant, kernels[kind], 150, workers=3)) == alone
+
+
+def test_a_trial_gives_the_same_bits_alone_as_in_company(any_plant, kernels):
+    together = drawn(40)
+    longest = 60
+    arguments = (any_plant, new_batch_state(), kernels["random"], PENDULUM)
+    run_trials(*arguments, together, np.arange(40), longest, 5, TEST)
+    alone = drawn(40)
+    for i in range(40):
+        run_trials(*arguments, alone, np.array([i]), longest, 5, TEST)
+    assert outcome(alone) == outcome(together)
+    backwards = drawn(40)
+    for rows in (np.arange(39, 2, -1), np.arange(3)):
+        run_trials(*arguments, backwards, rows, longest, 5, TEST)
+    assert outcome(backwards) == outcome(together)
+
+
+def test_only_the_trials_asked_for_are_written(plant, kernels):
+    trials = drawn(10)
+    trials.steps[:] = -1
+    rows = np.array([3, 4])
+    run_trials(plant, new_batch_state(), kernels["table"], PENDULUM, trials, rows, 20, 0, TEST)
+    assert np.flatnonzero(trials.steps >= 0).tolist() == [3, 4]
+
+
+def test_what_happened_in_a_block_before_does_not_matter(any_plant, kernels):
+    used = new_batch_state()
+    for array in (*used.controller, *used[1:]):
+        array[:] = 7
+    fresh, again = drawn(20), drawn(20)
+    for block, trials in ((new_batch_state(), fresh), (used, again)):
+        run_trials(
+            any_plant, block, kernels["linear"], PENDULUM, trials, np.arange(20), 50, 0, TEST
+        )
+    assert outcome(again) == outcome(fresh)
+
+
+@given(
+    phi=st.floats(-0.1, 0.1), phi_dot=st.floats(-1, 1), x=st.floats(-0.2, 0.2), u=st.floats(-2, 2)
+)
+def test_a_lane_does_not_see_its_neighbours(any_plant, phi, phi_dot, x, u):
+    start = (x, 0.1, phi, phi_dot)
+    rows = []
+    for lanes, n in ((1, 0), (BATCH_SIZE, 0), (BATCH_SIZE, BATCH_SIZE - 1), (5, 3)):
+        block = new_batch_state()
+        for other in range(lanes):
+            reset(any_plant, block, PENDULUM, NOMINAL, (0.01 * other - 0.08, 0.0, 0.0, 0.0), other)
+        reset(any_plant, block, PENDULUM, NOMINAL, start, n)
+        block.controller.u[:] = -1.0
+        block.controller.u[n] = u
+        for _ in range(5):
+            step(any_plant, block, lanes)
+        rows.append(
+            block.state[n::BATCH_SIZE].tobytes() + block.controller.q[n::BATCH_SIZE].tobytes()
+        )
+    assert len(set(rows)) == 1
+
+
+def test_a_lane_near_a_singularity_does_not_change_its_neighbours():
+    # In this posture (the arm in the plane of motion) the manipulability falls along the track;
+    # with so large a share the inverse is damped on the far side of it.
+    arm = iiwa(14).model_copy(
+        update={"home": tuple(radians(angle) for angle in (0, 30, 0, -70, 0, 80, 0))}
+    )
+    plant = make_loop_params(
+        arm, resolve(overrides=["clik.singular_share=0.5"]), paper.STEP, PENDULUM
+    )
+    alone, beside = new_batch_state(), new_batch_state()
+    for block in (alone, beside):
+        reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.01, 0.0), 0)
+        block.controller.u[:] = 1.0
+    reset(plant, beside, PENDULUM, NOMINAL, (0.19, 0.0, 0.0, 0.0), 1)
+    for _ in range(20):
+        step(plant, alone, 1)
+        step(plant, beside, 2)
+    assert alone.controller.damped[0] == 0 < beside.controller.damped[0]
+    assert beside.controller.q[::BATCH_SIZE].tobytes() == alone.controller.q[::BATCH_SIZE].tobytes()
+    assert beside.state[::BATCH_SIZE].tobytes() == alone.state[::BATCH_SIZE].tobytes()
+
+
+class Obeys:
+    """The compiled policy, called from Python."""
+
+    def __init__(self, kernel):
+        self.kernel = kernel
+
+    def reset(self):
+        pass
+
+    def act(self, state):
+        return float(act(self.kernel, *(float(value) for value in state), 0.0))
+
+
+@pytest.mark.parametrize("kind", ["table", "linear", "snapped"])
+def test_a_recorded_trial_is_the_trial_itself(any_plant, kernels, kind):
+    trials = run(any_plant, kernels[kind], 12, duration=0.8)
+    simulation = on_the_plant(any_plant, ARM, PENDULUM, SETTINGS)
+    for i in range(12):
+        result, rows = record(simulation, Obeys(kernels[kind]), trials.trial(i), 0.8)
+        assert result == (trials.steps[i], trials.cause[i], trials.sum_x2[i])
+        assert len(rows.u) == trials.steps[i]
+
+
+def test_a_recording_tells_what_was_seen_from_what_there_was(any_plant, kernels):
+    trials = drawn(3)
+    trials.zero[1] = 0.005
+    simulation = on_the_plant(any_plant, ARM, PENDULUM, SETTINGS)
+    _, rows = record(simulation, Obeys(kernels["linear"]), trials.trial(1), 3.0)
+    arm_q = np.array([ARM.without_held(q) for q in rows.joints[1:]])  # at the end of each tick
+    assert len(rows.u) == 300
+    for row, u in zip(rows.observation, rows.u, strict=True):
+        assert u == act(kernels["linear"], *row.tolist(), 0.0)
+    if not any_plant.controller.has_sensor:
+        assert np.array_equal(rows.observation, rows.state)
+        assert np.array_equal(rows.estimate[:, :2], rows.state[:, 2:])
+        assert not rows.estimate[:, 2].any()
+        assert np.array_equal(arm_q, rows.q[:-1])
+        assert np.isnan(rows.encoder).all()
+        return
+    # The estimate begins with the wrong zero, which goes over to the bias.
+    wrong = rows.estimate[:, 0] - rows.state[:, 2]
+    assert wrong[0] == pytest.approx(0.005, abs=1e-12)
+    assert abs(np.mean(wrong[-30:])) < 0.003
+    assert rows.estimate[-1, 2] > 0.002
+    # The arm comes some 30 ms after what it is told.
+    late = [
+        np.sum((arm_q[20:] - rows.q[20 - ticks : len(arm_q) - ticks]) ** 2) for ticks in range(8)
+    ]
+    assert 1 <= int(np.argmin(late)) <= 5
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 64, 65])
+def test_every_trial_is_run_once_and_told_of(plant, kernels, count):
+    finished = []
+    simulation = on_the_plant(plant, ARM, PENDULUM, SETTINGS)
+    trials = run_all(
+        simulation, kernels["table"], simulation.draw(count), 0.1, done=finished.extend
+    )
+    assert sorted(finished) == list(range(count))
+    assert np.all(trials.steps > 0)
+
+
+def test_a_trial_lasts_so_many_steps_and_no_more(plant, kernels):
+    trials = run(plant, kernels["linear"], 20, duration=0.37)
+    assert trials.steps.tolist() == [37] * 20
+    assert trials.cause.tolist() == [TRUNCATED] * 20
+
+
+# Failure, beside what tests/worlds/test_plant.py shows
+
+
+def placed(plant, phi=0.0, x=0.0):
+    """Return block and cause of the end after one step of a pendulum on which nothing acts."""
+    block = new_batch_state()
+    reset(plant, block, PendulumParameters(0.0, 0.0, 0.0), NOMINAL, (x, 0.0, phi, 0.0), 0)
+    step(plant, block, 1)
+    return block, int(block.cause[0])
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_flange_on_the_limit_is_a_failure_and_one_just_within_is_not(plant, sign):
+    block, _ = placed(plant, x=sign * 0.1)
+    reached = abs(float(block.state[X * BATCH_SIZE]))
+    assert placed(plant._replace(x_limit=reached), x=sign * 0.1)[1] == TRACK
+    assert placed(plant._replace(x_limit=nextafter(reached, inf)), x=sign * 0.1)[1] == TRUNCATED
+    assert plant.x_limit == 0.22
+    assert placed(plant, x=sign * 0.2199)[1] == TRUNCATED
+    assert placed(plant, x=sign * 0.2201)[1] == TRACK
+
+
+def test_an_angle_is_told_before_the_track_and_the_track_before_a_joint(plant):
+    limits = plant.controller.limits.copy()
+    limits[0] += 10.0
+    strict = plant._replace(controller=plant.controller._replace(limits=limits))
+    assert placed(strict, phi=0.3, x=0.23)[1] == ANGLE
+    assert placed(strict, x=0.23)[1] == TRACK
+    assert CAUSES[ANGLE] == "angle"
+    assert CAUSES[TRACK] == "track"
+    assert CAUSES[JOINT_LIMIT] == "joint limit"
+    assert CAUSES[TRUNCATED] == "lasted"
+
+
+def test_what_is_not_a_number_is_a_failure(plant):
+    assert placed(plant, phi=float("nan"))[1] == ANGLE
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_flange_at_the_limit_of_its_speed_is_a_failure_and_one_just_below_is_not(plant, sign):
+    def after(plant, x=0.0):
+        block = new_batch_state()
+        still = PendulumParameters(0.0, 0.0, 0.0)
+        reset(plant, block, still, NOMINAL, (x, sign * 0.2, 0.0, 0.0), 0)
+        step(plant, block, 1)
+        return abs(float(block.state[X_DOT * BATCH_SIZE])), int(block.cause[0])
+
+    reached, cause = after(plant)
+    assert (plant.speed_limit, cause) == (inf, TRUNCATED)
+    ended = after(plant._replace(speed_limit=reached))[1]
+    assert (cause_named(ended), guard_named(ended)) == ("guard", "flange speed")
+    assert after(plant._replace(speed_limit=nextafter(reached, inf)))[1] == TRUNCATED
+    # Off the track is named first: it is what the flange's speed may lead to.
+    assert after(plant._replace(speed_limit=0.1), x=sign * 0.2195)[1] == TRACK

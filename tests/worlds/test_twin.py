@@ -1,0 +1,290 @@
+"""Trials on the twin: how they end, and that the compiled loop is the one written in Python."""
+
+from math import pi, radians
+
+import numpy as np
+import pytest
+
+from equipoise.control.baselines import lqr_gains
+from equipoise.control.control_step import (
+    command,
+    new_controller_state,
+    observe,
+    start_controller,
+)
+from equipoise.control.grid import ANGLE, SAFETY_STOP, TRACK, TRUNCATED
+from equipoise.control.policy import LINEAR, RANDOM, PolicyKernel, act
+from equipoise.model.actuator import Actuator
+from equipoise.model.arms.compiler import TWIST
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.elementary import BATCH_SIZE
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.random import TEST
+from equipoise.model.worlds import TwinSettings
+from equipoise.safety.rules import T1_SPEED, TRACK_LIMIT, Rule
+from equipoise.safety.stop import ramp
+from equipoise.safety.trial import guard_named
+from equipoise.settings import Settings
+from equipoise.worlds import Recorder, Setup, Trial, run_trial
+from equipoise.worlds.plant import DomainRandomization
+from equipoise.worlds.trials import draw_trials
+from equipoise.worlds.twin.twin import Twin
+from equipoise.worlds.twin.world import TwinSimulation
+from tests.worlds.recorded import record, run_all
+
+ARM = iiwa(7)
+PENDULUM = Pendulum.assumed(70.2, 0.15)
+PARAMETERS = PENDULUM.parameters()
+WORLD = TwinSettings(guards=False)
+GUARDED = TwinSettings(guards=True)
+ACTUATOR = Actuator.assumed("kst", delay=0.0105, lag=0.008)
+LQR = PolicyKernel(LINEAR, gains=lqr_gains(PARAMETERS, 0.01))
+STILL = PolicyKernel(LINEAR)
+TRIALS = [
+    Trial(
+        i,
+        (0.0, 0.0, sign * radians(1.5 + 0.2 * i), sign * radians(9)),
+        DomainRandomization(1.0, (0.1 + 0.02 * i) / 0.15, 0.0, 1.0, 0.0),
+    )
+    for i, sign in enumerate((1.0, -1.0, -1.0, 1.0))
+]
+
+pytestmark = pytest.mark.compiled_only
+
+
+class Kernel:
+    """A compiled policy, called from Python."""
+
+    def __init__(self, kernel):
+        self._kernel = kernel
+
+    def reset(self):
+        pass
+
+    def act(self, observation):
+        return float(act(self._kernel, *observation.tolist(), 0.0))
+
+
+def twins(world=WORLD, seed=1, settings=None, actuators=(ACTUATOR,)):
+    settings = Settings() if settings is None else settings
+    setup = Setup(PENDULUM, ARM, settings, actuators, 0.01)
+    return TwinSimulation(world, setup, seed=seed, stream=TEST)
+
+
+def run(policy, trials=TRIALS, duration=2.0, workers=1, seed=1, world=WORLD):
+    """Return steps, cause and sum of x^2 of some trials."""
+    drawn = draw_trials(len(trials), Settings(), 0, TEST, 1.0)
+    for row, trial in enumerate(trials):
+        drawn.number[row], drawn.start[row] = trial.number, trial.start
+        drawn.inertia_factor[row] = trial.variation.inertia_factor
+        drawn.friction_factor[row] = trial.variation.friction_factor
+    run_all(twins(world, seed), policy, drawn, duration, workers)
+    return list(zip(drawn.steps, drawn.cause, drawn.sum_x2, strict=True))
+
+
+def test_a_regulator_stands_and_who_does_nothing_falls():
+    for steps, cause, sum_x2 in run(LQR, duration=5.0):
+        assert (steps, cause) == (500, TRUNCATED)
+        assert sum_x2 < 500 * 0.03**2
+    for steps, cause, _ in run(STILL):
+        assert cause == ANGLE
+        assert 10 < steps < 60
+
+
+def test_who_runs_away_ends_on_the_track_limit(away):
+    assert TRACK in {cause for _, cause, _ in run(away)}
+
+
+def test_outcomes_depend_on_seed_and_number_alone():
+    chance = PolicyKernel(RANDOM)
+    for policy in (LQR, chance):
+        alone = run(policy)
+        assert run(policy, workers=3) == alone
+        assert run(policy, trials=TRIALS[::-1]) == alone[::-1]
+        assert run(policy, seed=2) != alone
+    renumbered = [trial._replace(number=trial.number + 10) for trial in TRIALS]
+    assert run(chance, trials=renumbered) != run(chance)
+
+
+def test_a_trial_from_python_is_the_compiled_trial():
+    for world in (WORLD, GUARDED):
+        for trial, compiled in zip(TRIALS, run(LQR, world=world), strict=True):
+            assert run_trial(twins(world).loop(), Kernel(LQR), trial, 2.0) == compiled
+
+
+SERVOS = {
+    "velocity": ACTUATOR,
+    "pd": Actuator.assumed("kst", delay=0.0105, lag=0.004, cycle=0.016),
+    "trajectory40": Actuator.assumed("kst", delay=0.0105, lag=0.008, cycle=0.040),
+}
+
+
+@pytest.mark.parametrize("inner", SERVOS)
+def test_a_trial_that_is_told_no_actuator_selects_that_of_its_servo(inner):
+    world = TwinSettings(guards=True, inner=inner)
+    carried = (*reversed(SERVOS.values()), Actuator.assumed("lag", lag=0.03))
+    simulation = twins(world, actuators=carried)
+    told = twins(world, actuators=(SERVOS[inner],)).loop()
+    loop = simulation.loop()
+    for trial in TRIALS:
+        result = run_trial(loop, Kernel(LQR), trial, 2.0)
+        assert simulation.actuators[loop.chosen] == SERVOS[inner]
+        # The move before the release leaves no trace in the trial, nor does the trial before.
+        assert result == run_trial(told, Kernel(LQR), trial, 2.0)
+        assert result[1] == TRUNCATED
+
+
+def test_a_recorded_trial_is_the_loop_as_python_writes_it():
+    trial, steps = TRIALS[1], 150
+    simulation = twins(seed=3)
+    outcome, rows = record(simulation, Kernel(LQR), trial, 0.01 * steps)
+    assert outcome[:2] == (steps, TRUNCATED)
+
+    controller, memory, sum_x2 = simulation.params[0], new_controller_state(), 0.0
+    pendulum = PARAMETERS._replace(c=0.15 * trial.variation.friction_factor, coulomb=0.1)
+    _, _, phi, phi_dot = trial.start
+    twin = Twin(ARM, pendulum, WORLD, seed=3, index=1)
+    twin.reset(phi=phi, phi_dot=phi_dot)
+    counts, stamp = twin.encoder()
+    shown = pi - counts * 2 * pi / 8192 - stamp * phi_dot
+    start_controller(controller, memory, 0.0, 0.0, shown, phi_dot, 0)
+    for row in range(steps):
+        observation = memory.observation[::BATCH_SIZE].copy()
+        memory.u[0] = act(LQR, *observation, 0.0)
+        measured, measured_at = twin.measured()
+        assert rows.observation[row] == pytest.approx(observation, abs=1e-12)
+        assert rows.u[row] == pytest.approx(memory.u[0], abs=1e-12)
+        assert rows.estimate[row] == pytest.approx(memory.estimate[: 3 * BATCH_SIZE : BATCH_SIZE])
+        assert rows.encoder[row] == pytest.approx(twin.encoder(), abs=1e-12)
+        assert rows.measured[row] == pytest.approx([*measured, measured_at], abs=1e-12)
+        assert rows.state[row] == pytest.approx(twin.truth(), abs=1e-12)
+        assert rows.joints[row] == pytest.approx(twin.data.qpos[:7], abs=1e-12)
+        command(controller, memory, 1)
+        setpoints = memory.setpoints[::BATCH_SIZE]
+        assert rows.setpoints[row] == pytest.approx(setpoints, abs=1e-12)
+        assert rows.q[row] == pytest.approx(memory.q[::BATCH_SIZE], abs=1e-12)
+        assert rows.dq[row] == pytest.approx(memory.dq[::BATCH_SIZE], abs=1e-12)
+        x_dot = twin.truth().x_dot
+        for half in (setpoints[:6], setpoints[6:]):
+            twin.send(half)
+            twin.advance(0.005)
+        assert rows.tracked[row] == pytest.approx((twin.truth().x_dot - x_dot) / 0.01)
+        memory.counts[0], counted = twin.encoder()
+        memory.measured[::BATCH_SIZE], measured_at = twin.measured()
+        observe(controller, memory, twin.now - counted, twin.now - measured_at, 1)
+        sum_x2 += twin.truth().x ** 2
+    assert outcome[2] == pytest.approx(sum_x2, rel=1e-9)
+
+
+def test_the_estimate_is_near_the_truth():
+    loop = twins(seed=3).loop()
+    recorder = Recorder(7, 500)
+    run_trial(loop, Kernel(LQR), TRIALS[0]._replace(start=(0.0, 0.0, 0.03, 0.15)), 5.0, recorder)
+    late = slice(250, None)
+    phi, phi_dot = (recorder.rows.estimate[late, :2] - recorder.rows.state[late, 2:]).T
+    assert np.abs(phi).max() < radians(0.5)
+    assert np.abs(phi_dot).max() < radians(15.0)
+    # What it takes for the encoder's zero error is that.
+    assert recorder.rows.estimate[-1, 2] == pytest.approx(loop.zero, abs=radians(0.1))
+
+
+def test_a_record_ends_with_its_trial():
+    trial, world = TRIALS[0], WORLD.model_copy(update={"zero_offset": 0.01})
+    loop, recorder = twins(world).loop(), Recorder(7, 200)
+    outcome = run_trial(loop, Kernel(STILL), trial, 2.0, recorder)
+    rows = recorder.rows
+    assert outcome == run(STILL, trials=[trial], world=world)[0]
+    assert {len(column) for column in rows} == {outcome[0]}
+    assert rows.state[0] == pytest.approx(trial.start, abs=1e-12)
+    assert radians(9.0) < abs(rows.state[-1, 2]) < radians(11.0)
+    assert abs(loop.zero - 0.01) <= world.zero_error
+
+
+# Guards.
+
+
+def run_until_the_guard(policy, simulation, number=0):
+    """Return the closed loop after a trial, its cause and its record."""
+    loop, recorder = simulation.loop(), Recorder(7, 500)
+    _, cause, _ = run_trial(loop, Kernel(policy), TRIALS[number], 5.0, recorder)
+    return loop, cause, recorder.rows
+
+
+@pytest.fixture(scope="module")
+def away():
+    """A regulator that wants to be elsewhere than at home."""
+    x, x_dot, phi, phi_dot = lqr_gains(PARAMETERS, 0.01)
+    return PolicyKernel(LINEAR, gains=(-3.0 * x, x_dot, phi, phi_dot))
+
+
+def test_a_run_towards_the_end_of_the_track_is_stopped_in_time(away):
+    ended, simulation = 0, twins(GUARDED, seed=3)
+    for number in range(len(TRIALS)):
+        loop, cause, rows = run_until_the_guard(away, simulation, number)
+        if guard_named(cause) != Rule.TRACK.value:
+            continue
+        ended += 1
+        memory, twin, x = loop.controller, loop._twin, loop.state()[0]
+        assert max(abs(rows.state[:, 0]).max(), abs(x)) < TRACK_LIMIT
+        # The verdict is that of the rule, and came as soon as it could.
+        q, dq = (ARM.with_held(block[::BATCH_SIZE]) for block in (memory.q, memory.dq))
+        dq[ARM.held_joint - 1] = 0.0
+        speed, limits = abs(memory.reference[TWIST * BATCH_SIZE]), simulation._safety[0].limits
+        slowing = ramp(q.tolist(), dq.tolist(), speed, limits)
+        furthest, time = abs(x), 0.0
+        while time < slowing.duration + 0.2:
+            time += 0.005
+            twin.send(np.array(ARM.without_held(slowing.at(time))))
+            twin.advance(0.005)
+            furthest = max(furthest, abs(twin.truth().x))
+        assert abs(twin.truth().x_dot) < 0.02
+        assert furthest < TRACK_LIMIT
+        # No braver than it has to be, no more timid either.
+        assert furthest > 0.8 * TRACK_LIMIT
+    assert ended > 1
+
+
+def test_a_guard_ends_nothing_that_stands_and_changes_no_bit_of_it():
+    assert run(LQR, world=GUARDED) == run(LQR)
+
+
+def test_until_a_guard_ends_it_a_trial_is_the_same(away):
+    _, stopped, held = run_until_the_guard(away, twins(GUARDED, seed=3))
+    _, cause, free = run_until_the_guard(away, twins(seed=3))
+    assert cause < SAFETY_STOP <= stopped
+    assert len(held.u) <= len(free.u)
+    for with_guard, without in zip(held[:-1], free[:-1], strict=True):
+        assert np.array_equal(with_guard, without[: len(with_guard)])
+
+
+def test_the_limit_of_t1_ends_a_trial_that_is_too_fast(away):
+    t1 = twins(GUARDED.model_copy(update={"t1": True}), seed=3)
+    assert t1._safety[0].speed == T1_SPEED
+    ended = [run_until_the_guard(away, t1, number)[1] for number in range(4)]
+    assert Rule.SPEED.value in set(map(guard_named, ended))
+
+
+def test_a_pendulum_that_seems_to_have_fallen_ends_a_trial():
+    # What the encoder reads too much makes the estimate reach the limit before the truth does.
+    world = GUARDED.model_copy(update={"zero_error": 0.0, "zero_offset": radians(2.0)})
+    leaning = TRIALS[0]._replace(start=(0.0, 0.0, radians(2.0), radians(15.0)))
+    ((_, cause, _),) = run(STILL, trials=[leaning], world=world)
+    assert guard_named(cause) == Rule.ANGLE.value
+
+
+def test_an_arm_that_is_elsewhere_than_expected_ends_a_trial():
+    # A transport of 150 ms that nobody has told the controller of.
+    world = GUARDED.model_copy(update={"transport": 0.15})
+    assert Rule.FOLLOWING.value in {guard_named(cause) for _, cause, _ in run(LQR, world=world)}
+
+
+def test_a_setpoint_that_may_not_be_sent_ends_a_trial_before_it_is_sent():
+    simulation = twins(GUARDED, seed=3)
+    limits = simulation._safety[0].limits
+    slow = limits._replace(acceleration=tuple(0.5 for _ in limits.acceleration))
+    simulation._safety[0] = simulation._safety[0]._replace(limits=slow)
+    loop, cause, rows = run_until_the_guard(LQR, simulation)
+    assert guard_named(cause) == Rule.ACCELERATION.value
+    assert len(rows.u) == 1
+    assert loop._twin.now == 0.0
+    assert rows.u[0] != 0.0

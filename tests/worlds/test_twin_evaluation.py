@@ -1,0 +1,226 @@
+"""Evaluation and deployment on the twin: equal trials for all, resumed where they stopped."""
+
+import numpy as np
+import pytest
+
+from equipoise.artefacts import Estimate
+from equipoise.control.grid import CAUSES
+from equipoise.errors import ArmError, SettingsError
+from equipoise.learning.training import train
+from equipoise.logs.run_log import RunLog
+from equipoise.model.actuator import shipped_actuator
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.urdf import read_urdf
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.worlds import TwinSettings, World
+from equipoise.rig.simulate import EXCITED, excite, simulate_run
+from equipoise.worlds.evaluation import PartialEvaluation, evaluate
+from tests.arms import without_masses
+from tests.model.arms.witnesses import ELBOW
+
+pytestmark = pytest.mark.compiled_only
+WORLD = "twin:nominal"
+UNGUARDED = World("twin:unguarded", TwinSettings(guards=False))
+
+
+@pytest.fixture(scope="module")
+def behind_a_servo(pendulum, quick_settings):
+    """A policy that has hardly been trained, behind the shipped actuator."""
+    return train(pendulum, iiwa(7), quick_settings, seed=3)
+
+
+@pytest.fixture(scope="module")
+def evaluation(behind_a_servo):
+    return evaluate(behind_a_servo, world=WORLD, seed=4)
+
+
+def test_training_is_behind_the_shipped_actuator_unless_told_otherwise(behind_a_servo):
+    assert behind_a_servo.actuator == shipped_actuator()
+
+
+def test_results_do_not_depend_on_the_number_of_workers(behind_a_servo, evaluation):
+    again = evaluate(behind_a_servo, world=WORLD, seed=4, workers=3)
+    assert again.digest == evaluation.digest
+
+
+def test_the_evaluation_says_in_which_world_and_behind_what(behind_a_servo, evaluation):
+    assert evaluation.world == "twin:nominal"
+    assert evaluation.world_settings.transport == 0.010
+    assert evaluation.actuators == (behind_a_servo.actuator.digest,)
+
+
+def test_the_regulator_stands_where_chance_falls_on_the_same_trials(evaluation):
+    by_name = {results.name: results.summary() for results in evaluation.baselines}
+    assert by_name["LQR"].survived == by_name["LQR"].trials
+    assert by_name["random"].survived == 0
+
+
+def test_an_interrupted_evaluation_goes_on_where_it_stopped(behind_a_servo, evaluation, tmp_path):
+    partial, finished = tmp_path / "partial.json", []
+
+    def interrupt(count):
+        finished.append(count)
+        if sum(finished) == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(behind_a_servo, world=WORLD, seed=4, partial=partial, done=interrupt)
+    kept = PartialEvaluation.load(partial)
+    assert sum(len(rows) for rows in kept.finished.values()) == 7
+
+    ran = []
+    again = evaluate(behind_a_servo, world=WORLD, seed=4, partial=partial, done=ran.append)
+    assert ran[0] == 7
+    assert again.digest == evaluation.digest
+    assert not partial.exists()
+
+
+def test_trials_of_another_seed_are_not_taken_for_finished(behind_a_servo, tmp_path):
+    partial = tmp_path / "partial.json"
+
+    def interrupt(count):
+        if count == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(behind_a_servo, world=WORLD, seed=4, partial=partial, done=interrupt)
+    ran = []
+    evaluate(
+        behind_a_servo,
+        world=WORLD,
+        seed=5,
+        partial=partial,
+        with_baselines=False,
+        done=ran.append,
+    )
+    assert ran[0] == 0
+
+
+def test_a_run_on_the_twin_holds_what_was_sent_measured_and_true(behind_a_servo, tmp_path):
+    run = simulate_run(behind_a_servo, world=WORLD, seed=1, duration=1.0)
+    n = len(run.time)
+    assert run.cause in CAUSES
+    assert len(run.stream.time) == 2 * n
+    assert len(run.replies.time) == len(run.encoder.time) == len(run.truth.x) == n
+    assert np.allclose(np.diff(run.stream.time), 0.005)
+    # The encoder shows the truth, but for its zero, its step and its age.
+    step = 2.0 * np.pi / run.conditions.counts_per_rev
+    shown = np.pi - run.encoder.counts * step - run.conditions.zero_error
+    error = shown - run.truth.phi + (run.time - run.encoder.time) * run.truth.phi_dot
+    assert np.abs(error).max() < step + 0.003  # the flange's rotation about the spindle
+    # The second setpoint of a tick is the commanded posture at its end.
+    assert np.array_equal(run.stream.q[1::2], run.q)
+    run.save(tmp_path / "run.mcap", command="test")
+    assert RunLog.load(tmp_path / "run.mcap").digest == run.digest
+
+
+def test_an_excitation_moves_every_free_joint_and_none_that_is_held(pendulum):
+    run = excite(iiwa(7), WORLD, pendulum, duration=4.0)
+    assert (len(run.time), run.cause) == (0, EXCITED)
+    speed = np.abs(np.diff(run.stream.q, axis=0) / 0.005).max(axis=0)
+    assert speed[2] == 0.0
+    assert np.all(np.delete(speed, 2) > 0.2)
+
+
+def test_the_twin_has_the_friction_that_was_identified_and_files_say_whose_it_is(behind_a_servo):
+    dry = behind_a_servo.pendulum.model_copy(
+        update={
+            "coulomb": Estimate.normal(1.957, 0.08, "identified"),
+            "drag": Estimate.normal(0.02, 0.001, "identified"),
+        }
+    )
+    policy = behind_a_servo.model_copy(update={"pendulum": dry})
+    for world, coulomb, drag, whose in (
+        ("twin:nominal", 1.957, 0.02, "pendulum"),
+        (World("twin:sticky", TwinSettings(coulomb=0.1, drag=0.0)), 0.1, 0.0, "world"),
+    ):
+        run = simulate_run(policy, world=world, seed=1, duration=0.2).conditions
+        inertia = run.pendulum["w2"] / dry.w2.value if whose == "pendulum" else 1.0
+        assert run.pendulum["coulomb"] == pytest.approx(coulomb * inertia)
+        assert run.pendulum["drag"] == pytest.approx(drag * inertia)
+        assert run.friction["coulomb_from"] == whose
+        excited = excite(iiwa(7), world, dry, duration=0.2).conditions
+        assert excited.pendulum["coulomb"] == coulomb
+        few = policy.settings.evaluation.model_copy(update={"trials": 1, "duration": 0.2})
+        told = evaluate(
+            policy,
+            policy.settings.model_copy(update={"evaluation": few}),
+            world=world,
+            with_baselines=False,
+        ).friction
+        assert (told.coulomb, told.drag, told.coulomb_from) == (coulomb, drag, whose)
+
+
+def test_model_and_twin_agree_about_a_regulator_on_a_pivot_with_dry_friction(behind_a_servo):
+    """The vibration of the pivot within a tick breaks the hold of dry friction, on both."""
+    dry = Pendulum.assumed(120.26, 0.234).model_copy(
+        update={"coulomb": Estimate.normal(1.957, 0.08, "identified")}
+    )
+    policy = behind_a_servo.model_copy(update={"pendulum": dry})
+    few = policy.settings.evaluation.model_copy(update={"trials": 6, "duration": 12.0})
+    settings = policy.settings.model_copy(update={"evaluation": few})
+    for world in ("model", WORLD):
+        told = evaluate(policy, settings, world=world)
+        lqr = next(results for results in told.baselines if results.name == "LQR")
+        assert lqr.summary().survived == 6
+
+
+def test_an_arm_without_known_masses_has_no_twin(pendulum):
+    elbow = without_masses(read_urdf(ELBOW))
+    with pytest.raises(ArmError, match="mass"):
+        excite(elbow, WORLD, pendulum)
+
+
+def test_a_delay_that_the_controller_cannot_remember_is_refused(behind_a_servo):
+    late = Estimate(value=0.15, low=0.15, high=0.15, source="assumed")
+    actuator = behind_a_servo.actuator.model_copy(update={"delay": late})
+    with pytest.raises(SettingsError, match="delay"):
+        evaluate(behind_a_servo, world=WORLD, actuator=actuator, with_baselines=False)
+
+
+def test_guards_end_trials_in_the_worlds_that_have_them(evaluation, behind_a_servo):
+    """What falls in a world without guards falls there with a guard, no later."""
+    before = evaluate(behind_a_servo, world=UNGUARDED, seed=4)
+    assert "guard" not in {c for results in (before.results, *before.baselines)
+                           for c in results.causes}  # fmt: skip
+    assert not before.results.guards
+    told = []
+    for free, held in zip(
+        (before.results, *before.baselines),
+        (evaluation.results, *evaluation.baselines),
+        strict=True,
+    ):
+        guards = held.guards or ("",) * len(held.causes)
+        assert [cause == "guard" for cause in held.causes] == [bool(guard) for guard in guards]
+        for late, soon, guard in zip(free.survival, held.survival, guards, strict=True):
+            assert soon <= late if guard else soon == late
+        told += guards
+    assert {"track", "angle"} & set(told)
+
+
+def test_a_run_that_a_guard_ends_says_which(behind_a_servo, tmp_path):
+    for seed in range(20):
+        run = simulate_run(behind_a_servo, world=WORLD, seed=seed, duration=20.0)
+        if run.cause == "guard":
+            break
+    assert run.cause == "guard"
+    assert run.guard in {"track", "angle"}
+    run.save(tmp_path / "run.mcap", command="deploy")
+    again = RunLog.load(tmp_path / "run.mcap")
+    assert again.conditions == run.conditions
+    assert again.digest == run.digest
+
+
+def test_what_a_policy_was_trained_for_limits_its_speed_on_plant_and_twin(behind_a_servo):
+    settings = behind_a_servo.settings
+    plant = settings.plant.model_copy(update={"max_speed": 0.02})
+    slow = settings.model_copy(update={"plant": plant})
+    policy = behind_a_servo.model_copy(update={"settings": slow})
+    for world in ("model", WORLD):
+        results = evaluate(policy, world=world, seed=4, with_baselines=False).results
+        assert set(results.guards) == {"flange speed"}
+        run = simulate_run(policy, world=world, seed=4, duration=2.0)
+        assert (run.cause, run.guard) == ("guard", "flange speed")
+        assert abs(run.truth.x_dot).max() < 0.1
+    # A world without guards has none.
+    assert not evaluate(policy, world=UNGUARDED, seed=4, with_baselines=False).results.guards
