@@ -28,7 +28,7 @@ import equipoise.envs  # noqa: F401  (registers the environments)
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.policy import shipped_policy
 from equipoise.worlds import setup_of, simulate
-from equipoise.worlds.fleet import new_fleet
+from equipoise.worlds.fleet import Fleet
 
 Step = Callable[[], object]
 WIDTHS = (16, 64, 1024)
@@ -57,7 +57,7 @@ def kernel(world: str, width: int) -> Step:
     """Return a step of the batched kernel of a world."""
     policy = shipped_policy()
     simulation = simulate(world, setup_of(policy, world), seed=0, stream=0)
-    fleet = new_fleet(simulation, width, 1)
+    fleet = Fleet(simulation, width, 1)
     fleet.reset(np.arange(width), simulation.draw(width))
     observations, gains = (
         fleet.values.predicted,

@@ -85,7 +85,6 @@ def main() -> None:
                 world=given.world,
                 with_baselines=False,
                 workers=cores,
-                partial=file.with_suffix(".partial.json"),
             )
             evaluation.save(file, command="evaluate", inputs={"policy": policy.digest})
         summary = Evaluation.load(file).results.summary()

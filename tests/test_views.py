@@ -124,4 +124,4 @@ def test_paths_as_text_are_taken_by_all_that_reads_and_writes(values, tmp_path, 
     with pytest.raises(eq.EquipoiseError, match=r"arm\.urdf"):
         eq.read_urdf("arm.urdf")
     world = eq.resolve(overrides=["evaluation.trials=2", "evaluation.duration=0.1"])
-    assert eq.evaluate(values["policy"], world, partial="partial.json")
+    assert eq.evaluate(values["policy"], world)

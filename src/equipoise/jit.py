@@ -43,7 +43,7 @@ logger = logging.getLogger(__name__)
 F = TypeVar("F", bound=Callable[..., Any])
 
 PACKAGE = Path(__file__).parent
-KERNEL_FOLDERS = ("model", "control", "safety", "learning", "worlds", "apps/coppeliasim")
+KERNEL_FOLDERS = ("model", "control", "safety", "learning", "worlds")
 """Folders of the package with kernels."""
 
 

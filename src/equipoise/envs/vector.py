@@ -1,10 +1,11 @@
 """Native vector environments: many episodes in one call of compiled code, over the cores."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -16,7 +17,6 @@ from equipoise.envs.balance import (
     REWARD_FAILURE,
     WINDOW,
     Array,
-    BalanceDiscreteEnv,
     BalanceEnv,
     paper_reward,
 )
@@ -26,13 +26,11 @@ from equipoise.model.random import ENVIRONMENT
 from equipoise.model.worlds import MODEL, World
 from equipoise.safety.trial import guard_named
 from equipoise.worlds import Trials
-from equipoise.worlds.fleet import new_fleet
+from equipoise.worlds.fleet import Fleet
+from equipoise.worlds.ideal import PlantSimulation
 from equipoise.worlds.trials import IntArray
 
 Flags = npt.NDArray[np.bool_]
-
-RESET_MASK = "reset_mask"
-"""Option of `reset`: which environments are reset, shape (num_envs,)."""
 
 
 class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
@@ -40,9 +38,9 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
 
     ## Description
 
-    Each environment is a `BalanceEnv`, with its worlds, observations, actions, rewards and ends of
-    an episode; an array has one row for each. In the worlds `ideal` and `model` one compiled call
-    advances all of them.
+    Each environment is a `BalanceEnv` in the world `ideal` or `model`, with its observations,
+    actions, rewards and ends of an episode; an array has one row for each. One compiled call
+    advances all of them. For another world take `vectorization_mode="async"`.
 
     ## Starting State
 
@@ -54,8 +52,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
 
     `autoreset_mode` is one of Gymnasium's: `NextStep` (the default) resets an environment in the
     step after the end of its episode, without regard to its action; `SameStep` in the same step,
-    with the last observation in `info["final_obs"]` and its info in `info["final_info"]`;
-    `Disabled` leaves it to `reset(options={"reset_mask": mask})`.
+    with the last observation in `info["final_obs"]` and its info in `info["final_info"]`.
 
     `info` has `time` and `state` of each environment, and, where an episode ends, `cause` and
     `guard`; the key with a leading underscore marks the rows that have a value.
@@ -80,8 +77,6 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
         "render_modes": [],
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-    SINGLE: ClassVar[type[BalanceEnv]] = BalanceEnv
-    """Class of a single environment."""
 
     def __init__(
         self,
@@ -103,65 +98,54 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
             raise InputError(f"num_envs is {num_envs}; expected 1 or more")
         if arguments.get("render_mode") is not None:
             raise InputError("a vector environment draws no pictures; leave render_mode out")
-        try:
-            self._mode = AutoresetMode(autoreset_mode)
-        except ValueError:
-            modes = ", ".join(mode.value for mode in AutoresetMode)
-            raise InputError(
-                f"autoreset_mode is {autoreset_mode!r}; expected one of {modes}"
-            ) from None
+        mode = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
+        if mode not in ("NextStep", "SameStep"):
+            raise InputError(f"autoreset_mode is {mode!r}; expected 'NextStep' or 'SameStep'")
+        self._mode = AutoresetMode(mode)
         self.metadata = {**self.metadata, "autoreset_mode": self._mode}
-        single = self.SINGLE(world, **arguments)
-        self._simulation, self._observe = single._simulation, single._observe
-        self._reward, self._arm, self._h = single._reward, single.task.arm, single.task.h
-        self._max_steps = round(single._duration / self._h)
+        single = BalanceEnv(world, **arguments)
+        simulation = single.simulation
+        if not isinstance(simulation, PlantSimulation):
+            raise InputError(
+                f"the world {world} has no native vector environment; choose ideal or model, or "
+                "gymnasium.make_vec(..., vectorization_mode='async')"
+            )
+        self._simulation, self._reward = simulation, single.reward
+        self._max_steps, self._h = single.max_steps, single.task.h
+        self._discrete = isinstance(single.action_space, spaces.Discrete)
         self.num_envs = num_envs
         self.single_observation_space = single.observation_space
         self.single_action_space = single.action_space
         self.observation_space = batch_space(single.observation_space, num_envs)
         self.action_space = batch_space(single.action_space, num_envs)
-        self._fleet = new_fleet(self._simulation, num_envs, workers or available_cores())
-        self._values, self._all = self._fleet.values, np.ones(num_envs, np.bool_)
-        self._ended = np.zeros(num_envs, np.bool_)
-        self._seed, self._episode, self._used, self._window = -1, 0, 0, self._simulation.draw(0)
+        self._fleet = Fleet(simulation, num_envs, workers or available_cores())
+        self._values = self._fleet.values
+        self._observed = getattr(self._values, single.observe)
+        self._ended, self._all = np.zeros(num_envs, np.bool_), np.ones(num_envs, np.bool_)
+        self._seed, self._episode, self._used, self._window = -1, 0, 0, simulation.draw(0)
 
     def reset(
-        self,
-        *,
-        seed: int | list[int | None] | None = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Release the pendulums, and return the first observations and their info.
 
         Args:
             seed: Master seed of these episodes and of those that follow.
-            options: `{"reset_mask": mask}` resets some of the environments.
+            options: None.
 
         Raises:
-            InputError: `seed` is a list, or `options` is something else.
+            InputError: `seed` is a list, or there are options.
         """
-        if isinstance(seed, list):
-            raise InputError("seed is a list; expected one number, for all environments")
-        options = options or {}
-        if unknown := set(options) - {RESET_MASK}:
-            raise InputError(f"options has {sorted(unknown)}; expected {RESET_MASK!r}")
+        if isinstance(seed, list) or options:
+            raise InputError("expected one seed for all environments, and no options")
         super().reset(seed=seed)
-        mask = np.asarray(options.get(RESET_MASK, self._all))
-        if mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
-            raise InputError(
-                f"{RESET_MASK} has the type {mask.dtype} and the shape {mask.shape}; expected bool "
-                f"and ({self.num_envs},)"
-            )
-        if self._seed < 0 and not mask.all():
-            raise InputError("the first reset is one of all environments; leave out reset_mask")
         if seed is not None or self._seed < 0:
             self._seed = seed if seed is not None else int(self.np_random.integers(2**31))
-            simulation = self._simulation
-            simulation.seed, simulation.stream = self._seed, ENVIRONMENT
-            self._episode, self._used, self._window = 0, 0, simulation.draw(0)
-        self._release(np.flatnonzero(mask))
-        self._ended[mask] = False
-        return self._observations(), self._info()
+            self._simulation.seed, self._simulation.stream = self._seed, ENVIRONMENT
+            self._episode, self._used, self._window = 0, 0, self._simulation.draw(0)
+        self._release(np.arange(self.num_envs))
+        self._ended[:] = False
+        return self._observed.copy(), self._info()
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """Advance all environments by one tick.
@@ -175,10 +159,6 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
         if self._seed < 0:
             raise InputError(NOT_RESET)
         values, over = self._values, self._ended
-        if self._mode is AutoresetMode.DISABLED and over.any():
-            raise InputError(
-                f"{over.sum()} episodes have ended; call reset(options={{{RESET_MASK!r}: ended}})"
-            )
         u = self._accelerations(actions)
         before = None if self._reward is paper_reward else values.predicted.copy()
         self._fleet.step(u)
@@ -195,13 +175,13 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
         ended = terminated | truncated
         info = self._info(ended if ended.any() else None)
         if self._mode is AutoresetMode.SAME_STEP and ended.any():
-            final = {"final_obs": self._observations(), "_final_obs": ended}
+            final = {"final_obs": self._observed.copy(), "_final_obs": ended}
             final |= {"final_info": info, "_final_info": ended}
             self._release(np.flatnonzero(ended))
             info, self._ended = self._info() | final, np.zeros_like(ended)
         else:
             self._ended = ended
-        return self._observations(), rewards, terminated, truncated, info
+        return self._observed.copy(), rewards, terminated, truncated, info
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
@@ -209,15 +189,14 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
 
     def _accelerations(self, actions: Any) -> Array:
         """Return u of each environment [m/s^2], shape (num_envs,)."""
+        if self._discrete and self.action_space.contains(np.asarray(actions)):
+            return np.array(paper.ACTIONS)[np.asarray(actions)]
         try:
             u = np.asarray(actions, np.float64).reshape(self.num_envs)
         except (TypeError, ValueError):
             u = np.full(1, np.nan)
-        if not np.isfinite(u).all():
-            raise InputError(
-                f"the actions are {actions!r:.60}; expected finite accelerations [m/s^2], shape "
-                f"{self.action_space.shape}"
-            )
+        if self._discrete or not np.isfinite(u).all():
+            raise InputError(f"the actions are {actions!r:.60}; expected {self.action_space}")
         return u
 
     def _rewards(self, before: Array, u: Array, failed: Array) -> Array:
@@ -235,15 +214,6 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
         self._fleet.reset(loops, Trials._make(column[rows] for column in self._window))
         self._used, self._episode = rows.stop, self._episode + count
 
-    def _observations(self) -> Array:
-        values, observe = self._values, self._observe
-        if observe == "predicted":
-            return values.predicted.copy()
-        if observe == "estimated":
-            return values.estimated.copy()
-        q = [self._arm.with_held(row) for row in values.measured[:, :-1]]
-        return np.hstack((values.encoder, q, values.measured[:, -1:]))
-
     def _info(self, ended: Flags | None = None) -> dict[str, Any]:
         values = self._values
         info: dict[str, Any] = {
@@ -257,21 +227,3 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
                 info[key], info[f"_{key}"] = np.full(self.num_envs, "", object), ended
                 info[key][ended] = [named(code) for code in values.cause[ended].tolist()]
         return info
-
-
-class BalanceDiscreteVectorEnv(BalanceVectorEnv):
-    """Balance `num_envs` pendulums with the paper's eight accelerations: `Discrete(8)` each.
-
-    Everything but the action space is that of `BalanceVectorEnv`.
-    """
-
-    SINGLE: ClassVar[type[BalanceEnv]] = BalanceDiscreteEnv
-
-    def _accelerations(self, actions: Any) -> Array:
-        indices = np.asarray(actions)
-        if not self.action_space.contains(indices):
-            raise InputError(
-                f"the actions are {actions!r:.60}; expected whole numbers from 0 to "
-                f"{len(paper.ACTIONS) - 1}, shape {self.action_space.shape}"
-            )
-        return np.array(paper.ACTIONS)[indices]

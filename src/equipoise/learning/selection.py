@@ -33,6 +33,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.model.random import SELECTION, TARGET_TEST
+from equipoise.model.worlds import MODEL
 from equipoise.settings import Settings
 from equipoise.worlds.ideal import PlantSimulation
 from equipoise.worlds.interface import Setup
@@ -85,7 +86,7 @@ class TrialPlant(NamedTuple):
 
     def simulation(self, stream: int, spread: float = 1.0) -> PlantSimulation:
         """Return the simulation of trials for one purpose."""
-        return PlantSimulation.of(self.setup, seed=self.seed, stream=stream, spread=spread)
+        return PlantSimulation(MODEL, self.setup, seed=self.seed, stream=stream, spread=spread)
 
     def tables(self, u_of_box: Array) -> PolicyKernel:
         """Return the policy of several tables, from their accelerations one after the other."""

@@ -35,7 +35,7 @@ from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TRAINING_NOISE
 from equipoise.settings import Settings
 from equipoise.studies.table_search import LEVELS
-from equipoise.worlds.fleet import new_fleet
+from equipoise.worlds.fleet import Fleet
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -164,7 +164,7 @@ class _Counts:
         self._size, self._boxes = size, partition(settings.boxes, plant.pendulum.k)
         self._simulation = plant.simulation(TRAINING_NOISE, settings.selection.spread)
         self._most = round(settings.learning.episode_duration / paper.STEP)
-        self._fleet = new_fleet(self._simulation, size.loops, 1)
+        self._fleet = Fleet(self._simulation, size.loops, 1)
         self._rng = np.random.default_rng([plant.seed, TRAINING_NOISE])
         self._drawn = self._ended = self._steps = 0
         self.N = np.zeros((count, ACTIONS, count + 1), np.int64)

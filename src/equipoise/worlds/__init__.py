@@ -1,11 +1,21 @@
-"""Trials of any policy in a simulated world: conditions, closed loops, and results."""
+"""Trials of any policy in a simulated world: conditions, closed loops, and results.
 
-from equipoise.apps.coppeliasim.address import is_address, read_address
+A package registers a world under the entry point group `equipoise.worlds`: the name, or the part of
+it before a colon, and a subclass of `Simulation`. The worlds of this package are registered in the
+same way. Any other world is `MODULE:CLASS`.
+"""
+
+from importlib.metadata import entry_points
+from typing import Final
+
+from equipoise.artefacts import quoted
 from equipoise.control.policy import TaskPolicy
+from equipoise.errors import SettingsError
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
-from equipoise.model.worlds import IDEAL, MODEL, TwinSettings, World, read_world
+from equipoise.model.worlds import PREFIX, TwinSettings, World
 from equipoise.settings import Settings
-from equipoise.worlds.ideal import PlantSimulation
+from equipoise.user_code import guest_code, load_object
+from equipoise.worlds.external import ExternalLoop
 from equipoise.worlds.interface import (
     ClosedLoop,
     Measurement,
@@ -21,6 +31,7 @@ from equipoise.worlds.trials import Trial, Trials
 
 __all__ = [
     "ClosedLoop",
+    "ExternalLoop",
     "Measurement",
     "Recorder",
     "Setup",
@@ -37,29 +48,47 @@ __all__ = [
     "simulate",
 ]
 
+GROUP: Final = "equipoise.worlds"
+"""Entry point group of worlds."""
+
+
+def world_class(world: str | World) -> type[Simulation]:
+    """Return the class of a world.
+
+    Raises:
+        InputError: The class cannot be imported.
+        SettingsError: The world does not exist, or its class is no `Simulation`.
+    """
+    name = PREFIX if isinstance(world, World) else world
+    registered = {point.name: point for point in entry_points(group=GROUP)}
+    if (point := registered.get(name.partition(":")[0])) is not None:
+        with guest_code(f"the world {point.value}"):
+            found = point.load()
+    elif ":" in name:
+        found = load_object(name, "--world")
+    else:
+        known = ", ".join(sorted(registered))
+        raise SettingsError(f"there is no world {quoted(name)}; choose {known} or MODULE:CLASS")
+    if not (isinstance(found, type) and issubclass(found, Simulation)):
+        raise SettingsError(
+            f"the world {quoted(name)} is no subclass of equipoise.worlds.Simulation"
+        )
+    return found
+
 
 def find_world(world: str | World) -> tuple[str, TwinSettings | None]:
     """Return the name of a world, and the numbers of its digital twin; `None` without one.
 
     Raises:
+        InputError: The class of the world cannot be imported.
         SettingsError: The world does not exist.
     """
-    if isinstance(world, str) and world in (IDEAL, MODEL):
-        return world, None
-    if isinstance(world, str) and is_address(world):
-        return world, read_address(world).numbers
-    return world if isinstance(world, World) else read_world(world)
+    return world if isinstance(world, World) else world_class(world).find(world)
 
 
 def has_ideal_arm(world: str | World) -> bool:
-    """Return whether the arm of a world has no delay, and its state is measured exactly.
-
-    Raises:
-        SettingsError: The world is an address of CoppeliaSim with an error.
-    """
-    if isinstance(world, str) and is_address(world):
-        return read_address(world).engine is None
-    return world == IDEAL
+    """Return whether the arm of a world has no delay, and its state is known exactly."""
+    return world_class(world).ideal_arm
 
 
 def setup_of(
@@ -70,8 +99,7 @@ def setup_of(
 ) -> Setup:
     """Return the setup of a policy in a world; settings and actuator replace those of its task.
 
-    In the world `ideal`, and with the kinematic arm of CoppeliaSim, the arm has no delay, also with
-    a given actuator.
+    In a world with an ideal arm, such as `ideal`, the arm has no delay, also with a given actuator.
     """
     carried = policy.actuators if actuator is None else (actuator,)
     responses = (IDEAL_ACTUATOR,) if has_ideal_arm(world) else carried
@@ -83,24 +111,14 @@ def simulate(world: str | World, setup: Setup, *, seed: int, stream: int) -> Sim
 
     Args:
         world: `ideal`, the paper's plant; `model`, the plant behind the actuator; a digital twin,
-            by name or with its parameters; or `coppeliasim://HOST:PORT`, a running CoppeliaSim.
+            by name or with its parameters; another registered world; or `MODULE:CLASS`.
         setup: Pendulum, arm and controller.
         seed: Master seed.
         stream: Purpose of the trials.
 
     Raises:
         ArmError: The masses of a twin's arm are unknown, or home is a singular posture.
-        LinkError: No CoppeliaSim answers at the address.
-        MissingExtraError: The client of CoppeliaSim is not installed.
+        InputError: The class of the world cannot be imported.
         SettingsError: The world does not exist, or the delay exceeds the controller's history.
     """
-    if isinstance(world, str) and is_address(world):
-        from equipoise.apps.coppeliasim.world import CoppeliaSimulation
-
-        return CoppeliaSimulation(read_address(world), setup, seed=seed, stream=stream)
-    _, numbers = find_world(world)
-    if numbers is not None:
-        from equipoise.worlds.twin.world import TwinSimulation
-
-        return TwinSimulation(numbers, setup, seed=seed, stream=stream)
-    return PlantSimulation.of(setup, seed=seed, stream=stream)
+    return world_class(world)(world, setup, seed=seed, stream=stream)

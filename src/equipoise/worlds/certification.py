@@ -27,7 +27,6 @@ from equipoise.artefacts import (
     Name,
     Seed,
     Share,
-    StrPath,
     Value,
     first_fault,
     value_digest,
@@ -278,7 +277,6 @@ def certify(
     claim: Claim,
     *,
     workers: Workers = 1,
-    partial: StrPath | None = None,
     done: Done = lambda _: None,
 ) -> tuple[Certificate, Evaluation]:
     """Test a claim about a policy.
@@ -287,14 +285,13 @@ def certify(
         policy: The policy.
         claim: The claim, from `make_claim`.
         workers: Number of threads, or an executor; the result does not depend on it.
-        partial: File for the finished trials until all are done.
         done: Called with the number of trials that have just finished.
 
     Returns:
         The certificate, granted or refused, and its trials.
     """
     twin = None if claim.world == MODEL else read_world(claim.world).settings
-    return _test(policy, claim, twin, policy.settings, workers=workers, partial=partial, done=done)
+    return _test(policy, claim, twin, policy.settings, workers=workers, done=done)
 
 
 def check_policy(certificate: Certificate, policy: TaskPolicy) -> None:
@@ -330,9 +327,7 @@ def repeat(
     """
     check_policy(certificate, policy)
     claim, twin, settings = certificate.claim, certificate.world_settings, certificate.settings
-    again, evaluation = _test(
-        policy, claim, twin, settings, workers=workers, partial=None, done=done
-    )
+    again, evaluation = _test(policy, claim, twin, settings, workers=workers, done=done)
     same_outcome = again.failures == certificate.failures
     same_trials = evaluation.digest == certificate.evaluation
     return Repetition(again.granted, again.failures, same_outcome, same_trials)

@@ -2,37 +2,25 @@
 
 Trials start as after a release by hand and run on plants that vary around the policy's pendulum:
 on the paper's plant (world `ideal`), on the plant of the training with the identified actuator
-(`model`), on a digital twin (`twin:...`), or in CoppeliaSim (`coppeliasim://...`). Any policy runs
-in any world. Test seeds serve no other purpose, trial i is the same for every policy, and the
-baselines run the same trials.
+(`model`), on a digital twin (`twin:...`), or in another world. Any policy runs in any world. Test
+seeds serve no other purpose, trial i is the same for every policy, and the baselines run the same
+trials.
 """
 
-import threading
 from collections import Counter
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 from scipy.stats import binomtest
 
-from equipoise.artefacts import (
-    Artefact,
-    Count,
-    Name,
-    PartialFile,
-    Seed,
-    StrPath,
-    Value,
-    value_digest,
-)
+from equipoise.artefacts import Artefact, Name, Seed, Value
 from equipoise.control.baselines import baselines
 from equipoise.control.grid import CAUSES, cause_named
 from equipoise.control.policy import MAX_ACTUATORS, PolicyKernel, TaskPolicy
 from equipoise.executors import Workers
 from equipoise.model.actuator import Actuator
-from equipoise.model.arms.arm import Arm
 from equipoise.model.random import TEST
 from equipoise.model.worlds import MODEL, PivotFriction, TwinSettings, World, pivot_friction
 from equipoise.safety.trial import guard_named
@@ -181,7 +169,6 @@ def evaluate(
     seed: int = 0,
     with_baselines: bool = True,
     workers: Workers = 1,
-    partial: StrPath | None = None,
     done: Done = lambda _: None,
 ) -> Evaluation:
     """Evaluate a policy in a simulated world.
@@ -193,15 +180,14 @@ def evaluate(
         policy: The policy with its task, such as a table or a result of `load_policy`.
         settings: Number, length and starts of the trials, noise of the plant, the controller
             (default: the policy's).
-        world: `ideal`, `model`, a name that `read_world` knows, or a twin with its numbers.
+        world: Name of a world, such as `ideal`, `model` or `twin:nominal`, or a twin with its
+            numbers.
         actuator: The controller's model of the arm's response (default: the policy's; in `ideal`
             always the ideal one). A policy with several selects one in each trial on a twin, see
             `equipoise.control.actuator_choice`; on a plant its first one holds.
         seed: Master seed of the trials.
         with_baselines: Run the baselines on the same trials.
         workers: Threads, or an executor, of compiled policies; the result does not depend on it.
-        partial: File that keeps the finished trials until all are done: an interrupted evaluation
-            continues from it.
         done: Callback; receives the number of trials that have just finished.
 
     Raises:
@@ -210,115 +196,35 @@ def evaluate(
     """
     setup = setup_of(policy, world, settings, actuator)
     pendulum, arm, settings, actuators, h = setup
-    responses = tuple(each.digest for each in actuators)
     place, numbers = find_world(world)
     simulation = simulate(world, setup, seed=seed, stream=TEST)
-    count, kept = settings.evaluation.trials, None if partial is None else Path(partial)
+    count, span = settings.evaluation.trials, settings.evaluation.duration
 
-    one_trial = settings.evaluation.model_copy(update={"trials": 1})
-    trial_settings = settings.model_copy(update={"evaluation": one_trial})
-
-    def run(name: str, policy: TaskPolicy | PolicyKernel, digest: str) -> TrialResults:
+    def run(name: str, policy: TaskPolicy | PolicyKernel) -> TrialResults:
         trials = simulation.draw(count)
-        key = _CacheKey(
-            name=name,
-            policy=digest,
-            place=place,
-            world=numbers,
-            arm=arm,
-            actuators=responses,
-            pendulum=pendulum.digest,
-            settings=trial_settings,
-            seed=seed,
+        simulation.run(
+            policy,
+            trials,
+            range(count),
+            duration=span,
+            workers=workers,
+            done=lambda rows: done(len(rows)),
         )
-        finished = _FinishedTrials(kept, value_digest(key))
-        todo = finished.restore(trials)
-        done(count - len(todo))
-
-        def add(rows: Sequence[int]) -> None:
-            finished.add(trials, rows)
-            done(len(rows))
-
-        with finished:
-            span = settings.evaluation.duration
-            simulation.run(policy, trials, todo, duration=span, workers=workers, done=add)
         return trial_results(name, trials, h)
 
     nominal = pendulum.parameters(linearised=settings.plant.linearised)
     others = baselines(nominal, h) if with_baselines else {}
-    evaluation = Evaluation(
+    return Evaluation(
         policy=policy.digest,
         world=place,
         world_settings=numbers,
         arm=arm.name,
         arm_digest=arm.digest,
-        actuators=responses,
+        actuators=tuple(each.digest for each in actuators),
         pendulum=pendulum.digest,
         friction=None if numbers is None else pivot_friction(pendulum, numbers),
         settings=settings,
         seed=seed,
-        results=run(policy.name, policy, policy.digest),
-        baselines=tuple(run(name, kernel, "") for name, kernel in others.items()),
+        results=run(policy.name, policy),
+        baselines=tuple(run(name, kernel) for name, kernel in others.items()),
     )
-    if kept is not None:
-        kept.unlink(missing_ok=True)
-    return evaluation
-
-
-class _CacheKey(Value):
-    """Cache key of a trial, without its number."""
-
-    name: str
-    policy: str
-    place: str
-    world: TwinSettings | None
-    arm: Arm
-    actuators: tuple[str, ...]
-    pendulum: str
-    settings: Settings
-    seed: int
-
-
-class PartialEvaluation(Artefact):
-    """Finished trials of interrupted evaluations."""
-
-    FORMAT: ClassVar[str] = "equipoise-partial-evaluation"
-    VERSION: ClassVar[int] = 1
-
-    finished: dict[Name, tuple[tuple[Count, Count, Count], ...]]
-    """Number, steps and code of the cause of each finished trial, by its cache key."""
-
-
-class _FinishedTrials(PartialFile):
-    """Finished trials in a file, rewritten from time to time."""
-
-    def __init__(self, path: Path | None, key: str) -> None:
-        super().__init__(path, "evaluate", self._partial)
-        self._key = key
-        self._others: dict[str, tuple[tuple[int, int, int], ...]] = {}
-        self._finished: list[tuple[int, int, int]] = []
-        self._lock = threading.Lock()
-        if path is not None and path.exists():
-            self._others = dict(PartialEvaluation.load(path).finished)
-            self._finished = list(self._others.pop(key, ()))
-
-    def restore(self, trials: Trials) -> list[int]:
-        """Restore the results of finished trials; return the numbers of the others."""
-        count = len(trials.steps)
-        self._finished = [row for row in self._finished if row[0] < count]
-        for i, steps, cause in self._finished:
-            trials.steps[i], trials.cause[i] = steps, cause
-        known = {row[0] for row in self._finished}
-        return [i for i in range(count) if i not in known]
-
-    def add(self, trials: Trials, rows: Sequence[int]) -> None:
-        """Store the results of finished trials."""
-        with self._lock:
-            self._finished += ((i, int(trials.steps[i]), int(trials.cause[i])) for i in rows)
-        self.update()
-
-    def _partial(self) -> PartialEvaluation | None:
-        with self._lock:
-            own = {self._key: tuple(self._finished)} if self._finished else {}
-        finished = self._others | own
-        return PartialEvaluation(finished=finished) if finished else None

@@ -5,22 +5,22 @@ delay, servo and drive, and the controller observes through an encoder.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
+from equipoise.artefacts import quoted
 from equipoise.control.control_step import OBS_PHI, OBS_PHI_DOT, OBS_X, OBS_X_DOT
 from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import RANDOM, TABLE, PolicyKernel, act, table_action
+from equipoise.errors import SettingsError
 from equipoise.jit import kernel, struct_ref
-from equipoise.model.arms.arm import Arm
 from equipoise.model.elementary import BATCH_SIZE, at
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.random import philox, uniform
-from equipoise.settings import Settings
-from equipoise.worlds.interface import Array, Measurement, Setup, Simulation
+from equipoise.model.worlds import IDEAL, MODEL, TwinSettings, World
+from equipoise.worlds.interface import Array, ClosedLoop, Measurement, Setup, Simulation
 from equipoise.worlds.plant import (
     TRACKED,
     BatchState,
@@ -73,38 +73,28 @@ def advance_lanes(lanes: Any, count: int) -> None:
         lanes.tick[n] += 1
 
 
-@dataclass
 class PlantSimulation(Simulation):
     """Trials on the plant of the training."""
 
     BATCH: ClassVar[int] = BATCH_SIZE
     PIECE: ClassVar[int] = 4 * BATCH_SIZE
 
-    params: LoopParams
-    """Constants of the closed loop."""
-    arm: Arm
-    """The arm."""
-    pendulum: PendulumParameters
-    """Nominal parameters, which the trials vary."""
-    settings: Settings
-    """Ranges of the trials' conditions."""
-    seed: int
-    """Master seed."""
-    stream: int
-    """Purpose of the trials."""
-    spread: float = 1.0
-    """Factor on the variation of the plants."""
-    setup: Setup | None = None
-    """Pendulum, arm and controller that give the constants; without it, the simulation runs in this
-    process only."""
-
     @classmethod
-    def of(cls, setup: Setup, *, seed: int, stream: int, spread: float = 1.0) -> "PlantSimulation":
-        """Return the simulation of a setup.
+    def find(cls, name: str) -> tuple[str, TwinSettings | None]:
+        """Return the name of a world; see `Simulation.find`."""
+        if name not in (IDEAL, MODEL):
+            raise SettingsError(f"there is no world {quoted(name)}; choose {IDEAL} or {MODEL}")
+        return name, None
+
+    def __init__(
+        self, world: str | World, setup: Setup, *, seed: int, stream: int, spread: float = 1.0
+    ) -> None:
+        """Set up the plant.
 
         Args:
-            setup: Pendulum, arm and controller.
-            seed: Master seed.
+            world: `ideal` or `model`.
+            setup: Pendulum, arm and controller; of several actuators the first one holds.
+            seed: Master seed of the trials.
             stream: Purpose of the trials.
             spread: Factor on the variation of the plants.
 
@@ -112,21 +102,21 @@ class PlantSimulation(Simulation):
             ArmError: Home is a singular posture.
             SettingsError: The delay exceeds the controller's history.
         """
-        pendulum, arm, settings, _, h = setup
-        nominal = pendulum.parameters(linearised=settings.plant.linearised)
-        params = make_loop_params(arm, settings, h, nominal, setup.actuator)
-        return cls(params, arm, nominal, settings, seed, stream, spread, setup)
+        super().__init__(world, setup, seed=seed, stream=stream)
+        arm, settings = setup.arm, setup.settings
+        self.params = make_loop_params(arm, settings, setup.h, self.pendulum, setup.actuator)
+        """Constants of the closed loop."""
+        self._spread = spread
 
     def __reduce__(self) -> Any:
         """Return what sets the simulation up in another process."""
-        if self.setup is None:
-            return super().__reduce__()
-        given = {"seed": self.seed, "stream": self.stream, "spread": self.spread}
-        return partial(PlantSimulation.of, self.setup, **given), ()
+        given = {"seed": self.seed, "stream": self.stream, "spread": self._spread}
+        return partial(type(self), self.world, self.setup, **given), ()
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""
-        return draw_trials(count, self.settings, self.seed, self.stream, self.spread, first)
+        settings = self.setup.settings
+        return draw_trials(count, settings, self.seed, self.stream, self._spread, first)
 
     def loop(self) -> "PlantLoop":
         """Return a closed loop for `reset`."""
@@ -142,7 +132,13 @@ class PlantSimulation(Simulation):
         run_trials(plant, batch, policy, pendulum, trials, taken, max_steps, *keys)
 
 
-class PlantLoop:
+class IdealSimulation(PlantSimulation):
+    """Trials on the paper's plant."""
+
+    ideal_arm: ClassVar[bool] = True
+
+
+class PlantLoop(ClosedLoop):
     """Closed loop of the training, in the first lane of a batch."""
 
     def __init__(self, simulation: PlantSimulation) -> None:
@@ -154,9 +150,7 @@ class PlantLoop:
             self._plant, simulation.pendulum, batch, self._number, self._tick, self._key
         )
         self.params, self.controller = self._plant.controller, batch.controller
-        self.pendulum, self.now, self.tracked = simulation.pendulum, 0.0, 0.0
-        self.zero: float | None = None
-        self.chosen = 0
+        self.pendulum = simulation.pendulum
 
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
@@ -184,7 +178,7 @@ class PlantLoop:
     def joints(self) -> Array:
         """Return the true positions of all joints [rad], shape (n,)."""
         q = self._batch.q if self.params.has_sensor else self._batch.controller.q
-        return self._simulation.arm.with_held(q[::BATCH_SIZE])
+        return self._simulation.setup.arm.with_held(q[::BATCH_SIZE])
 
     def measurement(self) -> Measurement | None:
         """Return the measurements of this tick; `None` without an encoder."""

@@ -24,18 +24,17 @@ from equipoise.control.control_step import (
     ControllerState,
 )
 from equipoise.control.grid import TRUNCATED
-from equipoise.control.policy import Policy, PolicyKernel, TaskPolicy
-from equipoise.executors import ThreadExecutor, Workers, executor_of
+from equipoise.control.policy import KernelPolicy, Policy, PolicyKernel, TaskPolicy
+from equipoise.executors import Workers, executor_of
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
+from equipoise.model.worlds import TwinSettings, World
 from equipoise.settings import Settings
-from equipoise.worlds.trials import IntArray, Trial, Trials
+from equipoise.worlds.trials import IntArray, Trial, Trials, draw_trials
 
 Array = npt.NDArray[np.float64]
-UNLIMITED: Final = 1_000_000
-"""Number of closed loops that a world without a limit may have."""
 REMOTE_PIECES: Final = 32
 """Number of pieces in a task of another process, which sets the simulation up anew."""
 Finished = Callable[[Sequence[int]], None]
@@ -55,7 +54,7 @@ class Measurement(NamedTuple):
     """Their time stamp, from the release [s]."""
 
 
-class ClosedLoop(Protocol):
+class ClosedLoop(ABC):
     """A closed loop in simulation; its attributes are for reading."""
 
     params: ControllerParams
@@ -64,38 +63,38 @@ class ClosedLoop(Protocol):
     """State of the controller, in the first lane."""
     pendulum: PendulumParameters
     """True parameters of the pendulum in this trial."""
-    zero: float | None
+    zero: float | None = None
     """Encoder zero offset in phi in this trial [rad]; `None` without an encoder."""
-    chosen: int
+    chosen: int = 0
     """Number of the actuator of the setup that the controller assumes in this trial."""
-    now: float
+    now: float = 0.0
     """Time since the release [s]."""
-    tracked: float
+    tracked: float = 0.0
     """Tracked acceleration u' over the last step [m/s^2]."""
 
+    @abstractmethod
     def reset(self, trial: Trial) -> None:
         """Release the pendulum under the conditions of a trial."""
-        ...
 
+    @abstractmethod
     def step(self, u: float) -> int:
         """Advance by one tick, and return the cause of the failure, `TRUNCATED` without one.
 
         Args:
             u: Acceleration of the flange along x [m/s^2].
         """
-        ...
 
+    @abstractmethod
     def state(self) -> Array:
         """Return the true x, x_dot, phi, phi_dot in SI units, shape (4,)."""
-        ...
 
+    @abstractmethod
     def joints(self) -> Array:
         """Return the true positions of all joints [rad], shape (n,)."""
-        ...
 
     def measurement(self) -> Measurement | None:
         """Return the newest measurements; `None` without an encoder."""
-        ...
+        return None
 
 
 class Setup(NamedTuple):
@@ -120,36 +119,60 @@ class Setup(NamedTuple):
 
 
 class Simulation(ABC):
-    """Trials in a simulated world."""
+    """A simulated world with the inputs of its trials.
 
+    The entry point group `equipoise.worlds` maps the scheme of a world's name to its class.
+    """
+
+    ideal_arm: ClassVar[bool] = False
+    """Whether the arm has no delay, and the state of arm and pendulum is known exactly."""
     BATCH: ClassVar[int] = 1
     """Number of trials that advance together."""
-    MOST_LOOPS: ClassVar[int] = UNLIMITED
-    """Largest number of closed loops that advance side by side."""
-    PIECE: ClassVar[int]
-    """Maximum number of trials that a thread takes at a time; a multiple of `BATCH`."""
-    seed: int
-    """Master seed of the trials."""
-    stream: int
-    """Purpose of the trials: each has random numbers of its own."""
+    PIECE: ClassVar[int] = 0
+    """Maximum number of compiled trials that a thread takes at a time, a multiple of `BATCH`; 0 for
+    a world whose trials run from Python."""
 
-    @abstractmethod
-    def draw(self, count: int, first: int = 0) -> Trials:
-        """Draw the conditions of `count` trials from number `first` on."""
+    @classmethod
+    def find(cls, name: str) -> tuple[str, TwinSettings | None]:
+        """Return the name of a world in results, and the numbers of its twin; `None` without one.
+
+        Raises:
+            SettingsError: The world does not exist.
+        """
+        return name, None
+
+    def __init__(self, world: str | World, setup: Setup, *, seed: int, stream: int) -> None:
+        """Set up a world.
+
+        Args:
+            world: Name of the world, or a twin with its numbers.
+            setup: Pendulum, arm and controller.
+            seed: Master seed of the trials.
+            stream: Purpose of the trials: each has random numbers of its own.
+        """
+        self.world, self.setup, self.seed, self.stream = world, setup, seed, stream
+        linearised = setup.settings.plant.linearised
+        self.pendulum = setup.pendulum.parameters(linearised=linearised)
+        """Nominal parameters, which the trials vary."""
+
+    def __reduce__(self) -> Any:
+        """Return what sets the simulation up in another process."""
+        given = {"seed": self.seed, "stream": self.stream}
+        return partial(type(self), self.world, self.setup, **given), ()
 
     @abstractmethod
     def loop(self) -> ClosedLoop:
         """Return a closed loop for `reset`."""
 
-    @abstractmethod
+    def draw(self, count: int, first: int = 0) -> Trials:
+        """Draw the conditions of `count` trials from number `first` on."""
+        return draw_trials(count, self.setup.settings, self.seed, self.stream, 1.0, first)
+
     def run_piece(
         self, policy: PolicyKernel, trials: Trials, rows: Sequence[int], duration: float
     ) -> None:
-        """Run trials of a compiled policy in this thread; see `run`."""
-
-    def __reduce__(self) -> Any:
-        """Refuse to be pickled, unless a world says what sets it up in another process."""
-        raise TypeError(f"{type(self).__name__} runs in the process that made it")
+        """Run trials of a compiled policy in this thread; only with a `PIECE`; see `run`."""
+        raise NotImplementedError
 
     def run(
         self,
@@ -161,37 +184,36 @@ class Simulation(ABC):
         workers: Workers = 1,
         done: Finished = lambda _: None,
     ) -> None:
-        """Run trials of any policy: compiled where it has a kernel, else from Python, one by one.
+        """Run trials: compiled if policy and world are, otherwise from Python, one by one.
 
         Args:
             policy: The policy, or its kernel alone.
             trials: Conditions, from `draw`; receives the results.
             rows: Rows of the trials to run.
             duration: Length of a trial [s].
-            workers: Number of threads, or executor, for a compiled policy; the results do not
-                depend on it.
+            workers: Number of threads, or executor, for compiled trials; the results do not depend
+                on it.
             done: Called with the rows of trials that have just finished.
         """
         kernel = policy if isinstance(policy, PolicyKernel) else policy.kernel
-        if kernel is not None:
-            executor = executor_of(workers)
-            if self.MOST_LOOPS == 1:  # Ctrl-C reaches the caller's thread alone
-                executor = ThreadExecutor(1)
-            share = -(-len(rows) // (self.BATCH * executor.workers)) * self.BATCH
-            most = self.PIECE * (REMOTE_PIECES if executor.is_remote else 1)
-            size = min(most, max(share, 1))
-            pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
-            run = partial(_run_piece, self, kernel, duration)
-            for i, results in executor.completed(run, _Pieces(trials, pieces)):
-                piece = pieces[i]
-                trials.steps[piece], trials.cause[piece], trials.sum_x2[piece] = results
-                done(piece)
-        elif not isinstance(policy, PolicyKernel):
+        if kernel is None or not self.PIECE:
+            acting: Any = policy if kernel is None else KernelPolicy(kernel)
             loop = self.loop()
             for row in rows:
-                ended = run_trial(loop, policy, trials.trial(row), duration)
+                ended = run_trial(loop, acting, trials.trial(row), duration)
                 trials.steps[row], trials.cause[row], trials.sum_x2[row] = ended
                 done([row])
+            return
+        executor = executor_of(workers)
+        share = -(-len(rows) // (self.BATCH * executor.workers)) * self.BATCH
+        most = self.PIECE * (REMOTE_PIECES if executor.is_remote else 1)
+        size = min(most, max(share, 1))
+        pieces = [rows[first : first + size] for first in range(0, len(rows), size)]
+        run = partial(_run_piece, self, kernel, duration)
+        for i, results in executor.completed(run, _Pieces(trials, pieces)):
+            piece = pieces[i]
+            trials.steps[piece], trials.cause[piece], trials.sum_x2[piece] = results
+            done(piece)
 
 
 class _Pieces(Sequence[Trials]):

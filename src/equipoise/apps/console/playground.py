@@ -154,7 +154,7 @@ class Playground:
         settings = policy.settings.model_copy(update={"controller": controller})
         twin = World("playground", world)
         setup = setup_of(policy, twin, settings, actuator)
-        simulation = TwinSimulation(world, setup, seed=scene.seed, stream=DEPLOYMENT)
+        simulation = TwinSimulation(twin, setup, seed=scene.seed, stream=DEPLOYMENT)
         self.scene, self.policy, self.arm = scene, policy, policy.arm
         self.w2, self.h = policy.pendulum.parameters().w2, policy.h
         self.latency = horizon(policy.arm, actuator, controller.margin)

@@ -8,8 +8,6 @@ Equipoise.
 
 import re
 import sys
-import time
-from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, Final
 
@@ -24,12 +22,8 @@ PATIENCE: Final = 10.0
 pass of its idle loop, an eighth of a second."""
 IDLE: Final = 86400.0
 """Time after which CoppeliaSim forgets a client that is silent [s]; its default is ten minutes."""
-MARKS: Final = {"_=NL=_": "\n", "_=TB=_": "\t"}
-"""Marks in an error of CoppeliaSim for line breaks and tabs."""
 LUA_PLACE: Final = r"^(\S+:)?\d+: (in )?(sim\.\w+: )?"
 """Place in Lua code with which an error of CoppeliaSim begins: file, line and function."""
-LONGEST: Final = 300
-"""Largest number of characters that a message quotes of an error of CoppeliaSim."""
 
 
 class Connection:
@@ -49,19 +43,19 @@ class Connection:
             LinkError: No CoppeliaSim answers there.
         """
         self.host, self.port, self.address = host, port, f"{host}:{port}"
-        self.calls, self.seconds = 0, 0.0
-        """Number of calls, and their time [s]."""
         self._patience = patience
-        zmq, made = _modules()
+        try:
+            made: Any = import_module("coppeliasim_zmqremoteapi_client").RemoteAPIClient
+            zmq: Any = import_module("zmq")
+        except ImportError:
+            raise MissingExtraError("coppeliasim-zmqremoteapi-client", "coppeliasim") from None
         self._error, self._silence = zmq.ZMQError, zmq.Again
         main = vars(sys.modules["__main__"])
         before = {name: main[name] for name in ("require",) if name in main}
         try:
             self._client: Any = made(host, port, verbose=0)
         except self._error as error:
-            raise InputError(
-                f"{self.address} is no address ({error}); give a host and a port"
-            ) from None
+            raise InputError(f"{self.address} is no address ({error})") from None
         finally:
             main.pop("require", None)
             main.update(before)
@@ -113,59 +107,41 @@ class Connection:
                 f"the connection to {self.address} is closed: it failed, or another world of this "
                 "process took the CoppeliaSim; build the world again"
             )
-        began = time.perf_counter()
         try:
             return function(*arguments)
         except self._silence:
             self.close()  # a request without an answer blocks the socket
             raise LinkError(
                 f"no CoppeliaSim answers at {self.address} within {self._patience:g} s; start it, "
-                f"with its ZMQ remote API server, or try port {self.port + 1}: after a crash the "
-                "server may listen on the next port, which its first lines of output name"
+                "with its ZMQ remote API server (after a crash it may listen on the next port)"
             ) from None
         except self._error as error:
             raise LinkError(f"the connection to {self.address} failed: {error}") from None
         except Exception as error:
+            text = printable(shortened(re.sub(LUA_PLACE, "", first_line(str(error))), 300))
             if type(error) is not Exception:
                 raise LinkError(
                     f"what answers at {self.address} does not speak the protocol of CoppeliaSim "
-                    f"4.6 ({type(error).__name__}: {_readable(str(error))}); check host and port"
+                    f"4.6 ({type(error).__name__}: {text}); check host and port"
                 ) from None
-            raise OutsideError(
-                f"CoppeliaSim at {self.address} refuses {name}: {_readable(str(error))}"
-            ) from None
+            raise OutsideError(f"CoppeliaSim at {self.address} refuses {name}: {text}") from None
         except BaseException:
             self.close()  # Ctrl-C: the answer is still to come
             raise
-        finally:
-            self.calls += 1
-            self.seconds += time.perf_counter() - began
 
 
-def _modules() -> tuple[Any, Any]:
-    """Return ZeroMQ and the class of the client."""
-    try:
-        client: Any = import_module("coppeliasim_zmqremoteapi_client")
-        return import_module("zmq"), client.RemoteAPIClient
-    except ImportError:
-        raise MissingExtraError("coppeliasim-zmqremoteapi-client", "coppeliasim") from None
-
-
-def _readable(text: str) -> str:
-    """Return the first line of an error of CoppeliaSim, without its place in Lua, safe to print.
+def first_line(text: str) -> str:
+    """Return the first line of an error of CoppeliaSim, which marks line breaks and tabs.
 
     Example:
-        >>> _readable("354: in sim.getJointPosition: object does not exist._=NL=_stack traceback:")
+        >>> first_line("object does not exist._=NL=_stack traceback:_=NL=__=TB=_[C]")
         'object does not exist.'
     """
-    for mark, sign in MARKS.items():
-        text = text.replace(mark, sign)
-    lines = text.strip().splitlines() or [""]
-    return printable(shortened(re.sub(LUA_PLACE, "", lines[0]), LONGEST))
+    return text.replace("_=TB=_", "\t").partition("_=NL=_")[0].strip()
 
 
 def as_plain(value: Any) -> Any:
-    """Return numbers, arrays and containers of them as numbers, lists and dictionaries of Python.
+    """Return numbers, arrays and sequences of them as numbers and lists of Python.
 
     Example:
         >>> as_plain((np.int64(3), np.array([0.5, 1.0])))
@@ -173,8 +149,6 @@ def as_plain(value: Any) -> Any:
     """
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
-    if isinstance(value, Mapping):
-        return {key: as_plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
         return [as_plain(entry) for entry in value]
     return value

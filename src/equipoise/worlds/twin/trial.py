@@ -7,7 +7,7 @@ seed and its number alone.
 """
 
 from math import pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ from equipoise.control.control_step import (
 )
 from equipoise.control.grid import ANGLE, JOINT_LIMIT, PHI_LIMIT, SAFETY_STOP, TRACK, TRUNCATED
 from equipoise.control.policy import RANDOM, PolicyKernel, act
-from equipoise.jit import inlined, kernel
+from equipoise.jit import inlined, kernel, struct_ref
 from equipoise.model.arms.arm import FREE_JOINTS
 from equipoise.model.elementary import at, put
 from equipoise.model.random import TWIN, philox, uniform
@@ -72,15 +72,25 @@ class TwinTrial(NamedTuple):
     """Rules of the world with their state."""
 
 
+TwinHandle: Any = struct_ref("TwinHandle", __name__, ("trial",))
+
+
 @kernel
-def release(trial: TwinTrial, phi: float, phi_dot: float) -> None:
+def new_twin_handle(trial: TwinTrial) -> Any:
+    """Return a closed loop on a twin that kernels take by reference."""
+    return TwinHandle(trial)
+
+
+@kernel
+def release(loop: Any, phi: float, phi_dot: float) -> None:
     """Release the pendulum, the arm at rest at home; the controller has observed it until now.
 
     Args:
-        trial: Changed in place.
+        loop: The trial; changed in place.
         phi: Angle of the pendulum from upright [rad].
         phi_dot: Its rate [rad/s].
     """
+    trial = loop.trial
     twin, controller = trial.twin, trial.params
     reset(twin, twin.home, phi, phi_dot)
     counts, stamp = encoder(twin.sensors, twin.past, 0, twin.key[0], twin.key[1])
@@ -135,37 +145,49 @@ def step(trial: TwinTrial) -> int:
     return TRUNCATED
 
 
-@inlined
-def decide(twin: TwinKernel, state: ControllerState, policy: PolicyKernel) -> None:
-    """Compute u from the observation."""
-    chance = 0.0
-    if policy.kind == RANDOM:
-        words = philox(twin.key[0], twin.cabinet.clock[NOW], twin.key[1], 0, TWIN)
-        chance = uniform(words[2], 0.0, 1.0)
-    seen = state.observation
-    x, x_dot = at(seen, OBS_X, 0), at(seen, OBS_X_DOT, 0)
-    phi, phi_dot = at(seen, OBS_PHI, 0), at(seen, OBS_PHI_DOT, 0)
-    state.u[0] = act(policy, x, x_dot, phi, phi_dot, chance)
+@kernel
+def advance_trial(loop: Any, true_state: Array) -> int:
+    """Advance a closed loop by one tick, and return the cause of the failure.
+
+    Args:
+        loop: The trial; changed in place; the state of its controller holds u.
+        true_state: Receives x, x_dot, phi, phi_dot in SI units, shape (4,).
+    """
+    trial = loop.trial
+    cause = step(trial)
+    state = truth(trial.twin)
+    for i in range(4):
+        true_state[i] = state[i]
+    return cause
 
 
-@inlined
+@kernel
 def run_trial(
-    trial: TwinTrial, policy: PolicyKernel, phi: float, phi_dot: float, max_steps: int
+    loop: Any, policy: PolicyKernel, phi: float, phi_dot: float, max_steps: int
 ) -> TrialResult:
     """Run one trial.
 
     Args:
-        trial: Changed in place.
+        loop: The trial; changed in place.
         policy: The policy.
         phi: Angle of the pendulum from upright at the release [rad].
         phi_dot: Its rate [rad/s].
         max_steps: Number of steps after which the trial is truncated.
     """
-    release(trial, phi, phi_dot)
+    release(loop, phi, phi_dot)
+    trial = loop.trial
+    twin, state = trial.twin, trial.state
     steps, cause, sum_x2 = 0, TRUNCATED, 0.0
     while steps < max_steps and cause == TRUNCATED:
-        decide(trial.twin, trial.state, policy)
+        chance = 0.0
+        if policy.kind == RANDOM:
+            words = philox(twin.key[0], twin.cabinet.clock[NOW], twin.key[1], 0, TWIN)
+            chance = uniform(words[2], 0.0, 1.0)
+        seen = state.observation
+        x, x_dot = at(seen, OBS_X, 0), at(seen, OBS_X_DOT, 0)
+        phi, phi_dot = at(seen, OBS_PHI, 0), at(seen, OBS_PHI_DOT, 0)
+        state.u[0] = act(policy, x, x_dot, phi, phi_dot, chance)
         cause = step(trial)
         steps += 1
-        sum_x2 += truth(trial.twin).x ** 2
+        sum_x2 += truth(twin).x ** 2
     return TrialResult(steps, cause, sum_x2)

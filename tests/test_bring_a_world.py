@@ -1,0 +1,133 @@
+"""A guest's world in one file: bring-a-world.md as printed, and the conformance suite on it."""
+
+import json
+import re
+import shlex
+import sys
+import tomllib
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import equipoise.envs  # noqa: F401  (registers the environments)
+from equipoise import worlds
+from equipoise.cli import main
+from equipoise.control.policy import shipped_policy
+from equipoise.errors import InputError, SettingsError
+from equipoise.testing import WorldConformance
+from equipoise.worlds import has_ideal_arm, setup_of, simulate
+from equipoise.worlds.evaluation import evaluate
+
+PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-a-world.md"
+BLOCK = re.compile(r"^```(python|toml|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCKS = dict(BLOCK.findall(PAGE.read_text()))
+POLICY = shipped_policy()
+BROKEN = """
+from equipoise.worlds import ExternalLoop, Simulation
+
+class Delayed(Simulation):
+    def loop(self):
+        return Loop(self)
+
+class Loop(ExternalLoop):
+    def release(self, q, start):
+        self.q, self.start = q, start
+    def send(self, q):
+        self.q = q
+    def read(self):
+        return self.start
+    def joints(self):
+        return self.simulation.setup.arm.with_held(self.q)
+
+class Falls(Delayed):
+    def loop(self):
+        loop = Loop(self)
+        loop.send = lambda q: 1 / 0
+        return loop
+
+no_world = 3
+"""
+
+pytestmark = pytest.mark.compiled_only
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "own_world.py").write_text(BLOCKS["python"])
+    (tmp_path / "broken_world.py").write_text(BROKEN)
+    monkeypatch.chdir(tmp_path)
+    yield
+    for name in ("own_world", "broken_world"):
+        sys.modules.pop(name, None)
+
+
+def make(world="own_world:Windy"):
+    setup = setup_of(POLICY, world)
+    return simulate(world, setup, seed=1, stream=7), setup
+
+
+class TestWindy(WorldConformance):
+    ENCODER = False
+
+    def make(self):
+        return make()
+
+
+def test_the_page_runs_as_it_is_printed(capsys):
+    command, *words = shlex.split(BLOCKS["sh"])
+    assert command == "equipoise"
+    assert main([*words, "--json"]) in (0, 1)
+    told = json.loads(capsys.readouterr().out)
+    assert (told["world"], told["trials"]) == ("own_world:Windy", 3)
+    assert told["median_s"] > 1.0
+
+
+def test_it_is_a_world_of_python_policies_and_of_environments():
+    changes = {"trials": 2, "duration": 0.3}
+    trials = POLICY.settings.evaluation.model_copy(update=changes)
+    settings = POLICY.settings.model_copy(update={"evaluation": trials})
+    found = evaluate(POLICY, settings, world="own_world:Windy", with_baselines=False, workers=2)
+    assert found.results.survival == (0.3, 0.3)
+    env = gym.make("equipoise/Balance-v0", world="own_world:Windy")
+    first = env.reset(seed=3)[0], env.step(np.array([0.5]))[0]
+    again = env.reset(seed=3)[0], env.step(np.array([0.5]))[0]
+    assert np.array_equal(first, again)
+
+
+def test_a_registered_world_is_found_by_its_name(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(tmp_path)
+    named = tomllib.loads(BLOCKS["toml"])["project"]["entry-points"][worlds.GROUP]
+    points = EntryPoints(EntryPoint(name, value, worlds.GROUP) for name, value in named.items())
+    monkeypatch.setattr(worlds, "entry_points", lambda group: points)
+    assert has_ideal_arm("windy:anything")
+
+
+def test_with_a_delay_the_controller_observes_through_an_encoder():
+    simulation, setup = make("broken_world:Delayed")
+    loop = simulation.loop()
+    loop.reset(simulation.draw(1).trial(0))
+    assert loop.step(0.0) == 0
+    measured, resolution = loop.measurement(), loop.params.resolution
+    assert np.pi - measured.counts * resolution == pytest.approx(
+        loop.state()[2] + loop.zero, abs=0.5001 * resolution
+    )
+    assert np.array_equal(setup.arm.with_held(measured.q), loop.joints())
+    assert loop.controller.estimate[0] == pytest.approx(loop.state()[2], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("world", "error"),
+    [
+        ("nowhere", SettingsError),
+        ("ideal:other", SettingsError),
+        ("broken_world:nothing", InputError),
+        ("broken_world:no_world", SettingsError),
+        ("broken_world:Falls", InputError),
+    ],
+)
+def test_a_world_that_cannot_be_used_is_one_clear_error(world, error):
+    with pytest.raises(error):
+        evaluate(POLICY, POLICY.settings, world=world, with_baselines=False)
