@@ -13,7 +13,7 @@ from equipoise.studies.gap import gap, trials_of
 from equipoise.worlds.certification import certify, check_policy, make_claim, repeat
 from equipoise.worlds.evaluation import evaluate
 from tests.control.test_bound_policy import KINDS, folder
-from tests.studies.replayed import replay
+from tests.rig.replayed import replay
 
 __all__ = ["folder"]
 
