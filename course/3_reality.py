@@ -202,5 +202,5 @@ check(
 print(f"on {nominal.name}", mean(trials(nominal), 30.0).text)
 
 # %%
-run = eq.deploy(table, world=nominal, seed=1, duration=10.0)
+run = eq.simulate_run(table, world=nominal, seed=1, duration=10.0)
 run

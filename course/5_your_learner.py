@@ -187,7 +187,7 @@ check(3, trainings, lambda n: n == 6, "The p of n tosses with the same result is
 
 # %%
 runs = {
-    name: eq.deploy(policy, world="twin:nominal", duration=20.0, seed=4)
+    name: eq.simulate_run(policy, world="twin:nominal", duration=20.0, seed=4)
     for name, policy in (("mine", table), ("lqr", eq.load_policy("lqr")))
 }
 for name, run in runs.items():

@@ -74,7 +74,7 @@ def recordings():
 
 @pytest.fixture(scope="session")
 def rig_log(tmp_path_factory):
-    """The log of a whole course on an emulated rig: home, self-test, lift, 1.5 s of balancing."""
+    """The log of a whole run on an emulated rig: home, self-test, lift, 1.5 s of balancing."""
     from equipoise.control.policy import shipped_policy
     from equipoise.model.worlds import pendulum_on, read_world
     from equipoise.rig.config import RigSettings, emulated_rig

@@ -28,7 +28,7 @@ def main() -> None:
     parser.add_argument("--gap", type=Path, help="output file of `equipoise gap`")
     options = parser.parse_args()
     policy = eq.shipped_policy()
-    run = eq.deploy(policy, world="twin:nominal", duration=10.0)
+    run = eq.simulate_run(policy, world="twin:nominal", duration=10.0)
     write_video(run, policy.arm, HERE / "balancing.webp", begin=0.0, end=8.0)
     (HERE / "survival.png").write_bytes(render(survival(eq.evaluate(policy)), "png"))
     (HERE / "map.png").write_bytes(render(recovery_figure(map_recovery(policy)), "png"))
