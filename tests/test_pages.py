@@ -162,10 +162,9 @@ ELSEWHERE = {
     r"^ray |--ray": "several computers: tests/test_executors.py",
     r"coppeliasim": "needs CoppeliaSim: tests/worlds/test_coppeliasim.py",
     r"kst://|serial://|doctor": "needs a rig: tests/robots, tests/rig, tests/cli",
-    r"benchmarks/": "tests/test_bench.py",
-    r"experiments/": "tests/test_experiments.py",
+    r"benchmarks/|experiments/": "tests/test_bench.py, tests/test_experiments.py",
     r"rl/|docker|podman": "needs what another page makes",
-    r"^make docs": "a step of the checks",
+    r"^make ": "a step of the checks",
 }
 """Commands that are not run here, and why."""
 SERVERS = re.compile(r"equipoise (?:play|console|log show|rig emulate)|--console")
