@@ -197,4 +197,4 @@ runs["mine"]
 # %% [markdown]
 # Where to go from here: a reward of your own, another partition of the boxes, a network
 # ([bring a policy](../docs/how-to/bring-a-policy.md)), all of them in one comparison
-# (`equipoise compare`), or a real pendulum.
+# (`experiments/compare.py`), or a real pendulum.
