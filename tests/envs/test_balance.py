@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+import equipoise.envs  # noqa: F401  (registers the environments)
 from equipoise.control.policy import shipped_policy
 from equipoise.errors import InputError, OutsideError
 from equipoise.model.random import TEST

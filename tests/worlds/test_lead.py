@@ -21,7 +21,7 @@ def distances(lead, seconds=10.0):
     settings = POLICY.settings.model_copy(update={"controller": controller})
     world = read_world("twin:trajectory40")
     setup = setup_of(POLICY, world, settings, SLOW)
-    simulation = TwinSimulation(world.settings, setup, seed=1, stream=7)
+    simulation = TwinSimulation(world, setup, seed=1, stream=7)
     loop, trial = simulation.loop(), simulation.draw(1).trial(0)
     policy = KernelPolicy(baselines(POLICY.pendulum.parameters(), POLICY.h)["LQR, snapped"])
     loop.reset(trial)

@@ -10,21 +10,17 @@ from equipoise.artefacts import Estimate
 from equipoise.control import grid
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.grid import ANGLE, CAUSES, JOINT_LIMIT, TRACK, TRUNCATED
-from equipoise.control.policy import table_kernel
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.pendulum import step as pendulum_step
-from equipoise.model.random import TEST
 from equipoise.settings import BoxSettings, Settings, resolve
 from equipoise.worlds.plant import (
     PHI,
     TRACKED,
     X_DOT,
     DomainRandomization,
-    X,
-    draw_noise,
     make_loop_params,
     new_batch_state,
     reset,
@@ -32,7 +28,7 @@ from equipoise.worlds.plant import (
     step,
 )
 from tests.reference.closed_loop import Joints, Loop, runge_kutta
-from tests.worlds.recorded import on_the_plant, record, run_all
+from tests.worlds.recorded import on_the_plant, record
 
 PENDULUM = PendulumParameters(w2=70.2, k=7.15, c=0.15)
 SETTINGS = Settings()
@@ -131,40 +127,6 @@ def test_a_run_obeys_kinematics_and_the_pendulum_equation(size):
             np.testing.assert_allclose(run.state[i + 2][:2], [flange, after.twist[0]], atol=1e-9)
 
 
-def test_a_trial_has_the_same_bits_alone_and_in_company():
-    arm = iiwa(7)
-    plant = make_loop_params(arm, SETTINGS, 0.01, PENDULUM)
-    table = random_table(4)
-    simulation = on_the_plant(plant, arm, PENDULUM, SETTINGS, seed=7)
-    kernel = table_kernel(table, BOXES)
-    trials = run_all(simulation, kernel, simulation.draw(2 * BATCH_SIZE + 5), 3.0)
-    assert len(set(trials.steps.tolist())) > 5
-    for i in (0, 3, BATCH_SIZE, 2 * BATCH_SIZE + 4):
-        result, run = record(simulation, Table(table), trials.trial(i), 3.0)
-        assert result == (trials.steps[i], trials.cause[i], trials.sum_x2[i])
-        # The state is known: what the policy saw is what there was.
-        assert np.array_equal(run.observation, run.state)
-
-
-def test_lanes_do_not_depend_on_each_other():
-    plant = make_loop_params(iiwa(7), SETTINGS, 0.01, PENDULUM)
-    together, alone = new_batch_state(), new_batch_state()
-    rng = np.random.default_rng(0)
-    starts = rng.uniform(-1.0, 1.0, (BATCH_SIZE, 4)) * [0.1, 0.2, 0.05, 0.3]
-    for n in range(BATCH_SIZE):
-        reset(plant, together, PENDULUM, NOMINAL, tuple(starts[n]), n)
-    reset(plant, alone, PENDULUM, NOMINAL, tuple(starts[5]), 0)
-    for _ in range(20):
-        together.controller.u[:] = rng.choice([-1.0, 1.0], BATCH_SIZE)
-        together.controller.noise[:] = rng.normal(size=together.controller.noise.shape)
-        alone.controller.u[0] = together.controller.u[5]
-        alone.controller.noise[::BATCH_SIZE] = together.controller.noise[5::BATCH_SIZE]
-        step(plant, together, BATCH_SIZE)
-        step(plant, alone, 1)
-    assert np.array_equal(together.state[5::BATCH_SIZE], alone.state[::BATCH_SIZE])
-    assert np.array_equal(together.controller.q[5::BATCH_SIZE], alone.controller.q[::BATCH_SIZE])
-
-
 @given(
     start=st.tuples(
         st.floats(-0.15, 0.15), st.floats(-0.3, 0.3), st.floats(-0.1, 0.1), st.floats(-0.5, 0.5)
@@ -245,24 +207,6 @@ def test_the_pendulum_feels_the_tracked_and_not_the_commanded_acceleration():
     assert block.state[PHI * BATCH_SIZE] == pytest.approx(-7.15 * tracked * 0.01**2 / 2.0, rel=1e-2)
 
 
-def test_noise_of_a_step_is_standard_normal_and_white():
-    noise = np.zeros(6 * BATCH_SIZE)
-    draws = []
-    for tick in range(500):
-        ticks, index = np.full(BATCH_SIZE, tick), np.arange(BATCH_SIZE)
-        draw_noise(noise, 3, ticks, index, 0, TEST, BATCH_SIZE)
-        draws.append(noise.copy())
-    draws = np.array(draws)
-    # 48,000 numbers: five standard errors, a chance of 6e-7 each.
-    n = draws.size
-    assert abs(draws.mean()) < 5.0 / np.sqrt(n)
-    assert abs(draws.var() - 1.0) < 5.0 * np.sqrt(2.0 / n)
-    assert abs(np.mean(draws[1:] * draws[:-1])) < 5.0 / np.sqrt(n)
-    assert abs(
-        np.mean(draws[:, :BATCH_SIZE] * draws[:, BATCH_SIZE : 2 * BATCH_SIZE])
-    ) < 5.0 / np.sqrt(n / 6)
-
-
 def test_a_singular_home_is_refused():
     from equipoise.errors import ArmError
 
@@ -271,10 +215,6 @@ def test_a_singular_home_is_refused():
     home[5] = 0.0
     with pytest.raises(ArmError, match="singular"):
         make_loop_params(arm.model_copy(update={"home": tuple(home)}), SETTINGS, 0.01, PENDULUM)
-
-
-def test_rows_of_the_state_are_those_of_the_paper():
-    assert (X, X_DOT, PHI) == (0, 1, 2)
 
 
 # Behind an actuator
@@ -508,20 +448,6 @@ def test_a_setpoint_moves_the_arm_a_delay_after_it_was_sent(delay):
     assert went[7] > 0.0
 
 
-def test_pendulum_and_flange_behind_an_actuator_fail_as_before():
-    plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM, KST)
-    for start, cause in [
-        ((0.0, 0.0, np.radians(10.99), 0.5), ANGLE),
-        ((0.225, 0.0, 0.0, 0.0), TRACK),
-        ((-0.225, 0.0, 0.0, 0.0), TRACK),
-        ((0.215, 0.0, 0.0, 0.0), TRUNCATED),
-    ]:
-        block = new_batch_state()
-        reset(plant, block, PENDULUM, NOMINAL, start, 0)
-        step(plant, block, 1)
-        assert CAUSES[block.cause[0]] == CAUSES[cause]
-
-
 def test_a_wrong_zero_does_not_decide_about_a_failure():
     # The policy sees a pendulum at 11.2 degrees; it leans by 10.5.
     plant = make_loop_params(iiwa(7), QUIET, 0.01, PENDULUM, KST)
@@ -531,32 +457,6 @@ def test_a_wrong_zero_does_not_decide_about_a_failure():
     step(plant, block, 1)
     assert block.controller.observation[2 * BATCH_SIZE] > np.radians(11)
     assert block.cause[0] == TRUNCATED
-
-
-def test_nothing_of_sensor_and_actuator_matters_where_the_actuator_is_ideal():
-    arm, plants = iiwa(14), []
-    for overrides in (
-        [],
-        ["controller.predict=false", "controller.margin=0.1", "controller.acceleration_sigma=9"],
-        ["plant.counts_per_rev=100", "controller.correction=0.9", "plant.zero_error=0.1"],
-    ):
-        plants.append(make_loop_params(arm, resolve(overrides=overrides), 0.01, PENDULUM))
-    rows = []
-    for plant, variation in zip(
-        plants, (NOMINAL, DomainRandomization(1.0, 1.0, 0.05, 2.0, 0.1), NOMINAL), strict=True
-    ):
-        block, rng = new_batch_state(), np.random.default_rng(3)
-        reset(plant, block, PENDULUM, variation, (0.01, 0.02, 0.03, 0.04), 0)
-        for _ in range(30):
-            block.controller.noise[:] = rng.standard_normal(6 * BATCH_SIZE)
-            block.controller.u[0] = rng.choice([-1.0, 1.0])
-            step(plant, block, 1)
-            assert np.array_equal(
-                block.controller.observation[::BATCH_SIZE],
-                block.state[: 4 * BATCH_SIZE : BATCH_SIZE],
-            )
-        rows.append(block.state.tobytes())
-    assert len(set(rows)) == 1
 
 
 @pytest.mark.parametrize(
@@ -597,19 +497,3 @@ def test_the_pendulum_behind_an_actuator_feels_the_pivot_as_it_moves(pendulum, o
     angle, rate = np.sqrt(np.mean(np.square(errors), axis=0))
     assert angle / 0.01 < of_angle
     assert rate < of_rate
-
-
-@pytest.mark.xfail(
-    strict=True,
-    reason="setpoints come in steps, and the arm is placed as if they moved evenly",
-)
-@BEHIND
-def test_an_arm_that_starts_moving_moves_steadily(actuator):
-    plant = make_loop_params(iiwa(14), QUIET, 0.01, PENDULUM, actuator)
-    block = new_batch_state()
-    reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.2, 0.0, 0.0), 0)
-    for _ in range(10):
-        block.controller.u[0] = 0.0
-        step(plant, block, 1)
-        # Nobody accelerates it.
-        assert abs(block.state[TRACKED * BATCH_SIZE]) < 0.1

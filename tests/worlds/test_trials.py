@@ -164,11 +164,6 @@ def test_selection_target_test_and_evaluation_share_no_trial(seed):
         assert len(np.unique(numbers)) == len(numbers)
 
 
-def test_other_seeds_draw_other_trials():
-    seen = {drawn(1, seed).start.tobytes() for seed in range(50)}
-    assert len(seen) == 50
-
-
 def test_factors_on_inertia_divide_everything_and_factors_on_friction_only_c():
     pendulum = PendulumParameters(70.0, 7.0, 0.2, 0.3, 0.4, True)
     assert scaled(pendulum, 2.0, 3.0) == pytest.approx((35.0, 3.5, 0.3, 0.15, 0.2, True))
@@ -364,12 +359,6 @@ def test_every_trial_is_run_once_and_told_of(plant, kernels, count):
     )
     assert sorted(finished) == list(range(count))
     assert np.all(trials.steps > 0)
-
-
-def test_a_trial_lasts_so_many_steps_and_no_more(plant, kernels):
-    trials = run(plant, kernels["linear"], 20, duration=0.37)
-    assert trials.steps.tolist() == [37] * 20
-    assert trials.cause.tolist() == [TRUNCATED] * 20
 
 
 # Failure, beside what tests/worlds/test_plant.py shows

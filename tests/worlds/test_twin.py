@@ -20,7 +20,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import TEST
-from equipoise.model.worlds import TwinSettings
+from equipoise.model.worlds import TwinSettings, World
 from equipoise.safety.rules import T1_SPEED, TRACK_LIMIT, Rule
 from equipoise.safety.stop import ramp
 from equipoise.safety.trial import guard_named
@@ -68,7 +68,7 @@ class Kernel:
 def twins(world=WORLD, seed=1, settings=None, actuators=(ACTUATOR,)):
     settings = Settings() if settings is None else settings
     setup = Setup(PENDULUM, ARM, settings, actuators, 0.01)
-    return TwinSimulation(world, setup, seed=seed, stream=TEST)
+    return TwinSimulation(World("twin:test", world), setup, seed=seed, stream=TEST)
 
 
 def run(policy, trials=TRIALS, duration=2.0, workers=1, seed=1, world=WORLD):
@@ -188,18 +188,6 @@ def test_the_estimate_is_near_the_truth():
     assert recorder.rows.estimate[-1, 2] == pytest.approx(loop.zero, abs=radians(0.1))
 
 
-def test_a_record_ends_with_its_trial():
-    trial, world = TRIALS[0], WORLD.model_copy(update={"zero_offset": 0.01})
-    loop, recorder = twins(world).loop(), Recorder(7, 200)
-    outcome = run_trial(loop, Kernel(STILL), trial, 2.0, recorder)
-    rows = recorder.rows
-    assert outcome == run(STILL, trials=[trial], world=world)[0]
-    assert {len(column) for column in rows} == {outcome[0]}
-    assert rows.state[0] == pytest.approx(trial.start, abs=1e-12)
-    assert radians(9.0) < abs(rows.state[-1, 2]) < radians(11.0)
-    assert abs(loop.zero - 0.01) <= world.zero_error
-
-
 # Guards.
 
 
@@ -229,7 +217,7 @@ def test_a_run_towards_the_end_of_the_track_is_stopped_in_time(away):
         # The verdict is that of the rule, and came as soon as it could.
         q, dq = (ARM.with_held(block[::BATCH_SIZE]) for block in (memory.q, memory.dq))
         dq[ARM.held_joint - 1] = 0.0
-        speed, limits = abs(memory.reference[TWIST * BATCH_SIZE]), simulation._safety[0].limits
+        speed, limits = abs(memory.reference[TWIST * BATCH_SIZE]), simulation.safety[0].limits
         slowing = ramp(q.tolist(), dq.tolist(), speed, limits)
         furthest, time = abs(x), 0.0
         while time < slowing.duration + 0.2:
@@ -259,7 +247,7 @@ def test_until_a_guard_ends_it_a_trial_is_the_same(away):
 
 def test_the_limit_of_t1_ends_a_trial_that_is_too_fast(away):
     t1 = twins(GUARDED.model_copy(update={"t1": True}), seed=3)
-    assert t1._safety[0].speed == T1_SPEED
+    assert t1.safety[0].speed == T1_SPEED
     ended = [run_until_the_guard(away, t1, number)[1] for number in range(4)]
     assert Rule.SPEED.value in set(map(guard_named, ended))
 
@@ -280,9 +268,9 @@ def test_an_arm_that_is_elsewhere_than_expected_ends_a_trial():
 
 def test_a_setpoint_that_may_not_be_sent_ends_a_trial_before_it_is_sent():
     simulation = twins(GUARDED, seed=3)
-    limits = simulation._safety[0].limits
+    limits = simulation.safety[0].limits
     slow = limits._replace(acceleration=tuple(0.5 for _ in limits.acceleration))
-    simulation._safety[0] = simulation._safety[0]._replace(limits=slow)
+    simulation.safety[0] = simulation.safety[0]._replace(limits=slow)
     loop, cause, rows = run_until_the_guard(LQR, simulation)
     assert guard_named(cause) == Rule.ACCELERATION.value
     assert len(rows.u) == 1

@@ -1,22 +1,18 @@
-"""Evaluation and deployment on the twin: equal trials for all, resumed where they stopped."""
+"""Evaluation and deployment on the twin: equal trials for all."""
 
 import numpy as np
 import pytest
 
 from equipoise.artefacts import Estimate
 from equipoise.control.grid import CAUSES
-from equipoise.errors import ArmError, SettingsError
+from equipoise.errors import SettingsError
 from equipoise.learning.training import train
 from equipoise.logs.run_log import RunLog
-from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
-from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import TwinSettings, World
 from equipoise.rig.simulate import EXCITED, excite, simulate_run
-from equipoise.worlds.evaluation import PartialEvaluation, evaluate
-from tests.arms import without_masses
-from tests.model.arms.witnesses import ELBOW
+from equipoise.worlds.evaluation import evaluate
 
 pytestmark = pytest.mark.compiled_only
 WORLD = "twin:nominal"
@@ -34,10 +30,6 @@ def evaluation(behind_a_servo):
     return evaluate(behind_a_servo, world=WORLD, seed=4)
 
 
-def test_training_is_behind_the_shipped_actuator_unless_told_otherwise(behind_a_servo):
-    assert behind_a_servo.actuator == shipped_actuator()
-
-
 def test_results_do_not_depend_on_the_number_of_workers(behind_a_servo, evaluation):
     again = evaluate(behind_a_servo, world=WORLD, seed=4, workers=3)
     assert again.digest == evaluation.digest
@@ -53,47 +45,6 @@ def test_the_regulator_stands_where_chance_falls_on_the_same_trials(evaluation):
     by_name = {results.name: results.summary() for results in evaluation.baselines}
     assert by_name["LQR"].survived == by_name["LQR"].trials
     assert by_name["random"].survived == 0
-
-
-def test_an_interrupted_evaluation_goes_on_where_it_stopped(behind_a_servo, evaluation, tmp_path):
-    partial, finished = tmp_path / "partial.json", []
-
-    def interrupt(count):
-        finished.append(count)
-        if sum(finished) == 7:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        evaluate(behind_a_servo, world=WORLD, seed=4, partial=partial, done=interrupt)
-    kept = PartialEvaluation.load(partial)
-    assert sum(len(rows) for rows in kept.finished.values()) == 7
-
-    ran = []
-    again = evaluate(behind_a_servo, world=WORLD, seed=4, partial=partial, done=ran.append)
-    assert ran[0] == 7
-    assert again.digest == evaluation.digest
-    assert not partial.exists()
-
-
-def test_trials_of_another_seed_are_not_taken_for_finished(behind_a_servo, tmp_path):
-    partial = tmp_path / "partial.json"
-
-    def interrupt(count):
-        if count == 1:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        evaluate(behind_a_servo, world=WORLD, seed=4, partial=partial, done=interrupt)
-    ran = []
-    evaluate(
-        behind_a_servo,
-        world=WORLD,
-        seed=5,
-        partial=partial,
-        with_baselines=False,
-        done=ran.append,
-    )
-    assert ran[0] == 0
 
 
 def test_a_run_on_the_twin_holds_what_was_sent_measured_and_true(behind_a_servo, tmp_path):
@@ -163,12 +114,6 @@ def test_model_and_twin_agree_about_a_regulator_on_a_pivot_with_dry_friction(beh
         told = evaluate(policy, settings, world=world)
         lqr = next(results for results in told.baselines if results.name == "LQR")
         assert lqr.summary().survived == 6
-
-
-def test_an_arm_without_known_masses_has_no_twin(pendulum):
-    elbow = without_masses(read_urdf(ELBOW))
-    with pytest.raises(ArmError, match="mass"):
-        excite(elbow, WORLD, pendulum)
 
 
 def test_a_delay_that_the_controller_cannot_remember_is_refused(behind_a_servo):
