@@ -67,6 +67,7 @@ CONTENTS = {
         "/docs/how-to/bring-a-policy",
         "/docs/how-to/bring-a-robot",
         "/docs/how-to/bring-an-arm",
+        "/docs/how-to/bring-a-world",
         "/docs/how-to/sweep",
         "/docs/how-to/cluster",
         "/docs/how-to/coppeliasim",
