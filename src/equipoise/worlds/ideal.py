@@ -106,17 +106,17 @@ class PlantSimulation(Simulation):
         arm, settings = setup.arm, setup.settings
         self.params = make_loop_params(arm, settings, setup.h, self.pendulum, setup.actuator)
         """Constants of the closed loop."""
-        self._spread = spread
+        self.spread = spread
 
     def __reduce__(self) -> Any:
         """Return what sets the simulation up in another process."""
-        given = {"seed": self.seed, "stream": self.stream, "spread": self._spread}
+        given = {"seed": self.seed, "stream": self.stream, "spread": self.spread}
         return partial(type(self), self.world, self.setup, **given), ()
 
     def draw(self, count: int, first: int = 0) -> Trials:
         """Draw the conditions of `count` trials from number `first` on."""
         settings = self.setup.settings
-        return draw_trials(count, settings, self.seed, self.stream, self._spread, first)
+        return draw_trials(count, settings, self.seed, self.stream, self.spread, first)
 
     def loop(self) -> "PlantLoop":
         """Return a closed loop for `reset`."""
