@@ -28,7 +28,6 @@ from equipoise.logs.container import MAX_NUMBER, read_mcap
 from equipoise.logs.layout import TABLES, Rows, canonical, from_messages, tables
 from equipoise.logs.recorder import LoggedEvent, read_events
 from equipoise.logs.writer import FORMAT, VERSION, Digest, LogEncoder
-from equipoise.views import Viewable
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -92,7 +91,7 @@ class _TickColumn:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RunLog(Viewable):
+class RunLog:
     """One run; its arrays are read-only."""
 
     conditions: RunConditions
