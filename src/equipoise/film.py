@@ -56,7 +56,7 @@ ARROW_PER_U: Final = 0.1
 """Length of the arrow for an acceleration of 1 m/s^2 [m]."""
 ARROW_BELOW: Final = 0.13
 """Distance of the arrow below the pivot [m]; the hand never covers it."""
-MARGIN: Final = 0.1
+MARGIN: Final = 0.13
 """Margin of the view around the joints [m]."""
 POST_HEIGHT: Final = 0.28
 """Height of the posts above the pivot [m]; the pendulum is 0.21 m long."""
@@ -84,8 +84,8 @@ class RigScene(NamedTuple):
     def distance(self, aspect: float) -> float:
         """Return the distance of the camera from its target [m] for a picture's width / height."""
         tangent = np.tan(np.radians(0.5 * FOV_DEG))
-        right, up, ahead = self.view.T
-        needed = (np.maximum(np.abs(right) / aspect, np.abs(up)) + MARGIN) / tangent - ahead
+        right, up = np.abs(self.view[:, :2].T) + MARGIN
+        needed = np.maximum(right / aspect, up) / tangent - self.view[:, 2]
         return float(np.max(needed))
 
 

@@ -141,7 +141,7 @@ class RigView:
         self._root.remove()
 
     def _camera_position(self, aspect: float) -> Floats:
-        distance = 1.1 * self._rig.distance(min(max(aspect, 0.2), 1.0))
+        distance = self._rig.distance(min(max(aspect, 0.2), 1.0))
         return self._rig.target - distance * camera_axes()[2]
 
     def _pose(self, q: Floats) -> Floats:
