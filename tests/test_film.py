@@ -81,7 +81,8 @@ def test_an_arrow_is_as_long_as_u_and_points_where_it_pushes(renderer):
     start = pivot_at(q) - [0.0, 0.0, film.ARROW_BELOW]
     for push in (2.0, -2.0, 1.0):
         columns = pixels(renderer.draw(q, 0.0, push), "green")[1]
-        ends = [pixel(start + [film.ARROW_PER_U * far, 0.0, 0.0])[0] for far in (0.0, push)]
+        end = start + np.array([film.ARROW_PER_U * push, 0.0, 0.0])
+        ends = [pixel(each)[0] for each in (start, end)]
         assert [columns.min(), columns.max()] == pytest.approx(sorted(ends), abs=5.0)
     assert not len(pixels(renderer.draw(q, 0.0), "green")[0])
 

@@ -83,7 +83,7 @@ def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
     axes[0, 1].set_title(f"first periods, from {begin:.2f} s")
     axes[0, 0].set_ylabel(f"{name} [{unit}]")
     axes[1, 0].set_ylabel(f"residual [{unit}]")
-    axes[1, 0].set_title(f"residual: {fit.rms_deg:.2g} {unit} RMS")
+    axes[1, 0].set_title(f"{fit.rms_deg:.2g} {unit} RMS".replace(" °", "°"))
     handles = axes[0, 0].get_legend_handles_labels()
     figure.legend(*handles, loc="outside lower center", ncols=2)
     return figure

@@ -95,9 +95,10 @@ def trials(evaluation: Evaluation) -> Iterator[Row]:
 
 def conditions(results: Results) -> Iterator[Row]:
     """Yield what the policy was trained for and what the recorded run had."""
-    real, known = results.run.conditions.pendulum, results.pendulum.parameters()
-    for name, unit in (("w2", "1/s²"), ("k", "1/m"), ("c", "1/s"), ("coulomb", "1/s²")):
-        yield f"{name} [{unit}]", f"{getattr(known, name):.4g}", f"{real[name]:.4g}"
+    known, units = results.pendulum.parameters(), {"w2": "1/s²", "k": "1/m", "c": "1/s"}
+    for name, value in results.run.conditions.pendulum.items():
+        unit = units.get(name, "1/rad" if name == "drag" else "1/s²")
+        yield f"{name} [{unit}]", f"{getattr(known, name):.4g}", f"{value:.4g}"
     if (zero := results.run.conditions.zero_error) is not None:
         yield "error of the encoder's zero", "unknown", f"{np.rad2deg(zero):+.2f}°"
     x, x_dot, *angles = results.run.start
@@ -130,7 +131,7 @@ def _fields(values: Value, prefix: str, other: Value) -> Iterator[Row]:
         unit = found[1] if (found := re.search(r"\s*\[([^\]]+)\]", reason)) else ""
         value, there = (_format(getattr(each, key), unit) for each in (values, other))
         reason = re.sub(r"\s*\[[^\]]+\]", "", reason, count=1)
-        yield f"{prefix}{key}", value, "" if there == value else there, reason
+        yield f"`{prefix}{key}`", value, "" if there == value else there, reason
 
 
 def _format(value: Any, unit: str) -> str:
