@@ -195,7 +195,7 @@ class ReplayPage:
         return (
             typeset(f"t = {now.time:.3f} s, u = {now.u:+.2f} m/s²{late}"),
             f"{self._title}: {conditions.arm.name}, {conditions.world}; ended: {run.cause}",
-            run.missing_part,
+            run.damage,
         )
 
     def _asking(self, todo: Callable[[], None]) -> Callable[[Any], None]:

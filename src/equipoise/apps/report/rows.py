@@ -101,7 +101,7 @@ def conditions(results: Results) -> Iterator[Row]:
         yield f"{name} [{unit}]", f"{getattr(known, name):.4g}", f"{value:.4g}"
     if (zero := results.run.conditions.zero_error) is not None:
         yield "error of the encoder's zero", "unknown", f"{np.rad2deg(zero):+.2f}°"
-    x, x_dot, *angles = results.run.start
+    x, x_dot, *angles = results.run.conditions.start or (0.0,) * 4
     phi, phi_dot = np.rad2deg(angles)
     start = f"x = {x:g} m, dx/dt = {x_dot:g} m/s, φ = {phi:.2f}°, dφ/dt = {phi_dot:.1f}°/s"
     yield "start", "unknown", start
