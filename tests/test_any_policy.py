@@ -5,7 +5,7 @@ import pytest
 
 from equipoise.control.bound_policy import load_policy
 from equipoise.control.policy import shipped_policy
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.logs.run_log import RunLog
 from equipoise.rig.simulate import simulate_run
 from equipoise.settings import resolve

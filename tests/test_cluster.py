@@ -19,7 +19,7 @@ from equipoise.control.bound_policy import load_policy
 from equipoise.errors import EquipoiseError, InputError, MissingExtraError
 from equipoise.executors import ThreadExecutor
 from equipoise.jit import kernel_sources_digest
-from equipoise.learning.training import train_to_target
+from equipoise.learning.target import train_to_target
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve
 from equipoise.studies.compare import compare

@@ -12,7 +12,7 @@ from equipoise.control.baselines import baselines
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import ArtefactError, InputError
 from equipoise.learning.checkpoint import ResumePoint
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf

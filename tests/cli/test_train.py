@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from equipoise.control.policy import TabularPolicy
-from equipoise.learning import training
 from equipoise.model.actuator import Actuator
 from tests.cli.conftest import contents
 from tests.cli.damage import DAMAGE

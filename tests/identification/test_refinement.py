@@ -23,8 +23,7 @@ from equipoise.identification.refinement import (
     read_motion,
     retrain,
 )
-from equipoise.learning import training
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum

@@ -10,7 +10,7 @@ from equipoise.apps.report.page import build
 from equipoise.artefacts import read_document
 from equipoise.errors import ArtefactError, OutsideError, RecordingError
 from equipoise.identification import identify
-from equipoise.learning.training import LEARNERS
+from equipoise.learning.target import LEARNERS
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.worlds import MODEL

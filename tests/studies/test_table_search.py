@@ -11,7 +11,7 @@ from equipoise.control.baselines import baselines
 from equipoise.control.grid import box_index, partition
 from equipoise.control.policy import act, shipped_policy
 from equipoise.errors import InputError
-from equipoise.learning.selection import Candidate, race, trial_plants
+from equipoise.learning.select import Candidate, race, trial_plants
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import RECIPES, BoxSettings, resolve

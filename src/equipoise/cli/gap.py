@@ -70,7 +70,7 @@ def gap(
             compilation.compile_training(chosen.arm, settings)
             compilation.compile_trials(chosen, world)
         if paper_policy is None:
-            progress = TrainingProgress(settings, show, of="paper").of_learner()
+            progress = {"observer": TrainingProgress(settings, show, of="paper")}
             other = study.train_paper(chosen, quick=quick, seed=seed, workers=threads, **progress)
         else:
             other = TabularPolicy.load(paper_policy)

@@ -25,7 +25,7 @@ from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import DEPLOYMENT, philox, uniform
-from equipoise.settings import MOST_CANDIDATES, BoxSettings, Settings, describe_recipe
+from equipoise.settings import BoxSettings, Settings, describe_recipe
 from equipoise.views import Viewable
 
 Array = npt.NDArray[np.float64]
@@ -284,7 +284,7 @@ class TargetTest(Value):
     """Number of trials survived."""
     interval: tuple[Share, Share]
     """Interval of the share [-], of 95 % confidence over all learners of one command. Its bounds
-    hold although the test stopped as soon as they decided (`equipoise.learning.selection`)."""
+    hold although the test stopped as soon as they decided (`equipoise.learning.select`)."""
     causes: dict[Name, Count]
     """Number of trials by the cause of their end."""
 
@@ -345,9 +345,9 @@ class TabularPolicy(Viewable, Artefact):
     """Episodes trained."""
     steps: Count
     """Control steps trained."""
-    learning_curve: Annotated[tuple[LearningPoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
+    learning_curve: tuple[LearningPoint, ...]
     """Course of the training."""
-    checkpoints: Annotated[tuple[Checkpoint, ...], Field(max_length=MOST_CANDIDATES + 1)]
+    checkpoints: tuple[Checkpoint, ...]
     """Candidates of the selection, the chosen one first; empty if the last table was taken."""
     tests: Annotated[tuple[TargetTest, ...], Field(max_length=MAX_ACTUATORS)] = ()
     """Tests of the selected policy behind each actuator; empty if it was not tested."""

@@ -33,8 +33,8 @@ from equipoise.control.policy import (
 )
 from equipoise.errors import InputError
 from equipoise.executors import Workers
-from equipoise.learning.selection import Running
-from equipoise.learning.training import train
+from equipoise.learning.select import Running
+from equipoise.learning.train import train
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa

@@ -14,7 +14,7 @@ from equipoise.control.bound_policy import bind_policy
 from equipoise.control.policy import TaskPolicy, shipped_policy
 from equipoise.executors import available_cores
 from equipoise.jit import cache_is_empty, watching_compilation
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import shipped_pendulum
 from equipoise.model.worlds import MODEL, World

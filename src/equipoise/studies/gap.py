@@ -29,7 +29,7 @@ from equipoise.artefacts import Estimate
 from equipoise.control.policy import TabularPolicy, TaskPolicy
 from equipoise.errors import InputError
 from equipoise.executors import ThreadExecutor, Workers, executor_of, run_in_order
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import (
     MODEL,

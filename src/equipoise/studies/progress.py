@@ -2,13 +2,11 @@
 
 import time
 from collections.abc import Callable
-from functools import partial
 from threading import Lock
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from equipoise.control.policy import LearningPoint, format_share
-from equipoise.learning.checkpoint import LearnerResult
-from equipoise.learning.training import TargetProgress
+from equipoise.learning.target import LearnerResult, TargetObserver
 from equipoise.settings import Settings
 
 LEARNING_SHARE: Final = 0.7
@@ -60,11 +58,11 @@ def counted(stage: str, total: int, show: Show) -> Callable[[int], None]:
     return done
 
 
-class TrainingProgress(TargetProgress):
+class TrainingProgress(TargetObserver):
     """Progress of a training to a target.
 
     The first learner has a stage each for its episodes, its race and its test; all further learners
-    are one stage. The learners of a population are one stage.
+    are one stage.
     """
 
     def __init__(
@@ -73,7 +71,6 @@ class TrainingProgress(TargetProgress):
         show: Show,
         learners: int = 1,
         *,
-        population: bool = False,
         of: str = "",
     ) -> None:
         """Begin with the episodes.
@@ -82,11 +79,10 @@ class TrainingProgress(TargetProgress):
             settings: Settings of the training.
             show: Called with the progress.
             learners: Maximum number of learners.
-            population: Whether all learners are trained in parallel.
             of: Suffix of the stages' names, in a study with two trainings.
         """
-        self._show, self._of, self._population = show, of, population
-        self._learners = learners if population else learners - 1
+        self._show, self._of = show, of
+        self._learners = learners - 1
         self._episodes, self._steps = settings.learning.episodes, 0
         self._points: dict[int, LearningPoint] = {}
         self._finished, self._best = 0, 0.0
@@ -94,12 +90,7 @@ class TrainingProgress(TargetProgress):
         self._lock = Lock()
         self.speed = 0.0
         """Control steps per second of all learners, since the first report."""
-        if not population:
-            show(self._stage("train", 0, self._episodes, "episodes"))
-
-    def of_learner(self) -> dict[str, Any]:
-        """Return the callbacks `report` and `selecting` of a training of one learner."""
-        return {"report": partial(self.report, 0), "selecting": partial(self.selecting, 0)}
+        show(self._stage("train", 0, self._episodes, "episodes"))
 
     def report(self, learner: int, point: LearningPoint) -> None:
         """Add a point of a learning curve."""
@@ -151,7 +142,7 @@ class TrainingProgress(TargetProgress):
                 self._show(self._stage("learners", total, total, "learners"))
 
     def _is_single(self, learner: int) -> bool:
-        return learner == 0 and not self._population
+        return learner == 0
 
     def _show_learners(self) -> None:
         """Show the learners of the common stage, with the best share up to now."""

@@ -9,6 +9,7 @@ Each stage takes the previous value and saves its own, so that any stage can be 
 files. `equipoise.apps.report.page.build` makes the page from the folder.
 """
 
+import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -16,12 +17,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
-from equipoise.artefacts import Artefact, StrPath, Value, partial_path, value_digest
+from equipoise.artefacts import Artefact, Provenance, StrPath, Value, partial_path, value_digest
 from equipoise.control.policy import TabularPolicy
+from equipoise.jit import kernel_sources_digest
 from equipoise.errors import ArmError, ArtefactError
 from equipoise.executors import available_cores
 from equipoise.identification import identify
-from equipoise.learning.training import LEARNERS, TARGET, software, train_to_target
+from equipoise.learning.target import LEARNERS, TARGET, train_to_target
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.iiwa import iiwa
@@ -141,6 +143,11 @@ class ReproductionRequest(NamedTuple):
         }
 
 
+def software() -> str:
+    """Return the versions and the digest of kernels, which identify software with equal bits."""
+    return json.dumps(Provenance.now("", None).software) + kernel_sources_digest()
+
+
 def unfinished_path(out: Path) -> Path:
     """Return the path of the record of an unfinished reproduction."""
     return partial_path(out / RECORD)
@@ -163,9 +170,8 @@ def differences(out: Path, request: ReproductionRequest) -> list[str] | None:
 
 
 def discard(out: Path) -> None:
-    """Remove the record and the checkpoints of an interrupted reproduction."""
-    for name in (POLICY, PAPER_POLICY, RECORD):
-        partial_path(out / name).unlink(missing_ok=True)
+    """Remove the record of an interrupted reproduction."""
+    unfinished_path(out).unlink(missing_ok=True)
 
 
 class Reproduction(NamedTuple):
@@ -194,8 +200,7 @@ def reproduce(
 ) -> Reproduction:
     """Reproduce the paper from the swing to a run on the digital twin, and save every value.
 
-    An interrupted reproduction continues in its folder: finished stages are read, and a training
-    continues from its checkpoint.
+    An interrupted reproduction continues in its folder: finished stages are read.
 
     Args:
         out: Folder of the files, created if missing.
@@ -270,8 +275,11 @@ def reproduce(
         if not quick and settings.selection.every > 0:
             wanted = {"target": TARGET, "learners": LEARNERS}
         progress = TrainingProgress(settings, report, wanted["learners"])
-        wanted |= {"partial": partial_path(out / POLICY), "progress": progress, **common}
-        return train_to_target(pendulum, arm, settings, **wanted).policy
+        policy = train_to_target(
+            pendulum, arm, settings, **wanted, observer=progress, **common
+        ).policy
+        progress.ended()
+        return policy
 
     if POLICY not in finished:
         with compiling(report, FUNCTIONS):
@@ -292,9 +300,8 @@ def reproduce(
     def short_gap() -> Gap:
         trials, duration = QUICK_GAP if quick else (None, None)
         form: Any = {"world": TWIN, "quick": True, "trials": trials}
-        progress = TrainingProgress(paper_settings(quick=True), report, of="paper").of_learner()
-        checkpoints = partial_path(out / PAPER_POLICY)
-        table = train_paper(policy, quick=True, partial=checkpoints, **progress, **common)
+        observer = TrainingProgress(paper_settings(quick=True), report, of="paper")
+        table = train_paper(policy, quick=True, observer=observer, **common)
         done = counted("gap", trials_of(**form), report)
         return gap(policy, paper_policy=table, duration=duration, done=done, **form, **common)
 

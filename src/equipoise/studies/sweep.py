@@ -25,11 +25,12 @@ from pydantic import ValidationError
 from equipoise.artefacts import StrPath, first_fault, quoted, value_digest
 from equipoise.errors import ArtefactError, InputError, MissingExtraError
 from equipoise.executors import Executor, ThreadExecutor
-from equipoise.learning.training import software, train
+from equipoise.learning.train import train
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.studies.progress import ProgressReporter, Show
+from equipoise.studies.reproduction import software
 from equipoise.studies.sweep_results import Sweep, SweepStudy, SweepTrial, objective
 from equipoise.worlds.evaluation import evaluate
 
@@ -109,7 +110,7 @@ def sweep(
         study: The study.
         pendulum: The identified pendulum.
         arm: The arm with its home posture.
-        actuators: Actuators of the trainings; by default as in `equipoise.learning.training.train`.
+        actuators: Actuators of the trainings; by default as in `equipoise.learning.train.train`.
         storage: SQLite file of the finished trials; an existing one is continued. A study with
             another number of trials continues it, too.
         executor: Runner of the trials; by default one thread. Results do not depend on it.

@@ -31,7 +31,7 @@ from equipoise.control.grid import ACTIONS, TRUNCATED
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
 from equipoise.errors import InputError
 from equipoise.executors import Workers
-from equipoise.learning.selection import (
+from equipoise.learning.select import (
     FIRST_BLOCK,
     Candidate,
     Running,

@@ -28,7 +28,7 @@ from equipoise.control.grid import (
 )
 from equipoise.control.policy import LearningPoint, TabularPolicy
 from equipoise.executors import Workers
-from equipoise.learning.selection import Candidate, Running, TrialPlant, race, trial_plants
+from equipoise.learning.select import Candidate, Running, TrialPlant, race, trial_plants
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum

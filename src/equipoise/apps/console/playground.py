@@ -20,7 +20,7 @@ from equipoise.control.control_step import horizon
 from equipoise.control.grid import TRUNCATED, box_indices, cause_named, partition
 from equipoise.control.policy import LearningPoint, TabularPolicy, TaskPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
-from equipoise.learning.training import train
+from equipoise.learning.train import TrainingObserver, train
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import World, read_world
@@ -67,7 +67,7 @@ class Frame(NamedTuple):
     """Cause of the fall; empty while it stands."""
 
 
-class Training:
+class Training(TrainingObserver):
     """Training of a table in a thread."""
 
     def __init__(self, recipe: str, seed: int) -> None:
@@ -85,6 +85,10 @@ class Training:
         """Whether the training goes on."""
         return self._thread.is_alive()
 
+    def report(self, learner: int, point: LearningPoint) -> None:
+        """Add a point of the learning curve."""
+        self.points.append(point)
+
     def _run(self) -> None:
         shipped = shipped_policy()
         try:
@@ -93,7 +97,7 @@ class Training:
                 shipped.arm,
                 self.settings,
                 seed=self._seed,
-                report=self.points.append,
+                observer=self,
             )
         except EquipoiseError as error:
             self.error = str(error)

@@ -210,9 +210,9 @@ def _training(results: Results, picture: html.Picture) -> html.Part:
             "acceleration, closed-loop inverse kinematics converts it to joint motion (the paper's "
             "equation 3), and the actual flange motion drives the pendulum (equation 7"
             f"{'' if s.plant.linearised else ', with its sines'}). The episode ends with a failure "
-            f"or after {s.learning.episode_duration:g} s. A failure costs "
-            f"{-s.learning.reward_failure:g}, all else nothing; equation 1 propagates that cost to "
-            "earlier choices. I and b vary per episode; each step adds noise to the pose error."
+            f"or after {s.learning.episode_duration:g} s. A failure costs 1, "
+            "all else nothing; equation 1 propagates that cost to earlier choices. I and b vary per "
+            "episode; each step adds noise to the pose error."
         ),
         html.paragraph(_actuator(policy)),
         html.paragraph(selection),
