@@ -19,10 +19,10 @@ from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 
 from equipoise.artefacts import Artefact, Provenance, StrPath, Value, partial_path, value_digest
 from equipoise.control.policy import TabularPolicy
-from equipoise.jit import kernel_sources_digest
 from equipoise.errors import ArmError, ArtefactError
 from equipoise.executors import available_cores
 from equipoise.identification import identify
+from equipoise.jit import kernel_sources_digest
 from equipoise.learning.target import LEARNERS, TARGET, train_to_target
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
