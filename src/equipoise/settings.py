@@ -6,7 +6,6 @@ paper". Recipes are named differences to the defaults. The order of precedence i
 settings.
 """
 
-import difflib
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
@@ -427,13 +426,11 @@ def _differences(settings: Settings, recipe: Settings) -> Iterator[str]:
                     yield f"{section}.{key} = {value}"
 
 
-def _put(tree: dict[str, Any], name: str, value: Any) -> None:
+def _put(tree: dict[str, dict[str, Any]], name: str, value: Any) -> None:
     section, _, key = name.partition(".")
-    if section not in tree or key not in tree[section]:
-        known = tree.get(section, tree)
-        close = difflib.get_close_matches(key if section in tree else section, known, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else f"; known: {', '.join(known)}"
-        raise SettingsError(f"there is no setting {quoted(name)}{hint}")
+    if key not in tree.get(section, {}):
+        known = ", ".join(tree.get(section, tree))
+        raise SettingsError(f"there is no setting {quoted(name)}; known: {known}")
     tree[section][key] = value
 
 

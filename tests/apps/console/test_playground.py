@@ -1,5 +1,6 @@
 """The playground without a browser: its rig, its scenes, and what it says."""
 
+import tomllib
 from math import degrees, radians
 
 import numpy as np
@@ -8,7 +9,6 @@ import pytest
 from equipoise.apps.console.playground import FALL, Playground
 from equipoise.apps.console.scenes import SCENES, Scene, check_lean, read_scene, scene_of
 from equipoise.errors import EquipoiseError
-from equipoise.settings import parse_toml
 
 pytestmark = pytest.mark.compiled_only
 
@@ -79,7 +79,7 @@ def test_a_scene_can_be_passed_on(name, tmp_path):
 
 def test_the_text_of_a_scene_cannot_leave_its_string():
     scene = Scene(about='a "quote" \\ and\nseed = 5 \x1b[2J')
-    values = parse_toml(scene.text())
+    values = tomllib.loads(scene.text())
     assert values["about"] == scene.about
     assert values["seed"] == 0
 
