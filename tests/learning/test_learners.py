@@ -238,7 +238,6 @@ def test_unusable_objects_are_refused_in_one_sentence(guest, name):
     with pytest.raises((InputError, SettingsError)) as refusal:
         compile_learner(with_digests(LearningSettings(**{REFUSED[name]: name})))
     assert "\n" not in str(refusal.value)
-    assert any(part in str(refusal.value) for part in name.split(":"))
 
 
 @pytest.mark.compiled_only
