@@ -198,9 +198,9 @@ def test_options_that_cannot_be_meant_are_refused(refused, pendulum_file, flaw):
 
 
 URDFS = {
-    "not XML": ("robot", "is not XML"),
-    "another XML": ("<model/>", "expected <robot>"),
-    "no links": ('<robot name="none"/>', "it has no links"),
+    "not XML": ("robot", "is not a URDF"),
+    "another XML": ("<model/>", "is not a URDF"),
+    "no links": ('<robot name="none"/>', "arm.urdf"),
 }
 
 
