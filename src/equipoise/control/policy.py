@@ -31,7 +31,6 @@ from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import DEPLOYMENT, philox, uniform
 from equipoise.settings import BoxSettings, Settings, describe_recipe
 from equipoise.user_code import guest_code
-from equipoise.views import Viewable
 
 Array = npt.NDArray[np.float64]
 
@@ -251,7 +250,7 @@ def format_share(share: float) -> str:
     return f"{floor(1e4 * share + 1e-6) / 100.0:g} %"
 
 
-class TabularPolicy(Viewable, Artefact):
+class TabularPolicy(Artefact):
     """A trained table, with its task and the settings to train it again."""
 
     FORMAT: ClassVar[str] = "equipoise-policy"
