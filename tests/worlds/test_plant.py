@@ -243,7 +243,7 @@ def differing(kind, delay, *lags):
         (
             Actuator.assumed("kst", delay=0.0271, lag=0.004, cycle=0.0012),
             DomainRandomization(1.02, 1.2, 0.0039, 0.8, 0.003),
-            ["controller.margin=0.002", "controller.correction=0.4"],
+            ["controller.margin=0.002"],
         ),
         (
             differing("kst", 0.0, 0.004, 0.008, 0.016, 0.012, 0.002, 0.0),
