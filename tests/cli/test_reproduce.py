@@ -67,7 +67,7 @@ def test_a_recorded_swing_json_and_the_exit_code(equipoise, swing):
     assert ran.err == ""
     assert found["world"] == "twin:nominal"
     assert 0.0 < found["lasted_s"] <= 1.0
-    assert found["cause"] in ("lasted", "angle", "track", "joint limit", "guard")
+    assert found["outcome"] in ("lasted", "angle", "track", "joint limit")
 
 
 OPTIONS = {

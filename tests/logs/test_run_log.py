@@ -15,6 +15,7 @@ from equipoise.logs.container import with_checksum
 from equipoise.logs.layout import TABLES
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.writer import FORMAT
+from equipoise.outcomes import Outcome
 from tests.logs.made_up import arrays, columns, conditions, made_up
 
 
@@ -67,7 +68,7 @@ def test_an_excitation_of_the_arm_has_no_ticks(tmp_path):
     q = np.tile(np.sin(time)[:, None], 7)
     run = RunLog.simulated(
         conditions(policy=""),
-        RunEnd(cause="excited"),
+        RunEnd(outcome=Outcome.EXCITED),
         {},
         stream={"time": time, "q": q},
         replies={"time": time[:-2] + 0.001, "q": q[:-2]},
@@ -118,7 +119,7 @@ def test_any_reader_of_mcap_finds_named_numbers_with_a_schema(file, run):
     (tick,) = {schema.data for schema, channel, _ in found if channel.topic == "/tick"}
     assert json.loads(tick)["properties"]["u"]["description"].endswith("[m/s^2]")
     end = json.loads(found[-1][2].data)
-    assert end == {"lasted": 0.4, "cause": "track", "digest": run.digest}
+    assert end == {"lasted": 0.4, "outcome": "track", "digest": run.digest}
 
 
 def test_each_message_stands_at_its_time_in_the_file(file, run):
@@ -213,7 +214,7 @@ def conditions_with(entries, **changes):
 
 EDITS = {
     "a nicer state": lambda t, c: c | {"phi": 0.0} if t == "/tick" else c,
-    "another cause": lambda t, c: c | {"cause": "lasted"} if t == "/end" else c,
+    "another cause": lambda t, c: c | {"outcome": "lasted"} if t == "/end" else c,
     "another seed": lambda t, c: conditions_with(c, seed=5) if t == "metadata" else c,
     "a nicer truth": lambda t, c: c | {"x": 0.0} if t == "/truth" else c,
     "another count": lambda t, c: c | {"counts": 7} if t == "/encoder" else c,

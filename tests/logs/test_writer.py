@@ -19,6 +19,7 @@ from equipoise.logs.layout import TABLES
 from equipoise.logs.recorder import Recorder, push_event, read_events
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.writer import TAIL, RunWriter
+from equipoise.outcomes import Outcome
 from tests.logs.made_up import rig_conditions
 
 CONDITIONS = rig_conditions()
@@ -57,10 +58,10 @@ def test_what_is_written_comes_back(tmp_path):
     recorder, writer = drained(path, 250)
     push_event(recorder.event, 2.5, "stopping", ("y", "n"), "stop – it fell")
     writer.drain(recorder)
-    writer.finish(2.5, RunEnd(cause="lasted"))
+    writer.finish(2.5, RunEnd(outcome=Outcome.LASTED))
     run = RunLog.load(path, damaged=True)
     assert run.conditions == CONDITIONS
-    assert run.end == RunEnd(cause="lasted")
+    assert run.end == RunEnd(outcome=Outcome.LASTED)
     assert run.events == ((2.5, "stopping", ("y", "n"), "stop – it fell"),)
     tick, reply = run.tables["tick"], run.tables["reply"]
     assert tick["time"] == pytest.approx(0.01 * np.arange(250))
@@ -142,7 +143,7 @@ def test_a_full_disk_ends_the_log_and_leaves_it_whole(tmp_path, monkeypatch):
     recorder, writer = drained(path, 3000)
     assert writer.problem is not None
     assert "no space left" in writer.problem.lower()
-    writer.finish(30.0, RunEnd(cause="lasted"))
+    writer.finish(30.0, RunEnd(outcome=Outcome.LASTED))
     assert path.stat().st_size <= room
     assert counted(path).total() > 500
     assert RunLog.load(path, damaged=True).end is None

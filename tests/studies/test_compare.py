@@ -62,7 +62,7 @@ def test_the_trials_are_those_of_an_evaluation(compared):
         for cell, world in zip(row.cells, ("ideal", "model"), strict=True):
             alone = evaluate(policy, settings, world=world, seed=4, with_baselines=False)
             assert cell.results.survival == alone.results.survival
-            assert cell.results.causes == alone.results.causes
+            assert cell.results.outcomes == alone.results.outcomes
             assert 0.0 < cell.rms_x < 0.22
 
 

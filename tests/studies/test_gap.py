@@ -12,6 +12,7 @@ from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import WORLDS, TwinSettings, World, read_world
+from equipoise.outcomes import Outcome
 from equipoise.settings import EvaluationSettings
 from equipoise.studies import gap as study
 from equipoise.studies.gap import (
@@ -71,9 +72,9 @@ def short(policy):
     return measured(policy, falls_early, quick=True)
 
 
-def lasting(*survival, duration=60.0, cause="track"):
+def lasting(*survival, duration=60.0, cause=Outcome.TRACK):
     causes = tuple("lasted" if s >= duration else cause for s in survival)
-    return TrialResults(name="", survival=survival, causes=causes)
+    return TrialResults(name="", survival=survival, outcomes=causes)
 
 
 # What is compared
@@ -237,11 +238,11 @@ def test_the_track_has_its_share_of_the_failures_not_of_the_trials():
     results = TrialResults(
         name="",
         survival=(1.0, 2.0, 3.0, 60.0, 60.0),
-        causes=("track", "angle", "track", "lasted", "lasted"),
+        outcomes=tuple(map(Outcome, ("track", "angle", "track", "lasted", "lasted"))),
     )
     assert track_share(results) == pytest.approx(2.0 / 3.0)
     assert track_share(lasting(60.0, 60.0)) is None
-    assert track_share(lasting(1.0, cause="joint limit")) == 0.0
+    assert track_share(lasting(1.0, cause=Outcome.JOINT_LIMIT)) == 0.0
     guarded = TrialResults(
         name="",
         survival=(1.0, 2.0, 60.0),

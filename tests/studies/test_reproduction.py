@@ -14,6 +14,7 @@ from equipoise.learning.training import LEARNERS
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.worlds import MODEL
+from equipoise.outcomes import Outcome
 from equipoise.settings import resolve
 from equipoise.studies import gap as study
 from equipoise.studies.gap_results import CURED, PAPER
@@ -27,7 +28,6 @@ from equipoise.studies.reproduction import (
 from equipoise.studies.results import GAP, RECORD, RUN, SWING, load, verdict
 from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.trajectory import Trajectory
-from equipoise.worlds.formatting import LASTED
 from tests.arms import without_masses
 from tests.model.arms.witnesses import ELBOW
 
@@ -308,7 +308,7 @@ def test_quick_and_the_page_work_as_they_come(tmp_path):
     assert summary.trials == QUICK["evaluation.trials"]
     # Worse than half is worse than any of 20 seeds showed.
     assert summary.rate > 0.5
-    assert made.results.run.cause == LASTED
+    assert made.results.run.outcome == Outcome.LASTED
     gap = made.results.gap
     assert (gap.trials, gap.duration) == QUICK_GAP
     # Most of the trials on the twin stand, and without the cures fewer do.

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from equipoise.model.worlds import MODEL
+from equipoise.outcomes import Outcome
 from equipoise.studies.gap_results import CURED, NO_BIAS, NO_PREDICTION, PAPER
 from equipoise.studies.results import estimates_zero, observation_differs, truth, verdict
 from equipoise.worlds.formatting import percent, plus_minus
@@ -44,7 +45,7 @@ def test_the_run_says_where_it_was_and_stands_beside_the_papers():
 
 def test_a_run_that_fell_is_said_to_have_fallen():
     assert "stood all 60 s" in verdict(made_up.results())[1]
-    fell = verdict(made_up.results(lasted=20.0, cause="track"))[1]
+    fell = verdict(made_up.results(lasted=20.0, cause=Outcome.TRACK))[1]
     assert "left the track after 20 s of 60 s" in fell
     assert "stood all" not in fell
 

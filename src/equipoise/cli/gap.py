@@ -187,7 +187,7 @@ def _result(found: "Gap", wrote: list[Path]) -> dict[str, Any]:
                 **{name: getattr(point, name) for name in POINT},
                 "mean_s": mean(point.results, found.duration).mean,
                 "interval_s": list(mean(point.results, found.duration)[1:]),
-                "causes": point.results.summary().causes,
+                "causes": point.results.summary().outcomes,
                 "track_share": track_share(point.results),
             }
             for point in found.points

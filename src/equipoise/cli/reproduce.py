@@ -111,7 +111,7 @@ def reproduce(
         duration=evaluation.duration,
         world=run.conditions.world,
         lasted_s=run.lasted,
-        cause=run.cause,
+        outcome=run.outcome,
         wall_s=time.perf_counter() - begin,
         bad=trials["median_s"] < evaluation.duration,
     )

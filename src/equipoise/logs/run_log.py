@@ -21,13 +21,13 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from equipoise.artefacts import Provenance, StrPath, check_version, write_whole
-from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, RecordingError
 from equipoise.logs.conditions import RunConditions, RunEnd
 from equipoise.logs.container import MAX_NUMBER, read_mcap
 from equipoise.logs.layout import TABLES, Rows, canonical, from_messages, tables
 from equipoise.logs.recorder import LoggedEvent, read_events
 from equipoise.logs.writer import FORMAT, VERSION, Digest, LogEncoder
+from equipoise.outcomes import Outcome, Phase
 from equipoise.views import Viewable
 
 Array = npt.NDArray[np.float64]
@@ -42,8 +42,6 @@ FAULTS: Final = (
     RecursionError,
 )
 """Exceptions from parsing the values of a damaged or foreign log."""
-BROKEN_OFF: Final = "log broken off"
-"""Cause of the end of a run if the log has no end."""
 
 
 class TruthColumns(NamedTuple):
@@ -151,20 +149,15 @@ class RunLog(Viewable):
         object.__setattr__(self, "tables", frozen)
 
     def __repr__(self) -> str:
-        """Return one line: arm, world, duration and cause of the end."""
+        """Return one line: arm, world, duration and outcome."""
         where = f"{self.conditions.arm.name!r} in {self.conditions.world!r}"
         lasted = f"{self.lasted:g} of {self.conditions.duration:g} s"
-        return f"<RunLog of {where}: lasted {lasted}, ended {self.cause!r}>"
+        return f"<RunLog of {where}: lasted {lasted}, ended {self.outcome}>"
 
     @property
-    def cause(self) -> str:
-        """Short name of the cause of the end."""
-        return BROKEN_OFF if self.end is None else self.end.cause or "error"
-
-    @property
-    def guard(self) -> str:
-        """Safety rule that ended a simulated run; empty otherwise."""
-        return self.end.guard if self.end else ""
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+        return Outcome.BROKEN_OFF if self.end is None else self.end.outcome
 
     @cached_property
     def events(self) -> tuple[LoggedEvent, ...]:
@@ -234,7 +227,7 @@ class RunLog(Viewable):
         if self.conditions.simulated:
             raise RecordingError("no policy ran; give a run in which one did")
         phase = self.last_phase.value if self.last_phase else "connecting"
-        reason = f" ({self.end.reason})" if self.end and self.end.reason else ""
+        reason = f" ({self.end.reason})" if self.end else ""
         raise RecordingError(
             f"the run did not reach balancing, it ended while {phase}{reason}; give one that did"
         )

@@ -14,12 +14,11 @@ from scipy.stats import t as student
 
 from equipoise import paper
 from equipoise.artefacts import Artefact, Name, Number, Seed, Value
-from equipoise.control.grid import CAUSES, TRACK
 from equipoise.model.worlds import PivotFriction, TwinSettings
-from equipoise.safety.rules import Rule
+from equipoise.outcomes import Outcome
 from equipoise.settings import Settings
 from equipoise.worlds.evaluation import CONFIDENCE, TrialResults
-from equipoise.worlds.formatting import LASTED, percent
+from equipoise.worlds.formatting import percent
 
 Array = npt.NDArray[np.float64]
 Controller = Literal["cured", "not told", "no prediction", "no bias estimate", "paper"]
@@ -194,9 +193,9 @@ def differs(found: Seconds) -> bool:
 
 
 def track_share(results: TrialResults) -> float | None:
-    """Return the share of failures by the track limit or its guard; None without failures."""
-    failed = len(results.causes) - results.causes.count(LASTED)
-    ends = results.causes.count(CAUSES[TRACK]) + results.guards.count(Rule.TRACK.value)
+    """Return the share of failures by the track limit; None without failures."""
+    failed = len(results.outcomes) - results.outcomes.count(Outcome.LASTED)
+    ends = results.outcomes.count(Outcome.TRACK)
     return ends / failed if failed else None
 
 

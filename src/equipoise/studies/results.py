@@ -21,6 +21,7 @@ from equipoise.errors import ArtefactError
 from equipoise.logs.run_log import RunLog, TruthColumns
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
+from equipoise.outcomes import Outcome
 from equipoise.studies.gap_results import (
     CURED,
     NO_BIAS,
@@ -34,7 +35,7 @@ from equipoise.studies.gap_results import (
 from equipoise.studies.synthetic_swing import SyntheticSwing
 from equipoise.trajectory import Trajectory, read_swing
 from equipoise.worlds.evaluation import Evaluation
-from equipoise.worlds.formatting import LASTED, format_end, format_failures, percent, plus_minus
+from equipoise.worlds.formatting import format_end, format_failures, percent, plus_minus
 
 SWING: Final = "swing.csv"
 PENDULUM: Final = "pendulum.json"
@@ -183,8 +184,8 @@ def _survival(evaluation: Evaluation) -> str:
     return (
         f"On the plant of its training the table stood {evaluation.duration:g} s in "
         f"{summary.survived} of {summary.trials} trials ({percent(summary.rate)}; 95 % interval "
-        f"{percent(low)} to {percent(high)}{median}), {format_failures(summary.causes)}; baselines "
-        f"on the same trials: {'; '.join(others)}."
+        f"{percent(low)} to {percent(high)}{median}), {format_failures(summary.outcomes)}; "
+        f"baselines on the same trials: {'; '.join(others)}."
     )
 
 
@@ -194,8 +195,8 @@ def _run(run: RunLog) -> str:
     where, end = f"On the digital twin {conditions.world}", f"stood all {run.lasted:g} s"
     if conditions.world == MODEL:
         where = "On the plant of its training once more"
-    if run.cause != LASTED:
-        end = f"{format_end(run.cause)} after {run.lasted:.3g} s of {conditions.duration:g} s"
+    if run.outcome != Outcome.LASTED:
+        end = f"{format_end(run.outcome)} after {run.lasted:.3g} s of {conditions.duration:g} s"
     return (
         f"{where}, with a pendulum and a start that it did not know, it {end}, with |x| up to "
         f"{x:.2f} of {paper.X_LIMIT:g} m and |phi| up to {phi:.1f} of {paper.PHI_LIMIT_DEG:g} deg; "

@@ -9,10 +9,10 @@ import pytest
 from equipoise.apps.console.plots import Curve, cursor, plots
 from equipoise.apps.console.replayed_run import MAX_MARKS, ReplayedRun
 from equipoise.apps.report.pictures import moments
-from equipoise.control.states import Phase
 from equipoise.errors import RecordingError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
+from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.explanation import explain
 from equipoise.rig.run_controller import PHASES
 from tests.logs.made_up import (
@@ -95,14 +95,14 @@ def test_the_events_are_phases_warnings_and_the_causes_that_explain_names(rig_ru
         (2.5, "warning", "The disk is nearly full."),
     ]
     causes = {(mark.name, mark.text) for mark in marks if mark.cause}
-    assert causes == {(one.name.value, one.evidence) for one in explain(rig_run).causes}
+    assert causes == {(one.cause, one.evidence) for one in explain(rig_run).causes}
 
 
 def test_the_cause_of_a_run_that_did_not_balance_is_at_its_end(rig_run):
     lifting = np.full(901, PHASES.index(Phase.LIFTING))
     ended = replace(
         changed_table(rig_run, "tick", state=lifting),
-        end=RunEnd(cause="operator", reason="Enough."),
+        end=RunEnd(outcome=Outcome.OPERATOR, evidence={"typed": "enough"}),
     )
     shown = ReplayedRun.of(ended)
     (cause,) = [mark for mark in shown.marks if mark.cause]
@@ -128,7 +128,7 @@ def test_ticks_whose_times_do_not_increase_are_refused(rig_run, wrong):
 
 def test_an_excitation_has_no_balancing_to_show():
     run = made_up()
-    still = RunLog.simulated(run.conditions, RunEnd(cause="excited"), {})
+    still = RunLog.simulated(run.conditions, RunEnd(outcome=Outcome.EXCITED), {})
     with pytest.raises(RecordingError, match="no policy ran"):
         ReplayedRun.of(still)
 

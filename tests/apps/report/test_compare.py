@@ -4,6 +4,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from equipoise.apps.report.figures.compare import KINDS, compare_figure
+from equipoise.outcomes import Outcome
 from equipoise.settings import EvaluationSettings
 from equipoise.studies.compare import ROWS
 from equipoise.studies.compare_results import Cell, Column, Comparison, PolicyRow
@@ -20,7 +21,7 @@ def made_up(names, worlds, trials=40):
         results = TrialResults(
             name=name,
             survival=(60.0,) * lasted + (1.0,) * i,
-            causes=("lasted",) * lasted + ("angle",) * i,
+            outcomes=(Outcome.LASTED,) * lasted + (Outcome.ANGLE,) * i,
         )
         cells = (Cell(actuators=("sha256:0",), results=results, rms_x=0.01),) * len(worlds)
         costs = dict.fromkeys(("episodes", "steps", "selection_steps", "train_s", "size"))

@@ -14,6 +14,7 @@ from equipoise.apps.report.style import render, save
 from equipoise.errors import RecordingError
 from equipoise.model.pendulum import fitted_curve
 from equipoise.model.worlds import MODEL
+from equipoise.outcomes import Outcome
 from tests.apps.report import made_up
 
 
@@ -107,9 +108,9 @@ def test_a_run_without_delay_tracks_its_command():
 RUNS = {
     "of a minute": {},
     "on the model": {"world": MODEL},
-    "that fell early": {"lasted": 1.3, "cause": "track"},
-    "of one step": {"lasted": 0.01, "cause": "angle"},
-    "that fell late": {"lasted": 20.0, "cause": "joint limit"},
+    "that fell early": {"lasted": 1.3, "cause": Outcome.TRACK},
+    "of one step": {"lasted": 0.01, "cause": Outcome.ANGLE},
+    "that fell late": {"lasted": 20.0, "cause": Outcome.JOINT_LIMIT},
 }
 FALLS = {
     "some fell": {},

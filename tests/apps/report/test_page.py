@@ -18,6 +18,7 @@ from equipoise.apps.report.pictures import Animation, animation, strip
 from equipoise.control.control_step import horizon
 from equipoise.errors import ArtefactError, OutsideError
 from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.outcomes import Outcome
 from equipoise.settings import RECIPES, Settings, resolve
 from equipoise.studies import results as files
 from equipoise.studies.gap_results import sentences as gap_words
@@ -256,7 +257,7 @@ def test_the_paper_is_quoted_with_its_own_numbers(plain):
 
 
 def test_a_run_that_failed_is_told_as_one():
-    words = Reader(made(lasted=20.0, cause="track")).text
+    words = Reader(made(lasted=20.0, cause=Outcome.TRACK)).text
     assert "left the track after 20 s of 60 s" in words
     assert "stood all" not in words
 
@@ -332,7 +333,7 @@ def folder(tmp_path_factory):
         pendulum=identified,
         policy=policy,
         evaluation=made_up.evaluation(policy),
-        run=made_up.run(policy, lasted=8.0, cause="track", world="twin:nominal"),
+        run=made_up.run(policy, lasted=8.0, cause=Outcome.TRACK, world="twin:nominal"),
         gap=made_up.measured(policy, made_up.falls_early, quick=True)[0],
     )
     record = found.record.model_copy(update={"files": dict(files.digests(found))})

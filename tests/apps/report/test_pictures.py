@@ -20,6 +20,7 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
 from equipoise.model.arms.scene import SIZES
+from equipoise.outcomes import Outcome
 from tests.apps.report import made_up
 from tests.apps.report.made_up import frames
 from tests.logs.made_up import changed_table
@@ -246,7 +247,10 @@ def test_the_strip_shows_the_moments_that_differ(canvas, run, monkeypatch):
 
 def test_the_strip_of_one_step_is_its_beginning_and_end(canvas, policy, monkeypatch):
     monkeypatch.setattr(strip_module, "FRAME", (64, 64))
-    assert list(key_moments(made_up.run(policy, lasted=0.01, cause="angle"), ARM)) == [0.0, 0.01]
+    assert list(key_moments(made_up.run(policy, lasted=0.01, cause=Outcome.ANGLE), ARM)) == [
+        0.0,
+        0.01,
+    ]
 
 
 def test_the_strip_cuts_nothing_off_and_covers_nothing(canvas, run):

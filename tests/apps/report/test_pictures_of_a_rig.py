@@ -9,10 +9,10 @@ from PIL import Image
 from equipoise.apps.report.pictures import write_video
 from equipoise.apps.report.pictures.moments import check_span, moments, span, whole_span
 from equipoise.apps.report.pictures.strip import key_moments
-from equipoise.control.states import Phase
 from equipoise.errors import ArmError, InputError, RecordingError
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.run_controller import PHASES
 from tests.logs.made_up import (
     RELEASE,
@@ -83,7 +83,9 @@ def test_a_run_that_ended_before_balancing_is_shown_from_its_first_tick(run):
 
 def test_an_angle_without_a_zero_is_unknown(run):
     lifting = np.full(901, PHASES.index(Phase.LIFTING))
-    lifted = replace(changed_table(run, "tick", state=lifting), end=RunEnd(cause="operator"))
+    lifted = replace(
+        changed_table(run, "tick", state=lifting), end=RunEnd(outcome=Outcome.OPERATOR)
+    )
     shown = moments(lifted, ARM, [0.5])
     assert np.isnan(shown.phi).all()
     assert shown.captions()[0][2] == "φ unknown"
@@ -99,8 +101,9 @@ def test_without_a_reply_the_commanded_posture_is_shown(run):
 
 def test_a_run_without_a_tick_has_nothing_to_show(run):
     tables = dict(run.tables) | {"tick": run.tables["tick"][:0]}
+    end = RunEnd(outcome=Outcome.LINK_LOST, evidence={"text": "no link"})
     with pytest.raises(RecordingError, match=r"before its first tick \(no link\)"):
-        span(replace(run, tables=tables, end=RunEnd(cause="link", reason="no link")))
+        span(replace(run, tables=tables, end=end))
 
 
 @pytest.mark.usefixtures("canvas")

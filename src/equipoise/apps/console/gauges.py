@@ -9,8 +9,8 @@ from math import cos, degrees, isfinite, radians, sin
 from typing import Final
 
 from equipoise.apps.report.style import BLUE, GREEN, GREY, INK, ORANGE, PALE, VERMILION, typeset
-from equipoise.control.states import Phase
 from equipoise.logs.recorder import LoggedEvent
+from equipoise.outcomes import Phase
 from equipoise.paper import PHI_LIMIT_DEG, X_LIMIT
 from equipoise.printable import printable
 

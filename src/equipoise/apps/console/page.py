@@ -25,9 +25,9 @@ from equipoise.apps.console.gauges import (
 from equipoise.apps.console.scene import RigView
 from equipoise.apps.console.watch import Observation, RunWatch
 from equipoise.apps.report.style import BLUE, GREEN, GREY, INK, PURPLE, VERMILION
-from equipoise.control.states import Phase
 from equipoise.control.ticks import OK
 from equipoise.logs.recorder import WORD_TYPED, LoggedEvent, Question
+from equipoise.outcomes import Phase
 from equipoise.rig.processes import HEARTBEAT_TIMEOUT
 
 if TYPE_CHECKING:

@@ -23,9 +23,9 @@ from equipoise.apps.console.scene import VIEWS, RigView
 from equipoise.apps.console.web import serving
 from equipoise.apps.report.pictures import MP4, WEBP, check_length
 from equipoise.apps.report.style import BLUE, GREEN, INK, PURPLE, VERMILION, typeset
-from equipoise.control.states import Phase
 from equipoise.errors import InputError
 from equipoise.logs.run_log import RunLog
+from equipoise.outcomes import Phase
 from equipoise.printable import printable
 
 if TYPE_CHECKING:
@@ -269,7 +269,7 @@ class ReplayPage:
         late = f", late by {1e3 * max(now.late, 0.0):.2f} ms" if isfinite(now.late) else ""
         lines = (
             typeset(f"t = {self._playback.time:.3f} s, u = {now.u:+.2f} m/s²{late}"),
-            f"{self._title}: {conditions.arm.name}, {conditions.world}; ended: {run.cause}",
+            f"{self._title}: {conditions.arm.name}, {conditions.world}; ended: {run.outcome}",
             *filter(None, [run.missing_part]),
         )
         known = {phase.value: phase for phase in Phase}

@@ -151,7 +151,7 @@ def _marks(run: RunLog, time: Floats, phases: tuple[str, ...], began: float) -> 
         [(e.time - began, e.name, e.text.replace("\a", "")) for e in run.events],
     )
     marks = [
-        Mark(last if found.log is None else one.time, one.name.value, one.evidence, cause=True)
+        Mark(last if found.log is None else one.time, one.cause, one.evidence, cause=True)
         for one in found.causes
     ]
     marks += [Mark(*event) for event in said if event[1] in FAULTS]

@@ -16,15 +16,15 @@ from typing import Final, NamedTuple
 
 from equipoise.apps.console.publisher import Publisher, publishing
 from equipoise.apps.console.server import stay_aside
-from equipoise.control.grid import TRUNCATED, cause_named
+from equipoise.control.grid import TRUNCATED
 from equipoise.control.policy import TaskPolicy
-from equipoise.control.states import Phase
 from equipoise.errors import EquipoiseError
 from equipoise.logs.shared import RunInfo
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.random import TEST
+from equipoise.outcomes import TRIAL_OUTCOMES, Phase
 from equipoise.rig.run import STOP
 from equipoise.settings import Settings
 from equipoise.user_code import guest_code
@@ -136,6 +136,6 @@ def _show_trials(shown: ShownTrials, owner: int) -> None:
             publisher.say(0.0, f"Trial {number} of {count}.")
             steps, cause, _ = run_trial(loop, shown.policy, trial, span, pacer)
             lasted = steps * loop.params.h
-            how = "lasted" if cause == TRUNCATED else f"ended by {cause_named(cause)} after"
+            how = "lasted" if cause == TRUNCATED else f"ended by {TRIAL_OUTCOMES[cause]} after"
             publisher.say(lasted, f"Trial {number} {how} {lasted:.2f} s.")
             pacer.wait(PAUSE)

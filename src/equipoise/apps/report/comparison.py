@@ -6,9 +6,10 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.outcomes import Outcome
 from equipoise.settings import BoxSettings
 from equipoise.studies.results import Results, truth
-from equipoise.worlds.formatting import LASTED, format_end, format_failures, percent
+from equipoise.worlds.formatting import format_end, format_failures, percent
 
 
 def comparison(results: Results) -> Iterator[tuple[str, str, str, str]]:
@@ -42,9 +43,9 @@ def comparison(results: Results) -> Iterator[tuple[str, str, str, str]]:
     yield "Balancing time", "4.3", seconds, ours
     share = percent(_share_above(results, paper.SECONDS_BALANCED))
     yield f"Trials that stood at least {seconds}", "4.3", "one of one", share
-    last = "" if run.cause == LASTED else "; a step before"
+    last = "" if run.outcome == Outcome.LASTED else "; a step before"
     ours = (
-        f"trials: {format_failures(summary.causes)}; the recorded run {format_end(run.cause)}, "
+        f"trials: {format_failures(summary.outcomes)}; the recorded run {format_end(run.outcome)}, "
         f"{run.lasted:g} s{last}, x = {shown.x[-1]:.3f} m, φ = {np.rad2deg(shown.phi[-1]):.2f}°"
     )
     published = f"x passed {paper.X_AT_FAILURE:g} m, at φ = {paper.PHI_AT_FAILURE_DEG:g}°"
@@ -65,5 +66,7 @@ def _latency(results: Results) -> str:
 def _share_above(results: Results, seconds: float) -> float:
     trials = results.evaluation.results
     # A trial without a failure counts as infinitely long: the evaluation truncated it.
-    ends = zip(trials.survival, trials.causes, strict=True)
-    return float(np.mean([survival >= seconds or cause == LASTED for survival, cause in ends]))
+    ends = zip(trials.survival, trials.outcomes, strict=True)
+    return float(
+        np.mean([survival >= seconds or cause == Outcome.LASTED for survival, cause in ends])
+    )

@@ -65,7 +65,7 @@ def _evaluation(results: Results, picture: html.Picture) -> html.Part:
         s = trials.summary()
         interval = " to ".join(map(percent, s.interval))
         times = f"{s.median:.3g} s", f"{s.quantiles[0]:.3g} s"
-        failures = format_failures(s.causes)
+        failures = format_failures(s.outcomes)
         rows.append([trials.name, f"{s.survived} of {s.trials}", interval, *times, failures])
     stood = f"stood {evaluation.duration:g} s"
     return html.part(
@@ -211,7 +211,7 @@ def _conditions(results: Results) -> Iterator[tuple[str, str, str]]:
         yield "error of the encoder's zero", "unknown", f"{np.rad2deg(zero):+.2f}°"
     track = f"x = {x:g} m, dx/dt = {x_dot:g} m/s"
     yield "start", "unknown", f"{track}, φ = {phi:.2f}°, dφ/dt = {phi_dot:.1f}°/s"
-    yield "end", "", f"{format_end(results.run.cause)}, {results.run.lasted:g} s"
+    yield "end", "", f"{format_end(results.run.outcome)}, {results.run.lasted:g} s"
 
 
 def _joints(results: Results) -> str:

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from equipoise.apps.report import style
 from equipoise.artefacts import shortened
+from equipoise.outcomes import Outcome
 from equipoise.studies.compare_results import Cell, Comparison
-from equipoise.worlds.formatting import LASTED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,7 +63,7 @@ def _share(cell: Cell) -> tuple[float, list[list[float]]]:
     """Return the share that lasted and the lengths of its error bars [%]."""
     found = cell.results.summary()
     low, high = found.interval
-    share = cell.results.causes.count(LASTED) / found.trials
+    share = cell.results.outcomes.count(Outcome.LASTED) / found.trials
     return 100.0 * share, [[100.0 * (share - low)], [100.0 * (high - share)]]
 
 

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from equipoise.apps.report import style
+from equipoise.outcomes import Outcome
 from equipoise.studies import gap_results as study
 from equipoise.studies.gap_results import Gap, GapPoint
-from equipoise.worlds.formatting import LASTED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -126,7 +126,7 @@ def _named(part: Any, gap: Gap) -> None:
         points = [gap.point("named", controller, name) for name in names]
         _rows(panel, gap, points, colour)
         for row, point in enumerate(points):
-            lasted = point.results.causes.count(LASTED)
+            lasted = point.results.outcomes.count(Outcome.LASTED)
             _remark(panel, row, f"{lasted} of {gap.trials} lasted")
         panel.set_title(title)
     panels[0].set_yticks(range(len(names)), names)

@@ -18,8 +18,9 @@ from equipoise import paper
 from equipoise.apps.report import style
 from equipoise.apps.report.style import new_figure, styled, typeset
 from equipoise.logs.run_log import RunLog
+from equipoise.outcomes import Outcome
 from equipoise.studies.results import observation_differs
-from equipoise.worlds.formatting import LASTED, format_end
+from equipoise.worlds.formatting import format_end
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -240,8 +241,10 @@ def _series(
 
 def _spans(run: RunLog) -> list[tuple[float, str]]:
     """Return the end of each time span to draw [s], with its title; all start at zero."""
-    short, cause = paper.SECONDS_BALANCED, run.cause
-    end = f"all {run.lasted:g} s" + (f", then it {format_end(cause)}" if cause != LASTED else "")
+    short, cause = paper.SECONDS_BALANCED, run.outcome
+    end = f"all {run.lasted:g} s" + (
+        f", then it {format_end(cause)}" if cause != Outcome.LASTED else ""
+    )
     if run.lasted <= 1.5 * short:
         return [(max(run.lasted, run.conditions.h), end)]
     return [(short, f"the first {short:g} s, as long as the paper's"), (run.lasted, end)]

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from equipoise import paper
 from equipoise.apps.report import style
 from equipoise.apps.report.style import new_figure, plain, styled
+from equipoise.outcomes import Outcome
 from equipoise.worlds.evaluation import Evaluation, TrialResults
-from equipoise.worlds.formatting import LASTED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,8 +61,8 @@ def _curve(
     results: TrialResults, shortest: float, duration: float
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return the times [s] and the share of trials that stand from each time on [%]."""
-    trials = zip(results.survival, results.causes, strict=True)
-    falls = np.sort([survival for survival, cause in trials if cause != LASTED])
+    trials = zip(results.survival, results.outcomes, strict=True)
+    falls = np.sort([survival for survival, cause in trials if cause != Outcome.LASTED])
     standing = 100.0 * (1.0 - np.arange(len(falls) + 1) / len(results.survival))
     time = np.concatenate(([0.5 * shortest], falls, [duration]))
     return time, np.append(standing, standing[-1])

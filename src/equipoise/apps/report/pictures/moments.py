@@ -62,7 +62,7 @@ def origin(run: RunLog) -> float:
         run.require_balancing()
         return run.release
     if not len(run.tables["tick"]):
-        reason = f" ({run.end.reason})" if run.end and run.end.reason else ""
+        reason = f" ({run.end.reason})" if run.end else ""
         raise RecordingError(
             f"the run ended before its first tick{reason}, there is nothing to show; give another"
         )

@@ -11,9 +11,9 @@ from equipoise.apps.report.pictures.moments import moments, span
 from equipoise.apps.report.pictures.rendering import ARROW_PER_U, draw
 from equipoise.apps.report.pictures.scene import stage
 from equipoise.apps.report.style import new_figure, styled
-from equipoise.control.states import Phase
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.arm import Arm
+from equipoise.outcomes import Phase
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
