@@ -98,7 +98,7 @@ def test_a_run_that_is_told_no_actuator_selects_it_before_the_lift(tmp_path):
     middle = Actuator.assumed("kst", delay=0.01, lag=0.004, cycle=0.016)
     policy = shipped_policy().model_copy(update={"actuators": (own, middle, slow), "tests": ()})
     wanted = request(policy=policy, robot="twin:trajectory40", alternatives=(middle, slow))
-    assert run_virtually(wanted, out, Spy()).cause == "lasted"
+    assert run_virtually(wanted, out, Spy()).outcome == "lasted"
     run = RunLog.load(out, damaged=True)
     names = [event.name for event in run.events]
     assert names.index("self-test") < names.index("actuator") < names.index("lift")
@@ -109,7 +109,7 @@ def test_a_run_that_is_told_no_actuator_selects_it_before_the_lift(tmp_path):
     assert (replayed.difference, replayed.ticks) == (None, len(run.tables["tick"]))
     # Told the wrong one, the same run falls.
     told = request(policy=policy, robot="twin:trajectory40")
-    assert run_virtually(told, None, Spy()).cause != "lasted"
+    assert run_virtually(told, None, Spy()).outcome != "lasted"
 
 
 @pytest.mark.slow

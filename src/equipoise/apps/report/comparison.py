@@ -7,8 +7,8 @@ import numpy as np
 from equipoise import paper
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.outcomes import Outcome
+from equipoise.reproduction.results import Results, truth
 from equipoise.settings import BoxSettings
-from equipoise.studies.results import Results, truth
 from equipoise.worlds.formatting import format_end, format_failures, percent
 
 

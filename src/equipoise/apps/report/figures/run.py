@@ -19,7 +19,7 @@ from equipoise.apps.report import style
 from equipoise.apps.report.style import new_figure, styled, typeset
 from equipoise.logs.run_log import RunLog
 from equipoise.outcomes import Outcome
-from equipoise.studies.results import observation_differs
+from equipoise.reproduction.results import observation_differs
 from equipoise.worlds.formatting import format_end
 
 if TYPE_CHECKING:
