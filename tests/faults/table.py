@@ -472,7 +472,7 @@ ROBOT: Final = (
           "the first setpoint is 0.02 rad from where the arm is", "nothing is sent",
           _ends("first setpoint"),
           _setpoint(lambda q, since: tuple(angle + 0.02 for angle in q)), AT_START,
-          says="nothing was sent"),
+          says="first setpoint"),
     _held_back("unit slip in the setpoints", "setpoints become degrees, while balancing",
                "joint position",
                _setpoint(lambda q, since: tuple(map(degrees, q)))),

@@ -84,8 +84,7 @@ _BUG: Final = "keep this log and report it; do not run again before it is unders
 _PANEL: Final = "check the robot's panel: emergency stop, enabling switch, mode"
 _MOUNTING: Final = "check the mounting of base and flange, and the actuator in use"
 _LINK: Final = "check cable and network; `equipoise rig doctor` measures round trips"
-_CABLE: Final = "check the encoder's cable, power and coupling"
-_COUNTS: Final = "check the encoder's coupling and wiring, and look for interference"
+_ENCODER: Final = "check the encoder's cable, power, coupling and wiring"
 _REPAIR: Final = "repair what the evidence names, and check the rig with `equipoise rig doctor`"
 ADVICE: Final = {
     RootCause.OUTSIDE: "release more gently and more upright, and take the hand straight away",
@@ -113,11 +112,11 @@ ADVICE: Final = {
     Outcome.DRIFT: _MOUNTING,
     Outcome.TILT: _MOUNTING,
     Outcome.TICK: "find with `equipoise rig doctor` what delays this machine",
-    Outcome.ENCODER_STALE: _CABLE,
-    Outcome.ENCODER_LOST: _CABLE,
-    Outcome.ENCODER_ILLEGAL: _COUNTS,
-    Outcome.ENCODER_GAP: _COUNTS,
-    Outcome.ENCODER_JUMP: _COUNTS,
+    Outcome.ENCODER_STALE: _ENCODER,
+    Outcome.ENCODER_LOST: _ENCODER,
+    Outcome.ENCODER_ILLEGAL: _ENCODER,
+    Outcome.ENCODER_GAP: _ENCODER,
+    Outcome.ENCODER_JUMP: _ENCODER,
     Outcome.SELF_TEST: "follow the advice of the self-test",
     Outcome.UNIDENTIFIED: "train with `equipoise train --actuator` and the actuator file of this "
     "run; without one, run again",
