@@ -14,7 +14,7 @@ from equipoise.model.worlds import World, read_world
 from equipoise.outcomes import Outcome
 from equipoise.rig.explanation import _JOINTS, ADVICE, DETECTORS, RootCause, _timeline, explain
 from equipoise.rig.simulate import simulate_run
-from tests.studies.faulted import KINDS, Fault, draw_fault, run_with
+from tests.rig.faulted import KINDS, Fault, draw_fault, run_with
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
 

@@ -44,7 +44,7 @@ def explain(run: Path = opt.RUN, as_json: bool = opt.JSON) -> None:
     from equipoise.rig.explanation import explain as why
 
     read = RunLog.load(run, damaged=True)
-    found, missing = why(read), read.missing_part
+    found, missing = why(read), read.damage
     first, *others = found.causes
     log = found.log
     reason = describe(found.end)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from equipoise.artefacts import write_whole
 from equipoise.errors import RecordingError
-from equipoise.logs.layout import TABLES, Rows
+from equipoise.logs.columns import TABLES, Rows
 from equipoise.logs.run_log import RunLog
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.outcomes import End, Outcome
