@@ -36,7 +36,6 @@ from equipoise.model.random import TEST
 from equipoise.model.worlds import MODEL, PivotFriction, TwinSettings, World, pivot_friction
 from equipoise.outcomes import TRIAL_OUTCOMES, Outcome
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
-from equipoise.views import Viewable
 from equipoise.worlds import Trials, find_world, setup_of, simulate
 
 CONFIDENCE = 0.95
@@ -117,7 +116,7 @@ def trial_results(name: str, trials: Trials, h: float) -> TrialResults:
     return TrialResults(name=name, survival=survival, outcomes=outcomes)
 
 
-class Evaluation(Viewable, Artefact):
+class Evaluation(Artefact):
     """All trials of a policy and of the baselines."""
 
     FORMAT: ClassVar[str] = "equipoise-evaluation"
