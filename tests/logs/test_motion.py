@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from equipoise.control.states import Phase
 from equipoise.errors import InputError, RecordingError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.motion import Motion
 from equipoise.logs.run_log import RunLog
-from equipoise.outcomes import Outcome
+from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.run_controller import PHASES
 from tests.logs.made_up import (
     RELEASE,

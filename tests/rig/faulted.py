@@ -12,12 +12,12 @@ import numpy as np
 from equipoise.control.baselines import pd_gains
 from equipoise.control.controller import Controller
 from equipoise.control.policy import LINEAR, KernelPolicy, PolicyKernel, shipped_policy
-from equipoise.control.states import Phase, RunState
+from equipoise.control.states import RunState
 from equipoise.logs.recorder import Recorder
 from equipoise.logs.writer import RunWriter
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import pendulum_on, read_world
-from equipoise.outcomes import Outcome
+from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.explanation import RootCause

@@ -12,7 +12,7 @@ from equipoise.control.baselines import baselines
 from equipoise.control.bound_policy import bind_policy
 from equipoise.control.policy import act
 from equipoise.errors import ArtefactError
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.outcomes import Outcome

@@ -5,7 +5,7 @@ import pytest
 
 from equipoise.artefacts import Estimate
 from equipoise.errors import ArmError, SettingsError
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
