@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from equipoise import paper
 from equipoise.control.controller import Observation
-from equipoise.control.grid import TRUNCATED, cause_named
+from equipoise.control.grid import TRUNCATED
 from equipoise.errors import InputError
 from equipoise.film import RigRenderer
 from equipoise.learning import rewards
@@ -21,7 +21,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.worlds import MODEL, World
-from equipoise.safety.trial import guard_named
+from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import Settings
 from equipoise.worlds import Setup, Trial, estimated, has_ideal_arm, predicted, simulate
 
@@ -80,7 +80,7 @@ class BalanceEnv(gym.Env[Array, Any]):
        a joint, or in a world with guards a rule of the rig stops the run.
     2. Truncation: the episode is `duration` seconds long.
 
-    `info` has `time` since the release [s], `cause` and `guard` of the end (empty before it), and
+    `info` has `time` since the release [s], `outcome` (empty before the end), and
     the true `state`.
 
     ## Arguments
@@ -186,7 +186,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         failed = cause != TRUNCATED
         truncated = not failed and self._steps >= self.max_steps
         reward = float(self.reward(before, u, self._state, failed))
-        info = self._info(cause_named(cause) if failed or truncated else "", guard_named(cause))
+        info = self._info(TRIAL_OUTCOMES[cause] if failed or truncated else "")
         return self._observation(self._loop), reward, failed, truncated, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]  # Gymnasium's type is wider
@@ -225,6 +225,6 @@ class BalanceEnv(gym.Env[Array, Any]):
             self._window = simulation.draw(WINDOW, first=first)
         return self._window.trial(number - first)
 
-    def _info(self, cause: str, guard: str = "") -> dict[str, Any]:
+    def _info(self, outcome: str) -> dict[str, Any]:
         loop = self._loop
-        return {"time": loop.now, "cause": cause, "guard": guard, "state": loop.state()}
+        return {"time": loop.now, "outcome": outcome, "state": loop.state()}
