@@ -5,11 +5,10 @@ To a client it looks like a board on USB. Linux and macOS only.
 
 import contextlib
 import os
-import sys
 from pathlib import Path
 from typing import Final
 
-from equipoise.errors import InputError, OutsideError
+from equipoise.errors import OutsideError
 from equipoise.robots.encoder.board import Board
 
 CHUNK: Final = 4096
@@ -19,56 +18,31 @@ CHUNK: Final = 4096
 class Terminal:
     """Pseudo-terminal with a board behind it."""
 
-    def __init__(self, board: Board, link: Path | None = None) -> None:
+    def __init__(self, board: Board) -> None:
         """Open the terminal.
 
         Args:
             board: The board; its lines are dropped while no client reads, as those of a real board.
-            link: Second name, as a symbolic link; replaces a link to another terminal and a broken
-                link.
 
         Raises:
-            InputError: A file, or a link to one, has that name.
-            OutsideError: There are no pseudo-terminals here, or the link cannot be made.
+            OutsideError: There are no pseudo-terminals here.
         """
         try:
             import pty
             import tty
 
             self._ours, self._theirs = pty.openpty()
-        except ImportError:
+        except (ImportError, OSError) as error:
             raise OutsideError(
-                f"{sys.platform} has no pseudo-terminals, on which an encoder's board is emulated; "
-                "use Linux or macOS"
+                f"cannot open a pseudo-terminal for the encoder's board ({error}); use Linux or "
+                "macOS"
             ) from None
-        except OSError as error:
-            raise OutsideError(f"cannot open a pseudo-terminal ({error})") from None
         # The client's side stays open here: without a client, reads on our side would fail.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
-        self._board = board
-        self._unsent = b""
-        self._link: Path | None = None
+        self._board, self._unsent = board, b""
         self.path = Path(os.ttyname(self._theirs))
         """Name of the terminal; its address is `serial://` with this name."""
-        if link is not None:
-            try:
-                self._make(link)
-            except BaseException:
-                self.close()
-                raise
-
-    def _make(self, link: Path) -> None:
-        if link.exists() and not (link.is_symlink() and link.is_char_device()):
-            raise InputError(f"{link} is a file; give another name for the terminal")
-        try:
-            link.unlink(missing_ok=True)
-            link.symlink_to(self.path)
-        except OSError as error:
-            raise OutsideError(
-                f"cannot make the link {link} ({error.strerror}); give a name in another folder"
-            ) from None
-        self._link = link
 
     def advance(self, now: float) -> None:
         """Transfer bytes both ways; call it about once per period of the board.
@@ -86,14 +60,7 @@ class Terminal:
                 self._unsent = sent[os.write(self._ours, sent) :]
 
     def close(self) -> None:
-        """Close the terminal and remove the link; may be called again.
-
-        A link that leads elsewhere by now belongs to another emulation, and stays.
-        """
-        with contextlib.suppress(OSError):
-            if self._link is not None and self._link.readlink() == self.path:
-                self._link.unlink()
-        self._link = None
+        """Close the terminal; may be called again."""
         for number in (self._ours, self._theirs):
             if number >= 0:
                 os.close(number)
