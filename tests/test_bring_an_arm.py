@@ -20,8 +20,8 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms import resolve
 from equipoise.model.pendulum import Pendulum
+from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.rig.config import read_rig
-from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
 from tests.faults.harness import Scenario
 from tests.faults.injection import FAULTS, run_fault
 from tests.model.arms.witnesses import ELBOW

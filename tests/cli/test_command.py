@@ -12,7 +12,7 @@ import pytest
 from tests.cli.conftest import verbs
 
 VERBS = tuple(verbs())
-PIPELINE = ("reproduce", "identify", "train", "evaluate", "map", "compare", "gap", "refine")
+PIPELINE = ("reproduce", "identify", "train", "evaluate", "refine")
 RIG = ("doctor", "emulate", "record")
 LOG = ("show", "explain", "export")
 NEEDS = {

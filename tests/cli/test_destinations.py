@@ -160,9 +160,6 @@ VERBS = {
     "deploy": ((), ".mcap"),
     "rig record": (("--encoder", "serial:///dev/nowhere"), ".csv"),
     "evaluate --claim 0.9": ((), ".json"),
-    "map": ((), ".json"),
-    "compare": ((), ".json"),
-    "gap": ((), ".json"),
     "refine": (("policy.json", "run.mcap"), ".json"),
     "reproduce": ((), ""),
 }
@@ -187,8 +184,6 @@ READING = (
     ("evaluate", f"{LONG}.json"),
     ("evaluate", "--world", f"twin:{LONG}.toml"),
     ("evaluate", "--policy", f"{LONG}:name"),
-    ("compare", f"{LONG}.json"),
-    ("compare", "--only", "lqr", "--worlds", f"twin:{LONG}.toml"),
     ("deploy", "--robot", "twin:nominal", "--rig", f"{LONG}.toml"),
     ("deploy", "--video", f"{LONG}.mp4"),
     ("refine", f"{LONG}.json", "run.mcap"),

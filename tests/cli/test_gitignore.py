@@ -21,10 +21,6 @@ WRITTEN = {
     ),
     "deploy": ("run.mcap", "log.mcap", "run.mp4"),
     "rig record": ("swing.csv",),
-    "map": ("map.json", "map.svg", "map.png"),
-    "compare": ("compare.json", "compare.svg", "compare.png", "compare-robust.json"),
-    "gap": ("gap.json", "gap.svg", "gap.png", "gap-paper-policy.json"),
-    "sweep": ("sweep.json", "sweep.svg", "sweep.png", "sweep.sqlite3"),
     "refine": ("refined.json", "refined-pendulum.json"),
     "log export": ("run-csv/tick.csv", "run.mp4", "fall.mp4", "fall.webp", "release.webp"),
 }

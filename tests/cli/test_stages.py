@@ -11,7 +11,7 @@ import pytest
 from equipoise.cli import stages as display
 from equipoise.cli.output import Output
 from equipoise.cli.stages import Stages
-from equipoise.studies.progress import ProgressReporter
+from equipoise.progress import StageProgress
 
 pytest.importorskip("pty", reason="there are no pseudo-terminals")
 
@@ -64,16 +64,16 @@ def test_bars_move_side_by_side_and_leave_only_lines(terminal):
     output = Output(as_json=False)
     with output.stages() as show:
         for done in range(0, 100, 7):
-            show(ProgressReporter("train", done, 100, "episodes", "45 % stand"))
-            show(ProgressReporter("select", done / 2, 100, "trials"))
+            show(StageProgress("train", done, 100, "episodes", "45 % stand"))
+            show(StageProgress("select", done / 2, 100, "trials"))
         output.say("words between")
         lines = terminal()
         assert lines[0] == "words between"
         assert [line.split()[0] for line in lines[1:]] == ["train", "select"]
         assert "98 of 100 episodes" in lines[1]
         assert "━" in lines[1]
-        show(ProgressReporter("train", 100, 100, "episodes"))
-        show(ProgressReporter("select", 100, 100, "trials"))
+        show(StageProgress("train", 100, 100, "episodes"))
+        show(StageProgress("select", 100, 100, "trials"))
     output.say("the end")
     first, train, select, last = terminal()
     assert (first, last) == ("words between", "the end")
@@ -87,7 +87,7 @@ def test_an_interruption_leaves_no_bar_behind(terminal):
 
     def work():
         with output.stages() as show:
-            show(ProgressReporter("train", 30, 100, "episodes"))
+            show(StageProgress("train", 30, 100, "episodes"))
             assert "train" in terminal()[-1]
             raise KeyboardInterrupt
 
@@ -112,8 +112,8 @@ def test_where_there_is_no_terminal_a_long_stage_has_a_line_each_half_minute(mon
     with Stages(Console(file=told, width=80), quiet=False, redirect=False) as stages:
         for done in range(250):
             clock.now = 0.4 * done
-            stages.show(ProgressReporter("train", done, 250, "episodes"))
-        stages.show(ProgressReporter("train", 250, 250, "episodes"))
+            stages.show(StageProgress("train", done, 250, "episodes"))
+        stages.show(StageProgress("train", 250, 250, "episodes"))
     lines = told.getvalue().splitlines()
     assert lines[0].split()[:3] == ["train", "30", "%"]
     assert lines[0].endswith("75 of 250 episodes, about 70 s left")
@@ -126,5 +126,5 @@ def test_with_json_nothing_is_written_where_there_is_no_terminal():
 
     told = io.StringIO()
     with Stages(Console(file=told), quiet=True, redirect=False) as stages:
-        stages.show(ProgressReporter("train", 1, 1))
+        stages.show(StageProgress("train", 1, 1))
     assert told.getvalue() == ""

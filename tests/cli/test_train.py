@@ -84,7 +84,7 @@ def test_the_line_of_the_learners_counts_those_that_were_needed(
     monkeypatch.setattr(training, "measure_policy", tested)
     ran = equipoise("train", pendulum_file, *SHORT, "--target=0.9", "--learners=50")
     assert ran.code == 0
-    assert re.search(r"learners +\d+\.\d s  2 learners$", ran.err, re.MULTILINE)
+    assert re.search(r"learners +\d+\.\d s  3 learners$", ran.err, re.MULTILINE)
     assert re.search(r"learners +1 of 3 meet the target", ran.out)
 
 
@@ -98,7 +98,7 @@ def test_the_first_learner_that_meets_the_target_ends_the_training(equipoise, pe
 def test_json_is_one_object_with_the_stable_keys(equipoise, pendulum_file):
     ran = equipoise("train", pendulum_file, *SHORT, *FEW, "--seed", 3, "--json")
     assert ran.code == 1
-    stable = {"policy", "seed", "episodes", "steps", "steps_per_second", "wall_s"}
+    stable = {"policy", "seed", "episodes", "steps", "wall_s"}
     stable |= {"target", "met", "trials", "survived", "interval", "causes"}
     assert stable <= ran.json.keys()
     assert not ran.json["met"]
@@ -307,7 +307,7 @@ def test_each_stage_is_one_line_where_there_is_no_terminal(equipoise, pendulum_f
     stages = ["compile", "train", "select", "test", "learners"]
     assert [line.split()[0] for line in ran.err.splitlines()] == stages
     assert re.search(r"train +\d+\.\d s  40 episodes$", ran.err, re.MULTILINE)
-    assert re.search(r"learners +\d+\.\d s  2 learners$", ran.err, re.MULTILINE)
+    assert re.search(r"learners +\d+\.\d s  3 learners$", ran.err, re.MULTILINE)
 
 
 def test_a_limited_speed_is_in_the_policy_and_in_its_evaluation(equipoise, pendulum_file, tmp_path):

@@ -29,7 +29,7 @@ from equipoise.printable import printable
 if TYPE_CHECKING:
     from equipoise.artefacts import Estimate
     from equipoise.control.policy import TaskPolicy
-    from equipoise.studies.progress import ProgressReporter, Show
+    from equipoise.progress import Show, StageProgress
     from equipoise.worlds.evaluation import Done, TrialResults
 
 P = ParamSpec("P")
@@ -227,7 +227,7 @@ class Output:
             stoppable() as check,
         ):
 
-            def show(progress: "ProgressReporter") -> None:
+            def show(progress: "StageProgress") -> None:
                 check()
                 stages.show(progress)
 
@@ -246,16 +246,11 @@ class Output:
         Yields:
             Callback for finished trials.
         """
-        from equipoise.model.worlds import IDEAL, MODEL
-        from equipoise.studies import compilation
-        from equipoise.studies.progress import counted
+        from equipoise.progress import compile_trials, compiling, counted
 
-        functions = compilation.FUNCTIONS
-        if world not in (IDEAL, MODEL):
-            functions += compilation.TWIN_FUNCTIONS
         with self.stages() as show:
-            with compilation.compiling(show, functions):
-                compilation.compile_trials(policy, world)
+            with compiling(show):
+                compile_trials(policy, world)
             yield counted(name, total, show)
 
     @contextmanager

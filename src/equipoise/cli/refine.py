@@ -104,17 +104,16 @@ def _retrain(
     partial: Path,
 ) -> "Refinement":
     from equipoise.identification import refinement as study
-    from equipoise.studies import compilation
-    from equipoise.studies.progress import ProgressReporter, TrainingProgress
+    from equipoise.progress import StageProgress, TrainingProgress, compile_training, compiling
 
     settings = study.settings_of_retraining(policy.settings, episodes or study.EPISODES)
     with output.stages() as show:
-        with compilation.compiling(show, compilation.FUNCTIONS):
-            compilation.compile_training(policy.arm, settings)
+        with compiling(show):
+            compile_training(policy.arm, settings)
         progress = TrainingProgress(settings, show).of_learner()
 
         def trials(stage: str, done: int, of: int) -> None:
-            show(ProgressReporter(stage, done, of, "trials"))
+            show(StageProgress(stage, done, of, "trials"))
 
         return study.retrain(
             policy,

@@ -1,24 +1,13 @@
 """`equipoise reproduce`: reproduces the whole paper, from a free swing to a report."""
 
 import time
-from collections.abc import Generator
-from contextlib import ExitStack, contextmanager
-from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from equipoise.cli import options as opt
-from equipoise.cli.destinations import Destination, check_folder, choose_file
-from equipoise.cli.output import Interrupted, Output, trial_fields, verb
-from equipoise.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from equipoise.studies.progress import Show
-    from equipoise.studies.reproduction import ReproductionRequest
+from equipoise.cli.destinations import choose_file
+from equipoise.cli.output import Output, trial_fields, verb
 
 FOLDER = "equipoise-report"
 """Folder by default."""
@@ -53,9 +42,9 @@ def reproduce(
 ) -> None:
     """Reproduce the paper, from a free swing to a report.
 
-    Identification, training, evaluation, a run on the digital twin and a short
-    study of the gap. Writes every file to a folder, with a self-contained
-    report in HTML. After an interruption the same command continues.
+    Identification, training, evaluation on the training plant and on the digital
+    twin, and a run there. Writes every file to a folder, with a self-contained
+    report in HTML.
     """
     output = Output(as_json)
     begin = time.perf_counter()
@@ -69,23 +58,19 @@ def reproduce(
     if swing is None:
         taken = context.params.keys() - set(opt.SWING_OPTIONS)
         opt.only(context, "a simulated swing", *taken, hint="give a recording with --swing")
-    if swing is not None:
+    else:
         from equipoise.trajectory import read_swing
 
         recording = read_swing(swing, **opt.swing_options(context))
-    from equipoise.apps.report.page import PAGE, build
-    from equipoise.studies import reproduction as study
-    from equipoise.studies.results import POLICY
+    destination = choose_file(output, out, FOLDER, force=force, suffix="")
 
-    request = study.make_request(recording, machine, resolved, seed, quick)
-    destination, resumed = _choose(output, out, request, force)
-    with ExitStack() as stack:
-        folder = destination.path if resumed else stack.enter_context(destination.claimed())
-        if not resumed:
-            study.discard(folder)
-        stack.enter_context(_going_on(destination))
-        show = stack.enter_context(output.stages())
-        found = study.reproduce(
+    from equipoise.apps.report.page import build
+    from equipoise.progress import StageProgress
+    from equipoise.reproduction.pipeline import reproduce as run_pipeline
+    from equipoise.reproduction.results import POLICY, verdict
+
+    with destination.claimed() as folder, output.stages() as show:
+        found = run_pipeline(
             folder,
             swing=recording,
             arm=machine,
@@ -94,69 +79,24 @@ def reproduce(
             quick=quick,
             workers=workers,
             report=show,
-            finish=lambda folder: _draw(build, folder, show),
         )
-        page = folder / PAGE
-    output.points(found.verdict)
-    output.warn(found.results.policy.shortfall)
+        show(StageProgress("report"))
+        page = build(folder, lambda name, share: show(StageProgress("report", share, text=name)))
+    sentences = verdict(found)
+    output.points(sentences)
+    output.warn(found.policy.shortfall)
     output.wrote(page)
     output.next("evaluate", folder / POLICY, "--trials", "1000")
-    evaluation, run = found.results.evaluation, found.results.run
-    trials = trial_fields(evaluation.results)
+    trials = trial_fields(found.evaluation.results)
     output.result(
         out=folder,
         report=page,
-        verdict=list(found.verdict),
+        verdict=list(sentences),
         **trials,
-        duration=evaluation.duration,
-        world=run.conditions.world,
-        lasted_s=run.lasted,
-        cause=run.cause,
+        duration=found.evaluation.duration,
+        world=found.run.conditions.world,
+        lasted_s=found.run.lasted,
+        cause=found.run.cause,
         wall_s=time.perf_counter() - begin,
-        bad=trials["median_s"] < evaluation.duration,
+        bad=trials["median_s"] < found.evaluation.duration,
     )
-
-
-def _choose(
-    output: Output, given: Path | None, request: "ReproductionRequest", force: bool
-) -> tuple[Destination, bool]:
-    """Return the folder, and whether it holds an interrupted reproduction to continue."""
-    from equipoise.studies.reproduction import differences
-
-    first = Destination(Path(FOLDER) if given is None else given, folder=True, force=force)
-    check_folder(first.path)
-    candidates = [first] if given else takewhile(lambda one: one.existing(), first.numbered())
-    for one in () if force else candidates:
-        other = differences(one.path, request)
-        if other == []:
-            output.say(f"Continuing the interrupted reproduction in {one.path}")
-            return one, True
-        if other and given:
-            raise InputError(
-                f"{given} holds an interrupted reproduction with another {' and '.join(other)}; "
-                "give the same inputs, another --out, or --force to replace it"
-            )
-    return choose_file(output, given, FOLDER, force=force, suffix=""), False
-
-
-@contextmanager
-def _going_on(destination: Destination) -> Generator[None]:
-    """Print after an interruption how to continue."""
-    from equipoise.studies.reproduction import unfinished_path
-
-    try:
-        yield
-    except KeyboardInterrupt:
-        if not unfinished_path(destination.path).exists():
-            raise
-        raise Interrupted(without="--force") from None
-
-
-def _draw(
-    build: "Callable[[Path, Callable[[str, float], None]], Path]", folder: Path, show: "Show"
-) -> None:
-    """Draw the report as a stage."""
-    from equipoise.studies.progress import ProgressReporter
-
-    show(ProgressReporter("report"))
-    build(folder, lambda name, share: show(ProgressReporter("report", share, text=name)))

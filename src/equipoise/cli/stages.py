@@ -17,7 +17,7 @@ from rich.table import Column
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from equipoise.studies.progress import ProgressReporter as Reported
+    from equipoise.progress import StageProgress as Reported
 
 LINE_EVERY: Final = 30.0
 """Minimum time between two lines of one stage without a terminal [s]."""
@@ -45,8 +45,7 @@ class _Stage:
     @property
     def share(self) -> float:
         """Displayed share of an unfinished stage [-]."""
-        by_time = self.took / self.now.expected if self.now.expected else 0.0
-        return min(max(self.now.share, by_time), NEARLY)
+        return min(self.now.share, NEARLY)
 
     @property
     def text(self) -> str:

@@ -17,8 +17,8 @@ HELP: Final = {
     "track": "track: the pendulum stays up, and the table moves the flange off its track. Tables "
     "differ in this from learner to learner: train more of them, or finer boxes "
     "(--recipe fine), which a slow pendulum needs.",
-    "angle": "angle: the pendulum falls within the track; equipoise map shows which of the states "
-    "at the release any controller could save.",
+    "angle": "angle: the pendulum falls within the track; release more gently, or identify the "
+    "actuator again.",
     "joint limit": "joint limit: the posture leaves no room; choose another home.",
     "guard": "guard: the flange exceeds --max-speed; allow more, if the mode of the arm does.",
 }
@@ -107,8 +107,7 @@ def train(
         check_task,
         train_to_target,
     )
-    from equipoise.studies.compilation import FUNCTIONS, compile_training, compiling
-    from equipoise.studies.progress import TrainingProgress
+    from equipoise.progress import TrainingProgress, compile_training, compiling
 
     begin = time.perf_counter()
     opt.check_range("--target", target, 0.0, 1.0)
@@ -119,7 +118,7 @@ def train(
     budget = LEARNERS if learners is None else learners
     with unfinished(destination, resume=resume) as partial:
         with output.stages() as show:
-            with compiling(show, FUNCTIONS):
+            with compiling(show):
                 compile_training(machine, resolved)
             progress = TrainingProgress(resolved, show, budget, population=population)
             trained = train_to_target(
@@ -136,21 +135,20 @@ def train(
                 partial=partial,
                 progress=progress,
             )
-        wall, speed, best = time.perf_counter() - begin, progress.speed, trained.policy
+        wall, best = time.perf_counter() - begin, trained.policy
         names = ("actuator", *(f"actuator {i}" for i in range(2, 1 + len(best.actuators))))
         inputs = {"pendulum": source.digest}
         inputs |= {} if world == "model" else {"world": world}
         inputs |= {n: each.digest for n, each in zip(names, best.actuators, strict=True)}
         with destination.claimed() as out:
             best.save(out, command="train", inputs=inputs)
-    _say(output, trained, wall, speed, resume)
+    _say(output, trained, wall, resume)
     output.wrote(out)
     output.next("evaluate", out)
     test = best.test
     output.result(
         policy=out,
         **{name: getattr(best, name) for name in ("seed", "learner", "episodes", "steps")},
-        steps_per_second=speed,
         wall_s=wall,
         **({} if test is None else test.model_dump(mode="json")),
         actuators=[
@@ -162,9 +160,7 @@ def train(
     )
 
 
-def _say(
-    output: Output, trained: "TrainedLearners", wall: float, speed: float, resumed: bool
-) -> None:
+def _say(output: Output, trained: "TrainedLearners", wall: float, resumed: bool) -> None:
     best, count = trained.policy, len(trained.learners)
     steps = sum(result.steps for result in trained.learners)
     of_each = f" each of {count} learners" if count > 1 else ""
@@ -172,9 +168,7 @@ def _say(
     if (limit := best.settings.plant.max_speed) is not None:
         rows["for a flange"] = f"below {limit:g} m/s"
     if resumed:
-        rows["resumed"] = "from a checkpoint; time and speed count from there"
-    if speed:
-        rows["speed"] = f"{speed:,.0f} steps/s"
+        rows["resumed"] = "from a checkpoint; the time counts from there"
     whose = f"learner {best.learner}, " if of_each else ""
     rows["selected"] = whose + _chosen(best)
     if (test := best.test) is not None:

@@ -1,12 +1,12 @@
 """Train DQN, PPO and SAC of Stable-Baselines3 on the environment, and write them as ONNX files.
 
-The hyperparameters are in `benchmarks/rl/*.yml`, in the form of RL Zoo, which can train from them
+The hyperparameters are in `experiments/rl/*.yml`, in the form of RL Zoo, which can train from them
 too. Each network is written with its scaling, so that it takes the observation and returns the
-acceleration in SI units; `equipoise compare` runs the files beside the tables::
+acceleration in SI units; `compare.py` runs the files beside the tables::
 
     python -m pip install '.[rl]'
-    python benchmarks/rl.py --out rl                     # dqn.onnx, ppo.onnx, sac.onnx, rl.json
-    equipoise compare rl/dqn.onnx rl/ppo.onnx rl/sac.onnx
+    python experiments/rl.py --out rl                     # dqn.onnx, ppo.onnx, sac.onnx, rl.json
+    python experiments/compare.py rl/dqn.onnx rl/ppo.onnx rl/sac.onnx
 
 A training uses the world `model` and the paper's reward, as the tables do, and one thread.
 """

@@ -8,7 +8,7 @@ import argparse
 
 import numpy as np
 
-from equipoise.executors import ThreadExecutor, available_cores, run_in_order
+from equipoise.executors import ThreadExecutor, available_cores
 from equipoise.learning.training import train
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
@@ -84,7 +84,7 @@ def main() -> None:
             return evaluation.results.summary()
 
         threads = ThreadExecutor(available_cores())
-        summaries = run_in_order(threads, result, range(arguments.seeds))
+        summaries = [found for _, found in threads.completed(result, range(arguments.seeds))]
         survived = sum(s.survived for s in summaries)
         trials = sum(s.trials for s in summaries)
         track = sum(s.causes.get("track", 0) for s in summaries)

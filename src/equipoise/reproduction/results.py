@@ -2,12 +2,12 @@
 
 The report uses these files only::
 
-    swing.csv  pendulum.json  policy.json  evaluation.json  run.mcap  gap.json  reproduction.json
+    swing.csv  pendulum.json  policy.json  evaluation.json  twin-evaluation.json  run.mcap
+    reproduction.json
 
-`gap.json` is missing for an arm without a digital twin, and for a policy without cures.
+`twin-evaluation.json` is missing for an arm without a digital twin.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Final, NamedTuple
 
@@ -15,23 +15,13 @@ import numpy as np
 from pydantic import Field
 
 from equipoise import paper
-from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Value, read_document
+from equipoise.artefacts import Artefact, Count, Name, Number, Seed, Value
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import ArtefactError
 from equipoise.logs.run_log import RunLog, TruthColumns
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.worlds import MODEL
-from equipoise.studies.gap_results import (
-    CURED,
-    NO_BIAS,
-    NO_PREDICTION,
-    PAPER,
-    Controller,
-    Gap,
-    at_world,
-    mean,
-)
-from equipoise.studies.synthetic_swing import SyntheticSwing
+from equipoise.reproduction.synthetic_swing import SyntheticSwing
 from equipoise.trajectory import Trajectory, read_swing
 from equipoise.worlds.evaluation import Evaluation
 from equipoise.worlds.formatting import LASTED, format_end, format_failures, percent, plus_minus
@@ -40,8 +30,8 @@ SWING: Final = "swing.csv"
 PENDULUM: Final = "pendulum.json"
 POLICY: Final = "policy.json"
 EVALUATION: Final = "evaluation.json"
+TWIN_EVALUATION: Final = "twin-evaluation.json"
 RUN: Final = "run.mcap"
-GAP: Final = "gap.json"
 RECORD: Final = "reproduction.json"
 
 
@@ -54,7 +44,7 @@ class PipelineStage(Value):
     """Duration [s], including the compilation in a first run."""
 
 
-class StageRecord(Artefact):
+class ReproductionRecord(Artefact):
     """Record of a reproduction: everything that its other files do not state."""
 
     FORMAT: ClassVar[str] = "equipoise-reproduction"
@@ -81,7 +71,7 @@ class StageRecord(Artefact):
 class Results(NamedTuple):
     """All results of a reproduction."""
 
-    record: StageRecord
+    record: ReproductionRecord
     """Record of the reproduction."""
     swing: Trajectory
     """The free swing."""
@@ -90,11 +80,11 @@ class Results(NamedTuple):
     policy: TabularPolicy
     """The trained policy."""
     evaluation: Evaluation
-    """Trials of the policy and of the baselines."""
+    """Trials of the policy and of the baselines on the training plant."""
+    twin_evaluation: Evaluation | None
+    """Trials of the policy on the digital twin; None for an arm without a twin."""
     run: RunLog
     """One run of the policy, on the digital twin if the arm has one."""
-    gap: Gap | None
-    """Study of the gap for the policy and the paper's; None without one."""
 
 
 def load(out: Path) -> Results:
@@ -104,18 +94,20 @@ def load(out: Path) -> Results:
         ArtefactError: A file is missing, corrupt, or belongs to another reproduction.
         RecordingError: The swing cannot be read.
     """
-    record = StageRecord.load(out / RECORD)
+    record = ReproductionRecord.load(out / RECORD)
+    has_twin = TWIN_EVALUATION in record.files
     results = Results(
         record=record,
         swing=read_swing(out / SWING),
         pendulum=Pendulum.load(out / PENDULUM),
         policy=TabularPolicy.load(out / POLICY),
         evaluation=Evaluation.load(out / EVALUATION),
+        twin_evaluation=Evaluation.load(out / TWIN_EVALUATION) if has_twin else None,
         run=RunLog.load(out / RUN),
-        gap=Gap.load(out / GAP) if GAP in record.files else None,
     )
+    found = digests(results)
     for name, recorded in record.files.items():
-        if _stated_digest(out / name, results) != recorded:
+        if found.get(name) != recorded:
             raise ArtefactError(
                 f"{out / name} is not the file that {out / RECORD} records; "
                 "reproduce again, into an empty folder"
@@ -123,39 +115,18 @@ def load(out: Path) -> Results:
     return results
 
 
-def _stated_digest(path: Path, results: Results) -> str:
-    """Return the digest that a file states."""
-    if path.suffix == ".json":
-        return read_document(path)["digest"]
-    return results.run.digest if path.suffix == ".mcap" else results.swing.sha256
-
-
-def digests(results: Results) -> Mapping[str, str]:
+def digests(results: Results) -> dict[str, str]:
     """Return the digest of each value, by the name of its file."""
-    _, swing, *values = results
-    named = zip((PENDULUM, POLICY, EVALUATION, RUN, GAP), values, strict=True)
-    return {SWING: swing.sha256} | {
-        name: value.digest for name, value in named if value is not None
+    found = {
+        SWING: results.swing.sha256,
+        PENDULUM: results.pendulum.digest,
+        POLICY: results.policy.digest,
+        EVALUATION: results.evaluation.digest,
+        RUN: results.run.digest,
     }
-
-
-def verdict(results: Results) -> tuple[str, str, str, str, str]:
-    """Return the results in five sentences."""
-    evaluation, run = _survival(results.evaluation), _run(results.run)
-    return evaluation, run, _gap(results), _swing(results), _caveat(results)
-
-
-def no_gap(results: Results) -> str:
-    """Return the reason for a missing study of the gap."""
-    if results.run.conditions.world == MODEL:
-        return (
-            f"There is no digital twin of the {results.policy.arm.name}, whose masses are not "
-            "known: the run is on the training plant, and the gap to a robot was not studied."
-        )
-    return (
-        "The gap to the twin was not studied: the study leaves the cures out one by one, and this "
-        "policy, trained without sensor and delay, has none."
-    )
+    if results.twin_evaluation is not None:
+        found[TWIN_EVALUATION] = results.twin_evaluation.digest
+    return found
 
 
 def truth(run: RunLog) -> TruthColumns | RunLog:
@@ -175,47 +146,37 @@ def estimates_zero(run: RunLog) -> bool:
     return encoder and conditions.settings.controller.estimate_bias
 
 
+def verdict(results: Results) -> tuple[str, ...]:
+    """Return the results in a few sentences."""
+    on_twin = () if results.twin_evaluation is None else (_survival(results.twin_evaluation),)
+    swing = _swing(results)
+    return _survival(results.evaluation), *on_twin, _run(results.run), swing, _caveat(results)
+
+
 def _survival(evaluation: Evaluation) -> str:
     summary = evaluation.results.summary()
-    low, high = summary.interval
-    median = "" if summary.rate > 0.5 else f"; median {summary.median:.3g} s"
-    others = (f"{each.name} {percent(each.summary().rate)}" for each in evaluation.baselines)
-    return (
-        f"On the plant of its training the table stood {evaluation.duration:g} s in "
-        f"{summary.survived} of {summary.trials} trials ({percent(summary.rate)}; 95 % interval "
-        f"{percent(low)} to {percent(high)}{median}), {format_failures(summary.causes)}; baselines "
-        f"on the same trials: {'; '.join(others)}."
+    low, high = map(percent, summary.interval)
+    where = "the plant of its training" if evaluation.world == MODEL else evaluation.world
+    others = [f"{each.name} {percent(each.summary().rate)}" for each in evaluation.baselines]
+    text = (
+        f"On {where} the table stood {evaluation.duration:g} s in {summary.survived} of "
+        f"{summary.trials} trials (95 % interval {low} to {high}), "
+        f"{format_failures(summary.causes)}"
     )
+    return f"{text}; baselines on the same trials: {', '.join(others)}." if others else f"{text}."
 
 
 def _run(run: RunLog) -> str:
     shown, conditions = truth(run), run.conditions
     phi, x = np.rad2deg(np.max(np.abs(shown.phi))), np.max(np.abs(shown.x))
-    where, end = f"On the digital twin {conditions.world}", f"stood all {run.lasted:g} s"
-    if conditions.world == MODEL:
-        where = "On the plant of its training once more"
+    end = f"stood all {run.lasted:g} s"
     if run.cause != LASTED:
         end = f"{format_end(run.cause)} after {run.lasted:.3g} s of {conditions.duration:g} s"
+    where = "plant of its training" if conditions.world == MODEL else f"twin {conditions.world}"
     return (
-        f"{where}, with a pendulum and a start that it did not know, it {end}, with |x| up to "
-        f"{x:.2f} of {paper.X_LIMIT:g} m and |phi| up to {phi:.1f} of {paper.PHI_LIMIT_DEG:g} deg; "
-        f"the paper's run on the real arm stood {paper.SECONDS_BALANCED:g} s."
-    )
-
-
-def _gap(results: Results) -> str:
-    gap = results.gap
-    if gap is None:
-        return no_gap(results)
-
-    def stands(controller: Controller) -> str:
-        return f"{mean(at_world(gap, controller), gap.duration).mean:.1f} s"
-
-    return (
-        f"In {gap.trials} trials of {gap.duration:g} s on that twin it stood {stands(CURED)} on "
-        f"average, {stands(NO_PREDICTION)} without its prediction, {stands(NO_BIAS)} without its "
-        "estimate of the encoder's zero; a table that was trained as the paper describes stood "
-        f"{stands(PAPER)}."
+        f"The recorded run on the {where} {end}, with |x| up to {x:.2f} of {paper.X_LIMIT:g} m and "
+        f"|phi| up to {phi:.1f} of {paper.PHI_LIMIT_DEG:g} deg; the paper's run on the real arm "
+        f"stood {paper.SECONDS_BALANCED:g} s."
     )
 
 
@@ -225,21 +186,14 @@ def _swing(results: Results) -> str:
     origin = "simulated" if results.record.simulated else "recorded"
     text = f"The {origin} free swing has a period of {pendulum.period:.4g} s"
     text += f" (w2 = {w2} 1/s^2, c = {c} 1/s)"
-    if fit is not None:
-        unit = "deg" if fit.quantity == "angle" else "deg/s"
-        text += f", the fit leaves {fit.rms_deg:.2g} {unit} RMS"
-        if fit.warnings:
-            text += f", with {len(fit.warnings)} warning{'s' * (len(fit.warnings) > 1)}"
+    if fit is not None and fit.warnings:
+        text += f", with {len(fit.warnings)} warning{'s' * (len(fit.warnings) > 1)}"
     return f"{text}."
 
 
 def _caveat(results: Results) -> str:
-    text = "Quick reproduction, with fewer episodes and trials. " if results.record.quick else ""
-    if results.run.conditions.world == MODEL:
-        return (
-            f"{text}All results are from simulation, on our model of an arm; none is from a robot."
-        )
-    return (
-        f"{text}All results are from simulation. The twin models the known delay, servo, weight "
-        "and sensor, with assumptions for the rest; it is not the authors' robot."
-    )
+    quick = "Quick reproduction, with fewer episodes and trials. " if results.record.quick else ""
+    twin = " There is no twin of this arm, whose masses are not known."
+    if results.twin_evaluation is not None:
+        twin = " The twin has assumptions where the robot's numbers are unknown."
+    return f"{quick}All results are from simulation, none is from a robot.{twin}"
