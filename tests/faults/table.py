@@ -231,7 +231,7 @@ TIME: Final = (
 
 
 def _change_server(harness: FaultHarness, **faults: Any) -> None:
-    server = harness.parts.robot.server
+    server = harness.parts.robot.emulator
     server.faults = replace(server.faults, **faults)
 
 
@@ -286,7 +286,7 @@ def _singular(scenario: Scenario) -> Scenario:
 
 
 def _at_home(scenario: Scenario, home_deg: Sequence[float]) -> Scenario:
-    return replace(scenario, settings=scenario.settings.changed(home_deg=tuple(home_deg)))
+    return replace(scenario, settings=RigSettings(home_deg=tuple(home_deg)))
 
 
 def _setpoint(change: Callable[[Setpoint, float], Setpoint]) -> Inject:

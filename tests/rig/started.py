@@ -14,7 +14,8 @@ from equipoise.control.policy import shipped_policy
 from equipoise.control.self_test import SelfTestVerdict
 from equipoise.control.states import Phase
 from equipoise.model.worlds import pendulum_on, read_world
-from equipoise.rig.config import RigSettings, emulated_rig
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import emulated_rig
 from equipoise.rig.emulated_operator import EmulatedOperator
 from equipoise.rig.run import RunRequest, run_virtually
 from equipoise.rig.run_controller import PHASES

@@ -16,7 +16,8 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.clocks import VirtualClock
-from equipoise.rig.config import RigSettings, emulated_rig
+from equipoise.rig.config import RigSettings
+from equipoise.rig.connection import emulated_rig
 from equipoise.rig.plugins import ignore
 from equipoise.rig.run import (
     OperatorChannel,

@@ -126,13 +126,14 @@ def deploy(
     output = Output(as_json)
     opt.check_range("--duration", duration, 0.01, 3600.0, " s")
     if rig is not None and not excite:
-        from equipoise.rig.config import is_virtual, read_rig
+        from equipoise.rig.config import read_rig
+        from equipoise.rig.connection import world_of
 
         settings = read_rig(rig)
         robot = robot or settings.robot
         if robot is None:
             raise InputError(f"{rig} does not name the robot; give --robot")
-        encoder = encoder if is_virtual(robot) else encoder or settings.encoder
+        encoder = encoder if world_of(robot) else encoder or settings.encoder
     mode = "--robot" if robot is not None else "--excite" if excite else "a simulated run"
     hint = "give --robot for a rig, --excite for an arm, or leave it out"
     opt.only(
@@ -239,12 +240,12 @@ def _run_on_rig(
     """Run on an emulated or a real rig, and write the log."""
     from equipoise.cli.console import beside
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
-    from equipoise.rig.config import is_virtual
+    from equipoise.rig.connection import world_of
     from equipoise.rig.processes import run_in_processes
     from equipoise.rig.run import check_request, exit_code, rehearse_t1, run_virtually
 
     check_request(request)
-    if console and is_virtual(request.robot):
+    if console and world_of(request.robot):
         raise InputError(
             f"--console shows a run in real time, and {request.robot} runs in virtual time; start "
             "equipoise rig emulate, and give the --robot and --encoder that it prints"
@@ -257,13 +258,13 @@ def _run_on_rig(
     out, person = log.path, TerminalOperator(output)
     before = _identity(out)
     try:
-        if is_virtual(request.robot):
+        if world_of(request.robot):
             with stop_by_signal() as stopped, guest_code(f"the driver of {request.robot}"):
                 spectator = _Spectator(person, stopped)
                 result = run_virtually(request, out, spectator, replace=log.force)
         else:
             with beside(output, console), single_keys():
-                result = run_in_processes(request, out, person, replace=log.force)
+                result = run_in_processes(request, out, person, person.live, replace=log.force)
     except EquipoiseError:
         if _identity(out) != before:
             output.wrote(out)

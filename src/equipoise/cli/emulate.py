@@ -41,7 +41,6 @@ def emulate(
     port: int = opt.value(
         "N", "Port of the robot; 0 selects a free one.", min=0, max=65535, default=30001
     ),
-    encoder_link: Path | None = opt.value("PATH", "Further name of the encoder's terminal."),
     no_operator: bool = opt.flag("--no-operator", "Read the operator's actions from the keyboard."),
     clumsy: float = opt.value(
         "P", "Probability that the hand pushes or drags.", min=0.0, max=1.0, default=0.0
@@ -86,16 +85,13 @@ def emulate(
         _true_pendulum(identified, settings, seed),
         settings,
         SystemClock(),
-        operator=not no_operator,
-        clumsy=clumsy,
+        clumsy=None if no_operator else clumsy,
         robot=robot,
         faults=inject,
-        link=encoder_link,
         seed=seed,
         say=say,
     )
-    terminal = emulation.terminal if encoder_link is None else encoder_link.absolute()
-    encoder = f"serial://{terminal}"
+    encoder = f"serial://{emulation.terminal}"
     friction = pivot_friction(identified, settings)
 
     def ready(number: int) -> None:

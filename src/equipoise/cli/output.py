@@ -337,7 +337,7 @@ def stoppable() -> Generator[Callable[[], None]]:
 
     The main thread waits for the others, and an interruption reaches it alone.
     """
-    from equipoise.rig.processes import SIGNALS, handled_signals
+    from equipoise.rig.signals import SIGNALS, handled_signals
 
     stopped = threading.Event()
 
@@ -358,7 +358,7 @@ def stoppable() -> Generator[Callable[[], None]]:
 @contextmanager
 def stop_by_signal() -> Generator[Callable[[], bool]]:
     """Catch signals that would end the program; yield whether one was received."""
-    from equipoise.rig.processes import SIGNALS, handled_signals
+    from equipoise.rig.signals import SIGNALS, handled_signals
 
     came = threading.Event()
     with handled_signals(SIGNALS, lambda *_: came.set()):

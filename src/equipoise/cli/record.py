@@ -41,7 +41,7 @@ def record(
     opt.check_range("--duration", duration, 1.0, 600.0, " s")
 
     from equipoise.rig.clocks import SystemClock
-    from equipoise.rig.config import encoder_at
+    from equipoise.rig.connection import open_encoder
     from equipoise.robots.encoder.swing import SwingRecorder, record_swing
     from equipoise.trajectory import write_swing
 
@@ -60,7 +60,7 @@ def record(
         )
 
     clock = SystemClock()
-    sensor = encoder_at(encoder, clock, counts_per_rev=counts_per_rev)
+    sensor = open_encoder(encoder, clock, counts_per_rev=counts_per_rev)
     try:
         driver = guest_code(f"the driver of {encoder}")
         with output.busy("connecting") as rename, driver, closing(sensor):

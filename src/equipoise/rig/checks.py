@@ -7,9 +7,10 @@ nowhere else. Nothing here moves an arm.
 import platform
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from functools import partial
 from math import degrees, floor, inf
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,12 +24,15 @@ from equipoise.model.arms.arm import Arm
 from equipoise.rig.clocks import SystemClock
 from equipoise.rig.config import RigSettings
 from equipoise.rig.findings import Finding, Values, find
-from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Robot
-from equipoise.rig.probes import EncoderStream, lateness, listen, measure, round_trips
+from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, ServoedArm
+from equipoise.rig.probes import EncoderStream, lateness, listen, round_trips
 from equipoise.rig.realtime import run_with_realtime_priority
 from equipoise.safety.rules import MAX_STALL, T1_SPEED
+from equipoise.user_code import guest_code
 
 Array = npt.NDArray[np.float64]
+D = TypeVar("D", ServoedArm, AngleSensor)
+T = TypeVar("T")
 
 MAX_LOAD_SHARE: Final = 0.5
 """Share of the cores at work before a run beyond which other programs compete with the loop [-]."""
@@ -67,7 +71,7 @@ bracket and pendulum about it. Published estimates are 0.4 to 1.2."""
 
 
 def examine(
-    robot: Robot | None,
+    robot: ServoedArm | None,
     sensor: AngleSensor | None,
     rig: RigSettings | None,
     *,
@@ -89,18 +93,33 @@ def examine(
         late, settings = run_with_realtime_priority(lambda: lateness(SystemClock(), seconds))
     findings = [*check_host(logs), *settings, *check_deadlines(late)]
     if sensor is not None:
-        stream = measure(sensor, listen, seconds, busy)
-        lost = isinstance(stream, LinkError)
-        findings += [_missing("encoder", stream)] if lost else check_encoder(stream, rig)
+        findings += _examine(
+            "encoder", sensor, listen, lambda stream: check_encoder(stream, rig), seconds, busy
+        )
     if robot is not None:
-        trips = measure(robot, round_trips, seconds, busy)
-        lost = isinstance(trips, LinkError)
-        findings.append(_missing("robot", trips) if lost else check_link(trips))
+        findings += _examine("robot", robot, round_trips, check_link, seconds, busy)
     return findings
 
 
-def _missing(name: str, error: LinkError) -> Finding:
-    return find(name, {"error": str(error)}, "check its power, its cable and its address", bad=True)
+def _examine(
+    name: str,
+    device: D,
+    measure: Callable[[D, Clock, float], T],
+    check: Callable[[T], list[Finding]],
+    seconds: float,
+    busy: Callable[[str], AbstractContextManager[object]],
+) -> list[Finding]:
+    """Connect a device, measure it with the real-time settings of a run, and judge it."""
+    try:
+        with busy(f"measuring the {name}"), guest_code(f"the driver of the {name}"):
+            device.connect()
+            work = partial(measure, device, SystemClock(), seconds)
+            return check(run_with_realtime_priority(work)[0])
+    except LinkError as error:
+        remedy = "check its power, its cable and its address"
+        return [find(name, {"error": str(error)}, remedy, bad=True)]
+    finally:
+        device.close()
 
 
 def check_host(logs: Path) -> list[Finding]:
@@ -113,7 +132,7 @@ def check_host(logs: Path) -> list[Finding]:
     cpus, info = Path("/sys/devices/system/cpu"), Path("/proc/cpuinfo")
     files = cpus.glob("cpu[0-9]*/cpufreq/scaling_governor")
     governors = sorted({file.read_text().strip() for file in files}) or ["unknown"]
-    virtual = info.exists() and "hypervisor" in info.read_text() or Path("/.dockerenv").exists()
+    virtual = (info.exists() and "hypervisor" in info.read_text()) or Path("/.dockerenv").exists()
     folder = next(one for one in (logs.absolute(), *logs.absolute().parents) if one.exists())
     swap, free = psutil.swap_memory().used, psutil.disk_usage(str(folder)).free
     return [
@@ -188,17 +207,19 @@ def check_deadlines(late: Array) -> list[Finding]:
     ]
 
 
-def check_link(trips: Array) -> Finding:
+def check_link(trips: Array) -> list[Finding]:
     """Judge the round trips to a robot [s], shape (n,)."""
     p99 = float(np.percentile(trips, 99.0))
-    return find(
-        "link to the robot",
-        _spread(trips),
-        "connect cabinet and computer by one direct cable, on a network card of their own (no USB "
-        "adapter, no Wi-Fi), and switch other networks off; see docs/how-to/real-time.md",
-        warning=p99 > GOOD_ROUND_TRIP,
-        bad=p99 > MAX_ROUND_TRIP,
-    )
+    return [
+        find(
+            "link to the robot",
+            _spread(trips),
+            "connect cabinet and computer by one direct cable, on a network card of their own (no "
+            "USB adapter, no Wi-Fi), and switch other networks off; see docs/how-to/real-time.md",
+            warning=p99 > GOOD_ROUND_TRIP,
+            bad=p99 > MAX_ROUND_TRIP,
+        )
+    ]
 
 
 def check_encoder(stream: EncoderStream, rig: RigSettings | None) -> list[Finding]:

@@ -127,6 +127,15 @@ def open_robot(
         return plugin.open(robot, Session(clock, tell, attend))
 
 
+def restart_instruction(robot: str) -> str:
+    """Return the instruction to the operator before the next connection to a robot.
+
+    Raises:
+        InputError: The address is invalid.
+    """
+    return robot_plugin(robot).restart
+
+
 def open_encoder(
     encoder: str, clock: Clock, *, counts_per_rev: int | None = None, sign: int = 1
 ) -> AngleSensor:

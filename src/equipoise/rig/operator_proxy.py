@@ -31,9 +31,7 @@ class OperatorProxy:
 
     def notify(self, event: OperatorMessage) -> None:
         """Send a message to the operators; never blocks."""
-        push_event(
-            self._recorder.notices, time.monotonic(), event.name, event.answers, event.text
-        )
+        push_event(self._recorder.notices, time.monotonic(), event.name, event.answers, event.text)
         if event.answers:
             self._asked += 1
             self._open = self._asked

@@ -3,22 +3,15 @@
 Deadlines are absolute, as in a run: a stall over several deadlines makes all of them late.
 """
 
-from collections.abc import Callable, Generator
-from contextlib import AbstractContextManager
-from typing import Final, NamedTuple, TypeVar
+from collections.abc import Generator
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.errors import LinkError
-from equipoise.rig.clocks import SystemClock
-from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, Robot
-from equipoise.rig.realtime import run_with_realtime_priority
-from equipoise.user_code import guest_code
+from equipoise.rig.interfaces import SETPOINT_PERIOD, AngleSensor, Clock, ServoedArm
 
 Array = npt.NDArray[np.float64]
-D = TypeVar("D", Robot, AngleSensor)
-T = TypeVar("T")
 
 READ_PERIOD: Final = 0.001
 """Time between two reads of the encoder [s]: the period of a board at 1 kHz."""
@@ -59,7 +52,7 @@ def lateness(clock: Clock, seconds: float, *, period: float = SETPOINT_PERIOD) -
 
 
 def round_trips(
-    robot: Robot, clock: Clock, seconds: float, *, period: float = SETPOINT_PERIOD
+    robot: ServoedArm, clock: Clock, seconds: float, *, period: float = SETPOINT_PERIOD
 ) -> Array:
     """Measure how long a connected robot at rest takes to return its joints [s], shape (n,).
 
@@ -121,31 +114,3 @@ def _reads(clock: Clock, seconds: float) -> Generator[None]:
         deadline = max(deadline + READ_PERIOD, now)
         clock.wait_until(deadline)
         yield
-
-
-def measure(
-    device: D,
-    work: Callable[[D, Clock, float], T],
-    seconds: float,
-    busy: Callable[[str], AbstractContextManager[object]],
-) -> T | LinkError:
-    """Connect a device, measure it with the real-time settings of a run, and close it.
-
-    Args:
-        device: The device, not connected.
-        work: The measurement.
-        seconds: Length of the measurement [s].
-        busy: Shows the name of the measurement while its context is open.
-
-    Returns:
-        The measurement, or the error of a device that could not be reached.
-    """
-    name = "robot" if isinstance(device, Robot) else "encoder"
-    try:
-        with busy(f"measuring the {name}"), guest_code(f"the driver of the {name}"):
-            device.connect()
-            return run_with_realtime_priority(lambda: work(device, SystemClock(), seconds))[0]
-    except LinkError as error:
-        return error
-    finally:
-        device.close()

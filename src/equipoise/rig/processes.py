@@ -15,8 +15,8 @@ import os
 import pickle
 import signal
 import time
-from collections.abc import Callable, Generator, Iterable
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,21 +27,14 @@ from equipoise.logs.recorder import PULSE, read_events
 from equipoise.logs.shared import RunInfo, open_recorder, share
 from equipoise.logs.writer import RunWriter
 from equipoise.rig import realtime
+from equipoise.rig.connection import restart_instruction
 from equipoise.rig.interfaces import Operator
 from equipoise.rig.loop import CANNOT_STOP
 from equipoise.rig.operator_proxy import OperatorProxy
-from equipoise.rig.plugins import robot_plugin
 from equipoise.rig.run import ALONE, STOP, RunRequest, run_on_rig, warm_up
 from equipoise.rig.run_controller import PHASES
-from equipoise.rig.worker import (
-    JOIN_TIMEOUT,
-    POLL_PERIOD,
-    SIGNALS,
-    InterruptedPolicy,
-    WorkerProcess,
-    ignore_signals,
-    start_process,
-)
+from equipoise.rig.signals import SIGNALS, handled_signals, ignore_signals, start_process
+from equipoise.rig.worker import JOIN_TIMEOUT, POLL_PERIOD, InterruptedPolicy, WorkerProcess
 from equipoise.user_code import format_error, guest_code
 
 HEARTBEAT_TIMEOUT: Final = 0.085
@@ -76,9 +69,7 @@ def run_in_processes(
         data = pickle.dumps(request)
     arm = request.settings.described_arm
     title = f"{request.policy.name} on {request.robot}"[:1024]
-    info = RunInfo(
-        title=title, pid=os.getpid(), arm=arm, phases=PHASES, duration=request.duration
-    )
+    info = RunInfo(title=title, pid=os.getpid(), arm=arm, phases=PHASES, duration=request.duration)
     end: RunEnd | EquipoiseError = RunEnd()
     with share(info) as memory:
         parent = _Parent(memory, len(arm.joints), person, live)
@@ -187,19 +178,6 @@ class _Parent:
             self._person.notify(OperatorMessage("warning", text))
 
 
-@contextmanager
-def handled_signals(
-    signals: Iterable[signal.Signals], handler: Callable[..., object]
-) -> Generator[None]:
-    """Handle signals in this context; for the main thread only."""
-    before = [(number, signal.signal(number, handler)) for number in signals]
-    try:
-        yield
-    finally:
-        for number, old in before:
-            signal.signal(number, old)
-
-
 def _received(pipe: Any) -> Any:
     """Return the next object from a process; None without one, or from a closed pipe."""
     try:
@@ -227,7 +205,7 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
     def attend() -> None:
         """Check for a stop and the encoder, which is connected before the robot."""
         if {STOP, ALONE} & set(operator.read_input()):
-            restart = robot_plugin(request.robot).restart or "repeat the command"
+            restart = restart_instruction(request.robot) or "repeat the command"
             raise OutsideError(
                 "stopped during the wait for the robot; nothing has moved. To deploy again, "
                 f"{restart}"

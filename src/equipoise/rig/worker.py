@@ -5,7 +5,6 @@ import signal
 import time
 from collections.abc import Callable
 from functools import partial
-from multiprocessing.process import BaseProcess
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -17,33 +16,15 @@ from equipoise.control.ticks import Job
 from equipoise.errors import OutsideError
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.rig.run_controller import LATE
+from equipoise.rig.signals import ignore_signals, start_process
 
 Array = npt.NDArray[np.float64]
 T = TypeVar("T")
 
-SIGNALS: Final = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
-"""Signals that end a program: Ctrl-C, a request of the system, a closed terminal."""
 POLL_PERIOD: Final = 0.010
 """Time between two looks at another process [s]."""
 JOIN_TIMEOUT: Final = 5.0
 """Time for a process to end by itself [s]."""
-
-
-def start_process(process: BaseProcess) -> None:
-    """Start a process with signals blocked, until it is ready for them."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-    try:
-        process.start()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def ignore_signals() -> None:
-    """Ignore signals: a helper process ends with the run."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
 
 
 class WorkerProcess:
@@ -92,10 +73,17 @@ def _practise() -> SelfTest:
     """Run a self-test on an artificial swing."""
     time_ = np.linspace(0.0, 6.0, 1200)
     counts, move = np.round(200.0 * np.sin(8.4 * time_)), 0.04 / (1.0 + np.exp(8.4 - 12.0 * time_))
-    pendulum = PendulumParameters(70.2, 7.16, 0.15)
-    known = {"pendulum": pendulum, "counts_per_rev": 8192, "resting": 0.0, "delay": 0.0}
     with np.errstate(all="ignore"):
-        return self_test(time_, counts, time_, move, **known)
+        return self_test(
+            time_,
+            counts,
+            time_,
+            move,
+            pendulum=PendulumParameters(70.2, 7.16, 0.15),
+            counts_per_rev=8192,
+            resting=0.0,
+            delay=0.0,
+        )
 
 
 def _work(pipe: Any) -> None:

@@ -58,7 +58,10 @@ class LineOrder:
         last = self.last or line
         steps = (line.seq - last.seq) % 2**16
         passed = 1e-6 * ((line.t_us - last.t_us) % WRAP_US)
-        if steps == 0 or abs(passed - steps * self._period) > JITTER * self._period + DRIFT * passed:
+        if (
+            steps == 0
+            or abs(passed - steps * self._period) > JITTER * self._period + DRIFT * passed
+        ):
             return "time"
         # After a jump the bound does not grow with dropped lines: it would soon allow the jump.
         self._stride = min(self._stride, passed) if self.inconsistent else passed

@@ -221,7 +221,9 @@ class LineEncoder:
             if not isinstance(line, Banner):
                 samples += self._take(line, now)
             elif now > self._unused_until:
-                raise self._fail("sent a banner: it restarted, and its zero is void; check its power")
+                raise self._fail(
+                    "sent a banner: it restarted, and its zero is void; check its power"
+                )
         if now > self._received + SILENCE:
             raise self._fail(
                 f"sent no valid line for {SILENCE:g} s ({self.rejected} rejected since "

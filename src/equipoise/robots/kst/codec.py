@@ -35,10 +35,11 @@ official clients cause steps of 1 rad/s^2 in the second difference."""
 MAX_LINE: Final = 1024
 """Maximum accepted line length [bytes]; seven Java numbers take less than 190."""
 
-ReplyKind = Literal["joints", "external"]
-"""Reply that a setpoint requests: measured joints [rad], or external torques [N m]."""
+ReplyKind = Literal["done", "joints", "external"]
+"""Reply that a setpoint requests: an acknowledgement, measured joints [rad], or external torques
+[N m]."""
 
-SETPOINTS: Final[dict[ReplyKind, str]] = {"joints": "jpJP", "external": "jpExT"}
+SETPOINTS: Final[dict[ReplyKind, str]] = {"done": "jp", "joints": "jpJP", "external": "jpExT"}
 """Commands that set the target of the joint servo, by requested reply."""
 
 GET_JOINTS: Final = b"getJointsPositions\n"

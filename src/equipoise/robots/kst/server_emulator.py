@@ -4,8 +4,6 @@ As in the real server, two threads share one string. The *reader* receives each 
 targets, `getJointsPositions`, stop and end itself. Any other line waits in that string for the
 *main* thread, which ignores it while a servo runs. Hence:
 
-- The main thread acknowledges a command before it clears the string, which erases a command that
-  follows at once: of two main commands in one segment only the first is answered.
 - A servo is acknowledged before it exists; its target is then overwritten with the measured joints.
 - A command for the main thread that arrives while a servo runs is not answered, and the next line
   erases it. An unknown command is never answered.
@@ -33,9 +31,6 @@ DONE: Final = b"done\n"
 """Acknowledgement of the server."""
 NAK: Final = b"nak\n"
 """Reply of the server after an error in its main thread."""
-CLEARING_TIME: Final = 2e-4
-"""Time from an acknowledgement of the main thread until its string is cleared [s]. The real window
-is shorter; only a client that answers at once hits it, and a client behind a socket does not."""
 SERVO_START: Final = 5e-3
 """Time from the acknowledgement until a servo exists [s]: "a few milliseconds"."""
 SERVO_STOP: Final = 3e-3
@@ -99,7 +94,7 @@ class KstServer:
         self._lines = codec.KstLineSplitter()
         self._reads = True
         self._segments: list[tuple[float, bytes]] = []
-        self._now = self._cleared = 0.0
+        self._now = 0.0
         self._waiting = ""
         self._starts: float | None = None  # of the servo; None without one
         self._stops: float | None = None
@@ -184,13 +179,16 @@ class KstServer:
             self._answer("joints")
         elif self.busy:
             self._waiting = command
-        elif self._now >= self._cleared - EPSILON:
+        else:
             self._main(command)
 
     def _answer(self, kind: ReplyKind) -> None:
-        body = self._body
-        values = body.measured() if kind == "joints" else body.torques(external=True)
-        self._say(codec.numbers_reply(values))
+        if kind == "done":
+            self._say(DONE)
+        elif kind == "joints":
+            self._say(codec.numbers_reply(self._body.measured()))
+        else:
+            self._say(codec.numbers_reply(self._body.torques(external=True)))
 
     def _say(self, reply: bytes) -> None:
         faults = self.faults
@@ -212,7 +210,6 @@ class KstServer:
             self._requested = True
             self._say(DONE)
             self._starts, self._stops = self._now + SERVO_START, None
-            self._cleared = self._now + CLEARING_TIME
 
     def _step_servo(self) -> None:
         """Start and stop the servo when due; it runs on without a client."""
