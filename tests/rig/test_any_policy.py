@@ -15,9 +15,9 @@ from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
 from equipoise.rig.explanation import CauseName, explain
-from equipoise.rig.worker import InterruptedPolicy, PolicyTimeout
 from equipoise.rig.run import RunRequest, exit_code, run_virtually, warm_up
 from equipoise.rig.run_controller import PHASES
+from equipoise.rig.worker import InterruptedPolicy, PolicyTimeout
 from tests.control.test_bound_policy import KINDS, folder
 from tests.studies.replayed import replay
 

@@ -52,7 +52,7 @@ FAULTS = {
     "the robot's process dies": (lambda rig: rig.robot.link.close(), "closed the link"),
     "the robot's cable is pulled": (lambda rig: cut(rig.robot.link), "within 1 s|for 0.5 s"),
     "the encoder's board dies": (lambda rig: rig.sensor.link.close(), "is gone: .*closed the link"),
-    "the encoder falls silent": (lambda rig: cut(rig.sensor.link), "no line .* for 0.5 s"),
+    "the encoder falls silent": (lambda rig: cut(rig.sensor.link), "no valid line for 0.5 s"),
 }
 
 

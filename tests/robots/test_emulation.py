@@ -113,7 +113,7 @@ def test_faults_are_those_of_the_answers():
 def test_the_terminal_tells_button_and_pendulum():
     stage = Stage(clumsy=None)
     acts, came, decoder = stage.emulation.acts, [], Decoder()
-    port = os.open(stage.emulation.terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    port = os.open(stage.emulation.terminal.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
 
     def read():
         if select.select([port], [], [], 0.0)[0]:

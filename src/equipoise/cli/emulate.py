@@ -41,6 +41,7 @@ def emulate(
     port: int = opt.value(
         "N", "Port of the robot; 0 selects a free one.", min=0, max=65535, default=30001
     ),
+    encoder_link: Path | None = opt.value("PATH", "Further name of the encoder's terminal."),
     no_operator: bool = opt.flag("--no-operator", "Read the operator's actions from the keyboard."),
     clumsy: float = opt.value(
         "P", "Probability that the hand pushes or drags.", min=0.0, max=1.0, default=0.0
@@ -91,7 +92,9 @@ def emulate(
         seed=seed,
         say=say,
     )
-    encoder = f"serial://{emulation.terminal}"
+    if encoder_link is not None:
+        emulation.terminal.link(encoder_link)
+    encoder = f"serial://{encoder_link or emulation.terminal.path}"
     friction = pivot_friction(identified, settings)
 
     def ready(number: int) -> None:

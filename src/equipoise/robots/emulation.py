@@ -103,9 +103,8 @@ class Emulation:
         self._board = Board(
             lambda: bench.theta, settings.counts_per_rev, start=clock.now(), seed=seed
         )
-        self._terminal = Terminal(self._board)
-        self.terminal = self._terminal.path
-        """Path of the board's terminal."""
+        self.terminal = Terminal(self._board)
+        """Terminal of the board."""
         if clumsy is not None:
             bench.watch(SightedOperator(bench, clumsy=clumsy, say=say).look)
         self._last = clock.now()
@@ -154,7 +153,7 @@ class Emulation:
                     self._server, self._restart_at = self._emulator(), inf
                     self._say("the robot's server has been started")
         finally:
-            self._terminal.close()
+            self.terminal.close()
 
     def _restart(self, delay: float) -> None:
         """End the server, and start it again after a delay [s]."""
@@ -213,7 +212,7 @@ class Emulation:
             self._say(f"the host stalled for {1e3 * late:.0f} ms")
         self.bench.advance(now)
         self._board.press(self.bench.button)
-        self._terminal.advance(now)
+        self.terminal.advance(now)
 
 
 def _exchange(client: socket.socket, server: Emulator, now: float) -> bool:

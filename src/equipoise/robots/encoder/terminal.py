@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from equipoise.errors import OutsideError
+from equipoise.errors import InputError, OutsideError
 from equipoise.robots.encoder.board import Board
 
 CHUNK: Final = 4096
@@ -43,6 +43,17 @@ class Terminal:
         self._board, self._unsent = board, b""
         self.path = Path(os.ttyname(self._theirs))
         """Name of the terminal; its address is `serial://` with this name."""
+
+    def link(self, name: Path) -> None:
+        """Give the terminal a second name, as a symbolic link; replace another symbolic link.
+
+        Raises:
+            InputError: A file has that name.
+        """
+        if name.exists() and not name.is_symlink():
+            raise InputError(f"{name} is a file; give another name for the terminal")
+        name.unlink(missing_ok=True)
+        name.symlink_to(self.path)
 
     def advance(self, now: float) -> None:
         """Transfer bytes both ways; call it about once per period of the board.
