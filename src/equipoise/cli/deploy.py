@@ -14,7 +14,7 @@ import typer
 
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import Destination, choose_file
-from equipoise.cli.export import choose_film, write_film
+from equipoise.cli.export import choose_film, draw_film
 from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.errors import EquipoiseError, InputError
 from equipoise.user_code import guest_code
@@ -191,7 +191,7 @@ def deploy(
     output.rows(report.rows)
     output.wrote(out)
     if film is not None and report.code in (0, 1):
-        video = write_film(output, out, film)
+        video = draw_film(output, out, film)
         output.wrote(video)
     output.next(*(("identify", out) if excite else ("log", "explain", out)))
     output.result(run=out, **report.fields, video=video)
@@ -261,10 +261,10 @@ def _run_on_rig(
         if world_of(request.robot):
             with stop_by_signal() as stopped, guest_code(f"the driver of {request.robot}"):
                 spectator = _Spectator(person, stopped)
-                result = run_virtually(request, out, spectator, replace=log.force)
+                result = run_virtually(request, out, spectator)
         else:
             with beside(output, console), single_keys():
-                result = run_in_processes(request, out, person, person.live, replace=log.force)
+                result = run_in_processes(request, out, person, person.live)
     except EquipoiseError:
         if _identity(out) != before:
             output.wrote(out)

@@ -102,7 +102,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     from equipoise.model.actuator import LAWS, describe_rotor
 
     run = load_run(log)
-    output.warn(run.missing_part)
+    output.warn(run.damage)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
     with destination.claimed() as out:
@@ -141,7 +141,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
 
 def _draw(stem: Path, swing: "Trajectory", pendulum: "Pendulum") -> tuple[Path, ...]:
     from equipoise.apps.report.figures import free_swing
-    from equipoise.apps.report.style import save
+    from equipoise.apps.style import save
 
     return save(free_swing(swing, pendulum), stem)
 

@@ -49,9 +49,7 @@ Live = Callable[[str, float], None]
 """Shows the phase of the run and the angle from upright [rad]; never blocks."""
 
 
-def run_in_processes(
-    request: RunRequest, out: Path, person: Operator, live: Live, *, replace: bool = False
-) -> RunEnd:
+def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Live) -> RunEnd:
     """Run a policy on a rig in real time, and write the log.
 
     Args:
@@ -59,7 +57,6 @@ def run_in_processes(
         out: Path of the log.
         person: The operator.
         live: Shows the phase of the run and the angle from upright [rad]; never blocks.
-        replace: Whether this run replaces an existing log, once it is connected.
 
     Raises:
         InputError: The policy cannot be sent to the loop's process.
@@ -75,7 +72,7 @@ def run_in_processes(
         parent = _Parent(memory, len(arm.joints), person, live)
         with handled_signals(SIGNALS, lambda *_: parent.words.append(STOP)):
             try:
-                parent.start_writer(out, request.conditions(), replace)
+                parent.start_writer(out, request.conditions())
                 parent.start_loop(data)
                 end = parent.attend()
             finally:
@@ -99,14 +96,14 @@ class _Parent:
         self.words: list[str] = []
         """Stops that signals to this process request."""
 
-    def start_writer(self, out: Path, conditions: RunConditions, replace: bool) -> None:
+    def start_writer(self, out: Path, conditions: RunConditions) -> None:
         """Start the writer, and wait until the log exists.
 
         Raises:
             OutsideError: The log cannot be written.
         """
         ours, theirs = self._log_pipe
-        arguments = (*self._shared, out, replace, conditions, theirs)
+        arguments = (*self._shared, out, conditions, theirs)
         self._writer = self._context.Process(target=_write, args=arguments, daemon=True)
         start_process(self._writer)
         theirs.close()
@@ -237,9 +234,7 @@ def _loop(data: bytes, memory: Path, joints: int, pipe: Any) -> None:
         worker.close()
 
 
-def _write(
-    memory: Path, joints: int, out: Path, replace: bool, conditions: RunConditions, pipe: Any
-) -> None:
+def _write(memory: Path, joints: int, out: Path, conditions: RunConditions, pipe: Any) -> None:
     """Run the writer's process until the parent sends the end of the run.
 
     Without its parent it goes on until the loop has brought the arm to rest.
@@ -248,7 +243,7 @@ def _write(
     parent, until = os.getppid(), float("inf")
     recorder = open_recorder(memory, joints)
     try:
-        writer = RunWriter(out, conditions, time.monotonic(), replace=replace)
+        writer = RunWriter(out, conditions, time.monotonic())
     except OutsideError as error:
         pipe.send(str(error))
         return
