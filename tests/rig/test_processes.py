@@ -411,7 +411,7 @@ def test_without_room_for_the_log_nothing_begins(monkeypatch, tmp_path, request_
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setattr(processes, "_loop", None)
     with pytest.raises(OutsideError, match="cannot write"):
-        run_in_processes(request_of_a_run, tmp_path / "file" / "run.mcap", Person())
+        run_in_processes(request_of_a_run, tmp_path / "file" / "run.mcap", Person(), print)
 
 
 # The process beside the loop's.

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final, Literal
 
 from equipoise.artefacts import Value
-from equipoise.errors import InputError
+from equipoise.errors import EquipoiseError, InputError
 
 Status = Literal["good", "warning", "bad", "unknown"]
 Values = dict[str, float | int | str]
@@ -56,15 +56,19 @@ def find(
     return Finding(name=name, status=status, values=values, remedy=remedy)
 
 
-def require(findings: Sequence[Finding]) -> None:
+def require(findings: Sequence[Finding], error: type[EquipoiseError] = InputError) -> None:
     """Raise an error that names every bad finding.
 
+    Args:
+        findings: The findings.
+        error: Type of the error: `OutsideError` where the rig is at fault.
+
     Raises:
-        InputError: A finding is bad.
+        EquipoiseError: A finding is bad.
     """
     bad = [finding for finding in findings if finding.status == "bad"]
     if bad:
-        raise InputError("; ".join(f"{one.name}: {one.text}; {one.remedy}" for one in bad))
+        raise error("; ".join(f"{one.name}: {one.text}; {one.remedy}" for one in bad))
 
 
 def fitness(findings: Iterable[Finding]) -> Fitness:

@@ -28,7 +28,7 @@ from equipoise.control.policy import (
 )
 from equipoise.control.states import Cause
 from equipoise.control.ticks import OperatorMessage, TickHandler
-from equipoise.errors import EquipoiseError, InputError, LinkError
+from equipoise.errors import EquipoiseError, InputError, LinkError, OutsideError
 from equipoise.logs.conditions import RunConditions, RunEnd, named
 from equipoise.logs.recorder import CONNECTING, WORD_TYPED, Recorder, push_event
 from equipoise.logs.writer import RunWriter
@@ -395,7 +395,8 @@ def run_on_rig(
         for result in results:
             columns = (result.name, result.status, result.text, result.remedy)
             tell(OperatorMessage("finding", "\t".join(map(printable, columns))))
-        require(results)
+        require(check_fit(request.policy, request.actuator, request.settings))
+        require(results, OutsideError)
         if max_speed < inf:
             text = f"{max_speed!r} m/s: the run stops when the flange reaches this speed."
             tell(OperatorMessage(SPEED_LIMIT, text))

@@ -143,6 +143,8 @@ class Emulation:
                 port = self._serve(host, port, stop, listening)
                 listening = ignore
                 self.bench.body.servo(False)
+                if stop():
+                    break
                 if self._restart_at == inf:
                     self._say("the robot's server has ended")
                     self._restart(RESTART if self._attended else inf)
