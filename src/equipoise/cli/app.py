@@ -4,7 +4,6 @@ from functools import partial
 
 import typer
 
-from equipoise.cli.compare import compare
 from equipoise.cli.console import console
 from equipoise.cli.deploy import deploy
 from equipoise.cli.doctor import doctor
@@ -12,20 +11,18 @@ from equipoise.cli.emulate import emulate
 from equipoise.cli.evaluate import evaluate
 from equipoise.cli.explain import explain
 from equipoise.cli.export import export
-from equipoise.cli.gap import gap
 from equipoise.cli.identify import identify
-from equipoise.cli.map import map_recoverable
 from equipoise.cli.play import play
 from equipoise.cli.record import record
 from equipoise.cli.refine import refine
 from equipoise.cli.reproduce import reproduce
 from equipoise.cli.show import show
-from equipoise.cli.sweep import sweep
 from equipoise.cli.train import train
 
-PIPELINE = "Pipeline"
-ROBOT = "The robot"
-LOGS = "Logs"
+PIPELINE = (reproduce, identify, train, evaluate, refine, play)
+"""Verbs without a robot."""
+ROBOT = (deploy, console)
+"""Verbs for runs on a robot."""
 
 group = partial(
     typer.Typer,
@@ -41,20 +38,17 @@ app = group(
 )
 rig = group(help="Check, emulate and use a rig: doctor, emulate, record.")
 log = group(help="Read the log of a run: show, explain, export.")
-
-for verb in (reproduce, identify, train, evaluate):
-    app.command(rich_help_panel=PIPELINE)(verb)
-app.command("map", rich_help_panel=PIPELINE)(map_recoverable)
-for verb in (compare, gap, refine, sweep, play):
-    app.command(rich_help_panel=PIPELINE)(verb)
-for verb in (deploy, console):
-    app.command(rich_help_panel=ROBOT)(verb)
-for verb in (doctor, emulate, record):
-    rig.command()(verb)
-for verb in (show, explain, export):
-    log.command()(verb)
-app.add_typer(rig, name="rig", rich_help_panel=ROBOT)
-app.add_typer(log, name="log", rich_help_panel=LOGS)
+members = (
+    (app, "Pipeline", PIPELINE),
+    (app, "The robot", ROBOT),
+    (rig, None, (doctor, emulate, record)),
+    (log, None, (show, explain, export)),
+)
+for parent, panel, verbs in members:
+    for verb in verbs:
+        parent.command(rich_help_panel=panel)(verb)
+app.add_typer(rig, name="rig", rich_help_panel="The robot")
+app.add_typer(log, name="log", rich_help_panel="Logs")
 
 
 def _version(wanted: bool) -> None:
