@@ -53,7 +53,6 @@ generated:  ## write the kinematics of the iiwas again; git must see no differen
 
 pictures:  ## make the pictures of README and documents again, in a minute
 	$(PYTHON) docs/figures/make.py
-	$(PYTHON) docs/figures/rooms.py
 
 screenshots:  ## take the pictures of playground, console and replay; needs Chromium
 	$(PYTHON) docs/figures/screenshots.py

@@ -11,8 +11,6 @@ import numpy as np
 from checks import check
 
 import equipoise as eq
-from equipoise.studies.gap import expected_actuator
-from equipoise.worlds.twin.servo_model import equivalent_actuator
 
 # %% [markdown]
 # ## How the arm responds
@@ -44,7 +42,7 @@ policy
 
 # %% [markdown]
 # Here it runs with and without the prediction, on twins with more and more delay. The controller always knows the
-# delay: `expected_actuator` returns the actuator that an identification would find there.
+# delay: its actuator is moved by as much as the twin's.
 
 # %%
 nominal = eq.read_world("twin:nominal")
@@ -67,8 +65,11 @@ def survival(delay, predict):
         name=f"twin:{1e3 * delay:g}ms",
         settings=nominal.settings.model_copy(update={"transport": delay}),
     )
-    before, after = equivalent_actuator(nominal.settings), equivalent_actuator(world.settings)
-    known = expected_actuator(policy.actuator, before, after)
+    identified = policy.actuator.delay
+    true = identified.value + delay - nominal.settings.transport
+    known = policy.actuator.model_copy(
+        update={"delay": eq.Estimate.around(max(true, 0.0), 0.0, "assumed")}
+    )
     results = eq.evaluate(
         policy, settings_with(predict), world=world, actuator=known, with_baselines=False, workers=2
     ).results

@@ -187,7 +187,7 @@ check(3, trainings, lambda n: n == 6, "The p of n tosses with the same result is
 
 # %%
 runs = {
-    name: eq.deploy(policy, world="twin:nominal", duration=20.0, seed=4)
+    name: eq.simulate_run(policy, world="twin:nominal", duration=20.0, seed=4)
     for name, policy in (("mine", table), ("lqr", eq.load_policy("lqr")))
 }
 for name, run in runs.items():
@@ -197,4 +197,4 @@ runs["mine"]
 # %% [markdown]
 # Where to go from here: a reward of your own, another partition of the boxes, a network
 # ([bring a policy](../docs/how-to/bring-a-policy.md)), all of them in one comparison
-# (`equipoise compare`), or a real pendulum.
+# (`experiments/compare.py`), or a real pendulum.

@@ -81,7 +81,6 @@ CONTENTS = {
         "/docs/explanation/inside-the-cabinet",
         "/docs/explanation/dry-friction",
         "/docs/explanation/comparison",
-        "/docs/explanation/scale",
         "/docs/safety-case",
     ],
     "Reference": [

@@ -11,7 +11,7 @@ import equipoise as eq
 
 policy = eq.TabularPolicy.load(Path(sys.argv[1])) if len(sys.argv) > 1 else eq.shipped_policy()
 
-run = eq.deploy(policy, world="twin:nominal", seed=1, duration=20.0)
+run = eq.simulate_run(policy, world="twin:nominal", seed=1, duration=20.0)
 
 print(f"{run.conditions.world}: stood {run.lasted:g} of {run.conditions.duration:g} s")
 print(f"ended by: {run.cause}")

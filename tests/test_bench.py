@@ -30,6 +30,7 @@ from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.pendulum import Pendulum, PendulumParameters
 from equipoise.settings import Settings, resolve
+from equipoise.worlds import plant
 from equipoise.worlds.plant import (
     TRACKED,
     DomainRandomization,
@@ -123,8 +124,8 @@ def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
     pytest.importorskip("pinocchio")
     arm = iiwa(size)
     peer = PinocchioLoop(arm, QUIET, paper.STEP)
-    plant, ours = make_loop_params(arm, QUIET, paper.STEP, PENDULUM), new_batch_state()
-    plant.reset(plant, ours, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
+    params, ours = make_loop_params(arm, QUIET, paper.STEP, PENDULUM), new_batch_state()
+    plant.reset(params, ours, PENDULUM, NOMINAL, (0.0, 0.0, 0.0, 0.0), 0)
     rng = np.random.default_rng(5)
     x, x_dot, reached = 0.0, 0.0, 0.0
     for _ in range(1000):
@@ -132,7 +133,7 @@ def test_the_loop_through_pinocchio_moves_the_arm_as_ours_does(size):
         ahead = x + x_dot * abs(x_dot) / 2.0
         u = rng.choice(paper.ACTIONS) if abs(ahead) < 0.15 else -np.sign(ahead) * 2.0
         ours.controller.u[0] = u
-        plant.step(plant, ours, 1)
+        plant.step(params, ours, 1)
         assert peer.run([float(u)]) == 1
         assert peer.q == pytest.approx(ours.controller.q[::BATCH_SIZE], abs=1e-9)
         # u' is a difference of velocities over h = 0.01 s: a hundredth as exact.

@@ -20,12 +20,12 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms import resolve
 from equipoise.model.pendulum import Pendulum
+from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.rig.config import read_rig
-from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
 from tests.faults.harness import Scenario
 from tests.faults.injection import FAULTS, run_fault
 from tests.model.arms.witnesses import ELBOW
-from tests.studies.replayed import replay
+from tests.rig.replayed import replay
 
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-an-arm.md"
 BLOCK = re.compile(r"^```(python|toml|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

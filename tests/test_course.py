@@ -33,7 +33,7 @@ WRONG = {
     "3_reality": (
         "growth = 70.2 * 0.03",
         "at_the_end = 'on the track'",
-        "worst = max(seconds, key=lambda effect: seconds[effect].mean)",
+        "worst = max(seconds, key=seconds.get)",
         "certain = set(alone)",
     ),
     "4_prediction": (

@@ -20,14 +20,9 @@ from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.worlds import read_world
 from equipoise.rig.config import read_rig
 from equipoise.settings import resolve
-from equipoise.studies.compare import compare
-from equipoise.studies.compare_results import Comparison
-from equipoise.studies.gap_results import Gap
-from equipoise.studies.recovery_map import RecoveryMap, map_recovery
 from equipoise.trajectory import read_swing
 from equipoise.worlds.certification import Certificate, certify, make_claim
 from equipoise.worlds.evaluation import Evaluation, evaluate
-from tests.apps.report.made_up_gap import measured, paper_policy
 from tests.cli.damage import DAMAGE, digest, mutations, outcomes
 
 pytestmark = pytest.mark.compiled_only  # files are read by the same code without compilation
@@ -73,23 +68,13 @@ def swing_text():
 
 def certified():
     claim = make_claim(0.9, 0.9, 0.05, trials=30)
-    return certify(shipped_policy(), claim)[0]
+    return certify(shipped_policy(), claim)
 
 
 def evaluated():
     settings = shipped_policy().settings
     few = settings.evaluation.model_copy(update={"trials": 20, "duration": 0.3})
     return evaluate(shipped_policy(), settings.model_copy(update={"evaluation": few}))
-
-
-def studied():
-    policy = shipped_policy()
-    return measured(policy, lambda *_: 1.0, paper_policy=paper_policy(policy))[0]
-
-
-def compared():
-    options = {"worlds": ("model",), "trials": 2, "duration": 0.1}
-    return compare(rows=("lqr", "random"), **options).comparison
 
 
 class Unfinished:
@@ -116,9 +101,6 @@ FORMATS = {
     "actuator.json": (shipped_actuator(), Actuator.load),
     "policy.json": (shipped_policy(), TabularPolicy.load),
     "certificate.json": (certified, Certificate.load),
-    "compare.json": (compared, Comparison.load),
-    "gap.json": (studied, Gap.load),
-    "map.json": (lambda: map_recovery(shipped_policy(), starts=4, duration=0.1), RecoveryMap.load),
     "policy.partial.json": (Unfinished, ResumePoint.load),
     "evaluation.json": (evaluated, Evaluation.load),
 }

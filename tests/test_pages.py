@@ -15,8 +15,7 @@ import pytest
 import equipoise
 from equipoise.cli import main
 from equipoise.control.policy import TabularPolicy, shipped_policy
-from equipoise.studies.sweep_results import read_study
-from equipoise.studies.synthetic_swing import SyntheticSwing, synthetic_swing
+from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
 from equipoise.trajectory import write_swing
 from tests.cli.conftest import parse
 from tests.reference.onnx_network import FLOAT, linear_network
@@ -106,15 +105,6 @@ def write(text, folder):
     (folder / file[1]).write_text(text)
 
 
-def test_the_study_of_the_page_on_sweeps_can_be_run(tmp_path):
-    ((_, text),) = blocks("docs/how-to/sweep.md", "toml")
-    (tmp_path / "study.toml").write_text(text)
-    study = read_study(tmp_path / "study.toml")
-    assert study.count == 40
-    drawn = {name: found.low for name, found in study.ranges.items() if found.choices is None}
-    study.resolved(drawn | {"plant.lag_spread": 0.3, "boxes.x": [-0.14, -0.07, 0.07, 0.14]})
-
-
 LINK = re.compile(r"\[`(\w+)`\]\((\S+?\.py)\)")
 
 
@@ -169,12 +159,12 @@ ELSEWHERE = {
     r"pip install|pytest|pre-commit|make install|venv": "the environment that runs this",
     r"jupyter|jupytext": "tests/test_course.py opens the notebooks",
     r"sudo|printf|arduino-cli|list_ports": "changes or asks this computer's hardware",
-    r"^ray |--ray": "several computers: tests/test_cluster.py",
+    r"^ray |--ray": "several computers: tests/test_executors.py",
     r"coppeliasim": "needs CoppeliaSim: tests/worlds/test_coppeliasim.py",
     r"kst://|serial://|doctor": "needs a rig: tests/robots, tests/rig, tests/cli",
-    r"benchmarks/": "tests/test_benchmarks.py, tests/test_bench.py",
+    r"benchmarks/|experiments/": "tests/test_bench.py, tests/test_experiments.py",
     r"rl/|docker|podman": "needs what another page makes",
-    r"^make docs": "a step of the checks",
+    r"^make ": "a step of the checks",
 }
 """Commands that are not run here, and why."""
 SERVERS = re.compile(r"equipoise (?:play|console|log show|rig emulate)|--console")
@@ -183,15 +173,11 @@ RUN = (
     "README.md",
     "docs/index.md",
     "docs/tutorial.md",
-    "docs/explanation/lqr.md",
-    "docs/explanation/sim-to-real-gap.md",
-    "docs/explanation/comparison.md",
     "docs/how-to/digital-twin.md",
     "docs/how-to/encoder.md",
     "docs/how-to/first-run.md",
     "docs/how-to/learn-from-the-robot.md",
     "docs/how-to/replay.md",
-    "docs/how-to/sweep.md",
     "docs/how-to/your-own-pendulum.md",
     "docs/reference/command-line.md",
 )
@@ -236,11 +222,9 @@ def folder(tmp_path):
     (tmp_path / "my_module.py").write_text(
         "def my_function(observation):\n    return 24.0 * observation[2] + 3.0 * observation[3]\n"
     )
-    for page, file in (("sweep.md", "study.toml"), ("digital-twin.md", "mine.toml")):
+    for page, file in (("first-run.md", "rig.toml"), ("digital-twin.md", "mine.toml")):
         ((_, text),) = blocks(f"docs/how-to/{page}", "toml")
         (tmp_path / file).write_text(text)
-    ((_, text),) = blocks("docs/how-to/first-run.md", "toml")
-    (tmp_path / "rig.toml").write_text(text)
     return tmp_path
 
 
@@ -287,7 +271,7 @@ def forced(line):
     words = shlex.split(first.split("&&")[0].split("||")[0])[1:]
     if words[:1] == ["-m"]:
         words = words[2:]
-    known = "force" in parse(words) and not {"--resume", "--verify"} & set(words)
+    known = "force" in parse(words)
     return re.sub(r"( &&| \|\||$)", r" --force\1", first, count=1) if known else first
 
 

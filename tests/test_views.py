@@ -30,7 +30,7 @@ def values(small_policy, pendulum):
         "identified": eq.shipped_pendulum(),
         "policy": small_policy,
         "evaluation": eq.evaluate(small_policy, settings, with_baselines=False),
-        "run": eq.deploy(small_policy, world=MODEL, duration=1.0),
+        "run": eq.simulate_run(small_policy, world=MODEL, duration=1.0),
     }
 
 

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from equipoise.model.encoder import simulate_swing
     from equipoise.model.pendulum import Pendulum, PendulumParameters, shipped_pendulum
     from equipoise.model.worlds import read_world
+    from equipoise.reproduction.pipeline import reproduce
     from equipoise.rig.simulate import excite, simulate_run
     from equipoise.settings import Settings, resolve
-    from equipoise.studies.reproduction import reproduce
     from equipoise.trajectory import Trajectory, read_swing, write_swing
     from equipoise.worlds.certification import Certificate, certify, make_claim
     from equipoise.worlds.evaluation import Evaluation, evaluate
@@ -65,7 +65,7 @@ _HOMES = {
     "logs.run_log": ("RunLog",),
     "settings": ("Settings", "resolve"),
     "worlds.certification": ("Certificate", "certify", "make_claim"),
-    "studies.reproduction": ("reproduce",),
+    "reproduction.pipeline": ("reproduce",),
     "learning.training": ("train", "train_to_target"),
     "trajectory": ("Trajectory", "read_swing", "write_swing"),
 }

@@ -1,15 +1,13 @@
 """Execution of independent tasks: the one place where work is spread over threads or machines.
 
-Populations of learners, pieces of an evaluation, conditions of a gap and trials of a sweep are
-tasks: a function, and a sequence of its arguments. A result does not depend on where its task ran.
-Compiled kernels release the interpreter, so that threads use all cores. `equipoise.cluster` spreads
-tasks over machines: there, function and tasks are pickled, and results come back the same way.
+Populations of learners and pieces of an evaluation are tasks: a function, and a sequence of its
+arguments. A result does not depend on where its task ran. Compiled kernels release the interpreter,
+so that threads use all cores. `equipoise.cluster` spreads tasks over machines.
 """
 
 import os
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from queue import SimpleQueue
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import NamedTuple, Protocol, TypeVar
 
 Task = TypeVar("Task")
@@ -39,11 +37,11 @@ class Executor(Protocol):
 
         Args:
             function: Function of one task, called in any thread or process.
-            tasks: Arguments; a free thread takes the next one.
+            tasks: Arguments.
 
         Yields:
-            Index of the task, and its result. The first error ends all tasks; so does closing the
-            iterator.
+            Index of the task, and its result. An error of a task is raised here. After it, or once
+            the iterator is closed, no further task begins.
         """
         ...
 
@@ -63,34 +61,21 @@ class ThreadExecutor(NamedTuple):
 
         See `Executor.completed`.
         """
-        waiting = list(range(len(tasks)))
-        taking = iter(waiting)  # threads share the iterator of a list
         if self.workers == 1:
-            for i in taking:
+            for i in range(len(tasks)):
                 yield i, function(tasks[i])
             return
-        results: SimpleQueue[tuple[int, Result] | None] = SimpleQueue()
 
-        def work_on() -> None:
-            try:
-                for i in taking:
-                    results.put((i, function(tasks[i])))
-            except BaseException:
-                waiting.clear()
-                raise
-            finally:
-                results.put(None)
+        def run(i: int) -> Result:
+            return function(tasks[i])
 
-        with ThreadPoolExecutor(self.workers) as pool:
-            threads = [pool.submit(work_on) for _ in range(self.workers)]
-            try:
-                for _ in threads:
-                    while (completed := results.get()) is not None:
-                        yield completed
-                for thread in threads:
-                    thread.result()
-            finally:
-                waiting.clear()
+        pool = ThreadPoolExecutor(self.workers)
+        try:
+            index_of = {pool.submit(run, i): i for i in range(len(tasks))}
+            for future in as_completed(list(index_of)):
+                yield index_of.pop(future), future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 Workers = int | Executor
@@ -100,32 +85,6 @@ Workers = int | Executor
 def executor_of(workers: Workers) -> Executor:
     """Return the executor of a number of threads, or the given one."""
     return ThreadExecutor(workers) if isinstance(workers, int) else workers
-
-
-def run_all(executor: Executor, function: Callable[[Task], object], tasks: Sequence[Task]) -> None:
-    """Call `function(task)` for each task; the first error ends all of them.
-
-    Args:
-        executor: Runner of the tasks.
-        function: Function of one task; its results are dropped.
-        tasks: Arguments.
-    """
-    for _ in executor.completed(function, tasks):
-        pass
-
-
-def run_in_order(
-    executor: Executor, function: Callable[[Task], Result], tasks: Sequence[Task]
-) -> list[Result]:
-    """Call `function(task)` for each task; return the results in the order of the tasks.
-
-    Args:
-        executor: Runner of the tasks.
-        function: Function of one task.
-        tasks: Arguments.
-    """
-    found = dict(executor.completed(function, tasks))
-    return [found[i] for i in range(len(tasks))]
 
 
 def available_cores() -> int:

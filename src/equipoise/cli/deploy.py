@@ -72,18 +72,18 @@ def deploy(
     With --excite the arm moves by itself, and equipoise identify makes an
     actuator of the log. Exit code 1: the pendulum fell.
     """
-    on_a_rig = rig.robot is not None or (rig.rig is not None and not run.excite)
+    on_a_rig = rig != opt.Rig()
     if run.excite and (policy or on_a_rig or task.actuator or task.settings):
         raise InputError("--excite moves a simulated arm; give it --arm and --pendulum alone")
     if not on_a_rig and on_rig != OnRig():
-        raise InputError(f"{', '.join(on_rig.model_fields_set)} need a rig; give --robot")
+        raise InputError("--dry-run, --t1, --identify, --anyway and --console need --robot")
     beside = (ACTUATOR,) if on_rig.identify else ()
     out = files.file("run.mcap", policy, task.pendulum, rig.rig, suffix=".mcap", beside=beside)
     if on_a_rig:
         from equipoise.cli.rig_run import run_on_rig
 
         request = _request(output, policy, run, task, rig, on_rig)
-        run_on_rig(output, request, out, replace=files.force, console=on_rig.console)
+        run_on_rig(output, request, out, console=on_rig.console)
         return
 
     from equipoise.rig import simulate

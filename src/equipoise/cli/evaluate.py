@@ -81,14 +81,14 @@ def evaluate(
     inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
     evaluation.save(out, command="evaluate", inputs=inputs)
     fields = trial_fields(evaluation.results)
-    others = {each.name: trial_fields(each) for each in evaluation.baselines}
     output.result(
         world=evaluation.world,
         arm=evaluation.arm,
         duration_s=evaluation.duration,
         seed=evaluation.seed,
         friction=evaluation.friction and evaluation.friction.describe(evaluation.world),
-        results={"policy": fields, **others},
+        **fields,
+        baselines={each.name: trial_fields(each) for each in evaluation.baselines},
         evaluation=out,
         code=int(fields["median_s"] < evaluation.duration),
         then="deploy POLICY",

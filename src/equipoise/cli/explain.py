@@ -32,7 +32,7 @@ def explain(output: Output, run: Path) -> None:
     found = why(read)
     how, log = found.ending, found.log
     output.result(
-        warnings=[read.missing_part],
+        warnings=[read.damage],
         ended=how.cause,
         reason=how.reason,
         phase=how.phase and how.phase.value,

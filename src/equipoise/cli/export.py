@@ -39,17 +39,18 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
         raise InputError("--from and --to choose the part of a film; give --video FILE as well")
     if files.out is not None or video is None:
         folder = files.folder(run.with_name(f"{run.stem}-csv"))
-    log = RunLog.load(run, damaged=True)
     if video is not None:
         if (suffix := video.suffix.lower()) not in SUFFIXES:
             raise InputError(f"--video is {video}; give a name that ends in .mp4 or .webp")
         opt.Files(out=video, force=files.force).file("", run, suffix=suffix)
+    log = RunLog.load(run, damaged=True)
+    if video is not None:
         with output.busy("drawing the film"):
             write_video(log, log.conditions.arm, video, begin=film.from_, end=film.to)
     output.result(
         run=run,
         tables=None if folder is None else export(log, folder),
         video=video,
-        warnings=[log.missing_part],
+        warnings=[log.damage],
         then="log explain RUN",
     )

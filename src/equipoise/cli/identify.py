@@ -99,7 +99,7 @@ def _identify_actuator(output: Output, log: Path, files: opt.Files) -> None:
         actuator,
         fit,
         rotor_inertia=drive and drive.rotor,
-        warnings=[run.missing_part, *(fit.warnings if fit else ())],
+        warnings=[run.damage, *(fit.warnings if fit else ())],
         actuator=out,
         then="train PENDULUM --actuator ACTUATOR",
     )

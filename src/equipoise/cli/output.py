@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from equipoise.artefacts import Estimate
     from equipoise.control.policy import TaskPolicy
-    from equipoise.studies.progress import ProgressReporter, Show
+    from equipoise.progress import Show, StageProgress
     from equipoise.worlds.evaluation import Done
 
 VERDICT_STYLES = {"good": "green", "warning": "yellow", "bad": "bold red", "unknown": "dim"}
@@ -138,7 +138,7 @@ class Output:
         lock = threading.Lock()
         with bars, signals(raising=True) as stopped:
 
-            def show(stage: "ProgressReporter") -> None:
+            def show(stage: "StageProgress") -> None:
                 if stopped.is_set():
                     raise KeyboardInterrupt
                 with lock:
@@ -161,12 +161,11 @@ class Output:
         Yields:
             Callback for finished trials.
         """
-        from equipoise.studies import compilation
-        from equipoise.studies.progress import counted
+        from equipoise.progress import compile_trials, compiling, counted
 
         with self.progress() as show:
-            with compilation.compiling(show, compilation.FUNCTIONS):
-                compilation.compile_trials(policy, world)
+            with compiling(show):
+                compile_trials(policy, world)
             yield counted("evaluate", total, show)
 
     @contextmanager

@@ -52,7 +52,7 @@ def refine(
 
     table = TabularPolicy.load(policy)
     logs = {printable(str(path)): load_run(path) for path in runs}
-    output.warn(*(log.missing_part for log in logs.values()))
+    output.warn(*(log.damage for log in logs.values()))
     with output.busy("identifying again"):
         findings = inspect(table, logs)
     made: dict[str, Artefact] = {}
@@ -80,16 +80,15 @@ def _retrain(
     random: opt.Random,
 ) -> "Refinement":
     from equipoise.identification import refinement as study
-    from equipoise.studies import compilation
-    from equipoise.studies.progress import ProgressReporter, TrainingProgress
+    from equipoise.progress import StageProgress, TrainingProgress, compile_training, compiling
 
     settings = study.settings_of_retraining(policy.settings, episodes)
     with output.progress() as show:
-        with compilation.compiling(show, compilation.FUNCTIONS):
-            compilation.compile_training(policy.arm, settings)
+        with compiling(show):
+            compile_training(policy.arm, settings)
 
         def trials(stage: str, done: int, of: int) -> None:
-            show(ProgressReporter(stage, done, of, "trials"))
+            show(StageProgress(stage, done, of, "trials"))
 
         return study.retrain(
             policy,

@@ -42,12 +42,12 @@ def reproduce(
         raise InputError("options of a recording need one; give it with --swing")
     begin = time.perf_counter()
 
-    from equipoise.apps.report.page import PAGE, build
-    from equipoise.studies.progress import ProgressReporter
-    from equipoise.studies.reproduction import discard, reproduce
+    from equipoise.apps.report.page import build
+    from equipoise.progress import StageProgress
+    from equipoise.reproduction.pipeline import reproduce
+    from equipoise.reproduction.results import verdict
     from equipoise.trajectory import read_swing
 
-    discard(out)
     with output.progress() as show:
         found = reproduce(
             out,
@@ -59,19 +59,19 @@ def reproduce(
             workers=random.threads,
             report=show,
         )
-        build(out, lambda name, share: show(ProgressReporter("report", share, text=name)))
-    evaluation, run = found.results.evaluation, found.results.run
-    trials = trial_fields(evaluation.results)
+        show(StageProgress("report"))
+        page = build(out, lambda name, share: show(StageProgress("report", share, text=name)))
+    trials = trial_fields(found.evaluation.results)
     output.result(
-        verdict=list(found.verdict),
+        verdict=list(verdict(found)),
         **trials,
-        duration_s=evaluation.duration,
-        world=run.conditions.world,
-        lasted_s=run.lasted,
-        cause=run.cause,
+        duration_s=found.evaluation.duration,
+        world=found.run.conditions.world,
+        lasted_s=found.run.lasted,
+        cause=found.run.cause,
         wall_s=time.perf_counter() - begin,
-        report=out / PAGE,
-        warnings=[found.results.policy.shortfall],
-        code=int(trials["median_s"] < evaluation.duration),
+        report=page,
+        warnings=[found.policy.shortfall],
+        code=int(trials["median_s"] < found.evaluation.duration),
         then="evaluate POLICY --trials 1000",
     )

@@ -27,16 +27,13 @@ class Spectator:
         return ["stop"] if self._stopped.is_set() else []
 
 
-def run_on_rig(
-    output: Output, request: "RunRequest", out: Path, *, replace: bool, console: bool
-) -> None:
+def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: bool) -> None:
     """Run on an emulated or a real rig, write the log, and print the result.
 
     Args:
         output: The terminal.
         request: The run.
         out: Path of the log.
-        replace: Whether an existing log is replaced.
         console: Whether the run is shown in the browser, too.
     """
     from equipoise.rig.config import is_virtual
@@ -55,10 +52,10 @@ def run_on_rig(
     person = TerminalOperator(output)
     if is_virtual(request.robot):
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
-            end = run_virtually(request, out, Spectator(person, stopped), replace=replace)
+            end = run_virtually(request, out, Spectator(person, stopped))
     else:
         with _beside(output, console), single_keys():
-            end = run_in_processes(request, out, person, replace=replace)
+            end = run_in_processes(request, out, person)
     actuator = None
     if end.identified is not None:
         actuator = out.with_name(out.stem + ACTUATOR)

@@ -21,7 +21,7 @@ def show(output: Output, run: Path, *, page: opt.Page) -> None:
     log = RunLog.load(run, damaged=True)
 
     def ready(address: str) -> None:
-        output.result(run=run, replay=address, warnings=[log.missing_part])
+        output.result(run=run, replay=address, warnings=[log.damage])
 
     with signals() as stopped:
         show_run(log, run.stem, page.listen, page.port, ready, stopped.is_set)

@@ -65,8 +65,7 @@ def train(
 
     from equipoise.artefacts import partial_path
     from equipoise.learning.training import TARGET, actuators_in, check_task, train_to_target
-    from equipoise.studies.compilation import FUNCTIONS, compile_training, compiling
-    from equipoise.studies.progress import TrainingProgress
+    from equipoise.progress import TrainingProgress, compile_training, compiling
 
     begin = time.perf_counter()
     named = {f"learning.{n}": getattr(learning, n) for n in ("learner", "reward", "episodes")}
@@ -80,7 +79,7 @@ def train(
     output.warn(check_task(source, arm, settings, behind, target))
     partial = partial_path(out) if learning.all else None
     with output.progress() as show:
-        with compiling(show, FUNCTIONS):
+        with compiling(show):
             compile_training(arm, settings)
         progress = TrainingProgress(settings, show, learning.learners, population=learning.all)
         trained = train_to_target(
@@ -99,7 +98,8 @@ def train(
         )
     best = trained.policy
     actuators = {f"actuator {i}": each.digest for i, each in enumerate(best.actuators, start=1)}
-    best.save(out, command="train", inputs={"pendulum": source.digest, **actuators})
+    inputs = {"pendulum": source.digest, "world": plant.world, **actuators}
+    best.save(out, command="train", inputs=inputs)
     if partial is not None:
         partial.unlink(missing_ok=True)
     output.result(
@@ -107,7 +107,6 @@ def train(
         learner=best.learner,
         episodes=best.episodes,
         steps=best.steps,
-        steps_per_second=progress.speed,
         wall_s=time.perf_counter() - begin,
         tests={f"actuator {i}": test.model_dump() for i, test in enumerate(best.tests, start=1)},
         learners={

@@ -41,7 +41,8 @@ def verb(function: Callable[..., None]) -> Callable[..., None]:
     for name, parameter in signature(function).parameters.items():
         if group := groups.get(name):
             for field, info in group.model_fields.items():
-                add(field, info.annotation, info.default, _option(field, info, group))
+                default = Parameter.empty if info.is_required() else info.default
+                add(field, info.annotation, default, _option(field, info, group))
         elif hints[name] is not Output:
             add(name, hints[name], parameter.default, typer.Argument(show_default=False))
     json = typer.Option("--json", help="Print one JSON object and nothing else.")

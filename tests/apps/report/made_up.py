@@ -15,12 +15,11 @@ from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum, SwingFit
 from equipoise.model.worlds import MODEL, read_world
+from equipoise.reproduction.results import PipelineStage, ReproductionRecord, Results, digests
+from equipoise.reproduction.synthetic_swing import SyntheticSwing
 from equipoise.settings import resolve
-from equipoise.studies.results import PipelineStage, Results, StageRecord, digests
-from equipoise.studies.synthetic_swing import SyntheticSwing
 from equipoise.trajectory import Trajectory
 from equipoise.worlds.evaluation import Evaluation, TrialResults
-from tests.apps.report.made_up_gap import falls_early, measured
 
 W2, C, RELEASE = 70.2, 0.15, 0.5
 AHEAD = 0.03
@@ -145,6 +144,12 @@ def evaluation(of, falls=(3.0, 20.0)):
     )
 
 
+def twin_evaluation(of):
+    """The same policy on the twin, without baselines."""
+    there = {"world": "twin:nominal", "world_settings": read_world("twin:nominal").settings}
+    return evaluation(of, ()).model_copy(update={**there, "baselines": ()})
+
+
 def run(of, lasted=60.0, cause="lasted", world=MODEL):
     """A run of sines, with the boxes of a few states; on a twin the policy saw them early."""
     n = round(lasted / 0.01)
@@ -210,9 +215,8 @@ def results(
     trajectory = swing(source=given or "simulated swing")
     identified = pendulum(trajectory, warnings)
     trained = policy(identified, recipe)
-    studied = world != MODEL and recipe != "paper"
     found = Results(
-        record=StageRecord(
+        record=ReproductionRecord(
             quick=quick,
             seed=0,
             workers=2,
@@ -229,10 +233,10 @@ def results(
         pendulum=identified,
         policy=trained,
         evaluation=evaluation(trained, falls),
+        twin_evaluation=None if world == MODEL else twin_evaluation(trained),
         run=run(trained, world=world, **of_run),
-        gap=measured(trained, falls_early, quick=True)[0] if studied else None,
     )
-    record = found.record.model_copy(update={"files": dict(digests(found))})
+    record = found.record.model_copy(update={"files": digests(found)})
     return found._replace(record=record)
 
 

@@ -11,16 +11,15 @@ import pytest
 
 from equipoise import paper
 from equipoise.apps.report.choices import chapters, departures
-from equipoise.apps.report.markup import Missing, paragraph
+from equipoise.apps.report.markup import Missing
 from equipoise.apps.report.page import DRAWINGS, PAGE, build, drawings, page
 from equipoise.apps.report.page import FILM as FILM_FILE
 from equipoise.apps.report.pictures import Animation, animation, strip
 from equipoise.control.control_step import horizon
 from equipoise.errors import ArtefactError, OutsideError
 from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.reproduction import results as files
 from equipoise.settings import RECIPES, Settings, resolve
-from equipoise.studies import results as files
-from equipoise.studies.gap_results import sentences as gap_words
 from equipoise.trajectory import write_swing
 from tests.apps.report import made_up
 
@@ -38,7 +37,6 @@ SECTIONS = (
     "The learned policy",
     "Survival on the training plant",
     "Recorded run",
-    "Gap between training plant and twin",
     "Assumptions beyond the paper",
     "Provenance and reproduction",
 )
@@ -113,7 +111,7 @@ def test_every_figure_is_there_once_with_words_for_those_who_cannot_see_it(plain
         alt = [value for tag, name, value in reader.attributes if (tag, name) == ("img", "alt")]
         assert len(alt) == expected + 1  # the film
         assert all(len(words) > 20 for words in alt)
-    assert len(PICTURES) == len(DRAWINGS) + 2  # the encoder's zero, and the gap
+    assert len(PICTURES) == len(DRAWINGS) + 1  # the encoder's zero
 
 
 def test_the_film_plays_in_the_page_but_not_for_those_who_asked_for_less_motion(plain):
@@ -143,18 +141,17 @@ def test_what_comes_from_outside_is_escaped():
     assert "<b>bold</b> &" in words
 
 
-def test_the_verdict_has_five_lines_and_says_that_it_is_simulation(plain):
+def test_the_verdict_says_that_it_is_simulation(plain):
     verdict = plain.split('<ol class="verdict">')[1].split("</ol>")[0]
     assert verdict.count("<li>") == 5
     words = Reader(plain).text
     first = plain.split('class="tile"><b>')[1]
-    # All eight trials of the short study of the gap, at the twin's own delay, by its rule.
-    assert first.startswith("8 of 8</b><span>trials stood 20 s on the digital twin twin:nominal;")
+    assert first.startswith("20 of 20</b><span>trials stood 60 s on the digital twin twin:nominal;")
     assert "18 of 20" in words
     # Clopper-Pearson for 18 of 20, from any table: 68.3 to 98.8 %.
     assert "68.3 % to 98.8 %" in words
     assert "5 s balancing time of the paper's one run on the real arm" in words
-    assert "it is not the authors' robot" in words
+    assert "none is from a robot" in words
 
 
 def test_the_twin_is_described_with_what_it_has_and_has_not(plain):
@@ -191,27 +188,15 @@ def test_what_the_policy_saw_is_ahead_by_the_horizon_of_the_controller(lead):
 
 def test_an_arm_without_a_twin_runs_on_the_model_and_the_page_says_so():
     words = Reader(made(world=MODEL)).text
-    assert "There is no digital twin of the iiwa7" in words
-    assert "the gap to a robot was not studied" in words
-    for claim in ("a setpoint takes effect", "the drives do not", "equipoise gap", "ms ahead"):
+    assert "There is no twin of the iiwa7" in words
+    for claim in ("a setpoint takes effect", "the drives do not", "ms ahead"):
         assert claim not in words
 
 
 def test_a_policy_of_the_paper_has_no_cures_and_the_page_says_so():
     words = Reader(made(recipe="paper")).text
     assert "The arm follows its commands at once" in words
-    assert "has none" in words
     assert "estimates angle, angular" not in words
-
-
-def test_the_gap_is_told_as_a_short_form_in_its_own_words(plain):
-    words = Reader(plain).text
-    assert "the short form of that study, 8 trials of 20 s at each point" in words
-    conclusion, *_ = lines = gap_words(made_up.results().gap)
-    assert conclusion.startswith("In short: on twin:nominal")
-    assert plain.count(f'<p class="conclusion">{conclusion}</p>') == 1
-    for line in lines:
-        assert Reader(paragraph(line)).text in words
 
 
 def test_angles_are_written_alike_everywhere(plain):
@@ -333,15 +318,15 @@ def folder(tmp_path_factory):
         policy=policy,
         evaluation=made_up.evaluation(policy),
         run=made_up.run(policy, lasted=8.0, cause="track", world="twin:nominal"),
-        gap=made_up.measured(policy, made_up.falls_early, quick=True)[0],
+        twin_evaluation=made_up.twin_evaluation(policy),
     )
-    record = found.record.model_copy(update={"files": dict(files.digests(found))})
+    record = found.record.model_copy(update={"files": files.digests(found)})
     for value, name in (
         (found.pendulum, files.PENDULUM),
         (found.policy, files.POLICY),
         (found.evaluation, files.EVALUATION),
         (found.run, files.RUN),
-        (found.gap, files.GAP),
+        (found.twin_evaluation, files.TWIN_EVALUATION),
         (record, files.RECORD),
     ):
         value.save(out / name, command="test")

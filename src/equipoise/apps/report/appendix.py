@@ -10,9 +10,9 @@ from equipoise.artefacts import Provenance
 from equipoise.model.arms.arm import Arm
 from equipoise.model.arms.resolve import DEFAULT, arm_option
 from equipoise.model.worlds import TwinSettings
+from equipoise.reproduction import results as files
+from equipoise.reproduction.results import Results
 from equipoise.settings import closest_recipe, resolve
-from equipoise.studies import results as files
-from equipoise.studies.results import Results
 
 DIGITS = 12
 """Number of hexadecimal digits of a digest on the page; the files hold all of them."""
@@ -22,7 +22,7 @@ CONTENTS = {
     files.POLICY: "the table, with its settings and learning curve",
     files.EVALUATION: "every trial of the policy and of the baselines",
     files.RUN: "the recorded run; Foxglove opens it",
-    files.GAP: "every trial of the gap study",
+    files.TWIN_EVALUATION: "every trial on the digital twin",
 }
 
 
@@ -137,6 +137,5 @@ def _commands(results: Results) -> list[str]:
         f"equipoise train {files.PENDULUM} --arm {arm or DEFAULT} --out {files.POLICY}",
         f"equipoise evaluate {files.POLICY} --world {world}",
         f"equipoise deploy {files.POLICY} --world {world}",
-        *([f"equipoise gap {files.POLICY} --world {world}"] if results.gap else []),
         f"equipoise log explain {files.RUN}",
     ]

@@ -6,8 +6,8 @@ import numpy as np
 
 from equipoise import paper
 from equipoise.model.worlds import MODEL, TwinSettings
+from equipoise.reproduction.results import Results, truth
 from equipoise.settings import BoxSettings
-from equipoise.studies.results import Results, truth
 from equipoise.worlds.formatting import LASTED, format_end, format_failures, percent
 
 

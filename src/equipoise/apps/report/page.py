@@ -19,7 +19,7 @@ from equipoise.apps.report.sections_training import sections_training
 from equipoise.apps.report.style import save
 from equipoise.artefacts import Provenance, read_document, write_whole
 from equipoise.errors import OutsideError
-from equipoise.studies.results import RECORD, Results, estimates_zero, load
+from equipoise.reproduction.results import RECORD, Results, estimates_zero, load
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,12 +49,9 @@ DRAWINGS: Final[Mapping[str, Draw]] = {
 
 def drawings(results: Results) -> Mapping[str, Draw]:
     """Return the drawing functions for a reproduction, by the names of their files."""
-    gap = results.gap
     draw: dict[str, Draw] = dict(DRAWINGS)
     if estimates_zero(results.run):
         draw["encoder-zero"] = lambda r: figures.encoder_zero(r.run)
-    if gap is not None:
-        draw["gap"] = lambda _: figures.gap_figure(gap)
     return draw
 
 

@@ -1,4 +1,4 @@
-"""Sections of the report on the policy: the table, its trials, the recorded run, the gap."""
+"""Sections of the report on the policy: the table, its trials, the recorded run."""
 
 from collections.abc import Iterator
 
@@ -8,17 +8,15 @@ from equipoise import paper
 from equipoise.apps.report import markup as html
 from equipoise.control.control_step import horizon
 from equipoise.model.worlds import MODEL, PivotFriction, TwinSettings
-from equipoise.studies.gap_results import sentences
-from equipoise.studies.results import Results, estimates_zero, no_gap, observation_differs
+from equipoise.reproduction.results import Results, estimates_zero, observation_differs
 from equipoise.worlds.formatting import format_end, format_failures, percent
 
 
 def sections_results(results: Results, picture: html.Picture) -> Iterator[html.Part]:
-    """Yield the sections on the policy, its evaluation, the recorded run and the gap."""
+    """Yield the sections on the policy, its evaluation and the recorded run."""
     yield _policy(picture)
     yield _evaluation(results, picture)
     yield _deployment(results, picture)
-    yield _gap(results, picture)
 
 
 def _policy(picture: html.Picture) -> html.Part:
@@ -143,7 +141,8 @@ def _stand_in(results: Results) -> str:
     conditions, pendulum = results.run.conditions, "a pendulum that differs from the training's"
     if conditions.world == MODEL:
         where = "the simulated training plant replaces the robot"
-        return f"Here {where}, with {pendulum}. {no_gap(results)}"
+        unknown = f"There is no twin of the {conditions.arm.name}, whose masses are not known."
+        return f"Here {where}, with {pendulum}. {unknown}"
     return (
         f"Here a digital twin replaces the robot, `{conditions.world}`: the "
         f"{conditions.arm.name} in an independent physics engine (MuJoCo), a model of its server "
@@ -201,7 +200,7 @@ def _servo(twin: TwinSettings) -> Iterator[str]:
 
 def _conditions(results: Results) -> Iterator[tuple[str, str, str]]:
     conditions, trained = results.run.conditions, results.pendulum.parameters()
-    real, (x, x_dot, *angles) = conditions.pendulum, results.run.start
+    real, (x, x_dot, *angles) = conditions.pendulum, conditions.start or (0.0,) * 4
     phi, phi_dot = np.rad2deg(angles)
     yield "w2 [1/s²]", f"{trained.w2:.2f}", f"{real['w2']:.2f}"
     yield "k [1/m]", f"{trained.k:.3f}", f"{real['k']:.3f}"
@@ -247,31 +246,4 @@ def _zero(picture: html.Picture) -> str:
         "vertical. A true lean accelerates the fall, an error of the zero does not: from this "
         "difference the controller estimates the error while balancing, and subtracts it.",
         "Error of the encoder's zero and its estimate against time",
-    )
-
-
-def _gap(results: Results, picture: html.Picture) -> html.Part:
-    name, title = "gap", "Gap between training plant and twin"
-    gap = results.gap
-    if gap is None:
-        return html.part(name, title, html.paragraph(no_gap(results)))
-    conclusion, *findings = sentences(gap)
-    return html.part(
-        name,
-        title,
-        html.paragraph(
-            "On the robot, a policy trained without delay and with a perfect sensor meets a delay "
-            "and a sensor error. On the twin each effect is switched on and off. This is the short "
-            f"form of that study, {gap.trials} trials of {gap.duration:g} s at each point; "
-            "`equipoise gap` runs the full study."
-        ),
-        html.paragraph(conclusion, "conclusion"),
-        html.bullets(findings),
-        picture(
-            "gap",
-            "Top: survival against the delay and the error of the encoder's zero; below, the share "
-            "of the falls on the track limit. Bottom: each effect alone, for a table trained as "
-            "the paper describes: switched on in the clean twin, removed from the full twin.",
-            "Seconds of balance against delay and zero error, and effect by effect",
-        ),
     )

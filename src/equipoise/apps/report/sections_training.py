@@ -11,8 +11,7 @@ from equipoise.apps.report.comparison import comparison
 from equipoise.apps.report.pictures.film import SECONDS, Animation
 from equipoise.control.policy import TabularPolicy
 from equipoise.model.worlds import MODEL
-from equipoise.studies.gap_results import CURED, at_world
-from equipoise.studies.results import Results, verdict
+from equipoise.reproduction.results import Results, verdict
 from equipoise.worlds.evaluation import TrialResults
 from equipoise.worlds.formatting import percent, plus_minus
 
@@ -41,9 +40,9 @@ def _verdict(results: Results) -> html.Part:
     ]
     if world != MODEL:
         tiles[:2] = tiles[1::-1]  # the twin, which is closer to the paper's robot, comes first
-    if gap := results.gap:
-        twin = f"the digital twin {gap.world}"
-        tiles.insert(0, _survival_tile(at_world(gap, CURED), gap.duration, twin))
+    if on_twin := results.twin_evaluation:
+        twin = f"the digital twin {on_twin.world}"
+        tiles.insert(0, _survival_tile(on_twin.results, on_twin.duration, twin))
     lines = html.bullets(verdict(results), "ol", "verdict")
     return html.part("verdict", "Verdict", html.tiles(*tiles), lines)
 

@@ -18,7 +18,7 @@ from equipoise import paper
 from equipoise.apps.report import style
 from equipoise.apps.report.style import new_figure, styled, typeset
 from equipoise.logs.run_log import RunLog
-from equipoise.studies.results import observation_differs
+from equipoise.reproduction.results import observation_differs
 from equipoise.worlds.formatting import LASTED, format_end
 
 if TYPE_CHECKING:

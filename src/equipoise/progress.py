@@ -1,0 +1,161 @@
+"""Progress of a command's stages, and the compilation of kernels as a stage of its own."""
+
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from functools import partial
+from threading import Lock
+from typing import Any, NamedTuple
+
+from equipoise.control.bound_policy import bind_policy
+from equipoise.control.policy import LearningPoint, TaskPolicy
+from equipoise.jit import watching_compilation
+from equipoise.learning.checkpoint import LearnerResult
+from equipoise.learning.training import TargetProgress, train
+from equipoise.model.arms.arm import Arm
+from equipoise.model.pendulum import shipped_pendulum
+from equipoise.model.worlds import MODEL, World
+from equipoise.settings import Settings
+from equipoise.worlds.evaluation import evaluate
+
+
+class StageProgress(NamedTuple):
+    """State of one stage."""
+
+    stage: str
+    """Name of the stage."""
+    completed: float = 0.0
+    """Completed amount."""
+    total: float = 1.0
+    """Total amount; a stage is done when it has completed the total."""
+    unit: str = ""
+    """Unit of both amounts, in the plural; empty for a share."""
+    text: str = ""
+    """State of the stage, in a few words."""
+
+    @property
+    def share(self) -> float:
+        """Completed share, 0 to 1."""
+        return min(self.completed / self.total, 1.0)
+
+
+Show = Callable[[StageProgress], None]
+"""Callback for progress, also from other threads."""
+
+
+def counted(stage: str, total: int, show: Show) -> Callable[[int], None]:
+    """Return a callback that counts finished trials.
+
+    Args:
+        stage: Name of the stage.
+        total: Number of all trials.
+        show: Called with the progress.
+    """
+    lock, completed = Lock(), 0
+
+    def done(finished: int) -> None:
+        nonlocal completed
+        with lock:
+            completed += finished
+            show(StageProgress(stage, min(completed, total), total, "trials"))
+
+    return done
+
+
+class TrainingProgress(TargetProgress):
+    """Progress of a training to a target.
+
+    The first learner has a stage each for its episodes, its race and its test. Further learners,
+    and those of a population, are counted in one stage.
+    """
+
+    def __init__(
+        self, settings: Settings, show: Show, learners: int = 1, *, population: bool = False
+    ) -> None:
+        """Begin with the episodes.
+
+        Args:
+            settings: Settings of the training.
+            show: Called with the progress.
+            learners: Maximum number of learners.
+            population: Whether all learners are trained in parallel.
+        """
+        self._show, self._learners, self._population = show, learners, population
+        self._episodes, self._finished, self._lock = settings.learning.episodes, 0, Lock()
+        if not population:
+            show(StageProgress("train", 0, self._episodes, "episodes"))
+
+    def of_learner(self) -> dict[str, Any]:
+        """Return the callbacks `report` and `selecting` of a training of one learner."""
+        return {"report": partial(self.report, 0), "selecting": partial(self.selecting, 0)}
+
+    def report(self, learner: int, point: LearningPoint) -> None:
+        """Show a point of a learning curve."""
+        text = f"{point.duration:.1f} s an episode"
+        self._show_first(learner, "train", point.episodes, self._episodes, "episodes", text)
+
+    def selecting(self, learner: int, done: int, of: int) -> None:
+        """Show the trials of a race."""
+        self._show_first(learner, "select", done, of)
+
+    def testing(self, learner: int, done: int, of: int) -> None:
+        """Show the trials of a test."""
+        self._show_first(learner, "test", done, of)
+
+    def finished(self, result: LearnerResult) -> None:
+        """Count a tested learner, unless the first one suffices."""
+        with self._lock:
+            self._finished += 1
+            if self._population or self._finished > 1 or not result.test.met:
+                done = min(self._finished, self._learners - 0.01)  # `ended` closes the stage
+                self._show(StageProgress("learners", done, self._learners, "learners"))
+
+    def ended(self) -> None:
+        """Close the stage of further learners."""
+        if self._population or self._finished > 1:
+            count = self._finished
+            self._show(StageProgress("learners", count, count, "learners"))
+
+    def _show_first(
+        self, learner: int, stage: str, done: int, of: int, unit: str = "trials", text: str = ""
+    ) -> None:
+        if learner == 0 and not self._population:
+            self._show(StageProgress(stage, done, of, unit, text))
+
+
+@contextmanager
+def compiling(show: Show, stage: str = "compile") -> Generator[None]:
+    """Show the compilation in this context as a stage; kernels in the cache load within seconds.
+
+    Args:
+        show: Called with the progress.
+        stage: Name of the stage.
+    """
+    count = 0
+
+    def compiled() -> None:
+        nonlocal count
+        count += 1
+        show(StageProgress(stage, text=f"{count} functions, once on this machine"))
+
+    show(StageProgress(stage))
+    with watching_compilation(compiled):
+        yield
+    text = f"{count} functions, once on this machine" if count else "done before, loaded"
+    show(StageProgress(stage, 1.0, text=text))
+
+
+def compile_training(arm: Arm, settings: Settings) -> None:
+    """Compile the kernels of training and evaluation, for one arm."""
+    tree = settings.model_dump()
+    tree["learning"] |= {"episodes": 1, "episode_duration": 0.02}
+    tree["selection"] |= {"every": 1, "rounds": 1, "duration": 0.02}
+    tree["evaluation"] = {}
+    train(shipped_pendulum(), arm, Settings.model_validate(tree))
+
+
+def compile_trials(policy: TaskPolicy, world: str | World = MODEL) -> None:
+    """Compile the kernels that run a policy in a world; a policy without a kernel is not called."""
+    tree = policy.settings.model_dump()
+    tree["evaluation"] |= {"trials": 1, "duration": 0.02}
+    runs = policy if policy.kernel else bind_policy(lambda _: 0.0, arm=policy.arm)
+    evaluate(runs, Settings.model_validate(tree), world=world, with_baselines=False)

@@ -1,0 +1,224 @@
+"""Reproduction of the paper: swing, identification, training, evaluations, and a run.
+
+The policy is trained and evaluated on the training plant, with an actuator that was identified on
+the digital twin. Then it is evaluated on the twin, and one run there is recorded, as the paper
+recorded one on the robot. An arm with unknown masses has no twin: its run is on the model.
+
+Each stage takes the previous value and saves its own, so that any stage can be repeated from its
+files. `equipoise.apps.report.page.build` makes the page from the folder.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from equipoise.artefacts import StrPath
+from equipoise.control.policy import TabularPolicy
+from equipoise.errors import ArmError
+from equipoise.executors import available_cores
+from equipoise.identification import identify
+from equipoise.learning.training import LEARNERS, TARGET, train_to_target
+from equipoise.logs.run_log import RunLog
+from equipoise.model.arms.arm import Arm
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.inertials import link_inertials
+from equipoise.model.pendulum import Pendulum
+from equipoise.model.worlds import MODEL
+from equipoise.progress import (
+    Show,
+    StageProgress,
+    TrainingProgress,
+    compile_training,
+    compile_trials,
+    compiling,
+    counted,
+)
+from equipoise.reproduction.results import (
+    EVALUATION,
+    PENDULUM,
+    POLICY,
+    RECORD,
+    RUN,
+    SWING,
+    TWIN_EVALUATION,
+    PipelineStage,
+    ReproductionRecord,
+    Results,
+    digests,
+)
+from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
+from equipoise.rig.simulate import simulate_run
+from equipoise.settings import Settings
+from equipoise.trajectory import Trajectory, read_swing, write_swing
+from equipoise.worlds.evaluation import Evaluation, evaluate
+
+T = TypeVar("T")
+S = TypeVar("S", Pendulum, TabularPolicy, Evaluation, RunLog)
+
+QUICK: Final = {
+    "learning.episodes": 5000,
+    "selection.candidates": 16,
+    "selection.round_trials": 64,
+    "selection.rounds": 5,
+    "selection.duration": 20.0,
+    "evaluation.trials": 50,
+    "evaluation.duration": 20.0,
+}
+"""Maximum settings of a quick reproduction, which takes less than a minute."""
+TWIN: Final = "twin:nominal"
+"""World of the second evaluation and of the run."""
+TWIN_TRIALS: Final = 40
+"""Maximum number of trials of the second evaluation: a trial there takes thirty times as long."""
+
+
+def reproduce(
+    out: StrPath,
+    *,
+    swing: Trajectory | None = None,
+    arm: Arm | None = None,
+    settings: Settings | None = None,
+    seed: int = 0,
+    quick: bool = False,
+    workers: int | None = None,
+    report: Show = lambda _: None,
+) -> Results:
+    """Reproduce the paper from the swing to a run on the digital twin, and save every value.
+
+    Args:
+        out: Folder of the files, created if missing.
+        swing: A recorded free swing, e.g. from `read_swing` (default: a simulated one).
+        arm: The arm with its home posture (default: an iiwa 7).
+        settings: Resolved settings (default: `Settings()`).
+        seed: Master seed.
+        quick: Whether it runs with fewer episodes and trials (`QUICK`).
+        workers: Number of threads (default: all cores); the results do not depend on it.
+        report: Called with the progress, also from other threads.
+
+    Raises:
+        RecordingError: The swing identifies no pendulum.
+        OutsideError: A file cannot be written.
+    """
+    out, arm = Path(out), arm or iiwa(7)
+    settings = shortened(settings or Settings()) if quick else settings or Settings()
+    workers = workers or available_cores()
+    world = TWIN if _has_twin(arm) else MODEL
+    stages: list[PipelineStage] = []
+
+    def stage(name: str, work: Callable[[], T]) -> T:
+        report(StageProgress(name))
+        begin = time.perf_counter()
+        value = work()
+        stages.append(PipelineStage(name=name, wall=round(time.perf_counter() - begin, 2)))
+        report(StageProgress(name, 1.0))
+        return value
+
+    def saved(name: str, file: str, work: Callable[[], S], **inputs: str) -> S:
+        value = stage(name, work)
+        value.save(out / file, command="reproduce", inputs=inputs)
+        return value
+
+    synthetic = SyntheticSwing()
+    given = stage("swing", lambda: swing or synthetic_swing(synthetic, seed))
+    write_swing(out / SWING, given)
+    # The identification reads the file in the folder, so that a figure shows the same data.
+    recorded = replace(read_swing(out / SWING), source=given.source, released=given.released)
+    pendulum = saved(
+        "identify",
+        PENDULUM,
+        lambda: identify(recorded, settings.identification),
+        swing=recorded.sha256,
+    )
+    with compiling(report):
+        compile_training(arm, settings)
+    policy = saved(
+        "train",
+        POLICY,
+        lambda: _trained(pendulum, arm, settings, quick, seed, workers, report),
+        pendulum=pendulum.digest,
+    )
+
+    def evaluated(name: str, world: str, trials: int, *, with_baselines: bool) -> Evaluation:
+        update = {"trials": min(trials, settings.evaluation.trials)}
+        evaluation = policy.settings.evaluation.model_copy(update=update)
+        runs = update["trials"] * (5 if with_baselines else 1)
+        return evaluate(
+            policy,
+            policy.settings.model_copy(update={"evaluation": evaluation}),
+            world=world,
+            seed=seed,
+            with_baselines=with_baselines,
+            workers=workers,
+            done=counted(name, runs, report),
+        )
+
+    of_policy = {"policy": policy.digest}
+    everything = settings.evaluation.trials
+    evaluation = saved(
+        "evaluate",
+        EVALUATION,
+        lambda: evaluated("evaluate", MODEL, everything, with_baselines=True),
+        **of_policy,
+    )
+    twin_evaluation = None
+    if world == TWIN:
+        with compiling(report, "compile twin"):
+            compile_trials(policy, TWIN)
+        twin_evaluation = saved(
+            "evaluate twin",
+            TWIN_EVALUATION,
+            lambda: evaluated("evaluate twin", TWIN, TWIN_TRIALS, with_baselines=False),
+            **of_policy,
+        )
+    run = saved("deploy", RUN, lambda: simulate_run(policy, world=world, seed=seed), **of_policy)
+
+    record = ReproductionRecord(
+        quick=quick,
+        seed=seed,
+        workers=workers,
+        swing=given.source,
+        swing_sha256=given.sha256,
+        simulated=synthetic if swing is None else None,
+        files={},
+        stages=tuple(stages),
+    )
+    results = Results(record, recorded, pendulum, policy, evaluation, twin_evaluation, run)
+    record = record.model_copy(update={"files": digests(results)})
+    record.save(out / RECORD, command="reproduce", inputs=record.files)
+    return results._replace(record=record)
+
+
+def shortened(settings: Settings) -> Settings:
+    """Return the settings of a quick reproduction, limited by `QUICK`."""
+    tree = settings.model_dump()
+    for name, value in QUICK.items():
+        section, _, key = name.partition(".")
+        tree[section][key] = min(tree[section][key], value)
+    return Settings.model_validate(tree)
+
+
+def _trained(
+    pendulum: Pendulum,
+    arm: Arm,
+    settings: Settings,
+    quick: bool,
+    seed: int,
+    workers: int,
+    report: Show,
+) -> TabularPolicy:
+    # Without a selection, or with few episodes, the first learner is taken as it is.
+    wanted: dict[str, Any] = {"target": 0.0, "learners": 1}
+    if not quick and settings.selection.every > 0:
+        wanted = {"target": TARGET, "learners": LEARNERS}
+    progress = TrainingProgress(settings, report, wanted["learners"])
+    given: dict[str, Any] = {"seed": seed, "workers": workers, "progress": progress}
+    return train_to_target(pendulum, arm, settings, **wanted, **given).policy
+
+
+def _has_twin(arm: Arm) -> bool:
+    try:
+        link_inertials(arm)
+    except ArmError:
+        return False
+    return True

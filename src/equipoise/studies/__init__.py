@@ -1,1 +1,0 @@
-"""Studies of policies, runs and rigs."""

@@ -1,0 +1,208 @@
+"""Reproduction: every stage, one after the other, its folder, and its verdict."""
+
+import numpy as np
+import pytest
+
+from equipoise import paper
+from equipoise.apps.report.page import build
+from equipoise.artefacts import read_document
+from equipoise.errors import ArtefactError, OutsideError, RecordingError
+from equipoise.identification import identify
+from equipoise.model.actuator import shipped_actuator
+from equipoise.model.arms.urdf import read_urdf
+from equipoise.model.worlds import MODEL
+from equipoise.reproduction.pipeline import QUICK, TWIN, reproduce, shortened
+from equipoise.reproduction.results import (
+    RECORD,
+    SWING,
+    estimates_zero,
+    load,
+    observation_differs,
+    truth,
+    verdict,
+)
+from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
+from equipoise.settings import resolve
+from equipoise.trajectory import Trajectory
+from tests.apps.report import made_up
+from tests.arms import without_masses
+from tests.model.arms.witnesses import ELBOW
+
+SHORT = resolve(
+    overrides=[
+        "learning.episodes=60",
+        "learning.episode_duration=2",
+        "selection.every=20",
+        "selection.round_trials=8",
+        "selection.rounds=2",
+        "selection.duration=2",
+        "selection.candidates=2",
+        "selection.test_trials=600",
+        "evaluation.trials=8",
+        "evaluation.duration=2",
+    ]
+)
+INPUTS = {
+    "pendulum.json": ("swing", lambda results: results.swing.sha256),
+    "policy.json": ("pendulum", lambda results: results.pendulum.digest),
+    "evaluation.json": ("policy", lambda results: results.policy.digest),
+    "twin-evaluation.json": ("policy", lambda results: results.policy.digest),
+}
+"""Input of each file."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    told = []
+    out = tmp_path_factory.mktemp("reproduction") / "deep" / "folder"
+    results = reproduce(out, settings=SHORT, seed=3, workers=1, report=told.append)
+    return out, results, told
+
+
+@pytest.mark.compiled_only
+def test_the_folder_holds_every_value_and_they_belong_together(made):
+    out, results, _ = made
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        [*INPUTS, SWING, "run.mcap", RECORD]
+    )
+    again = load(out)
+    assert again.record == results.record
+    assert again.policy.digest == results.policy.digest
+    assert again.run.digest == results.run.digest
+    assert again.pendulum.fit.sha256 == again.swing.sha256
+    assert again.evaluation.world == MODEL
+    assert again.twin_evaluation.world == again.run.conditions.world == TWIN
+    assert again.run.conditions.actuator == shipped_actuator().digest
+    for name, (of, digest) in INPUTS.items():
+        inputs = read_document(out / name)["provenance"]["inputs"]
+        assert inputs == {of: digest(results)}
+
+
+@pytest.mark.compiled_only
+def test_the_stages_are_reported_in_their_order_and_end(made):
+    _, results, told = made
+    stages = ["swing", "identify", "train", "evaluate", "evaluate twin", "deploy"]
+    assert [stage.name for stage in results.record.stages] == stages
+    shown = [name for name in dict.fromkeys(p.stage for p in told) if name in stages]
+    assert shown == stages
+    for stage in stages:
+        shares = [p.share for p in told if p.stage == stage]
+        assert shares[0] == 0.0
+        assert shares[-1] == 1.0
+        assert shares == sorted(shares)
+    totals = {p.stage: p.total for p in told if p.unit}
+    assert totals["train"] == 60
+    assert (totals["evaluate"], totals["evaluate twin"]) == (40, 8)  # four baselines on the plant
+
+
+@pytest.mark.compiled_only
+def test_the_simulated_pendulum_is_identified(made):
+    _, results, _ = made
+    w2, swing = (2.0 * np.pi / paper.FREE_SWING_PERIOD) ** 2, results.record.simulated
+    # Four times the half width: a chance below 1e-6, were the errors normal.
+    for estimate, simulated in ((results.pendulum.w2, w2), (results.pendulum.c, swing.c)):
+        assert abs(estimate.value - simulated) < 4.0 * (estimate.high - estimate.value)
+    assert swing.hold <= results.pendulum.fit.release < swing.hold + 0.5 * swing.period
+
+
+@pytest.mark.compiled_only
+def test_the_results_do_not_depend_on_the_number_of_workers(made, tmp_path):
+    again = reproduce(tmp_path, settings=SHORT, seed=3, workers=2)
+    assert again.record.files == made[1].record.files
+
+
+@pytest.mark.compiled_only
+def test_an_arm_with_unknown_masses_runs_on_the_model(tmp_path):
+    reproduce(tmp_path, arm=without_masses(read_urdf(ELBOW)), settings=SHORT, workers=1)
+    results = load(tmp_path)
+    assert results.run.conditions.world == MODEL
+    assert results.twin_evaluation is None
+
+
+@pytest.mark.compiled_only
+def test_a_recorded_swing_is_used_and_kept(tmp_path):
+    recorded = synthetic_swing(SyntheticSwing(period=0.9), seed=8)
+    given = Trajectory(time=recorded.time, theta=recorded.theta, source="mine.csv")
+    results = reproduce(tmp_path, swing=given, settings=SHORT, workers=1)
+    record = results.record
+    assert (record.swing, record.swing_sha256) == ("mine.csv", given.sha256)
+    assert record.simulated is None
+    np.testing.assert_array_equal(load(tmp_path).swing.theta, given.theta)
+    assert results.pendulum.period == pytest.approx(0.9, rel=1e-3)
+
+
+def test_bad_input_is_refused_before_anything_is_trained(tmp_path):
+    time = np.arange(0.0, 5.0, 0.01)
+    still = Trajectory(time=time, theta=np.zeros_like(time), source="still.csv")
+    with pytest.raises(RecordingError):
+        reproduce(tmp_path, swing=still, settings=SHORT)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OutsideError):
+        reproduce(tmp_path / "file", settings=SHORT)
+    assert not (tmp_path / "policy.json").exists()
+
+
+@pytest.mark.compiled_only
+def test_a_mixed_folder_is_refused(made, tmp_path):
+    for path in made[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    with (tmp_path / SWING).open("a") as file:
+        file.write("99.0,0.1\n")
+    with pytest.raises(ArtefactError):
+        load(tmp_path)
+
+
+def test_quick_only_shortens():
+    full, short = resolve(), shortened(resolve())
+    for name, value in QUICK.items():
+        section, _, key = name.partition(".")
+        assert getattr(getattr(short, section), key) == value
+        assert getattr(getattr(full, section), key) > value
+    assert shortened(SHORT) == SHORT
+
+
+def test_the_hand_of_the_simulated_swing_holds_and_releases():
+    swing = SyntheticSwing()
+    recording = synthetic_swing(swing, seed=1)
+    held = recording.time < swing.hold
+    assert swing.tremor < np.ptp(recording.theta[held]) < 4.0 * swing.tremor
+    counts = recording.theta / recording.resolution
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+    assert np.max(np.abs(np.diff(recording.theta))) < 0.02  # no jump at the release
+    assert not np.array_equal(synthetic_swing(swing, seed=2).theta, recording.theta)
+    assert identify(synthetic_swing(SyntheticSwing(hold=0.0, noise=0.0))).fit.release is None
+
+
+def test_the_verdict_states_trials_with_their_interval_and_that_it_is_simulation():
+    found = made_up.results()
+    text = " ".join(verdict(found))
+    # Clopper-Pearson for 18 of 20, from any table: 68.3 to 98.8 %.
+    for words in ("18 of 20 trials", "68.3 % to 98.8 %", "LQR 100 %", "stood all 60 s", "simulat"):
+        assert words in text
+    fell = " ".join(verdict(made_up.results(lasted=20.0, cause="track")))
+    assert "after 20 s of 60 s" in fell
+    assert "stood all" not in fell
+    assert len(verdict(made_up.results(world=MODEL))) == len(verdict(found)) - 1
+
+
+def test_the_truth_is_preferred_to_the_observation():
+    twin, model = made_up.results().run, made_up.results(world=MODEL).run
+    assert truth(twin) is twin.truth
+    assert truth(model) is model
+    assert observation_differs(twin)
+    assert not observation_differs(model)
+    assert estimates_zero(twin)
+    assert not estimates_zero(model)
+
+
+@pytest.mark.slow
+@pytest.mark.compiled_only
+def test_a_quick_reproduction_and_its_page(tmp_path):
+    results = reproduce(tmp_path, quick=True)
+    summary = results.evaluation.results.summary()
+    assert summary.trials == QUICK["evaluation.trials"]
+    # Worse than half is worse than any of 20 seeds showed.
+    assert summary.rate > 0.5
+    assert results.twin_evaluation.results.summary().rate > 0.5
+    assert results.run.cause == "lasted"
+    assert build(tmp_path).stat().st_size > 100_000

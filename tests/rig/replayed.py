@@ -1,0 +1,312 @@
+"""Test of determinism: the measurements of a log go through the controller again.
+
+The outputs are compared with those of the log.
+
+The log of a run on a rig holds all inputs of a tick: counts, replies, typed lines, failures,
+lateness. A new `RunController` receives the same inputs at the same times, from the first setpoint
+to rest. The log of a run on a twin begins at the release; there only the control step runs again,
+on the counts and joints of its ticks. On the machine that made the log every bit is the same.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from math import inf, isnan, pi
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.control.bound_policy import BoundPolicy
+from equipoise.control.control_step import make_controller_params
+from equipoise.control.controller import Controller
+from equipoise.control.policy import TaskPolicy, tick_policy
+from equipoise.control.ticks import TickInputs, TickOutput, TickRecord
+from equipoise.errors import ArtefactError
+from equipoise.identification.motion import identify_motion
+from equipoise.logs.conditions import IDEAL
+from equipoise.logs.recorder import FAILED as DEVICE_FAILED
+from equipoise.logs.recorder import WORD_TYPED
+from equipoise.logs.run_log import RunLog
+from equipoise.model.actuator import Actuator
+from equipoise.rig.config import RigSettings
+from equipoise.rig.interfaces import Reply, Sample
+from equipoise.rig.run import SPEED_LIMIT, RunRequest
+from equipoise.rig.run_controller import (
+    ACTUATOR,
+    FAILED,
+    IDENTIFIED,
+    LATE,
+    UNIDENTIFIED,
+    RunController,
+)
+
+Array = npt.NDArray[np.float64]
+
+JOBS: Final = {"self-test", ACTUATOR, IDENTIFIED}
+"""Names of events in ticks that receive the result of a job."""
+JOBS_FAILED: Final = ("the self-test failed", "the selection of an actuator failed", UNIDENTIFIED)
+"""First words of the reasons of stops by a failed job."""
+
+
+class Difference(NamedTuple):
+    """First difference between a replay and its log."""
+
+    tick: int
+    """Number of the tick, from zero."""
+    time: float
+    """Time of the tick in the log [s]."""
+    what: str
+    """Name of the column, e.g. `u`, `state` or `first setpoint`."""
+    logged: float
+    """Value in the log."""
+    replayed: float
+    """Value of the replay."""
+
+
+class Replayed(NamedTuple):
+    """Result of a replay."""
+
+    ticks: int
+    """Number of ticks that were compared."""
+    whole: bool
+    """Whether these are all ticks of the run; a damaged log has fewer."""
+    largest: float
+    """Maximum difference within the tolerance [SI]."""
+    difference: Difference | None
+    """First difference beyond the tolerance, if any."""
+
+
+def replay(
+    run: RunLog,
+    policy: TaskPolicy,
+    actuator: Actuator | None = None,
+    *,
+    tolerance: float = 0.0,
+) -> Replayed:
+    """Replay the measurements of a log through the controller, and compare the outputs.
+
+    Args:
+        run: The log.
+        policy: The policy that ran.
+        actuator: The actuator of its controller (default: the policy's).
+        tolerance: Maximum difference of a number [SI]; zero requires equal bits.
+
+    Raises:
+        ArtefactError: The run was of another policy or actuator, or its log does not hold the
+            controller's inputs, such as that of a run on the ideal model.
+    """
+    carried = policy.actuators if actuator is None else (actuator,)
+    rows = (_of_twin if run.conditions.simulated else _of_rig)(run, policy, carried)
+    ticks, largest = 0, 0.0
+    for time, pairs in rows:
+        for what, (logged, replayed) in pairs.items():
+            same = logged == replayed or (isnan(logged) and isnan(replayed))
+            error = 0.0 if same else abs(logged - replayed)
+            if not error <= tolerance:
+                difference = Difference(ticks, time, what, logged, replayed)
+                return Replayed(ticks, not run.damage, largest, difference)
+            largest = max(largest, error)
+        ticks += 1
+    return Replayed(ticks, not run.damage, largest, None)
+
+
+def _check(digest: str, expected: str, what: str) -> None:
+    if digest != expected:
+        raise ArtefactError(
+            f"the run was with the {what} {expected[:19]}..., given is {digest[:19]}...; "
+            f"give the {what} that ran"
+        )
+
+
+def _with_digest(carried: Sequence[Actuator], digest: str) -> Actuator:
+    """Return the actuator of a digest in a log."""
+    names = {IDEAL if each.kind == "ideal" else each.digest: each for each in carried}
+    _check(digest if digest in names else next(iter(names)), digest, "actuator")
+    return names[digest]
+
+
+Pairs = dict[str, tuple[float, float]]
+Rows = Iterator[tuple[float, Pairs]]
+"""Time of each tick, and logged and replayed value by name."""
+
+
+# A run on a rig.
+
+
+def _of_rig(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Rows:
+    conditions, tables = run.conditions, run.tables
+    _check(policy.digest, conditions.policy, "policy")
+    _check(policy.pendulum.digest, conditions.pendulum_digest, "pendulum")
+    digests = (conditions.actuator, *conditions.alternatives)
+    actuator, *others = (_with_digest(carried, digest) for digest in digests)
+    if isinstance(policy, BoundPolicy):
+        policy = replace(policy, settings=conditions.settings)
+    known = {name: getattr(conditions, name) for name in ("encoder", "duration", "t1", "seed")}
+    settings = RigSettings.model_validate(conditions.rig)
+    vars(settings)["described_arm"] = conditions.arm  # the URDF that it names may be elsewhere
+    known |= {"robot": conditions.world, "alternatives": tuple(others)}
+    known |= {"identify": identify_motion if conditions.identifies else None}
+    known["anyway"] = conditions.anyway
+    request = RunRequest(policy, actuator, settings, dry_run=False, **known)
+    counts_per_rev = settings.counts_per_rev
+    tick, reply = tables["tick"], tables["reply"]
+    began = reply[np.isnan(reply["sent"])]
+    if len(tick) == 0 or len(began) == 0:
+        raise ArtefactError("nothing moved in this run; there is nothing to replay")
+    clock = _PolicyClock()
+    max_speed = _logged_speed_limit(run)
+    controller = RunController(
+        settings.described_arm,
+        request.controller(counts_per_rev),
+        policy.settings.boxes,
+        tick_policy(policy),
+        request.guard(counts_per_rev, max_speed),
+        began["q"][0].tolist(),
+        duration=request.duration,
+        clock=clock,
+        alternatives=request.responses(counts_per_rev, max_speed),
+        excitation=request.excitation(counts_per_rev, max_speed),
+    )
+    return _run_ticks(run, controller, clock)
+
+
+def _logged_speed_limit(run: RunLog) -> float:
+    """Return the flange's speed limit [m/s] from a log's events (default: inf)."""
+    texts = (event.text for event in run.events if event.name == SPEED_LIMIT)
+    return next((float(text.split()[0]) for text in texts), inf)
+
+
+class _PolicyClock:
+    """Clock of the policy's computing time: a call takes no time, or exceeds its limit."""
+
+    def __init__(self) -> None:
+        self.late = False
+        self._now = 0.0
+
+    def __call__(self) -> float:
+        """Return the time [s]."""
+        self._now += 1.0 if self.late else 0.0
+        return self._now
+
+
+def _run_ticks(run: RunLog, controller: RunController, clock: _PolicyClock) -> Rows:
+    """Yield the logged and the replayed values of each tick."""
+    tables = run.tables
+    tick, stream, encoder, reply = (tables[n] for n in ("tick", "stream", "encoder", "reply"))
+    reply = reply[np.isfinite(reply["sent"])]
+    result: Any = None
+    working = None
+    ends = [*np.searchsorted(stream["time"], tick["time"][1:]).tolist(), len(stream)]
+    unsent = 0
+    for row, end in zip(tick, ends, strict=True):
+        now = float(row["time"])
+        events = [event for event in run.events if event.time == now]
+        texts = {event.name: event.text for event in events}
+        stopping = texts.get("stopping", "")
+        # The tick of a verdict, or of a selected actuator, receives the result of its job.
+        judged = JOBS & texts.keys() or stopping.startswith(JOBS_FAILED)
+        if working is not None and judged:
+            try:
+                result = working()
+            except Exception as error:  # the run controller stops on it
+                result = error
+            working = None
+        samples = _at(encoder, "received", now)[list(Sample._fields)].tolist()
+        replies = _at(reply, "taken", now)[["sent", "time", "q", "torque"]].tolist()
+        inputs = TickInputs(
+            samples=[Sample(t, n, bool(p), bool(i), missing) for t, n, p, i, missing in samples],
+            replies=[Reply(sent, t, _known(q), _known(torque)) for sent, t, q, torque in replies],
+            lines=[event.text for event in events if event.name == WORD_TYPED],
+            faults=[event.text for event in events if event.name == DEVICE_FAILED],
+            lateness=float(row["late"]),
+            result=result,
+            unsent=unsent,
+        )
+        result = None
+        clock.late = stopping.startswith(f"{FAILED}: {LATE}")
+        output = controller.tick(now, inputs)
+        working = output.job or working
+        first = int(np.searchsorted(stream["time"], now))
+        sent = stream["q"][first:end][: len(output.setpoints)].tolist()
+        unsent = len(output.setpoints) - len(sent)
+        yield now, _pairs(row, sent, output)
+
+
+def _at(table: npt.NDArray[Any], column: str, time: float) -> npt.NDArray[Any]:
+    first, last = (int(np.searchsorted(table[column], time, side)) for side in ("left", "right"))
+    return table[first:last]
+
+
+def _known(values: Array) -> tuple[float, ...] | None:
+    return None if np.isnan(values).any() else tuple(values.tolist())
+
+
+def _of_joints(name: str, logged: Iterable[float], made: Iterable[float]) -> Pairs:
+    both = zip(logged, made, strict=True)
+    return {f"{name} of joint {i}": pair for i, pair in enumerate(both, start=1)}
+
+
+def _of_setpoints(logged: Iterable[Sequence[float]], made: Iterable[Sequence[float]]) -> Pairs:
+    pairs: dict[str, tuple[float, float]] = {}
+    for name, *setpoints in zip(("first", "second"), logged, made, strict=False):
+        pairs |= _of_joints(f"{name} setpoint", *setpoints)
+    return pairs
+
+
+def _pairs(row: Any, sent: list[list[float]], output: TickOutput) -> Pairs:
+    pairs = {"state": (float(row["state"]), float(output.state))}
+    pairs |= {
+        name: (float(row[name]), float(getattr(output.record, name))) for name in TickRecord._fields
+    }
+    for name in ("q", "dq"):
+        pairs |= _of_joints(name, row[name].tolist(), getattr(output, name))
+    return pairs | _of_setpoints(sent, output.setpoints)
+
+
+# A run on a twin, from the release.
+
+
+def _of_twin(run: RunLog, policy: TaskPolicy, carried: Sequence[Actuator]) -> Rows:
+    conditions, ticks, rows = run.conditions, len(run.time), len(run.encoder.time)
+    per_rev = conditions.counts_per_rev
+    if not ticks or per_rev is None or (rows < ticks if run.damage else rows != ticks):
+        raise ArtefactError(
+            f"the log of a run in the world {conditions.world} does not hold the inputs of its "
+            "controller, which knows the state there; replay a run on a twin or a rig"
+        )
+    _check(policy.digest, conditions.policy, "policy")
+    actuator = _with_digest(carried, conditions.actuator)
+    params = make_controller_params(
+        policy.arm,
+        conditions.settings,
+        actuator,
+        policy.pendulum.parameters(linearised=conditions.settings.plant.linearised),
+        h=conditions.h,
+        counts_per_rev=per_rev,
+    )
+    controller = Controller(policy.arm, params, policy.settings.boxes)
+    return _control_steps(run, policy, controller, params.resolution)
+
+
+def _control_steps(
+    run: RunLog, policy: TaskPolicy, controller: Controller, resolution: float
+) -> Rows:
+    """Yield the logged and the replayed values of each tick's control step."""
+    phi_dot = run.conditions.start[3]
+    stamp, counts = run.encoder
+    controller.begin(pi - counts[0] * resolution - stamp[0] * phi_dot, phi_dot)
+    acting = tick_policy(policy)
+    acting.reset()
+    for i, time in enumerate(run.time.tolist()):
+        if i > 0:
+            age, reply_age = time - float(stamp[i]), time - float(run.replies.time[i])
+            controller.observe(float(counts[i]), age, run.replies.q[i].tolist(), reply_age)
+        u, box = controller.decide(acting), controller.box
+        observation, estimate = controller.observation, controller.estimate
+        setpoints = controller.command(u)
+        made = (*observation, float(box), u, estimate.phi, estimate.phi_dot, estimate.bias)
+        logged = (float(run.ticks[name][i]) for name in TickRecord._fields)
+        pairs = dict(zip(TickRecord._fields, zip(logged, made, strict=True), strict=True))
+        first = len(setpoints) * i
+        sent = run.stream.q[first : first + len(setpoints)].tolist()
+        yield time, pairs | _of_setpoints(sent, setpoints)

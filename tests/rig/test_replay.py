@@ -1,0 +1,121 @@
+"""A log goes through the controller again: the same comes out, or the first difference is named."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from equipoise.control.policy import shipped_policy
+from equipoise.errors import ArtefactError
+from equipoise.logs.run_log import RunLog
+from equipoise.rig.simulate import simulate_run
+from tests.faults.harness import FaultHarness, Scenario, Trigger
+from tests.faults.table import hold_back
+from tests.rig.replayed import replay
+
+pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
+
+
+def changed(run, table, row, **values):
+    """The same run with other numbers in one row."""
+    tables = dict(run.tables) | {table: run.tables[table].copy()}
+    for name, value in values.items():
+        tables[table][name][row] = value
+    return dataclasses.replace(run, tables=tables)
+
+
+def balancing(run):
+    return int(np.flatnonzero(run.tables["tick"]["state"] == 7)[0])
+
+
+@pytest.fixture(scope="module")
+def run(rig_log):
+    return RunLog.load(rig_log, damaged=True)
+
+
+def test_a_whole_course_comes_out_bit_for_bit(run):
+    found = replay(run, shipped_policy())
+    assert found == (len(run.tables["tick"]), True, 0.0, None)
+
+
+def test_a_log_that_breaks_off_comes_out_as_far_as_it_goes(broken_off):
+    run = RunLog.load(broken_off, damaged=True)
+    found = replay(run, shipped_policy())
+    assert found == (len(run.tables["tick"]), False, 0.0, None)
+
+
+def test_the_first_difference_is_named_with_its_tick(run):
+    tick = balancing(run) + 20
+    other = changed(run, "tick", tick, u=1.25)
+    first = replay(other, shipped_policy()).difference
+    assert (first.tick, first.what, first.logged) == (tick, "u", 1.25)
+    assert first.time == run.tables["tick"]["time"][tick]
+    assert first.replayed == run.tables["tick"]["u"][tick]
+
+
+def test_a_setpoint_that_was_not_sent_is_found(run):
+    place = int(np.searchsorted(run.tables["stream"]["time"], run.tables["tick"]["time"][500])) + 1
+    q = run.tables["stream"]["q"][place] + 1e-12 * np.eye(7)[3]
+    first = replay(changed(run, "stream", place, q=q), shipped_policy()).difference
+    assert (first.tick, first.what) == (500, "second setpoint of joint 4")
+    assert replay(
+        changed(run, "stream", place, q=q), shipped_policy(), tolerance=1e-11
+    ).largest == pytest.approx(1e-12, rel=1e-3)
+
+
+def test_a_count_that_was_not_counted_changes_what_comes_out(run):
+    begin = run.tables["tick"]["time"][balancing(run) + 10]
+    encoder = run.tables["encoder"]
+    row = int(np.flatnonzero(encoder["received"] == begin)[-1])
+    counts = encoder["counts"][row] + 1
+    first = replay(changed(run, "encoder", row, counts=counts), shipped_policy()).difference
+    assert first.tick == balancing(run) + 10
+    assert first.what in ("phi", "estimated_phi")
+
+
+def test_another_policy_or_actuator_is_refused(run, small_policy):
+    with pytest.raises(ArtefactError, match="give the policy that ran"):
+        replay(run, small_policy)
+    with pytest.raises(ArtefactError, match="give the actuator that ran"):
+        replay(run, shipped_policy(), small_policy.actuator)
+
+
+def test_a_run_on_a_twin_comes_out_bit_for_bit():
+    log = simulate_run(shipped_policy(), world="twin:harsh", seed=4, duration=1.0)
+    assert replay(log, shipped_policy()) == (len(log.time), True, 0.0, None)
+    other = changed(log, "tick", 30, u=log.u[30] + 0.5)
+    first = replay(other, shipped_policy()).difference
+    assert (first.tick, first.what) == (30, "u")
+
+
+def test_a_run_on_the_model_does_not_hold_what_a_replay_needs(small_policy):
+    log = simulate_run(small_policy, duration=0.2)
+    with pytest.raises(ArtefactError, match="replay a run on a twin or a rig"):
+        replay(log, small_policy)
+
+
+STALLS = {
+    "loop": lambda harness: harness.clock.stalls.extend((0.05, 0.0, 0.0)),
+    "second setpoint": lambda harness: harness.clock.stalls.extend((0.0, 0.05)),
+    "encoder": lambda harness: hold_back(harness, "sensor"),
+    "link": lambda harness: hold_back(harness, "robot"),
+}
+
+
+@pytest.mark.parametrize(
+    "stall",
+    [
+        "loop",
+        *(pytest.param(s, marks=pytest.mark.slow) for s in ("link", "second setpoint", "encoder")),
+    ],
+)
+def test_a_run_with_stalls_replays_to_the_bit(tmp_path, stall):
+    scenario = Scenario(duration=1.5, out=tmp_path / "run.mcap")
+    harness = FaultHarness(scenario, (Trigger("balancing", 0.5), STALLS[stall]))
+    assert harness.run().cause == "lasted"
+    log = RunLog.load(scenario.out)
+    ticks, rows = len(log.tables["tick"]), len(log.tables["stream"])
+    assert (rows < 2 * ticks) is (stall in ("second setpoint", "link"))
+    replayed = replay(log, scenario.policy)
+    assert replayed.difference is None
+    assert (replayed.ticks, replayed.largest) == (ticks, 0.0)
