@@ -15,7 +15,7 @@ URI = "serial:///dev/ttyACM0"
 def test_a_run_on_a_twin_is_told_and_written(equipoise, tmp_path):
     ran = equipoise("deploy", "--robot", "twin:nominal", "--duration", 1, "--json")
     assert ran.code == 0, ran
-    assert ran.json["lasted"] == 1.0
+    assert ran.json["lasted_s"] == 1.0
     # The operator is notified, although a program reads the result.
     assert "Moving to home" in ran.err
     assert RunLog.load(tmp_path / "run.mcap", damaged=True).lasted == 1.0

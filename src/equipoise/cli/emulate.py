@@ -136,6 +136,7 @@ def _shown(output: Output, wanted: bool, emulation: "Emulation") -> "Generator[C
             due = bench.now + SHOWN
             publisher.show(bench.now, bench.q, remainder(bench.phi, tau))
             for word in publisher.words():
+                output.say(f"console: {word}")
                 publisher.say(bench.now, word)
                 emulation.acts[word]()
 

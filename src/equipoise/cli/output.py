@@ -210,7 +210,7 @@ def _labelled(value: "BaseModel") -> dict[str, Any]:
     for name, info in type(value).model_fields.items():
         unit = re.search(r"\[[^\]]+\]", info.description or "")
         found = getattr(value, name)
-        if not hasattr(found, "model_fields") or hasattr(found, "interval"):
+        if not hasattr(found, "model_dump") or hasattr(found, "interval"):
             fields[f"{name} {unit[0]}" if unit else name] = found
     return fields
 

@@ -60,9 +60,11 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
     if end.identified is not None:
         actuator = out.with_name(out.stem + ACTUATOR)
         end.identified.save(actuator, command="deploy", inputs={})
+    names = {"cause", "reason", "stoppable", "zero", "missed", "late", "compute"}
     output.result(
-        end,
         world=request.robot,
+        lasted_s=end.lasted,
+        **end.model_dump(include=names),
         identified=end.identified and end.identified.summary,
         actuator=actuator,
         run=out,
