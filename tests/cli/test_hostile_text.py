@@ -11,7 +11,6 @@ from itertools import count
 import pytest
 from rich.text import Text
 
-from equipoise.apps.report import markup
 from equipoise.artefacts import read_document
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator
@@ -217,8 +216,3 @@ def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command, end):
         ran = equipoise(*command.split())
         check(ran, shown="own")
         assert ran.code == 2
-
-
-def test_the_page():
-    assert markup.prose(HOSTILE).startswith(SHOWN)
-    assert not raw(markup.table([HOSTILE], [[HOSTILE]]) + markup.listing([HOSTILE]))

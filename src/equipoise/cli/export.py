@@ -7,8 +7,6 @@ from equipoise.cli.output import Output
 from equipoise.cli.verb import Options, verb
 from equipoise.errors import InputError
 
-SUFFIXES = (".mp4", ".webp")
-
 
 class Film(Options):
     """The film."""
@@ -30,7 +28,7 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     film of a run on a rig begins shortly before the release; --from and --to
     choose another part.
     """
-    from equipoise.apps.report.pictures import write_video
+    from equipoise.film import check_format, write_film
     from equipoise.logs.run_log import RunLog
     from equipoise.logs.runs import export
 
@@ -40,13 +38,13 @@ def export(output: Output, run: Path, *, film: Film, files: opt.Files) -> None:
     if files.out is not None or video is None:
         folder = files.folder(run.with_name(f"{run.stem}-csv"))
     if video is not None:
-        if (suffix := video.suffix.lower()) not in SUFFIXES:
-            raise InputError(f"--video is {video}; give a name that ends in .mp4 or .webp")
+        suffix = video.suffix.lower()
+        check_format(suffix)
         opt.Files(out=video, force=files.force).file("", run, suffix=suffix)
     log = RunLog.load(run, damaged=True)
     if video is not None:
         with output.busy("drawing the film"):
-            write_video(log, log.conditions.arm, video, begin=film.from_, end=film.to)
+            write_film(log, video, film.from_, film.to)
     output.result(
         run=run,
         tables=None if folder is None else export(log, folder),

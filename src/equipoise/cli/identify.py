@@ -50,7 +50,7 @@ def identify(
     out = files.file("pendulum.json", recording, beside=(".svg", ".png"))
 
     from equipoise.apps.report.figures import free_swing
-    from equipoise.apps.report.style import save
+    from equipoise.apps.style import save
     from equipoise.identification import identify
     from equipoise.trajectory import read_swing
 

@@ -5,7 +5,6 @@ from pathlib import Path
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, signals
 from equipoise.cli.verb import Options, verb
-from equipoise.errors import InputError
 
 
 class Yours(Options):
@@ -19,18 +18,15 @@ class Yours(Options):
 def play(output: Output, scene: str = "balance", *, yours: Yours, page: opt.Page) -> None:
     """Balance the twin in the browser: push it, change the rig, train a table.
 
-    SCENE is balance (default), why-it-falls, paper, zero-error, friction, lqr,
-    or a file that the page has saved. Open the printed address. Everyone who
-    has it plays with the same pendulum. It runs until Ctrl-C. Needs no robot
-    and no recording.
+    SCENE is balance (default), why-it-falls, paper, zero-error, friction or
+    lqr. Open the printed address. Everyone who has it plays with the same
+    pendulum. It runs until Ctrl-C. Needs no robot and no recording.
     """
     from equipoise.apps.console.play import play
-    from equipoise.apps.console.scenes import read_scene
+    from equipoise.apps.console.scenes import scene_named
 
-    begin = read_scene(scene)
+    begin = scene_named(scene)
     policy = None if yours.policy is None else opt.Task().read(yours.policy)
-    if begin.policy == "yours" and policy is None:
-        raise InputError(f"scene {scene} has a policy of its own; give it with --policy FILE")
 
     def ready(address: str) -> None:
         output.result(playground=address)

@@ -15,7 +15,7 @@ def show(output: Output, run: Path, *, page: opt.Page) -> None:
     times its speed, steps by a tick, and jumps to events. A truncated log is
     shown as far as it is readable.
     """
-    from equipoise.apps.console.replay_page import show_run
+    from equipoise.apps.console.replay import show_run
     from equipoise.logs.run_log import RunLog
 
     log = RunLog.load(run, damaged=True)
