@@ -1,5 +1,8 @@
 """Each verb once: what it writes, and its JSON object."""
 
+import signal
+import threading
+
 import pytest
 
 from equipoise.artefacts import Estimate
@@ -139,13 +142,9 @@ def test_reproduce_writes_a_report(equipoise, tmp_path):
 
 @pytest.mark.parametrize("verb", ["play", "console", "log show run.mcap"])
 def test_pages_are_served_until_a_signal(equipoise, monkeypatch, tmp_path, verb):
-    import signal
-    import threading
-
     pytest.importorskip("viser", reason="viser is not installed (extra console)")
     simulate_run(shipped_policy(), duration=0.4).save(tmp_path / "run.mcap", command="test")
     threading.Timer(8.0, signal.raise_signal, (signal.SIGINT,)).start()
     ran = equipoise(*verb.split(), "--json")
     assert ran.code == 0, ran
-    (address,) = {each for name, each in ran.json.items() if name != "run"}
-    assert address.startswith("http://")
+    assert any(str(each).startswith("http://") for each in ran.json.values())
