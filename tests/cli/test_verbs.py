@@ -56,15 +56,6 @@ def test_train_writes_a_policy_and_marks_one_that_misses_the_target(
     assert "Traceback" not in warned.err
 
 
-def test_a_population_is_trained_whole(equipoise, pendulum_file, tmp_path):
-    few = (*SHORT, "--set=selection.duration=0.05", "--target=0.9", "--learners=3", "--all")
-    found = equipoise("train", pendulum_file, *few, "--json").json
-    scores = {number: each["score"] for number, each in found["learners"].items()}
-    assert scores[str(found["learner"])] == max(scores.values())
-    assert len(scores) == 3
-    assert not list(tmp_path.glob("*.partial.json"))
-
-
 def test_evaluate_compares_with_baselines(equipoise, policy_file, tmp_path):
     ran = equipoise("evaluate", policy_file, *FEW, "--json")
     evaluation = Evaluation.load(tmp_path / "evaluation.json")

@@ -99,7 +99,7 @@ def _retrain(
             workers=random.threads,
             comparing=functools.partial(trials, "compare"),
             testing=functools.partial(trials, "test"),
-            **TrainingProgress(settings, show).of_learner(),
+            observer=TrainingProgress(settings, show),
         )
 
 

@@ -36,8 +36,6 @@ class Learning(Options):
     selection: the first learner."""
     learners: Annotated[int, Field(ge=1)] = 6
     """Maximum number of learners that are trained for it."""
-    all: bool = False
-    """Train all learners, also if one meets the target; write the best."""
 
 
 @verb
@@ -63,8 +61,8 @@ def train(
     """
     out = files.file("policy.json", pendulum, changes.settings)
 
-    from equipoise.artefacts import partial_path
-    from equipoise.learning.training import TARGET, actuators_in, check_task, train_to_target
+    from equipoise.learning.target import TARGET, train_to_target
+    from equipoise.learning.train import check_task
     from equipoise.progress import TrainingProgress, compile_training, compiling
 
     begin = time.perf_counter()
@@ -75,33 +73,28 @@ def train(
     target = learning.target
     if target is None:
         target = TARGET if settings.selection.every else 0.0
-    behind = actuators_in(plant.world, settings, given)
-    output.warn(check_task(source, arm, settings, behind, target))
-    partial = partial_path(out) if learning.all else None
+    output.warn(check_task(source, arm, settings, given, world=plant.world, target=target))
     with output.progress() as show:
         with compiling(show):
             compile_training(arm, settings)
-        progress = TrainingProgress(settings, show, learning.learners, population=learning.all)
+        progress = TrainingProgress(settings, show, learning.learners)
         trained = train_to_target(
             source,
             arm,
             settings,
             target=target,
             learners=learning.learners,
-            population=learning.all,
             actuator=given,
             world=plant.world,
             seed=cluster.seed,
             workers=cluster.executor(),
-            partial=partial,
-            progress=progress,
+            observer=progress,
         )
+        progress.ended()
     best = trained.policy
     actuators = {f"actuator {i}": each.digest for i, each in enumerate(best.actuators, start=1)}
     inputs = {"pendulum": source.digest, "world": plant.world, **actuators}
     best.save(out, command="train", inputs=inputs)
-    if partial is not None:
-        partial.unlink(missing_ok=True)
     output.result(
         seed=best.seed,
         learner=best.learner,
