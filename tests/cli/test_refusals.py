@@ -9,7 +9,7 @@ TWIN = ("deploy", "--robot", "twin:nominal")
 
 REFUSED = {
     # Names of files
-    ("evaluate", "none.json"): "there is no file none.json",
+    ("evaluate", "none.json"): "none.json",
     ("evaluate", "--out", "x.txt"): "ends in .json",
     ("evaluate", "small.json", "--out", "small.json"): "is read and would be written over",
     ("evaluate", "--out", "taken.json"): "--force",
