@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from equipoise.errors import ArtefactError, InputError
+from equipoise.outcomes import Outcome
 from equipoise.worlds import certification
 from equipoise.worlds.certification import (
     ROUND_NUMBERS,
@@ -192,10 +193,10 @@ def fallen(monkeypatch, small_policy):
         )
         one = evaluate(policy, few, world=world, seed=seed, with_baselines=False)
         count, duration = settings.evaluation.trials, settings.evaluation.duration
-        causes = ["angle"] * counts[0] + ["track"] * counts[1]
-        causes += ["lasted"] * (count - len(causes))
-        survival = tuple(duration if cause == "lasted" else 1.0 for cause in causes)
-        results = TrialResults(name="policy", survival=survival, causes=tuple(causes))
+        ends = [Outcome.ANGLE] * counts[0] + [Outcome.TRACK] * counts[1]
+        ends += [Outcome.LASTED] * (count - len(ends))
+        survival = tuple(duration if end == Outcome.LASTED else 1.0 for end in ends)
+        results = TrialResults(name="policy", survival=survival, outcomes=tuple(ends))
         return one.model_copy(update={"settings": settings, "results": results})
 
     counts = [0, 0]

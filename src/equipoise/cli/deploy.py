@@ -4,7 +4,6 @@ One program for a simulated run, an emulated rig and a real rig.
 """
 
 from dataclasses import replace
-from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +15,6 @@ from equipoise.cli.verb import Options, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from equipoise.logs.run_log import RunLog
     from equipoise.rig.run import RunRequest
 
 ACTUATOR = "-actuator.json"
@@ -86,6 +84,7 @@ def deploy(
         run_on_rig(output, request, out, console=on_rig.console)
         return
 
+    from equipoise.outcomes import Outcome
     from equipoise.rig import simulate
 
     common: Any = {"world": run.world, "seed": run.seed}
@@ -102,27 +101,16 @@ def deploy(
         made = {"policy": log.conditions.policy}
     log.save(out, command="deploy", inputs=made)
     output.result(
-        **_fields(log),
+        world=log.conditions.world,
+        outcome=log.outcome,
+        lasted_s=log.lasted,
+        duration_s=log.conditions.duration,
+        ticks=len(log.time),
+        setpoints=len(log.stream.time),
         run=out,
-        code=int(log.cause != "lasted" and not run.excite),
+        code=0 if run.excite else int(log.outcome != Outcome.LASTED),
         then="identify RUN" if run.excite else "log explain RUN",
     )
-
-
-def _fields(log: "RunLog") -> dict[str, Any]:
-    conditions = log.conditions
-    with_zero = conditions.zero_error is not None and len(log.bias)
-    return {
-        "world": conditions.world,
-        "lasted_s": log.lasted,
-        "duration_s": conditions.duration,
-        "cause": log.cause,
-        "guard": log.guard or None,
-        "zero_error_deg": degrees(conditions.zero_error or 0.0) if with_zero else None,
-        "estimated_zero_deg": degrees(log.bias[-1]) if with_zero else None,
-        "ticks": len(log.time),
-        "setpoints": len(log.stream.time),
-    }
 
 
 def _request(

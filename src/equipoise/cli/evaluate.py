@@ -98,7 +98,7 @@ def evaluate(
 def trial_fields(results: "TrialResults") -> dict[str, Any]:
     """Return the summary of trials as fields of a result."""
     found = results.summary()
-    names = ("survived", "trials", "rate", "interval", "causes")
+    names = ("survived", "trials", "rate", "interval", "outcomes")
     return {name: getattr(found, name) for name in names} | {"median_s": found.median}
 
 
@@ -135,7 +135,7 @@ def certify(
         trials=claim.trials,
         failures=certificate.failed,
         allowed=claim.allowed,
-        causes=trial_fields(certificate.evaluation.results)["causes"],
+        outcomes=trial_fields(certificate.evaluation.results)["outcomes"],
         certificate=out,
         code=int(not certificate.granted),
     )

@@ -26,22 +26,23 @@ def explain(output: Output, run: Path) -> None:
     readable.
     """
     from equipoise.logs.run_log import RunLog
+    from equipoise.outcomes import describe
     from equipoise.rig.explanation import explain as why
 
     read = RunLog.load(run, damaged=True)
     found = why(read)
-    how, log = found.ending, found.log
+    log, first = found.log, found.causes[0]
     output.result(
         warnings=[read.damage],
-        ended=how.cause,
-        reason=how.reason,
-        phase=how.phase and how.phase.value,
-        whole=how.whole,
+        outcome=found.end.outcome,
+        reason=describe(found.end),
+        phase=None if read.conditions.simulated else read.last_phase and read.last_phase.value,
+        whole=read.end is not None,
         lasted_s=None if log is None else log.lasted,
-        cause=found.causes[0].name.value,
-        advice=found.causes[0].advice,
+        cause=first.cause,
+        advice=first.advice,
         causes={
-            one.name.value: {"score": one.score, "time_s": one.time, "evidence": one.evidence}
+            str(one.cause): {"score": one.score, "time_s": one.time, "evidence": one.evidence}
             for one in found.causes
         },
         end=dict(_end(log)) if log is not None and len(log.time) > 1 else None,

@@ -68,7 +68,7 @@ def reproduce(
         duration_s=found.evaluation.duration,
         world=found.run.conditions.world,
         lasted_s=found.run.lasted,
-        cause=found.run.cause,
+        outcome=found.run.outcome,
         wall_s=time.perf_counter() - begin,
         report=page,
         warnings=[found.policy.shortfall],

@@ -38,7 +38,7 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
     """
     from equipoise.rig.config import is_virtual
     from equipoise.rig.processes import run_in_processes
-    from equipoise.rig.run import check_request, exit_code, rehearse_t1, run_virtually
+    from equipoise.rig.run import check_request, rehearse_t1, run_virtually
 
     check_request(request)
     if console and is_virtual(request.robot):
@@ -60,15 +60,15 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
     if end.identified is not None:
         actuator = out.with_name(out.stem + ACTUATOR)
         end.identified.save(actuator, command="deploy", inputs={})
-    names = {"cause", "reason", "stoppable", "zero", "missed", "late", "compute"}
+    names = ("outcome", "reason", "stoppable", "zero", "missed", "late", "compute")
     output.result(
         world=request.robot,
         lasted_s=end.lasted,
-        **end.model_dump(include=names),
+        **{name: getattr(end, name) for name in names},
         identified=end.identified and end.identified.summary,
         actuator=actuator,
         run=out,
-        code=exit_code(end),
+        code=end.exit_code,
         then="log explain RUN",
     )
 
