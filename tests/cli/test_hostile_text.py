@@ -195,7 +195,7 @@ def guest(tmp_path):
 )
 def test_code_of_a_guest(equipoise, guest, tmp_path, text, command, end):
     ran = equipoise(*command.format(guest(text, end)).split())
-    check(ran, shown=" raised ")
+    check(ran, shown="hostile_guest")
     assert ran.code == 2
     assert not list(tmp_path.glob("*.json"))
 
