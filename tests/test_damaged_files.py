@@ -11,6 +11,7 @@ import pytest
 from equipoise.control.baselines import baselines
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import ArtefactError, InputError
+from equipoise.identification.recording import read_swing
 from equipoise.learning.checkpoint import ResumePoint
 from equipoise.learning.training import train
 from equipoise.model.actuator import Actuator, shipped_actuator
@@ -20,7 +21,6 @@ from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.worlds import read_world
 from equipoise.rig.config import read_rig
 from equipoise.settings import resolve
-from equipoise.trajectory import read_swing
 from equipoise.worlds.certification import Certificate, certify, make_claim
 from equipoise.worlds.evaluation import Evaluation, evaluate
 from tests.cli.damage import DAMAGE, digest, mutations, outcomes

@@ -150,7 +150,7 @@ def deploy(
     response = opt.read_actuator(actuator)
     if robot is not None:
         from equipoise.control.bound_policy import BoundPolicy
-        from equipoise.identification.motion import identify_motion
+        from equipoise.identification.actuator import identify_motion
         from equipoise.rig.config import read_rig
         from equipoise.rig.run import RunRequest, require_survival
 

@@ -59,7 +59,7 @@ def reproduce(
         taken = context.params.keys() - set(opt.SWING_OPTIONS)
         opt.only(context, "a simulated swing", *taken, hint="give a recording with --swing")
     else:
-        from equipoise.trajectory import read_swing
+        from equipoise.identification.recording import read_swing
 
         recording = read_swing(swing, **opt.swing_options(context))
     destination = choose_file(output, out, FOLDER, force=force, suffix="")

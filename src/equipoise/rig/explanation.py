@@ -30,7 +30,7 @@ import numpy.typing as npt
 from equipoise import paper
 from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.identification.refinement import read_motion
+from equipoise.identification.refine import read_motion
 from equipoise.logs.run_log import BROKEN_OFF, RunLog
 from equipoise.logs.runs import LoggedEnding, ending, pendulum_of
 from equipoise.model.pendulum import PendulumParameters

@@ -9,6 +9,7 @@ from equipoise.apps.report.pictures.rendering import draw
 from equipoise.apps.report.pictures.scene import stage
 from equipoise.artefacts import Estimate, Provenance
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
+from equipoise.identification.recording import Trajectory
 from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import IDEAL_ACTUATOR, shipped_actuator
@@ -18,7 +19,6 @@ from equipoise.model.worlds import MODEL, read_world
 from equipoise.reproduction.results import PipelineStage, ReproductionRecord, Results, digests
 from equipoise.reproduction.synthetic_swing import SyntheticSwing
 from equipoise.settings import resolve
-from equipoise.trajectory import Trajectory
 from equipoise.worlds.evaluation import Evaluation, TrialResults
 
 W2, C, RELEASE = 70.2, 0.15, 0.5

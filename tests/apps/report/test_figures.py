@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from equipoise.apps.report import figures
 from equipoise.apps.report.style import render, save
 from equipoise.errors import RecordingError
-from equipoise.model.pendulum import fitted_curve
+from equipoise.identification.fitted import fitted_curve
 from equipoise.model.worlds import MODEL
 from tests.apps.report import made_up
 

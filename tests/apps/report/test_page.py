@@ -17,10 +17,10 @@ from equipoise.apps.report.page import FILM as FILM_FILE
 from equipoise.apps.report.pictures import Animation, animation, strip
 from equipoise.control.control_step import horizon
 from equipoise.errors import ArtefactError, OutsideError
+from equipoise.identification.recording import write_swing
 from equipoise.model.worlds import MODEL, TwinSettings
 from equipoise.reproduction import results as files
 from equipoise.settings import RECIPES, Settings, resolve
-from equipoise.trajectory import write_swing
 from tests.apps.report import made_up
 
 HOSTILE = "<script>alert('x')</script>&.csv"

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from equipoise.apps.report.style import INK, ORANGE, PALE, SKY, new_figure, styled
-from equipoise.model.pendulum import Pendulum, SwingFit, fit_of, fitted_curve, swing
-from equipoise.trajectory import Trajectory
+from equipoise.identification.fitted import fit_of, fitted_curve
+from equipoise.identification.recording import Trajectory
+from equipoise.model.pendulum import Pendulum, SwingFit, swing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
