@@ -62,10 +62,11 @@ def fitted_curve(trajectory: Trajectory, pendulum: Pendulum) -> npt.NDArray[np.f
     fit = fit_of(trajectory, pendulum)
     begin, end = fit.window
     inside = (trajectory.time >= begin - 1e-9) & (trajectory.time <= end + 1e-9)
-    time = trajectory.time[inside]
+    # The fitted state is that of the window's start, which may lie between two samples.
+    time = np.concatenate(([begin], trajectory.time[inside]))
     theta, theta_dot = np.empty_like(time), np.empty_like(time)
     h = (end - begin) / fit.periods / STEPS_PER_PERIOD
     swing(time, fit.theta, fit.theta_dot, h, pendulum.parameters(), theta, theta_dot)
     curve = np.full(trajectory.time.shape, np.nan)
-    curve[inside] = (theta_dot if fit.quantity == "rate" else theta) + fit.offset
+    curve[inside] = (theta_dot if fit.quantity == "rate" else theta)[1:] + fit.offset
     return curve

@@ -22,7 +22,6 @@ from equipoise.artefacts import Artefact, Count, Estimate, Name, Number, Sentenc
 from equipoise.jit import PACKAGE, inlined, kernel
 from equipoise.model.elementary import fma, sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
-from equipoise.views import Viewable
 
 MIN_PERIOD: Final = 1e-5
 MAX_PERIOD: Final = 1e5
@@ -235,7 +234,7 @@ class SwingFit(Value):
         return float(np.rad2deg(self.rms))
 
 
-class Pendulum(Viewable, Artefact):
+class Pendulum(Artefact):
     """Pendulum that was identified from a free swing, with its uncertainty."""
 
     FORMAT: ClassVar[str] = "equipoise-pendulum"
