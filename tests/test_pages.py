@@ -15,8 +15,8 @@ import pytest
 import equipoise
 from equipoise.cli import main
 from equipoise.control.policy import TabularPolicy, shipped_policy
+from equipoise.identification.recording import write_swing
 from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
-from equipoise.trajectory import write_swing
 from tests.cli.conftest import parse
 from tests.reference.onnx_network import FLOAT, linear_network
 

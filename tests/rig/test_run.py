@@ -6,7 +6,7 @@ import pytest
 from equipoise.control.policy import shipped_policy
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import InputError
-from equipoise.identification.motion import identify_motion
+from equipoise.identification.actuator import identify_motion
 from equipoise.logs.recorder import Recorder, read_events
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator

@@ -122,7 +122,7 @@ def _request(
         InputError: No robot is named, or the policy lasted too seldom in its training.
     """
     from equipoise.control.bound_policy import BoundPolicy
-    from equipoise.identification.motion import identify_motion
+    from equipoise.identification.actuator import identify_motion
     from equipoise.rig.config import is_virtual, read_rig
     from equipoise.rig.run import RunRequest, require_survival
 

@@ -51,8 +51,8 @@ def identify(
 
     from equipoise.apps.report.figures import free_swing
     from equipoise.apps.style import save
-    from equipoise.identification import identify
-    from equipoise.trajectory import read_swing
+    from equipoise.identification.recording import read_swing
+    from equipoise.identification.swing import identify
 
     settings = changes.resolve(**{"identification.friction": model.friction})
     mass = _estimate("--mass", model.mass, model.mass_uncertainty)

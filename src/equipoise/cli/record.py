@@ -32,10 +32,10 @@ def record(output: Output, *, recording: Recording, files: opt.Files) -> None:
     """
     out = files.file("swing.csv", suffix=".csv")
 
+    from equipoise.identification.recording import write_swing
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.config import encoder_at
     from equipoise.robots.encoder.swing import SwingRecorder, record_swing
-    from equipoise.trajectory import write_swing
 
     prompted = ""
 

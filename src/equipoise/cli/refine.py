@@ -14,7 +14,7 @@ from equipoise.printable import printable
 if TYPE_CHECKING:
     from equipoise.artefacts import Artefact
     from equipoise.control.policy import TabularPolicy
-    from equipoise.identification.refinement import Refinement, RefinementFindings
+    from equipoise.identification.refine import Refinement, RefinementFindings
 
 
 class Retraining(Options):
@@ -47,7 +47,7 @@ def refine(
     out = files.file("refined.json", policy, *runs, beside=list(parts.values())[1:])
 
     from equipoise.control.policy import TabularPolicy
-    from equipoise.identification.refinement import inspect
+    from equipoise.identification.refine import inspect
     from equipoise.logs.runs import load_run
 
     table = TabularPolicy.load(policy)
@@ -79,7 +79,7 @@ def _retrain(
     episodes: int,
     random: opt.Random,
 ) -> "Refinement":
-    from equipoise.identification import refinement as study
+    from equipoise.identification import refine as study
     from equipoise.progress import StageProgress, TrainingProgress, compile_training, compiling
 
     settings = study.settings_of_retraining(policy.settings, episodes)
@@ -106,7 +106,7 @@ def _retrain(
 def _fields(
     policy: "TabularPolicy", findings: "RefinementFindings", refinement: "Refinement | None"
 ) -> dict[str, Any]:
-    from equipoise.identification.refinement import numbers
+    from equipoise.identification.refine import numbers
 
     fit, known, before = findings.fit, policy.pendulum, numbers(policy.actuator, policy.arm)
     model: dict[str, Any] = {

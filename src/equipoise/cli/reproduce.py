@@ -43,10 +43,10 @@ def reproduce(
     begin = time.perf_counter()
 
     from equipoise.apps.report.page import build
+    from equipoise.identification.recording import read_swing
     from equipoise.progress import StageProgress
     from equipoise.reproduction.pipeline import reproduce
     from equipoise.reproduction.results import verdict
-    from equipoise.trajectory import read_swing
 
     with output.progress() as show:
         found = reproduce(

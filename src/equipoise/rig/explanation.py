@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from equipoise.errors import ArtefactError, RecordingError
-from equipoise.identification.refinement import read_motion
+from equipoise.identification.refine import read_motion
 from equipoise.logs.run_log import RunLog
 from equipoise.logs.runs import ending, pendulum_of
 from equipoise.model.pendulum import PendulumParameters
