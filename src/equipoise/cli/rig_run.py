@@ -1,6 +1,6 @@
 """The run of `equipoise deploy` on an emulated or a real rig."""
 
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
@@ -54,7 +54,12 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
         with signals() as stopped, guest_code(f"the driver of {request.robot}"):
             end = run_virtually(request, out, Spectator(person, stopped))
     else:
-        with _beside(output, console), single_keys():
+        with ExitStack() as stack:
+            if console:
+                from equipoise.apps.console.server import console_process
+
+                output.tell(f"  console  {stack.enter_context(console_process())}")
+            stack.enter_context(single_keys())
             end = run_in_processes(request, out, person)
     actuator = None
     if end.identified is not None:
@@ -71,19 +76,3 @@ def run_on_rig(output: Output, request: "RunRequest", out: Path, *, console: boo
         code=end.exit_code,
         then="log explain RUN",
     )
-
-
-def _beside(output: Output, wanted: bool) -> AbstractContextManager[object]:
-    """Run a console in a process of its own beside the run, if wanted.
-
-    Raises:
-        MissingExtraError: viser is not installed.
-        OutsideError: The console does not start.
-    """
-    if not wanted:
-        return nullcontext()
-    from equipoise.apps.console.server import console_process
-
-    stack = ExitStack()
-    output.tell(f"  console  {stack.enter_context(console_process())}")
-    return stack
