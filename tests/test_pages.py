@@ -305,5 +305,5 @@ def test_the_tutorial_ends_with_a_balanced_twin_on_an_empty_machine(tmp_path):
     )
     assert ran.returncode == 0, (ran.stdout[-3000:], ran.stderr[-3000:])
     run = equipoise.RunLog.load(clone / "lesson" / "run.mcap")
-    assert run.cause == "lasted"
+    assert run.outcome == "lasted"
     assert equipoise.Certificate.load(clone / "lesson" / "certificate.json").granted

@@ -160,7 +160,7 @@ def test_a_run_that_is_too_short_is_named():
 @pytest.mark.parametrize("factor", [0.9, 1.0, 1.1])
 def test_w2_of_a_run_is_that_of_its_pendulum(factor):
     log = run(1, factor)
-    assert log.cause == "lasted"
+    assert log.outcome == "lasted"
     fit = regressed(log)
     assert fit.w2.value == pytest.approx(log.conditions.pendulum["w2"], rel=0.01)
     assert fit.k.value == pytest.approx(fit.w2.value / GRAVITY)

@@ -96,7 +96,7 @@ def reproduce(
         duration=found.evaluation.duration,
         world=found.run.conditions.world,
         lasted_s=found.run.lasted,
-        cause=found.run.cause,
+        outcome=found.run.outcome,
         wall_s=time.perf_counter() - begin,
         bad=trials["median_s"] < found.evaluation.duration,
     )
