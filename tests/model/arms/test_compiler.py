@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from equipoise import jit
 from equipoise.model.arms import compiler
 from equipoise.model.arms.compiler import FRAME_SIZE
 from equipoise.model.arms.iiwa import iiwa
@@ -76,6 +77,7 @@ def shorter(length, name="iiwa7"):
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("EQUIPOISE_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiler, "cache_folder", jit.cache_folder.__wrapped__)
     return tmp_path / "arms"
 
 
