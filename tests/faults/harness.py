@@ -17,7 +17,7 @@ from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
 from equipoise.errors import EquipoiseError
-from equipoise.identification.motion import identify_motion
+from equipoise.identification.actuator import identify_motion
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.config import DrainingClock, EmulatedRig, RigSettings, emulated_rig

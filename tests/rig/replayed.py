@@ -22,7 +22,7 @@ from equipoise.control.controller import Controller
 from equipoise.control.policy import TaskPolicy, tick_policy
 from equipoise.control.ticks import TickInputs, TickOutput, TickRecord
 from equipoise.errors import ArtefactError
-from equipoise.identification.motion import identify_motion
+from equipoise.identification.actuator import identify_motion
 from equipoise.logs.conditions import IDEAL
 from equipoise.logs.recorder import FAILED as DEVICE_FAILED
 from equipoise.logs.recorder import WORD_TYPED

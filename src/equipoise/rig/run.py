@@ -135,7 +135,7 @@ class RunRequest:
     """Further actuators: with any, the run selects one of all from the move of the self-test."""
     identify: Callable[[Array, Array], Actuator] | None = None
     """Identification of the arm from an excitation before the lift, such as
-    `equipoise.identification.motion.identify_motion`; None without one."""
+    `equipoise.identification.actuator.identify_motion`; None without one."""
     anyway: bool = False
     """Whether a policy also runs that does not fit the identified arm."""
 
@@ -668,5 +668,5 @@ def rehearse_t1(
         raise InputError(
             f"on the twin in T1 this policy lasts {duration:g} s in {ended[Outcome.LASTED]} of "
             f"{trials} trials, expected {least} (ended by: {others}); train one for "
-            f"this limit: equipoise train --max-speed {T1_SPEED:g}"
+            f"this limit: equipoise train --set plant.max_speed={T1_SPEED:g}"
         )
