@@ -43,6 +43,7 @@ from equipoise.model.actuator import (
     ActuatorFit,
     ActuatorParameters,
     DriveInertia,
+    JointResponse,
     Kind,
     track,
 )
@@ -180,10 +181,8 @@ class Log(NamedTuple):
         stream = self.stream_time, self.stream_q[joint]
         replies = self.reply_time, self.reply_q[joint]
         predicted = np.empty_like(self.reply_time)
-        track(
-            *(*stream, *replies, delay, spread, lag, bias, memory, actuator),
-            *(compliance, inertia, torque, predicted),
-        )
+        response = JointResponse(delay, lag, actuator, spread, bias, memory, compliance)
+        track(*stream, *replies, response, inertia, torque, predicted)
         return predicted[self.settled :]
 
     def residual(self, kind: Kind, unknowns: Array, spread: float = JITTER) -> Array:
