@@ -8,14 +8,14 @@ import pytest
 
 from equipoise.control.bound_policy import bind_policy, load_policy
 from equipoise.control.policy import shipped_policy
-from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, InputError
 from equipoise.logs.run_log import RunLog
 from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.config import RigSettings
 from equipoise.rig.connection import emulated_rig
-from equipoise.rig.explanation import CauseName, explain
-from equipoise.rig.run import RunRequest, exit_code, run_virtually, warm_up
+from equipoise.rig.explanation import explain
+from equipoise.rig.run import RunRequest, run_virtually, warm_up
 from equipoise.rig.run_controller import PHASES
 from equipoise.rig.worker import InterruptedPolicy, PolicyTimeout
 from tests.control.test_bound_policy import KINDS, folder
@@ -121,7 +121,7 @@ def test_a_policy_that_fails_ends_in_the_latched_stop_with_the_arm_at_rest(tmp_p
     failing = Failing(fail)
     policy = bind_policy(failing, name="Failing")
     result, log = run(policy, tmp_path / "run.mcap", 5.0, failing)
-    assert (result.cause, result.stoppable, exit_code(result)) == ("policy", True, 1)
+    assert (result.outcome, result.stoppable, result.exit_code) == ("policy failed", True, 1)
     assert FAILURES[fail] in result.reason
     assert result.lasted == pytest.approx(0.5)
     tick = log.tables["tick"]
@@ -132,7 +132,7 @@ def test_a_policy_that_fails_ends_in_the_latched_stop_with_the_arm_at_rest(tmp_p
     assert (tick["state"][first:] == last).all()
     assert tick["u"][first] == 0.0
     found = explain(log).causes[0]
-    assert found.name is CauseName.POLICY
+    assert found.cause is Outcome.POLICY
     assert result.reason[:40] in found.evidence
 
 

@@ -381,7 +381,7 @@ def check_speed(policy: TaskPolicy, limit: float) -> list[Finding]:
         return []
     trained = policy.settings.plant.max_speed
     values: Values = {"stops_at_mps": limit, "policy": trained or "any speed"}
-    remedy = f"train --max-speed {limit:.3g} makes a policy that keeps the limit"
+    remedy = f"train --set plant.max_speed={limit:.3g} makes a policy that keeps the limit"
     return [find("flange speed", values, remedy, warning=trained is None or trained > limit)]
 
 

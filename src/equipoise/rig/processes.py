@@ -76,7 +76,9 @@ def run_in_processes(request: RunRequest, out: Path, person: Operator, live: Liv
                 parent.start_loop(data)
                 end = parent.attend()
             finally:
-                parent.finish(end if isinstance(end, RunEnd) else RunEnd(fault=str(end)))
+                parent.finish(
+                    end if isinstance(end, RunEnd) else RunEnd(evidence={"text": str(end)})
+                )
     if isinstance(end, EquipoiseError):
         raise end
     return end
