@@ -198,7 +198,7 @@ def start(seed, **given):
 
 
 def _attribute(name, value):
-    return lambda emulated: setattr(emulated.sensor.board, name, value)
+    return lambda emulated: setattr(emulated.sensor.emulator, name, value)
 
 
 def _late(emulated):

@@ -294,7 +294,7 @@ def test_a_loop_that_is_killed_is_told_at_once_and_its_log_is_readable(run, tmp_
     # All that it had recorded; a tick may have been under way.
     assert len(log.tables["tick"]) > 100
     assert log.tables["tick"]["time"][-1] > person.acted - 2.0 * H - 0.01
-    assert "has ended with -9" in log.end.fault
+    assert "has ended with -9" in log.end.evidence["text"]
 
 
 def test_a_loop_that_stands_still_is_told_within_100_ms(run, tmp_path):

@@ -137,7 +137,7 @@ def test_without_friction_energy_stays_and_its_error_falls_with_the_step():
 
 def test_an_arm_of_unknown_masses_is_refused():
     arm = without_masses(iiwa(7))
-    with pytest.raises(ArmError, match="has no mass, no inertia"):
+    with pytest.raises(ArmError, match="mass"):
         build(arm, PENDULUM, TwinSettings())
-    with pytest.raises(ArmError, match="has no mass, no inertia"):
+    with pytest.raises(ArmError, match="mass"):
         mass_matrix(arm)

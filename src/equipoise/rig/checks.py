@@ -14,7 +14,6 @@ from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import psutil
 
 from equipoise.control.policy import TaskPolicy
 from equipoise.errors import LinkError
@@ -128,6 +127,8 @@ def check_host(logs: Path) -> list[Finding]:
     Args:
         logs: Folder of the run logs; it need not exist yet.
     """
+    import psutil
+
     cores, load = available_cores(), psutil.getloadavg()[0]
     cpus, info = Path("/sys/devices/system/cpu"), Path("/proc/cpuinfo")
     files = cpus.glob("cpu[0-9]*/cpufreq/scaling_governor")

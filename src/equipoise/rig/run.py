@@ -250,7 +250,7 @@ class RunRequest:
         """Return the rig.
 
         Args:
-            callbacks: `tell` and `attend` of `equipoise.rig.config.connect`.
+            callbacks: `tell` and `attend` of `equipoise.rig.connection.connect`.
 
         Raises:
             InputError: An address is invalid.

@@ -5,6 +5,7 @@ To a client it looks like a board on USB. Linux and macOS only.
 
 import contextlib
 import os
+import sys
 from pathlib import Path
 from typing import Final
 
@@ -34,13 +35,13 @@ class Terminal:
             self._ours, self._theirs = pty.openpty()
         except (ImportError, OSError) as error:
             raise OutsideError(
-                f"cannot open a pseudo-terminal for the encoder's board ({error}); use Linux or "
-                "macOS"
+                f"{sys.platform} has no pseudo-terminal for the board ({error}); use Linux or macOS"
             ) from None
         # The client's side stays open here: without a client, reads on our side would fail.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
         self._board, self._unsent = board, b""
+        self._link: Path | None = None
         self.path = Path(os.ttyname(self._theirs))
         """Name of the terminal; its address is `serial://` with this name."""
 
@@ -54,6 +55,7 @@ class Terminal:
             raise InputError(f"{name} is a file; give another name for the terminal")
         name.unlink(missing_ok=True)
         name.symlink_to(self.path)
+        self._link = name
 
     def advance(self, now: float) -> None:
         """Transfer bytes both ways; call it about once per period of the board.
@@ -71,7 +73,10 @@ class Terminal:
                 self._unsent = sent[os.write(self._ours, sent) :]
 
     def close(self) -> None:
-        """Close the terminal; may be called again."""
+        """Close the terminal, and remove its second name; may be called again."""
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+            self._link = None
         for number in (self._ours, self._theirs):
             if number >= 0:
                 os.close(number)
