@@ -185,9 +185,12 @@ def test_code_of_a_guest(equipoise, guest, tmp_path, text, command, end):
     ],
 )
 def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command, end):
-    for text in ("end()", "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin('', end)"):
-        entry = EntryPoint("own", f"{guest(text, end)}:PLUGIN", plugins.ROBOTS)
-        monkeypatch.setattr(plugins, "_registered", lambda _, entry=entry: {"own": entry})
+    for text in (
+        "end()",
+        "from equipoise.rig.plugins import *\nPLUGIN = RobotPlugin(end, end, end)",
+    ):
+        entry = EntryPoint("own", f"{guest(text, end)}:PLUGIN", "equipoise.robots")
+        monkeypatch.setattr(plugins, "entry_points", lambda group, entry=entry: [entry])
         ran = equipoise(*command.split())
         check(ran, shown="own")
         assert ran.code == 2
