@@ -644,7 +644,7 @@ OPERATOR: Final = (
 INPUTS: Final = (
     Fault("policy of another rig", "the policy was trained on one arm, the rig has another",
           "the run is refused", _ends("error"), trigger=AT_START, scenario=_other_arm,
-          says="trained on"),
+          says="policy and arm"),
     Fault("unit slip", "home in rig.toml is given in radians", "the run is refused",
           _ends("error"), trigger=AT_START, says="home",
           scenario=lambda base: _at_home(base, base.settings.described_arm.home)),
