@@ -51,14 +51,10 @@ from equipoise.rig.findings import Finding, require
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Clock, Operator
 from equipoise.rig.loop import Executor, LoopResult, run_loop
+from equipoise.rig.phases.balancing import POLICY_TIME_SHARE
+from equipoise.rig.phases.context import ArmResponse, Excitation, RunParts
 from equipoise.rig.probes import listen, round_trips
-from equipoise.rig.run_controller import (
-    PHASES,
-    POLICY_TIME_SHARE,
-    Alternative,
-    Excitation,
-    RunController,
-)
+from equipoise.rig.run_controller import PHASES, RunController
 from equipoise.rig.simulate import simulate_run
 from equipoise.safety.rules import T1_SPEED, SafetyParams, make_safety_params
 from equipoise.worlds.twin.excitation import excitation
@@ -176,7 +172,7 @@ class RunRequest:
             torque_share=self.settings.torque_share,
         )
 
-    def responses(self, counts_per_rev: int, max_speed: float = inf) -> list[Alternative]:
+    def responses(self, counts_per_rev: int, max_speed: float = inf) -> tuple[ArmResponse, ...]:
         """Return the responses of the arm of which the run selects one; empty without alternatives.
 
         Args:
@@ -184,13 +180,13 @@ class RunRequest:
             max_speed: Flange speed limit from the pre-flight [m/s].
         """
         carried = (self.actuator, *self.alternatives) if self.alternatives else ()
-        return [self._response(actuator, counts_per_rev, max_speed) for actuator in carried]
+        return tuple(self.response(each, counts_per_rev, max_speed) for each in carried)
 
-    def _response(self, actuator: Actuator, counts_per_rev: int, max_speed: float) -> Alternative:
+    def response(self, actuator: Actuator, counts_per_rev: int, max_speed: float) -> ArmResponse:
         """Return the response of the arm with an actuator; further arguments as of `responses`."""
         one = replace(self, actuator=actuator)
         parts = one.controller(counts_per_rev), one.guard(counts_per_rev, max_speed)
-        return Alternative(actuator, *parts)
+        return ArmResponse(actuator, *parts)
 
     def excitation(self, counts_per_rev: int, max_speed: float = inf) -> Excitation | None:
         """Return the excitation before the lift; None without one. Arguments as of `responses`.
@@ -204,14 +200,39 @@ class RunRequest:
         free = excitation(arm, period=self.policy.h / 2.0)
         free = arm.home_free + EXCITATION_SHARE * (free - arm.home_free)
 
-        def respond(actuator: Actuator) -> tuple[Alternative, str]:
+        def respond(actuator: Actuator) -> tuple[ArmResponse, str]:
             text = describe_fit(self.policy, actuator)
             if not (fitting_actuators(self.policy, actuator) or self.anyway):
                 raise InputError(text)
-            return self._response(actuator, counts_per_rev, max_speed), text
+            return self.response(actuator, counts_per_rev, max_speed), text
 
         setpoints = np.array([arm.with_held(q) for q in free])
         return Excitation(setpoints, self.identify, respond)
+
+    def parts(
+        self,
+        policy: Policy,
+        clock: Callable[[], float],
+        counts_per_rev: int,
+        max_speed: float = inf,
+    ) -> RunParts:
+        """Return the parts of the run controller.
+
+        Args:
+            policy: The policy, as it decides tick by tick.
+            clock: Clock for its computing time [s].
+            counts_per_rev: Counts per revolution that the rig's encoder reports.
+            max_speed: Flange speed limit from the pre-flight [m/s].
+        """
+        return RunParts(
+            self.settings.described_arm,
+            self.policy.settings.boxes,
+            policy,
+            self.duration,
+            clock,
+            self.responses(counts_per_rev, max_speed),
+            self.excitation(counts_per_rev, max_speed),
+        )
 
     def conditions(self) -> RunConditions:
         """Return the run conditions for the log.
@@ -418,16 +439,14 @@ def run_on_rig(
         began = rig.clock.now()
         recorder.reply.push(began, nan, robot.started_at, recorder.unknown, began)
         controller = RunController(
-            request.settings.described_arm,
-            request.controller(counts_per_rev),
-            request.policy.settings.boxes,
-            policy,
-            request.guard(counts_per_rev, max_speed),
+            request.parts(
+                policy,
+                rig.clock.now if kernel is None else lambda: 0.0,  # it takes the computer's time
+                counts_per_rev,
+                max_speed,
+            ),
+            request.response(request.actuator, counts_per_rev, max_speed),
             robot.started_at,
-            duration=request.duration,
-            clock=rig.clock.now if kernel is None else lambda: 0.0,  # it takes the computer's time
-            alternatives=request.responses(counts_per_rev, max_speed),
-            excitation=request.excitation(counts_per_rev, max_speed),
         )
         ending = run_loop(
             robot,
@@ -565,7 +584,7 @@ def _unmoved(outcome: Outcome, **evidence: float | str) -> RunEnd:
 
 def run_end(controller: RunController, ending: LoopResult) -> RunEnd:
     """Return the end of a run from the states of its controller and its loop."""
-    end = controller.state.cause or End(Outcome.FAULT, {"text": "the run ended without a cause"})
+    end = controller.end or End(Outcome.FAULT, {"text": "the run ended without a cause"})
     if ending.fault is not None:
         outcome = ending.fault.outcome if ending.stoppable else Outcome.LINK_LOST
         end = ending.fault._replace(outcome=outcome)
