@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from equipoise.errors import InputError
 from equipoise.robots.encoder.codec import (
     Banner,
     Decoder,
@@ -304,3 +305,8 @@ def survives(grains, seed, lines, cut):
 @given(st.lists(GRAINS, min_size=1, max_size=8), st.integers(0, 2**32), st.integers(1, 4096))
 def test_noise_never_makes_it_raise(grains, seed, cut):
     survives(grains, seed, 100, cut)
+
+
+def test_a_reading_that_no_line_can_hold_is_refused():
+    with pytest.raises(InputError):
+        encode(EXAMPLE._replace(seq=2**16))

@@ -19,6 +19,7 @@ from equipoise.robots.kst.codec import (
     expect_numbers,
     java_double,
     java_number,
+    numbers_reply,
     parse_reply,
     setpoint,
     tokens,
@@ -29,6 +30,7 @@ FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 SEVEN = st.lists(FLOATS, min_size=JOINTS, max_size=JOINTS)
 # As a JVM 17 prints them; from 19 on Java's own digits are the fewest, as here.
 JAVA = {
+    math.nan: "NaN",
     0.0: "0.0",
     5e-324: "4.9E-324",
     2e-323: "2.0E-323",
@@ -176,6 +178,10 @@ def test_answers_of_the_wrong_kind_are_named():
     for line in (b"done", b"nak", b"0.0_", b"0.0_" * 6, b"0.0_" * 8):
         with pytest.raises(LinkError, match=r"expected 7 numbers as the answer to jpJP"):
             expect_numbers(line, JOINTS, "jpJP")
+
+
+def test_a_reply_holds_each_number():
+    assert numbers_reply([0.5, -2.0]) == b"0.5_-2.0_\n"
 
 
 @pytest.mark.parametrize(("value", "text"), JAVA.items())
