@@ -536,7 +536,7 @@ def test_episodes_last_longer_as_the_training_goes_on(pendulum, actuator):
 def test_a_pendulum_that_no_controller_balances_is_refused_before_the_training(pendulum):
     late = shipped_actuator().model_copy(update={"delay": Estimate.around(0.25, 0.0, "assumed")})
     begun = []
-    with pytest.raises(SettingsError, match="no controller balances this pendulum"):
+    with pytest.raises(SettingsError, match="no controller"):
         train(pendulum, ARM, settings(), actuator=late, report=begun.append)
     assert begun == []
     assert check_task(pendulum, ARM, settings()) is None
