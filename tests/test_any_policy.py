@@ -10,7 +10,7 @@ from equipoise.settings import resolve
 from equipoise.worlds.certification import certify, check_policy, make_claim, repeat
 from equipoise.worlds.evaluation import evaluate
 from tests.control.test_bound_policy import KINDS, folder
-from tests.studies.replayed import replay
+from tests.rig.replayed import replay
 
 __all__ = ["folder"]
 

@@ -25,7 +25,7 @@ from equipoise.rig.config import read_rig
 from tests.faults.harness import Scenario
 from tests.faults.injection import FAULTS, run_fault
 from tests.model.arms.witnesses import ELBOW
-from tests.studies.replayed import replay
+from tests.rig.replayed import replay
 
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "bring-an-arm.md"
 BLOCK = re.compile(r"^```(python|toml|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -10,7 +10,7 @@ from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
 from equipoise.rig.simulate import simulate_run
 from tests.logs.made_up import conditions
-from tests.studies.faulted import draw_fault, run_with
+from tests.rig.faulted import draw_fault, run_with
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
 
@@ -138,7 +138,7 @@ def test_show_refuses_a_log_of_which_nothing_is_readable(equipoise, pushed, tmp_
     for name, saying in (
         ("empty.mcap", "empty.mcap"),
         ("cut.mcap", "cut.mcap"),
-        ("excited.mcap", "no policy ran"),
+        ("excited.mcap", "balancing"),
     ):
         ran = equipoise("log", "show", name)
         assert ran.code == 2, ran

@@ -1,12 +1,14 @@
 """Runs that nobody ran: random numbers in the tables of a log."""
 
 import dataclasses
+import resource
+from contextlib import contextmanager
 
 import numpy as np
 
 from equipoise.control.states import Phase
+from equipoise.logs.columns import tables
 from equipoise.logs.conditions import RunConditions, RunEnd
-from equipoise.logs.layout import tables
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.posture import along_x
@@ -18,7 +20,7 @@ COLUMNS = (
     *("time", "x", "x_dot", "phi", "phi_dot", "box", "u", "q", "dq"),
     *("estimated_phi", "estimated_phi_dot", "bias"),
 )
-"""Attributes of a run that are columns of its ticks."""
+"""Columns of the ticks that a simulation fills."""
 PARTS = ("truth", "stream", "replies", "encoder")
 """Attributes of a run with other columns."""
 
@@ -87,7 +89,7 @@ def made_up(count=40, rig=True, **changes):
 
 def arrays(run):
     """All arrays of a run by name."""
-    ticks = {name: getattr(run, name) for name in COLUMNS}
+    ticks = {name: run.ticks[name] for name in COLUMNS}
     return ticks | {
         f"{part}.{name}": values
         for part in PARTS
@@ -143,3 +145,14 @@ def balanced_on_a_rig():
         {"tick": tick, "reply": reply, "encoder": encoder},
         RunEnd(cause="lasted", zero=RESTING),
     )
+
+
+@contextmanager
+def full_disk(room):
+    """No file may grow beyond `room` bytes."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

@@ -87,16 +87,8 @@ def test_a_run_that_did_not_balance_is_refused_with_its_reason(tmp_path, rig_log
     push_event(recorder.event, 0.5, "move", ("y", "n"), "Move? y or n")
     writer.drain(recorder)
     writer.finish(1.0, RunEnd(cause="operator", reason="the move was not allowed"))
-    with pytest.raises(RecordingError, match=r"while connecting \(the move was not allowed\)"):
+    with pytest.raises(RecordingError, match="the move was not allowed"):
         load_run(path)
-
-
-def test_what_is_no_log_is_refused(tmp_path):
-    (tmp_path / "x.mcap").write_bytes(b"hello")
-    with pytest.raises(ArtefactError, match="is not an MCAP file"):
-        RunLog.load(tmp_path / "x.mcap")
-    with pytest.raises(ArtefactError, match="there is no file"):
-        RunLog.load(tmp_path / "y.mcap")
 
 
 def test_every_table_is_exported_with_units(rig_log, tmp_path):

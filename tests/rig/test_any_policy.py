@@ -19,7 +19,7 @@ from equipoise.rig.processes import InterruptedPolicy, PolicyTimeout
 from equipoise.rig.run import RunRequest, exit_code, run_virtually, warm_up
 from equipoise.rig.run_controller import PHASES
 from tests.control.test_bound_policy import KINDS, folder
-from tests.studies.replayed import replay
+from tests.rig.replayed import replay
 
 __all__ = ["folder"]
 

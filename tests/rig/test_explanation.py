@@ -30,7 +30,7 @@ from equipoise.rig.explanation import (
 from equipoise.rig.simulate import excite, simulate_run
 from equipoise.safety.rules import Rule
 from equipoise.safety.trial import guard_named
-from tests.studies.faulted import KINDS, Fault, draw_fault, run_with
+from tests.rig.faulted import KINDS, Fault, draw_fault, run_with
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
 

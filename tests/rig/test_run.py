@@ -1,7 +1,5 @@
 """A whole run on emulated rigs, in virtual time, with all guards on."""
 
-import os
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from equipoise.control.states import Phase
 from equipoise.control.ticks import OperatorMessage
 from equipoise.errors import InputError
 from equipoise.identification.motion import identify_motion
-from equipoise.logs import writer as log_writer
 from equipoise.logs.recorder import Recorder, read_events
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
@@ -28,7 +25,8 @@ from equipoise.rig.run import (
 )
 from equipoise.rig.run_controller import PHASES
 from equipoise.safety.rules import Rule
-from tests.studies.replayed import replay
+from tests.logs.made_up import full_disk
+from tests.rig.replayed import replay
 
 pytestmark = pytest.mark.compiled_only
 
@@ -174,15 +172,12 @@ def test_a_dry_run_moves_nothing(tmp_path):
     assert len(RunLog.load(out, damaged=True).tables["stream"]) == 0
 
 
-def test_a_log_that_a_full_disk_cut_is_not_passed_over_in_silence(tmp_path, monkeypatch):
+def test_a_log_that_a_full_disk_cut_is_not_passed_over_in_silence(tmp_path):
     whole = tmp_path / "whole.mcap"
     on_the_twin(request(dry_run=True), whole)
-    room, real = whole.stat().st_size - 50, os.pwrite
-    monkeypatch.setattr(
-        log_writer.os, "pwrite", lambda f, data, at: real(f, data[: max(room - at, 0)], at)
-    )
     spy = Spy()
-    on_the_twin(request(dry_run=True), tmp_path / "run.mcap", spy)
+    with full_disk(whole.stat().st_size - 50):
+        on_the_twin(request(dry_run=True), tmp_path / "run.mcap", spy)
     assert spy.names[-1] == "warning"
 
 

@@ -96,7 +96,7 @@ def test_what_the_policy_saw_is_the_truth(run, small_policy):
     for name in ("x", "x_dot", "phi", "phi_dot"):
         np.testing.assert_array_equal(getattr(run.truth, name), getattr(run, name))
     np.testing.assert_array_equal(run.estimated_phi, run.phi)
-    np.testing.assert_array_equal(run.estimated_phi_dot, run.phi_dot)
+    np.testing.assert_array_equal(run.ticks["estimated_phi_dot"], run.phi_dot)
     np.testing.assert_array_equal(run.bias, 0.0)
     # The real joints carry the flange to the real x of the same tick.
     arm = small_policy.arm

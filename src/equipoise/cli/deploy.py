@@ -260,10 +260,10 @@ def _run_on_rig(
         if is_virtual(request.robot):
             with stop_by_signal() as stopped, guest_code(f"the driver of {request.robot}"):
                 spectator = _Spectator(person, stopped)
-                result = run_virtually(request, out, spectator, replace=log.force)
+                result = run_virtually(request, out, spectator)
         else:
             with beside(output, console), single_keys():
-                result = run_in_processes(request, out, person, replace=log.force)
+                result = run_in_processes(request, out, person)
     except EquipoiseError:
         if _identity(out) != before:
             output.wrote(out)

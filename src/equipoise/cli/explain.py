@@ -43,7 +43,7 @@ def explain(run: Path = opt.RUN, as_json: bool = opt.JSON) -> None:
     from equipoise.rig.explanation import explain as why
 
     read = RunLog.load(run, damaged=True)
-    found, missing = why(read), read.missing_part
+    found, missing = why(read), read.damage
     first, *others = found.causes
     how, log = found.ending, found.log
     rows = {"ended": f"{how.cause}{f': {how.reason}' if how.reason else ''}"}

@@ -45,7 +45,7 @@ def export(
     from equipoise.logs.runs import export as write
 
     log = RunLog.load(run, damaged=True)
-    output.warn(log.missing_part)
+    output.warn(log.damage)
     if video is None and (begin is not None or end is not None):
         raise InputError("--from and --to choose the part of a film; give --video FILE as well")
     film = None
@@ -67,7 +67,7 @@ def export(
         run=run,
         tables=made,
         video=video,
-        whole=not log.missing_part,
+        whole=not log.damage,
     )
 
 

@@ -102,7 +102,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
     from equipoise.model.actuator import LAWS, describe_rotor
 
     run = load_run(log)
-    output.warn(run.missing_part)
+    output.warn(run.damage)
     with output.busy(f"fitting {len(run.replies.time):,} measured postures"):
         actuator = identify_run(run)
     with destination.claimed() as out:

@@ -56,7 +56,7 @@ def refine(
     table = TabularPolicy.load(policy)
     logs = {str(path): load_run(path) for path in runs}
     for path, log in logs.items():
-        if missing := log.missing_part:
+        if missing := log.damage:
             output.warn(f"{path}: {missing}")
     with output.busy("identifying again"):
         findings = inspect(table, logs)

@@ -28,7 +28,7 @@ def show(
     from equipoise.logs.run_log import RunLog
 
     log = RunLog.load(run, damaged=True)
-    output.warn(log.missing_part)
+    output.warn(log.damage)
 
     def ready(address: str) -> None:
         output.rows({"replay": address, "": "Ctrl-C ends it"})

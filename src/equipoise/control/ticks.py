@@ -5,7 +5,7 @@ A tick handler, such as `equipoise.rig.run_controller`, uses no device, clock or
 
 from collections.abc import Callable, Sequence
 from math import ceil
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Annotated, Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -59,26 +59,20 @@ class OperatorMessage(NamedTuple):
 
 
 class TickRecord(NamedTuple):
-    """Observation and decision of a tick, for the log; NaN outside the balance."""
+    """Observation and decision of a tick, for the log; NaN outside the balance.
 
-    x: float = np.nan
-    """Displacement of the flange in the observation [m]."""
-    x_dot: float = np.nan
-    """Its velocity [m/s]."""
-    phi: float = np.nan
-    """Angle of the pendulum from upright in the observation [rad]."""
-    phi_dot: float = np.nan
-    """Its rate [rad/s]."""
-    box: int = -1
-    """Box of the table; -1 outside the balance."""
-    u: float = 0.0
-    """Commanded acceleration of the flange [m/s^2]."""
-    estimated_phi: float = np.nan
-    """Estimate of phi at the tick [rad]."""
-    estimated_phi_dot: float = np.nan
-    """Estimate of phi_dot at the tick [rad/s]."""
-    bias: float = 0.0
-    """Estimated error of the zero [rad]."""
+    Each field is a column of the log: its annotation holds the type, the unit and the meaning.
+    """
+
+    x: Annotated[float, "m", "Displacement of the flange from home, as observed"] = np.nan
+    x_dot: Annotated[float, "m/s", "Velocity of the flange, as observed"] = np.nan
+    phi: Annotated[float, "rad", "Angle from upright, towards +x, as observed"] = np.nan
+    phi_dot: Annotated[float, "rad/s", "Angular velocity, as observed"] = np.nan
+    box: Annotated[int, "", "Box of the table that holds the state; -1 outside the balance"] = -1
+    u: Annotated[float, "m/s^2", "Commanded acceleration of the flange along x"] = 0.0
+    estimated_phi: Annotated[float, "rad", "Estimate of phi at the tick, not predicted"] = np.nan
+    estimated_phi_dot: Annotated[float, "rad/s", "Estimate of phi_dot at the tick"] = np.nan
+    bias: Annotated[float, "rad", "Estimate of the encoder's zero error"] = 0.0
 
 
 class TickOutput(NamedTuple):

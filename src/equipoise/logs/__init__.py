@@ -3,10 +3,11 @@
 ::
 
     tick loop -> Recorder (rings) -> RunWriter (file, during the run) -+
-                                                                              +-> MCAP -> RunLog
-    simulation -> RunLog.simulated -> RunLog.save (file, atomically) +
+                                                                       +-> MCAP -> RunLog
+    simulation -> RunLog.simulated -> RunLog.save (file, atomically) --+
 
-`layout` defines the tables and their columns, `conditions` the conditions and the end of a run.
-`writer` and `container` write and read the file; `foxglove` adds messages for the 3D panels of
-Foxglove and Lichtblick.
+`columns` describes the tables once; everything here follows from it. `conditions` holds the
+conditions and the end of a run, `foxglove` the messages for the 3D panels of Foxglove and
+Lichtblick. To add a field to the log, add it to `equipoise.control.ticks.TickRecord` and fill it in
+the phase that computes it.
 """

@@ -11,7 +11,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.logs.layout import tables
+from equipoise.control.ticks import TickInputs, TickOutput
+from equipoise.logs.columns import tables
 
 BUFFERED: Final = 10.0
 """Time span of the rows that a ring holds [s]."""
@@ -155,28 +156,51 @@ class Recorder:
         """Return the size of the memory for an arm with `joints` joints [B]."""
         return _memory_layout(joints).itemsize
 
+    def record_tick(
+        self, now: float, compute: float, inputs: TickInputs, output: TickOutput
+    ) -> None:
+        """Write the inputs and the decision of a tick, and update the pulse.
+
+        Args:
+            now: Time of the tick [s].
+            compute: Computing time, from reading to sending [s].
+            inputs: Inputs of the tick.
+            output: Decision of the tick.
+        """
+        for sample in inputs.samples:
+            self.encoder.push(*sample, now)
+        for reply in inputs.replies:
+            q = self.unknown if reply.q is None else reply.q
+            torque = self.unknown if reply.torque is None else reply.torque
+            self.reply.push(reply.received, reply.sent, q, torque, now)
+        timing = (now, inputs.lateness, compute)
+        self.tick.push(*timing, output.state, *output.record, output.q, output.dq)
+        for name, texts in ((WORD_TYPED, inputs.lines), (FAILED, inputs.faults)):
+            for text in texts:
+                push_event(self.event, now, name, (), text)
+        self.pulse[:3] = now, output.state, output.record.estimated_phi
+        self.pulse[3] += 1.0
+
+    def take(self) -> dict[str, npt.NDArray[Any]]:
+        """Return the rows of each table since the last call."""
+        return {name: ring.take() for name, ring in self.rings.items()}
+
     def ask(self, question: Question | None) -> None:
         """Publish the open question; None without one."""
         row = self._question
         row["number"] = 0  # an observer ignores a row that is being written
         if question is not None:
-            row["name"] = _cut(question.name, QUESTION["name"].itemsize)
-            row["answers"] = _cut("|".join(question.answers), QUESTION["answers"].itemsize)
-            row["text"] = _cut(question.text, QUESTION["text"].itemsize)
+            texts = (question.name, "|".join(question.answers), question.text)
+            for column, text in zip(("name", "answers", "text"), texts, strict=True):
+                row[column] = _cut(text, QUESTION[column].itemsize)
             row["number"] = question.number
 
     def question(self) -> Question | None:
         """Return the open question; None without one."""
-        number, name, answers, text = self._question[0].item()
+        number, *texts = self._question[0].item()
         if number == 0 or number != int(self._question["number"][0]):
             return None
-        name, answers, text = (value.decode("utf-8", "replace") for value in (name, answers, text))
-        return Question(number, name, tuple(filter(None, answers.split("|"))), text)
-
-    def forget(self) -> None:
-        """Empty the rings, in a run without a log."""
-        for ring in self.rings.values():
-            ring.take()
+        return Question(number, *_texts(*texts))
 
     @property
     def lost(self) -> int:
@@ -201,15 +225,17 @@ def push_event(ring: Ring, time: float, name: str, answers: Sequence[str], text:
     ring.push(time, *(_cut(value, EVENT[column].itemsize) for column, value in texts.items()))
 
 
+def read_events(rows: npt.NDArray[Any]) -> list[LoggedEvent]:
+    """Return the events in rows of the table `event`."""
+    return [LoggedEvent(time, *_texts(*texts)) for time, *texts in rows.tolist()]
+
+
 def _cut(text: str, size: int) -> bytes:
     """Return the longest beginning of a text that has at most `size` bytes of UTF-8."""
     return text.encode(errors="backslashreplace")[:size].decode(errors="ignore").encode()
 
 
-def read_events(rows: npt.NDArray[Any]) -> list[LoggedEvent]:
-    """Return the events in rows of the table `event`."""
-    events: list[LoggedEvent] = []
-    for time, *texts in rows.tolist():
-        name, answers, text = (value.decode("utf-8", "replace") for value in texts)
-        events.append(LoggedEvent(time, name, tuple(filter(None, answers.split("|"))), text))
-    return events
+def _texts(*texts: bytes) -> tuple[str, tuple[str, ...], str]:
+    """Return name, answers and text of an event from its columns."""
+    name, answers, text = (value.decode("utf-8", "replace") for value in texts)
+    return name, tuple(filter(None, answers.split("|"))), text

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from equipoise.artefacts import write_whole
 from equipoise.control.states import Phase
 from equipoise.errors import RecordingError
-from equipoise.logs.layout import TABLES, Rows
+from equipoise.logs.columns import TABLES, Rows
 from equipoise.logs.run_log import BROKEN_OFF, RunLog
 from equipoise.model.pendulum import PendulumParameters
 

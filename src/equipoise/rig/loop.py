@@ -24,11 +24,10 @@ from equipoise.control.ticks import (
     OperatorMessage,
     TickHandler,
     TickInputs,
-    TickOutput,
     missed_ticks,
 )
 from equipoise.errors import LinkError
-from equipoise.logs.recorder import FAILED, PULSE, WORD_TYPED, Recorder, push_event
+from equipoise.logs.recorder import PULSE, Recorder, push_event
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import AngleSensor, Clock, Sample
 from equipoise.rig.operator import Operator
@@ -162,9 +161,7 @@ def run_loop(
             if ticks < len(late):
                 late[ticks], compute[ticks] = lateness, took
             ticks += 1
-            for sample in samples:
-                recorder.encoder.push(*sample, now)
-            _record(recorder, now, took, inputs, output)
+            recorder.record_tick(now, took, inputs, output)
             if first:
                 recorder.stream.push(sent, robot.last)  # as sent: the guard may have replaced it
             for event in output.events:
@@ -242,25 +239,4 @@ def _notify(recorder: Recorder, operator: Operator, now: float, event: OperatorM
     operator.notify(event)
 
 
-_TIME, _STATE, _PHI, _TICKS = (PULSE.index(name) for name in ("time", "state", "phi", "ticks"))
-
-
-def _record(
-    recorder: Recorder, now: float, took: float, inputs: TickInputs, output: TickOutput
-) -> None:
-    record, unknown = output.record, recorder.unknown
-    for reply in inputs.replies:
-        q = unknown if reply.q is None else reply.q
-        torque = unknown if reply.torque is None else reply.torque
-        recorder.reply.push(reply.received, reply.sent, q, torque, now)
-    recorder.tick.push(
-        *(now, inputs.lateness, took, output.state),
-        *(record.x, record.x_dot, record.phi, record.phi_dot, record.box, record.u),
-        *(record.estimated_phi, record.estimated_phi_dot, record.bias, output.q, output.dq),
-    )
-    for name, texts in ((WORD_TYPED, inputs.lines), (FAILED, inputs.faults)):
-        for text in texts:
-            push_event(recorder.event, now, name, (), text)
-    pulse = recorder.pulse
-    pulse[_TIME], pulse[_STATE], pulse[_PHI] = now, output.state, record.estimated_phi
-    pulse[_TICKS] += 1.0
+_TIME, _TICKS = PULSE.index("time"), PULSE.index("ticks")

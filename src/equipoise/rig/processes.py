@@ -77,16 +77,13 @@ class LocalOperator(Operator, Protocol):
         ...
 
 
-def run_in_processes(
-    request: RunRequest, out: Path, person: LocalOperator, *, replace: bool = False
-) -> RunEnd:
+def run_in_processes(request: RunRequest, out: Path, person: LocalOperator) -> RunEnd:
     """Run a policy on a rig in real time, and write the log.
 
     Args:
         request: The run.
         out: Path of the log.
         person: The operator.
-        replace: Whether this run replaces an existing log, once it is connected.
 
     Raises:
         InputError: The policy cannot be sent to the loop's process.
@@ -96,7 +93,7 @@ def run_in_processes(
         pickle.dumps(request)
     context = multiprocessing.get_context("spawn")
     with share(_described(request)) as memory:
-        return _run(context, request, memory, out, person, replace=replace)
+        return _run(context, request, memory, out, person)
 
 
 def _run(
@@ -105,8 +102,6 @@ def _run(
     memory: Path,
     out: Path,
     person: LocalOperator,
-    *,
-    replace: bool,
 ) -> RunEnd:
     """Run the processes around shared memory; further arguments as of `run_in_processes`."""
     joints = len(request.settings.described_arm.joints)
@@ -115,7 +110,7 @@ def _run(
     log_pipe, done = context.Pipe(), context.Event()
     writer = context.Process(
         target=_write,
-        args=(memory, joints, out, replace, request.conditions(), done, log_pipe[0]),
+        args=(memory, joints, out, request.conditions(), done, log_pipe[0]),
         daemon=True,
     )
     loop = context.Process(
@@ -514,7 +509,6 @@ def _write(
     memory: Path,
     joints: int,
     out: Path,
-    replace: bool,
     conditions: RunConditions,
     done: Any,
     pipe: Any,
@@ -524,7 +518,7 @@ def _write(
     parent = os.getppid()
     recorder = open_recorder(memory, joints)
     try:
-        writer = RunWriter(out, conditions, time.monotonic(), replace=replace)
+        writer = RunWriter(out, conditions, time.monotonic())
     except OutsideError as error:
         pipe.send(str(error))
         return

@@ -587,7 +587,6 @@ def run_virtually(
     out: Path | None,
     operator: Operator | None = None,
     *,
-    replace: bool = False,
     rig: Rig | None = None,
     wrap: Callable[[TickHandler], TickHandler] = lambda handler: handler,
 ) -> RunEnd:
@@ -597,7 +596,6 @@ def run_virtually(
         request: The run; its robot is `twin:...`.
         out: Path of the log; None writes no log.
         operator: Operator besides the emulated one.
-        replace: Whether this run replaces an existing log, once it is connected.
         rig: The rig, such as one with faults (default: that of the robot's address).
         wrap: Wraps the tick handler, see `run_on_rig`.
 
@@ -607,7 +605,7 @@ def run_virtually(
     """
     rig = request.connect() if rig is None else rig
     recorder = Recorder(rig.robot.joints)
-    writer = out and RunWriter(out, request.conditions(), rig.clock.now(), replace)
+    writer = out and RunWriter(out, request.conditions(), rig.clock.now())
     ticks = count(1)
 
     def idle() -> None:
@@ -616,7 +614,7 @@ def run_virtually(
         if writer is not None:
             writer.drain(recorder)
         else:
-            recorder.forget()
+            recorder.take()
 
     operators = [one for one in (rig.operator, operator) if one is not None]
     end = RunEnd()

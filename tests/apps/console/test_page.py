@@ -42,7 +42,7 @@ class PlayedRun:
             state = PHASES.index(self.phase)
             observed = (0.0, 0.0, phi, 0.0, 0, 0.5, phi, 0.0, 0.0)
             recorder = self.recorder
-            recorder.forget()
+            recorder.take()
             recorder.reply.push(now, nan, home, 0.0 * home, now)
             recorder.tick.push(now, 0.001, 0.001, state, *observed, home + 0.02, 0.0 * home)
 

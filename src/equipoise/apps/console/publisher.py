@@ -39,7 +39,7 @@ class Publisher:
             u: Commanded acceleration of the flange [m/s^2].
         """
         rings, unknown = self._recorder.rings, self._unknown
-        self._recorder.forget()  # there is no log to drain them
+        self._recorder.take()  # there is no log to drain them
         rings["reply"].push(time, nan, q, unknown, nan)
         aim = unknown if commanded is None else commanded
         rings["tick"].push(time, nan, nan, 0, nan, nan, nan, nan, 0, u, phi, nan, nan, aim, unknown)

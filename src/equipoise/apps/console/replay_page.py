@@ -270,7 +270,7 @@ class ReplayPage:
         lines = (
             typeset(f"t = {self._playback.time:.3f} s, u = {now.u:+.2f} m/s²{late}"),
             f"{self._title}: {conditions.arm.name}, {conditions.world}; ended: {run.cause}",
-            *filter(None, [run.missing_part]),
+            *filter(None, [run.damage]),
         )
         known = {phase.value: phase for phase in Phase}
         name = now.phase or SIMULATED

@@ -200,7 +200,7 @@ def _servo(twin: TwinSettings) -> Iterator[str]:
 
 def _conditions(results: Results) -> Iterator[tuple[str, str, str]]:
     conditions, trained = results.run.conditions, results.pendulum.parameters()
-    real, (x, x_dot, *angles) = conditions.pendulum, results.run.start
+    real, (x, x_dot, *angles) = conditions.pendulum, conditions.start or (0.0,) * 4
     phi, phi_dot = np.rad2deg(angles)
     yield "w2 [1/s²]", f"{trained.w2:.2f}", f"{real['w2']:.2f}"
     yield "k [1/m]", f"{trained.k:.3f}", f"{real['k']:.3f}"

@@ -11,7 +11,7 @@ from equipoise.logs.run_log import RunLog
 from equipoise.rig.simulate import simulate_run
 from tests.faults.harness import FaultHarness, Scenario, Trigger
 from tests.faults.table import hold_back
-from tests.studies.replayed import replay
+from tests.rig.replayed import replay
 
 pytestmark = pytest.mark.compiled_only  # the twin takes minutes otherwise
 

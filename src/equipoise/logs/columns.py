@@ -1,4 +1,4 @@
-"""Tables of a run log: columns, units, and the JSON schemas of their topics.
+"""Tables of a run log: name, type, unit and meaning of each column.
 
 A table is a structured array with one row per message of the topic with its name::
 
@@ -11,18 +11,23 @@ A table is a structured array with one row per message of the topic with its nam
 
 Times are those of the run's clock [s]: on a rig its monotonic clock, in simulation the time since
 the release. NaN represents an unknown number; the message omits its field.
+
+Rings, messages, JSON schemas, files and CSV tables follow from `TABLES`. The record of a control
+step is `equipoise.control.ticks.TickRecord`: each of its fields is a column of `tick`.
 """
 
-from collections.abc import Iterator, Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.logs.container import MAX_NUMBER
+from equipoise.control.ticks import TickRecord
 
 Rows = npt.NDArray[Any]
 """Rows of a table, as a structured array."""
+MAX_NUMBER: Final = 1e9
+"""Limit on times [s], counts and all other numbers in a row: clocks and encoders reach 1e8."""
 
 
 class Column(NamedTuple):
@@ -44,29 +49,25 @@ class Column(NamedTuple):
         return f"{self.name}_{unit}" if unit else self.name
 
 
-TIME: Final = Column("time", "number", "s", "Time")
+def _record_columns() -> Iterator[Column]:
+    """Yield the columns of a control step's record, from the annotations of its fields."""
+    for name, hint in get_type_hints(TickRecord, include_extras=True).items():
+        kind = "whole" if hint.__origin__ is int else "number"
+        yield Column(name, kind, *hint.__metadata__)
+
+
 TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
     "tick": (
-        TIME._replace(description="Start of the tick"),
+        Column("time", "number", "s", "Start of the tick"),
         Column("late", "number", "s", "Delay of the start behind its deadline; on a rig"),
         Column("compute", "number", "s", "Computing time, from reading to sending; on a rig"),
         Column("state", "whole", "", "Phase, by its index in `phases` of the conditions"),
-        Column(
-            "x", "number", "m", "Displacement of the flange from home, as observed by the policy"
-        ),
-        Column("x_dot", "number", "m/s", "Velocity of the flange, as observed by the policy"),
-        Column("phi", "number", "rad", "Angle from upright, towards +x, as observed by the policy"),
-        Column("phi_dot", "number", "rad/s", "Angular velocity, as observed by the policy"),
-        Column("box", "whole", "", "Box of the table that holds the state"),
-        Column("u", "number", "m/s^2", "Commanded acceleration of the flange along x"),
-        Column("estimated_phi", "number", "rad", "Estimate of phi at the tick, not predicted"),
-        Column("estimated_phi_dot", "number", "rad/s", "Estimate of phi_dot at the tick"),
-        Column("bias", "number", "rad", "Estimate of the encoder's zero error"),
+        *_record_columns(),
         Column("q", "joints", "rad", "Joint positions commanded for the end of the tick"),
         Column("dq", "joints", "rad/s", "Joint velocities commanded for the end of the tick"),
     ),
     "truth": (
-        TIME._replace(description="Start of the tick"),
+        Column("time", "number", "s", "Start of the tick"),
         Column("x", "number", "m", "Displacement of the flange from home along base x"),
         Column("x_dot", "number", "m/s", "Velocity of the flange"),
         Column("phi", "number", "rad", "Angle of the pendulum from upright, towards +x"),
@@ -75,18 +76,18 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
         Column("q", "joints", "rad", "Joint positions"),
     ),
     "stream": (
-        TIME._replace(description="Time of sending"),
+        Column("time", "number", "s", "Time of sending"),
         Column("q", "joints", "rad", "Setpoints of the joints"),
     ),
     "reply": (
-        TIME._replace(description="Time of arrival"),
+        Column("time", "number", "s", "Time of arrival"),
         Column("sent", "number", "s", "Time of the request; unknown of the posture at the start"),
         Column("q", "joints", "rad", "Measured joint positions"),
         Column("torque", "joints", "N m", "Measured external torques"),
         Column("taken", "number", "s", "Tick that took the reply; on a rig"),
     ),
     "encoder": (
-        TIME._replace(description="Time stamp of the sample"),
+        Column("time", "number", "s", "Time stamp of the sample"),
         Column("counts", "whole", "", "Counts; in simulation from the zero"),
         Column("pressed", "whole", "", "1 while the button is pressed"),
         Column("illegal", "whole", "", "1 where the board saw an illegal transition"),
@@ -94,7 +95,7 @@ TABLES: Final[Mapping[str, tuple[Column, ...]]] = {
         Column("received", "number", "s", "Tick that took the sample; on a rig"),
     ),
     "event": (
-        TIME,
+        Column("time", "number", "s", "Time"),
         Column("name", "S32", "", "Phase that began, or kind of message"),
         Column("answers", "S96", "", "Words expected from the operator, separated by |"),
         Column("text", "S400", "", "Sentence for the operator"),
@@ -141,29 +142,26 @@ def canonical(rows: Rows) -> Rows:
 def to_messages(rows: Rows) -> Iterator[dict[str, Any]]:
     """Yield the content of the message of each row, without unknown numbers."""
     names = rows.dtype.names or ()
-    for row in zip(*(_plain(rows[name]) for name in names), strict=True):
+    for row in zip(*(plain(rows[name]) for name in names), strict=True):
         yield {name: value for name, value in zip(names, row, strict=True) if value is not None}
 
 
-def _plain(column: Rows) -> list[Any]:
+def plain(column: Rows) -> list[Any]:
+    """Return the values of a column: decoded text, and None for NaN."""
     if column.dtype.kind == "S":
         return [text.decode("utf-8", "replace") for text in column.tolist()]
-    if column.dtype.kind == "i" or bool(np.isfinite(column).all()):
-        return column.tolist()
     first = column[:, 0] if column.ndim == 2 else column
-    return [
-        None if unknown else value
-        for value, unknown in zip(column.tolist(), np.isnan(first).tolist(), strict=True)
-    ]
+    unknown = (first != first).tolist()
+    return [None if no else value for value, no in zip(column.tolist(), unknown, strict=True)]
 
 
-def from_messages(messages: list[Any], kind: np.dtype[Any]) -> Rows:
+def from_messages(messages: Sequence[Mapping[str, Any]], kind: np.dtype[Any]) -> Rows:
     """Return rows from the contents of their messages.
 
     Raises:
-        KeyError: A whole number or a text is missing.
+        KeyError: A whole number, a text or the time is missing.
         TypeError: A field holds another kind of value.
-        ValueError: A field holds an invalid value, a number beyond `MAX_NUMBER`, or no time.
+        ValueError: A field holds another shape, or a number beyond `MAX_NUMBER`.
     """
     made = np.zeros(len(messages), kind)
     for name in kind.names or () if messages else ():
@@ -172,12 +170,11 @@ def from_messages(messages: list[Any], kind: np.dtype[Any]) -> Rows:
             made[name] = [str(message[name]).encode() for message in messages]
             continue
         unknown = np.full(kind[name].shape, np.nan)
-        given = np.array(
-            [message.get(name, unknown) if base == "f" else message[name] for message in messages]
-        )
+        needed = base == "i" or name == "time"
+        given = np.array([m[name] if needed else m.get(name, unknown) for m in messages])
         if given.dtype.kind not in ("fi" if base == "f" else "i"):
-            raise TypeError(name)
-        if np.any(np.abs(given) > MAX_NUMBER) or (name == "time" and np.isnan(given).any()):
-            raise ValueError(name)
+            raise TypeError(f"{name} holds {given.dtype} values")
+        if np.any(np.abs(given) > MAX_NUMBER):
+            raise ValueError(f"{name} holds numbers beyond {MAX_NUMBER:g}")
         made[name] = given
     return made

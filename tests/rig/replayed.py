@@ -20,7 +20,7 @@ from equipoise.control.bound_policy import BoundPolicy
 from equipoise.control.control_step import make_controller_params
 from equipoise.control.controller import Controller
 from equipoise.control.policy import TaskPolicy, tick_policy
-from equipoise.control.ticks import TickInputs, TickOutput
+from equipoise.control.ticks import TickInputs, TickOutput, TickRecord
 from equipoise.errors import ArtefactError
 from equipoise.identification.motion import identify_motion
 from equipoise.logs.conditions import IDEAL
@@ -46,11 +46,6 @@ JOBS: Final = {"self-test", ACTUATOR, IDENTIFIED}
 """Names of events in ticks that receive the result of a job."""
 JOBS_FAILED: Final = ("the self-test failed", "the selection of an actuator failed", UNIDENTIFIED)
 """First words of the reasons of stops by a failed job."""
-COMPARED: Final = (
-    *("x", "x_dot", "phi", "phi_dot", "box", "u"),
-    *("estimated_phi", "estimated_phi_dot", "bias"),
-)
-"""Compared columns of a tick, beside state and joints."""
 
 
 class Difference(NamedTuple):
@@ -260,7 +255,9 @@ def _of_setpoints(logged: Iterable[Sequence[float]], made: Iterable[Sequence[flo
 
 def _pairs(row: Any, sent: list[list[float]], output: TickOutput) -> Pairs:
     pairs = {"state": (float(row["state"]), float(output.state))}
-    pairs |= {name: (float(row[name]), float(getattr(output.record, name))) for name in COMPARED}
+    pairs |= {
+        name: (float(row[name]), float(getattr(output.record, name))) for name in TickRecord._fields
+    }
     for name in ("q", "dq"):
         pairs |= _of_joints(name, row[name].tolist(), getattr(output, name))
     return pairs | _of_setpoints(sent, output.setpoints)
@@ -295,7 +292,7 @@ def _control_steps(
     run: RunLog, policy: TaskPolicy, controller: Controller, resolution: float
 ) -> Rows:
     """Yield the logged and the replayed values of each tick's control step."""
-    phi_dot = run.start[3]
+    phi_dot = run.conditions.start[3]
     stamp, counts = run.encoder
     controller.begin(pi - counts[0] * resolution - stamp[0] * phi_dot, phi_dot)
     acting = tick_policy(policy)
@@ -308,8 +305,8 @@ def _control_steps(
         observation, estimate = controller.observation, controller.estimate
         setpoints = controller.command(u)
         made = (*observation, float(box), u, estimate.phi, estimate.phi_dot, estimate.bias)
-        logged = (float(getattr(run, name)[i]) for name in COMPARED)
-        pairs = dict(zip(COMPARED, zip(logged, made, strict=True), strict=True))
+        logged = (float(run.ticks[name][i]) for name in TickRecord._fields)
+        pairs = dict(zip(TickRecord._fields, zip(logged, made, strict=True), strict=True))
         first = len(setpoints) * i
         sent = run.stream.q[first : first + len(setpoints)].tolist()
         yield time, pairs | _of_setpoints(sent, setpoints)

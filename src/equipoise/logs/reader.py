@@ -1,0 +1,139 @@
+"""Reader of run logs, up to the first damage.
+
+A truncated or damaged log is read up to the first damage, on request: a chunk counts only with its
+checksum, messages only with consecutive sequence numbers. A log whose rows contradict the digest at
+its end is rejected.
+"""
+
+import json
+from collections import defaultdict
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from equipoise.artefacts import Provenance, check_version, shortened
+from equipoise.errors import ArtefactError
+from equipoise.logs.columns import Rows, from_messages, tables
+from equipoise.logs.conditions import RunConditions, RunEnd
+from equipoise.logs.digest import digest_of
+from equipoise.logs.writer import FORMAT, VERSION
+
+
+class LogContent(NamedTuple):
+    """Content of the sound part of a log."""
+
+    conditions: RunConditions
+    """Place and settings of the run."""
+    tables: Mapping[str, Rows]
+    """Rows of each table."""
+    end: RunEnd | None
+    """End of the run; None for a log without one."""
+    damage: str
+    """Sentence on the damage and the sound part; empty for a complete log."""
+    provenance: Provenance
+    """Provenance of the file."""
+
+
+def read_log(path: Path) -> LogContent:
+    """Read a log up to the first damage.
+
+    Raises:
+        ArtefactError: The file is missing, edited, damaged before its conditions, not a run log,
+            or of another version.
+    """
+    entries, messages, damage = _read_mcap(path)
+    version = entries.get("version", "")
+    if not (version.isascii() and version.isdecimal() and len(version) < 9):
+        raise ArtefactError(f"{path} {damage or 'is no run log'}; give a log that deploy wrote")
+    check_version(path, FORMAT, int(version), VERSION, "record the run again")
+    end, digest = None, None
+    try:
+        conditions = RunConditions.model_validate_json(entries["conditions"], strict=True)
+        provenance = Provenance.model_validate_json(entries["provenance"], strict=True)
+        rows = {
+            name: from_messages([json.loads(each) for each in messages[f"/{name}"]], kind)
+            for name, kind in tables(len(conditions.joints)).items()
+        }
+        if not np.isin(rows["tick"]["state"], range(len(conditions.phases))).all():
+            raise ValueError("state is no phase of the run")
+        if written := messages["/end"]:
+            given = json.loads(written[-1])
+            digest, damage = given.pop("digest"), ""
+            end = RunEnd.model_validate_json(json.dumps(given), strict=True)
+    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
+        what = damage or f"is not a valid {FORMAT!r} file: {shortened(str(error), 200)}"
+        raise ArtefactError(f"{path} {what}; record the run again") from None
+    if end is None:
+        rows = _without_partial_ticks(rows, conditions.h)
+        ticks = len(rows["tick"])
+        damage = (
+            f"the log {damage or 'lacks its end'}; sound before that: {ticks:,} ticks, "
+            f"{ticks * conditions.h:.2f} s; what came after is not known"
+        )
+    elif digest != digest_of(conditions, rows, end):
+        raise ArtefactError(
+            f"{path} does not match its digest: it was edited or damaged after it was written; "
+            "record the run again"
+        )
+    return LogContent(conditions, rows, end, damage, provenance)
+
+
+def _read_mcap(path: Path) -> tuple[Mapping[str, str], Mapping[str, list[bytes]], str]:
+    """Return the entries of the metadata, the messages by topic, and the damage as a clause.
+
+    Raises:
+        ArtefactError: The file is missing, cannot be read, or is no MCAP file.
+    """
+    from mcap.exceptions import InvalidMagic
+    from mcap.records import Channel, DataEnd, Message, Metadata
+    from mcap.stream_reader import StreamReader
+
+    entries: dict[str, str] = {}
+    messages: dict[str, list[bytes]] = defaultdict(list)
+    topics: dict[int, str] = {}
+    count = 0
+    try:
+        with path.open("rb") as file:
+            try:
+                for record in StreamReader(file, validate_crcs=True).records:
+                    if isinstance(record, Metadata) and record.name == FORMAT:
+                        entries = record.metadata
+                    elif isinstance(record, Channel):
+                        topics[record.id] = record.topic
+                    elif isinstance(record, Message):
+                        if record.sequence != count:
+                            raise ValueError("a chunk is missing")
+                        messages[topics[record.channel_id]].append(record.data)
+                        count += 1
+                    elif isinstance(record, DataEnd):
+                        break
+            except (InvalidMagic, OSError):
+                raise
+            except Exception:  # a damaged length raises exceptions of any type
+                return entries, messages, f"is cut short or damaged at byte {file.tell():,}"
+    except FileNotFoundError:
+        raise ArtefactError(f"there is no file {path}; check the path") from None
+    except InvalidMagic:
+        raise ArtefactError(f"{path} is not an MCAP file; give a log that deploy wrote") from None
+    except OSError as error:
+        raise ArtefactError(f"cannot read {path}: {error.strerror}") from None
+    return entries, messages, ""
+
+
+def _without_partial_ticks(rows: Mapping[str, Rows], h: float) -> dict[str, Rows]:
+    """Return tables without the last ticks, whose rows in other tables may be missing.
+
+    Messages are in the order of time: a message one period after a tick proves that all rows of the
+    tick are present.
+
+    Args:
+        rows: Rows of each table.
+        h: Time between ticks [s].
+    """
+    last = max((float(table["time"].max()) for table in rows.values() if len(table)), default=0.0)
+    whole = int(np.sum(rows["tick"]["time"] + h <= last + 1e-9))
+    if len(rows["truth"]):
+        whole = min(whole, len(rows["truth"]))
+    return dict(rows) | {name: rows[name][:whole] for name in ("tick", "truth")}
