@@ -96,11 +96,11 @@ def slice_of(
     after_delay = boundary(params, axes)
     edge = fall(params, in_plane(after_delay, axes), -params.delay)[:, axes]
     limit = params.phi_limit if axes == (2, 3) else params.x_limit
-    edge[:, 0] = np.clip(edge[:, 0], -limit, limit)
     cells = ceil(sqrt(starts))
     rng = np.random.default_rng(0)
     grid = np.stack(np.meshgrid(np.arange(cells), np.arange(cells)), axis=-1).reshape(-1, 2)
-    half = np.minimum(BORDER * np.abs(edge).max(axis=0), (limit, inf))
+    size = np.abs(edge[np.abs(edge[:, 0]) <= limit]).max(axis=0)
+    half = np.minimum(BORDER * size, (limit, inf))
     chosen = half * (2.0 * (grid + rng.random(grid.shape)) / cells - 1.0)
     states = in_plane(chosen, axes)
     simulation = simulate(world, setup, seed=0, stream=MAP)
@@ -147,7 +147,10 @@ def draw(slices: dict[str, MapSlice], settings: eq.Settings) -> Figure:
             look = {"fill": False, "edgecolor": "tab:orange", "linewidth": 2.0, "zorder": 3}
             for sign in (1.0, -1.0):
                 panel.add_patch(Rectangle(sign * corner, sign * width, sign * height, **look))
-    panels[0].legend(fontsize=8)
+        panel.set_xlim(1.02 * unit[0] * np.array((-1.0, 1.0)) * np.abs(found.starts[:, 0]).max())
+        panel.set_ylim(1.05 * unit[1] * np.array((-1.0, 1.0)) * np.abs(found.starts[:, 1]).max())
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
     return figure
 
 

@@ -314,9 +314,9 @@ def check_releases(
         return None
     text = (
         f"no controller saves {1.0 - found.share:.1%} of the releases: the worst one "
-        f"leans {degrees(found.worst):.1f} deg when the arm responds, and at most {degrees(found.limit):.1f} deg "
-        "can be turned back; shorten the delay, release more gently (evaluation.phi_high, "
-        "evaluation.phi_dot_high), or take another pendulum"
+        f"leans {degrees(found.worst):.1f} deg when the arm responds, and at most "
+        f"{degrees(found.limit):.1f} deg can be turned back; shorten the delay, release "
+        "gently (evaluation.phi_high, evaluation.phi_dot_high), or take another pendulum"
     )
     if found.share == 0.0 or found.share < least:
         raise SettingsError(text)
