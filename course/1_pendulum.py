@@ -62,7 +62,7 @@ plt.show()
 # ## Identification
 #
 # `identify` fits equation (8), with the state at the release and the zero of the encoder. Each number comes
-# with a 95 % interval. The figure below the value is the swing that it predicts.
+# with a 95 % interval.
 
 # %%
 identified = eq.identify(swing)

@@ -45,12 +45,11 @@ import numpy as np
 import equipoise as eq
 from equipoise.errors import OutsideError
 from equipoise.worlds.twin.physics import mass_matrix
-from equipoise.apps.report.pictures.rendering import draw
-from equipoise.apps.report.pictures.scene import stage
+from equipoise.film import RigRenderer
 arm = eq.iiwa(7)
 assert mass_matrix(arm).shape == (7, 7)
 try:
-    next(draw(stage(arm, (64, 48)), np.array([arm.home]), np.zeros(1), [0.0]))
+    RigRenderer(arm, 64, 48).draw(np.array(arm.home), 0.0)
 except OutsideError as error:
     print(error)
 """

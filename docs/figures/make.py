@@ -13,8 +13,8 @@ from pathlib import Path
 
 import equipoise as eq
 from equipoise.apps.report.figures import survival
-from equipoise.apps.report.pictures import write_video
-from equipoise.apps.report.style import render
+from equipoise.apps.style import render
+from equipoise.film import write_film
 
 HERE = Path(__file__).parent
 EXPERIMENTS = {"map": (), "gap": (), "compare": ("--told",)}
@@ -28,7 +28,7 @@ def main() -> None:
     given = parser.parse_args()
     policy = eq.shipped_policy()
     run = eq.simulate_run(policy, world="twin:nominal", duration=10.0)
-    write_video(run, policy.arm, HERE / "balancing.webp", begin=0.0, end=8.0)
+    write_film(run, HERE / "balancing.webp", begin=0.0, end=8.0)
     (HERE / "survival.png").write_bytes(render(survival(eq.evaluate(policy)), "png"))
     for name in EXPERIMENTS if given.all else ("map",):
         script, out = HERE.parents[1] / "experiments" / f"{name}.py", HERE / f"{name}.png"

@@ -61,8 +61,7 @@ def test_a_film_that_fails_leaves_the_log(equipoise, monkeypatch, tmp_path):
     def full(*_, **__):
         raise OutsideError("the disk is full")
 
-    monkeypatch.setattr("equipoise.apps.report.pictures.write_video", full)
-    monkeypatch.setattr("equipoise.apps.report.pictures.find_encoder", lambda: None)
+    monkeypatch.setattr("equipoise.film.write_film", full)
     ran = equipoise("deploy", "--world", "model", "--duration", 0.2, "--video", "run.mp4")
     assert ran.code == 3
     assert {path.name for path in tmp_path.glob("run*")} == {"run.mcap"}

@@ -12,7 +12,6 @@ import pytest
 from rich.table import Table
 from rich.text import Text
 
-from equipoise.apps.report import markup
 from equipoise.artefacts import read_document
 from equipoise.cli.output import Output
 from equipoise.cli.terminal_operator import TerminalOperator, key_names
@@ -224,14 +223,9 @@ def test_a_plugin_of_a_robot(equipoise, guest, monkeypatch, command, end):
         assert ran.code == 2
 
 
-def test_the_page():
-    assert markup.prose(HOSTILE).startswith(SHOWN)
-    assert not raw(markup.table([HOSTILE], [[HOSTILE]]) + markup.listing([HOSTILE]))
-
-
 def test_a_figure_takes_a_name_from_a_file_as_it_is(small_evaluation):
-    from equipoise.apps.report.figures.survival import survival
-    from equipoise.apps.report.style import render
+    from equipoise.apps.report.figures import survival
+    from equipoise.apps.style import render
 
     renamed = small_evaluation.results.model_copy(update={"name": HOSTILE})
     svg = render(survival(small_evaluation.model_copy(update={"results": renamed})), "svg").decode()

@@ -173,13 +173,6 @@ def test_a_picture_shows_the_rig_and_changes(world):
     env.close()
 
 
-def test_a_window_needs_a_display(monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(OutsideError, match="no display"):
-        make("ideal", render_mode="human").reset(seed=0)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

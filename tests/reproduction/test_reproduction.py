@@ -15,10 +15,7 @@ from equipoise.reproduction.pipeline import QUICK, TWIN, reproduce, shortened
 from equipoise.reproduction.results import (
     RECORD,
     SWING,
-    estimates_zero,
     load,
-    observation_differs,
-    truth,
     verdict,
 )
 from equipoise.reproduction.synthetic_swing import SyntheticSwing, synthetic_swing
@@ -183,16 +180,6 @@ def test_the_verdict_states_trials_with_their_interval_and_that_it_is_simulation
     assert "after 20 s of 60 s" in fell
     assert "stood all" not in fell
     assert len(verdict(made_up.results(world=MODEL))) == len(verdict(found)) - 1
-
-
-def test_the_truth_is_preferred_to_the_observation():
-    twin, model = made_up.results().run, made_up.results(world=MODEL).run
-    assert truth(twin) is twin.truth
-    assert truth(model) is model
-    assert observation_differs(twin)
-    assert not observation_differs(model)
-    assert estimates_zero(twin)
-    assert not estimates_zero(model)
 
 
 @pytest.mark.slow

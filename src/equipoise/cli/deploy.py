@@ -14,7 +14,7 @@ import typer
 
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import Destination, choose_file
-from equipoise.cli.export import choose_film, write_film
+from equipoise.cli.export import choose_film, draw_film
 from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.errors import EquipoiseError, InputError
 from equipoise.user_code import guest_code
@@ -190,7 +190,7 @@ def deploy(
     output.rows(report.rows)
     output.wrote(out)
     if film is not None and report.code in (0, 1):
-        video = write_film(output, out, film)
+        video = draw_film(output, out, film)
         output.wrote(video)
     output.next(*(("identify", out) if excite else ("log", "explain", out)))
     output.result(run=out, **report.fields, video=video)

@@ -7,16 +7,12 @@ import typer
 
 from equipoise.cli import options as opt
 from equipoise.cli.claim import TRAIN_MORE, certify, repeat
-from equipoise.cli.console import trials_beside
 from equipoise.cli.destinations import check_output, choose_file
 from equipoise.cli.output import Output, trial_fields, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
-    from equipoise.apps.console.trials import ShownTrials
     from equipoise.control.policy import TaskPolicy
-    from equipoise.model.actuator import Actuator
-    from equipoise.settings import Settings
     from equipoise.worlds.evaluation import Evaluation, TrialResults
 
 TASK = (
@@ -75,10 +71,6 @@ def evaluate(
     arm: str | None = opt.TASK_ARM,
     settings_file: Path | None = opt.SETTINGS_FILE,
     seed: int = opt.SEED,
-    console: bool = opt.flag(
-        "--console",
-        "Show the trials in the browser, one after another in real time, until Ctrl-C or STOP.",
-    ),
     workers: int | None = opt.WORKERS,
     ray: str | None = opt.RAY,
     held: str | None = opt.HELD,
@@ -140,54 +132,33 @@ def evaluate(
         plant=opt.changed(old.plant, max_speed=max_speed),
     )
     total = settings.evaluation.trials * (1 + BASELINES * with_baselines)
-    shown = _shown(task, settings, world, response, seed) if console else None
-    with trials_beside(output, shown):
-        with output.trials("evaluate", task, world, total) as done:
-            evaluation = evaluate(
-                task,
-                settings,
-                world=world,
-                actuator=response,
-                seed=seed,
-                with_baselines=with_baselines,
-                workers=threads,
-                partial=partial,
-                done=done,
-            )
-        inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
-        with destination.claimed() as out:
-            evaluation.save(out, command="evaluate", inputs=inputs)
-        balanced = _say(output, evaluation)
-        output.wrote(out)
-        output.next(*(("deploy", policy) if balanced else TRAIN_MORE))
-        output.result(
-            **trial_fields(evaluation.results),
-            duration=evaluation.duration,
-            yardsticks={results.name: trial_fields(results) for results in evaluation.baselines},
-            world=evaluation.world,
-            seed=evaluation.seed,
-            evaluation=out,
-            bad=not balanced,
+    with output.trials("evaluate", task, world, total) as done:
+        evaluation = evaluate(
+            task,
+            settings,
+            world=world,
+            actuator=response,
+            seed=seed,
+            with_baselines=with_baselines,
+            workers=threads,
+            partial=partial,
+            done=done,
         )
-
-
-def _shown(
-    task: "TaskPolicy",
-    settings: "Settings",
-    world: str,
-    actuator: "Actuator | None",
-    seed: int,
-) -> "ShownTrials":
-    """Return the trials that the console shows."""
-    from equipoise.apps.console.trials import ShownTrials
-    from equipoise.apps.coppeliasim.address import is_address
-
-    if is_address(world):
-        raise InputError(
-            f"--console shows trials of the ideal plant, the model and the twins, not of {world}, "
-            "which has its own window"
-        )
-    return ShownTrials(task, settings, world, actuator, seed)
+    inputs = {"policy": evaluation.policy, "pendulum": evaluation.pendulum}
+    with destination.claimed() as out:
+        evaluation.save(out, command="evaluate", inputs=inputs)
+    balanced = _say(output, evaluation)
+    output.wrote(out)
+    output.next(*(("deploy", policy) if balanced else TRAIN_MORE))
+    output.result(
+        **trial_fields(evaluation.results),
+        duration=evaluation.duration,
+        yardsticks={results.name: trial_fields(results) for results in evaluation.baselines},
+        world=evaluation.world,
+        seed=evaluation.seed,
+        evaluation=out,
+        bad=not balanced,
+    )
 
 
 def _of_claim(policy: "TaskPolicy", actuator: str | None) -> "TaskPolicy":

@@ -1,15 +1,11 @@
 """`equipoise log export`: writes a run log as tables for other programs, or as a film."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from equipoise.cli import options as opt
 from equipoise.cli.destinations import Destination, choose_file
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
-
-if TYPE_CHECKING:
-    from equipoise.logs.run_log import RunLog
 
 
 @verb
@@ -41,6 +37,7 @@ def export(
     what = " and ".join((["the tables"] if tables else []) + (["a film"] if video else []))
     output.say(f"Writing {what} of {run}")
 
+    from equipoise.film import film_times
     from equipoise.logs.run_log import RunLog
     from equipoise.logs.runs import export as write
 
@@ -51,7 +48,7 @@ def export(
     film = None
     if video is not None:
         film = choose_film(output, video, run, force=force)
-        check_film(log, video, begin, end)
+        film_times(log, video.suffix.lower(), begin, end)
     folder = None
     if tables:
         folder = choose_file(output, out, run.with_name(f"{run.stem}-csv"), force=force, suffix="")
@@ -60,7 +57,7 @@ def export(
         with folder.claimed() as path:
             made += write(log, path)
     if film is not None:
-        video = write_film(output, run, film, begin, end)
+        video = draw_film(output, run, film, begin, end)
     output.wrote(*made, *([video] if video else []))
     output.next("log", "explain", run)
     output.result(
@@ -72,37 +69,15 @@ def export(
 
 
 def choose_film(output: Output, video: Path, *inputs: Path | None, force: bool) -> Destination:
-    """Choose the name of a film, and check that films can be encoded here.
+    """Choose the name of a film, and check that such films can be written."""
+    from equipoise.film import check_format
 
-    Raises:
-        InputError: The name cannot be used.
-        MissingExtraError: imageio-ffmpeg is not installed.
-    """
-    from equipoise.apps.report.pictures import MP4, SUFFIXES, find_encoder
-
-    kind = video.suffix.lower()
-    if kind not in SUFFIXES:
-        raise InputError(f"--video is {video}; give a name that ends in {' or '.join(SUFFIXES)}")
-    film = choose_file(output, video, video, *inputs, force=force, suffix=kind, option="--video")
-    if kind == MP4:
-        find_encoder()
-    return film
+    suffix = video.suffix.lower()
+    check_format(suffix)
+    return choose_file(output, video, video, *inputs, force=force, suffix=suffix, option="--video")
 
 
-def check_film(run: "RunLog", video: Path, begin: float | None, end: float | None) -> None:
-    """Check that a part of a run can be filmed.
-
-    Raises:
-        InputError: It cannot.
-    """
-    from equipoise.apps.report.pictures import WEBP, check_length, check_span
-
-    begin, end = check_span(run, begin, end)
-    if video.suffix.lower() == WEBP:
-        check_length(end - begin)
-
-
-def write_film(
+def draw_film(
     output: Output,
     run: Path,
     film: Destination,
@@ -115,10 +90,10 @@ def write_film(
         output: Shows that the film is drawn.
         run: The log.
         film: Name that was chosen for the film.
-        begin: Start since the release [s]; by default as `write_video` has it.
+        begin: Start since the release [s]; by default as `write_film` has it.
         end: End since the release [s].
     """
-    from equipoise.apps.report.pictures import write_video
+    from equipoise.film import write_film
     from equipoise.logs.run_log import RunLog
 
     log = RunLog.load(run, damaged=True)
@@ -127,5 +102,5 @@ def write_film(
         def show(share: float) -> None:
             rename(f"drawing the film, {share:.0%}")
 
-        write_video(log, log.conditions.arm, path, begin=begin, end=end, report=show)
+        write_film(log, path, begin, end, show)
     return path

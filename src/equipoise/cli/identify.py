@@ -141,7 +141,7 @@ def _identify_actuator(output: Output, log: Path, given: Path | None, force: boo
 
 def _draw(stem: Path, swing: "Trajectory", pendulum: "Pendulum") -> tuple[Path, ...]:
     from equipoise.apps.report.figures import free_swing
-    from equipoise.apps.report.style import save
+    from equipoise.apps.style import save
 
     return save(free_swing(swing, pendulum), stem)
 

@@ -5,14 +5,13 @@ from pathlib import Path
 
 from equipoise.cli import options as opt
 from equipoise.cli.output import Output, stop_by_signal, verb
-from equipoise.errors import InputError
 
 
 @verb
 def play(
     scene: str = opt.argument(
         "SCENE",
-        "Scene to begin with: balance, why-it-falls, paper, zero-error, friction, lqr, or a file.",
+        "Scene to begin with: balance, why-it-falls, paper, zero-error, friction or lqr.",
         "balance",
     ),
     policy: Path | None = opt.value("POLICY", "A policy of yours, to choose on the page."),
@@ -36,14 +35,10 @@ def play(
     output.say("Playground")
 
     from equipoise.apps.console.play import play
-    from equipoise.apps.console.scenes import read_scene
+    from equipoise.apps.console.scenes import scene_named
 
-    begin = read_scene(scene)
+    begin = scene_named(scene)
     yours = None if policy is None else opt.read_policy(policy)
-    if begin.policy == "yours" and yours is None:
-        raise InputError(f"scene {scene} has a policy of its own; give it with --policy FILE")
-    if begin.policy == "yours" and yours is not None:
-        output.say(f"The policy of the scene is {yours.name}")
 
     def ready(address: str) -> None:
         output.rows({"playground": address})

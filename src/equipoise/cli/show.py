@@ -17,14 +17,13 @@ def show(
     """Replay a run in the browser: the arm in 3-D, plots, events, until Ctrl-C.
 
     Open the printed address, token included. The page plays the run at 0.1 to 4
-    times its speed, steps by a tick, jumps to the events that log explain
-    names, and makes films of any part. A truncated log is shown as far as it
-    is readable.
+    times its speed, steps by a tick, and jumps to the events that log explain
+    names. A truncated log is shown as far as it is readable.
     """
     output = Output(as_json)
     output.say(f"Showing {run}")
 
-    from equipoise.apps.console.replay_page import show_run
+    from equipoise.apps.console.replay import show_run
     from equipoise.logs.run_log import RunLog
 
     log = RunLog.load(run, damaged=True)

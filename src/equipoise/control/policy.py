@@ -26,7 +26,6 @@ from equipoise.model.arms.arm import Arm
 from equipoise.model.pendulum import Pendulum
 from equipoise.model.random import DEPLOYMENT, philox, uniform
 from equipoise.settings import MOST_CANDIDATES, BoxSettings, Settings, describe_recipe
-from equipoise.views import Viewable
 
 Array = npt.NDArray[np.float64]
 
@@ -314,7 +313,7 @@ def format_share(share: float) -> str:
     return f"{floor(1e4 * share + 1e-6) / 100.0:g} %"
 
 
-class TabularPolicy(Viewable, Artefact):
+class TabularPolicy(Artefact):
     """A trained table, with its task and the settings to train it again."""
 
     FORMAT: ClassVar[str] = "equipoise-policy"

@@ -12,8 +12,8 @@ from gymnasium import spaces
 from equipoise import paper
 from equipoise.control.controller import Observation
 from equipoise.control.grid import TRUNCATED, box_index, cause_named, partition
-from equipoise.envs.pictures import Screen
 from equipoise.errors import InputError
+from equipoise.film import RigRenderer
 from equipoise.learning import rewards
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
@@ -100,14 +100,14 @@ class BalanceEnv(gym.Env[Array, Any]):
     | `duration` | 60.0 | length of an episode [s] |
     | `reward` | the paper's | see above |
     | `pendulum`, `arm`, `actuator`, `settings` | those that ship | the task |
-    | `render_mode` | `None` | `rgb_array` or `human` |
+    | `render_mode` | `None` | `rgb_array`; `gymnasium.wrappers.HumanRendering` opens a window |
 
     ## Version History
 
     * v0: Initial version.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 100}  # noqa: RUF012  (the type of Gymnasium)
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012  (the type of Gymnasium)
 
     def __init__(
         self,
@@ -137,7 +137,7 @@ class BalanceEnv(gym.Env[Array, Any]):
                 "or a twin, or observe='predicted'"
             )
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError(f"render_mode is {render_mode!r}; expected 'human' or 'rgb_array'")
+            raise InputError(f"render_mode is {render_mode!r}; expected 'rgb_array' or None")
         self.task = Setup(
             pendulum or shipped_pendulum(),
             arm or iiwa(7),
@@ -147,7 +147,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         )
         self._observe, self._duration, self._reward = observe, duration, reward
         self.render_mode = render_mode
-        self._screen = None if render_mode is None else Screen(self.task.arm, render_mode)
+        self._renderer: RigRenderer | None = None
         size = 3 + len(self.task.arm.joints) if observe == "raw" else 4
         self.observation_space = spaces.Box(-inf, inf, (size,), np.float64)
         self.action_space = spaces.Box(-paper.U_MAX, paper.U_MAX, (1,), np.float64)
@@ -172,8 +172,6 @@ class BalanceEnv(gym.Env[Array, Any]):
         self._number += 1
         self._loop.reset(self._trial(options or {}))
         self._steps, self._u, self._state = 0, 0.0, Observation(*predicted(self._loop).tolist())
-        if self.render_mode == "human":
-            self.render()
         return self._observation(), self._info("")
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -193,29 +191,29 @@ class BalanceEnv(gym.Env[Array, Any]):
         failed = cause != TRUNCATED
         truncated = not failed and self._steps >= round(self._duration / self.task.h)
         reward = float(self._reward(before, u, self._state, failed))
-        if self.render_mode == "human":
-            self.render()
         info = self._info(cause_named(cause) if failed or truncated else "", guard_named(cause))
         return self._observation(), reward, failed, truncated, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]  # Gymnasium's type is wider
-        """Return a picture of the rig (`rgb_array`), or show it in a window (`human`).
+        """Return a picture of the rig, shape (480, 640, 3); None without a render mode.
 
         Raises:
-            OutsideError: OpenGL or a display is not available.
+            OutsideError: OpenGL is not available.
         """
-        if self._screen is None:
-            gym.logger.warn("render() draws nothing without render_mode='rgb_array' or 'human'")
+        if self.render_mode is None:
+            gym.logger.warn("render() draws nothing without render_mode='rgb_array'")
             return None
         if self._state is None:
             raise InputError(NOT_RESET)
-        phi = float(self._loop.state()[2])
-        return self._screen.show(self._loop.joints(), phi, self._u, self._loop.now)
+        if self._renderer is None:
+            self._renderer = RigRenderer(self.task.arm, 640, 480)
+        return self._renderer.draw(self._loop.joints(), float(self._loop.state()[2]), self._u)
 
     def close(self) -> None:
-        """Close the window."""
-        if self._screen is not None:
-            self._screen.close()
+        """Free the OpenGL context."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
 
     def _acceleration(self, action: Any) -> float:
         return np.asarray(action, np.float64).item()

@@ -25,7 +25,6 @@ from equipoise.logs.digest import digest_of
 from equipoise.logs.reader import read_log
 from equipoise.logs.recorder import LoggedEvent, read_events
 from equipoise.logs.writer import LogEncoder
-from equipoise.views import Viewable
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -80,7 +79,7 @@ class _TickColumn:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RunLog(Viewable):
+class RunLog:
     """One run; its arrays are read-only."""
 
     conditions: RunConditions

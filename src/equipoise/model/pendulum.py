@@ -24,7 +24,6 @@ from equipoise.jit import PACKAGE, inlined, kernel
 from equipoise.model.elementary import fma, sincos
 from equipoise.settings import GRAVITY, Friction, IdentificationSettings
 from equipoise.trajectory import Trajectory
-from equipoise.views import Viewable
 
 MIN_PERIOD: Final = 1e-5
 MAX_PERIOD: Final = 1e5
@@ -234,7 +233,7 @@ class SwingFit(Value):
         return float(np.rad2deg(self.rms))
 
 
-class Pendulum(Viewable, Artefact):
+class Pendulum(Artefact):
     """Pendulum that was identified from a free swing, with its uncertainty."""
 
     FORMAT: ClassVar[str] = "equipoise-pendulum"
@@ -383,10 +382,11 @@ def fitted_curve(trajectory: Trajectory, pendulum: Pendulum) -> npt.NDArray[np.f
     fit = fit_of(trajectory, pendulum)
     begin, end = fit.window
     inside = (trajectory.time >= begin - 1e-9) & (trajectory.time <= end + 1e-9)
-    time = trajectory.time[inside]
+    # The fitted state is that of the window's start, which may lie between two samples.
+    time = np.concatenate(([begin], trajectory.time[inside]))
     theta, theta_dot = np.empty_like(time), np.empty_like(time)
     h = (end - begin) / fit.periods / fit.settings.steps_per_period
     swing(time, fit.theta, fit.theta_dot, h, pendulum.parameters(), theta, theta_dot)
     curve = np.full(trajectory.time.shape, np.nan)
-    curve[inside] = (theta_dot if fit.quantity == "rate" else theta) + fit.offset
+    curve[inside] = (theta_dot if fit.quantity == "rate" else theta)[1:] + fit.offset
     return curve

@@ -2,6 +2,7 @@
 
 import functools
 import os
+import sys
 from importlib import import_module
 from typing import Any
 
@@ -11,21 +12,23 @@ def mujoco() -> Any:
     """Import the module `mujoco`, which has no types.
 
     MuJoCo loads the OpenGL library of `MUJOCO_GL` on import, and fails if the name or the library
-    is wrong. Physics needs no OpenGL: MuJoCo is then imported without, and only rendering fails
-    (`equipoise.apps.report.pictures.rendering` gives the reason).
+    is wrong. Linux without a display uses EGL. Physics needs no OpenGL: if the import fails, MuJoCo
+    is imported without, and only rendering fails.
 
     Raises:
         ImportError: MuJoCo is not installed.
     """
+    before = os.environ.get("MUJOCO_GL")
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if before is None and sys.platform.startswith("linux") and not display:
+        os.environ["MUJOCO_GL"] = "egl"
     try:
         return import_module("mujoco")
     except Exception:  # each library fails in its own way
-        before = os.environ.get("MUJOCO_GL")
         os.environ["MUJOCO_GL"] = "disable"
-        try:
-            return import_module("mujoco")
-        finally:
-            if before is None:
-                del os.environ["MUJOCO_GL"]
-            else:
-                os.environ["MUJOCO_GL"] = before
+        return import_module("mujoco")
+    finally:
+        if before is None:
+            os.environ.pop("MUJOCO_GL", None)
+        else:
+            os.environ["MUJOCO_GL"] = before

@@ -134,18 +134,6 @@ def truth(run: RunLog) -> TruthColumns | RunLog:
     return run.truth if len(run.truth.phi) else run
 
 
-def observation_differs(run: RunLog) -> bool:
-    """Return whether the observation differs from the true state in a simulated run."""
-    return not np.array_equal(truth(run).phi, run.phi)
-
-
-def estimates_zero(run: RunLog) -> bool:
-    """Return whether the observer estimated the encoder's zero during the run."""
-    conditions = run.conditions
-    encoder = conditions.counts_per_rev is not None or conditions.zero_error is not None
-    return encoder and conditions.settings.controller.estimate_bias
-
-
 def verdict(results: Results) -> tuple[str, ...]:
     """Return the results in a few sentences."""
     on_twin = () if results.twin_evaluation is None else (_survival(results.twin_evaluation),)

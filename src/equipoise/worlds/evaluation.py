@@ -37,7 +37,6 @@ from equipoise.model.random import TEST
 from equipoise.model.worlds import MODEL, PivotFriction, TwinSettings, World, pivot_friction
 from equipoise.safety.trial import guard_named
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
-from equipoise.views import Viewable
 from equipoise.worlds import Trials, find_world, setup_of, simulate
 
 CONFIDENCE = 0.95
@@ -122,7 +121,7 @@ def trial_results(name: str, trials: Trials, h: float) -> TrialResults:
     return TrialResults(name=name, survival=survival, causes=causes, guards=guards)
 
 
-class Evaluation(Viewable, Artefact):
+class Evaluation(Artefact):
     """All trials of a policy and of the baselines."""
 
     FORMAT: ClassVar[str] = "equipoise-evaluation"

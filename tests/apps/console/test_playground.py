@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from equipoise.apps.console.playground import FALL, Playground
-from equipoise.apps.console.scenes import SCENES, Scene, check_lean, read_scene, scene_of
+from equipoise.apps.console.scenes import SCENES, Scene, scene_named
 from equipoise.errors import EquipoiseError
-from equipoise.settings import parse_toml
 
 pytestmark = pytest.mark.compiled_only
 
@@ -45,7 +44,7 @@ def test_a_delay_without_prediction_falls_and_with_it_stands():
     assert abs(degrees(played(playground, 1.0).phi)) > 30.0  # the fall is shown
     played(playground, FALL)
     assert playground.stood < 2.0  # and it begins again
-    playground.set(SCENES["why-it-falls"].model_copy(update={"predict": True}))
+    playground.set(SCENES["why-it-falls"]._replace(predict=True))
     assert not played(playground, 30.0).fallen
 
 
@@ -70,40 +69,7 @@ def test_the_boxes_light_up_where_the_policy_is():
     assert not playground.used.any()
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_a_scene_can_be_passed_on(name, tmp_path):
-    path = tmp_path / "scene.toml"
-    path.write_text(SCENES[name].text(), encoding="utf-8")
-    assert read_scene(path) == SCENES[name] == read_scene(name)
-
-
-def test_the_text_of_a_scene_cannot_leave_its_string():
-    scene = Scene(about='a "quote" \\ and\nseed = 5 \x1b[2J')
-    values = parse_toml(scene.text())
-    assert values["about"] == scene.about
-    assert values["seed"] == 0
-
-
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
-        ({"delay": 1.0}, "delay"),
-        ({"polcy": "lqr"}, "polcy"),
-        ({"policy": "mine"}, "policy"),
-        ({"lean": 3.14}, "hangs"),
-        ({"lean": 0.3}, "leans too far"),
-    ],
-)
-def test_a_wrong_scene_is_one_error(values, said):
-    with pytest.raises(EquipoiseError, match=said):
-        scene_of(values, "file.toml")
-
-
 def test_an_unknown_scene_is_one_error():
+    assert scene_named("lqr") is SCENES["lqr"]
     with pytest.raises(EquipoiseError, match="why-it-falls"):
-        read_scene("nothing")
-
-
-def test_hanging_is_refused_with_the_reason():
-    assert check_lean(9.0) == ""
-    assert "Swinging it up is another task" in check_lean(180.0)
+        scene_named("nothing")

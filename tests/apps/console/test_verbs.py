@@ -23,18 +23,6 @@ def page_of(started):
     return ask
 
 
-@pytest.mark.slow
-def test_an_evaluation_ends_with_the_stop_of_its_console(tmp_path):
-    out = tmp_path / "evaluation.json"
-    words = ("--world", "twin:nominal", "--trials", "2", "--duration", "1", "--no-baselines")
-    with program("evaluate", *words, "--console", "--out", str(out)) as evaluation:
-        ask = page_of(evaluation)
-        evaluation.find("The console goes on")
-        assert out.exists()
-        wait_until(lambda: ask("/stop") == "stop sent", "trial in the console")
-        assert evaluation.process.wait(20.0) == 0
-
-
 def test_a_console_without_a_run_waits_until_it_is_ended():
     with program("console") as console:
         ask = page_of(console)

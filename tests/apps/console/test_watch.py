@@ -10,7 +10,7 @@ from equipoise.apps.console.gauges import messages_list, question_card, state_ca
 from equipoise.apps.console.publisher import publishing
 from equipoise.apps.console.watch import RunWatch
 from equipoise.control.states import Phase
-from equipoise.logs.recorder import LoggedEvent, push_event
+from equipoise.logs.recorder import push_event
 from equipoise.logs.shared import RunInfo, live_runs, open_recorder, share
 from equipoise.model.arms.iiwa import iiwa7
 from equipoise.rig.operator import OperatorMessage
@@ -128,7 +128,10 @@ def test_what_is_published_is_what_an_observer_sees():
 
 def test_texts_of_devices_and_plugins_are_escaped():
     bad = "<img src=x onerror=alert(1)>\x1b[2J"
-    event = LoggedEvent(0.0, "notice", (), bad)
-    for html in (question_card(bad), messages_list([event]), state_card(bad, "#000", [bad])):
+    for html in (
+        question_card(bad),
+        messages_list([(bad, "#000")]),
+        state_card(bad, "#000", [bad]),
+    ):
         assert "<img" not in html
         assert "\x1b" not in html

@@ -1,12 +1,8 @@
 """Results of a reproduction that nobody ran: small, quick to draw, as odd as a test wants them."""
 
-from itertools import repeat
-
 import numpy as np
 
 from equipoise import paper
-from equipoise.apps.report.pictures.rendering import draw
-from equipoise.apps.report.pictures.scene import stage
 from equipoise.artefacts import Estimate, Provenance
 from equipoise.control.policy import Checkpoint, LearningPoint, TabularPolicy
 from equipoise.logs.conditions import IDEAL, RunConditions, RunEnd
@@ -238,8 +234,3 @@ def results(
     )
     record = found.record.model_copy(update={"files": digests(found)})
     return found._replace(record=record)
-
-
-def frames(arm, q, phi, u=None, *, size):
-    """Pictures of poses of the rig, without an arrow where no command is given."""
-    return draw(stage(arm, size), q, phi, repeat(0.0) if u is None else u)

@@ -1,4 +1,4 @@
-"""Gauges, state and messages of the console, as HTML and SVG.
+"""Gauges, state and messages of the pages, as HTML and SVG.
 
 All texts are escaped here: they come from logs, plugins and devices.
 """
@@ -8,9 +8,7 @@ from html import escape
 from math import cos, degrees, isfinite, radians, sin
 from typing import Final
 
-from equipoise.apps.report.style import BLUE, GREEN, GREY, INK, ORANGE, PALE, VERMILION, typeset
-from equipoise.control.states import Phase
-from equipoise.logs.recorder import LoggedEvent
+from equipoise.apps.style import GREEN, GREY, INK, ORANGE, PALE, VERMILION, typeset
 from equipoise.paper import PHI_LIMIT_DEG, X_LIMIT
 from equipoise.printable import printable
 
@@ -20,16 +18,7 @@ DIAL_STRETCH: Final = 4.0
 """Angle on the screen for an angle of the pendulum [-]."""
 TRACK: Final = 0.25
 """Largest displacement on the track [m]."""
-PHASE_COLOURS: Final = {
-    Phase.BALANCING: GREEN,
-    Phase.ARMED: GREEN,
-    Phase.STOPPING: VERMILION,
-}
-"""Colours of the phases; the others are blue."""
-VERDICT_COLOURS: Final = {"good": GREEN, "warning": "#8a5a00", "bad": VERMILION}
-EVENT_COLOURS: Final = {"fault": VERMILION, "stopping": VERMILION, "warning": "#8a5a00"}
-SIZE: Final = "width:100%;max-width:260px;display:block;margin:4px auto"
-FONT: Final = "font:14px/1.4 system-ui,sans-serif"
+FONT: Final = "font:14px/1.4 system-ui,sans-serif;padding:2px 9px;overflow-wrap:anywhere"
 
 
 def shown(text: str) -> str:
@@ -44,49 +33,43 @@ def gauges(phi: float, x: float) -> str:
         phi: Angle from upright [rad]; NaN while unknown.
         x: Displacement of the flange [m]; NaN while unknown.
     """
-    angle = f"φ = {degrees(phi):+.2f}°" if isfinite(phi) else "φ unknown"
-    place = f"x = {1e3 * x:+.1f} mm" if isfinite(x) else "x unknown"
+    angle = typeset(f"φ = {degrees(phi):+.2f}°" if isfinite(phi) else "φ unknown")
+    place = typeset(f"x = {1e3 * x:+.1f} mm" if isfinite(x) else "x unknown")
     return (
-        f'<svg viewBox="0 0 320 178" role="img" aria-label="{typeset(angle)}, {typeset(place)}" '
-        f'style="{SIZE}" font-family="system-ui,sans-serif" fill="{INK}">'
-        f"{_dial(phi)}{_track(x)}"
-        f'<text x="160" y="112" text-anchor="middle" font-size="17">{typeset(angle)}</text>'
-        f'<text x="160" y="172" text-anchor="middle" font-size="17">{typeset(place)}</text></svg>'
+        f'<svg viewBox="0 0 320 178" role="img" aria-label="{angle}, {place}" style="width:100%;'
+        'max-width:260px;display:block;margin:4px auto" font-family="system-ui,sans-serif" '
+        f'fill="{INK}" text-anchor="middle">{_dial(phi)}{_track(x)}'
+        f'<text x="160" y="112" font-size="17">{angle}</text>'
+        f'<text x="160" y="172" font-size="17">{place}</text></svg>'
     )
 
 
 def _dial(phi: float) -> str:
-    """Return the dial: upright at the top, the limit of a trial in red."""
-    limit = PHI_LIMIT_DEG
-    arcs = [
-        _arc(-limit, limit, GREEN),
-        _arc(-DIAL_DEG, -limit, VERMILION),
-        _arc(limit, DIAL_DEG, VERMILION),
-    ]
-    marks = "".join(
-        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-size="11">{each:+g}°</text>'
-        for each in (-limit, limit)
-        for x, y in [_on_dial(each, 92.0)]
-    )
-    if not isfinite(phi):
-        return "".join(arcs) + marks
-    x, y = _on_dial(max(-DIAL_DEG, min(DIAL_DEG, degrees(phi))), 68.0)
-    colour = INK if abs(degrees(phi)) < limit else VERMILION
-    needle = f'<path d="M160 92L{x:.1f} {y:.1f}" stroke="{colour}" stroke-width="5" '
-    return (
-        "".join(arcs) + marks + f'{needle}stroke-linecap="round"/><circle cx="160" cy="92" r="6"/>'
-    )
+    """Return the dial: upright at the top, angles beyond the limit of a trial in red."""
 
+    def place(angle_deg: float, radius: float) -> str:
+        turned = radians(DIAL_STRETCH * angle_deg)
+        return f"{160.0 + radius * sin(turned):.1f} {92.0 - radius * cos(turned):.1f}"
 
-def _on_dial(angle_deg: float, radius: float) -> tuple[float, float]:
-    turned = radians(DIAL_STRETCH * angle_deg)
-    return 160.0 + radius * sin(turned), 92.0 - radius * cos(turned)
-
-
-def _arc(begin_deg: float, end_deg: float, colour: str) -> str:
-    (x0, y0), (x1, y1) = (_on_dial(each, 78.0) for each in (begin_deg, end_deg))
-    path = f"M{x0:.1f} {y0:.1f}A78 78 0 0 1 {x1:.1f} {y1:.1f}"
-    return f'<path d="{path}" fill="none" stroke="{colour}" stroke-width="7"/>'
+    limit, parts = PHI_LIMIT_DEG, list[str]()
+    for begin, end, colour in (
+        (-DIAL_DEG, -limit, VERMILION),
+        (-limit, limit, GREEN),
+        (limit, DIAL_DEG, VERMILION),
+    ):
+        arc = f"M{place(begin, 78.0)}A78 78 0 0 1 {place(end, 78.0)}"
+        parts.append(f'<path d="{arc}" fill="none" stroke="{colour}" stroke-width="7"/>')
+    for angle in (-limit, limit):
+        x, y = place(angle, 92.0).split()
+        parts.append(f'<text x="{x}" y="{y}" font-size="11">{angle:+g}°</text>')
+    if isfinite(phi):
+        colour = INK if abs(degrees(phi)) < limit else VERMILION
+        tip = place(max(-DIAL_DEG, min(DIAL_DEG, degrees(phi))), 68.0)
+        parts.append(
+            f'<path d="M160 92L{tip}" stroke="{colour}" stroke-width="5" stroke-linecap="round"/>'
+            '<circle cx="160" cy="92" r="6"/>'
+        )
+    return "".join(parts)
 
 
 def _track(x: float) -> str:
@@ -95,45 +78,35 @@ def _track(x: float) -> str:
     def place(metres: float) -> float:
         return 160.0 + 140.0 * metres / TRACK
 
-    def bar(begin: float, end: float, colour: str) -> str:
-        width = place(end) - place(begin)
+    def bar(begin: float, end: float, top: float, height: float, colour: str) -> str:
         return (
-            f'<rect x="{place(begin):.1f}" y="138" width="{width:.1f}" height="6" fill="{colour}"/>'
+            f'<rect x="{place(begin):.1f}" y="{top:g}" width="{place(end) - place(begin):.1f}" '
+            f'height="{height:g}" fill="{colour}"/>'
         )
 
-    parts = [
-        bar(-X_LIMIT, X_LIMIT, GREEN),
-        bar(-TRACK, -X_LIMIT, VERMILION),
-        bar(X_LIMIT, TRACK, VERMILION),
-        f'<rect x="159" y="134" width="2" height="14" fill="{GREY}"/>',
-    ]
-    parts += [
-        f'<text x="{place(end):.1f}" y="160" text-anchor="middle" font-size="11">{end:+g} m</text>'
-        for end in (-X_LIMIT, X_LIMIT)
-    ]
+    parts = [bar(-TRACK, TRACK, 138, 6, VERMILION), bar(-X_LIMIT, X_LIMIT, 138, 6, GREEN)]
+    parts.append(bar(-0.002, 0.002, 134, 14, GREY))
+    for end in (-X_LIMIT, X_LIMIT):
+        parts.append(f'<text x="{place(end):.1f}" y="160" font-size="11">{end:+g} m</text>')
     if isfinite(x):
-        at = place(max(-TRACK, min(TRACK, x)))
-        colour = INK if abs(x) < X_LIMIT else VERMILION
-        parts.append(
-            f'<rect x="{at - 9.0:.1f}" y="128" width="18" height="22" rx="4" fill="{colour}"/>'
-        )
+        at = max(-TRACK, min(TRACK, x))
+        parts.append(bar(at - 0.016, at + 0.016, 128, 22, INK if abs(x) < X_LIMIT else VERMILION))
     return "".join(parts)
 
 
-def state_card(phase: str, colour: str, lines: Iterable[str]) -> str:
-    """Return the state of the run in large letters, and lines below it.
+def state_card(name: str, colour: str, lines: Iterable[str]) -> str:
+    """Return the state of a run in large letters, and sentences below it.
 
     Args:
-        phase: The state, one or two words.
+        name: The state, one or two words.
         colour: Colour of its background.
         lines: Sentences.
     """
-    below = "".join(f'<div style="overflow-wrap:anywhere">{shown(line)}</div>' for line in lines)
+    below = "".join(f"<div>{shown(line)}</div>" for line in lines if line)
     return (
-        f'<div id="equipoise-state" style="{FONT};padding:0 9px 4px">'
-        f'<div style="background:{colour};color:#fff;'
+        f'<div id="equipoise-state" style="{FONT}"><div style="background:{colour};color:#fff;'
         'font-weight:700;font-size:20px;padding:6px 12px;border-radius:8px;margin-bottom:6px">'
-        f"{shown(phase)}</div>{below}</div>"
+        f"{shown(name)}</div>{below}</div>"
     )
 
 
@@ -141,35 +114,19 @@ def question_card(text: str) -> str:
     """Return a question for the operator."""
     return (
         f'<div id="equipoise-question" style="{FONT};margin:0 9px;font-size:16px;font-weight:600;'
-        f'border-left:5px solid {ORANGE};background:#fff7e6;padding:8px 10px">{shown(text)}</div>'
+        f'border-left:5px solid {ORANGE};background:#fff7e6">{shown(text)}</div>'
     )
 
 
-def checks_table(findings: Iterable[LoggedEvent]) -> str:
-    """Return the results of the pre-flight, each with its remedy."""
-    rows: list[str] = []
-    for event in findings:
-        name, verdict, found, cure = (*event.text.split("\t"), "", "", "")[:4]  # may be truncated
-        colour = VERDICT_COLOURS.get(verdict, GREY)
-        remedy = f'<div style="color:{GREY}">{shown(cure)}</div>' if cure else ""
-        rows.append(
-            f'<tr style="border-top:1px solid {PALE};vertical-align:top">'
-            f'<td style="color:{colour};font-weight:600;padding-right:8px">{shown(verdict)}</td>'
-            f'<td style="overflow-wrap:anywhere">{shown(name)}: {shown(found)}{remedy}</td></tr>'
-        )
-    return f'<table style="{FONT};font-size:13px;border-collapse:collapse">{"".join(rows)}</table>'
+def note(text: str, name: str = "note") -> str:
+    """Return a small sentence; `name` ends its id."""
+    return f'<div id="equipoise-{name}" style="{FONT};font-size:13px">{shown(text)}</div>'
 
 
-def messages_list(events: Iterable[LoggedEvent]) -> str:
-    """Return messages of the run, the newest first."""
+def messages_list(messages: Iterable[tuple[str, str]]) -> str:
+    """Return messages, each with its colour, the newest first."""
     rows = (
-        f'<div style="border-top:1px solid {PALE};overflow-wrap:anywhere;'
-        f'color:{EVENT_COLOURS.get(event.name, INK)}">{shown(event.text or event.name)}</div>'
-        for event in reversed(list(events))
+        f'<div style="border-top:1px solid {PALE};color:{colour}">{shown(text)}</div>'
+        for text, colour in reversed(list(messages))
     )
     return f'<div id="equipoise-messages" style="{FONT};font-size:13px">{"".join(rows)}</div>'
-
-
-def phase_colour(phase: Phase | None) -> str:
-    """Return the colour of a phase."""
-    return BLUE if phase is None else PHASE_COLOURS.get(phase, BLUE)

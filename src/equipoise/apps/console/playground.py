@@ -1,13 +1,11 @@
 """The playground without its page: a twin in real time, its policies, and a training beside it.
 
-The twin, the controller and the trials are those of an evaluation; only who holds the stopwatch
-differs.
+The twin, the controller and the trials are those of an evaluation.
 """
 
 import threading
 from collections import deque
-from collections.abc import Mapping
-from math import degrees, exp, nan, sqrt
+from math import degrees, exp, sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -30,7 +28,6 @@ from equipoise.worlds import predicted, setup_of
 from equipoise.worlds.twin.world import TwinSimulation
 
 Floats = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 BASE: Final = read_world("twin:nominal")
 """World that a scene changes."""
@@ -47,8 +44,6 @@ FADE: Final = 2.0
 class Frame(NamedTuple):
     """State to show."""
 
-    time: float
-    """Time since the release [s]."""
     q: Floats
     """True joints [rad], shape (joints,)."""
     commanded: Floats
@@ -62,7 +57,7 @@ class Frame(NamedTuple):
     bias: float
     """Estimate of the encoder's zero error [rad]."""
     box: int
-    """Box of the table that holds what the policy sees; -1 without a table or outside."""
+    """Box of the table that holds the policy's input; -1 without a table or outside."""
     fallen: str
     """Cause of the fall; empty while it stands."""
 
@@ -76,8 +71,7 @@ class Training:
         self.policy: TabularPolicy | None = None
         self.error = ""
         self.settings = resolve(recipe)
-        self._seed = seed
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(seed,), daemon=True)
         self._thread.start()
 
     @property
@@ -85,50 +79,45 @@ class Training:
         """Whether the training goes on."""
         return self._thread.is_alive()
 
-    def _run(self) -> None:
-        shipped = shipped_policy()
+    def _run(self, seed: int) -> None:
+        pendulum, arm, report = shipped_policy().pendulum, shipped_policy().arm, self.points.append
         try:
-            self.policy = train(
-                shipped.pendulum,
-                shipped.arm,
-                self.settings,
-                seed=self._seed,
-                report=self.points.append,
-            )
+            self.policy = train(pendulum, arm, self.settings, seed=seed, report=report)
         except EquipoiseError as error:
             self.error = str(error)
+
+    def sentence(self) -> str:
+        """Return how far the training is, or its result."""
+        total, done = self.settings.learning.episodes, 0
+        if self.points:
+            done = self.points[-1].episodes
+        if self.running:
+            phase = "now the best of its tables is selected" if done >= total else "learning"
+            return f"{done:,} of {total:,} episodes: {phase}."
+        if self.policy is None:
+            return f"The training failed: {self.error}"
+        return f"Trained in {self.policy.episodes:,} episodes."
 
 
 class Playground:
     """A twin that balances tick by tick, under a scene that may change at any time."""
 
-    def __init__(
-        self, scene: Scene, *, yours: TaskPolicy | None = None, trained: TabularPolicy | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, yours: TaskPolicy | None = None) -> None:
         """Set a scene up.
 
         Args:
             scene: The scene.
             yours: The policy of `yours`.
-            trained: The policy of `trained`.
         """
-        self._policies: dict[PolicyChoice, TaskPolicy] = {"robust": shipped_policy()}
-        self._policies["lqr"] = load_policy("lqr")
+        self.policies: dict[PolicyChoice, TaskPolicy] = {
+            "robust": shipped_policy(),
+            "lqr": load_policy("lqr"),
+        }
+        """Policies that are ready, by name."""
         if yours is not None:
-            self._policies["yours"] = yours
-        if trained is not None:
-            self._policies["trained"] = trained
+            self.policies["yours"] = yours
         self._number = 0
         self.set(scene)
-
-    @property
-    def policies(self) -> Mapping[PolicyChoice, TaskPolicy]:
-        """Policies that are ready, by name."""
-        return self._policies
-
-    def add(self, name: PolicyChoice, policy: TaskPolicy) -> None:
-        """Add a policy."""
-        self._policies[name] = policy
 
     def set(self, scene: Scene) -> None:
         """Set another scene up, and begin again.
@@ -136,36 +125,27 @@ class Playground:
         Raises:
             KeyError: The policy of the scene is not ready.
         """
-        policy = self._policies[scene.policy]
-        world = BASE.settings.model_copy(
-            update={
-                "transport": scene.delay,
-                "coulomb": scene.friction,
-                "zero_error": 0.0,
-                "zero_offset": scene.zero,
-                "inertia_sigma": 0.0,
-                "friction_sigma": 0.0,
-            }
-        )
+        policy = self.policies[scene.policy]
+        rig = {"transport": scene.delay, "coulomb": scene.friction, "zero_offset": scene.zero}
+        exact = {"zero_error": 0.0, "inertia_sigma": 0.0, "friction_sigma": 0.0}
+        world = BASE.settings.model_copy(update=rig | exact)
         known = shipped_policy().actuator  # identified on the nominal twin, then moved along
         moved = max(known.delay.value + scene.delay - BASE.settings.transport, 0.0)
         actuator = known.model_copy(update={"delay": Estimate.around(moved, 0.0, "given")})
         controller = policy.settings.controller.model_copy(update={"predict": scene.predict})
         settings = policy.settings.model_copy(update={"controller": controller})
-        twin = World("playground", world)
-        setup = setup_of(policy, twin, settings, actuator)
-        simulation = TwinSimulation(world, setup, seed=scene.seed, stream=DEPLOYMENT)
+        setup = setup_of(policy, World("playground", world), settings, actuator)
         self.scene, self.policy, self.arm = scene, policy, policy.arm
         self.w2, self.h = policy.pendulum.parameters().w2, policy.h
         self.latency = horizon(policy.arm, actuator, controller.margin)
         """Time from a measurement to the effect of the command that answers it [s]."""
-        self._simulation, self._loop = simulation, simulation.loop()
+        self._simulation = TwinSimulation(world, setup, seed=0, stream=DEPLOYMENT)
+        self._loop = self._simulation.loop()
         self._boxes = partition(BoxSettings(), policy.pendulum.parameters().k)
-        kernel = policy.kernel
-        self.has_table = (
-            isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings()
-        )
-        self.u_of_box = np.array(kernel.u_of_box).reshape(-1) if self.has_table and kernel else None
+        self.u_of_box = None
+        if isinstance(policy, TabularPolicy) and policy.settings.boxes == BoxSettings():
+            self.u_of_box = policy.u_of_box.reshape(-1)
+        """Command of each box [m/s^2], shape (270,); None without a table of the usual boxes."""
         self.used = np.zeros(BoxSettings().count)
         """Recent use of each box, 0 to 1, shape (270,)."""
         self.begin()
@@ -174,12 +154,12 @@ class Playground:
         """Release the pendulum again."""
         trial = self._simulation.draw(1, self._number).trial(0)
         self._number += 1
-        start = (0.0, 0.0, self.scene.lean, 0.0)
-        self._loop.reset(trial._replace(start=start))
+        self._loop.reset(trial._replace(start=(0.0, 0.0, self.scene.lean, 0.0)))
         self.policy.reset()
-        self._tick, self._fell_at, self._cause = 0, nan, ""
-        self.recent: deque[tuple[float, float]] = deque(maxlen=round(RECENT / self.h))
+        self._tick, self._fell, self._cause = 0, 0, ""
+        self._recent: deque[tuple[float, float]] = deque(maxlen=round(RECENT / self.h))
         self.pushed = 0.0
+        """Last push [rad/s]."""
 
     def push(self, rate: float) -> None:
         """Push the pendulum, which changes its rate [rad/s]."""
@@ -188,10 +168,9 @@ class Playground:
 
     def advance(self) -> Frame:
         """Advance by one tick; a fall is shown for `FALL`, then the pendulum is released again."""
-        loop = self._loop
-        if self._cause and self._tick * self.h - self._fell_at > FALL:
+        if self._cause and (self._tick - self._fell) * self.h > FALL:
             self.begin()
-        seen = predicted(loop)
+        loop, seen = self._loop, predicted(self._loop)
         if self._cause:
             u = float(np.clip(-BRAKE * loop.state()[1], -U_MAX, U_MAX))
         else:
@@ -199,66 +178,48 @@ class Playground:
         cause = loop.step(u)
         self._tick += 1
         if cause != TRUNCATED and not self._cause:
-            self._cause, self._fell_at = cause_named(cause), self._tick * self.h
+            self._cause, self._fell = cause_named(cause), self._tick
         x, _, phi, _ = loop.state().tolist()
         box = -1
         self.used *= exp(-self.h / FADE)
-        inside = abs(degrees(seen[2])) < PHI_LIMIT_DEG and abs(seen[0]) < X_LIMIT
-        if self.has_table and inside and not self._cause:
-            box = int(box_indices(seen[None, :], self._boxes)[0])
-            self.used[box] = 1.0
         if not self._cause:
-            self.recent.append((x, phi))
-        controller = loop.controller
-        return Frame(
-            time=self._tick * self.h,
-            q=loop.joints(),
-            commanded=self.arm.with_held(controller.q[::BATCH_SIZE]),
-            x=x,
-            phi=phi,
-            u=u,
-            bias=float(controller.estimate[2 * BATCH_SIZE]),
-            box=box,
-            fallen=self._cause,
-        )
+            self._recent.append((x, phi))
+            inside = abs(degrees(seen[2])) < PHI_LIMIT_DEG and abs(seen[0]) < X_LIMIT
+            if self.u_of_box is not None and inside:
+                box = int(box_indices(seen[None, :], self._boxes)[0])
+                self.used[box] = 1.0
+        commanded = self.arm.with_held(loop.controller.q[::BATCH_SIZE])
+        bias = float(loop.controller.estimate[2 * BATCH_SIZE])
+        return Frame(loop.joints(), commanded, x, phi, u, bias, box, self._cause)
 
     @property
     def stood(self) -> float:
         """Time since the release, up to a fall [s]."""
-        return self._fell_at if self._cause else self._tick * self.h
+        return (self._fell if self._cause else self._tick) * self.h
 
     def sentences(self, frame: Frame) -> list[str]:
         """Return what one sees now, and why."""
         scene, found = self.scene, list[str]()
-        growth = 100.0 * (exp(sqrt(self.w2) * self.latency) - 1.0)
-        takes = (
-            f"A command takes {1e3 * self.latency:.0f} ms to act, "
-            f"{1e3 * scene.delay:.0f} ms of them in transport."
-        )
         if frame.fallen:
-            why = {
-                "angle": f"the angle passed {PHI_LIMIT_DEG:g}°",
-                "track": "the flange reached the end of the track",
-            }
-            cause = why.get(frame.fallen, f"a rule of the robot ended it ({frame.fallen})")
-            found.append(f"It fell after {self.stood:.1f} s: {cause}.")
-        elif len(self.recent) > 1:
-            x, phi = np.abs(np.array(self.recent)).max(axis=0)
+            found.append(f"It fell after {self.stood:.1f} s ({frame.fallen}).")
+        elif len(self._recent) > 1:
+            x, phi = np.abs(np.array(self._recent)).max(axis=0)
             found.append(
                 f"It has stood for {self.stood:.0f} s, in the last {RECENT:g} s within "
                 f"±{degrees(phi):.1f}° and ±{1e3 * x:.0f} mm."
             )
+        growth = 100.0 * (exp(sqrt(self.w2) * self.latency) - 1.0)
+        meanwhile = "The controller predicts the state at that time, and the policy acts on that."
         if not scene.predict:
-            found.append(
-                f"{takes} Meanwhile a lean grows by {growth:.0f} %: the policy acts on an angle "
-                "that is out of date."
+            meanwhile = (
+                f"Meanwhile a lean grows by {growth:.0f} %: the policy acts on an angle that is "
+                "out of date."
             )
-        else:
-            found.append(
-                f"{takes} The controller predicts the state at that time, and the policy acts on "
-                "that."
-            )
-        if abs(scene.zero) > 0.0:
+        found.append(
+            f"A command takes {1e3 * self.latency:.0f} ms to act, {1e3 * scene.delay:.0f} ms of "
+            f"them in transport. {meanwhile}"
+        )
+        if scene.zero:
             found.append(
                 f"The encoder's zero is {degrees(scene.zero):+.1f}° off; the controller's estimate "
                 f"is {degrees(frame.bias):+.1f}°."

@@ -14,7 +14,7 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from importlib import resources
 from typing import Any, Final
 
-from equipoise.apps.console.page import ConsolePage
+from equipoise.apps.console.live import LivePage
 from equipoise.apps.console.watch import RunWatch
 from equipoise.apps.console.web import LOOPBACK, require_viser, serving
 from equipoise.errors import EquipoiseError, OutsideError
@@ -54,14 +54,14 @@ def serve(
         OutsideError: The port is not available.
     """
     stay_aside()
-    page: ConsolePage | None = None
+    page: LivePage | None = None
     actions: dict[str, Callable[[], str]] = {
         "/stop": lambda: page.stop() if page is not None else "no run to stop",
         "/alive": lambda: "ended" if page is not None and page.ended else "alive",
     }
     overlay = resources.files("equipoise.apps.console").joinpath("overlay.html").read_bytes()
     with serving(address, port, actions=actions, overlay=overlay) as (server, url):
-        page = ConsolePage(server)
+        page = LivePage(server)
         ready(url)
         while not stopped():
             watch = _next_run(owner)
@@ -74,7 +74,7 @@ def serve(
                 return
 
 
-def _show(page: ConsolePage, watch: RunWatch, stopped: Callable[[], bool]) -> None:
+def _show(page: LivePage, watch: RunWatch, stopped: Callable[[], bool]) -> None:
     """Show a run until its end."""
     page.begin(watch)
     due = time.monotonic()

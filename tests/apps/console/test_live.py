@@ -80,7 +80,7 @@ def test_questions_controls_and_stop(played):
         page.get(address)
         run.ask("Is the fence closed? Type fence.", "fence")
         wait_until(lambda: shown(page, "#equipoise-question"), "question")
-        assert shown(page, "#equipoise-question") == ["Is the fence closed?"]
+        assert shown(page, "#equipoise-question")[0].startswith("Is the fence closed?")
         assert "<b>run</b>" in shown(page, "#equipoise-state")[0]  # as text
         assert Phase.AT_HOME.value in shown(page, "#equipoise-state")[0]
 

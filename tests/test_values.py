@@ -1,29 +1,18 @@
-"""Public values in an interactive session: one line, a figure, HTML, and paths as text."""
+"""Public values in an interactive session: one line, and paths as text."""
 
-import base64
 import inspect
 import re
-import subprocess
-import sys
-from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from matplotlib.figure import Figure
 
 import equipoise as eq
-from equipoise.errors import RecordingError
 from equipoise.model.worlds import MODEL
-
-pytestmark = pytest.mark.compiled_only  # nothing is drawn by kernels
-
-HOSTILE = "<script>alert(1)</script>\x1b[2J\x9b"
 
 
 @pytest.fixture(scope="module")
 def values(small_policy, pendulum):
-    """One value of each kind that can be drawn."""
+    """One value of each kind."""
     settings = eq.resolve(overrides=["evaluation.trials=4", "evaluation.duration=1"])
     return {
         "pendulum": pendulum,
@@ -51,45 +40,6 @@ def test_a_value_is_one_line(values, name, expected):
     for text in (repr(values[name]), str(values[name])):
         assert re.fullmatch(expected, text)
         assert len(text) < 140
-
-
-@pytest.mark.parametrize("name", ["pendulum", "identified", "policy", "evaluation", "run"])
-def test_a_value_draws_itself_and_shows_its_figure_in_a_notebook(values, name):
-    figure = values[name].plot()
-    assert isinstance(figure, Figure)
-    assert any(axes.has_data() for axes in figure.axes)
-    html = values[name]._repr_html_()
-    (picture,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', html)
-    assert b"<svg" in base64.b64decode(picture)
-
-
-def test_a_run_without_a_policy_has_its_line_and_says_why_it_has_no_figure(values):
-    run = values["run"]
-    excited = eq.RunLog.simulated(run.conditions, run.end, {}, stream=run.stream._asdict())
-    with pytest.raises(RecordingError, match="no policy acted in this run"):
-        excited.plot()
-    assert "RunLog of" in excited._repr_html_()
-
-
-def test_nothing_of_a_text_from_a_file_works_in_the_html_or_the_line(values):
-    run = values["run"]
-    run = replace(run, conditions=run.conditions.model_copy(update={"world": HOSTILE}))
-    for text in (repr(run), run._repr_html_()):
-        assert not set("\x1b\x9b") & set(text)
-    tags = []
-    parser = HTMLParser()
-    parser.handle_starttag = lambda tag, _: tags.append(tag)
-    parser.feed(run._repr_html_())
-    assert tags == ["p", "code", "img"]
-
-
-def test_values_draw_themselves_without_the_report_being_imported_first():
-    program = (
-        "import sys; from equipoise.model.pendulum import shipped_pendulum as shipped; "
-        "p = shipped(); assert 'matplotlib' not in sys.modules; print(type(p.plot()).__name__)"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert (done.stdout, done.stderr) == ("Figure\n", "")
 
 
 def test_every_path_of_a_public_function_may_be_text():

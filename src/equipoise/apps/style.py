@@ -1,4 +1,4 @@
-"""Style of all figures, and their export to SVG and PNG.
+"""Colours of pages and figures, and the style of all figures.
 
 Colours are the colour-blind-safe palette of Okabe and Ito. Lines that share a panel also differ in
 lightness and dashes, for prints in grey. Figures are made without pyplot: no global state, no
@@ -17,7 +17,6 @@ from equipoise.printable import printable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 INK: Final = "#222222"
 BLUE: Final = "#0072B2"
 SKY: Final = "#56B4E9"
@@ -28,31 +27,21 @@ PURPLE: Final = "#CC79A7"
 GREY: Final = "#767676"
 PALE: Final = "#E4E4E4"
 
-DASHES: Final = (0, (5, 2))
-DASH_DOTS: Final = (0, (6, 1.5, 1, 1.5))
-DOTS: Final = (0, (1, 1.5))
-
-BESIDE: Final[Any] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
-"""Coordinates of a remark: x in shares of the axes, y of the data, and an offset [pt]."""
-WIDTH: Final = 7.4
-"""Width of every figure [inch]."""
-DPI: Final = 160
-"""Resolution of the PNG files."""
-
 STYLE: Final[dict[str, Any]] = {
     "font.family": "DejaVu Sans",
+    "font.size": 8.5,
     "axes.titlelocation": "left",
+    "axes.titlesize": 8.5,
     "axes.edgecolor": GREY,
+    "axes.linewidth": 0.7,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.color": PALE,
     "grid.linewidth": 0.6,
-    **dict.fromkeys(("xtick.color", "ytick.color", "text.color", "axes.labelcolor"), INK),
-    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8.0),
-    **dict.fromkeys(("axes.linewidth", "xtick.major.width", "ytick.major.width"), 0.7),
-    **dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 8.5),
+    "text.color": INK,
+    "axes.labelcolor": INK,
     "lines.linewidth": 1.1,
     "legend.frameon": False,
     "figure.titlesize": 10.0,
@@ -60,7 +49,6 @@ STYLE: Final[dict[str, Any]] = {
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
     "hatch.linewidth": 0.6,
-    "path.simplify": True,
     "svg.fonttype": "path",
     "svg.hashsalt": "equipoise",
 }
@@ -84,8 +72,8 @@ def new_figure(height: float, title: str) -> "Figure":
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH, height))
-    figure.suptitle(plain(title), x=0.01, ha="left")
+    figure = Figure(figsize=(7.4, height))
+    figure.suptitle(title, x=0.01, ha="left")
     return figure
 
 
@@ -112,7 +100,7 @@ def save(figure: "Figure", stem: Path) -> tuple[Path, Path]:
     Raises:
         OutsideError: Writing fails.
     """
-    svg, png = (stem.with_name(f"{stem.name}.{ending}") for ending in ("svg", "png"))
+    svg, png = (stem.with_name(f"{stem.name}.{kind}") for kind in ("svg", "png"))
     for path in (svg, png):
         write_whole(path, render(figure, path.suffix[1:]))
     return svg, png
@@ -121,8 +109,7 @@ def save(figure: "Figure", stem: Path) -> tuple[Path, Path]:
 def render(figure: "Figure", kind: str) -> bytes:
     """Return a figure as a file of a `kind`, `svg` or `png`; equal figures give equal bytes."""
     stream = io.BytesIO()
-    # Omit date and version of the software: equal figures give equal files.
     omitted = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
     with styled():
-        figure.savefig(stream, format=kind, dpi=DPI, metadata=omitted)
+        figure.savefig(stream, format=kind, dpi=160, metadata=omitted)
     return stream.getvalue()

@@ -1,0 +1,241 @@
+"""Figures of the paper and of the report, drawn from saved values only.
+
+Every function returns a matplotlib figure; `equipoise.apps.style.save` writes it as SVG and PNG.
+"""
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise import paper
+from equipoise.apps import style
+from equipoise.apps.style import new_figure, plain, styled, typeset
+from equipoise.control.policy import TabularPolicy
+from equipoise.logs.run_log import RunLog
+from equipoise.model.pendulum import Pendulum, fit_of, fitted_curve
+from equipoise.trajectory import Trajectory
+from equipoise.worlds.evaluation import Evaluation, TrialResults
+from equipoise.worlds.formatting import LASTED
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = npt.NDArray[np.float64]
+
+TRIAL_LINES: Final[tuple[dict[str, Any], ...]] = (
+    {"color": style.BLUE, "linewidth": 3.2},
+    {"color": style.INK, "linewidth": 1.3, "linestyle": (0, (5, 2))},
+    {"color": style.ORANGE, "linewidth": 1.6, "linestyle": (0, (1, 1.5))},
+    {"color": style.VERMILION, "linewidth": 1.3, "linestyle": (0, (6, 1.5, 1, 1.5))},
+    {"color": style.GREEN, "linewidth": 1.0},
+    {"color": style.PURPLE, "linewidth": 1.3, "linestyle": (0, (3, 1, 1, 1, 1, 1))},
+)
+"""Lines of the policy and the baselines; the policy's line, the first, is wide below the others."""
+JOINT_COLOURS: Final = (
+    *(style.SKY, style.VERMILION, style.GREY, style.GREEN),
+    *(style.ORANGE, style.PURPLE, style.INK),
+)
+"""Colours of the joints from the base on."""
+TRUE_LINE: Final[dict[str, Any]] = {"color": style.SKY, "linewidth": 2.4}
+"""True state: wide and pale below the thin dark line of the observation, distinct in grey too."""
+OBSERVED_LINE: Final[dict[str, Any]] = {"color": style.INK, "linewidth": 0.8}
+
+
+@styled()
+def free_swing(trajectory: Trajectory, pendulum: Pendulum) -> "Figure":
+    """Draw a recorded swing with its fit, a close-up of its start, and the residual.
+
+    As in the paper's figure 2 the recording is a continuous line and the fit a dashed one.
+
+    Args:
+        trajectory: The recording.
+        pendulum: The pendulum that was identified from it.
+
+    Raises:
+        RecordingError: The pendulum was not identified from this recording.
+    """
+    fit = fit_of(trajectory, pendulum)
+    time, recorded = trajectory.time, np.rad2deg(trajectory.values)
+    fitted = np.rad2deg(fitted_curve(trajectory, pendulum))
+    rate = fit.quantity == "rate"
+    name, unit = ("angular velocity dθ/dt", "°/s") if rate else ("angle from hanging θ", "°")
+    figure = new_figure(4.3, "Free swing: recording and fit (the paper's figure 2)")
+    ratios: Any = {"width_ratios": (5, 3), "height_ratios": (5, 2)}
+    axes: Any = figure.subplots(2, 2, sharex="col", sharey="row", **ratios)
+    begin, end = fit.window
+    period = (end - begin) / fit.periods
+    first, last = float(time[0]), float(time[-1])
+    close_up = max(first, begin - 0.5 * period), min(end, begin + 4.0 * period)
+    for column, span in enumerate([(first, last), close_up]):
+        top, bottom = axes[:, column]
+        shown = (time >= span[0]) & (time <= span[1])
+        # A wide pale line below a thin dashed one: both stay visible where they coincide.
+        top.plot(time[shown], recorded[shown], color=style.SKY, linewidth=2.6, label="recording")
+        top.plot(time[shown], fitted[shown], color=style.INK, linestyle=(0, (4, 2)), label="fit")
+        bottom.plot(time[shown], (recorded - fitted)[shown], color=style.INK, linewidth=0.7)
+        for panel in (top, bottom):
+            panel.set_xlim(*span)
+            for low, high in ((span[0], begin), (end, span[1])):
+                panel.axvspan(low, max(low, high), color=style.PALE, linewidth=0.0, zorder=0.5)
+        bottom.set_xlabel("time [s]")
+    axes[0, 0].set_title("whole recording; grey: not fitted")
+    axes[0, 1].set_title(f"first periods, from {begin:.2f} s")
+    axes[0, 0].set_ylabel(f"{name} [{unit}]")
+    axes[1, 0].set_ylabel(f"residual [{unit}]")
+    axes[1, 0].set_title(f"{fit.rms_deg:.2g} {unit} RMS".replace(" °", "°"))
+    handles = axes[0, 0].get_legend_handles_labels()
+    figure.legend(*handles, loc="outside lower center", ncols=2)
+    return figure
+
+
+@styled()
+def learning_curve(policy: TabularPolicy) -> "Figure":
+    """Draw the mean duration of the training episodes, and the candidates of the selection.
+
+    Args:
+        policy: The policy, with its learning curve and the results of its race.
+    """
+    tried, settings = policy.checkpoints, policy.settings
+    figure = new_figure(4.2 if tried else 2.4, "Learning curve")
+    axes: Any = figure.subplots(2 if tried else 1, 1, sharex=True, squeeze=False)[:, 0]
+    axes[0].stairs(*_mean_duration(policy), baseline=None, color=style.INK)
+    axes[0].set_ylabel("mean duration [s]")
+    limit = settings.learning.episode_duration
+    axes[0].set_ylim(0.0, 1.05 * limit)
+    axes[0].set_title(f"training episodes, truncated after {limit:g} s")
+    if tried:
+        episodes = [candidate.episodes for candidate in tried]
+        percent = [100.0 * candidate.survived / candidate.trials for candidate in tried]
+        trials = np.array([candidate.trials for candidate in tried])
+        area = 30.0 * trials[1:] / trials[0]
+        kept = f"kept: episode {episodes[0]:,}"
+        panel, diamond = axes[1], {"marker": "D", "edgecolor": style.INK, "clip_on": False}
+        panel.scatter(episodes[1:], percent[1:], area, color=style.BLUE, label="candidate")
+        panel.scatter(episodes[:1], percent[:1], 45.0, color=style.ORANGE, label=kept, **diamond)
+        panel.set_ylabel("trials that lasted [%]")
+        panel.set_ylim(-4.0, 107.0)
+        panel.set_title(f"candidates in trials of {settings.selection.duration:g} s")
+        figure.legend(loc="outside lower center", ncols=2)
+    axes[-1].set_xlabel("episodes")
+    axes[-1].set_xlim(0, policy.episodes)
+    return figure
+
+
+def _mean_duration(policy: TabularPolicy) -> tuple[Array, Array]:
+    """Return the mean duration of the episodes [s] per interval, and the edges in episodes."""
+    # Episodes run in parallel, and few of them end between two points: average over several.
+    stride = max(1, len(policy.learning_curve) // 100)
+    points = policy.learning_curve[stride - 1 :: stride]
+    episodes = np.array([0, *(point.episodes for point in points)], dtype=np.float64)
+    seconds = policy.h * np.array([0, *(point.steps for point in points)])
+    return np.diff(seconds) / np.diff(episodes), episodes
+
+
+@styled()
+def survival(evaluation: Evaluation) -> "Figure":
+    """Draw survival against time, and the final survival rates with their intervals.
+
+    Args:
+        evaluation: Trials of a policy, and of the baselines under the same conditions.
+    """
+    results = [evaluation.results, *evaluation.baselines]
+    figure = new_figure(3.6, "Survival of the policy and the baselines")
+    axes: Any = figure.subplots(1, 2, width_ratios=(5, 3))
+    left, right = axes
+    begin = 0.8 * min(min(each.survival) for each in results)
+    for row, (each, line) in enumerate(zip(results, TRIAL_LINES, strict=False)):
+        curve = _survival_curve(each, begin, evaluation.duration)
+        left.plot(*curve, drawstyle="steps-post", label=plain(each.name), **line)
+        summary = each.summary()
+        rate, (low, high) = 100.0 * summary.rate, (100.0 * end for end in summary.interval)
+        right.plot([low, high], [row, row], color=line["color"], linewidth=2.2)
+        right.plot(rate, row, "o", color=line["color"], markeredgecolor=style.INK)
+        text, side = f"{rate:.3g} % [{low:.3g}, {high:.3g}]", "left" if rate < 50.0 else "right"
+        where: Any = {"textcoords": "offset points", "ha": side, "fontsize": 7.5}
+        right.annotate(text, (0.5 * (low + high), row), (0, 6), **where)
+    left.set_xscale("log")
+    left.set_xlim(begin, evaluation.duration)
+    ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60) if begin <= t <= evaluation.duration]
+    left.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    left.minorticks_off()
+    left.set_ylim(-4.0, 104.0)
+    left.set_xlabel("time since the release [s]")
+    left.set_ylabel("trials still standing [%]")
+    left.set_title(f"{len(evaluation.results.survival)} trials each, the same conditions for all")
+    label = f"the paper's run on the real arm, {paper.SECONDS_BALANCED:g} s"
+    left.axvline(paper.SECONDS_BALANCED, label=label, color=style.GREY, zorder=0.9)
+    right.set_yticks(range(len(results)), [plain(each.name) for each in results])
+    right.set_ylim(len(results) - 0.5, -0.7)
+    right.set_xlim(-4.0, 104.0)
+    right.grid(visible=False, axis="y")
+    right.set_xlabel("share [%] with 95 % interval")
+    right.set_title(f"lasted {evaluation.duration:g} s")
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _survival_curve(results: TrialResults, begin: float, end: float) -> tuple[Array, Array]:
+    """Return the times [s] and the share of trials that stand from each time on [%]."""
+    trials = zip(results.survival, results.causes, strict=True)
+    falls = np.sort([survival for survival, cause in trials if cause != LASTED])
+    standing = 100.0 * (1.0 - np.arange(len(falls) + 1) / len(results.survival))
+    return np.concatenate(([begin], falls, [end])), np.append(standing, standing[-1])
+
+
+@styled()
+def run_figure(run: RunLog) -> "Figure":
+    """Draw a run as in the paper's figures 4 to 7: its first 5 s, as there, and all of it.
+
+    The rows are command, joints, pendulum and flange, with the edges of the boxes and the failure
+    limits. Where a simulation has the true state beside the policy's observation, both are drawn.
+
+    Args:
+        run: A run with a policy.
+
+    Raises:
+        RecordingError: No policy ran.
+    """
+    run.require_balancing()
+    boxes, deg = run.conditions.settings.boxes, np.rad2deg
+    true: Any = run.truth if len(run.truth.phi) else run
+    rows = (
+        ("φ [°]", deg(run.phi), deg(true.phi), boxes.phi_deg, paper.PHI_LIMIT_DEG),
+        ("dφ/dt [°/s]", deg(run.phi_dot), deg(true.phi_dot), boxes.phi_dot_deg, None),
+        ("x [m]", run.x, true.x, boxes.x, paper.X_LIMIT),
+        ("dx/dt [m/s]", run.x_dot, true.x_dot, boxes.x_dot, None),
+    )
+    spans = [(paper.SECONDS_BALANCED, f"the first {paper.SECONDS_BALANCED:g} s, as in the paper")]
+    if run.lasted > 1.5 * paper.SECONDS_BALANCED:
+        spans.append((run.lasted, f"all {run.lasted:g} s"))
+    figure = new_figure(9.0, "Recorded run (the paper's figures 4 to 7)")
+    axes: Any = figure.subplots(6, len(spans), sharex="col", sharey="row", squeeze=False)
+    for column, (until, title) in enumerate(spans):
+        shown = run.time < until
+        time = run.time[shown]
+        edges = np.append(time, time[-1] + run.conditions.h)
+        axes[0, column].set_title(title)
+        axes[0, column].stairs(run.u[shown], edges, baseline=None, **OBSERVED_LINE)
+        for j, name in enumerate(run.conditions.joints):
+            moved, colour = deg(run.q[shown, j] - run.q[0, j]), JOINT_COLOURS[j % 7]
+            axes[1, column].plot(time, moved, color=colour, label=plain(name))
+        for panel, (_, observed, actual, inner, limit) in zip(axes[2:, column], rows, strict=True):
+            panel.grid(visible=False, axis="y")
+            for edge in inner:
+                panel.axhline(edge, color=style.GREY, linewidth=0.6, linestyle=(0, (1, 2)))
+            for end in (-limit, limit) if limit else ():
+                panel.axhline(end, color=style.INK, linewidth=1.0, linestyle=(0, (6, 2)))
+            panel.plot(time, actual[shown], label="true state", **TRUE_LINE)
+            panel.plot(time, observed[shown], label="observation", **OBSERVED_LINE)
+        axes[-1, column].set_xlabel("time [s]")
+        axes[-1, column].set_xlim(0.0, until)
+    axes[0, 0].set_ylabel("u [m/s²]")
+    axes[0, 0].set_yticks(paper.ACTIONS, [typeset(f"{action:+g}") for action in paper.ACTIONS])
+    axes[1, 0].set_ylabel("joints, change [°]")
+    for panel, (label, *_) in zip(axes[2:, 0], rows, strict=True):
+        panel.set_ylabel(label)
+    figure.align_ylabels(axes[:, 0])
+    names: Any = [axes[row, 0].get_legend_handles_labels() for row in (1, 2)]
+    handles, labels = (names[0][part] + names[1][part] for part in (0, 1))
+    figure.legend(handles, labels, loc="outside lower center", ncols=5)
+    return figure

@@ -1,0 +1,336 @@
+"""Pictures of the rig by MuJoCo's renderer, and films of a run as MP4 or animated WebP.
+
+The scene is that of `equipoise.model.arms.scene`, slimmer and coloured, with the ends of the track
+as two posts and the displacement marked on a rail between them. The camera stands behind the base,
+so that +x is to the right as in every figure. `MUJOCO_GL` selects EGL (default without a display),
+OSMesa or GLFW.
+"""
+
+import io
+import tempfile
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from equipoise.artefacts import write_whole
+from equipoise.errors import InputError, MissingExtraError, OutsideError
+from equipoise.logs.motion import Motion, Pose
+from equipoise.logs.run_log import RunLog
+from equipoise.model.arms.arm import Arm
+from equipoise.model.arms.scene import Sizes, scene, sizes_for
+from equipoise.model.physics_engine import mujoco
+from equipoise.paper import X_LIMIT
+
+Floats = npt.NDArray[np.float64]
+Picture = npt.NDArray[np.uint8]
+"""Red, green and blue of every pixel, rows from the top, shape (height, width, 3)."""
+
+AZIMUTH_DEG: Final = 42.0
+"""Direction of view [deg]; 90 is along base +y, where the arm would hide the pendulum."""
+ELEVATION_DEG: Final = -22.0
+"""Elevation of the direction of view above the horizon [deg]."""
+FOV_DEG: Final = 20.0
+"""Vertical field of view [deg]; narrow, so that vertical edges look vertical."""
+SLIM: Final = Sizes(
+    link=0.066, pulled_in=0.0, housing=0.078, housing_reach=0.016, hand=0.05, rod=0.011
+)
+"""Approximate sizes of the iiwas; the sizes of the collision model are larger on purpose."""
+COLOURS: Final = {
+    "link": (0.93, 0.93, 0.94, 1.0),
+    "housing": (0.83, 0.84, 0.86, 1.0),
+    "cap": (0.94, 0.54, 0.14, 1.0),
+    "bracket": (0.23, 0.25, 0.27, 1.0),
+    "rod": (0.0, 0.45, 0.70, 1.0),
+    "table": (0.86, 0.79, 0.66, 1.0),
+    "post": (0.84, 0.37, 0.0, 1.0),
+    "floor": (0.92, 0.93, 0.94, 1.0),
+}
+"""Red, green, blue and opacity of the shapes, by the first word of their names."""
+ARROW: Final = (0.0, 0.62, 0.45, 1.0)
+"""Colour of the arrow that shows u."""
+ARROW_PER_U: Final = 0.1
+"""Length of the arrow for an acceleration of 1 m/s^2 [m]."""
+ARROW_BELOW: Final = 0.13
+"""Distance of the arrow below the pivot [m]; the hand never covers it."""
+MARGIN: Final = 0.13
+"""Margin of the view around the joints [m]."""
+POST_HEIGHT: Final = 0.28
+"""Height of the posts above the pivot [m]; the pendulum is 0.21 m long."""
+MP4, WEBP = ".mp4", ".webp"
+FORMATS: Final = {MP4: (960, 720, 30.0), WEBP: (480, 480, 12.5)}
+"""Width and height of a film [px], and frames per second, by its suffix."""
+MAX_WEBP: Final = 30.0
+"""Maximum length of an animated WebP [s]; the encoder holds all frames in memory."""
+
+
+class RigScene(NamedTuple):
+    """Scene of an arm with its pendulum."""
+
+    model: Any
+    """A `mujoco.MjModel`; its positions are all joints of the arm, then phi."""
+    pivot: Floats
+    """Pivot of the pendulum at home, in the base frame [m], shape (3,)."""
+    posts: Floats
+    """Upper ends of the posts at -X_LIMIT and X_LIMIT [m], shape (2, 3)."""
+    target: Floats
+    """Point at which the camera looks [m], shape (3,)."""
+    view: Floats
+    """Points that stay in view, from the target, to the right, upwards and ahead [m], (n, 3)."""
+
+    def distance(self, aspect: float) -> float:
+        """Return the distance of the camera from its target [m] for a picture's width / height."""
+        tangent = np.tan(np.radians(0.5 * FOV_DEG))
+        right, up = np.abs(self.view[:, :2].T) + MARGIN
+        needed = np.maximum(right / aspect, up) / tangent - self.view[:, 2]
+        return float(np.max(needed))
+
+
+def camera_axes() -> Floats:
+    """Return the unit vectors to the right, upwards and ahead of the camera, shape (3, 3)."""
+    azimuth, elevation = np.radians([AZIMUTH_DEG, ELEVATION_DEG])
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    ahead = np.cos(elevation) * level + np.array([0.0, 0.0, np.sin(elevation)])
+    return np.array([right, np.cross(right, ahead), ahead])
+
+
+def build_scene(arm: Arm) -> RigScene:
+    """Build the scene of an arm."""
+    mj, slim = mujoco(), sizes_for(arm, SLIM)
+    spec = scene(arm, sizes=slim)
+    model = spec.compile()
+    data = mj.MjData(model)
+    mj.mj_resetDataKeyframe(model, data, model.key("home").id)
+    mj.mj_kinematics(model, data)
+    places = np.array(data.xpos)
+    pivot = places[-1]
+
+    def cylinder(body: Any, name: str, start: Any, end: Any, radius: float) -> None:
+        size, kind = [radius, 0.0, 0.0], mj.mjtGeom.mjGEOM_CYLINDER
+        body.add_geom(name=name, type=kind, fromto=[*start, *end], size=size)
+
+    for housing in [geom for geom in spec.geoms if geom.name.startswith("housing")]:
+        start, end = np.array(housing.fromto[:3]), np.array(housing.fromto[3:])
+        out = 0.87 * slim.housing * (end - start) / np.linalg.norm(end - start)
+        cylinder(housing.parent, f"cap of {housing.name}", start - out, end + out, 0.055)
+    table, world = spec.geom("table"), spec.worldbody
+    table.size = [*(0.5 * np.abs(pivot[:2]) + [0.42, 0.27]), 0.35]
+    table.pos = [*(0.5 * pivot[:2]), -0.35]
+    feet = np.array([[pivot[0] + x, pivot[1], 0.0] for x in (-X_LIMIT, X_LIMIT)])
+    tops = feet + np.array([0.0, 0.0, pivot[2] + POST_HEIGHT])
+    for side, foot, top in zip(("left", "right"), feet, tops, strict=True):
+        cylinder(world, f"post {side}", foot, top, 0.005)
+    cylinder(world, "post rail", feet[0], feet[1], 0.003)
+    for x in (-0.2, -0.1, 0.0, 0.1, 0.2):
+        low, high = ((pivot[0] + x, pivot[1] + y, 0.0) for y in (-0.012, 0.012))
+        cylinder(world, f"post {x:g}", low, high, 0.003)
+    plane = mj.mjtGeom.mjGEOM_PLANE
+    world.add_geom(name="floor", type=plane, size=[3.0, 3.0, 1.0], pos=[0.0, 0.0, -0.7])
+    for geom in spec.geoms:
+        geom.rgba = next(rgba for name, rgba in COLOURS.items() if geom.name.startswith(name))
+    sun = mj.mjtLightType.mjLIGHT_DIRECTIONAL
+    world.add_light(
+        type=sun, pos=[*pivot[:2], 3.0], dir=[0.0, 0.0, -1.0], diffuse=[0.5] * 3, castshadow=True
+    )
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.35] * 3
+    spec.visual.global_.fovy = FOV_DEG
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
+    spec.visual.quality.offsamples, spec.visual.quality.shadowsize = 4, 2048
+    texture = {"type": mj.mjtTexture.mjTEXTURE_SKYBOX, "builtin": mj.mjtBuiltin.mjBUILTIN_GRADIENT}
+    spec.add_texture(name="sky", rgb1=[1, 1, 1], rgb2=[0.92, 0.93, 0.94], width=64, **texture)
+    hands = [places[-3:] + np.array([x, 0.0, 0.0]) for x in (-X_LIMIT, X_LIMIT)]
+    points = np.concatenate([places, *hands, feet, tops]) @ camera_axes().T
+    low, high = points.min(axis=0) - 0.1, points.max(axis=0) + 0.1
+    centre = 0.5 * (low + high)
+    return RigScene(spec.compile(), pivot, tops, camera_axes().T @ centre, points - centre)
+
+
+class RigRenderer:
+    """Off-screen renderer of the rig of one arm."""
+
+    def __init__(self, arm: Arm, width: int, height: int) -> None:
+        """Open an OpenGL context.
+
+        Args:
+            arm: The arm.
+            width: Width of the pictures [px].
+            height: Height of the pictures [px].
+
+        Raises:
+            OutsideError: OpenGL is not available.
+        """
+        mj, rig = mujoco(), build_scene(arm)
+        self._data, self._camera = mj.MjData(rig.model), mj.MjvCamera()
+        self._camera.lookat, self._camera.distance = rig.target, rig.distance(width / height)
+        self._camera.azimuth, self._camera.elevation = AZIMUTH_DEG, ELEVATION_DEG
+        try:
+            self._renderer: Any = mj.Renderer(rig.model, height, width)
+        except Exception as error:  # each backend and driver fails in its own way
+            raise OutsideError(
+                f"cannot draw pictures, expected OpenGL: {error}; install EGL (Debian and Ubuntu: "
+                "libegl1 and libgl1-mesa-dri), or set MUJOCO_GL to egl, osmesa, or, with a "
+                "display, glfw"
+            ) from None
+
+    def draw(self, q: Floats, phi: float, u: float = 0.0) -> Picture:
+        """Return a picture of a posture.
+
+        Args:
+            q: All joints [rad], shape (joints,).
+            phi: Angle of the pendulum from upright [rad]; it hangs for NaN.
+            u: Commanded acceleration, shown as an arrow below the pivot unless zero [m/s^2].
+        """
+        mj, data = mujoco(), self._data
+        data.qpos[:] = [*q, phi if np.isfinite(phi) else np.pi]
+        mj.mj_kinematics(self._renderer.model, data)
+        mj.mj_camlight(self._renderer.model, data)
+        self._renderer.update_scene(data, self._camera)
+        if u:
+            start = data.body("pendulum").xpos - np.array([0.0, 0.0, ARROW_BELOW])
+            shapes, kind = self._renderer.scene, mj.mjtGeom.mjGEOM_ARROW
+            arrow = shapes.geoms[shapes.ngeom]
+            colour = np.array(ARROW, np.float32)
+            mj.mjv_initGeom(arrow, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+            # MuJoCo draws an arrow at half the given length.
+            end = start + np.array([2.0 * ARROW_PER_U * u, 0.0, 0.0])
+            mj.mjv_connector(arrow, kind, 0.012, start, end)
+            shapes.ngeom += 1
+        return self._renderer.render()
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._renderer.close()
+
+
+def check_format(suffix: str) -> None:
+    """Check that films with a suffix can be written.
+
+    Raises:
+        InputError: The suffix is unknown.
+        MissingExtraError: A package that encodes an MP4 is not installed.
+    """
+    if suffix not in FORMATS:
+        raise InputError(f"a film ends in {' or '.join(FORMATS)}, got {suffix!r}; rename it")
+    for package in ("imageio", "imageio_ffmpeg") if suffix == MP4 else ():
+        try:
+            import_module(package)
+        except ImportError:
+            raise MissingExtraError(package.replace("_", "-"), "video") from None
+
+
+def film_times(run: RunLog, suffix: str, begin: float | None, end: float | None) -> Floats:
+    """Return the times of the frames of a film since the release [s], shape (n,).
+
+    Args:
+        run: The run.
+        suffix: Format of the film, one of `FORMATS`.
+        begin: Start [s]; by default the release, on a rig shortly before it.
+        end: End [s]; by default that of the run.
+
+    Raises:
+        InputError: The suffix is unknown, the part is outside the run, or too long for a WebP.
+        MissingExtraError: A package that encodes an MP4 is not installed.
+        RecordingError: The run has nothing to show.
+    """
+    check_format(suffix)
+    begin, end = Motion.of(run).part(begin, end)
+    if suffix == WEBP and end - begin > MAX_WEBP:
+        raise InputError(
+            f"an animated WebP of {end - begin:g} s is too large, expected {MAX_WEBP:g} s or less; "
+            "choose a shorter part, or an MP4"
+        )
+    rate = FORMATS[suffix][2]
+    return begin + np.arange(max(1, round((end - begin) * rate))) / rate
+
+
+def write_film(
+    run: RunLog,
+    path: Path,
+    begin: float | None = None,
+    end: float | None = None,
+    report: Callable[[float], None] = lambda _: None,
+) -> None:
+    """Write a part of a run as a film in real time, with its numbers below the picture.
+
+    Args:
+        run: The run.
+        path: The file, `.mp4` (H.264) or `.webp` (animated), written atomically.
+        begin: Start since the release [s]; by default the release, on a rig shortly before it.
+        end: End since the release [s]; by default that of the run.
+        report: Progress callback; receives the fraction of the frames that are done.
+
+    Raises:
+        InputError: The part or the suffix of the file is invalid.
+        MissingExtraError: An MP4 needs imageio-ffmpeg, which is not installed.
+        RecordingError: The run has nothing to show.
+        OutsideError: OpenGL is not available, or encoding or writing fails.
+    """
+    suffix = path.suffix.lower()
+    times = film_times(run, suffix, begin, end)
+    frames = _frames(run, times, *FORMATS[suffix][:2], report)
+    if suffix == WEBP:
+        write_whole(path, _encode_webp(frames, FORMATS[WEBP][2]))
+        return
+    import imageio
+
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "film.mp4")
+            writer: Any = imageio.get_writer(file, fps=FORMATS[MP4][2], quality=7)
+            with writer:
+                for frame in frames:
+                    writer.append_data(frame)
+            write_whole(path, file.read_bytes())
+    except OutsideError:  # an OSError whose message is complete
+        raise
+    except (OSError, RuntimeError) as error:
+        raise OutsideError(f"cannot write {path}, the encoder failed: {error}") from None
+
+
+def _encode_webp(frames: Iterator[Picture], rate: float) -> bytes:
+    from PIL import Image
+
+    first, *others = map(Image.fromarray, frames)
+    stream, duration = io.BytesIO(), round(1e3 / rate)
+    options: Any = {"save_all": True, "append_images": others, "duration": duration, "loop": 0}
+    first.save(stream, "webp", quality=60, method=2, **options)
+    return stream.getvalue()
+
+
+def _frames(
+    run: RunLog, times: Floats, width: int, height: int, report: Callable[[float], None]
+) -> Iterator[Picture]:
+    """Yield the pictures of a run at times [s], with two lines of numbers below."""
+    from matplotlib import get_data_path
+    from PIL import Image, ImageDraw, ImageFont
+
+    conditions, bar = run.conditions, height // 10
+    motion, renderer = Motion.of(run), RigRenderer(conditions.arm, width, height - bar)
+    fonts = Path(get_data_path(), "fonts", "ttf")
+    large, small = (
+        ImageFont.truetype(fonts / "DejaVuSans.ttf", share * bar) for share in (0.3, 0.27)
+    )
+    try:
+        for done, time in enumerate(times.tolist(), 1):
+            pose = motion.at(time)
+            image = Image.new("RGB", (width, height), "white")
+            image.paste(Image.fromarray(renderer.draw(pose.q, pose.phi, pose.u)))
+            pen = ImageDraw.Draw(image)
+            pen.text((0.03 * width, height - 0.72 * bar), caption(pose), "#222222", large, "lm")
+            note = " · ".join(filter(None, (conditions.arm.name, conditions.world, pose.phase)))
+            pen.text((0.03 * width, height - 0.27 * bar), note, "#767676", small, "lm")
+            yield np.asarray(image)
+            report(done / len(times))
+    finally:
+        renderer.close()
+
+
+def caption(pose: Pose) -> str:
+    """Return time, displacement, angle and command as text."""
+    phi = f"{np.degrees(pose.phi):+.1f}°" if np.isfinite(pose.phi) else "unknown"
+    text = f"t = {pose.time:.2f} s   x = {pose.x:+.3f} m   φ = {phi}   u = {pose.u:+.1f} m/s²"
+    return text.replace("-", "\N{MINUS SIGN}")

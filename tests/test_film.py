@@ -1,0 +1,167 @@
+"""Pictures and films: everything is where arm and angle say, in the frame, and in the file."""
+
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from equipoise import film, paper
+from equipoise.errors import InputError, MissingExtraError, OutsideError
+from equipoise.film import RigRenderer, build_scene, camera_axes, film_times, write_film
+from equipoise.logs.motion import Motion
+from equipoise.model.arms.iiwa import iiwa
+from equipoise.model.arms.posture import along_x
+from equipoise.model.arms.scene import SIZES
+from tests.logs.made_up import balanced_on_a_rig, changed_table
+
+ARM = iiwa(7)
+WIDTH, HEIGHT = 240, 270
+
+
+@pytest.fixture(scope="session")
+def renderer():
+    """Skips where there is no OpenGL."""
+    try:
+        return RigRenderer(ARM, WIDTH, HEIGHT)
+    except OutsideError as error:
+        return pytest.skip(str(error))
+
+
+@pytest.fixture
+def run():
+    return balanced_on_a_rig()
+
+
+def at(x, arm=ARM):
+    """All joints with the flange at a displacement."""
+    (q,) = along_x(arm, np.array([x]))
+    return np.array(arm.with_held(q))
+
+
+def pivot_at(q):
+    flange = ARM.pose(ARM.without_held(q))
+    return flange.position + flange.rotation @ ARM.pivot
+
+
+def pixel(point, arm=ARM, width=WIDTH, height=HEIGHT):
+    """Column and row of a point, by the pinhole camera of a textbook."""
+    rig = build_scene(arm)
+    right, up, ahead = camera_axes() @ (point - rig.target)
+    scale = 0.5 * height / (np.tan(np.radians(10.0)) * (rig.distance(width / height) + ahead))
+    return 0.5 * width + scale * right, 0.5 * height - scale * up
+
+
+def pixels(picture, colour):
+    """Rows and columns of what is blue, vermilion or green; light and shade change the rest."""
+    red, green, blue = np.moveaxis(picture.astype(int), 2, 0)
+    return np.nonzero(
+        {
+            "blue": (blue > red + 60) & (blue > green + 30),
+            "vermilion": (red > green + 60) & (green < 0.5 * red),
+            "green": (green > red + 40) & (green > blue + 15),
+        }[colour]
+    )
+
+
+@pytest.mark.parametrize("x", [-0.2, 0.0, 0.2])
+@pytest.mark.parametrize("phi", [-0.19, 0.0, 0.19])
+def test_the_pendulum_is_seen_where_the_arm_carries_it(renderer, x, phi):
+    q = at(x)
+    tip = pivot_at(q) + SIZES.rod_length * np.array([np.sin(phi), 0.0, np.cos(phi)])
+    column, row = pixel(tip)
+    rows, columns = pixels(renderer.draw(q, phi), "blue")
+    # The rod ends in half a ball, which stands above the point.
+    assert rows.min() == pytest.approx(row - 2.0, abs=2.5)
+    assert np.mean(columns[rows < rows.min() + 4]) == pytest.approx(column, abs=2.0)
+
+
+def test_an_arrow_is_as_long_as_u_and_points_where_it_pushes(renderer):
+    q = at(0.0)
+    start = pivot_at(q) - [0.0, 0.0, film.ARROW_BELOW]
+    for push in (2.0, -2.0, 1.0):
+        columns = pixels(renderer.draw(q, 0.0, push), "green")[1]
+        end = start + np.array([film.ARROW_PER_U * push, 0.0, 0.0])
+        ends = [pixel(each)[0] for each in (start, end)]
+        assert [columns.min(), columns.max()] == pytest.approx(sorted(ends), abs=5.0)
+    assert not len(pixels(renderer.draw(q, 0.0), "green")[0])
+
+
+def test_the_posts_stand_where_the_track_ends_above_the_pendulum(renderer):
+    seen = set(zip(*pixels(renderer.draw(at(0.0), 0.0), "vermilion"), strict=True))
+    for x, top in zip((-paper.X_LIMIT, paper.X_LIMIT), build_scene(ARM).posts, strict=True):
+        pivot = pivot_at(at(x))
+        np.testing.assert_allclose(top[:2], pivot[:2], atol=1e-6)
+        assert top[2] > pivot[2] + SIZES.rod_length
+        column, row = pixel(top * [1.0, 1.0, 0.95])
+        assert {(int(row), int(column) + near) for near in (-1, 0, 1)} & seen
+
+
+@pytest.mark.parametrize(("width", "height"), [(320, 240), (200, 400)])
+@pytest.mark.parametrize("arm", [ARM, iiwa(14, media_flange=0.061)], ids=lambda arm: arm.name)
+def test_all_that_moves_stays_in_the_picture_and_fills_it(renderer, arm, width, height):
+    drawing = RigRenderer(arm, width, height)
+    left, right = (drawing.draw(at(x, arm), x) for x in (-paper.X_LIMIT, paper.X_LIMIT))
+    drawing.close()
+    table = (left[..., 0] > left[..., 2] + 15.0) & (right[..., 0] > right[..., 2] + 15.0)
+    moves = np.any(np.abs(left.astype(int) - right) > 60, axis=2) & ~table  # without shadows
+    rows, columns = np.nonzero(moves)
+    assert 0 < rows.min() < rows.max() < height - 1
+    assert 0 < columns.min() < columns.max() < width - 1
+    places = np.array([pixel(point, arm, width, height) for point in build_scene(arm).posts])
+    assert np.all((places > 0.0) & (places < (width, height)))
+    assert max(np.ptp(columns) / width, np.ptp(rows) / height) > 0.4
+
+
+def test_a_missing_opengl_is_one_error_with_its_remedy(monkeypatch, run, tmp_path):
+    def fail(*_):
+        raise RuntimeError("no display")
+
+    monkeypatch.setattr(film.mujoco(), "Renderer", fail)
+    with pytest.raises(OutsideError, match="no display; install EGL"):
+        write_film(run, tmp_path / "run.webp")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.usefixtures("renderer")
+def test_a_webp_is_the_part_in_real_time_with_its_numbers(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(film.FORMATS, film.WEBP, (96, 96, 12.5))
+    path, told = tmp_path / "part.webp", []
+    write_film(run, path, -4.0, -3.6, told.append)
+    assert told == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    with Image.open(path) as moving:
+        assert (moving.format, moving.size, moving.n_frames) == ("WEBP", (96, 96), 5)
+        moving.seek(1)
+        picture = np.asarray(moving.convert("RGB"))
+        assert moving.info["duration"] == 80
+    assert picture[90:].min() < 160  # numbers
+    pose = Motion.of(run).at(-3.92)
+    expected = RigRenderer(ARM, 96, 87).draw(pose.q, pose.phi, pose.u)
+    assert np.mean(np.abs(picture[:87].astype(int) - expected)) < 6.0
+
+
+@pytest.mark.usefixtures("renderer")
+def test_an_mp4_has_the_frames_of_its_part_and_a_failed_one_leaves_no_file(
+    run, tmp_path, monkeypatch
+):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
+    monkeypatch.setitem(film.FORMATS, film.MP4, (240, 176, 10.0))
+    write_film(run, tmp_path / "run.mp4", 0.0, 1.0)
+    frames, seconds = ffmpeg.count_frames_and_secs(tmp_path / "run.mp4")
+    assert (frames, seconds) == (10, pytest.approx(1.0, abs=0.01))
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/bin/false")
+    with pytest.raises(OutsideError, match="encoder failed"):
+        write_film(run, tmp_path / "other.mp4", 0.0, 0.2)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mp4"]
+
+
+def test_a_film_that_cannot_be_made_is_refused_before_it_is_drawn(run, monkeypatch):
+    long = changed_table(run, "tick", time=np.linspace(1.0, 60.0, 901))
+    for suffix, begin, end in ((".gif", None, None), (".webp", -9.0, None), (".mp4", 1.0, 0.5)):
+        with pytest.raises(InputError):
+            film_times(run, suffix, begin, end)
+    with pytest.raises(InputError, match="30 s"):
+        film_times(long, ".webp", -20.0, None)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(MissingExtraError):
+        film_times(run, ".mp4", None, None)
