@@ -543,7 +543,7 @@ def test_a_pendulum_that_no_controller_balances_is_refused_before_the_training(p
     part = late.model_copy(update={"delay": Estimate.around(0.1, 0.0, "assumed")})
     assert "% of the releases" in check_task(pendulum, ARM, settings(), part)
     tested = settings("selection.test_trials=2000")
-    with pytest.raises(SettingsError, match="% of the releases: .* expected at most 1 %"):
+    with pytest.raises(SettingsError, match="% of the releases"):
         train_to_target(pendulum, ARM, tested, actuator=part, target=0.99)
 
 
