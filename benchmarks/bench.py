@@ -51,7 +51,7 @@ from equipoise.artefacts import Value
 from equipoise.control.policy import shipped_policy
 from equipoise.executors import available_cores
 from equipoise.jit import kernel
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.arm import Arm
 from equipoise.model.elementary import fma

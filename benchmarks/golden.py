@@ -38,7 +38,7 @@ def digest(*values: object) -> str:
 def trainings() -> dict[str, str]:
     """Short trainings of both recipes."""
     from equipoise.control.policy import shipped_policy
-    from equipoise.learning.training import train
+    from equipoise.learning.train import train
     from equipoise.settings import resolve
 
     policy, found = shipped_policy(), {}

@@ -9,7 +9,7 @@ import argparse
 import numpy as np
 
 from equipoise.executors import ThreadExecutor, available_cores
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum

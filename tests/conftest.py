@@ -7,7 +7,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
@@ -46,7 +46,6 @@ def quick_settings():
             "learning.episodes=120",
             "learning.episode_duration=2",
             "selection.every=40",
-            "selection.late=1",
             "selection.round_trials=20",
             "selection.rounds=3",
             "selection.duration=2",

@@ -11,10 +11,7 @@ import pytest
 from equipoise.control.baselines import baselines
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import ArtefactError, InputError
-from equipoise.learning.checkpoint import ResumePoint
-from equipoise.learning.training import train
 from equipoise.model.actuator import Actuator, shipped_actuator
-from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.worlds import read_world
@@ -40,7 +37,6 @@ hold_action = true
 duration = 60.0
 [identification]
 friction = "coulomb"
-horizons = [0.08, 0.25]
 """
 RIG = """\
 name = "bench 3"
@@ -77,20 +73,6 @@ def evaluated():
     return evaluate(shipped_policy(), settings.model_copy(update={"evaluation": few}))
 
 
-class Unfinished:
-    """A training that was interrupted; its file is the checkpoint."""
-
-    def save(self, path, *, command):
-        quick = ["learning.episodes=60", "selection.every=0", "learning.episode_duration=0.5"]
-        settings = resolve("paper", overrides=quick)
-
-        def interrupt(_):
-            raise KeyboardInterrupt
-
-        with pytest.raises(KeyboardInterrupt):
-            train(shipped_pendulum(), iiwa(7), settings, partial=path, report=interrupt)
-
-
 FORMATS = {
     "settings.toml": (SETTINGS, lambda path: resolve(file=path)),
     "rig.toml": (RIG, read_rig),
@@ -101,7 +83,6 @@ FORMATS = {
     "actuator.json": (shipped_actuator(), Actuator.load),
     "policy.json": (shipped_policy(), TabularPolicy.load),
     "certificate.json": (certified, Certificate.load),
-    "policy.partial.json": (Unfinished, ResumePoint.load),
     "evaluation.json": (evaluated, Evaluation.load),
 }
 

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from equipoise.errors import EquipoiseError
     from equipoise.identification import identify
     from equipoise.identification.actuator import identify_run
-    from equipoise.learning.training import train, train_to_target
+    from equipoise.learning.target import train_to_target
+    from equipoise.learning.train import train
     from equipoise.logs.run_log import RunLog
     from equipoise.model.actuator import Actuator, shipped_actuator
     from equipoise.model.arms.arm import Arm
@@ -66,7 +67,8 @@ _HOMES = {
     "settings": ("Settings", "resolve"),
     "worlds.certification": ("Certificate", "certify", "make_claim"),
     "reproduction.pipeline": ("reproduce",),
-    "learning.training": ("train", "train_to_target"),
+    "learning.target": ("train_to_target",),
+    "learning.train": ("train",),
     "trajectory": ("Trajectory", "read_swing", "write_swing"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -23,8 +23,8 @@ from equipoise.identification.refinement import (
     read_motion,
     retrain,
 )
-from equipoise.learning import training
-from equipoise.learning.training import train
+from equipoise.learning.target import measure_policy
+from equipoise.learning.train import train
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.pendulum import Pendulum
@@ -356,7 +356,7 @@ def test_the_better_table_is_kept_with_the_new_model(small_policy):
     assert refined.old.trials == refined.new.trials
     # The table that is kept has a test on the new model.
     alone = refined.policy.model_copy(update={"tests": ()})
-    assert refined.policy.tests == training.measure_policy(alone)
+    assert refined.policy.tests == measure_policy(alone)
 
 
 @pytest.mark.parametrize(("score", "kept"), [(0.6, "new"), (0.5, "old"), (0.4, "old")])

@@ -13,7 +13,7 @@ from equipoise.control.bound_policy import bind_policy
 from equipoise.control.grid import CAUSES
 from equipoise.control.policy import act
 from equipoise.errors import ArtefactError
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.settings import resolve

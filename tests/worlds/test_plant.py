@@ -303,7 +303,7 @@ def differing(kind, delay, *lags):
         (
             Actuator.assumed("kst", delay=0.0271, lag=0.004, cycle=0.0012),
             DomainRandomization(1.02, 1.2, 0.0039, 0.8, 0.003),
-            ["controller.margin=0.002", "controller.correction=0.4"],
+            ["controller.margin=0.002"],
         ),
         (
             differing("kst", 0.0, 0.004, 0.008, 0.016, 0.012, 0.002, 0.0),
@@ -537,8 +537,8 @@ def test_nothing_of_sensor_and_actuator_matters_where_the_actuator_is_ideal():
     arm, plants = iiwa(14), []
     for overrides in (
         [],
-        ["controller.predict=false", "controller.margin=0.1", "controller.acceleration_sigma=9"],
-        ["plant.counts_per_rev=100", "controller.correction=0.9", "plant.zero_error=0.1"],
+        ["controller.predict=false", "controller.margin=0.1"],
+        ["plant.counts_per_rev=100", "plant.zero_error=0.1"],
     ):
         plants.append(make_loop_params(arm, resolve(overrides=overrides), 0.01, PENDULUM))
     rows = []

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from equipoise import paper
+from equipoise.control import control_step
 from equipoise.control.baselines import lqr_gains
 from equipoise.control.grid import (
     ANGLE,
@@ -282,15 +283,14 @@ def test_a_lane_does_not_see_its_neighbours(any_plant, phi, phi_dot, x, u):
     assert len(set(rows)) == 1
 
 
-def test_a_lane_near_a_singularity_does_not_change_its_neighbours():
+def test_a_lane_near_a_singularity_does_not_change_its_neighbours(monkeypatch):
+    monkeypatch.setattr(control_step, "SINGULAR_SHARE", 0.5)
     # In this posture (the arm in the plane of motion) the manipulability falls along the track;
     # with so large a share the inverse is damped on the far side of it.
     arm = iiwa(14).model_copy(
         update={"home": tuple(radians(angle) for angle in (0, 30, 0, -70, 0, 80, 0))}
     )
-    plant = make_loop_params(
-        arm, resolve(overrides=["clik.singular_share=0.5"]), paper.STEP, PENDULUM
-    )
+    plant = make_loop_params(arm, resolve(), paper.STEP, PENDULUM)
     alone, beside = new_batch_state(), new_batch_state()
     for block in (alone, beside):
         reset(plant, block, PENDULUM, NOMINAL, (0.0, 0.0, 0.01, 0.0), 0)

@@ -6,7 +6,7 @@ import pytest
 from equipoise.artefacts import Estimate
 from equipoise.control.grid import CAUSES
 from equipoise.errors import ArmError, SettingsError
-from equipoise.learning.training import train
+from equipoise.learning.train import train
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import shipped_actuator
 from equipoise.model.arms.iiwa import iiwa

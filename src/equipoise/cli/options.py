@@ -67,9 +67,6 @@ def _seed(seed: int) -> int:
 
 JSON = flag("--json", "Print one JSON object and nothing else.", IN_AND_OUT)
 FORCE = flag("--force", "Replace existing files; otherwise they are kept.", IN_AND_OUT)
-RESUME = flag(
-    "--resume", "Continue the interrupted training of this output, to the same result.", IN_AND_OUT
-)
 SETTINGS_FILE = value("TOML", "Settings, one table per section.", "--settings", panel=IN_AND_OUT)
 SET = value("NAME=VALUE", "One setting; repeatable.", "--set", panel=IN_AND_OUT)
 RECIPE = value(

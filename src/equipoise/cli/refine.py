@@ -1,12 +1,11 @@
 """`equipoise refine`: compares logs with the model of a policy, and trains on if it moved."""
 
 import functools
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from equipoise.cli import options as opt
-from equipoise.cli.destinations import choose_file, unfinished
+from equipoise.cli.destinations import choose_file
 from equipoise.cli.output import Output, in_ms, measured, verb, with_intervals
 from equipoise.printable import printable
 
@@ -34,14 +33,13 @@ def refine(
         "Policy to write; pendulum and actuator beside it, if they moved.", "refined.json"
     ),
     force: bool = opt.FORCE,
-    resume: bool = opt.RESUME,
     as_json: bool = opt.JSON,
 ) -> None:
     """Compare logs with the model of a policy, and train on if it moved.
 
     Identifies w2, c and the actuator again. If one of them moved beyond its
     interval, training continues from the policy's table, and the better table
-    is kept. After an interruption the same command with --resume continues.
+    is kept.
     """
     output = Output(as_json)
     output.say(f"Comparing {policy} with {', '.join(map(str, runs))}")
@@ -68,21 +66,19 @@ def refine(
     if findings.actuator.digest != table.actuator.digest:
         made["actuator"] = findings.actuator
     refinement = None
-    with ExitStack() as stack:
-        if training and (findings.moves or always):
-            partial = stack.enter_context(unfinished(destination, resume=resume))
-            refinement = _retrain(output, table, findings, episodes, seed, workers, partial)
-            made["policy"] = refinement.policy
-            old, new = _lasted(refinement.old), _lasted(refinement.new)
-            output.rows({"old table": old, "new table": new})
-            output.say(f"The {refinement.kept} table is kept, with the new model.")
-            output.warn(refinement.policy.shortfall)
-        inputs = {"policy": table.digest}
-        inputs |= {printable(name): log.digest for name, log in logs.items()}
-        with destination.claimed() as out:
-            paths = dict(zip(PARTS, (out, *_beside(out)), strict=True))
-            for part, artefact in made.items():
-                artefact.save(paths[part], command="refine", inputs=inputs)
+    if training and (findings.moves or always):
+        refinement = _retrain(output, table, findings, episodes, seed, workers)
+        made["policy"] = refinement.policy
+        old, new = _lasted(refinement.old), _lasted(refinement.new)
+        output.rows({"old table": old, "new table": new})
+        output.say(f"The {refinement.kept} table is kept, with the new model.")
+        output.warn(refinement.policy.shortfall)
+    inputs = {"policy": table.digest}
+    inputs |= {printable(name): log.digest for name, log in logs.items()}
+    with destination.claimed() as out:
+        paths = dict(zip(PARTS, (out, *_beside(out)), strict=True))
+        for part, artefact in made.items():
+            artefact.save(paths[part], command="refine", inputs=inputs)
     if made:
         output.wrote(*(paths[part] for part in made))
     output.next(*(("evaluate", out) if refinement else ("deploy", policy)))
@@ -101,7 +97,6 @@ def _retrain(
     episodes: int | None,
     seed: int,
     workers: int | None,
-    partial: Path,
 ) -> "Refinement":
     from equipoise.identification import refinement as study
     from equipoise.progress import StageProgress, TrainingProgress, compile_training, compiling
@@ -110,7 +105,7 @@ def _retrain(
     with output.stages() as show:
         with compiling(show):
             compile_training(policy.arm, settings)
-        progress = TrainingProgress(settings, show).of_learner()
+        progress = TrainingProgress(settings, show)
 
         def trials(stage: str, done: int, of: int) -> None:
             show(StageProgress(stage, done, of, "trials"))
@@ -122,10 +117,9 @@ def _retrain(
             episodes=settings.learning.episodes,
             seed=seed,
             workers=opt.available_workers(workers),
-            partial=partial,
             comparing=functools.partial(trials, "compare"),
             testing=functools.partial(trials, "test"),
-            **progress,
+            observer=progress,
         )
 
 

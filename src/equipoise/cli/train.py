@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from equipoise.cli import options as opt
-from equipoise.cli.destinations import choose_file, unfinished
+from equipoise.cli.destinations import choose_file
 from equipoise.cli.output import Output, verb
 from equipoise.errors import InputError
 
 if TYPE_CHECKING:
     from equipoise.control.policy import TabularPolicy
-    from equipoise.learning.training import TrainedLearners
+    from equipoise.learning.target import TrainedLearners
 
 HELP: Final = {
     "track": "track: the pendulum stays up, and the table moves the flange off its track. Tables "
@@ -54,7 +54,6 @@ def train(
     learners: int | None = opt.value(
         "N", "Maximum number of learners that are trained for it; by default 6.", min=1
     ),
-    population: bool = opt.flag("--all", "Train all learners, and write the best."),
     max_speed: float | None = opt.MAX_SPEED,
     seed: int = opt.SEED,
     workers: int | None = opt.WORKERS,
@@ -64,7 +63,6 @@ def train(
     tip: str | None = opt.TIP,
     out: Path | None = opt.out("Policy to write.", "policy.json"),
     force: bool = opt.FORCE,
-    resume: bool = opt.RESUME,
     settings_file: Path | None = opt.SETTINGS_FILE,
     settings: list[str] | None = opt.SET,
     as_json: bool = opt.JSON,
@@ -75,7 +73,7 @@ def train(
     trials that chose nothing. Writes the policy: the table of boxes by 8
     actions, its learning curve, its tests, and everything needed to train it
     again. Exit code 1: no learner meets the target; the best policy is written
-    and marked. After an interruption the same command with --resume continues.
+    and marked.
 
     Several --actuator make one policy for an arm of which none is sure:
     episodes take turns behind them, the worst one scores, and each has to meet
@@ -89,8 +87,9 @@ def train(
 
     chosen = list(settings or ())
     named = {"episodes": episodes, "learner": learner, "reward": reward}
+    chosen += [] if max_speed is None else [f"plant.max_speed={max_speed}"]
     chosen += [f"learning.{name}={given}" for name, given in named.items() if given is not None]
-    resolved = resolve(recipe, settings_file, chosen, max_speed=max_speed)
+    resolved = resolve(recipe, settings_file, chosen)
     if max_speed is not None and not resolved.selection.every:
         raise InputError(
             f"--max-speed needs a selection, and recipe {recipe} takes the last table; give "
@@ -100,49 +99,41 @@ def train(
     machine = opt.read_arm(arm, held, base, tip)
     responses = [one for each in actuator or () if (one := opt.read_actuator(each))] or None
 
-    from equipoise.learning.training import (
-        LEARNERS,
-        TARGET,
-        actuators_in,
-        check_task,
-        train_to_target,
-    )
+    from equipoise.learning.target import LEARNERS, TARGET, train_to_target
+    from equipoise.learning.train import check_task
     from equipoise.progress import TrainingProgress, compile_training, compiling
 
     begin = time.perf_counter()
     opt.check_range("--target", target, 0.0, 1.0)
     if target is None:
         target = TARGET if resolved.selection.every else 0.0
-    behind = actuators_in(world, resolved, responses)
-    output.warn(check_task(source, machine, resolved, behind, target))
+    output.warn(check_task(source, machine, resolved, responses, world=world, target=target))
     budget = LEARNERS if learners is None else learners
-    with unfinished(destination, resume=resume) as partial:
-        with output.stages() as show:
-            with compiling(show):
-                compile_training(machine, resolved)
-            progress = TrainingProgress(resolved, show, budget, population=population)
-            trained = train_to_target(
-                source,
-                machine,
-                resolved,
-                target=target,
-                learners=budget,
-                population=population,
-                actuator=responses,
-                world=world,
-                seed=seed,
-                workers=opt.executor(workers, ray),
-                partial=partial,
-                progress=progress,
-            )
-        wall, best = time.perf_counter() - begin, trained.policy
-        names = ("actuator", *(f"actuator {i}" for i in range(2, 1 + len(best.actuators))))
-        inputs = {"pendulum": source.digest}
-        inputs |= {} if world == "model" else {"world": world}
-        inputs |= {n: each.digest for n, each in zip(names, best.actuators, strict=True)}
-        with destination.claimed() as out:
-            best.save(out, command="train", inputs=inputs)
-    _say(output, trained, wall, resume)
+    with output.stages() as show:
+        with compiling(show):
+            compile_training(machine, resolved)
+        progress = TrainingProgress(resolved, show, budget)
+        trained = train_to_target(
+            source,
+            machine,
+            resolved,
+            target=target,
+            learners=budget,
+            actuator=responses,
+            world=world,
+            seed=seed,
+            workers=opt.executor(workers, ray),
+            observer=progress,
+        )
+        progress.ended()
+    wall, best = time.perf_counter() - begin, trained.policy
+    names = ("actuator", *(f"actuator {i}" for i in range(2, 1 + len(best.actuators))))
+    inputs = {"pendulum": source.digest}
+    inputs |= {} if world == "model" else {"world": world}
+    inputs |= {n: each.digest for n, each in zip(names, best.actuators, strict=True)}
+    with destination.claimed() as out:
+        best.save(out, command="train", inputs=inputs)
+    _say(output, trained, wall)
     output.wrote(out)
     output.next("evaluate", out)
     test = best.test
@@ -160,15 +151,13 @@ def train(
     )
 
 
-def _say(output: Output, trained: "TrainedLearners", wall: float, resumed: bool) -> None:
+def _say(output: Output, trained: "TrainedLearners", wall: float) -> None:
     best, count = trained.policy, len(trained.learners)
     steps = sum(result.steps for result in trained.learners)
     of_each = f" each of {count} learners" if count > 1 else ""
     rows = {"trained": f"{best.episodes:,} episodes{of_each}, {steps:,} steps in {wall:.1f} s"}
     if (limit := best.settings.plant.max_speed) is not None:
         rows["for a flange"] = f"below {limit:g} m/s"
-    if resumed:
-        rows["resumed"] = "from a checkpoint; the time counts from there"
     whose = f"learner {best.learner}, " if of_each else ""
     rows["selected"] = whose + _chosen(best)
     if (test := best.test) is not None:

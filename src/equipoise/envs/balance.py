@@ -22,7 +22,7 @@ from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.random import ENVIRONMENT, TEST
 from equipoise.model.worlds import MODEL, World
 from equipoise.safety.trial import guard_named
-from equipoise.settings import LearningSettings, Settings
+from equipoise.settings import Settings
 from equipoise.worlds import Setup, Trial, estimated, has_ideal_arm, predicted, simulate
 
 Array = npt.NDArray[np.float64]
@@ -30,16 +30,9 @@ Observe = Literal["predicted", "estimated", "raw"]
 Reward = Callable[[Observation, float, Observation, bool], float]
 """Reward of a step: `reward(state, u, next_state, failed)`; the states are predicted ones."""
 
-REWARD_FAILURE: Final = LearningSettings().reward_failure
-"""Reward of a failure in the paper's reward."""
 WINDOW: Final = 256
 """Number of trials drawn at a time."""
 NOT_RESET: Final = "the environment has not been reset; call env.reset() first"
-
-
-def paper_reward(state: Observation, u: float, next_state: Observation, failed: bool) -> float:
-    """Return the paper's reward: -1 for a failure, otherwise 0."""
-    return rewards.paper(state, u, next_state, failed, REWARD_FAILURE)
 
 
 class BalanceEnv(gym.Env[Array, Any]):
@@ -115,7 +108,7 @@ class BalanceEnv(gym.Env[Array, Any]):
         *,
         observe: Observe = "predicted",
         duration: float = 60.0,
-        reward: Reward = paper_reward,
+        reward: Reward = rewards.paper,
         pendulum: Pendulum | None = None,
         arm: Arm | None = None,
         actuator: Actuator | None = None,

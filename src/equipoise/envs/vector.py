@@ -13,15 +13,14 @@ from equipoise.control.controller import Observation
 from equipoise.control.grid import TRUNCATED, cause_named
 from equipoise.envs.balance import (
     NOT_RESET,
-    REWARD_FAILURE,
     WINDOW,
     Array,
     BalanceDiscreteEnv,
     BalanceEnv,
-    paper_reward,
 )
 from equipoise.errors import InputError
 from equipoise.executors import available_cores
+from equipoise.learning.rewards import paper as paper_reward
 from equipoise.model.random import ENVIRONMENT
 from equipoise.model.worlds import MODEL, World
 from equipoise.safety.trial import guard_named
@@ -186,7 +185,7 @@ class BalanceVectorEnv(gym.vector.VectorEnv[Array, Array, Array]):
         truncated = values.tick >= self._max_steps
         truncated &= ~terminated
         if before is None:
-            rewards = np.where(terminated, REWARD_FAILURE, 0.0)
+            rewards = np.where(terminated, -1.0, 0.0)
         else:
             rewards = self._rewards(before, u, terminated)
         if self._mode is AutoresetMode.NEXT_STEP and over.any():

@@ -32,6 +32,14 @@ from equipoise.trajectory import Trajectory
 
 __all__ = ["identify"]
 
+MIN_BLOCKS: Final = 8
+"""Minimum number of jackknife blocks; a block is a period, or shorter in a window of fewer
+periods. The scatter of fewer blocks is meaningless."""
+WARNING_MISFIT: Final = 0.005
+"""Misfit above which a warning is given, as a share of the amplitude: a well-modelled pivot
+leaves 0.1 to 0.4 %."""
+BETTER_SHARE: Final = 0.8
+"""Ratio of the residuals below which a richer friction model is recommended."""
 SMALL_AMPLITUDE = np.deg2rad(10.0)
 """Amplitude below which a swing gives a warning [rad]: on one rig w2 was 1.4 % higher at 3.6 deg
 than at 56 deg, and differed by 0.2 % from there to 149 deg."""
@@ -72,7 +80,7 @@ def identify(
             "record a free swing on a fixed pivot"
         )
     cleaned, notes = without_spikes(trajectory)
-    rough, free = find_free_swing(cleaned, settings)
+    rough, free = find_free_swing(cleaned)
     inside = (cleaned.time >= free.begin) & (cleaned.time <= free.end)
     time, values, w2 = cleaned.time[inside], cleaned.values[inside], free.starts[0][W2]
     is_rate, bounds = trajectory.theta is None, (0.25 * w2, 4.0 * w2)
@@ -112,7 +120,7 @@ def _reject_unexplained(
 ) -> None:
     settings = swing_fit.settings
     left = fitting.misfit(swing_fit.rms, swing_fit.noise) / float(np.std(recording.values))
-    if left <= settings.unexplained:
+    if left <= fitting.MAX_UNEXPLAINED:
         return
     begin, end = swing_fit.window
     cure = "choose a free swing with --start and --end"
@@ -123,7 +131,7 @@ def _reject_unexplained(
     raise RecordingError(
         f"{swing_fit.source} is not a free swing with {settings.friction} friction: the pendulum's "
         f"equation leaves {left:.0%} of the motion from {begin:.2f} s to {end:.2f} s unexplained, "
-        f"expected less than {settings.unexplained:.0%}; {cure}"
+        f"expected less than {fitting.MAX_UNEXPLAINED:.0%}; {cure}"
     )
 
 
@@ -148,7 +156,7 @@ def _warnings(
     warnings = list[str]()
     amplitude = float(np.max(np.abs(recording.values - swing_fit.offset)))
     unexplained = fitting.misfit(swing_fit.rms, swing_fit.noise) / amplitude
-    if unexplained > settings.misfit_share:
+    if unexplained > WARNING_MISFIT:
         why = f"the richer models leave {left / swing_fit.rms:.0%} of it"
         if settings.friction == RICHEST:
             why = "it is the richest model here"
@@ -199,8 +207,8 @@ def _best_friction(
     settings, left = swing_fit.settings, swing_fit.rms
     best, least = settings.friction, left
     # Friction does not explain noise, and below 10 % of the warning limit the model is good enough.
-    enough = 0.1 * settings.misfit_share * float(np.std(recording.values))
-    if swing_fit.noise > settings.better_share * left or left < enough:
+    enough = 0.1 * WARNING_MISFIT * float(np.std(recording.values))
+    if swing_fit.noise > BETTER_SHARE * left or left < enough:
         return best, left
     # A quarter of the means suffices to compare models.
     recording = recording.part(slice(None, None, 4 if np.any(recording.spread) else 1))
@@ -208,7 +216,7 @@ def _best_friction(
         fit = fitting.fit_richer(recording, model, fit, fitting.COARSE)
         richer = whole.rms(fit.unknowns)
         least = min(least, richer)
-        if richer < settings.better_share * left:
+        if richer < BETTER_SHARE * left:
             best, left = model, richer
     return best, left if best != settings.friction else least
 
@@ -223,7 +231,7 @@ def _pendulum(
     from scipy.stats import t as student
 
     settings, unknowns = swing_fit.settings, fit.unknowns
-    blocks = max(round(swing_fit.periods), settings.least_blocks)
+    blocks = max(round(swing_fit.periods), MIN_BLOCKS)
     spread = fitting.covariance(recording, fit, blocks)
     quantile = float(student.ppf(0.975, blocks - 1))
     fitted = [W2, *fitting.FRICTIONS[settings.friction]]

@@ -6,13 +6,13 @@ differences give its sensitivities; an adaptive integrator would not.
 
 from collections.abc import Sequence
 from math import ceil, inf, log, sqrt
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from equipoise.identification.jackknife import blocks_of_time, jackknife
-from equipoise.model.pendulum import PendulumParameters, swing
+from equipoise.model.pendulum import STEPS_PER_PERIOD, PendulumParameters, swing
 from equipoise.settings import Friction, IdentificationSettings
 
 Array = npt.NDArray[np.float64]
@@ -27,6 +27,15 @@ FRICTIONS: dict[Friction, list[int]] = {
 }
 """Unknowns of each friction model, from the paper's to the richest."""
 
+HORIZONS: Final = (0.08, 0.25)
+"""Shares of the window that are fitted in sequence before the whole: a long window that is
+fitted at once has local minima that are off by a period."""
+FIRST_HORIZON: Final = 1.5
+"""Minimum length of the first horizon in periods; a shorter one does not determine period and
+friction."""
+MAX_UNEXPLAINED: Final = 0.25
+"""Largest accepted misfit (residual without noise), as a share of the recording's standard
+deviation; more is not a free swing. A long swing with the wrong friction model leaves 5 %."""
 MAX_MISFIT = 0.05
 """Largest misfit of a fit in the global minimum, as a share of the motion's standard deviation. The
 wrong friction model over 60 periods leaves that much."""
@@ -71,7 +80,7 @@ class SwingRecording(NamedTuple):
         thetas, theta_dots = np.empty_like(time), np.empty_like(time)
         w2, c, coulomb, drag, theta, theta_dot, offset = map(float, unknowns)
         pendulum = PendulumParameters(w2, 0.0, c, coulomb, drag)
-        h = self.period / self.settings.steps_per_period
+        h = self.period / STEPS_PER_PERIOD
         swing(time, theta, theta_dot, h, pendulum, thetas, theta_dots)
         motion = (theta_dots if self.is_rate else thetas)[1:]
         return motion.reshape(-1, len(points)).mean(axis=1) + offset
@@ -115,9 +124,9 @@ def fit_growing(
         starts: Initial guesses of the unknowns, the likeliest first; shape (7,) each.
         friction: The friction model.
     """
-    settings, length = recording.settings, float(recording.time[-1] - recording.begin)
-    first = min(settings.first_horizon_periods * recording.period, length)
-    growing = [max(share * length, first) for share in settings.horizons]
+    length = float(recording.time[-1] - recording.begin)
+    first = min(FIRST_HORIZON * recording.period, length)
+    growing = [max(share * length, first) for share in HORIZONS]
     slowly = [first * 1.5**i for i in range(ceil(log(length / first, 1.5)))]
     others = starts[1:]
     attempts = [(growing, starts[0]), *((slowly, start) for start in others[:1])]
@@ -131,7 +140,7 @@ def fit_growing(
         share = recording.misfit_share(unknowns)
         again = any(abs(share - other) < 0.01 * other for other, _ in found)
         found.append((share, unknowns))
-        if share < MAX_MISFIT or (again and share < settings.unexplained):
+        if share < MAX_MISFIT or (again and share < MAX_UNEXPLAINED):
             break
     best = min(found, key=lambda one: one[0])[1]
     return fit_bounded(recording, friction, best, FINE, True)

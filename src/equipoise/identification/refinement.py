@@ -26,8 +26,9 @@ from equipoise.errors import ArtefactError, RecordingError
 from equipoise.executors import Workers
 from equipoise.identification.actuator import LEAST_SPEED, identify_actuator, speed_ranges
 from equipoise.identification.refine import ClosedLoopFit, ParameterChange, compare, regress
-from equipoise.learning.selection import Running
-from equipoise.learning.training import TARGET, compare_policies, measure_policy, train
+from equipoise.learning.select import Running
+from equipoise.learning.target import TARGET, compare_policies, measure_policy
+from equipoise.learning.train import TrainingObserver, train
 from equipoise.logs.run_log import RunLog
 from equipoise.model.actuator import Actuator
 from equipoise.model.arms.arm import FREE_JOINTS, Arm
@@ -180,7 +181,7 @@ def retrain(
     workers: Workers = 1,
     comparing: Running = lambda _, __: None,
     testing: Running = lambda _, __: None,
-    **options: Any,
+    observer: TrainingObserver | None = None,
 ) -> Refinement:
     """Continue a policy's training on another model, and keep the better of old and new table.
 
@@ -195,11 +196,19 @@ def retrain(
         workers: Threads, or an executor; the result does not depend on it.
         comparing: Called as trials of the comparison finish.
         testing: Called as trials of the test finish.
-        options: `partial`, `report` and `selecting` of `train`.
+        observer: Callbacks of `train`.
     """
     settings = settings_of_retraining(policy.settings, episodes)
-    options |= {"actuator": actuator, "seed": seed, "init_policy": policy, "workers": workers}
-    new = train(pendulum, policy.arm, settings, **options)
+    new = train(
+        pendulum,
+        policy.arm,
+        settings,
+        actuator=actuator,
+        seed=seed,
+        init_policy=policy,
+        workers=workers,
+        observer=observer,
+    )
     old = policy.model_copy(update={"pendulum": pendulum, "actuators": (actuator,)})
     of_old, of_new = compare_policies(
         [old, new], seed=seed + COMPARISON_SEED, workers=workers, running=comparing

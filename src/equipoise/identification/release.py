@@ -7,7 +7,7 @@ pendulum. Rotations over the top are left out; the search continues after them.
 
 from dataclasses import replace
 from math import pi
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,6 @@ import numpy.typing as npt
 from equipoise.errors import RecordingError
 from equipoise.identification.averages import average, spikes
 from equipoise.model.pendulum import PendulumParameters, swing
-from equipoise.settings import IdentificationSettings
 from equipoise.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -24,6 +23,26 @@ Flags = npt.NDArray[np.bool_]
 SAMPLES_PER_PERIOD = 200
 """Number of means per period that replace a denser recording. A mean differs from the motion at its
 centre by up to 1e-4 of the amplitude; the fit accounts for that."""
+MIN_SAMPLES_PER_PERIOD: Final = 10.0
+"""Minimum number of samples per period; with fewer, turning points are uncertain."""
+NOISE_MULTIPLE: Final = 8.0
+"""Minimum reversal after a turning point, in standard deviations of the noise: noise alone does
+not reach it within the samples around a turn."""
+TURN_SHARE: Final = 0.02
+"""Minimum reversal after a turning point, as a share of the whole range, so that a tremor gives
+no turning points."""
+LOCAL_PERIODS: Final = 1 / 6
+"""Half width of the windows of the local polynomials for angle, rate and acceleration, in
+periods: wide enough for an encoder's steps, narrow enough to detect a release."""
+RELEASE_SHARE: Final = 0.25
+"""Share of the nearby peak acceleration that gravity and friction do not explain, above which a
+hand is on the pendulum. On recorded swings, hands showed 0.5 and more, errors of the time
+stamps up to 0.18."""
+RELEASE_NOISE: Final = 5.0
+"""Second threshold for a hand, in standard deviations of the unexplained acceleration of a free
+swing; both must be exceeded."""
+REST_SHARE: Final = 0.02
+"""Share of the maximum amplitude at which the swing ends: stiction dominates the rest."""
 PERIOD_RANGE = (0.05, 20.0)
 """Accepted range of the period of a small swing [s]: point pendulums of 0.6 mm and 100 m. Periods
 outside indicate a wrong unit, mostly milliseconds taken for seconds."""
@@ -87,7 +106,7 @@ class FreeSwing(NamedTuple):
 # Turning points.
 
 
-def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -> Oscillation:
+def find_oscillation(trajectory: Trajectory) -> Oscillation:
     """Estimate period and amplitude from the turning points.
 
     Raises:
@@ -96,7 +115,7 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
     """
     time, values, name = trajectory.time, trajectory.values, trajectory.source
     unit = "rad/s" if trajectory.theta is None else "rad"
-    least, several = settings.samples_per_period, "record at least three periods, better ten"
+    least, several = MIN_SAMPLES_PER_PERIOD, "record at least three periods, better ten"
     if len(time) < 2 * least:
         raise RecordingError(
             f"{name} has {len(time)} samples, expected at least {2 * least:.0f}; {several}"
@@ -104,8 +123,8 @@ def find_oscillation(trajectory: Trajectory, settings: IdentificationSettings) -
     lasts = float(np.ptp(time))
     sampled = f"{(len(time) - 1) / lasts:.3g} samples per second"
     spread, noise = float(np.ptp(values)), _white_noise(values)
-    quiet = max(1.5 * settings.noise_multiple * noise, 4.0 * trajectory.resolution, MIN_MOTION)
-    reversal = max(settings.noise_multiple * noise, settings.turn_share * spread)
+    quiet = max(1.5 * NOISE_MULTIPLE * noise, 4.0 * trajectory.resolution, MIN_MOTION)
+    reversal = max(NOISE_MULTIPLE * noise, TURN_SHARE * spread)
     turns = _turning_points(values, max(reversal, 2.0 * trajectory.resolution))
     hardly = spread <= quiet or len(turns) < 2
     if hardly and (in_a_period := _samples_per_period(values)) < least:
@@ -290,9 +309,7 @@ def _part(trajectory: Trajectory, kept: Flags) -> Trajectory:
     return replace(trajectory, time=trajectory.time[kept], x_ddot=None, **kept_values)
 
 
-def find_free_swing(
-    trajectory: Trajectory, settings: IdentificationSettings
-) -> tuple[Oscillation, FreeSwing]:
+def find_free_swing(trajectory: Trajectory) -> tuple[Oscillation, FreeSwing]:
     """Find the freely swinging part of a recording.
 
     Raises:
@@ -305,8 +322,8 @@ def find_free_swing(
             if until is not None:
                 over = until
                 trajectory = _after_the_top(trajectory, until)
-            rough = find_oscillation(trajectory, settings)
-            free = _find_free(trajectory, rough, settings)
+            rough = find_oscillation(trajectory)
+            free = _find_free(trajectory, rough)
         except RecordingError:
             if over is None:
                 raise
@@ -389,9 +406,7 @@ def _after_the_top(trajectory: Trajectory, until: float) -> Trajectory:
     return _part(trajectory, trajectory.time >= begin)
 
 
-def _find_free(
-    trajectory: Trajectory, rough: Oscillation, settings: IdentificationSettings
-) -> FreeSwing | float:
+def _find_free(trajectory: Trajectory, rough: Oscillation) -> FreeSwing | float:
     """Return the free swing, or the end of a rotation over the top within it [s].
 
     Raises:
@@ -402,7 +417,7 @@ def _find_free(
     # A window holds at least seven samples. A large swing has a long period, but passes the bottom
     # as fast as a small one.
     step = float(np.median(np.diff(time)))
-    half = max(settings.local_periods * min(rough.period, rough.small_period), 3.2 * step)
+    half = max(LOCAL_PERIODS * min(rough.period, rough.small_period), 3.2 * step)
     angle = _angle(time, values) if is_rate else values
     motion = _local_motion(time, values, angle, half, is_rate)
     if len(motion.time) < 4:
@@ -417,7 +432,7 @@ def _find_free(
     theta = law.theta(angle, time - time[0])
     first, last, release = 0, len(time) - 1, None
     if not trajectory.released:
-        share = _unexplained_share(motion, law, steady, rough.period, settings)
+        share = _unexplained_share(motion, law, steady, rough.period)
         touched = _remove_false_touches(share > 1.0, motion, law, rough)
         moved = np.abs(law.theta_dot(motion.rate))
         begin, end = _longest_stretch(touched, moved)
@@ -436,7 +451,7 @@ def _find_free(
         return over
     if last > first:
         size = np.abs(theta[part])
-        moving = time[part][size > settings.rest_share * np.max(size)][-1]
+        moving = time[part][size > REST_SHARE * np.max(size)][-1]
         last = min(last, int(np.searchsorted(time, moving + 0.5 * rough.period)))
         part = slice(first, last + 1)
     if (lasts := float(time[last] - time[first]) if last > first else 0.0) < rough.period:
@@ -589,9 +604,7 @@ def _w2_from_period(period: float, amplitude: float, is_rate: bool) -> float:
     return root * root  # unlike a power, infinite instead of an error for a period of 1e-200 s
 
 
-def _unexplained_share(
-    motion: _Motion, law: _SwingLaw, steady: Flags, period: float, settings: IdentificationSettings
-) -> Array:
+def _unexplained_share(motion: _Motion, law: _SwingLaw, steady: Flags, period: float) -> Array:
     """Return the ratio of the unexplained acceleration to the threshold of a touch."""
     unexplained = np.abs(law.unexplained(motion))
     # 0.6745 is the median of |N(0, 1)|.
@@ -600,7 +613,7 @@ def _unexplained_share(
     low = np.searchsorted(motion.time, motion.time - 0.5 * period)
     high = np.searchsorted(motion.time, motion.time + 0.5 * period, side="right")
     peak = np.array([np.max(pull[a:b]) for a, b in zip(low, high, strict=True)])
-    limit = np.maximum(settings.release_share * peak, settings.release_noise * noise)
+    limit = np.maximum(RELEASE_SHARE * peak, RELEASE_NOISE * noise)
     return unexplained / np.maximum(limit, 1e-300)
 
 

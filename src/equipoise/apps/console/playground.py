@@ -18,7 +18,7 @@ from equipoise.control.control_step import horizon
 from equipoise.control.grid import TRUNCATED, box_indices, cause_named, partition
 from equipoise.control.policy import LearningPoint, TabularPolicy, TaskPolicy, shipped_policy
 from equipoise.errors import EquipoiseError
-from equipoise.learning.training import train
+from equipoise.learning.train import TrainingObserver, train
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.random import DEPLOYMENT
 from equipoise.model.worlds import World, read_world
@@ -62,7 +62,7 @@ class Frame(NamedTuple):
     """Cause of the fall; empty while it stands."""
 
 
-class Training:
+class Training(TrainingObserver):
     """Training of a table in a thread."""
 
     def __init__(self, recipe: str, seed: int) -> None:
@@ -79,10 +79,16 @@ class Training:
         """Whether the training goes on."""
         return self._thread.is_alive()
 
+    def report(self, learner: int, point: LearningPoint) -> None:
+        """Add a point of the learning curve."""
+        self.points.append(point)
+
     def _run(self, seed: int) -> None:
-        pendulum, arm, report = shipped_policy().pendulum, shipped_policy().arm, self.points.append
+        shipped = shipped_policy()
         try:
-            self.policy = train(pendulum, arm, self.settings, seed=seed, report=report)
+            self.policy = train(
+                shipped.pendulum, shipped.arm, self.settings, seed=seed, observer=self
+            )
         except EquipoiseError as error:
             self.error = str(error)
 
