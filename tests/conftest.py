@@ -95,7 +95,7 @@ def rig_log(tmp_path_factory):
         dry_run=False,
         seed=3,
     )
-    assert run_virtually(request, path, rig=emulated.rig).cause == "lasted"
+    assert run_virtually(request, path, rig=emulated.rig).outcome == "lasted"
     return path
 
 

@@ -49,6 +49,6 @@ def test_lqr_as_a_function_gives_the_trials_of_the_built_in_lqr(folder, world):
     beside = next(results for results in own.baselines if results.name == "LQR")
     for other in (built_in.results, beside):
         assert own.results.survival == other.survival
-        assert own.results.causes == other.causes
+        assert own.results.outcomes == other.outcomes
     runs = [simulate_run(load_policy(n), world=world, duration=2.0) for n in ("guest:lqr", "lqr")]
     assert np.array_equal(runs[0].u, runs[1].u)

@@ -11,13 +11,13 @@ import pytest
 from equipoise.control.baselines import baselines
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.errors import ArtefactError, InputError
+from equipoise.identification.recording import read_swing
 from equipoise.model.actuator import Actuator, shipped_actuator
 from equipoise.model.arms.urdf import read_urdf
 from equipoise.model.pendulum import Pendulum, shipped_pendulum
 from equipoise.model.worlds import read_world
 from equipoise.rig.config import read_rig
 from equipoise.settings import resolve
-from equipoise.trajectory import read_swing
 from equipoise.worlds.certification import Certificate, certify, make_claim
 from equipoise.worlds.evaluation import Evaluation, evaluate
 from tests.cli.damage import DAMAGE, digest, mutations, outcomes

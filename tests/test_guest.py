@@ -95,7 +95,7 @@ def test_the_page_shows_this_package_whose_robot_balances_over_its_own_wires(run
     (commands,) = (block for kind, block in blocks if kind == "sh")
     deploy, explain = (shlex.split(command)[1:] for command in commands.splitlines())
     told = equipoise(run, *deploy)
-    assert (told["cause"], told["missed"]) == ("lasted", 0)
+    assert (told["outcome"], told["missed"]) == ("lasted", 0)
     assert told["lasted_s"] == pytest.approx(5.0, abs=0.02)
     assert equipoise(run, *explain)["cause"] == "lasted"
 

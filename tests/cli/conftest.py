@@ -11,8 +11,7 @@ import typer
 
 from equipoise.cli import main
 from equipoise.cli.app import app
-from equipoise.model.encoder import simulate_swing
-from equipoise.trajectory import write_swing
+from equipoise.identification.recording import simulate_swing, write_swing
 from equipoise.worlds.evaluation import evaluate
 
 

@@ -32,9 +32,9 @@ def test_a_run_is_written_and_told_and_a_fall_is_exit_code_1(equipoise, policy_f
     ran = equipoise("deploy", policy_file, "--duration", 5, "--seed", 2)
     run = RunLog.load(tmp_path / "run.mcap")
     assert run.conditions.world == "twin:nominal"
-    assert ran.code == (0 if run.cause == "lasted" else 1)
+    assert ran.code == (0 if run.outcome == "lasted" else 1)
     assert "encoder's zero" in ran.out
-    assert f"ended: {run.cause}" in ran.out
+    assert f"ended: {run.outcome}" in ran.out
 
 
 def test_what_does_not_go_together_is_refused(refused, policy_file, tmp_path):

@@ -12,12 +12,12 @@ pytestmark = pytest.mark.compiled_only
 def test_a_run_on_a_twin_is_told_and_written(equipoise, tmp_path):
     ran = equipoise("deploy", "--robot", "twin:nominal", "--duration", 1, "--json")
     assert ran.code == 0, ran
-    assert ran.json["cause"] == "lasted"
+    assert ran.json["outcome"] == "lasted"
     assert ran.json["lasted_s"] == 1.0
     # The operator is notified, although a program reads the result.
     assert "Armed. Let go." in ran.err
     assert "Moving to home" in ran.err
-    assert RunLog.load(tmp_path / "run.mcap", damaged=True).end.cause == "lasted"
+    assert RunLog.load(tmp_path / "run.mcap", damaged=True).end.outcome == "lasted"
 
 
 def test_a_run_on_a_twin_is_filmed(equipoise, tmp_path, monkeypatch):
@@ -26,7 +26,7 @@ def test_a_run_on_a_twin_is_filmed(equipoise, tmp_path, monkeypatch):
     options = ("--robot", "twin:nominal", "--duration", 1, "--video", "run.mp4")
     assert equipoise("deploy", *options, "--json").json["video"] == "run.mp4"
     log, path, *_ = filmed[0]
-    assert (log.end.cause, str(path)) == ("lasted", "run.mp4")
+    assert (log.end.outcome, str(path)) == ("lasted", "run.mp4")
 
 
 def test_a_table_that_fell_in_its_final_round_runs_only_anyway(equipoise, refused, tmp_path):
@@ -120,14 +120,14 @@ def test_a_run_on_a_twin_keeps_the_log_of_an_earlier_run(equipoise, tmp_path):
     assert ran.code == 0, ran
     assert "run.mcap exists and is kept; the result goes to run-2.mcap" in ran.out
     assert "wrote run-2.mcap" in ran.out
-    assert RunLog.load(tmp_path / "run-2.mcap", damaged=True).end.cause == "dry run"
+    assert RunLog.load(tmp_path / "run-2.mcap", damaged=True).end.outcome == "dry run"
     assert (tmp_path / "run.mcap").read_bytes() == b"the log of an earlier run"
     refused = equipoise("deploy", "--robot", "twin:nominal", "--dry-run", "--out", "run.mcap")
     assert refused.code == 2
     assert "run.mcap exists; give another --out, or --force" in refused.err
     forced = equipoise("deploy", "--robot", "twin:nominal", "--dry-run", "--force", "--json")
     assert forced.json["run"] == "run.mcap"
-    assert RunLog.load(tmp_path / "run.mcap", damaged=True).end.cause == "dry run"
+    assert RunLog.load(tmp_path / "run.mcap", damaged=True).end.outcome == "dry run"
     assert sorted(contents(tmp_path)) == ["run-2.mcap", "run.mcap"]
 
 
@@ -155,4 +155,4 @@ def test_a_policy_that_lives_with_t1_runs_there(equipoise):
     ran = equipoise("deploy", "--robot", "twin:nominal", "--t1", "--duration", 1, "--json")
     assert ran.code == 0, ran
     assert "0.23 m/s (T1)" in ran.err
-    assert ran.json["cause"] == "lasted"
+    assert ran.json["outcome"] == "lasted"

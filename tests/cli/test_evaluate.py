@@ -8,7 +8,16 @@ from equipoise.control.policy import TabularPolicy
 from equipoise.worlds.evaluation import Evaluation
 from tests.cli.damage import DAMAGE, rebuilt
 
-STABLE = {"trials", "duration", "survived", "rate", "interval", "median_s", "causes", "yardsticks"}
+STABLE = {
+    "trials",
+    "duration",
+    "survived",
+    "rate",
+    "interval",
+    "median_s",
+    "outcomes",
+    "yardsticks",
+}
 OWN = """
 import numpy as np
 
@@ -69,7 +78,7 @@ def test_json_is_one_object_with_the_stable_keys(equipoise, policy_file):
     assert found["rate"] == found["survived"] / 20
     low, high = found["interval"]
     assert low <= found["rate"] <= high
-    assert sum(found["causes"].values()) == 20
+    assert sum(found["outcomes"].values()) == 20
     assert set(found["yardsticks"]) == {"LQR", "LQR, snapped", "PD", "random"}
     assert found["yardsticks"]["LQR"]["rate"] == 1.0
     assert ran.err == ""

@@ -91,7 +91,7 @@ def twin_log(tmp_path):
     made = made_up()
     texts = {"world": HOSTILE, "arm": HOSTILE_ARM, "policy_name": HOSTILE}
     conditions = made.conditions.model_copy(update=texts)
-    path, end = tmp_path / "twin.mcap", RunEnd(cause=HOSTILE, guard=HOSTILE, reason=HOSTILE)
+    path, end = tmp_path / "twin.mcap", RunEnd(evidence={"text": HOSTILE, HOSTILE: HOSTILE})
     dataclasses.replace(made, conditions=conditions, end=end).save(path, command=HOSTILE)
     return path
 
@@ -104,7 +104,7 @@ def rig_log(tmp_path):
     writer = RunWriter(path, rig_conditions(arm=HOSTILE_ARM, **texts), 0.0)
     push_event(recorder.event, 0.5, "stopping", (), HOSTILE)
     writer.drain(recorder)
-    writer.finish(1.0, RunEnd(cause=HOSTILE, reason=HOSTILE))
+    writer.finish(1.0, RunEnd(evidence={"text": HOSTILE, HOSTILE: HOSTILE}))
     return path
 
 

@@ -8,6 +8,7 @@ from PIL import Image
 from equipoise.control.policy import shipped_policy
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.run_log import RunLog
+from equipoise.outcomes import Outcome
 from equipoise.rig.simulate import simulate_run
 from tests.logs.made_up import conditions
 from tests.rig.faulted import draw_fault, run_with
@@ -68,7 +69,9 @@ def test_export_writes_the_tables_beside_the_log(equipoise, on_a_twin, tmp_path)
 
 
 def test_export_refuses_a_log_without_rows(equipoise, tmp_path):
-    RunLog.simulated(conditions(), RunEnd(cause="excited"), {}).save("none.mcap", command="test")
+    RunLog.simulated(conditions(), RunEnd(outcome=Outcome.EXCITED), {}).save(
+        "none.mcap", command="test"
+    )
     ran = equipoise("log", "export", "none.mcap")
     assert (ran.code, list(tmp_path.glob("*-csv"))) == (2, [])
     assert "ends before its first row" in ran.err
@@ -133,7 +136,7 @@ def test_show_refuses_a_log_of_which_nothing_is_readable(equipoise, pushed, tmp_
     pytest.importorskip("viser", reason="viser is not installed (extra console)")
     (tmp_path / "empty.mcap").write_bytes(b"")
     (tmp_path / "cut.mcap").write_bytes(pushed.read_bytes()[:900])
-    excited = RunLog.simulated(conditions(), RunEnd(cause="excited"), {})
+    excited = RunLog.simulated(conditions(), RunEnd(outcome=Outcome.EXCITED), {})
     excited.save(tmp_path / "excited.mcap", command="test")
     for name, saying in (
         ("empty.mcap", "empty.mcap"),

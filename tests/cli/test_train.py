@@ -246,7 +246,7 @@ def test_a_limited_speed_is_in_the_policy_and_in_its_evaluation(equipoise, pendu
     # At a crawl no trial lasts, whatever the policy was trained for.
     slow = equipoise("evaluate", "policy.json", *few, "--max-speed", 0.02, "--json")
     assert slow.code == 1
-    assert slow.json["causes"] == {"guard": 4}
+    assert slow.json["causes"] == {"flange speed": 4}
 
 
 def test_an_impossible_limit_of_the_speed_is_refused(refused):

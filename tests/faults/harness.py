@@ -17,7 +17,7 @@ from equipoise.control.control_step import SETPOINTS_PER_TICK
 from equipoise.control.policy import TabularPolicy, shipped_policy
 from equipoise.control.ticks import OperatorMessage, TickHandler, TickInputs, TickOutput
 from equipoise.errors import EquipoiseError
-from equipoise.identification.motion import identify_motion
+from equipoise.identification.actuator import identify_motion
 from equipoise.logs.conditions import RunEnd
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig.config import DrainingClock, EmulatedRig, RigSettings, emulated_rig
@@ -34,10 +34,6 @@ SETTLING_TIME: Final = 0.5
 """Duration of the observation after a run [s]."""
 OBSERVATION_TICKS: Final = 2
 """Time between two observations of the twin [ms]."""
-REFUSED: Final = "refused"
-"""Cause of the end of a run that raised an error of Equipoise."""
-BROKEN: Final = "broken"
-"""Cause of the end of a run that raised an unexpected exception."""
 START: Final = "start"
 """Name of the event before the run."""
 MAX_RUN_TIME: Final = 90.0
@@ -214,7 +210,7 @@ class FaultHarness:
         self._notice(START)
 
     def run(self) -> RunEnd:
-        """Run the policy, and return the result; its cause may be `REFUSED` or `BROKEN`."""
+        """Run the policy, and return the result; `Outcome.ERROR` for a refused run."""
         scenario, parts = self.scenario, self.parts
         sensor = parts.sensor.driver(self.encoder_tap.open, self.clock)
         rig = parts.rig._replace(
@@ -233,11 +229,7 @@ class FaultHarness:
             outcome = run_virtually(request, scenario.out, self, rig=rig, wrap=wrap)
         except EquipoiseError as error:
             self.messages.append(ReceivedMessage(self.clock.now(), "error", str(error)))
-            outcome = RunEnd(cause=REFUSED, reason=str(error))
-        except Exception as error:  # a defect of the run, which the verdict reports
-            outcome = RunEnd(
-                cause=BROKEN, reason=f"the run broke with {type(error).__name__}: {error}"
-            )
+            outcome = RunEnd(evidence={"text": str(error)})
         finally:
             while self.undo:
                 self.undo.pop()()

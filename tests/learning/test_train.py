@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from equipoise.artefacts import Estimate
-from equipoise.control.grid import cause_named
 from equipoise.control.policy import TabularPolicy
 from equipoise.errors import InputError, SettingsError
 from equipoise.learning import target as target_module
@@ -29,6 +28,7 @@ from equipoise.model.actuator import IDEAL_ACTUATOR, Actuator, shipped_actuator
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.elementary import BATCH_SIZE
 from equipoise.model.random import SELECTION, TARGET_TEST, TEST
+from equipoise.outcomes import TRIAL_OUTCOMES
 from equipoise.settings import resolve
 from equipoise.worlds import ideal as plant
 from equipoise.worlds import setup_of, simulate
@@ -269,7 +269,7 @@ def test_the_test_of_a_policy_is_its_evaluation_with_other_seeds(pendulum, learn
     simulation = simulate("model", setup, seed=policy.seed, stream=TARGET_TEST)
     trials = simulation.draw(test.trials)
     simulation.run(policy, trials, range(test.trials), duration=2.0)
-    causes = Counter(map(cause_named, trials.cause.tolist()))
+    causes = Counter(TRIAL_OUTCOMES[code] for code in trials.cause.tolist())
     assert test.causes == causes
     assert test.survived == causes["lasted"]
 

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from equipoise.model.encoder import counts_from_theta, simulate_swing, theta_from_counts
+from equipoise.identification.recording import simulate_swing
+from equipoise.model.encoder import counts_from_theta, theta_from_counts
 from equipoise.model.pendulum import PendulumParameters
 from tests.reference import pendulum as reference
 

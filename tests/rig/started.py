@@ -12,8 +12,8 @@ import numpy as np
 
 from equipoise.control.policy import shipped_policy
 from equipoise.control.self_test import SelfTestVerdict
-from equipoise.control.states import Phase
 from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.outcomes import Phase
 from equipoise.rig.config import RigSettings, emulated_rig
 from equipoise.rig.emulated_operator import EmulatedOperator
 from equipoise.rig.run import RunRequest, run_virtually
@@ -192,7 +192,7 @@ def start(seed, **given):
     seen, hands, outcome = run(seed, **given)
     return Start(
         hands.manner.clumsy, seen.held, seen.denied, seen.unasked, seen.early, seen.after,
-        seen.grown_deg, outcome.lasted, outcome.cause,
+        seen.grown_deg, outcome.lasted, outcome.outcome,
     )  # fmt: skip
 
 

@@ -9,14 +9,14 @@ import pytest
 
 from equipoise.control.bound_policy import bind_policy, load_policy
 from equipoise.control.policy import KernelPolicy, shipped_policy
-from equipoise.control.states import Phase
 from equipoise.errors import ArtefactError, InputError
 from equipoise.logs.run_log import RunLog
 from equipoise.model.worlds import pendulum_on, read_world
+from equipoise.outcomes import Outcome, Phase
 from equipoise.rig.config import RigSettings, emulated_rig
-from equipoise.rig.explanation import CauseName, explain
+from equipoise.rig.explanation import explain
 from equipoise.rig.processes import InterruptedPolicy, PolicyTimeout
-from equipoise.rig.run import RunRequest, exit_code, run_virtually, warm_up
+from equipoise.rig.run import RunRequest, run_virtually, warm_up
 from equipoise.rig.run_controller import PHASES
 from tests.control.test_bound_policy import KINDS, folder
 from tests.rig.replayed import replay
@@ -63,7 +63,7 @@ def test_a_run_with_setpoints_that_lead_balances_and_replays(tmp_path):
     settings = table.settings.model_copy(update={"controller": controller})
     policy = table.model_copy(update={"settings": settings})
     _, log = run(policy, tmp_path / "run.mcap")
-    assert log.end.cause == "lasted"
+    assert log.end.outcome == "lasted"
     found = replay(log, policy)
     assert (found.difference, found.whole, found.largest) == (None, True, 0.0)
 
@@ -129,7 +129,7 @@ def test_the_built_in_lqr_and_the_same_law_in_python_run_bit_for_bit_alike(folde
         )),
         strict=True,
     )  # fmt: skip
-    assert [(one.cause, one.lasted) for one in results] == [("lasted", 3.0)] * 2
+    assert [(one.outcome, one.lasted) for one in results] == [("lasted", 3.0)] * 2
     assert np.array_equal(logs[0].tables["tick"]["u"], logs[1].tables["tick"]["u"])
     assert np.array_equal(logs[0].tables["stream"]["q"], logs[1].tables["stream"]["q"])
 
@@ -145,7 +145,7 @@ def test_a_policy_that_fails_ends_in_the_latched_stop_with_the_arm_at_rest(tmp_p
     failing = Failing(fail)
     policy = bind_policy(failing, name="Failing")
     result, log = run(policy, tmp_path / "run.mcap", 5.0, failing)
-    assert (result.cause, result.stoppable, exit_code(result)) == ("policy", True, 1)
+    assert (result.outcome, result.stoppable, result.exit_code) == ("policy failed", True, 1)
     assert FAILURES[fail] in result.reason
     assert result.lasted == pytest.approx(0.5)
     tick = log.tables["tick"]
@@ -156,7 +156,7 @@ def test_a_policy_that_fails_ends_in_the_latched_stop_with_the_arm_at_rest(tmp_p
     assert (tick["state"][first:] == last).all()
     assert tick["u"][first] == 0.0
     found = explain(log).causes[0]
-    assert found.name is CauseName.POLICY
+    assert found.cause is Outcome.POLICY
     assert result.reason[:40] in found.evidence
 
 
@@ -180,7 +180,7 @@ def test_a_computer_that_stands_still_in_a_compiled_policy_does_not_end_the_run(
 
     monkeypatch.setattr(KernelPolicy, "act", stall_once)
     result, log = run(BALANCE, tmp_path / "run.mcap", failing=computer)
-    assert result.cause == "lasted"
+    assert result.outcome == "lasted"
     assert log.tables["tick"]["late"].max() > 0.015
 
 

@@ -21,7 +21,7 @@ from equipoise.logs.run_log import RunLog
 from equipoise.model.worlds import pendulum_on, read_world
 from equipoise.rig import plugins
 from equipoise.rig.config import RigSettings, emulated_rig
-from equipoise.rig.run import CHECKLIST, RunRequest, exit_code, run_virtually
+from equipoise.rig.run import CHECKLIST, RunRequest, run_virtually
 from tests.cli.test_emulate import emulator
 from tests.guest.guest.robot import PLUGIN as GUEST
 
@@ -144,7 +144,7 @@ def test_a_link_that_fails_in_the_preflight_ends_a_run_whose_answers_were_typed_
     request = replace(request, dry_run=dry_run)
     try:
         end = run_virtually(request, None, person, rig=unattended(emulated))
-        reason, code = end.reason, exit_code(end)
+        reason, code = end.reason, end.exit_code
     except OutsideError as error:
         reason, code = str(error), error.exit_code
     assert code == 3
@@ -171,7 +171,7 @@ def test_a_run_after_long_questions_is_like_any_other(rig_of, robot):
     emulated.rig.operator.ignored = frozenset({"checklist"})
     end = run_virtually(request, None, Slow(), rig=emulated.rig)
     assert emulated.bench.now > 20.0
-    assert (end.cause, end.lasted) == ("lasted", 1.0)
+    assert (end.outcome, end.lasted) == ("lasted", 1.0)
 
 
 # As processes.

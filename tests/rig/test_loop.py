@@ -9,6 +9,7 @@ from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
 from equipoise.errors import LinkError
 from equipoise.logs.recorder import FAILED, PULSE, WORD_TYPED, Recorder, read_events
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.outcomes import End, Outcome, describe
 from equipoise.rig.clocks import VirtualClock
 from equipoise.rig.guarded import GuardedRobot
 from equipoise.rig.interfaces import Reply, Sample
@@ -19,6 +20,9 @@ ARM = iiwa(7)
 HOME = ARM.home
 H = 0.01
 TICK_TIME, TICKS = PULSE.index("time"), PULSE.index("ticks")
+
+
+UNPLUGGED = End(Outcome.ENCODER_LOST, {"text": "the encoder is unplugged"})
 
 
 class Held(VirtualClock):
@@ -241,8 +245,8 @@ def test_a_lost_sensor_is_a_fault_in_the_same_tick_and_the_loop_goes_on():
     course = Course(Heart(20), lost_at=5)
     ending = course.run()
     assert (ending.fault, ending.stoppable) == (None, True)
-    assert course.faults == ["the encoder is unplugged"]  # once
-    assert course.heart.seen[4][1].faults == ["the encoder is unplugged"]
+    assert course.faults == [UNPLUGGED]  # once
+    assert course.heart.seen[4][1].faults == [UNPLUGGED]
     assert len(course.heart.seen) == 20
     assert course.sensor.calls == 5  # nobody asks it again
     failed = [e for e in read_events(course.recorder.event.take()) if e.name == FAILED]
@@ -256,7 +260,7 @@ def test_where_the_link_to_the_robot_is_gone_the_operator_is_told_so_and_nothing
     course = Course(Heart(20), breaks={call: number})
     ending = course.run()
     assert not ending.stoppable
-    assert ending.fault == f"{call} failed"
+    assert ending.fault.evidence == {"text": f"{call} failed"}
     assert course.person.told == [("fault", f"{call} failed; {CANNOT_STOP}")]
     # In the very tick: the fourth begins at 0.04 s.
     assert course.clock.now() <= 0.045 + 1e-9
@@ -270,7 +274,7 @@ def test_a_first_setpoint_that_is_refused_moves_nothing_and_software_still_comma
     course = Course(heart)
     ending = course.run()
     assert ending.stoppable
-    assert "nothing was sent" in ending.fault
+    assert ending.fault.outcome is Outcome.FIRST
     assert course.arm.sent == []
     assert [name for name, _ in course.person.told] == ["fault"]
     assert "software" not in course.person.told[0][1]
@@ -280,9 +284,9 @@ def test_a_first_setpoint_that_is_refused_moves_nothing_and_software_still_comma
 def test_a_heart_that_fails_leaves_the_arm_to_come_to_rest(error):
     course = Course(Heart(20, {9: raising(error("by zero"))}))
     ending = course.run()
-    assert ending.fault == f"the controller failed ({error.__name__}: by zero)"
+    assert ending.fault.outcome is Outcome.FAULT
     assert ending.stoppable
-    assert course.person.told == [("fault", ending.fault)]
+    assert course.person.told == [("fault", describe(ending.fault))]
     assert len(course.arm.sent) > 18
     assert came_to_rest(course.arm.sent, 18)
     # The stream goes on without a gap, and what left is what the log says.
@@ -351,7 +355,7 @@ def test_whatever_fails_in_a_tick_the_arm_comes_to_rest(what, since):
         else:
             course.recorder.encoder.push = later
     ending = course.run()
-    assert ending.fault == "the controller failed (OSError: broken pipe)"
+    assert ending.fault.outcome is Outcome.FAULT
     assert ending.stoppable
     assert came_to_rest(course.arm.sent, since)
 
@@ -364,7 +368,7 @@ def test_a_setpoint_that_the_guard_holds_back_is_a_fault_of_the_next_tick():
     assert ending.stoppable
     assert ending.fault is None  # the heart has heard of it
     assert [n for n, (_, inputs) in enumerate(heart.seen) if inputs.faults] == [10]
-    assert "joint 7" in course.faults[0]
+    assert course.faults[0].evidence["joint"] == 7
     # What leaves from then on is the guard's, and so says the log.
     stream = course.recorder.stream.take()
     assert [tuple(q) for q in stream["q"]] == [q for _, q in course.arm.sent]

@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 
 from equipoise.control.policy import shipped_policy
-from equipoise.control.states import Phase
 from equipoise.control.ticks import OperatorMessage, TickOutput, TickRecord
 from equipoise.errors import InputError, LinkError, OutsideError
 from equipoise.logs.conditions import RunEnd
 from equipoise.logs.recorder import PULSE, Recorder, push_event
 from equipoise.logs.run_log import RunLog
 from equipoise.model.arms.iiwa import iiwa
+from equipoise.outcomes import End, Outcome, Phase
 from equipoise.rig import processes
 from equipoise.rig.clocks import SystemClock
 from equipoise.rig.config import RigSettings
@@ -87,15 +87,17 @@ class Heart:
     h = H
 
     def __init__(self):
-        self.tick_number, self.rest, self.cause = 0, None, "lasted"
+        self.tick_number, self.rest, self.end = 0, None, End(Outcome.LASTED)
         self.q = [ARM.home[6]] * 2
 
     def tick(self, now, inputs):
         n = self.tick_number = self.tick_number + 1
         events = [OperatorMessage("homing", f"process {os.getpid()}")] if n == 1 else []
         if self.rest is None and (inputs.lines or n > 200):
-            self.cause = inputs.lines[0] if inputs.lines else "lasted"
-            events.append(OperatorMessage("stopping", self.cause))
+            typed = inputs.lines[0] if inputs.lines else ""
+            if typed:
+                self.end = End(Outcome.OPERATOR, {"typed": typed})
+            events.append(OperatorMessage("stopping", typed or "lasted"))
             speed = (self.q[1] - self.q[0]) / (H / 2.0)
             q = (*ARM.home[:6], self.q[1])
             self.rest = n, ramp(q, (*[0.0] * 6, speed), 0.0, limits_of(ARM))
@@ -131,7 +133,11 @@ def move(request, rig, operators, recorder, *, measures, executor, supervise):
         executor=executor,
     )
     return RunEnd(
-        cause=heart.cause, stoppable=ending.stoppable, missed=ending.timing.missed, lasted=0.0
+        outcome=heart.end.outcome,
+        evidence=dict(heart.end.evidence),
+        stoppable=ending.stoppable,
+        missed=ending.timing.missed,
+        lasted=0.0,
     )
 
 
@@ -254,11 +260,11 @@ def came_to_rest(log):
 def test_a_run_ends_by_itself_and_its_log_is_whole(run, tmp_path):
     person = Person()
     outcome = run(person)
-    assert (outcome.cause, outcome.stoppable) == ("lasted", True)
+    assert (outcome.outcome, outcome.stoppable) == ("lasted", True)
     assert person.texts("stopping") == ["lasted"]
     assert person.texts("fault") == person.texts("warning") == []
     log = RunLog.load(tmp_path / "run.mcap", damaged=True)
-    assert log.end.cause == "lasted"
+    assert log.end.outcome == "lasted"
     assert log.end.lost_rows == 0
     # Where the machine stands still, a second setpoint is left out.
     ticks, rows = len(log.tables["tick"]), len(log.tables["stream"])
@@ -279,10 +285,10 @@ def test_a_run_ends_by_itself_and_its_log_is_whole(run, tmp_path):
 def test_a_signal_is_a_word_to_the_loop_and_the_log_is_complete(run, tmp_path, number):
     handler = signal.getsignal(number)
     outcome = run(Person(signal_here(number)))
-    assert outcome.cause == processes.STOP
+    assert outcome.evidence == {"typed": processes.STOP}
     assert outcome.stoppable
     log = RunLog.load(tmp_path / "run.mcap", damaged=True)
-    assert log.end.cause == processes.STOP
+    assert log.end.evidence == {"typed": processes.STOP}
     assert came_to_rest(log)
     assert len(log.tables["tick"]) < 150
     assert signal.getsignal(number) == handler
@@ -331,7 +337,7 @@ def test_a_loop_that_stands_still_is_told_within_100_ms(run, tmp_path):
 def test_a_writer_that_is_killed_does_not_disturb_the_run_and_is_told_at_once(run, tmp_path):
     person = Person(kill(signal.SIGKILL, "writer"), after=1.2)
     outcome = run(person)
-    assert (outcome.cause, outcome.stoppable) == ("lasted", True)
+    assert (outcome.outcome, outcome.stoppable) == ("lasted", True)
     assert person.texts("warning") == [
         "the log is incomplete: the process that writes it has ended with -9"
     ]

@@ -112,7 +112,7 @@ STALLS = {
 def test_a_run_with_stalls_replays_to_the_bit(tmp_path, stall):
     scenario = Scenario(duration=1.5, out=tmp_path / "run.mcap")
     harness = FaultHarness(scenario, (Trigger("balancing", 0.5), STALLS[stall]))
-    assert harness.run().cause == "lasted"
+    assert harness.run().outcome == "lasted"
     log = RunLog.load(scenario.out)
     ticks, rows = len(log.tables["tick"]), len(log.tables["stream"])
     assert (rows < 2 * ticks) is (stall in ("second setpoint", "link"))

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from equipoise.identification import identify
+from equipoise.identification.recording import Trajectory
+from equipoise.identification.swing import identify
 from equipoise.model.arms.iiwa import iiwa
 from equipoise.model.encoder import theta_from_counts
 from equipoise.model.pendulum import PendulumParameters
 from equipoise.model.worlds import TwinSettings
 from equipoise.settings import GRAVITY, IdentificationSettings
-from equipoise.trajectory import Trajectory
 from equipoise.worlds.twin.excitation import excitation
 from equipoise.worlds.twin.physics import TICK, build
 from equipoise.worlds.twin.twin import Twin, reset

@@ -271,7 +271,7 @@ def test_the_last_failure_that_is_allowed_decides(fallen, angle, track, granted)
     assert sum(certificate.failures.values()) == certificate.failed
     assert (certificate.bound >= 0.99) is granted
     assert certificate.evaluation == evaluation.digest
-    assert len(evaluation.results.causes) == certificate.claim.trials == 1000
+    assert len(evaluation.results.outcomes) == certificate.claim.trials == 1000
 
 
 def test_a_certificate_names_what_it_takes_to_repeat_it(fallen, small_policy):
@@ -386,7 +386,7 @@ def test_a_second_try_is_the_same_try_whatever_the_workers(small_policy):
     for workers in (1, 2):
         assert certify(small_policy, claim, workers=workers)[0].digest == certificate.digest
     assert 0 < certificate.failed < 150
-    lasted = evaluation.results.causes.count("lasted")
+    lasted = evaluation.results.outcomes.count("lasted")
     assert certificate.failed == 150 - lasted
     assert certificate.granted == (chance(lasted, 150, 0.5) <= Fraction(5, 100))
     again = repeat(certificate, small_policy, workers=2)

@@ -17,6 +17,7 @@ from equipoise.cli.destinations import Destination, choose_file
 from equipoise.cli.export import choose_film, draw_film
 from equipoise.cli.output import Output, stop_by_signal, verb
 from equipoise.errors import EquipoiseError, InputError
+from equipoise.outcomes import Outcome
 from equipoise.user_code import guest_code
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ OPTIONS = {
     "a simulated run": ("policy", "world", *TASK, "video"),
 }
 """Options of each mode, besides those of all modes."""
-RIG_FIELDS = ("cause", "reason", "stoppable", "zero", "missed", "late", "compute")
+RIG_FIELDS = ("outcome", "reason", "stoppable", "zero", "missed", "late", "compute")
 """Fields of the JSON object about the end of a run on a rig, by their names in `RunEnd`."""
 OF_ALL_MODES = ("duration", "seed", "out", "force", "as_json")
 
@@ -150,7 +151,7 @@ def deploy(
     response = opt.read_actuator(actuator)
     if robot is not None:
         from equipoise.control.bound_policy import BoundPolicy
-        from equipoise.identification.motion import identify_motion
+        from equipoise.identification.actuator import identify_motion
         from equipoise.rig.config import read_rig
         from equipoise.rig.run import RunRequest, require_survival
 
@@ -203,8 +204,7 @@ def _report(run: "RunLog") -> _Report:
     from equipoise.model.worlds import PivotFriction
 
     conditions, truth = run.conditions, run.truth
-    cause = run.cause + (f" ({run.guard})" if run.guard else "")
-    rows = {"lasted": f"{run.lasted:g} s of {conditions.duration:g} s, ended: {cause}"}
+    rows = {"lasted": f"{run.lasted:g} s of {conditions.duration:g} s, ended: {run.outcome}"}
     if len(truth.x):
         rows["flange"] = f"within {1e3 * float(abs(truth.x).max()):.0f} mm of home"
     if conditions.friction is not None:
@@ -220,12 +220,11 @@ def _report(run: "RunLog") -> _Report:
     fields = {
         "world": conditions.world,
         "lasted_s": run.lasted,
-        "cause": run.cause,
-        "guard": run.guard or None,
+        "outcome": run.outcome,
         "ticks": len(run.time),
         "setpoints": len(run.stream.time),
     }
-    good = run.cause == "lasted" or not conditions.policy
+    good = run.outcome == Outcome.LASTED or not conditions.policy
     return _Report(rows, fields, 0 if good else 1)
 
 
@@ -241,7 +240,7 @@ def _run_on_rig(
     from equipoise.cli.terminal_operator import TerminalOperator, single_keys
     from equipoise.rig.config import is_virtual
     from equipoise.rig.processes import run_in_processes
-    from equipoise.rig.run import check_request, exit_code, rehearse_t1, run_virtually
+    from equipoise.rig.run import check_request, rehearse_t1, run_virtually
 
     check_request(request)
     if console and is_virtual(request.robot):
@@ -269,13 +268,13 @@ def _run_on_rig(
             output.wrote(out)
         raise
     lasted = result.lasted or 0.0
-    rows = {"ended": f"{result.cause}: {result.reason}", "balanced": f"{lasted:.2f} s"}
+    rows = {"ended": f"{result.outcome}: {result.reason}", "balanced": f"{lasted:.2f} s"}
     for name, times in (("ticks late", result.late), ("compute time", result.compute)):
         if times:
             rows[name] = ", ".join(f"{key} {1e3 * value:.2f} ms" for key, value in times.items())
     if result.missed:
         rows["missed ticks"] = str(result.missed)
-    code, identified = exit_code(result), result.identified
+    code, identified = result.exit_code, result.identified
     if identified is not None:
         identified.save(_actuator_file(out), command="deploy", inputs={})
         rows["identified"] = f"{identified.summary}, in {_actuator_file(out)}"

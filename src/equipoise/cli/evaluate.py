@@ -208,7 +208,7 @@ def _row(results: "TrialResults") -> tuple[str, ...]:
 
     summary = results.summary()
     low, high = summary.interval
-    failures = {cause: n for cause, n in summary.causes.items() if cause != "lasted"}
+    failures = {cause: n for cause, n in summary.outcomes.items() if cause != "lasted"}
     return (
         results.name,
         f"{summary.survived} of {summary.trials}",

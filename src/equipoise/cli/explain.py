@@ -40,41 +40,43 @@ def explain(run: Path = opt.RUN, as_json: bool = opt.JSON) -> None:
     output.say(f"Explaining {run}")
 
     from equipoise.logs.run_log import RunLog
+    from equipoise.outcomes import describe
     from equipoise.rig.explanation import explain as why
 
     read = RunLog.load(run, damaged=True)
     found, missing = why(read), read.damage
     first, *others = found.causes
-    how, log = found.ending, found.log
-    rows = {"ended": f"{how.cause}{f': {how.reason}' if how.reason else ''}"}
-    if how.phase is not None:
-        rows["while"] = how.phase.value
+    log = found.log
+    reason = describe(found.end)
+    rows = {"ended": f"{found.end.outcome}: {reason}"}
+    if (phase := read.last_phase) is not None and not read.conditions.simulated:
+        rows["while"] = phase.value
     if log is not None and len(log.time):
         rows["balanced"] = f"{log.lasted:.2f} s of {log.conditions.duration:g} s"
     output.rows(rows)
     output.warn(missing)
     output.say()
-    output.say(f"Why: {first.name.value}", style="bold")
+    output.say(f"Why: {first.cause}", style="bold")
     output.rows({"evidence": first.evidence, "what to do": first.advice})
     if others:
         output.say()
         output.say("Less likely, or a consequence:")
-        output.rows({one.name.value: one.evidence for one in others})
+        output.rows({str(one.cause): one.evidence for one in others})
     if log is not None and len(log.time) > 1:
         output.say()
         output.table(COLUMNS, _picture(log))
     output.next("log", "export", run)
     output.result(
         run=run,
-        cause=first.name.value,
+        cause=first.cause,
         causes=[
-            {"name": one.name.value, "time_s": one.time}
+            {"name": one.cause, "time_s": one.time}
             | {field: getattr(one, field) for field in ("score", "evidence", "advice")}
             for one in found.causes
         ],
-        ended=how.cause,
-        reason=how.reason,
-        whole=how.whole,
+        ended=found.end.outcome,
+        reason=reason,
+        whole=read.end is not None,
         lasted_s=None if log is None else log.lasted,
     )
 

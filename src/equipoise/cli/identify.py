@@ -13,8 +13,8 @@ from equipoise.errors import InputError
 
 if TYPE_CHECKING:
     from equipoise.artefacts import Estimate
+    from equipoise.identification.recording import Trajectory
     from equipoise.model.pendulum import Pendulum
-    from equipoise.trajectory import Trajectory
 
 
 SEPARATE = "Measured separately, for I and b"
@@ -70,9 +70,9 @@ def identify(
         output, out, "pendulum.json", force=force, beside=pictures if figure else lambda _: ()
     )
 
-    from equipoise.identification import identify as fit
+    from equipoise.identification.recording import read_swing
+    from equipoise.identification.swing import identify as fit
     from equipoise.settings import resolve
-    from equipoise.trajectory import read_swing
 
     chosen = list(settings or ())
     if friction is not None:
@@ -166,7 +166,7 @@ def _given_estimate(
 def _say(output: Output, pendulum: "Pendulum") -> None:
     import numpy as np
 
-    from equipoise.model.pendulum import amplitudes
+    from equipoise.identification.fitted import amplitudes
 
     fit = pendulum.fit
     quantities = [

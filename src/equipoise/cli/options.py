@@ -141,7 +141,7 @@ def check_range(option: str, value: float | None, low: float, high: float, unit:
 
 
 def swing_options(context: typer.Context) -> dict[str, Any]:
-    """Return the options of a recording, as `equipoise.trajectory.read_swing` takes them."""
+    """Return the options of a recording, as `read_swing` takes them."""
     return {name: context.params[name] for name in SWING_OPTIONS}
 
 

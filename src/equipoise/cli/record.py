@@ -40,10 +40,10 @@ def record(
     destination = choose_file(output, out, "swing.csv", force=force, suffix=".csv")
     opt.check_range("--duration", duration, 1.0, 600.0, " s")
 
+    from equipoise.identification.recording import write_swing
     from equipoise.rig.clocks import SystemClock
     from equipoise.rig.config import encoder_at
     from equipoise.robots.encoder.swing import SwingRecorder, record_swing
-    from equipoise.trajectory import write_swing
 
     prompted = ""
 

@@ -12,7 +12,7 @@ from equipoise.printable import printable
 if TYPE_CHECKING:
     from equipoise.artefacts import Artefact, Estimate
     from equipoise.control.policy import Checkpoint, TabularPolicy
-    from equipoise.identification.refinement import Refinement, RefinementFindings
+    from equipoise.identification.refine import Refinement, RefinementFindings
 
 PARTS: tuple[str, ...] = ("policy", "pendulum", "actuator")
 """Files that may be written, and the keys of their paths in the JSON object."""
@@ -48,7 +48,7 @@ def refine(
     )
 
     from equipoise.control.policy import TabularPolicy
-    from equipoise.identification.refinement import inspect
+    from equipoise.identification.refine import inspect
     from equipoise.logs.runs import load_run
 
     table = TabularPolicy.load(policy)
@@ -98,7 +98,7 @@ def _retrain(
     seed: int,
     workers: int | None,
 ) -> "Refinement":
-    from equipoise.identification import refinement as study
+    from equipoise.identification import refine as study
     from equipoise.progress import StageProgress, TrainingProgress, compile_training, compiling
 
     settings = study.settings_of_retraining(policy.settings, episodes or study.EPISODES)
@@ -124,7 +124,7 @@ def _retrain(
 
 
 def _say(output: Output, policy: "TabularPolicy", findings: "RefinementFindings") -> None:
-    from equipoise.identification.refinement import numbers
+    from equipoise.identification.refine import numbers
 
     fit, known = findings.fit, policy.pendulum
     rows = {

@@ -59,7 +59,7 @@ def reproduce(
         taken = context.params.keys() - set(opt.SWING_OPTIONS)
         opt.only(context, "a simulated swing", *taken, hint="give a recording with --swing")
     else:
-        from equipoise.trajectory import read_swing
+        from equipoise.identification.recording import read_swing
 
         recording = read_swing(swing, **opt.swing_options(context))
     destination = choose_file(output, out, FOLDER, force=force, suffix="")
@@ -96,7 +96,7 @@ def reproduce(
         duration=found.evaluation.duration,
         world=found.run.conditions.world,
         lasted_s=found.run.lasted,
-        cause=found.run.cause,
+        outcome=found.run.outcome,
         wall_s=time.perf_counter() - begin,
         bad=trials["median_s"] < found.evaluation.duration,
     )

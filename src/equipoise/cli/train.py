@@ -20,7 +20,8 @@ HELP: Final = {
     "angle": "angle: the pendulum falls within the track; release more gently, or identify the "
     "actuator again.",
     "joint limit": "joint limit: the posture leaves no room; choose another home.",
-    "guard": "guard: the flange exceeds --max-speed; allow more, if the mode of the arm does.",
+    "flange speed": "flange speed: the flange exceeds --max-speed; allow more, if the "
+    "mode of the arm does.",
 }
 """Remedies for each cause of a failed trial. Smaller uncertainties are not among them: of 12 tables
 that failed on the track, 897 of 1,152 trials lasted, and 901 without variation of the plant."""
@@ -177,7 +178,8 @@ def _say(output: Output, trained: "TrainedLearners", wall: float) -> None:
     which = "It misses" if count == 1 else f"None of {count} learners meets"
     output.say(f"{which} the target. The file is written, and marked.", style="red")
     for cause in best.test.failures if best.test else ():
-        output.say(HELP[cause])
+        if cause in HELP:
+            output.say(HELP[cause])
 
 
 def _chosen(policy: "TabularPolicy") -> str:

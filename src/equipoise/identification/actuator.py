@@ -23,13 +23,14 @@ cycles. It includes the return path if the reply times are times of *arrival*.
 """
 
 from collections.abc import Mapping
+from hashlib import sha256
 from math import exp, hypot, sqrt
 from typing import Final, Literal, NamedTuple, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
-from equipoise.artefacts import Estimate
+from equipoise.artefacts import DIGEST_PREFIX, Estimate
 from equipoise.errors import RecordingError
 from equipoise.identification.jackknife import blocks_of_time, jackknife
 from equipoise.identification.wrist_load import LoadMotion, WristLoad, load_motion, wrist_load
@@ -333,6 +334,27 @@ def identify_run(run: RunLog) -> Actuator:
         source=run.digest,
         **_measured_load(run),
     )
+
+
+def identify_motion(sent: Array, measured: Array) -> Actuator:
+    """Identify the actuator of an arm from a motion of all joints.
+
+    The inertia of the last rotor is not fitted: the motion is half as large as that of a log of
+    `deploy --excite`, and the policy's controller does not use it.
+
+    Args:
+        sent: Time [s] and setpoint of the free joints [rad], shape (m, 7).
+        measured: Time [s] and measured free joints [rad], shape (p, 7).
+
+    Returns:
+        The actuator; the source of its fit is the digest of the two arrays.
+
+    Raises:
+        RecordingError: The motion cannot be used, see `identify_actuator`.
+    """
+    source = DIGEST_PREFIX + sha256(sent.tobytes() + measured.tobytes()).hexdigest()
+    parts = (sent[:, 0], sent[:, 1:], measured[:, 0], measured[:, 1:])
+    return identify_actuator(*map(np.ascontiguousarray, parts), source=source)
 
 
 class _MeasuredLoad(TypedDict, total=False):

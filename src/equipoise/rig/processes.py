@@ -41,7 +41,7 @@ from equipoise.rig.config import restart_instruction
 from equipoise.rig.loop import CANNOT_STOP
 from equipoise.rig.operator import Operator
 from equipoise.rig.run import ALONE, STOP, RunRequest, run_on_rig, warm_up
-from equipoise.rig.run_controller import LATE, PHASES
+from equipoise.rig.run_controller import PHASES
 from equipoise.user_code import format_error, guest_code
 
 HEARTBEAT_TIMEOUT: Final = 0.085
@@ -130,7 +130,9 @@ def _run(
             except BaseException:
                 recorder.typed.push(STOP.encode())  # no later poll would send it
                 raise
-            log.end(result if isinstance(result, RunEnd) else RunEnd(fault=str(result)))
+            log.end(
+                result if isinstance(result, RunEnd) else RunEnd(evidence={"text": str(result)})
+            )
         finally:
             if loop.pid is not None:
                 loop.join(JOIN_TIMEOUT)
@@ -426,7 +428,7 @@ class InterruptedPolicy:
 
     def _interrupt(self, *_: object) -> None:
         if self._running:
-            raise PolicyTimeout(f"{LATE} more than {1e3 * self._limit:.1f} ms")
+            raise PolicyTimeout(f"it took more than {1e3 * self._limit:.1f} ms")
 
 
 def _practise(time_: Array, counts: Array, move: Array) -> SelfTest:

@@ -36,9 +36,9 @@ from equipoise.control.policy import TaskPolicy
 from equipoise.errors import ArtefactError, InputError
 from equipoise.executors import Workers
 from equipoise.model.worlds import MODEL, PREFIX, WORLDS, TwinSettings, World, read_world
+from equipoise.outcomes import Outcome
 from equipoise.settings import LONGEST_TRIAL, MOST_TRIALS, Settings
 from equipoise.worlds.evaluation import Done, Evaluation, evaluate
-from equipoise.worlds.formatting import LASTED
 
 MARGIN: Final = 10.0
 """Ratio of the claimed failure probability to that of the policy for which the number of trials is
@@ -96,7 +96,7 @@ class Certificate(Artefact):
     bound: Share
     """One-sided lower Clopper-Pearson bound of the probability that a trial lasts, at the
     confidence of the claim."""
-    failures: dict[Name, Count]
+    failures: dict[Outcome, Count]
     """Number of failed trials by cause."""
     policy: Name
     """Digest of the policy; that of a table covers arm and pendulum, which the evaluation names for
@@ -144,7 +144,7 @@ class Repetition(NamedTuple):
 
     granted: bool
     """Whether the repetition grants the claim."""
-    failures: Mapping[str, int]
+    failures: Mapping[Outcome, int]
     """Number of failed trials by cause."""
     same_outcome: bool
     """Whether these are the failures of the certificate."""
@@ -403,6 +403,6 @@ def percentage(share: float) -> str:
     return f"{100.0 * share:.10g} %"
 
 
-def _failures(evaluation: Evaluation) -> dict[str, int]:
-    causes = evaluation.results.summary().causes
-    return {cause: causes[cause] for cause in sorted(causes) if cause != LASTED}
+def _failures(evaluation: Evaluation) -> dict[Outcome, int]:
+    outcomes = evaluation.results.summary().outcomes
+    return {each: outcomes[each] for each in sorted(outcomes) if each != Outcome.LASTED}

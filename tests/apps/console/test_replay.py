@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from equipoise.apps.console.replay import MAX_MARKS, Playback, ReplayPage, marks_of
-from equipoise.control.states import Phase
 from equipoise.logs.motion import Motion
+from equipoise.outcomes import Phase
 from equipoise.rig.explanation import explain
 from equipoise.rig.run_controller import PHASES
 from tests.apps.console.browser import (
@@ -98,7 +98,7 @@ def test_the_events_are_phases_warnings_and_the_causes_that_explain_names():
         (2.5, "warning", "The disk is nearly full."),
     ]
     causes = {(mark.name, mark.text) for mark in marks if mark.cause}
-    assert causes == {(one.name.value, one.evidence) for one in explain(RUN).causes}
+    assert causes == {(one.outcome, one.evidence) for one in explain(RUN).causes}
     state = np.resize([PHASES.index(Phase.LIFTING), PHASES.index(Phase.BALANCING)], 901)
     many = changed_table(RUN, "tick", state=state)
     assert len(marks_of(many, Motion.of(many))) == MAX_MARKS

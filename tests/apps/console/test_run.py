@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equipoise.control.states import Phase
 from equipoise.logs.run_log import RunLog
-from equipoise.safety.rules import Rule
+from equipoise.outcomes import Outcome, Phase
 from tests.apps.console.browser import (
     browser,
     needs_browser,
@@ -28,7 +27,7 @@ pytestmark = [needs_browser, pytest.mark.compiled_only, pytest.mark.slow]
 STOP_LIMIT = 0.100  # from the press to the stop in the run's log [s]
 ATTEMPTS = 4  # of a run, where the host withholds its processors
 STALLS = {
-    each.value for each in (Rule.TICK, Rule.LINK, Rule.ENCODER_STALE)
+    str(each) for each in (Outcome.TICK, Outcome.LINK, Outcome.ENCODER_STALE)
 }  # causes of an end by the host
 REFUSED = re.compile("^error: .*link to the robot")  # before anything moves
 RESPONSES = ("Yes", "OK")
@@ -88,7 +87,7 @@ def console_of(folder, duration):
 
 def was_stalled(log):
     """Whether a rule on lateness ended the run; a stop by the operator is no such end."""
-    return log.exists() and RunLog.load(log, damaged=True).cause in STALLS
+    return log.exists() and RunLog.load(log, damaged=True).outcome in STALLS
 
 
 def question(page):
@@ -146,7 +145,7 @@ def test_a_stop_in_each_phase_reaches_the_loop_within_100_ms(tmp_path, phase, by
         delay = stop_delay(page, log)
         sys.stdout.write(f"{phase.value}, {by}: {1e3 * delay:.1f} ms\n")
         assert delay < STOP_LIMIT
-        assert RunLog.load(log, damaged=True).end.cause == "operator"
+        assert RunLog.load(log, damaged=True).end.outcome == "operator"
 
 
 @repeated_after_a_stall
@@ -158,7 +157,7 @@ def test_a_console_that_is_killed_does_not_disturb_the_run(tmp_path):
         os.kill(console_process(run.process.pid), signal.SIGKILL)
         run.process.wait(40.0)
         logged = RunLog.load(log)
-        assert logged.end.cause == "lasted"
+        assert logged.end.outcome == "lasted"
         ticks = logged.tables["tick"]
         around = np.abs(ticks["time"] - killed) < 0.5
         largest = 1e3 * ticks["late"][around].max()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from equipoise.errors import LinkError, RecordingError
-from equipoise.identification import identify
+from equipoise.identification.recording import read_swing, write_swing
+from equipoise.identification.swing import identify
 from equipoise.model.pendulum import Pendulum
 from equipoise.rig.interfaces import Sample
 from equipoise.robots.encoder.swing import (
@@ -19,7 +20,6 @@ from equipoise.robots.encoder.swing import (
 )
 from equipoise.robots.twin.robot import TwinEncoder
 from equipoise.settings import IdentificationSettings
-from equipoise.trajectory import read_swing, write_swing
 from tests.rig.in_process import PENDULUM, stand
 from tests.robots.encoder.by_hand import RELEASE, ByHand
 from tests.robots.encoder.rig import Bench
