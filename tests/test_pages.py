@@ -271,7 +271,7 @@ def forced(line):
     words = shlex.split(first.split("&&")[0].split("||")[0])[1:]
     if words[:1] == ["-m"]:
         words = words[2:]
-    known = "force" in parse(words) and not {"--resume", "--verify"} & set(words)
+    known = "force" in parse(words)
     return re.sub(r"( &&| \|\||$)", r" --force\1", first, count=1) if known else first
 
 

@@ -339,7 +339,7 @@ def test_a_policy_that_lives_with_t1_on_the_twin_may_run_there():
 def test_a_policy_that_is_too_fast_on_the_twin_is_refused():
     # No run of this policy stays below 50 mm/s.
     with pytest.raises(
-        InputError, match=r"lasts 2 s in 0 of 4 trials, expected 4 .*flange speed 4.*--max-speed"
+        InputError, match=r"lasts 2 s in 0 of 4 trials, expected 4 .*flange speed 4.*max_speed"
     ):
         rehearse_t1(request(policy=limited(0.05), t1=True), trials=4, duration=2.0)
 

@@ -108,7 +108,7 @@ ADVICE: Final = {
     Outcome.FOLLOWING: _PANEL,
     Outcome.FIRST: _PANEL,
     Outcome.TORQUE: "find what the arm touched before it moves again",
-    Outcome.SPEED: "train with --max-speed, leave T1, or make the link to the robot faster",
+    Outcome.SPEED: "train with --set plant.max_speed=0.23, leave T1, or make the link faster",
     Outcome.DRIFT: _MOUNTING,
     Outcome.TILT: _MOUNTING,
     Outcome.TICK: "find with `equipoise rig doctor` what delays this machine",

@@ -668,5 +668,5 @@ def rehearse_t1(
         raise InputError(
             f"on the twin in T1 this policy lasts {duration:g} s in {ended[Outcome.LASTED]} of "
             f"{trials} trials, expected {least} (ended by: {others}); train one for "
-            f"this limit: equipoise train --max-speed {T1_SPEED:g}"
+            f"this limit: equipoise train --set plant.max_speed={T1_SPEED:g}"
         )

@@ -178,7 +178,7 @@ def check_speed(policy: TaskPolicy, limit: float, reason: str) -> Iterator[Check
         yield CheckResult("flange speed", "good", f"{found}; trained for {trained:g} m/s")
         return
     found += ", which the policy was not trained for"
-    cure = f"train --max-speed {limit:.3g} makes a policy that keeps the limit"
+    cure = f"train --set plant.max_speed={limit:.3g} makes a policy that keeps the limit"
     yield CheckResult("flange speed", "warning", found, cure)
 
 
